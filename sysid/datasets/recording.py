@@ -1,0 +1,112 @@
+"""A dataset version in memory: aligned recordings of one machine, with everything that led to them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+import numpy as np
+import numpy.typing as npt
+import pandas as pd
+
+from sysid.errors import StoreError, nearest
+from sysid.machine import Machine
+
+Role = Literal["fit", "select", "held_out"]
+Kind = Literal["motion", "poses"]
+
+
+@dataclass(frozen=True)
+class Recording:
+    """One wide table after alignment.
+
+    Args:
+        name: unique in its dataset.
+        table: ``time`` [s] and one float64 column a signal (SI), on the grid k/rate_hz for ``motion``; NaN where nothing was
+            measured. For ``poses`` each row is one static pose and ``time`` is when it was taken.
+        rate_hz: sample rate of a ``motion`` recording.
+        start_ns: stamp of ``time == 0`` on the machine's clock.
+    """
+
+    name: str
+    table: pd.DataFrame
+    rate_hz: float
+    kind: Kind = "motion"
+    start_ns: int = 0
+
+    def __len__(self) -> int:
+        return len(self.table)
+
+    @property
+    def signals(self) -> tuple[str, ...]:
+        return tuple(str(column) for column in self.table.columns if column != "time")
+
+    def values(self, signal: str) -> npt.NDArray[np.float64]:
+        """The signal as float64 (n,); all NaN where the recording does not have it."""
+        if signal not in self.table.columns:
+            return np.full(len(self.table), np.nan)
+        return self.table[signal].to_numpy(dtype=np.float64)
+
+
+@dataclass(frozen=True)
+class Source:
+    """A raw file that went in."""
+
+    path: str
+    sha256: str
+    size: int
+    losses: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class ClockRecord:
+    """``t_machine = t_stream · (1 + 1e-6 · skew_ppm) + offset_s``, t counted from the stream's first stamp.
+
+    ``applied`` is False where the offset could not be observed; ``reason`` says why. ``interval95`` are (lo, hi).
+    """
+
+    recording: str
+    stream: str
+    offset_s: float
+    skew_ppm: float
+    offset_interval95: tuple[float, float]
+    skew_interval95: tuple[float, float]
+    residual_rms: float
+    used_signals: tuple[str, ...]
+    applied: bool
+    reason: str = ""
+
+
+@dataclass(frozen=True)
+class Dataset:
+    """An immutable dataset version. ``version`` counts from 1 in its workspace; ``digest`` is its content address."""
+
+    name: str
+    version: int
+    digest: str
+    machine: Machine
+    recordings: tuple[Recording, ...]
+    units: Mapping[str, str]
+    splits: Mapping[str, Role] = field(default_factory=dict)
+    sources: tuple[Source, ...] = ()
+    clocks: tuple[ClockRecord, ...] = ()
+    quality: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def reference(self) -> str:
+        """``name@version``, the way a person and a lineage record name it."""
+        return f"{self.name}@{self.version}"
+
+    def recording(self, name: str) -> Recording:
+        for recording in self.recordings:
+            if recording.name == name:
+                return recording
+        raise StoreError(self.reference, f"no recording {name!r}", nearest(name, [r.name for r in self.recordings]))
+
+    def of_kind(self, kind: Kind) -> tuple[Recording, ...]:
+        return tuple(recording for recording in self.recordings if recording.kind == kind)
+
+    def with_role(self, *roles: Role, kind: Kind = "motion") -> tuple[Recording, ...]:
+        """The recordings of ``kind`` whose split is one of ``roles``, in the dataset's order."""
+        return tuple(r for r in self.of_kind(kind) if self.splits.get(r.name) in roles)

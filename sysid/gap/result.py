@@ -1,0 +1,171 @@
+"""The answer of the gap workflow, as frozen values and as the JSON of the contract (``docs/result.md``)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
+from typing import Any, Literal
+
+import pandas as pd
+
+Verdict = Literal["named", "no_gap", "unnamed", "ambiguous", "insufficient_excitation"]
+Value = float | tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class Alternative:
+    """Another effect that was considered for the same disagreement and lost; ``rejected_by`` says to what."""
+
+    name: str
+    target: str
+    rejected_by: str
+
+
+@dataclass(frozen=True)
+class NamedEffect:
+    """A missing effect with its parameters (absolute values in the repaired plant)."""
+
+    name: str
+    target: str
+    parameters: Mapping[str, Value]
+    interval95: Mapping[str, tuple[Any, Any]]
+    gap_share: float
+    alternatives: tuple[Alternative, ...] = ()
+    aliases: tuple[tuple[str, str], ...] = ()
+    side: str | None = None
+
+
+@dataclass(frozen=True)
+class Unnamed:
+    """Structure left over that no known effect explains."""
+
+    stage: str
+    target: str
+    rmse: float
+    depends_on: str
+    form: str
+
+
+@dataclass(frozen=True)
+class Excitation:
+    """Whether the data contain what an effect needs: ``have`` of ``need`` (``unit`` says of what)."""
+
+    name: str
+    target: str
+    sufficient: bool
+    have: float
+    need: float
+    unit: str = ""
+
+
+@dataclass(frozen=True)
+class Gap:
+    """RMSE per signal before and after the repair, and what the true model would score."""
+
+    before: Mapping[str, float]
+    after: Mapping[str, float]
+    noise_floor: Mapping[str, float]
+
+    def closed(self, signal: str) -> float:
+        """(before − after) / (before − noise_floor); NaN where there was nothing to close."""
+        closable = self.before[signal] - self.noise_floor[signal]
+        return (self.before[signal] - self.after[signal]) / closable if closable > 0 else float("nan")
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """One row of the evidence table: a set of effects that was fitted, and how it did."""
+
+    stage: str
+    target: str
+    effects: tuple[str, ...]
+    parameters: Mapping[str, float]
+    fit_rmse: float
+    selection_rmse: float
+    delta_bic: float
+    verdict: str
+
+
+@dataclass(frozen=True)
+class Localised:
+    """Disagreement of one stage output: driven by its measured input (``stage``) and free-running (``free_run``)."""
+
+    stage: str
+    target: str
+    signal: str
+    stage_rmse: float
+    free_run_rmse: float
+    noise_floor: float
+    share: float
+
+
+@dataclass(frozen=True)
+class Traces:
+    """Held-out recording: measured, simulated before and after (columns = signals, same rows)."""
+
+    recording: str
+    measured: pd.DataFrame
+    before: pd.DataFrame
+    after: pd.DataFrame
+
+
+@dataclass(frozen=True)
+class GapResult:
+    """Everything the workflow found; :meth:`to_json` gives the contract's part of it."""
+
+    dataset: str
+    plant_before: str
+    plant_after: str
+    verdict: Verdict
+    effects: tuple[NamedEffect, ...]
+    unnamed: tuple[Unnamed, ...]
+    ambiguous: tuple[tuple[tuple[str, str], ...], ...]
+    next_experiment: tuple[str, ...]
+    gap: Gap
+    stage_gap: Gap
+    excitation: tuple[Excitation, ...]
+    held_out_recordings: tuple[str, ...]
+    seconds: float
+    localised: tuple[Localised, ...] = ()
+    candidates: tuple[Candidate, ...] = ()
+    traces: tuple[Traces, ...] = ()
+    notes: tuple[str, ...] = ()
+    settings: Mapping[str, Any] = field(default_factory=dict)
+
+    def to_json(self) -> dict[str, Any]:
+        """The result in the shape of the contract (plus ``localised``, ``candidates`` and ``notes``)."""
+        return {
+            "schema": 1,
+            "dataset": self.dataset,
+            "plant": {"before": self.plant_before, "after": self.plant_after},
+            "verdict": self.verdict,
+            "effects": [_effect_json(effect) for effect in self.effects],
+            "unnamed": [asdict(item) for item in self.unnamed],
+            "ambiguous": [[{"name": name, "target": target} for name, target in tie] for tie in self.ambiguous],
+            "next_experiment": list(self.next_experiment),
+            "gap": asdict(self.gap),
+            "stage_gap": asdict(self.stage_gap),
+            "excitation": [asdict(item) for item in self.excitation],
+            "held_out_recordings": list(self.held_out_recordings),
+            "seconds": self.seconds,
+            "localised": [asdict(item) for item in self.localised],
+            "candidates": [asdict(item) for item in self.candidates],
+            "notes": list(self.notes),
+            "settings": dict(self.settings),
+        }
+
+
+def _effect_json(effect: NamedEffect) -> dict[str, Any]:
+    entry = {
+        "name": effect.name,
+        "target": effect.target,
+        "parameters": dict(effect.parameters),
+        "interval95": {key: list(interval) for key, interval in effect.interval95.items()},
+        "gap_share": effect.gap_share,
+        "alternatives": [asdict(alternative) for alternative in effect.alternatives],
+    }
+    if effect.aliases:
+        entry["aliases"] = [{"name": name, "target": target} for name, target in effect.aliases]
+    if effect.side is not None:
+        entry["side"] = effect.side
+    return entry

@@ -1,0 +1,34 @@
+"""A stream: what one sensor or controller wrote into one file, with its own stamps."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+
+@dataclass(frozen=True)
+class Stream:
+    """One table of one log file, before any alignment.
+
+    Args:
+        name: topic, rigid body, or file stem; unique within its file.
+        source: the file it was read from.
+        stamps: clock name (``log``, ``publish``, ``header``, ``capture``) → int64 nanoseconds, each (n,).
+        columns: field name → float64 values (n,), NaN where the file has none.
+        units: field name → unit as the file states it; a field without an entry has none stated.
+        losses: what could not be read, in words for the quality report.
+    """
+
+    name: str
+    source: Path
+    stamps: Mapping[str, npt.NDArray[np.int64]]
+    columns: Mapping[str, npt.NDArray[np.float64]]
+    units: Mapping[str, str] = field(default_factory=dict)
+    losses: tuple[str, ...] = ()
+
+    def __len__(self) -> int:
+        return len(next(iter(self.stamps.values())))

@@ -1,0 +1,238 @@
+"""``machine.toml``: what a machine is made of and what its nominal simulation already knows."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, Literal
+
+from sysid.config import STRICT, inside, parse_settings, read_toml
+from sysid.errors import SettingsError, nearest
+from sysid.machine.kinematics import Kinematics
+from sysid.signals import canonical_signals, split_signal
+
+Actuation = Literal["velocity", "position", "force"]
+Drives = Literal["cylinder", "joint"]
+
+
+@dataclass(frozen=True)
+class Linkage:
+    """A cylinder between two levers that meet at the joint (triangle).
+
+    ``length² = a² + b² − 2ab·cos(sense·(q + offset))``, ``displacement = length − retracted``.
+
+    Args:
+        a, b: lever lengths [m].
+        offset: angle between the levers at joint zero [rad].
+        retracted: length at zero displacement [m].
+        sense: −1 for a cylinder that shortens as the joint angle rises.
+    """
+
+    __pydantic_config__ = STRICT
+
+    kind: Literal["triangle"]
+    a: float
+    b: float
+    offset: float
+    retracted: float
+    sense: Literal[1, -1] = 1
+
+
+@dataclass(frozen=True)
+class Axis:
+    """One actuated joint. ``gain`` is the speed at command 1.0 [m/s or rad/s] of what the command drives."""
+
+    __pydantic_config__ = STRICT
+
+    name: str
+    actuation: Actuation
+    drives: Drives
+    joint: str | None = None
+    gain: float = 1.0
+    inertia: float | None = None
+    stroke: tuple[float, float] | None = None
+    limits: tuple[float, float] | None = None
+    linkage: Linkage | None = None
+
+    @property
+    def driven(self) -> str:
+        """The signal that the command moves: ``<axis>.cylinder`` or ``<axis>.joint``."""
+        return f"{self.name}.{self.drives}"
+
+    @property
+    def range(self) -> tuple[float, float]:
+        """End stops of what the command drives [m or rad]; infinite where the description gives none."""
+        ends = self.stroke if self.drives == "cylinder" else self.limits
+        return ends if ends is not None else (-math.inf, math.inf)
+
+
+@dataclass(frozen=True)
+class KnownEffect:
+    """An effect that the nominal simulation already contains."""
+
+    __pydantic_config__ = STRICT
+
+    name: str
+    target: str
+    parameters: dict[str, float | list[float]] = field(default_factory=dict)
+    side: Literal["drive", "structure"] | None = None
+
+
+@dataclass(frozen=True)
+class Machine:
+    """A machine description; built by :func:`load_machine`, never by hand.
+
+    ``text`` and ``urdf_text`` are the files it came from, so that a dataset version can carry them.
+    """
+
+    __pydantic_config__ = STRICT
+
+    schema: Literal[1]
+    name: str
+    rate_hz: float
+    axes: tuple[Axis, ...]
+    urdf: str | None = None
+    tip: str | None = None
+    tool: str | None = None
+    noise: dict[str, float] = field(default_factory=dict)
+    effects: tuple[KnownEffect, ...] = ()
+    text: str = ""
+    urdf_text: str | None = None
+
+    @property
+    def axis_names(self) -> tuple[str, ...]:
+        return tuple(axis.name for axis in self.axes)
+
+    @property
+    def signals(self) -> tuple[str, ...]:
+        """Every signal name that a log of this machine may have."""
+        return canonical_signals(self.axis_names)
+
+    def axis(self, name: str) -> Axis:
+        for axis in self.axes:
+            if axis.name == name:
+                return axis
+        raise SettingsError(f"machine {self.name}", f"unknown axis {name!r}", nearest(name, self.axis_names))
+
+    def kinematics(self) -> Kinematics | None:
+        """The chain of the URDF from its root to ``tip``; None without a URDF."""
+        if self.urdf_text is None or self.tip is None:
+            return None
+        joints = tuple(axis.joint or "" for axis in self.axes)
+        return Kinematics.from_urdf(self.urdf_text, joints=joints, tip=self.tip, tool=self.tool)
+
+    def expected_unit(self, signal: str) -> str | None:
+        """SI unit of ``signal``; None where the description leaves rad or m open (a joint without a URDF)."""
+        owner, quantity = split_signal(signal)
+        if owner in ("ee", "tool") or quantity == "cylinder":
+            return "m"
+        axis = self.axis(owner)
+        joint_unit = self._joint_unit(axis)
+        if quantity == "joint":
+            return joint_unit
+        if axis.actuation == "velocity":
+            return "1"
+        if axis.actuation == "force":
+            return {"rad": "N·m", "m": "N"}.get(joint_unit or "") if axis.drives == "joint" else "N"
+        return joint_unit if axis.drives == "joint" else "m"
+
+    def _joint_unit(self, axis: Axis) -> str | None:
+        kinematics = self.kinematics()
+        if kinematics is None or axis.joint is None:
+            return None
+        return "m" if kinematics.is_prismatic(axis.joint) else "rad"
+
+    def files(self) -> dict[str, str]:
+        """File name → text, enough to load the same machine again with :func:`machine_from_files`."""
+        files = {"machine.toml": self.text}
+        if self.urdf is not None and self.urdf_text is not None:
+            files[self.urdf] = self.urdf_text
+        return files
+
+
+def load_machine(path: Path) -> Machine:
+    """Read and check ``machine.toml``.
+
+    Raises:
+        SettingsError: an unknown key, a missing file, a name that does not exist, a linkage that does not close.
+    """
+    values = read_toml(path)
+    urdf_text = None
+    if isinstance(values.get("urdf"), str):
+        urdf_path = inside(path.parent, values["urdf"], f"{path}: urdf")
+        if not urdf_path.is_file():
+            raise SettingsError(f"{path}: urdf", f"no such file {values['urdf']!r}", "a URDF file relative to machine.toml")
+        urdf_text = urdf_path.read_text("utf-8")
+    return _build(values, path.read_text("utf-8"), urdf_text, where=path)
+
+
+def machine_from_files(files: dict[str, str], where: object) -> Machine:
+    """The machine whose :meth:`Machine.files` these are (as stored with a dataset version)."""
+    import tomllib
+
+    values = tomllib.loads(files["machine.toml"])
+    urdf = values.get("urdf")
+    return _build(values, files["machine.toml"], files.get(urdf) if isinstance(urdf, str) else None, where)
+
+
+def _build(values: dict[str, Any], text: str, urdf_text: str | None, where: object) -> Machine:
+    for key in ("text", "urdf_text"):
+        if key in values:
+            raise SettingsError(where, f"unknown key {key!r}", "the keys of machine.toml", "Remove it.")
+    machine = parse_settings({**values, "text": text, "urdf_text": urdf_text}, Machine, where)
+    _check_axes(machine, where)
+    if machine.urdf is not None:
+        machine = replace(machine, axes=tuple(_with_urdf_limits(machine, axis, where) for axis in machine.axes))
+    for signal in machine.noise:
+        if signal not in machine.signals:
+            raise SettingsError(f"{where}: noise", f"unknown signal {signal!r}", nearest(signal, machine.signals))
+    _check_linkages(machine, where)
+    return machine
+
+
+def _check_axes(machine: Machine, where: object) -> None:
+    if not machine.axes:
+        raise SettingsError(where, "no axes", "at least one [[axes]] entry")
+    if not (math.isfinite(machine.rate_hz) and machine.rate_hz > 0):
+        raise SettingsError(where, f"rate_hz = {machine.rate_hz}", "a positive rate [Hz]")
+    names = list(machine.axis_names)
+    for axis in machine.axes:
+        place = f"{where}: axis {axis.name!r}"
+        if names.count(axis.name) > 1 or axis.name in ("ee", "tool", "machine", "base", "time"):
+            raise SettingsError(place, "name is taken", "a name of its own for every axis")
+        if axis.actuation == "force" and axis.inertia is None:
+            raise SettingsError(place, "no inertia", "inertia [kg or kg·m²] for a force-actuated axis")
+        if axis.drives == "cylinder" and axis.stroke is None:
+            raise SettingsError(place, "no stroke", "stroke = [lo, hi] [m] for an axis that drives a cylinder")
+        for key in ("stroke", "limits"):
+            ends = getattr(axis, key)
+            if ends is not None and not ends[0] < ends[1]:
+                raise SettingsError(place, f"{key} = {list(ends)}", "lower end below upper end")
+
+
+def _with_urdf_limits(machine: Machine, axis: Axis, where: object) -> Axis:
+    """The axis with the limits of its URDF joint where the description gives none."""
+    if machine.tip is None:
+        raise SettingsError(where, "a urdf but no tip", 'tip = "<link>", the link whose origin is the end effector')
+    if axis.joint is None:
+        raise SettingsError(f"{where}: axis {axis.name!r}", "no joint", 'joint = "<URDF joint>" where a urdf is given')
+    kinematics = machine.kinematics()
+    assert kinematics is not None
+    limits = axis.limits or kinematics.limits(axis.joint)
+    return replace(axis, limits=limits)
+
+
+def _check_linkages(machine: Machine, where: object) -> None:
+    for axis in machine.axes:
+        link = axis.linkage
+        if link is None or axis.limits is None:
+            continue
+        low, high = sorted(link.sense * (q + link.offset) for q in axis.limits)
+        if low < 0.0 or high > math.pi:
+            raise SettingsError(
+                f"{where}: axis {axis.name!r}: linkage",
+                f"the lever angle runs from {low:.3f} to {high:.3f} rad over the joint limits",
+                "a range inside [0, π], where one displacement means one angle",
+                "Correct offset, sense or the limits.",
+            )

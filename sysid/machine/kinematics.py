@@ -1,0 +1,185 @@
+"""Forward kinematics of the actuated chain of a URDF, for any number of poses at once.
+
+Source: URDF specification (ROS wiki, ``urdf/XML/joint``); Craig, Introduction to Robotics, ch. 2-3.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from xml.etree.ElementTree import Element
+
+import numpy as np
+import numpy.typing as npt
+
+from sysid.errors import SettingsError, nearest
+
+Array = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Joint:
+    """One URDF joint: ``origin`` is the child frame at joint zero in the parent frame, 4×4."""
+
+    name: str
+    kind: str
+    parent: str
+    child: str
+    origin: Array
+    axis: Array
+    limits: tuple[float, float]
+
+    @property
+    def prismatic(self) -> bool:
+        return self.kind == "prismatic"
+
+    def motion(self, q: Array) -> Array:
+        """Child pose relative to the parent at joint values ``q``, shape (n,) → (n, 4, 4)."""
+        motion = np.tile(np.eye(4), (len(q), 1, 1))
+        if self.prismatic:
+            motion[:, :3, 3] = q[:, None] * self.axis
+        elif self.kind in ("revolute", "continuous"):
+            motion[:, :3, :3] = rotation_about(self.axis, q)
+        return np.asarray(self.origin @ motion)
+
+
+@dataclass(frozen=True)
+class Kinematics:
+    """The joints from the URDF's root link to ``tip``; ``actuated`` names them in the order of the axes."""
+
+    chain: tuple[Joint, ...]
+    actuated: tuple[str, ...]
+    tip: str
+    joints: dict[str, Joint]
+    masses: dict[str, tuple[float, tuple[float, float, float]]]
+    tool: str | None = None
+
+    @staticmethod
+    def from_urdf(text: str, joints: tuple[str, ...], tip: str, tool: str | None = None) -> Kinematics:
+        """Parse a URDF and follow it from ``tip`` to the root.
+
+        Raises:
+            SettingsError: not a URDF, an unknown joint or link, an actuated joint that does not move the tip.
+        """
+        every, masses = parse_urdf(text)
+        by_child = {joint.child: joint for joint in every.values()}
+        links = {joint.child for joint in every.values()} | {joint.parent for joint in every.values()}
+        for role, link in (("tip", tip), ("tool", tool)):
+            if link is not None and link not in links:
+                raise SettingsError(f"urdf: {role}", f"unknown link {link!r}", nearest(link, links))
+        chain: list[Joint] = []
+        link = tip
+        while link in by_child:
+            if by_child[link] in chain:
+                raise SettingsError("urdf", f"link {link!r} is its own ancestor", "a tree")
+            chain.append(by_child[link])
+            link = by_child[link].parent
+        chain.reverse()
+        on_chain = [joint.name for joint in chain if joint.kind != "fixed"]
+        for name in joints:
+            if name not in every:
+                raise SettingsError("urdf", f"unknown joint {name!r}", nearest(name, every))
+            if name not in on_chain:
+                raise SettingsError("urdf", f"joint {name!r} does not move the tip {tip!r}", nearest(name, on_chain))
+        for name in on_chain:
+            if name not in joints:
+                raise SettingsError("urdf", f"joint {name!r} moves the tip but no axis names it", "an axis for each joint")
+        return Kinematics(tuple(chain), joints, tip, every, masses, tool)
+
+    def is_prismatic(self, joint: str) -> bool:
+        return self.joints[joint].prismatic
+
+    def limits(self, joint: str) -> tuple[float, float]:
+        return self.joints[joint].limits
+
+    def link_poses(self, q: Array) -> dict[str, Array]:
+        """Pose of every link of the chain in the base frame.
+
+        Args:
+            q: joint values in the order of ``actuated``, shape (n, n_axes) [rad or m].
+
+        Returns:
+            Link name → (n, 4, 4).
+        """
+        q = np.atleast_2d(np.asarray(q, dtype=np.float64))
+        pose = np.tile(np.eye(4), (len(q), 1, 1))
+        poses = {self.chain[0].parent: pose} if self.chain else {self.tip: pose}
+        for joint in self.chain:
+            values = q[:, self.actuated.index(joint.name)] if joint.name in self.actuated else np.zeros(len(q))
+            pose = pose @ joint.motion(values)
+            poses[joint.child] = pose
+        return poses
+
+    def tip_position(self, q: Array) -> Array:
+        """End-effector position in the base frame, (n, n_axes) → (n, 3) [m]."""
+        return np.asarray(self.link_poses(q)[self.tip][:, :3, 3])
+
+
+def rotation_about(axis: Array, angle: Array) -> Array:
+    """Rotation matrices about a unit ``axis`` (3,) by ``angle`` (n,), (n, 3, 3) (Rodrigues)."""
+    x, y, z = axis
+    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    sin, cos = np.sin(angle)[:, None, None], np.cos(angle)[:, None, None]
+    return np.asarray(np.eye(3) + sin * cross + (1.0 - cos) * (cross @ cross))
+
+
+def parse_urdf(text: str) -> tuple[dict[str, Joint], dict[str, tuple[float, tuple[float, float, float]]]]:
+    """All joints by name, and link name → (mass [kg], centre of mass in the link frame [m])."""
+    from defusedxml.common import DefusedXmlException
+    from defusedxml.ElementTree import ParseError, fromstring
+
+    try:
+        root = fromstring(text, forbid_dtd=True)
+    except (ParseError, DefusedXmlException) as error:
+        raise SettingsError("urdf", f"not readable as XML ({error})", "a URDF without DTD or entities") from None
+    if root.tag != "robot":
+        raise SettingsError("urdf", f"root element <{root.tag}>", "<robot>")
+    joints = {joint.name: joint for joint in (_parse_joint(element) for element in root.findall("joint"))}
+    masses = {}
+    for link in root.findall("link"):
+        mass = link.find("inertial/mass")
+        if mass is not None:
+            centre = _vector(link.find("inertial/origin"), "xyz", "0 0 0")
+            masses[link.get("name", "")] = (float(mass.get("value", "0")), (centre[0], centre[1], centre[2]))
+    return joints, masses
+
+
+def _parse_joint(element: Element) -> Joint:
+    name, kind = element.get("name", ""), element.get("type", "")
+    if kind not in ("revolute", "continuous", "prismatic", "fixed"):
+        raise SettingsError(f"urdf: joint {name!r}", f"type {kind!r}", "revolute, continuous, prismatic or fixed")
+    ends = {}
+    for role in ("parent", "child"):
+        found = element.find(role)
+        if found is None or not found.get("link"):
+            raise SettingsError(f"urdf: joint {name!r}", f"no <{role} link=…>", "both parent and child")
+        ends[role] = str(found.get("link"))
+    axis = _vector(element.find("axis"), "xyz", "1 0 0")
+    norm = float(np.linalg.norm(axis))
+    if norm == 0.0:
+        raise SettingsError(f"urdf: joint {name!r}", "axis of length zero", "a direction")
+    limit = element.find("limit")
+    low, high = -math.inf, math.inf
+    if limit is not None and kind in ("revolute", "prismatic"):
+        low, high = float(limit.get("lower", "0")), float(limit.get("upper", "0"))
+    origin = element.find("origin")
+    pose = np.eye(4)
+    pose[:3, 3] = _vector(origin, "xyz", "0 0 0")
+    pose[:3, :3] = _from_rpy(_vector(origin, "rpy", "0 0 0"))
+    return Joint(name, kind, ends["parent"], ends["child"], pose, axis / norm, (low, high))
+
+
+def _vector(element: Element | None, key: str, default: str) -> Array:
+    text = default if element is None else element.get(key, default)
+    values = np.array([float(word) for word in text.split()])
+    if values.shape != (3,) or not np.all(np.isfinite(values)):
+        raise SettingsError("urdf", f"{key}={text!r}", "three numbers")
+    return values
+
+
+def _from_rpy(rpy: Array) -> Array:
+    """Fixed-axis roll, pitch, yaw as in the URDF specification."""
+    rotation = np.eye(3)
+    for axis, angle in zip(np.eye(3), rpy, strict=True):
+        rotation = rotation_about(axis, np.array([angle]))[0] @ rotation
+    return rotation

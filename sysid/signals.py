@@ -1,0 +1,30 @@
+"""Canonical signal names: ``boom.command``, ``boom.cylinder``, ``boom.joint``, ``ee.x`` …, ``tool.x`` …"""
+
+from __future__ import annotations
+
+#: What follows the axis name, in the order in which the machine produces it.
+AXIS_QUANTITIES = ("command", "cylinder", "joint")
+POINTS = ("ee", "tool")
+COORDINATES = ("x", "y", "z")
+
+
+def split_signal(signal: str) -> tuple[str, str]:
+    """``"boom.joint"`` → ``("boom", "joint")``; ``"ee.x"`` → ``("ee", "x")``."""
+    owner, _, quantity = signal.rpartition(".")
+    return owner, quantity
+
+
+def axis_signal(axis: str, quantity: str) -> str:
+    """``("boom", "joint")`` → ``"boom.joint"``."""
+    return f"{axis}.{quantity}"
+
+
+def point_signals(point: str) -> tuple[str, str, str]:
+    """``"ee"`` → ``("ee.x", "ee.y", "ee.z")``."""
+    return f"{point}.x", f"{point}.y", f"{point}.z"
+
+
+def canonical_signals(axes: tuple[str, ...]) -> tuple[str, ...]:
+    """All signal names a machine with these axes can have, without ``time``."""
+    per_axis = [axis_signal(axis, quantity) for axis in axes for quantity in AXIS_QUANTITIES]
+    return (*per_axis, *point_signals("ee"), *point_signals("tool"))

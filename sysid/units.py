@@ -1,0 +1,63 @@
+"""Conversion to SI at the edge. Inside the toolkit every number is m, rad, s, N, N·m or kg."""
+
+from __future__ import annotations
+
+import functools
+import re
+from typing import Any
+
+from sysid.errors import InputError
+
+#: Spellings seen in log headers that the unit library does not know.
+_SPELLINGS = {"": "dimensionless", "1": "dimensionless", "%": "percent", "°": "degree", "N·m": "N*m", "Nm": "N*m"}
+
+
+@functools.cache
+def _registry() -> Any:
+    import pint  # takes half a second to import
+
+    registry: Any = pint.UnitRegistry()
+    registry.define("percent = 0.01 = %")
+    return registry
+
+
+@functools.cache
+def si_factor(unit: str, where: object = "unit") -> tuple[float, str]:
+    """``(factor, si_unit)`` with ``value_si = factor * value``; ``si_factor("mm") == (0.001, "m")``.
+
+    Raises:
+        InputError: the unit is not known.
+    """
+    registry = _registry()
+    try:
+        quantity = registry.Quantity(1.0, registry.parse_units(_SPELLINGS.get(unit.strip(), unit.strip())))
+        base = quantity.to_base_units()
+    except Exception as error:  # the unit library raises many unrelated types for a malformed unit
+        raise InputError(where, f"unknown unit {unit!r} ({type(error).__name__})", "a unit such as mm, deg, N or 1") from None
+    name = _si_name(registry, quantity, base)
+    return float(base.magnitude), name
+
+
+def _si_name(registry: Any, quantity: Any, base: Any) -> str:
+    if base.check("[length]"):
+        return "m"
+    if base.check("[time]"):
+        return "s"
+    if base.check("[mass]"):
+        return "kg"
+    if base.check("[force]"):
+        return "N"
+    if base.check("[force] * [length]"):
+        return "N·m"
+    if base.dimensionless:
+        return "rad" if quantity.units in (registry.degree, registry.radian, registry.milliradian, registry.turn) else "1"
+    return f"{base.units:~}"
+
+
+_HEADER = re.compile(r"^\s*(?P<name>[^\[\]]+?)\s*(?:\[(?P<unit>[^\[\]]*)\])?\s*$")
+
+
+def split_header(header: str) -> tuple[str, str | None]:
+    """``"boom.cylinder [mm]"`` → ``("boom.cylinder", "mm")``; the unit is None where none is given."""
+    match = _HEADER.match(header)
+    return (header.strip(), None) if match is None else (match["name"], match["unit"])
