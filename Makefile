@@ -1,0 +1,46 @@
+# demo · test · test-slow · lint · bench · report · clean. Each makes .venv by itself when it is missing.
+.PHONY: demo test test-slow lint bench report clean
+.DEFAULT_GOAL := demo
+
+PYTHON ?= $(shell command -v python3.11 || command -v python3)
+VENV := .venv
+BIN := $(VENV)/bin
+READY := $(VENV)/.ready
+WORKSPACE ?= workspace
+
+demo: $(READY)
+	$(BIN)/sysid --workspace $(WORKSPACE) demo
+
+test: $(READY)
+	$(BIN)/python -m pytest
+
+# The default options leave the slow tests out; the later -m wins.
+test-slow: $(READY)
+	$(BIN)/python -m pytest -m slow --timeout 7200
+
+lint: $(READY)
+	$(BIN)/ruff check
+	$(BIN)/ruff format --check
+	$(BIN)/mypy
+
+bench: $(READY)
+	$(BIN)/python pipelines/bench.py
+
+report: $(READY)
+	$(BIN)/sysid --workspace $(WORKSPACE) report
+
+clean:
+	rm -rf $(VENV) $(WORKSPACE) build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis
+	find sysid tests pipelines -name __pycache__ -type d -prune -exec rm -rf {} +
+
+# The stamp is written last: an interrupted installation is repeated, a finished one only after a change of the pins.
+$(READY): pyproject.toml constraints.txt
+	@test -n "$(PYTHON)" || { echo "make: Python 3.11 is missing. On Debian 12: apt install python3 python3-venv" >&2; exit 1; }
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
+		{ echo "make: $(PYTHON) is older than Python 3.11. Install it, or name another: make PYTHON=/path/to/python3.11" >&2; exit 1; }
+	@$(PYTHON) -c 'import ensurepip, venv' 2>/dev/null || \
+		{ echo "make: $(PYTHON) has no venv module. On Debian 12: apt install python3-venv" >&2; exit 1; }
+	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet -c constraints.txt setuptools
+	$(BIN)/python -m pip install --quiet -c constraints.txt --no-build-isolation -e '.[dev]'
+	@touch $(READY)
