@@ -1,0 +1,114 @@
+"""``sysid``: the group of verbs, and how a mistake of the user ends (one paragraph, exit status 2, never a traceback)."""
+
+from __future__ import annotations
+
+import importlib
+import os
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NoReturn
+
+import click
+
+from sysid import __version__
+from sysid.errors import SysidError, nearest
+
+
+@dataclass(frozen=True)
+class Verb:
+    """Where a verb lives and what ``sysid --help`` says about it without importing it."""
+
+    location: str
+    help: str
+
+
+#: In the order of work. ``location`` is ``module:command``.
+VERBS: dict[str, Verb] = {
+    "init": Verb("sysid.cli.init:init", "Lay out the folders for a machine of your own."),
+    "ingest": Verb("sysid.cli.ingest:ingest", "Turn raw logs into a new dataset version."),
+    "datasets": Verb("sysid.cli.datasets:datasets", "List dataset versions, or show one."),
+    "fit": Verb("sysid.cli.fit:fit", "Fit the actuator or forward networks of a dataset."),
+    "validate": Verb("sysid.cli.validate:validate", "Score a fitted network on recordings it has not seen."),
+    "models": Verb("sysid.cli.models:models", "List model and plant versions, or show the lineage of one."),
+    "gap": Verb("sysid.cli.gap:gap", "Find where simulation and machine disagree, and which effect is missing."),
+    "view": Verb("sysid.cli.view:view", "Write a Rerun recording: the moving machine, measured and simulated."),
+    "report": Verb("sysid.cli.report:report", "Write the HTML report of a dataset."),
+    "demo": Verb("sysid.cli.demo:demo", "Run the whole line on the logs that ship."),
+}
+
+
+class LazyGroup(click.Group):
+    """A group that imports a verb's module when the verb is called, and lists them all without importing any."""
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        return list(VERBS)
+
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
+        if cmd_name not in VERBS:
+            return None
+        module, _, attribute = VERBS[cmd_name].location.partition(":")
+        command: click.Command = getattr(importlib.import_module(module), attribute)
+        return command
+
+    def resolve_command(self, ctx: click.Context, args: list[str]) -> tuple[str | None, click.Command | None, list[str]]:
+        if args and args[0] not in VERBS and not args[0].startswith("-"):
+            ctx.fail(f"no verb {args[0]!r}; did you mean {nearest(args[0], VERBS)}")
+        return super().resolve_command(ctx, args)
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        with formatter.section("Verbs, in the order of work"):
+            formatter.write_dl([(name, verb.help) for name, verb in VERBS.items()])
+
+
+@click.group(cls=LazyGroup, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100})
+@click.version_option(__version__, prog_name="sysid")
+@click.option(
+    "--workspace",
+    envvar="SYSID_WORKSPACE",
+    default="./workspace",
+    show_default=True,
+    metavar="DIR",
+    help="Where datasets, models and reports live (or SYSID_WORKSPACE).",
+)
+@click.pass_context
+def app(ctx: click.Context, workspace: str) -> None:
+    """System identification for machines: logs in, named sim-to-real gaps out.
+
+    A dataset or model is named NAME (its newest version) or NAME@VERSION.
+    """
+    ctx.obj = workspace
+
+
+def main(argv: Sequence[str] | None = None) -> NoReturn:
+    """Run the command line and leave the process.
+
+    Exit status: 0 done, 1 the machine failed us (disk full, no permission), 2 a mistake of the user, 130 interrupted.
+    """
+    sys.exit(_run(None if argv is None else list(argv)))
+
+
+def _run(argv: list[str] | None) -> int:
+    try:
+        app.main(args=argv, prog_name="sysid", standalone_mode=False)
+    except SysidError as error:
+        return _complain(str(error), 2)
+    except click.ClickException as error:
+        error.show()
+        return error.exit_code
+    except (click.Abort, KeyboardInterrupt):
+        return _complain("interrupted; nothing half-written is left visible, the same command starts again", 130)
+    except BrokenPipeError:
+        # The reader of our output went away (`sysid datasets | head`): nothing to say, and nowhere to say it.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
+    except OSError as error:
+        if error.filename is None and error.errno is None:
+            raise  # not about a file: a fault of the program, which must show its traceback
+        return _complain(f"{error.filename or 'system'}: {error.strerror or error}", 1)
+    return 0
+
+
+def _complain(message: str, status: int) -> int:
+    click.echo(click.style("sysid: ", fg="red", bold=True) + " ".join(message.split()), err=True)
+    return status

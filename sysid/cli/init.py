@@ -1,0 +1,101 @@
+"""``sysid init DIR``: the folders of a workspace, with a machine description and a recipe to fill in."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import click
+
+from sysid.cli.output import Printer, json_option, write_json
+from sysid.errors import SettingsError
+
+FOLDERS = {
+    "datasets": "One folder a machine: machine.toml, recipe.toml, raw logs under logs/<recording>/. Read by sysid.datasets.",
+    "pipelines": "Whole workflows as short Python files that use the public API of sysid.",
+    "rl": "One folder a machine: training and runner recipes. Read by sysid.rl.",
+    "reports": "Reference results, each with the command, seed and versions that made it. Shown by sysid.reports.",
+}
+
+MACHINE = """\
+# The machine: its axes in kinematic order, and what the nominal simulation already knows. SI units throughout.
+schema = 1
+name = "{name}"
+rate_hz = 100.0                  # grid that all signals are resampled to
+# urdf = "{name}.urdf"           # geometry; needed for the end effector, the tool and gravity
+# tip = "boom_tip"               # URDF link whose origin is the end effector
+# tool = "gripper"               # URDF link of a hanging tool, if it is measured
+
+[[axes]]
+name = "boom"                    # signals are called boom.command, boom.cylinder, boom.joint
+actuation = "velocity"           # velocity (valve) | position (servo) | force
+drives = "cylinder"              # what the command moves: cylinder | joint
+gain = 0.050                     # speed at command 1.0 [m/s]
+stroke = [0.0, 0.165]            # cylinder ends [m]
+# joint = "boom_joint"           # URDF joint; its limits are the axis limits
+limits = [-0.4, 1.4]             # without a URDF: joint limits [rad]
+
+# [noise]                        # standard deviation per signal from the data sheet; else estimated from still phases
+# "boom.cylinder" = 1e-4
+
+# [[effects]]                    # what the nominal simulation already contains
+# name = "first_order_lag"
+# target = "boom"
+# parameters = {{ time_constant = 0.06 }}
+"""
+
+RECIPE = """\
+# Which topic or column is which signal. Not needed where CSV headers are the canonical names: boom.command, boom.cylinder [mm], …
+schema = 1
+name = "{name}"
+machine = "machine.toml"         # relative to this file; paths never leave this folder
+
+# [splits]                       # else chosen automatically, by recording
+# held_out = ["day-2-*"]         # what the final proof uses and no fit ever sees
+
+[[streams]]
+files = "*.csv"                  # inside each recording's folder: logs/<recording>/
+reader = "csv"                   # mcap | motive | csv | mat; by suffix if left out
+domain = "machine"               # files of one clock share a domain; every other domain is aligned to "machine"
+[streams.signals]
+"boom.command" = {{ field = "joystick_y", scale = 0.01 }}          # per cent → 1
+"boom.cylinder" = {{ field = "draw_wire_1", unit = "mm" }}
+"""
+
+
+@click.command()
+@click.argument("directory", metavar="DIR", type=click.Path(file_okay=False, path_type=Path))
+@click.option("--name", default=None, help="Name of the machine; the folder's name if left out.")
+@json_option
+def init(directory: Path, name: str | None, json_file: str | None) -> None:
+    """Lay out DIR for a machine of your own. Files that exist are left alone."""
+    name = name or _as_name(directory.resolve().name)
+    if not re.fullmatch(r"[a-z0-9][a-z0-9_-]*", name):
+        raise SettingsError("--name", f"{name!r}", "lower-case letters, digits, '-' and '_'")
+    files = {f"{folder}/README.md": f"# {folder}/\n\n{text}\n" for folder, text in FOLDERS.items()}
+    files[f"datasets/{name}/machine.toml"] = MACHINE.format(name=name)
+    files[f"datasets/{name}/recipe.toml"] = RECIPE.format(name=name)
+    files[".gitignore"] = "/workspace/\n"
+    made, kept = [], []
+    for relative, text in files.items():
+        path = directory / relative
+        path.parent.mkdir(parents=True, exist_ok=True)
+        if path.exists():
+            kept.append(relative)
+        else:
+            path.write_text(text, "utf-8")
+            made.append(relative)
+    (directory / "datasets" / name / "logs").mkdir(exist_ok=True)
+    out = Printer(json_file)
+    for relative in made:
+        out.line(f"made  {directory / relative}")
+    for relative in kept:
+        out.line(f"kept  {directory / relative}")
+    folder = directory / "datasets" / name
+    out.line(f"Next: describe the machine in {folder / 'machine.toml'}, put logs into {folder / 'logs'}/<recording>/, then")
+    out.line(f"      sysid ingest {folder / 'logs'} --recipe {folder / 'recipe.toml'}")
+    write_json(json_file, {"schema": 1, "directory": directory, "name": name, "made": made, "kept": kept})
+
+
+def _as_name(text: str) -> str:
+    return re.sub(r"[^a-z0-9_-]+", "-", text.lower()).strip("-") or "machine"

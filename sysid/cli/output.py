@@ -1,0 +1,113 @@
+"""What every verb prints: tables and lines for people on stdout, progress on stderr, JSON for machines."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import math
+import os
+import sys
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import click
+
+from sysid.errors import SettingsError
+
+Progress = Callable[[float, str], None]
+
+json_option = click.option(
+    "--json",
+    "json_file",
+    metavar="FILE",
+    default=None,
+    help="Also write the result as JSON ('-': to stdout, the text to stderr).",
+)
+
+
+class Printer:
+    """Prints for people; on stderr when stdout carries JSON."""
+
+    def __init__(self, json_file: str | None = None) -> None:
+        from rich.console import Console
+
+        # A pipe has no width of its own: wide enough that no reference or path is wrapped.
+        stream = sys.stderr if json_file == "-" else sys.stdout
+        self.console = Console(file=stream, highlight=False, width=None if stream.isatty() else 160)
+
+    def line(self, text: str = "") -> None:
+        self.console.print(text, markup=False, soft_wrap=True)
+
+    def table(self, header: Sequence[str], rows: Sequence[Sequence[object]], right: Sequence[int] = ()) -> None:
+        """Columns with ``header``; ``right`` numbers the columns that are aligned right."""
+        from rich import box
+        from rich.table import Table
+        from rich.text import Text
+
+        table = Table(box=box.SIMPLE_HEAD, pad_edge=False, header_style="bold")
+        for number, name in enumerate(header):
+            table.add_column(name, justify="right" if number in right else "left", overflow="fold")
+        for row in rows:
+            table.add_row(*(Text(str(cell)) for cell in row))
+        self.console.print(table)
+
+
+@contextlib.contextmanager
+def progress_bar(title: str) -> Iterator[Progress]:
+    """A callable ``progress(done, text)`` that drives a bar on stderr; silent where stderr is no terminal."""
+    if not sys.stderr.isatty():
+        yield lambda done, text: None
+        return
+    from rich.console import Console
+    from rich.progress import BarColumn, TextColumn, TimeElapsedColumn
+    from rich.progress import Progress as Bar
+
+    columns = (
+        TextColumn("[bold]{task.fields[title]}"),
+        BarColumn(),
+        TextColumn("{task.percentage:>3.0f}%"),
+        TimeElapsedColumn(),
+    )
+    with Bar(*columns, TextColumn("{task.description}"), console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task("", total=1.0, title=title)
+
+        def report(done: float, text: str) -> None:
+            bar.update(task, completed=min(max(done, 0.0), 1.0), description=text)
+
+        yield report
+
+
+def write_json(json_file: str | None, value: Mapping[str, Any]) -> None:
+    """Write ``value`` whole or not at all; numbers that JSON does not have (NaN, infinity) become null.
+
+    Raises:
+        SettingsError: the folder of the file does not exist.
+    """
+    if json_file is None:
+        return
+    text = json.dumps(plain(value), indent=2, ensure_ascii=False, allow_nan=False) + "\n"
+    if json_file == "-":
+        click.echo(text, nl=False)
+        return
+    path = Path(json_file)
+    if not path.parent.is_dir():
+        raise SettingsError(f"--json {path}", f"no folder {path.parent}", "a file in an existing folder")
+    half = path.with_name(f".{path.name}.{os.getpid()}.part")
+    half.write_text(text, "utf-8")
+    half.replace(path)
+
+
+def plain(value: Any) -> Any:
+    """``value`` in the types of JSON: NumPy scalars and arrays, paths, tuples and mappings resolved."""
+    if isinstance(value, Mapping):
+        return {str(key): plain(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple, set, frozenset)):
+        return [plain(item) for item in value]
+    if isinstance(value, (bool, int, str)) or value is None:
+        return value
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if hasattr(value, "tolist"):
+        return plain(value.tolist())
+    return str(value)

@@ -1,0 +1,43 @@
+"""``sysid init`` lays out folders that the rest of the toolkit accepts."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from sysid.cli import main
+from sysid.machine import load_machine
+
+
+def run(*args: str | Path) -> int:
+    with pytest.raises(SystemExit) as stop:
+        main([str(arg) for arg in args])
+    assert isinstance(stop.value.code, int)
+    return stop.value.code
+
+
+def test_layout_is_valid_as_it_stands(tmp_path: Path) -> None:
+    assert run("init", tmp_path / "My Crane", "--json", tmp_path / "made.json") == 0
+    folder = tmp_path / "My Crane" / "datasets" / "my-crane"
+    machine = load_machine(folder / "machine.toml")
+    assert machine.name == "my-crane"
+    assert machine.axis("boom").driven == "boom.cylinder"
+    assert {path.name for path in (tmp_path / "My Crane").iterdir()} == {"datasets", "pipelines", "rl", "reports", ".gitignore"}
+    assert f"datasets/{machine.name}/recipe.toml" in json.loads((tmp_path / "made.json").read_text())["made"]
+
+
+def test_a_second_run_changes_nothing(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    run("init", tmp_path / "crane")
+    path = tmp_path / "crane" / "datasets" / "crane" / "machine.toml"
+    path.write_text(path.read_text() + "# mine\n")
+    capsys.readouterr()
+    assert run("init", tmp_path / "crane") == 0
+    assert path.read_text().endswith("# mine\n")
+    assert "made" not in capsys.readouterr().out
+
+
+def test_a_name_that_cannot_be_a_folder_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run("init", tmp_path, "--name", "../x") == 2
+    assert "lower-case letters" in capsys.readouterr().err

@@ -1,0 +1,106 @@
+"""Content folders are linted like code; nothing that crosses a trust boundary is a pickle."""
+
+from __future__ import annotations
+
+import ast
+import hashlib
+import re
+import subprocess
+import tomllib
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+CONTENT = ("datasets", "pipelines", "rl", "reports")
+RAW_LOGS = {".mcap", ".csv", ".mat", ".parquet", ".bag", ".c3d", ".db3", ".blf"}
+
+
+def tracked() -> list[Path]:
+    """Files that ship. Outside of a repository (an unpacked archive): everything that is there."""
+    done = subprocess.run(["git", "ls-files", "-z"], cwd=ROOT, capture_output=True, text=True, check=False)
+    names = [name for name in done.stdout.split("\0") if name] if done.returncode == 0 else []
+    paths = [ROOT / name for name in names] or list(ROOT.rglob("*"))
+    return sorted(path for path in paths if path.is_file() and ".venv" not in path.parts)
+
+
+def machines() -> list[Path]:
+    return sorted(path.parent for path in (ROOT / "datasets").glob("*/machine.toml"))
+
+
+@pytest.mark.parametrize("folder", CONTENT)
+def test_content_folder_says_what_it_is_and_is_not_importable(folder: str) -> None:
+    text = (ROOT / folder / "README.md").read_text("utf-8")
+    assert text.startswith(f"# {folder}/")
+    assert "sysid" in text, "say which code reads it"
+    assert not list((ROOT / folder).rglob("__init__.py"))
+
+
+def test_one_import_package() -> None:
+    settings = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))
+    assert settings["tool"]["setuptools"]["packages"]["find"]["include"] == ["sysid", "sysid.*"]
+
+
+@pytest.mark.parametrize("path", sorted((ROOT / "sysid").rglob("*.py")), ids=lambda path: str(path.relative_to(ROOT)))
+def test_no_pickles(path: Path) -> None:
+    """Weights are safetensors, tables Parquet, the rest JSON or TOML."""
+    for node in ast.walk(ast.parse(path.read_text("utf-8"))):
+        if isinstance(node, ast.Import):
+            names = {alias.name.partition(".")[0] for alias in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            names = {(node.module or "").partition(".")[0]}
+        elif isinstance(node, ast.Attribute):
+            text = ast.unparse(node)
+            assert text not in {"torch.load", "torch.save", "pd.read_pickle", "np.save"}, f"{path}:{node.lineno}: {text}"
+            assert node.attr not in {"to_pickle", "read_pickle"}, f"{path}:{node.lineno}: {text}"
+            continue
+        else:
+            continue
+        assert not names & {"pickle", "cPickle", "dill", "cloudpickle", "joblib", "shelve", "marshal"}, (
+            f"{path}:{node.lineno}: {names}"
+        )
+
+
+@pytest.mark.parametrize("folder", machines(), ids=lambda folder: folder.name)
+def test_dataset_folder_is_complete(folder: Path) -> None:
+    readme = (folder / "README.md").read_text("utf-8").lower()
+    assert "licence" in readme or "license" in readme, "the README states the licence of the data"
+    assert (folder / "recipe.toml").is_file()
+
+
+@pytest.mark.parametrize("folder", machines(), ids=lambda folder: folder.name)
+def test_shipped_data_have_their_checksum(folder: Path) -> None:
+    raw = [path for path in tracked() if path.is_relative_to(folder) and path.suffix in RAW_LOGS]
+    if not raw:
+        assert re.search(r"\b[0-9a-f]{64}\b", (folder / "README.md").read_text("utf-8") + sums_text(folder)), (
+            "no data ship: the sha256 of the files to bring are stated"
+        )
+        return
+    sums = dict(reversed(line.split(maxsplit=1)) for line in sums_text(folder).splitlines() if line.strip())
+    sums = {name.lstrip("*./"): digest for name, digest in sums.items()}
+    for path in raw:
+        name = str(path.relative_to(folder))
+        assert name in sums, f"{folder.name}/SHA256SUMS lacks {name}"
+        assert hashlib.sha256(path.read_bytes()).hexdigest() == sums[name], f"{name} is not what SHA256SUMS says"
+
+
+def sums_text(folder: Path) -> str:
+    path = folder / "SHA256SUMS"
+    return path.read_text("utf-8") if path.is_file() else ""
+
+
+def test_every_version_is_pinned() -> None:
+    """Each dependency of pyproject.toml has an exact version in constraints.txt, and names no host."""
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]
+    wanted = [*project["dependencies"], *project["optional-dependencies"]["dev"]]
+    lines = [line for line in (ROOT / "constraints.txt").read_text("utf-8").splitlines() if line and not line.startswith("#")]
+    assert all(re.fullmatch(r"[A-Za-z0-9._-]+==[0-9A-Za-z.!_]+", line) for line in lines), (
+        "name==version, no hosts, no local versions"
+    )
+    pinned = {normal(line.partition("==")[0]) for line in lines}
+    missing = {normal(re.split(r"[^A-Za-z0-9._-]", text)[0]) for text in wanted} - pinned
+    assert not missing, f"constraints.txt lacks {sorted(missing)}"
+
+
+def normal(name: str) -> str:
+    return re.sub(r"[-_.]+", "-", name).lower()

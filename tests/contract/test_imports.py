@@ -1,0 +1,123 @@
+"""Imports point one way, the stand-in machine stands alone, and starting up is cheap."""
+
+from __future__ import annotations
+
+import ast
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+PACKAGE = ROOT / "sysid"
+
+#: From the ground floor up. A part may import itself and what stands on a lower floor, never a neighbour or a higher one.
+FLOORS: tuple[tuple[str, ...], ...] = (
+    ("errors",),
+    ("units", "config", "signals"),
+    ("logs", "machine"),
+    ("datasets",),
+    ("networks", "effects"),
+    ("plant",),
+    ("registry", "validate"),
+    ("gap",),
+    ("reports", "view"),
+    ("cli",),
+)
+#: The stand-in machine is judged by the library, so it may share nothing with it but errors and settings.
+BENCH_MAY_IMPORT = {"errors", "config", "bench"}
+#: Half a second and more each, or a compiler: only loaded by the verb that needs them.
+HEAVY = (
+    "torch",
+    "pybullet",
+    "mlflow",
+    "rerun",
+    "pandas",
+    "numpy",
+    "scipy",
+    "sklearn",
+    "numba",
+    "plotly",
+    "deltalake",
+    "pint",
+    "pyarrow",
+)
+
+
+def sources(folder: Path) -> list[Path]:
+    return sorted(path for path in folder.rglob("*.py") if "__pycache__" not in path.parts)
+
+
+def part_of(path: Path) -> str:
+    """``sysid/gap/result.py`` → ``gap``; ``sysid/errors.py`` → ``errors``; ``sysid/__init__.py`` → the empty name."""
+    first = path.relative_to(PACKAGE).parts[0].removesuffix(".py")
+    return "" if first == "__init__" else first
+
+
+def imported_parts(path: Path) -> Iterator[tuple[str, int]]:
+    """The parts of sysid that a file imports anywhere in it (also inside functions), with the line."""
+    for node in ast.walk(ast.parse(path.read_text("utf-8"), str(path))):
+        if isinstance(node, ast.Import):
+            names = [alias.name for alias in node.names]
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, f"{path}:{node.lineno}: relative import"
+            module = node.module or ""
+            names = [f"sysid.{alias.name}" for alias in node.names] if module == "sysid" else [module]
+        else:
+            continue
+        for name in names:
+            words = name.split(".")
+            if words[0] == "sysid" and len(words) > 1 and words[1] != "__version__":
+                yield words[1], node.lineno
+
+
+def test_every_part_has_its_floor() -> None:
+    listed = {part for floor in FLOORS for part in floor} | {"bench", ""}
+    found = {part_of(path) for path in sources(PACKAGE)}
+    assert found <= listed, f"no floor for {sorted(found - listed)}: enter it in FLOORS"
+
+
+@pytest.mark.parametrize("path", sources(PACKAGE), ids=lambda path: str(path.relative_to(PACKAGE)))
+def test_imports_point_downwards(path: Path) -> None:
+    part = part_of(path)
+    if part == "bench":
+        wrong = [f"line {line}: sysid.{other}" for other, line in imported_parts(path) if other not in BENCH_MAY_IMPORT]
+        assert not wrong, f"{path.relative_to(ROOT)} may not import {wrong}"
+        return
+    floor_of = {name: number for number, floor in enumerate(FLOORS) for name in floor}
+    mine = floor_of.get(part, -1)
+    wrong = [
+        f"line {line}: sysid.{other}"
+        for other, line in imported_parts(path)
+        if other != part and floor_of.get(other, len(FLOORS)) >= mine
+    ]
+    assert not wrong, f"{path.relative_to(ROOT)} imports upwards or sideways: {wrong}"
+
+
+def test_the_checker_sees_an_upward_import(tmp_path: Path) -> None:
+    bad = tmp_path / "bad.py"
+    bad.write_text("def f():\n    from sysid.gap import find_gap\n    import sysid.bench.machine\n    from sysid import cli\n")
+    assert list(imported_parts(bad)) == [("gap", 2), ("bench", 3), ("cli", 4)]
+
+
+def loaded_after(code: str) -> set[str]:
+    """Top-level modules in memory after running ``code`` in a fresh interpreter."""
+    script = f"import sys\n{code}\nprint('LOADED', *sorted({{name.partition('.')[0] for name in sys.modules}}))"
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True, cwd=ROOT)
+    return set(done.stdout.splitlines()[-1].split()[1:])
+
+
+def test_import_sysid_is_light() -> None:
+    loaded = loaded_after("import sysid")
+    assert "sysid" in loaded
+    assert not loaded & set(HEAVY)
+
+
+def test_help_is_light() -> None:
+    loaded = loaded_after(
+        "from sysid.cli import main\ntry:\n    main(['--help'])\nexcept SystemExit as stop:\n    assert not stop.code"
+    )
+    assert "click" in loaded
+    assert not loaded & {*HEAVY, "rich", "jinja2", "pydantic"}
