@@ -31,8 +31,8 @@ VERBS: dict[str, Verb] = {
     "fit": Verb("sysid.cli.fit:fit", "Fit the actuator or forward networks of a dataset."),
     "validate": Verb("sysid.cli.validate:validate", "Score a fitted network on recordings it has not seen."),
     "models": Verb("sysid.cli.models:models", "List model and plant versions, or show the lineage of one."),
-    "gap": Verb("sysid.cli.gap:gap", "Find where simulation and machine disagree, and which effect is missing."),
-    "view": Verb("sysid.cli.view:view", "Write a Rerun recording: the moving machine, measured and simulated."),
+    "gap": Verb("sysid.cli.gap:gap", "Name the effects that the simulation lacks."),
+    "view": Verb("sysid.cli.view:view", "Write a Rerun recording of the moving machine."),
     "report": Verb("sysid.cli.report:report", "Write the HTML report of a dataset."),
     "demo": Verb("sysid.cli.demo:demo", "Run the whole line on the logs that ship."),
 }
@@ -61,7 +61,11 @@ class LazyGroup(click.Group):
             formatter.write_dl([(name, verb.help) for name, verb in VERBS.items()])
 
 
-@click.group(cls=LazyGroup, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100})
+@click.group(
+    cls=LazyGroup,
+    subcommand_metavar="VERB …",
+    context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
+)
 @click.version_option(__version__, prog_name="sysid")
 @click.option(
     "--workspace",

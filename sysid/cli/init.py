@@ -45,7 +45,7 @@ limits = [-0.4, 1.4]             # without a URDF: joint limits [rad]
 """
 
 RECIPE = """\
-# Which topic or column is which signal. Not needed where CSV headers are the canonical names: boom.command, boom.cylinder [mm], …
+# Which topic or column is which signal. Not needed where CSV headers are the canonical names (boom.command, boom.cylinder [mm])
 schema = 1
 name = "{name}"
 machine = "machine.toml"         # relative to this file; paths never leave this folder
