@@ -1,0 +1,245 @@
+"""Register, load, list and alias model versions. Files first, registration last: a crash leaves nothing half done.
+
+A version is made of ``files`` (safetensors and JSON), a ``kind`` and a ``lineage``. MLflow's registry holds the number, the
+aliases and, as tags, the manifest with the sha256 of every file. Registering the same content with the same lineage again
+returns the version that is already there.
+"""
+
+from __future__ import annotations
+
+import builtins
+import functools
+import json
+import os
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from filelock import FileLock, Timeout
+
+from sysid.errors import StoreError, nearest
+from sysid.registry.artifacts import ArtifactStore, FolderArtifacts, RunArtifacts, checked
+from sysid.registry.client import SQLITE, locked, open_client, probe_sqlite, translated
+from sysid.registry.version import (
+    ModelVersion,
+    check_alias,
+    check_files,
+    check_kind,
+    check_name,
+    choose,
+    manifest,
+    sha256,
+    split_reference,
+)
+
+#: Environment variable with the address of an MLflow server that is used instead of the workspace's own registry.
+URI_VARIABLE = "SYSID_REGISTRY_URI"
+
+_DIGEST, _MANIFEST, _METRICS = "sysid.digest", "sysid.manifest", "sysid.metrics"
+_PAGE = 1000
+
+
+class Registry:
+    """Model versions of one workspace, or of an MLflow server that several people share.
+
+    Args:
+        workspace: holds ``registry.db`` (sqlite), ``models/<digest>/`` (files) and ``registry.lock``.
+        uri: any MLflow registry instead (``https://…``, ``postgresql://…``); files then become artifacts of MLflow runs
+            there. Default: the environment variable ``SYSID_REGISTRY_URI``, else the sqlite file of the workspace.
+        wait_s: how long to wait for another process before giving up.
+    """
+
+    def __init__(self, workspace: Path, uri: str | None = None, wait_s: float = 30.0) -> None:
+        self._workspace = Path(workspace)
+        self._database = self._workspace / "registry.db"
+        given = uri or os.environ.get(URI_VARIABLE) or None
+        self._own = given is None
+        self.uri = given or f"{SQLITE}{self._database.resolve()}"
+        self._wait_s = wait_s
+
+    def register(
+        self,
+        name: str,
+        kind: str,
+        files: Mapping[str, bytes],
+        lineage: Mapping[str, Any],
+        metrics: Mapping[str, float] | None = None,
+    ) -> ModelVersion:
+        """A new version of ``name``, or the existing one with the same files, kind and lineage.
+
+        Args:
+            files: file name → content, ``.safetensors`` or ``.json``.
+            lineage: what it was made from, as plain JSON values.
+            metrics: figures to show beside it; kept from the first registration of equal content.
+
+        Raises:
+            SettingsError: a name, kind, file or lineage that cannot be stored.
+            StoreError: the registry is locked or cannot be reached; the name belongs to another kind.
+        """
+        place = f"model {check_name(name)}"
+        check_kind(kind)
+        check_files(files, place)
+        text = manifest(kind, {file: sha256(files[file]) for file in sorted(files)}, lineage, place)
+        figures = json.dumps({key: float(value) for key, value in (metrics or {}).items()})
+        digest = sha256(text.encode("utf-8"))
+        with self._locked():
+            existing = self._versions(name) if self._exists() else []
+            if existing and existing[0].kind != kind:
+                raise StoreError(
+                    place,
+                    f"already registered as kind {existing[0].kind!r}",
+                    f"kind {kind!r}",
+                    "Choose another name for this model.",
+                )
+            same = [version for version in existing if version.digest == digest]
+            if same and not self._own:
+                return same[0]
+            # For the workspace's own folder the write is repeated: it is free when all is well and repairs damaged files.
+            source, run = self._artifacts.write(digest, files, text)
+            if same:
+                return same[0]
+            with translated(self.uri):
+                self._create_model(name)
+                self._client.create_model_version(
+                    name, source, run_id=run, tags={_DIGEST: digest, _MANIFEST: text, _METRICS: figures}
+                )
+            return next(version for version in self._versions(name) if version.digest == digest)
+
+    def load(self, reference: str) -> ModelVersion:
+        """The version with its files, each checked against its registered sha256 before anything reads it.
+
+        Args:
+            reference: ``name`` (newest), ``name@3`` or ``name@champion``.
+
+        Raises:
+            StoreError: no such version, or a file that is missing or was changed.
+        """
+        version, source = self._find(reference)
+        files = {}
+        for file, expected in version.sha256.items():
+            content = self._artifacts.read(version.digest, source, file)
+            files[file] = checked(content, expected, f"{version.reference}: {file}")
+        return replace(version, files=files)
+
+    def find(self, reference: str) -> ModelVersion:
+        """The version without its files."""
+        return self._find(reference)[0]
+
+    def lineage(self, reference: str) -> Mapping[str, Any]:
+        """What the version was made from."""
+        return self.find(reference).lineage
+
+    def list(self, kind: str | None = None) -> tuple[ModelVersion, ...]:
+        """Every version, by name and number, without files; of one ``kind`` if given."""
+        if kind is not None:
+            check_kind(kind)
+        if not self._exists():
+            return ()
+        self._probe(write=False)
+        versions = [version for name in self._names() for version in self._versions(name)]
+        return tuple(version for version in versions if kind in (None, version.kind))
+
+    def set_alias(self, reference: str, alias: str) -> ModelVersion:
+        """Let ``name@alias`` mean this version from now on."""
+        check_alias(alias)
+        with self._locked():
+            version = self.find(reference)
+            with translated(self.uri):
+                self._client.set_registered_model_alias(version.name, alias, str(version.version))
+            return self.find(version.reference)
+
+    @functools.cached_property
+    def _client(self) -> Any:
+        if self._own:
+            self._workspace.mkdir(parents=True, exist_ok=True)
+        return open_client(self.uri)
+
+    @functools.cached_property
+    def _artifacts(self) -> ArtifactStore:
+        return FolderArtifacts(self._workspace / "models") if self._own else RunArtifacts(self._client, self.uri)
+
+    def _exists(self) -> bool:
+        """False only for a workspace that has no registry yet: looking must not create one."""
+        return not self._own or self._database.exists()
+
+    @contextmanager
+    def _locked(self) -> Iterator[None]:
+        """One writer at a time, also across processes; also keeps two from creating the tables together."""
+        self._workspace.mkdir(parents=True, exist_ok=True)
+        lock = FileLock(self._workspace / "registry.lock")
+        try:
+            lock.acquire(timeout=self._wait_s)
+        except Timeout:
+            raise locked(self._workspace) from None
+        try:
+            self._probe(write=True)
+            yield
+        finally:
+            lock.release()
+
+    def _probe(self, write: bool) -> None:
+        if self._own:
+            probe_sqlite(self._database, self._wait_s, write)
+
+    def _create_model(self, name: str) -> None:
+        from mlflow.exceptions import MlflowException
+
+        try:
+            self._client.create_registered_model(name)
+        except MlflowException as error:
+            if error.error_code != "RESOURCE_ALREADY_EXISTS":
+                raise
+
+    def _find(self, reference: str) -> tuple[ModelVersion, str]:
+        name, selector = split_reference(reference)
+        self._probe(write=False)
+        entries = self._entries(name) if self._exists() else []
+        if not entries:
+            known = [known for known in self._names() if self._versions(known)] if self._exists() else []
+            raise StoreError(f"model registry {self.uri}", f"no model {name!r}", nearest(name, known))
+        chosen = choose([version for version, _ in entries], name, selector)
+        return next(entry for entry in entries if entry[0] == chosen)
+
+    def _names(self) -> builtins.list[str]:
+        names: builtins.list[str] = []
+        token = None
+        with translated(self.uri):
+            while True:
+                page = self._client.search_registered_models(max_results=_PAGE, page_token=token)
+                names += [model.name for model in page]
+                token = page.token
+                if not token:
+                    return sorted(names)
+
+    def _versions(self, name: str) -> builtins.list[ModelVersion]:
+        return [version for version, _ in self._entries(name)]
+
+    def _entries(self, name: str) -> builtins.list[tuple[ModelVersion, str]]:
+        """(version, source URI) of every version of ``name`` that this toolkit registered, oldest first."""
+        with translated(self.uri):
+            found = self._client.search_model_versions(f"name='{name}'", max_results=_PAGE)
+            own = [entry for entry in found if _DIGEST in entry.tags and _MANIFEST in entry.tags]
+            # The search leaves out aliases (mlflow/mlflow#16734).
+            aliases = self._client.get_registered_model(name).aliases if own else {}
+        entries = [(_version(entry, aliases), str(entry.source)) for entry in own]
+        return sorted(entries, key=lambda entry: entry[0].version)
+
+
+def _version(entry: Any, aliases: Mapping[str, Any]) -> ModelVersion:
+    """One MLflow entry as a frozen value; its manifest must hash to its digest."""
+    text, digest, number = entry.tags[_MANIFEST], entry.tags[_DIGEST], int(entry.version)
+    checked(text.encode("utf-8"), digest, f"{entry.name}@{number}: manifest")
+    content = json.loads(text)
+    return ModelVersion(
+        name=entry.name,
+        version=number,
+        kind=content["kind"],
+        digest=digest,
+        lineage=content["lineage"],
+        metrics=json.loads(entry.tags.get(_METRICS, "{}")),
+        sha256=content["files"],
+        aliases=tuple(sorted(alias for alias, target in aliases.items() if int(target) == number)),
+        created_ms=int(entry.creation_timestamp),
+    )

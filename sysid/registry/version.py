@@ -1,0 +1,168 @@
+"""What a model version is: files, kind and lineage, addressed by the sha256 of all three."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import re
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from typing import Any, Literal, get_args
+
+from sysid.errors import SettingsError, StoreError, nearest
+
+Kind = Literal["actuator", "forward", "plant", "policy"]
+KINDS: tuple[str, ...] = get_args(Kind)
+
+#: Nothing that is executed on reading: no pickle, no ``.pt``, no ``.npy`` (which may hold objects).
+SUFFIXES = (".safetensors", ".json")
+
+#: What every MLflow store accepts as the value of one tag.
+LARGEST_MANIFEST = 100_000
+
+_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,127}")
+_VERSION = re.compile(r"v?[0-9]+")
+
+
+@dataclass(frozen=True)
+class ModelVersion:
+    """One immutable version.
+
+    Args:
+        name: of the model; all its versions are of one kind.
+        version: counts from 1.
+        kind: what reads the files.
+        digest: sha256 of the manifest (kind, lineage, sha256 of every file): the content address.
+        lineage: what it was made from: dataset version, recipe, seed, parent version.
+        metrics: figures that describe it; not part of the digest, since timings differ between equal runs.
+        sha256: file name → digest of its content.
+        aliases: names that point to this version now (``champion``).
+        created_ms: when it was registered, milliseconds since 1970.
+        files: file name → content; filled by ``Registry.load`` alone, already checked against ``sha256``.
+    """
+
+    name: str
+    version: int
+    kind: Kind
+    digest: str
+    lineage: Mapping[str, Any]
+    metrics: Mapping[str, float] = field(default_factory=dict)
+    sha256: Mapping[str, str] = field(default_factory=dict)
+    aliases: tuple[str, ...] = ()
+    created_ms: int = 0
+    files: Mapping[str, bytes] = field(default_factory=dict, repr=False)
+
+    @property
+    def reference(self) -> str:
+        """``name@version``, the way a person and a lineage record name it."""
+        return f"{self.name}@{self.version}"
+
+    def to_json(self) -> dict[str, Any]:
+        """Everything but the files' content."""
+        return {
+            "name": self.name,
+            "version": self.version,
+            "kind": self.kind,
+            "digest": self.digest,
+            "lineage": dict(self.lineage),
+            "metrics": dict(self.metrics),
+            "sha256": dict(self.sha256),
+            "aliases": list(self.aliases),
+            "created_ms": self.created_ms,
+        }
+
+
+def sha256(content: bytes) -> str:
+    return hashlib.sha256(content).hexdigest()
+
+
+def manifest(kind: str, hashes: Mapping[str, str], lineage: Mapping[str, Any], where: object) -> str:
+    """Kind, lineage and file digests as canonical JSON; its sha256 is the version's digest.
+
+    Raises:
+        SettingsError: the lineage holds something that JSON cannot (NaN, an array, a path), or is too long to store.
+    """
+    try:
+        text = json.dumps(
+            {"files": dict(hashes), "kind": kind, "lineage": dict(lineage)},
+            sort_keys=True,
+            separators=(",", ":"),
+            allow_nan=False,
+        )
+    except (TypeError, ValueError) as error:
+        raise SettingsError(
+            f"{where}: lineage", str(error), "plain JSON values (finite numbers, text, lists, tables)"
+        ) from None
+    if len(text) > LARGEST_MANIFEST:
+        raise SettingsError(
+            f"{where}: lineage",
+            f"{len(text)} characters of JSON",
+            f"at most {LARGEST_MANIFEST}",
+            "Put long tables into a JSON file of the model.",
+        )
+    return text
+
+
+def check_name(name: str, role: str = "model name") -> str:
+    """``name`` unless it could not be stored, or could be mistaken for a path or a version.
+
+    Raises:
+        SettingsError: with what a name may look like.
+    """
+    if not _NAME.fullmatch(name) or ".." in name:
+        raise SettingsError(role, repr(name), "letters, digits, '.', '_' and '-', a letter or digit first, at most 128")
+    return name
+
+
+def check_alias(alias: str) -> str:
+    """``alias`` unless it is no name or reads like a version number."""
+    check_name(alias, "alias")
+    if _VERSION.fullmatch(alias) or alias.lower() == "latest":
+        raise SettingsError("alias", repr(alias), "a name that is neither a version number nor 'latest'", "Say e.g. champion.")
+    return alias
+
+
+def check_kind(kind: str) -> None:
+    if kind not in KINDS:
+        raise SettingsError("model kind", repr(kind), nearest(kind, KINDS))
+
+
+def check_files(files: Mapping[str, bytes], where: object) -> None:
+    """Refuse file names that are paths, and formats that can run code when they are read."""
+    if not files:
+        raise SettingsError(where, "no files", "at least one safetensors or JSON file")
+    for name in files:
+        check_name(name, f"{where}: file name")
+        if not name.endswith(SUFFIXES):
+            raise SettingsError(f"{where}: file name", repr(name), f"a file that ends in {' or '.join(SUFFIXES)}")
+
+
+def split_reference(reference: str) -> tuple[str, str | None]:
+    """``"autolog@3"`` → ``("autolog", "3")``; ``"autolog"`` → ``("autolog", None)``.
+
+    Raises:
+        SettingsError: more than one ``@``, or an empty part.
+    """
+    name, separator, selector = reference.partition("@")
+    if not name or (separator and not selector) or "@" in selector:
+        raise SettingsError("model reference", repr(reference), "name, name@3 or name@champion")
+    check_name(name)
+    return name, selector or None
+
+
+def choose(versions: Iterable[ModelVersion], name: str, selector: str | None) -> ModelVersion:
+    """The version that ``selector`` means: a number, an alias, or the newest for None.
+
+    Raises:
+        StoreError: there is none; lists what there is.
+    """
+    ordered = sorted(versions, key=lambda version: version.version)
+    if selector is None:
+        return ordered[-1]
+    for version in ordered:
+        if selector == str(version.version) or selector in version.aliases:
+            return version
+    aliases = [alias for version in ordered for alias in version.aliases]
+    numbers = f"versions 1 to {ordered[-1].version}" if len(ordered) > 1 else f"version {ordered[-1].version}"
+    expected = numbers if selector.isdigit() else f"{numbers}, or an alias: {nearest(selector, aliases)}"
+    raise StoreError(f"model {name}", f"no version or alias {selector!r}", expected)
