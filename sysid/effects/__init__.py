@@ -1,1 +1,6 @@
-"""effects"""
+"""Named effects: what a machine can do that its nominal simulation does not know. One effect a file."""
+
+from sysid.effects.catalogue import BY_NAME, CATALOGUE, effect_named, form_for
+from sysid.effects.effect import Effect, Form, Parameter, Slot
+
+__all__ = ["BY_NAME", "CATALOGUE", "Effect", "Form", "Parameter", "Slot", "effect_named", "form_for"]

@@ -1,0 +1,25 @@
+"""``asymmetric_gain``: a differential cylinder runs faster where the oil fills the rod side."""
+
+from __future__ import annotations
+
+from numba import njit
+
+from sysid.effects.effect import Effect, Form, Parameter, Slot
+
+EFFECT = Effect(
+    name="asymmetric_gain",
+    stage="command",
+    target="axis",
+    slots=(Slot("ratio", 1.0),),
+    forms=(Form((Parameter("ratio", "1", (0.2, 5.0), (0.7, 1.4), 0.01, "speed at −1 / speed at +1, magnitudes"),)),),
+    equation="v = ratio·x for x < 0, x otherwise",
+    source="Jelali & Kroll, Hydraulic Servo-systems, 2003, §4.2; area ratios 1.46–1.64 (machine facts)",
+    excited_by="motion in both directions",
+    confused_with=("load_dependent_flow", "valve_deadband", "gain_error"),
+    actuations=("velocity",),
+)
+
+
+@njit(inline="always")
+def step(x, p, i):
+    return x * p[i] if x < 0.0 else x

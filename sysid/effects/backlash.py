@@ -1,0 +1,36 @@
+"""``backlash``: play between drive and structure; the output waits while the input crosses the play."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+from sysid.effects.effect import Effect, Form, Parameter, Slot
+
+EFFECT = Effect(
+    name="backlash",
+    stage="joint",
+    target="axis",
+    slots=(Slot("width"),),
+    forms=(Form((Parameter("width", "drive", (0.0, 0.1), (0.002, 0.01, 0.03), 2e-4, "full width of the play"),)),),
+    equation="y = min(max(y, x − width/2), x + width/2)",
+    source="Nordin & Gutman, Automatica 38 (2002); pins 0.05–0.3°, slewing rack 0.2–0.8° (machine facts)",
+    excited_by="reversals of the axis, slow ones above all",
+    confused_with=("valve_deadband", "stiction", "valve_hysteresis"),
+    actuations=("velocity", "position", "force"),
+    memory=lambda dt: 1,
+    sides=("drive", "structure"),
+)
+
+
+@njit(inline="always")
+def step(x, p, i, s, j):
+    """``s[j]`` is the output; set it before the first step to start anywhere inside the play, NaN starts in its middle."""
+    half = 0.5 * p[i]
+    if np.isnan(s[j]):
+        s[j] = x
+    if s[j] > x + half:
+        s[j] = x + half
+    elif s[j] < x - half:
+        s[j] = x - half
+    return s[j]

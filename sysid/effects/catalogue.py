@@ -1,0 +1,65 @@
+"""The explicit list of effects, in the physical order in which the chain applies them."""
+
+from __future__ import annotations
+
+from sysid.effects import (
+    asymmetric_gain,
+    backlash,
+    base_misalignment,
+    coulomb_friction,
+    first_order_lag,
+    gain_error,
+    gripper_sway,
+    inertia_error,
+    input_delay,
+    joint_offset,
+    link_length_error,
+    load_bias,
+    valve_deadband,
+    viscous_friction,
+)
+from sysid.effects.effect import Effect, Form
+from sysid.errors import SettingsError, nearest
+
+CATALOGUE: tuple[Effect, ...] = (
+    input_delay.EFFECT,
+    valve_deadband.EFFECT,
+    first_order_lag.EFFECT,
+    gain_error.EFFECT,
+    asymmetric_gain.EFFECT,
+    coulomb_friction.EFFECT,
+    viscous_friction.EFFECT,
+    inertia_error.EFFECT,
+    load_bias.EFFECT,
+    backlash.EFFECT,
+    joint_offset.EFFECT,
+    link_length_error.EFFECT,
+    base_misalignment.EFFECT,
+    gripper_sway.EFFECT,
+)
+
+BY_NAME: dict[str, Effect] = {effect.name: effect for effect in CATALOGUE}
+
+
+def effect_named(name: str, where: object = "effect") -> Effect:
+    """The effect called ``name``.
+
+    Raises:
+        SettingsError: no effect has that name.
+    """
+    if name not in BY_NAME:
+        raise SettingsError(where, f"unknown effect {name!r}", nearest(name, BY_NAME))
+    return BY_NAME[name]
+
+
+def form_for(effect: Effect, parameters: frozenset[str], where: object) -> Form:
+    """The form of ``effect`` that has exactly these parameters.
+
+    Raises:
+        SettingsError: a parameter is unknown or missing.
+    """
+    form = effect.form_of(parameters)
+    if form is None:
+        forms = " or ".join("{" + ", ".join(form.names) + "}" for form in effect.forms)
+        raise SettingsError(f"{where}: {effect.name}", f"parameters {{{', '.join(sorted(parameters))}}}", forms)
+    return form

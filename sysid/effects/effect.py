@@ -1,0 +1,96 @@
+"""What an effect is: a name from the contract, its parameters, what shows it, and the slots it occupies in a compiled plant."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Literal
+
+Stage = Literal["command", "force", "joint", "end_effector", "tool"]
+TargetKind = Literal["axis", "base", "tool"]
+Actuation = Literal["velocity", "position", "force"]
+
+
+@dataclass(frozen=True)
+class Slot:
+    """One number that the compiled chain reads; at ``neutral`` the effect is absent."""
+
+    name: str
+    neutral: float = 0.0
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One public parameter of an effect.
+
+    Args:
+        name: as in the contract.
+        unit: SI; ``drive`` stands for m or rad, whichever the target moves in.
+        bounds: what a fit may search, (low, high).
+        starts: values from which a fit starts.
+        negligible: a departure from the neutral (or nominal) value that is not worth a name.
+        sets: for each component of the parameter, the slots that take its value; by default the slot of the same name.
+    """
+
+    name: str
+    unit: str
+    bounds: tuple[float, float]
+    starts: tuple[float, ...]
+    negligible: float
+    about: str
+    sets: tuple[tuple[str, ...], ...] = ()
+
+    @property
+    def components(self) -> tuple[tuple[str, ...], ...]:
+        return self.sets or ((self.name,),)
+
+
+@dataclass(frozen=True)
+class Form:
+    """A way to write the effect: one set of public parameters. The first form of an effect is its simplest."""
+
+    parameters: tuple[Parameter, ...]
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        return tuple(parameter.name for parameter in self.parameters)
+
+
+@dataclass(frozen=True)
+class Effect:
+    """A named departure of a machine from its nominal simulation.
+
+    Args:
+        name: the contract's name.
+        stage: where in the chain it acts.
+        target: what an instance is attached to.
+        slots: numbers read by the compiled step, neutral values included.
+        forms: ways to parametrise the slots, simplest first.
+        equation: what it computes, in one line.
+        source: paper, book or data sheet.
+        excited_by: what a recording must contain to show it.
+        confused_with: effects that look alike, with what separates them in the catalogue.
+        actuations: the kinds of axis that can have it (empty: not an axis effect).
+        memory: step time [s] → number of state values the step keeps.
+        sides: admissible places where the contract leaves two open.
+    """
+
+    name: str
+    stage: Stage
+    target: TargetKind
+    slots: tuple[Slot, ...]
+    forms: tuple[Form, ...]
+    equation: str
+    source: str
+    excited_by: str
+    confused_with: tuple[str, ...] = ()
+    actuations: tuple[Actuation, ...] = ()
+    memory: Callable[[float], int] = lambda dt: 0
+    sides: tuple[Literal["drive", "structure"], ...] = ()
+
+    def form_of(self, names: frozenset[str]) -> Form | None:
+        """The form whose parameters are exactly ``names``."""
+        for form in self.forms:
+            if frozenset(form.names) == names:
+                return form
+        return None

@@ -1,0 +1,39 @@
+"""``first_order_lag``: spool and pilot stage follow the command with one time constant."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+
+from sysid.effects.effect import Effect, Form, Parameter, Slot
+
+EFFECT = Effect(
+    name="first_order_lag",
+    stage="command",
+    target="axis",
+    slots=(Slot("time_constant"),),
+    forms=(Form((Parameter("time_constant", "s", (0.0, 2.0), (0.03, 0.1, 0.3), 0.005, "time constant"),)),),
+    equation="T·ẋ = u − x, exact for a command held over the step",
+    source="Merritt, Hydraulic Control Systems, 1967, ch. 7; 20–80 ms on small proportional valves (machine facts)",
+    excited_by="starts, stops and reversals of the command",
+    confused_with=("input_delay", "valve_hysteresis", "command_rate_limit"),
+    actuations=("velocity", "position"),
+    memory=lambda dt: 1,
+)
+
+
+@njit(inline="always")
+def step(u, p, i, s, j, dt):
+    """Mean of x over the step, so that integrating it gives the exact displacement."""
+    if np.isnan(s[j]):
+        s[j] = u
+    constant = p[i]
+    if constant < 1e-6:
+        s[j] = u
+        return u
+    decay = math.exp(-dt / constant)
+    mean = u + (s[j] - u) * (1.0 - decay) * constant / dt
+    s[j] = u + (s[j] - u) * decay
+    return mean

@@ -1,0 +1,103 @@
+"""``gripper_sway``: the tool hangs on two passive joints and swings as a damped pendulum below the boom tip."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+
+from sysid.effects.effect import Effect, Form, Parameter, Slot
+
+GRAVITY = 9.80665
+
+EFFECT = Effect(
+    name="gripper_sway",
+    stage="tool",
+    target="tool",
+    slots=(Slot("length"), Slot("damping_ratio")),
+    forms=(
+        Form(
+            (
+                Parameter("length", "m", (0.0, 5.0), (0.1, 0.25, 0.6), 5e-3, "pivot to tool point"),
+                Parameter("damping_ratio", "1", (0.001, 0.9), (0.02, 0.1), 1.0, "of the swing"),
+            )
+        ),
+    ),
+    equation="L·θ̈ + 2ζω₀L·θ̇ + g·θ = −a in both horizontal directions, ω₀² = g/L; hangs straight down at rest",
+    source="Goldstein, Classical Mechanics, §1.4; L 0.20–0.30 m, ζ 0.01–0.08 at 1:5 (machine facts)",
+    excited_by="starts and stops of the boom tip, and seconds of rest after them",
+    confused_with=("oil_compressibility",),
+    memory=lambda dt: 9,
+)
+
+
+@njit(inline="always")
+def _pull(dx, dy, vx, vy, length, rate, damping):
+    """Acceleration of the bob for a horizontal deflection (dx, dy) and a velocity relative to the pivot.
+
+    String tension keeps the bob on the sphere: with w² = L² − d² the restoring acceleration is g·d·w/L²
+    plus the centripetal part, which at small angles is the linear pendulum g·d/L.
+    """
+    reach = length * length - dx * dx - dy * dy
+    drop = math.sqrt(max(reach, 1e-4 * length * length))
+    fall = -(dx * vx + dy * vy) / drop
+    speed2 = vx * vx + vy * vy + fall * fall
+    tension = (GRAVITY * drop / length + speed2 / length) / length
+    return -tension * dx - 2.0 * damping * rate * vx, -tension * dy - 2.0 * damping * rate * vy
+
+
+@njit(inline="always")
+def step(x, y, z, p, i, s, j, dt, out):
+    """Advance by ``dt`` with the pivot moving evenly from its last place to (x, y, z); writes the tool into ``out``.
+
+    State: horizontal position and velocity of the bob, last pivot. The pivot enters as a position, never as an
+    acceleration, so a measured pivot can drive it without being differentiated twice. Velocity Verlet in sub-steps.
+    """
+    length = p[i]
+    if length < 1e-3:
+        out[0] = x
+        out[1] = y
+        out[2] = z - length
+        return
+    if np.isnan(s[j]):
+        s[j] = x
+        s[j + 1] = y
+        s[j + 2] = 0.0
+        s[j + 3] = 0.0
+        s[j + 4] = x
+        s[j + 5] = y
+    rate = math.sqrt(GRAVITY / length)
+    damping = p[i + 1]
+    parts = max(1, math.ceil(dt * rate / 0.1))
+    h = dt / parts
+    px = s[j + 4]
+    py = s[j + 5]
+    gx = (x - px) / dt
+    gy = (y - py) / dt
+    bx = s[j]
+    by = s[j + 1]
+    vx = s[j + 2]
+    vy = s[j + 3]
+    for _ in range(parts):
+        ax, ay = _pull(bx - px, by - py, vx - gx, vy - gy, length, rate, damping)
+        hx = vx + 0.5 * h * ax
+        hy = vy + 0.5 * h * ay
+        bx += h * hx
+        by += h * hy
+        px += h * gx
+        py += h * gy
+        ax, ay = _pull(bx - px, by - py, hx - gx, hy - gy, length, rate, damping)
+        vx = hx + 0.5 * h * ax
+        vy = hy + 0.5 * h * ay
+    s[j] = bx
+    s[j + 1] = by
+    s[j + 2] = vx
+    s[j + 3] = vy
+    s[j + 4] = x
+    s[j + 5] = y
+    dx = bx - x
+    dy = by - y
+    out[0] = bx
+    out[1] = by
+    out[2] = z - math.sqrt(max(length * length - dx * dx - dy * dy, 0.0))

@@ -1,0 +1,18 @@
+"""``inertia_error``: the moving mass or inertia differs from the nominal one."""
+
+from __future__ import annotations
+
+from sysid.effects.effect import Effect, Form, Parameter, Slot
+
+EFFECT = Effect(
+    name="inertia_error",
+    stage="force",
+    target="axis",
+    slots=(Slot("ratio", 1.0),),
+    forms=(Form((Parameter("ratio", "1", (0.05, 20.0), (0.7, 1.4), 0.01, "true inertia / nominal inertia"),)),),
+    equation="M = ratio · inertia",
+    source="definition",
+    excited_by="acceleration that is large against friction",
+    confused_with=("viscous_friction",),
+    actuations=("force",),
+)

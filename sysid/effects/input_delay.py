@@ -1,0 +1,63 @@
+"""``input_delay``: the command acts later by a constant time (bus, valve electronics, oil column)."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+
+from sysid.effects.effect import Effect, Form, Parameter, Slot
+
+#: The longest delay a plant can hold [s]; 0.7 s is reported for a full-size walking excavator (machine facts).
+LONGEST = 0.8
+
+
+def _memory(dt: float) -> int:
+    return math.ceil(LONGEST / dt) + 4
+
+
+EFFECT = Effect(
+    name="input_delay",
+    stage="command",
+    target="axis",
+    slots=(Slot("delay"),),
+    forms=(Form((Parameter("delay", "s", (0.0, LONGEST), (0.02, 0.06, 0.15, 0.3), 0.005, "dead time"),)),),
+    equation="y(t) = u(t − delay), linear between samples",
+    source="Ljung, System Identification, 2nd ed., §4.2",
+    excited_by="command changes that are short against the recording",
+    confused_with=("first_order_lag", "clock_offset", "valve_hysteresis"),
+    actuations=("velocity", "position"),
+    memory=_memory,
+)
+
+
+@njit(inline="always")
+def step(u, p, i, s, j, size, dt):
+    """Ring buffer at ``s[j+1 : j+size]``, its head in ``s[j]``.
+
+    Blending the two neighbours is exact for the integral of a held command over the step, so a fraction of a step is
+    a smooth parameter.
+    """
+    ring = size - 1
+    if np.isnan(s[j]):
+        s[j] = 0.0
+        for k in range(ring):
+            s[j + 1 + k] = u
+    head = int(s[j])
+    s[j + 1 + head] = u
+    steps = p[i] / dt
+    whole = int(steps)
+    part = steps - whole
+    near = head - whole
+    if near < 0:
+        near += ring
+    far = near - 1
+    if far < 0:
+        far += ring
+    y = (1.0 - part) * s[j + 1 + near] + part * s[j + 1 + far]
+    head += 1
+    if head == ring:
+        head = 0
+    s[j] = head
+    return y

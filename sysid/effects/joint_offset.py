@@ -1,0 +1,18 @@
+"""``joint_offset``: the zero of a joint sensor is not the zero of the model."""
+
+from __future__ import annotations
+
+from sysid.effects.effect import Effect, Form, Parameter, Slot
+
+EFFECT = Effect(
+    name="joint_offset",
+    stage="end_effector",
+    target="axis",
+    slots=(Slot("offset"),),
+    forms=(Form((Parameter("offset", "drive", (-0.5, 0.5), (-0.02, 0.02), 2e-4, "true joint − measured joint"),)),),
+    equation="q_true = q_measured + offset",
+    source="Khalil & Dombre, Modeling, Identification and Control of Robots, 2002, ch. 11",
+    excited_by="poses spread over the work space",
+    confused_with=("link_length_error", "base_misalignment", "joint_compliance"),
+    actuations=("velocity", "position", "force"),
+)

@@ -1,0 +1,18 @@
+"""``link_length_error``: a link is longer or shorter than the URDF says."""
+
+from __future__ import annotations
+
+from sysid.effects.effect import Effect, Form, Parameter, Slot
+
+EFFECT = Effect(
+    name="link_length_error",
+    stage="end_effector",
+    target="axis",
+    slots=(Slot("error"),),
+    forms=(Form((Parameter("error", "m", (-0.5, 0.5), (-0.02, 0.02), 5e-4, "true length − URDF length"),)),),
+    equation="the link that the axis moves is longer by error along the line to the next joint (or the tip)",
+    source="Khalil & Dombre 2002, ch. 11",
+    excited_by="poses spread over the work space",
+    confused_with=("joint_offset", "base_misalignment"),
+    actuations=("velocity", "position", "force"),
+)

@@ -1,0 +1,38 @@
+"""``valve_deadband``: spool overlap; small commands move nothing, each side by its own amount."""
+
+from __future__ import annotations
+
+from numba import njit
+
+from sysid.effects.effect import Effect, Form, Parameter, Slot
+
+_STARTS = (0.03, 0.12, 0.25)
+
+EFFECT = Effect(
+    name="valve_deadband",
+    stage="command",
+    target="axis",
+    slots=(Slot("positive"), Slot("negative")),
+    forms=(
+        Form(
+            (
+                Parameter("positive", "1", (0.0, 0.75), _STARTS, 0.004, "commands up to this do not move it"),
+                Parameter("negative", "1", (0.0, 0.75), _STARTS, 0.004, "same on the negative side, as a magnitude"),
+            )
+        ),
+    ),
+    equation="y = u − positive above, u + negative below, 0 between; slope unchanged",
+    source="Merritt 1967, §5.5; 11–22 % in PVG32 data, 43–67 % of half the span on a 1:14 excavator (machine facts)",
+    excited_by="slow small commands on both sides of zero",
+    confused_with=("stiction", "gain_curve", "backlash"),
+    actuations=("velocity",),
+)
+
+
+@njit(inline="always")
+def step(u, p, i):
+    if u > p[i]:
+        return u - p[i]
+    if u < -p[i + 1]:
+        return u + p[i + 1]
+    return 0.0

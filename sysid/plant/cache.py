@@ -1,0 +1,45 @@
+"""Where compiled code is kept between processes.
+
+Numba reuses a cached function even when a step function that it inlined was edited. The cache folder is therefore
+named by a hash of every source that the compiled chain is made of. Imported before anything that compiles.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import tempfile
+import warnings
+from pathlib import Path
+
+import numba
+
+_PACKAGE = Path(__file__).parents[1]
+
+
+def source_digest() -> str:
+    """sha256 over the sources of all effects and of the plant."""
+    digest = hashlib.sha256(numba.__version__.encode())
+    for folder in ("effects", "plant"):
+        for path in sorted((_PACKAGE / folder).glob("*.py")):
+            digest.update(path.name.encode() + b"\0" + path.read_bytes() + b"\0")
+    return digest.hexdigest()
+
+
+def use_cache_folder() -> Path:
+    """Point Numba at a folder of its own for these sources; a temporary one, with a warning, where none can be written."""
+    root = Path(os.environ.get("XDG_CACHE_HOME", "") or Path.home() / ".cache")
+    folder = root / "sysid" / "numba" / source_digest()[:16]
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        writable = os.access(folder, os.W_OK)
+    except OSError:
+        writable = False
+    if not writable:
+        folder = Path(tempfile.mkdtemp(prefix="sysid-numba-"))
+        warnings.warn(f"{root} cannot be written: compiled code is kept in {folder} for this process only", stacklevel=2)
+    numba.config.CACHE_DIR = str(folder)  # type: ignore[attr-defined, unused-ignore]
+    return folder
+
+
+CACHE_FOLDER = use_cache_folder()

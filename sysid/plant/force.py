@@ -1,0 +1,99 @@
+"""Force axes judged by the force at measured motion: inverse dynamics under one stated filter on both sides.
+
+The position is low-passed forward and backward (Butterworth) and differentiated centrally; the same zero-phase low-pass
+runs over the measured and the model force, which are then decimated so that the samples are nearly independent
+(Gautier, Janot, Vandanjon, IEEE TCST 21 (2013): the "parallel decimation" of robot identification).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+import numpy.typing as npt
+from scipy import signal
+
+from sysid.datasets.recording import Recording
+from sysid.errors import ExcitationError
+from sysid.machine import Axis
+from sysid.plant import chain, layout
+from sysid.signals import axis_signal
+
+if TYPE_CHECKING:
+    from sysid.plant.model import Model
+
+Array = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class ForceFilter:
+    """The stated filter. ``still`` is the speed [share of the 95th percentile] below which friction is not determined."""
+
+    position_hz: float = 50.0
+    force_hz: float = 10.0
+    order: int = 4
+    still: float = 0.01
+
+
+@dataclass(frozen=True)
+class ForceInputs:
+    """Measured motion and force of one axis, filtered and decimated.
+
+    Args:
+        rows: rows of the recording that survive, (m,).
+        speed, acceleration: on all rows (n,).
+        force: measured force on ``rows`` (m,).
+    """
+
+    rows: npt.NDArray[np.int64]
+    speed: Array
+    acceleration: Array
+    force: Array
+    low_pass: Array
+    inertia: float
+
+    def model_force(self, model: Model, thetas: Array, axis: str) -> Array:
+        """Force that the model needs for the measured motion, (lanes, m)."""
+        begin = model.machine.axis_names.index(axis) * layout.AXIS_WIDTH
+        out = np.empty((len(thetas), len(self.rows)))
+        full = np.empty(len(self.speed))
+        for i, theta in enumerate(thetas):
+            chain.force_at_motion(theta, begin, self.inertia, self.speed, self.acceleration, full)
+            out[i] = signal.sosfiltfilt(self.low_pass, full)[self.rows]
+        return out
+
+
+def force_residual_inputs(recording: Recording, axis: Axis, settings: ForceFilter | None = None) -> ForceInputs:
+    """Filter one recording for the force comparison.
+
+    Raises:
+        ExcitationError: the axis is not measured throughout or hardly moves.
+    """
+    settings = settings or ForceFilter()
+    position = recording.values(axis.driven)
+    force = recording.values(axis_signal(axis.name, "command"))
+    there = np.flatnonzero(~np.isnan(position) & ~np.isnan(force))
+    if len(there) < 100:
+        raise ExcitationError(f"{recording.name}: {axis.name}", "force and motion are not measured together", "100 samples")
+    rate = recording.rate_hz
+    position = np.interp(np.arange(len(position)), there, position[there])
+    force = np.interp(np.arange(len(force)), there, force[there])
+    smooth = signal.butter(settings.order, min(settings.position_hz, 0.4 * rate), fs=rate, output="sos")
+    low_pass = signal.butter(settings.order, min(settings.force_hz, 0.4 * rate), fs=rate, output="sos")
+    position = signal.sosfiltfilt(smooth, position)
+    speed = np.gradient(position, 1.0 / rate)
+    acceleration = np.gradient(speed, 1.0 / rate)
+    still = settings.still * float(np.percentile(np.abs(speed), 95))
+    stride = max(1, int(rate / (2.5 * settings.force_hz)))
+    edge = 5 * stride
+    rows = np.arange(edge, len(position) - edge, stride)
+    # At rest friction may take any value below break-away: such samples say nothing about it.
+    spread = int(rate / settings.force_hz)
+    slow = np.convolve((np.abs(speed) < still).astype(float), np.ones(2 * spread + 1), mode="same") > spread
+    measured = np.isin(rows, there)
+    rows = rows[~slow[rows] & measured]
+    if len(rows) < 30:
+        raise ExcitationError(f"{recording.name}: {axis.name}", "the axis hardly moves", "motion in both directions")
+    filtered = signal.sosfiltfilt(low_pass, force)
+    return ForceInputs(rows, speed, acceleration, filtered[rows], low_pass, float(axis.inertia or 0.0))

@@ -1,0 +1,201 @@
+"""A plant version: machine, linkages and a list of effects. Frozen; a repaired plant is a new one."""
+
+from __future__ import annotations
+
+import json
+import tomllib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from sysid.config import parse_settings
+from sysid.effects import effect_named, form_for
+from sysid.errors import SettingsError, StoreError
+from sysid.machine import (
+    CylinderJointMap,
+    KnownEffect,
+    Machine,
+    TabulatedLinkage,
+    TriangleLinkage,
+    machine_from_files,
+    tabulate,
+)
+from sysid.plant.layout import neutral_vector, parameter_indices, side_of
+
+Array = npt.NDArray[np.float64]
+Value = float | Sequence[float]
+
+
+@dataclass(frozen=True)
+class Plant:
+    """The simulation that is compared with the machine.
+
+    Args:
+        linkages: axis → cylinder ↔ joint table, for axes that drive a cylinder.
+        effects: what is known; one instance per (name, target, side).
+        origin: where it came from, for the lineage (dataset and plant versions, linkage models, evidence).
+        reference: ``name@version`` once registered.
+    """
+
+    machine: Machine
+    linkages: Mapping[str, TabulatedLinkage]
+    effects: tuple[KnownEffect, ...]
+    origin: Mapping[str, Any] = field(default_factory=dict)
+    reference: str = ""
+
+    def __post_init__(self) -> None:
+        seen = set()
+        for item in self.effects:
+            key = effect_key(item)
+            if key in seen:
+                raise SettingsError(f"plant of {self.machine.name}", f"{item.name} on {item.target} twice", "one instance")
+            seen.add(key)
+            check_effect(self.machine, item)
+
+    def vector(self) -> Array:
+        """The flat parameter vector of the compiled chain."""
+        theta = neutral_vector(len(self.machine.axes))
+        for item in self.effects:
+            for name, value in item.parameters.items():
+                places = parameter_indices(self.machine.axis_names, item.name, item.target, item.side, name)
+                for group, component in zip(places, np.atleast_1d(np.asarray(value, dtype=np.float64)), strict=True):
+                    theta[group] = component
+        return theta
+
+    def effect(self, name: str, target: str, side: str | None = None) -> KnownEffect | None:
+        """The instance, or None where the plant does not have it."""
+        side = side_of(effect_named(name), side)
+        for item in self.effects:
+            if effect_key(item) == (name, target, side):
+                return item
+        return None
+
+    def with_effect(self, item: KnownEffect) -> Plant:
+        """A plant with ``item`` added, or put in the place of the instance it already had."""
+        rest = tuple(known for known in self.effects if effect_key(known) != effect_key(item))
+        return replace(self, effects=(*rest, item), reference="")
+
+    def without_effect(self, name: str, target: str, side: str | None = None) -> Plant:
+        """A plant without that instance."""
+        key = (name, target, side_of(effect_named(name), side))
+        return replace(self, effects=tuple(known for known in self.effects if effect_key(known) != key), reference="")
+
+    def to_files(self) -> dict[str, bytes]:
+        """What a registry stores: JSON, the machine's own files, the linkage tables."""
+        from safetensors.numpy import save
+
+        content = {
+            "schema": 1,
+            "effects": [
+                {
+                    "name": e.name,
+                    "target": e.target,
+                    "side": e.side,
+                    "parameters": {k: _plain(v) for k, v in e.parameters.items()},
+                }
+                for e in sorted(self.effects, key=lambda e: (e.target, e.name, e.side or ""))
+            ],
+            "machine_files": self.machine.files(),
+            "origin": dict(self.origin),
+        }
+        files = {"plant.json": json.dumps(content, indent=1, sort_keys=True).encode()}
+        if self.linkages:
+            tables = {}
+            for axis in sorted(self.linkages):
+                tables[f"{axis}.displacements"] = np.ascontiguousarray(self.linkages[axis].displacements)
+                tables[f"{axis}.joints"] = np.ascontiguousarray(self.linkages[axis].joints)
+            files["linkages.safetensors"] = save(tables)
+        return files
+
+
+def plant_from_files(files: Mapping[str, bytes], reference: str = "") -> Plant:
+    """The plant whose :meth:`Plant.to_files` these are.
+
+    Raises:
+        StoreError: the files are not a plant.
+    """
+    from safetensors.numpy import load
+
+    if "plant.json" not in files:
+        raise StoreError(reference or "plant", "no plant.json among its files", "a plant version")
+    content = json.loads(files["plant.json"])
+    machine = machine_from_files(content["machine_files"], where=reference or "plant")
+    tables = load(files["linkages.safetensors"]) if "linkages.safetensors" in files else {}
+    axes = {key.rpartition(".")[0] for key in tables}
+    linkages = {a: TabulatedLinkage(tables[f"{a}.displacements"], tables[f"{a}.joints"]) for a in sorted(axes)}
+    effects = tuple(parse_settings(entry, KnownEffect, reference) for entry in content["effects"])
+    return Plant(machine, linkages, effects, content["origin"], reference)
+
+
+def nominal_plant(machine: Machine, linkages: Mapping[str, CylinderJointMap] | None = None, **origin: Any) -> Plant:
+    """The simulation that ``machine.toml`` describes.
+
+    Args:
+        linkages: fitted actuator networks by axis, for axes whose description has no linkage geometry.
+    """
+    tables: dict[str, TabulatedLinkage] = {}
+    for axis in machine.axes:
+        if axis.drives != "cylinder" or axis.stroke is None:
+            continue
+        if axis.linkage is not None:
+            tables[axis.name] = tabulate(TriangleLinkage(axis.linkage), axis.stroke)
+        elif linkages is not None and axis.name in linkages:
+            tables[axis.name] = tabulate(linkages[axis.name], axis.stroke)
+    return Plant(machine, tables, machine.effects, origin)
+
+
+def effect_key(item: KnownEffect) -> tuple[str, str, str | None]:
+    """What tells two instances apart: name, target, side."""
+    return item.name, item.target, side_of(effect_named(item.name), item.side)
+
+
+def check_effect(machine: Machine, item: KnownEffect) -> None:
+    """Name, target, side and parameters of one instance against the catalogue and the machine.
+
+    Raises:
+        SettingsError: any of them does not exist or does not fit.
+    """
+    where = f"machine {machine.name}: effect"
+    effect = effect_named(item.name, where)
+    form = form_for(effect, frozenset(item.parameters), where)
+    if effect.target == "axis" and effect.actuations:
+        axis = machine.axis(item.target)
+        if axis.actuation not in effect.actuations:
+            raise SettingsError(
+                f"{where} {item.name}", f"target {item.target!r} is {axis.actuation}-actuated", " or ".join(effect.actuations)
+            )
+    for parameter in form.parameters:
+        value = np.atleast_1d(np.asarray(item.parameters[parameter.name], dtype=np.float64))
+        low, high = parameter.bounds
+        if value.shape != (len(parameter.components),) or not np.all((value >= low) & (value <= high)):
+            raise SettingsError(
+                f"{where} {item.name} on {item.target}",
+                f"{parameter.name} = {item.parameters[parameter.name]}",
+                f"{len(parameter.components)} number(s) in [{low}, {high}] {parameter.unit}",
+            )
+        parameter_indices(machine.axis_names, item.name, item.target, item.side, parameter.name)
+
+
+def effects_toml(effects: Sequence[KnownEffect]) -> str:
+    """The ``[[effects]]`` part of a ``machine.toml``."""
+    parts = []
+    for item in effects:
+        values = ", ".join(f"{key} = {_toml(value)}" for key, value in item.parameters.items())
+        side = f'\nside = "{item.side}"' if item.side else ""
+        parts.append(f'[[effects]]\nname = "{item.name}"\ntarget = "{item.target}"{side}\nparameters = {{ {values} }}\n')
+    text = "\n".join(parts)
+    tomllib.loads(text)
+    return text
+
+
+def _plain(value: Value) -> float | list[float]:
+    array = np.asarray(value, dtype=np.float64)
+    return float(array) if array.ndim == 0 else [float(x) for x in array]
+
+
+def _toml(value: Value) -> str:
+    array = np.asarray(value, dtype=np.float64)
+    return f"{float(array):.6g}" if array.ndim == 0 else "[" + ", ".join(f"{x:.6g}" for x in array) + "]"
