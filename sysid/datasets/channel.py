@@ -1,0 +1,113 @@
+"""A channel: one signal from one file, in SI, still on the clock of the device that wrote it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from sysid.datasets.recipe import SignalMap
+from sysid.errors import InputError, nearest
+from sysid.logs import Stream
+from sysid.machine import Machine
+from sysid.units import si_factor
+
+
+@dataclass(frozen=True)
+class Channel:
+    """Values of one signal with their own stamps.
+
+    Args:
+        signal: canonical name.
+        source: file name in the recording's folder; with ``domain`` it says which clock the stamps are on.
+        stamps: int64 nanoseconds, strictly increasing, (n,).
+        values: SI, NaN where the source had none, (n,).
+        unit: their SI unit.
+        repaired: rows that were out of order or double and have been sorted or dropped.
+    """
+
+    signal: str
+    source: str
+    domain: str
+    stamps: npt.NDArray[np.int64]
+    values: npt.NDArray[np.float64]
+    unit: str = "1"
+    primary: bool = True
+    interpolation: Literal["linear", "cubic"] = "linear"
+    max_gap_s: float | None = None
+    repaired: int = 0
+
+    @property
+    def clock(self) -> str:
+        """Which clock the stamps are on: every file of another device has a clock of its own."""
+        return "machine" if self.domain == "machine" else f"{self.domain}:{self.source}"
+
+    @property
+    def period_s(self) -> float:
+        """Median time between two samples [s]; NaN with fewer than two."""
+        return float(np.median(np.diff(self.stamps))) * 1e-9 if len(self.stamps) > 1 else float("nan")
+
+
+def convert(stream: Stream, mapping: SignalMap, signal: str, machine: Machine) -> tuple[npt.NDArray[np.float64], str]:
+    """The mapped field of ``stream`` in SI, and the SI unit.
+
+    Raises:
+        InputError: no such field; the unit of the file is not the one of the recipe; a unit of another kind than the
+            signal's; no number at all.
+    """
+    where = f"{stream.source}: {signal}"
+    if mapping.field not in stream.columns:
+        raise InputError(where, f"no field {mapping.field!r} in {stream.name!r}", nearest(mapping.field, stream.columns))
+    stated = stream.units.get(mapping.field)
+    rescaled = mapping.scale != 1.0 or mapping.span != 1.0
+    if stated and mapping.unit and not rescaled and si_factor(stated, where) != si_factor(mapping.unit, where):
+        raise InputError(
+            where, f"the file states [{stated}]", f"[{mapping.unit}] as the recipe says", "Correct `unit` in the recipe."
+        )
+    factor, unit = _unit(mapping.unit or (None if rescaled else stated), signal, machine, where)
+    raw = stream.columns[mapping.field]
+    if len(raw) and not np.isfinite(raw).any():
+        raise InputError(where, f"field {mapping.field!r} holds no number", "measured values", "Correct the recipe's field.")
+    return mapping.sign * mapping.scale * (raw - mapping.zero) / mapping.span * factor + mapping.offset, unit
+
+
+def _unit(unit: str | None, signal: str, machine: Machine, where: str) -> tuple[float, str]:
+    """Factor to SI and the SI unit of ``signal``; SI is assumed where neither file nor recipe states a unit."""
+    expected = machine.expected_unit(signal)
+    if unit is None:
+        return 1.0, expected if expected is not None else "1"
+    factor, si = si_factor(unit, where)
+    allowed = {expected} if expected is not None else {"rad", "m"} if signal.endswith(".joint") else {"rad", "m", "N", "N·m"}
+    if si not in allowed:
+        raise InputError(where, f"a unit of [{si}] ({unit})", f"a unit of [{' or '.join(sorted(allowed))}]")
+    return factor, si
+
+
+#: A log whose stamps step back more often than this is not repaired by sorting.
+MAX_BACKWARD_SHARE = 0.01
+#: Nor is one that steps back further than this: its clock was set while it recorded.
+MAX_BACKWARD_S = 1.0
+
+
+def in_order(stamps: npt.NDArray[np.int64], where: str) -> tuple[npt.NDArray[np.intp], int]:
+    """Rows in the order of their stamps without doubles, and how many rows were out of order or double.
+
+    Raises:
+        InputError: too many steps back in time, or one too large, to be late messages.
+    """
+    steps = np.diff(stamps)
+    back = np.flatnonzero(steps < 0)
+    if len(back) > max(1.0, MAX_BACKWARD_SHARE * len(stamps)) or (len(back) and steps.min() < -MAX_BACKWARD_S * 1e9):
+        row = int(back[0]) + 2
+        raise InputError(
+            where,
+            f"stamps go back in time {len(back)} times, first in row {row} by {-steps[row - 2] * 1e-9:.6g} s",
+            "stamps that rise",
+            "Cut the log where its clock was set, or choose another clock in the recipe.",
+        )
+    order = np.argsort(stamps, kind="stable")
+    keep = np.ones(len(order), dtype=bool)
+    keep[1:] = np.diff(stamps[order]) > 0
+    return order[keep], int(len(back) + np.count_nonzero(~keep))

@@ -1,0 +1,145 @@
+"""The log files of one recording → its channels."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+
+from sysid.datasets.channel import Channel, convert, in_order
+from sysid.datasets.discover import RecordingFiles
+from sysid.datasets.recipe import SignalMap, StreamMap
+from sysid.errors import InputError, SettingsError, nearest
+from sysid.logs import ReadOptions, Stream, reader_for, reader_named
+from sysid.machine import Machine
+
+
+def read_channels(files: RecordingFiles, machine: Machine) -> tuple[tuple[Channel, ...], dict[str, tuple[str, ...]]]:
+    """All mapped signals of a recording, and file name → what could not be read from it.
+
+    Raises:
+        InputError: a file that cannot be read, a field or topic that is not there, a wrong unit, stamps that go back.
+    """
+    channels: list[Channel] = []
+    losses: dict[str, tuple[str, ...]] = {}
+    for path, mapping in files.streams:
+        streams = _read(path, mapping)
+        losses[path.name] = losses.get(path.name, ()) + tuple(loss for stream in streams for loss in stream.losses)
+        channels += _canonical(path, streams, machine) if mapping is None else _mapped(path, streams, mapping, machine)
+    return _one_clock(channels) if any(m is None for _, m in files.streams) else tuple(channels), losses
+
+
+def _read(path: Path, mapping: StreamMap | None) -> tuple[Stream, ...]:
+    if mapping is None:
+        return reader_for(path).read(path, ReadOptions())
+    reader = reader_named(mapping.reader, path) if mapping.reader is not None else reader_for(path)
+    topics = [signal.topic for signal in mapping.signals.values() if signal.topic is not None]
+    options = ReadOptions(
+        streams=frozenset(topics) if topics else None,
+        time=mapping.time,
+        time_unit=mapping.time_unit,
+        length_unit=mapping.length_unit,
+    )
+    return reader.read(path, options)
+
+
+def _mapped(path: Path, streams: Sequence[Stream], mapping: StreamMap, machine: Machine) -> list[Channel]:
+    channels = []
+    for signal, entry in mapping.signals.items():
+        stream = _stream_of(path, streams, entry, signal)
+        primary = entry.primary and signal not in mapping.secondary
+        channels.append(_channel(path, stream, signal, entry, mapping, machine, primary))
+    return channels
+
+
+def _stream_of(path: Path, streams: Sequence[Stream], entry: SignalMap, signal: str) -> Stream:
+    if entry.topic is None:
+        if len(streams) == 1:
+            return streams[0]
+        raise SettingsError(f"{path}: {signal}", "no topic", f"one of: {', '.join(sorted(s.name for s in streams))}")
+    for stream in streams:
+        if stream.name == entry.topic:
+            return stream
+    raise InputError(f"{path}: {signal}", f"no topic {entry.topic!r}", nearest(entry.topic, [s.name for s in streams]))
+
+
+def _channel(
+    path: Path, stream: Stream, signal: str, entry: SignalMap, mapping: StreamMap, machine: Machine, primary: bool
+) -> Channel:
+    values, unit = convert(stream, entry, signal, machine)
+    clock = mapping.clock if mapping.clock is not None else next(iter(stream.stamps))
+    if clock not in stream.stamps:
+        raise InputError(f"{path}: {stream.name}", f"no {clock!r} stamps", nearest(clock, stream.stamps), "Correct `clock`.")
+    order, repaired = in_order(stream.stamps[clock], f"{path}: {stream.name}")
+    return Channel(
+        signal=signal,
+        source=path.name,
+        domain=mapping.domain,
+        stamps=stream.stamps[clock][order],
+        values=values[order],
+        unit=unit,
+        primary=primary,
+        interpolation=mapping.interpolation,
+        max_gap_s=mapping.max_gap_s,
+        repaired=repaired,
+    )
+
+
+def _canonical(path: Path, streams: Sequence[Stream], machine: Machine) -> list[Channel]:
+    """Channels of a file whose columns are canonical names; every file has a clock of its own until it is aligned."""
+    channels = []
+    for stream in streams:
+        for column in stream.columns:
+            if column not in machine.signals:
+                raise InputError(
+                    path,
+                    f"unknown column {column!r}",
+                    nearest(column, machine.signals),
+                    "Rename the column, or map the file with a recipe.",
+                )
+            mapping = StreamMap(files=path.name, domain=path.stem)
+            channels.append(_channel(path, stream, column, SignalMap(field=column), mapping, machine, primary=True))
+    return channels
+
+
+def _one_clock(channels: Sequence[Channel]) -> tuple[Channel, ...]:
+    """The file with the commands (else the first one) is on the machine's clock."""
+    with_command = [channel.domain for channel in channels if channel.signal.endswith(".command")]
+    machine_domain = (with_command or [channel.domain for channel in channels])[0]
+    return tuple(replace(c, domain="machine") if c.domain == machine_domain else c for c in channels)
+
+
+def joined(channels: Sequence[Channel], where: object) -> dict[str, list[Channel]]:
+    """Signal → its primary channels (parts of one log in several files).
+
+    Raises:
+        InputError: two files give the same signal for the same time and neither is named secondary.
+    """
+    signals: dict[str, list[Channel]] = {}
+    for channel in channels:
+        if channel.primary and len(channel.stamps):
+            signals.setdefault(channel.signal, []).append(channel)
+    for signal, parts in signals.items():
+        parts.sort(key=lambda part: int(part.stamps[0]))
+        for before, after in pairwise(parts):
+            if after.clock != before.clock or after.stamps[0] <= before.stamps[-1]:
+                raise InputError(
+                    f"{where}: {signal}",
+                    f"two sources, {before.source!r} and {after.source!r}",
+                    "one primary source",
+                    "Name the other one secondary in the recipe (`primary = false` or `secondary = [...]`).",
+                )
+    return signals
+
+
+def concatenate(parts: Sequence[Channel]) -> Channel:
+    """Consecutive parts of one signal as one channel."""
+    return replace(
+        parts[0],
+        stamps=np.concatenate([part.stamps for part in parts]),
+        values=np.concatenate([part.values for part in parts]),
+        repaired=sum(part.repaired for part in parts),
+    )

@@ -1,0 +1,244 @@
+"""Ingest recipe (TOML): which field of which file is which signal. Described for users in ``docs/recipes.md``."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Literal
+
+from sysid.config import STRICT, inside, parse_settings, read_toml
+from sysid.errors import SettingsError, nearest
+from sysid.logs.readers import reader_named
+from sysid.machine import Machine
+from sysid.signals import POINTS, split_signal
+
+
+@dataclass(frozen=True)
+class SignalMap:
+    """One field of a stream as a signal: ``SI = sign · scale · (raw − zero)/span · factor(unit) + offset``.
+
+    Args:
+        field: column (CSV, Parquet, MATLAB) or message field, e.g. ``position[boom]``, ``pose.position.x``.
+        topic: MCAP topic; not used by the other readers.
+        unit: of the value once zero, span and scale are applied; None takes the one the file states, SI where it states none.
+        zero, span: raw value of zero and raw span of one, for counts and duties.
+        scale: further factor, e.g. 35.15 N/V with ``unit = "N"``.
+        offset: added at the end, in SI.
+        primary: False for a second source: it helps to align clocks and to check, the dataset takes the primary one.
+    """
+
+    __pydantic_config__ = STRICT
+
+    field: str
+    topic: str | None = None
+    unit: str | None = None
+    zero: float = 0.0
+    span: float = 1.0
+    scale: float = 1.0
+    offset: float = 0.0
+    sign: Literal[1, -1] = 1
+    primary: bool = True
+
+
+@dataclass(frozen=True)
+class Frame:
+    """Surveyed pose of the capture frame in the machine's base frame; roll, pitch, yaw about fixed axes as in a URDF."""
+
+    __pydantic_config__ = STRICT
+
+    translation: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    rpy: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+
+@dataclass(frozen=True)
+class PointMap:
+    """A rigid body, or a surveyed point ``at`` in its frame [m], as ``ee`` or ``tool``."""
+
+    __pydantic_config__ = STRICT
+
+    body: str
+    at: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+
+@dataclass(frozen=True)
+class Reference:
+    """The pose that fixes where each body sits on its link: the machine stands still with known joint values.
+
+    Args:
+        seconds: from, to, on the stream's own clock counted from its first stamp.
+        joints: axis → joint value [rad or m].
+        recording: where it was recorded; None: at the start of every recording.
+    """
+
+    __pydantic_config__ = STRICT
+
+    seconds: tuple[float, float]
+    joints: dict[str, float]
+    recording: str | None = None
+
+
+@dataclass(frozen=True)
+class StreamMap:
+    """One kind of file in a recording's folder.
+
+    Args:
+        files: glob inside the recording's folder.
+        clock: which of the stream's stamps to use; None: the reader's first.
+        domain: which device's clock the stamps are on. All others are aligned to ``machine``.
+        time, time_unit, length_unit: see :class:`sysid.logs.ReadOptions`.
+        interpolation: between samples of measured signals; commands are held.
+        max_gap_s: gaps longer than this stay empty; None: three sample periods.
+        secondary: signals of this stream that another stream measures better (as ``primary = false``).
+        bodies: rigid body → URDF link.
+    """
+
+    __pydantic_config__ = STRICT
+
+    files: str
+    reader: str | None = None
+    clock: str | None = None
+    domain: str = "machine"
+    time: str | None = None
+    time_unit: str = "s"
+    length_unit: str | None = None
+    interpolation: Literal["linear", "cubic"] = "linear"
+    max_gap_s: float | None = None
+    signals: dict[str, SignalMap] = field(default_factory=dict)
+    secondary: tuple[str, ...] = ()
+    frame: Frame = Frame()
+    bodies: dict[str, str] = field(default_factory=dict)
+    points: dict[str, PointMap] = field(default_factory=dict)
+    reference: Reference | None = None
+
+
+@dataclass(frozen=True)
+class Recordings:
+    """Globs over the sub-folders of the ingested path, or single files that are a recording each."""
+
+    __pydantic_config__ = STRICT
+
+    motion: tuple[str, ...] = ("*",)
+    poses: tuple[str, ...] = ()
+    files: dict[str, str] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Splits:
+    """Recording globs; what is left out is assigned automatically.
+
+    Args:
+        held_out_last: recording → share of its end that is held out; the rest is cut into blocks.
+        guard_s: left out between two blocks of one recording [s].
+    """
+
+    __pydantic_config__ = STRICT
+
+    fit: tuple[str, ...] = ()
+    select: tuple[str, ...] = ()
+    held_out: tuple[str, ...] = ()
+    held_out_last: dict[str, float] = field(default_factory=dict)
+    guard_s: float = 1.0
+
+
+@dataclass(frozen=True)
+class StillPhases:
+    """What counts as a static pose: every measured signal stays within ``tolerance`` of its range for ``seconds``."""
+
+    __pydantic_config__ = STRICT
+
+    seconds: float = 0.4
+    tolerance: float = 2e-3
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """``recipe.toml``; paths in it are relative to its folder and stay inside it."""
+
+    __pydantic_config__ = STRICT
+
+    schema: Literal[1]
+    name: str | None = None
+    machine: str | None = None
+    logs: str | None = None
+    recordings: Recordings = Recordings()
+    splits: Splits = Splits()
+    still: StillPhases = StillPhases()
+    streams: tuple[StreamMap, ...] = ()
+    hold_s: float = 0.5
+    text: str = ""
+
+
+def load_recipe(path: Path) -> Recipe:
+    """Read and check a recipe.
+
+    Raises:
+        SettingsError: an unknown key, reader or value, or a path that leaves the recipe's folder.
+    """
+    values = read_toml(path)
+    if "text" in values:
+        raise SettingsError(path, "unknown key 'text'", "the keys of a recipe", "Remove it.")
+    recipe = parse_settings({**values, "text": path.read_text("utf-8")}, Recipe, path)
+    for key in ("machine", "logs"):
+        value = getattr(recipe, key)
+        if value is not None:
+            inside(path.parent, value, f"{path}: {key}")
+    for pattern in (*recipe.recordings.files.values(), *(stream.files for stream in recipe.streams)):
+        if Path(pattern).is_absolute() or ".." in Path(pattern).parts:
+            raise SettingsError(
+                f"{path}: files", f"path {pattern!r} leaves the folder of the logs", "a path inside that folder"
+            )
+    for stream in recipe.streams:
+        _check_stream(stream, path)
+    for name, share in recipe.splits.held_out_last.items():
+        if not 0.0 < share < 1.0:
+            raise SettingsError(f"{path}: splits.held_out_last.{name}", str(share), "a share between 0 and 1")
+    return recipe
+
+
+def _check_stream(stream: StreamMap, path: Path) -> None:
+    where = f"{path}: streams {stream.files!r}"
+    if stream.reader is not None:
+        reader = reader_named(stream.reader, where)
+        if stream.clock is not None and stream.clock not in reader.clocks:
+            raise SettingsError(where, f"unknown clock {stream.clock!r}", nearest(stream.clock, reader.clocks))
+    for name, signal in stream.signals.items():
+        if signal.span == 0.0 or signal.scale == 0.0:
+            raise SettingsError(f"{where}: {name}", "a span or scale of zero", "a number other than zero")
+    for point in stream.points:
+        if point not in POINTS:
+            raise SettingsError(f"{where}: points", f"unknown point {point!r}", nearest(point, POINTS))
+
+
+def check_against_machine(recipe: Recipe, machine: Machine, where: object) -> None:
+    """Raise where the recipe names a signal, link or axis that the machine does not have, or two primary sources."""
+    primary: dict[str, str] = {}
+    for stream in recipe.streams:
+        for signal, mapping in stream.signals.items():
+            _check_signal(signal, machine, f"{where}: streams {stream.files!r}")
+            if mapping.primary and signal not in stream.secondary:
+                if signal in primary:
+                    raise SettingsError(
+                        where,
+                        f"two primary sources for {signal!r}: {primary[signal]!r} and {stream.files!r}",
+                        "one primary source",
+                        "Set `primary = false` on the other one.",
+                    )
+                primary[signal] = stream.files
+        for signal in stream.secondary:
+            _check_signal(signal, machine, f"{where}: streams {stream.files!r}: secondary")
+        for axis in stream.reference.joints if stream.reference else ():
+            machine.axis(axis)
+        kinematics = machine.kinematics()
+        if stream.bodies and kinematics is None:
+            raise SettingsError(f"{where}: bodies", "rigid bodies on links", "a machine with a urdf")
+        links = {kinematics.chain[0].parent, *(j.child for j in kinematics.joints.values())} if kinematics else set()
+        for body, link in stream.bodies.items():
+            if link not in links:
+                raise SettingsError(f"{where}: bodies: {body!r}", f"unknown link {link!r}", nearest(link, links))
+
+
+def _check_signal(signal: str, machine: Machine, where: str) -> None:
+    if signal not in machine.signals:
+        owner, _ = split_signal(signal)
+        known = machine.signals if owner in (*machine.axis_names, *POINTS) else (*machine.signals, *machine.axis_names)
+        raise SettingsError(where, f"unknown signal {signal!r}", nearest(signal, known))

@@ -1,0 +1,137 @@
+"""Channels on their own stamps → a table on the machine's grid k/rate. Gaps stay gaps; commands are held."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from sysid.datasets.channel import Channel
+
+Array = npt.NDArray[np.float64]
+
+#: A gap is longer than this many sample periods of its source where the recipe gives no limit.
+GAP_PERIODS = 3.0
+#: A stamp this share of a grid period late still counts as on the grid (stamps are rounded, clocks jitter).
+LATE_SHARE = 0.05
+#: Sources this much faster than the grid are low-passed before they are sampled.
+FAST_RATIO = 2.0
+
+
+def grid(start_ns: int, end_ns: int, rate_hz: float) -> Array:
+    """Times ``k/rate_hz`` [s] from 0 to the last one that does not pass ``end_ns``."""
+    count = int(np.floor((end_ns - start_ns) * 1e-9 * rate_hz + LATE_SHARE)) + 1
+    return np.arange(max(count, 0)) / rate_hz
+
+
+def hold(times: Array, values: Array, at: Array, period: float, hold_s: float) -> Array:
+    """Zero-order hold: the last value at or before each instant ``at``, for at most ``hold_s``; NaN outside.
+
+    Args:
+        times: rising, (n,) [s].
+        values: (n,); a NaN is a missing message, the value before it is held on.
+        at: instants (m,) [s].
+        period: grid period [s]; a value that comes up to :data:`LATE_SHARE` of it late still counts.
+    """
+    known = ~np.isnan(values)
+    times, values = times[known], values[known]
+    result = np.full(len(at), np.nan)
+    if not len(times):
+        return result
+    index = np.searchsorted(times, at + LATE_SHARE * period, side="right") - 1
+    found = index >= 0
+    found[found] = at[found] - times[index[found]] <= hold_s
+    result[found] = values[index[found]]
+    return result
+
+
+def interpolate(times: Array, values: Array, at: Array, max_gap_s: float, cubic: bool = False) -> Array:
+    """Values between samples; NaN outside and in gaps longer than ``max_gap_s``.
+
+    Linear, or cubic Hermite with the slopes of the parabola through three neighbours (exact for parabolas, local: a
+    gap or an outlier spoils no more than its neighbours).
+
+    Args:
+        times: rising, (n,) [s].
+        values: (n,), NaN where missing.
+        at: (m,) [s].
+    """
+    known = ~np.isnan(values)
+    times, values = times[known], values[known]
+    result = np.full(len(at), np.nan)
+    if len(times) < 2:
+        return result
+    right = np.clip(np.searchsorted(times, at, side="right"), 1, len(times) - 1)
+    left = right - 1
+    step = times[right] - times[left]
+    # A sample that lies on the grid but for rounding is used even beside a gap.
+    slack = 1e-9
+    inside = (at >= times[0] - slack) & (at <= times[-1] + slack)
+    bridged = inside & (step <= max_gap_s)
+    s = np.clip((at - times[left]) / step, 0.0, 1.0)
+    if cubic and len(times) > 2:
+        slopes = _slopes(times, values, max_gap_s)
+        h00, h10 = (1 + 2 * s) * (1 - s) ** 2, s * (1 - s) ** 2
+        h01, h11 = s**2 * (3 - 2 * s), s**2 * (s - 1)
+        between = h00 * values[left] + h10 * step * slopes[left] + h01 * values[right] + h11 * step * slopes[right]
+    else:
+        between = (1 - s) * values[left] + s * values[right]
+    result[bridged] = between[bridged]
+    for end in (left, right):
+        on_sample = inside & ~bridged & (np.abs(at - times[end]) <= slack)
+        result[on_sample] = values[end[on_sample]]
+    return result
+
+
+def _slopes(times: Array, values: Array, max_gap_s: float) -> Array:
+    """Slope at each sample from the parabola through it and its neighbours; one-sided beside a gap."""
+    steps = np.diff(times)
+    secants = np.diff(values) / steps
+    slopes = np.empty(len(times))
+    slopes[0], slopes[-1] = secants[0], secants[-1]
+    before, after = steps[:-1], steps[1:]
+    slopes[1:-1] = (secants[:-1] * after + secants[1:] * before) / (before + after)
+    gap = steps > max_gap_s
+    after_gap, before_gap = gap[:-1] & ~gap[1:], ~gap[:-1] & gap[1:]
+    inner = slopes[1:-1]
+    inner[after_gap] = secants[1:][after_gap]
+    inner[before_gap] = secants[:-1][before_gap]
+    return slopes
+
+
+def low_pass(times: Array, values: Array, cut_hz: float, max_gap_s: float) -> Array:
+    """Zero-phase Butterworth (order 4, run both ways) within each stretch without gaps; short stretches stay as they are.
+
+    Stretches are filtered on their own samples, taken as even: a jitter of the stamps is small against a source period.
+    """
+    from scipy.signal import butter, sosfiltfilt
+
+    known = np.flatnonzero(~np.isnan(values))
+    result = values.copy()
+    if len(known) < 2:
+        return result
+    breaks = np.flatnonzero(np.diff(times[known]) > max_gap_s) + 1
+    for stretch in np.split(known, breaks):
+        if len(stretch) < 40:
+            continue
+        rate = (len(stretch) - 1) / (times[stretch[-1]] - times[stretch[0]])
+        if cut_hz < 0.45 * rate:
+            sections = butter(4, cut_hz, fs=rate, output="sos")
+            result[stretch] = sosfiltfilt(sections, values[stretch])
+    return result
+
+
+def gap_limit(channel: Channel) -> float:
+    """The longest gap that is bridged [s]."""
+    return channel.max_gap_s if channel.max_gap_s is not None else GAP_PERIODS * channel.period_s
+
+
+def resample(channel: Channel, times: Array, at: Array, rate_hz: float, hold_s: float) -> Array:
+    """One channel on the grid ``at``; ``times`` are its stamps on the machine's clock [s], same origin as ``at``."""
+    if not len(times):
+        return np.full(len(at), np.nan)
+    if channel.signal.endswith(".command"):
+        return hold(times, channel.values, at, 1.0 / rate_hz, hold_s)
+    values, limit = channel.values, gap_limit(channel)
+    if channel.period_s * rate_hz * FAST_RATIO <= 1.0:
+        values = low_pass(times, values, 0.4 * rate_hz, limit)
+    return interpolate(times, values, at, limit, cubic=channel.interpolation == "cubic")

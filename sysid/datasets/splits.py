@@ -1,0 +1,165 @@
+"""Which recordings fit, which select, which prove. By whole recording, or by contiguous block with a guard; never by sample."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from fnmatch import fnmatchcase
+
+import numpy as np
+import numpy.typing as npt
+
+from sysid.datasets.recipe import Splits
+from sysid.datasets.recording import Recording, Role
+from sysid.errors import InputError, SettingsError, nearest
+
+#: Blocks shorter than this are not cut [s].
+MIN_BLOCK_S = 4.0
+#: Recordings from this length on give two pairs of fit and select blocks, so that both see early and late conditions [s].
+LONG_S = 60.0
+
+
+@dataclass(frozen=True)
+class Block:
+    """A share of one recording with a role."""
+
+    role: Role
+    share: float
+
+
+def split(recordings: Sequence[Recording], splits: Splits, where: object) -> tuple[tuple[Recording, ...], dict[str, Role]]:
+    """Roles for the ``motion`` recordings; recordings that have to be shared are cut into ``name#1``, ``name#2`` …
+
+    Roles named in the recipe come first. Of the rest, in order: with three roles to fill and at least three recordings about
+    50 % fit, 25 % select, 25 % held out (at least one each); with fewer recordings than roles, each one is cut into blocks.
+
+    Raises:
+        SettingsError: the recipe names a recording that does not exist, or gives one recording two roles.
+    """
+    motion = [recording for recording in recordings if recording.kind == "motion"]
+    roles = _named_roles([r.name for r in recordings], splits, where)
+    for name in splits.held_out_last:
+        if name not in [r.name for r in motion]:
+            raise SettingsError(f"{where}: held_out_last", f"no recording {name!r}", nearest(name, [r.name for r in motion]))
+        if name in roles:
+            raise SettingsError(f"{where}: held_out_last", f"{name!r} is {roles[name]} as well", "one role a recording")
+    free = [r.name for r in motion if r.name not in roles and r.name not in splits.held_out_last]
+    given = set(roles.values()) | ({"fit", "select", "held_out"} if splits.held_out_last else set())
+    open_roles: list[Role] = [role for role in ("fit", "select", "held_out") if role not in given]
+    blocks: dict[str, tuple[Block, ...]] = {}
+    if free and not open_roles:
+        roles |= dict.fromkeys(free, "fit")
+    elif len(free) >= len(open_roles):
+        roles |= _share_out(free, open_roles)
+    else:
+        length = {r.name: len(r) / r.rate_hz for r in motion}
+        blocks |= {name: _blocks(open_roles, length[name]) for name in free}
+    for name, share in splits.held_out_last.items():
+        recording = next(r for r in motion if r.name == name)
+        earlier = _blocks(["fit", "select"], (1.0 - share) * len(recording) / recording.rate_hz)
+        blocks[name] = (*(Block(b.role, b.share * (1.0 - share)) for b in earlier), Block("held_out", share))
+    result: list[Recording] = []
+    for recording in recordings:
+        if recording.name not in blocks:
+            result.append(recording)
+            continue
+        for part, role in cut(recording, blocks[recording.name], splits.guard_s, where):
+            result.append(part)
+            roles[part.name] = role
+    return tuple(result), roles
+
+
+def _named_roles(names: list[str], splits: Splits, where: object) -> dict[str, Role]:
+    roles: dict[str, Role] = {}
+    wanted: Mapping[Role, tuple[str, ...]] = {"fit": splits.fit, "select": splits.select, "held_out": splits.held_out}
+    for role, patterns in wanted.items():
+        for pattern in patterns:
+            matched = [name for name in names if fnmatchcase(name, pattern)]
+            if not matched:
+                raise SettingsError(f"{where}: splits.{role}", f"no recording {pattern!r}", nearest(pattern, names))
+            for name in matched:
+                if roles.get(name, role) != role:
+                    raise SettingsError(
+                        f"{where}: splits", f"{name!r} is both {roles[name]} and {role}", "one role a recording"
+                    )
+                roles[name] = role
+    return roles
+
+
+def _share_out(names: list[str], roles: list[Role]) -> dict[str, Role]:
+    """Recordings in order: fit first, the last ones held out."""
+    count = len(names)
+    held = max(1, count // 4) if "held_out" in roles else 0
+    select = max(1, math.ceil(count / 4) if held else round(count / 3)) if "select" in roles else 0
+    if "fit" not in roles:
+        select = count - held if select else 0
+        held = count - select
+    fit = count - held - select
+    order: list[Role] = ["fit"] * fit + ["select"] * select + ["held_out"] * held  # type: ignore[assignment]
+    return dict(zip(names, order, strict=True))
+
+
+def _blocks(roles: list[Role], length_s: float) -> tuple[Block, ...]:
+    """Contiguous blocks of one recording: fit twice as long as select, held out the last quarter."""
+    held = 0.25 if "held_out" in roles else 0.0
+    before: list[Role] = [role for role in roles if role != "held_out"]
+    weights = {"fit": 2.0, "select": 1.0}
+    total = sum(weights[role] for role in before)
+    pairs = 2 if len(before) == 2 and length_s * (1.0 - held) >= LONG_S else 1
+    blocks = [Block(role, (1.0 - held) * weights[role] / total / pairs) for _ in range(pairs) for role in before]
+    return (*blocks, Block("held_out", held)) if held else tuple(blocks)
+
+
+def cut(recording: Recording, blocks: Sequence[Block], guard_s: float, where: object) -> list[tuple[Recording, Role]]:
+    """``recording`` as ``name#1``, ``name#2`` …; each cut lies where the machine is most at rest nearby.
+
+    Raises:
+        InputError: the recording is too short to be cut.
+    """
+    guard = round(guard_s * recording.rate_hz)
+    rows = len(recording)
+    if rows < (MIN_BLOCK_S + guard_s) * recording.rate_hz * len(blocks):
+        raise InputError(
+            f"{where}: recording {recording.name!r}",
+            f"{rows / recording.rate_hz:.1f} s are too short for {len(blocks)} blocks",
+            f"at least {MIN_BLOCK_S:g} s a block and {guard_s:g} s of guard",
+            "Record longer, or record three times: then recordings are split whole.",
+        )
+    edges = [0]
+    total = 0.0
+    shortest = min(block.share for block in blocks)
+    motion = _motion(recording)
+    for block in blocks[:-1]:
+        total += block.share
+        reach = int(0.15 * shortest * rows)
+        low = max(round(total * rows) - reach, edges[-1] + 1)
+        edges.append(low + int(np.argmin(motion[low : round(total * rows) + reach + 1])))
+    edges.append(rows)
+    parts = []
+    for number, (block, start, end) in enumerate(zip(blocks, edges[:-1], edges[1:], strict=True), start=1):
+        first = start if number == 1 else start + guard - guard // 2
+        last = end if number == len(blocks) else end - guard // 2
+        table = recording.table.iloc[first:last].reset_index(drop=True)
+        table["time"] = np.arange(len(table)) / recording.rate_hz
+        table.attrs = dict(recording.table.attrs)
+        start_ns = recording.start_ns + round(first / recording.rate_hz * 1e9)
+        parts.append((Recording(f"{recording.name}#{number}", table, recording.rate_hz, recording.kind, start_ns), block.role))
+    return parts
+
+
+def _motion(recording: Recording) -> npt.NDArray[np.float64]:
+    """How much the measured signals change around each row, each relative to its spread; large beside gaps, (rows,)."""
+    width = max(int(0.25 * recording.rate_hz), 1)
+    motion = np.zeros(len(recording))
+    for signal in recording.signals:
+        values = recording.values(signal)
+        known = ~np.isnan(values)
+        spread = float(np.std(values[known])) if known.any() else 0.0
+        if spread == 0.0 or signal.endswith(".command"):
+            continue
+        filled = np.interp(np.arange(len(values)), np.flatnonzero(known), values[known])
+        padded = np.pad(filled, width, mode="edge")
+        motion += np.abs(padded[2 * width :] - padded[: -2 * width]) / spread
+    # Between equally quiet rows the middle of the search window is as good as any; the first one is taken.
+    return motion

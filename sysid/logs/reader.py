@@ -1,0 +1,47 @@
+"""What a log reader is: a name, the suffixes it takes, the clocks its streams carry, and ``read``."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Protocol
+
+from sysid.logs.stream import Stream
+
+
+@dataclass(frozen=True)
+class ReadOptions:
+    """What a recipe can tell a reader.
+
+    Args:
+        streams: read these streams (topics) alone; None reads all.
+        time: column or variable that holds the stamps (CSV, Parquet, MATLAB).
+        time_unit: unit of that column.
+        length_unit: unit of positions where the file does not state one (Motive).
+    """
+
+    streams: frozenset[str] | None = None
+    time: str | None = None
+    time_unit: str = "s"
+    length_unit: str | None = None
+
+
+class LogReader(Protocol):
+    """One file format. ``clocks`` lists the stamps its streams may carry, the default first."""
+
+    @property
+    def name(self) -> str: ...
+
+    @property
+    def suffixes(self) -> tuple[str, ...]: ...
+
+    @property
+    def clocks(self) -> tuple[str, ...]: ...
+
+    def read(self, path: Path, options: ReadOptions) -> tuple[Stream, ...]:
+        """All streams of the file.
+
+        Raises:
+            InputError: the file is empty, not of this format, or of a version that is not supported.
+        """
+        ...

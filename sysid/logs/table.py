@@ -1,0 +1,83 @@
+"""Shared by readers of plain tables: choosing the time column, stamps in nanoseconds, empty files."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from sysid.errors import InputError, nearest
+from sysid.logs.reader import ReadOptions
+from sysid.logs.stream import Stream
+from sysid.units import si_factor, split_header
+
+#: Names under which a time column is found without a recipe, in this order.
+TIME_NAMES = ("time", "t", "Time", "timestamp")
+
+
+def check_not_empty(path: Path, what: str) -> None:
+    """Raise where ``path`` is missing or has no bytes."""
+    if not path.is_file():
+        raise InputError(path, "no such file", what, "Check the path.")
+    if path.stat().st_size == 0:
+        raise InputError(path, "the file is empty", what, "Export the log again.")
+
+
+def table_stream(
+    path: Path, columns: Mapping[str, npt.NDArray[np.float64]], options: ReadOptions, losses: tuple[str, ...] = ()
+) -> Stream:
+    """The stream of a plain table whose headers may carry units (``boom.cylinder [mm]``).
+
+    Raises:
+        InputError: no time column, no rows, a time column with missing values, two columns of one name.
+    """
+    values: dict[str, npt.NDArray[np.float64]] = {}
+    units: dict[str, str] = {}
+    for header, column in columns.items():
+        name, unit = split_header(header)
+        if name in values:
+            raise InputError(path, f"two columns are named {name!r}", "one column a name", "Rename or drop one of them.")
+        values[name] = column
+        if unit is not None:
+            units[name] = unit
+    time = _time_name(path, tuple(values), options)
+    factor, si = si_factor(units.pop(time, options.time_unit), path)
+    if si != "s":
+        raise InputError(f"{path}: {time}", f"a unit of [{si}]", "a unit of time such as s, ms or ns")
+    stamps = to_ns(values.pop(time), factor, f"{path}: {time}")
+    if not len(stamps):
+        raise InputError(path, "a header but no rows", "at least one row of numbers", "Export the log again.")
+    return Stream(path.stem, path, {"time": stamps}, values, units, losses)
+
+
+def to_ns(seconds: npt.NDArray[np.float64], factor: float, where: str) -> npt.NDArray[np.int64]:
+    """Stamps in units of ``factor`` seconds as int64 nanoseconds.
+
+    Whole units and their fraction are converted apart: a Unix time in seconds as float64 keeps what precision it has.
+    """
+    if not np.all(np.isfinite(seconds)):
+        bad = int(np.flatnonzero(~np.isfinite(seconds))[0])
+        raise InputError(where, f"no time in row {bad + 1}", "a number in every row", "Remove the row or repair the export.")
+    whole = np.floor(seconds)
+    scale = factor * 1e9
+    return np.rint(whole * scale).astype(np.int64) + np.rint((seconds - whole) * scale).astype(np.int64)
+
+
+def _time_name(path: Path, names: tuple[str, ...], options: ReadOptions) -> str:
+    if options.time is not None:
+        if options.time not in names:
+            raise InputError(
+                path, f"no time column {options.time!r}", nearest(options.time, names), "Correct `time` in the recipe."
+            )
+        return options.time
+    for name in TIME_NAMES:
+        if name in names:
+            return name
+    raise InputError(
+        path,
+        "no time column",
+        f"a column named {TIME_NAMES[0]!r}; found {', '.join(names) or 'none'}",
+        'Name the column in the recipe: `time = "<column>"`.',
+    )
