@@ -1,0 +1,192 @@
+"""The machine: valves, drives, play, linkages, crane and gripper in one loop at the step of the simulation (1 kHz)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numba
+import numpy as np
+import numpy.typing as npt
+
+from sysid.bench.crane import tip_position
+from sysid.bench.cylinder import Drive, against_stops, drive_of, joint_of, position_of
+from sysid.bench.drivetrain import follow_with_play
+from sysid.bench.gripper import swing
+from sysid.bench.operator import draw_strokes, stroke_command
+from sysid.bench.poses import approach_command, draw_targets
+from sysid.bench.recipe import AXES, Recipe, RecordingSettings
+from sysid.bench.valve import Valve, delayed, drive_speed, flow_fluctuation, opening, spool_step, valve_of
+
+Array = npt.NDArray[np.float64]
+
+#: Longest time the routine needs for one pose: the widest move at the approach speed [s].
+LONGEST_MOVE = 30.0
+
+
+@dataclass(frozen=True)
+class Truth:
+    """What really happened, free of noise.
+
+    Args:
+        time: (n,) [s] since the recording's start.
+        command: held command of each axis, (n, 4).
+        drive: position of what the valve moves, (n, 4) [m for cylinders and telescope, rad for the slewing drive].
+        joint: the structure's joint values after the play, (n, 4) [rad, rad, rad, m].
+        ee, tool: boom tip and tool point in the base frame, (n, 3) [m].
+        still: (start, end) [s] of the phases in which the calibration routine holds a pose, (m, 2); empty by hand.
+    """
+
+    time: Array
+    command: Array
+    drive: Array
+    joint: Array
+    ee: Array
+    tool: Array
+    still: Array
+
+    def at(self, times: Array, values: Array) -> Array:
+        """Columns of ``values`` (n, m) interpolated at ``times`` (k,), the ends held: (k, m)."""
+        return np.stack([np.interp(times, self.time, column) for column in values.T], axis=1)
+
+
+def run_machine(recipe: Recipe, recording: RecordingSettings, rng: np.random.Generator) -> Truth:
+    """Simulate one recording.
+
+    By hand every step is kept; of the calibration routine, which takes an hour, one state per controller cycle.
+    """
+    axes = [recipe.axis(name) for name in AXES]
+    cycle_steps = round(1.0 / (recipe.step * recipe.controller.rate))
+    if recording.is_calibration:
+        targets = draw_targets(recipe, recording.poses, rng)
+        strokes = np.full((len(AXES), 1, 4), np.inf)
+        longest = recording.poses * (LONGEST_MOVE + recipe.routine.settle + recipe.routine.hold)
+        keep = cycle_steps
+    else:
+        targets = np.zeros((0, len(AXES)))
+        strokes = draw_strokes(recipe.operator, recording.seconds, rng)
+        longest = recording.seconds
+        keep = 1
+    steps = round(longest / recipe.step)
+    fluctuations = [flow_fluctuation(axis.valve, steps, recipe.step, rng) for axis in axes]
+    width = max(len(values) for values in fluctuations)
+    fluctuation = np.stack([np.resize(values, width) for values in fluctuations])
+    plays = np.array([axis.backlash for axis in axes])
+    kept, states, commands, still = _loop(
+        tuple(valve_of(axis.valve) for axis in axes),
+        tuple(drive_of(axis) for axis in axes),
+        plays,
+        # Where the drive stands inside its play when the machine is parked is anyone's guess.
+        plays * rng.uniform(-0.5, 0.5, len(axes)),
+        np.array([axis.park for axis in axes]),
+        (recipe.geometry.height, recipe.geometry.boom, recipe.geometry.stick),
+        (recipe.gripper.length, recipe.gripper.damping_ratio),
+        fluctuation,
+        strokes,
+        targets,
+        (recipe.operator.margin, recipe.routine.settle, recipe.routine.hold),
+        recipe.step,
+        steps,
+        cycle_steps,
+        keep,
+    )
+    states = states[:kept]
+    time = np.arange(kept, dtype=np.float64) * (keep * recipe.step)
+    held = np.minimum(np.arange(kept) * keep // cycle_steps, len(commands[0]) - 1)
+    return Truth(time, commands.T[held], states[:, 0:4], states[:, 4:8], states[:, 8:11], states[:, 11:14], still)
+
+
+@numba.njit(cache=True)
+def _loop(
+    valves: tuple[Valve, ...],
+    drives: tuple[Drive, ...],
+    plays: Array,
+    in_play: Array,
+    park: Array,
+    geometry: tuple[float, float, float],
+    gripper: tuple[float, float],
+    fluctuation: Array,
+    strokes: Array,
+    targets: Array,
+    waits: tuple[float, float, float],
+    step: float,
+    steps: int,
+    cycle_steps: int,
+    keep: int,
+) -> tuple[int, Array, Array, Array]:
+    n = len(park)
+    margin, settle, hold = waits
+    height, boom_length, stick_length = geometry
+    length, damping_ratio = gripper
+    cycle = cycle_steps * step
+    states = np.empty(((steps - 1) // keep + 1, 14))
+    commands = np.zeros((n, (steps - 1) // cycle_steps + 1))
+    still = np.zeros((len(targets), 2))
+    hand = np.zeros((n, 3))
+    spool = np.zeros(n)
+    position = np.empty(n)
+    structure = np.empty(n)
+    joint = park.copy()
+    there = np.zeros(n)
+    for i in range(n):
+        structure[i] = position_of(park[i], drives[i])
+        position[i] = against_stops(structure[i] + in_play[i], drives[i].low, drives[i].high)
+    pivot = np.empty(3)
+    next_pivot = np.empty(3)
+    tool = np.empty(3)
+    velocity = np.zeros(3)
+    pivot[0], pivot[1], pivot[2] = tip_position(joint[0], joint[1], joint[2], joint[3], height, boom_length, stick_length)
+    tool[:] = pivot
+    tool[2] -= length
+    pose = 0
+    arrived = -1.0
+    for k in range(steps):
+        time = k * step
+        if k % keep == 0:
+            row = states[k // keep]
+            row[0:4] = position
+            row[4:8] = joint
+            row[8:11] = pivot
+            row[11:14] = tool
+        if k % cycle_steps == 0:
+            now = k // cycle_steps
+            if len(targets) == 0:
+                for i in range(n):
+                    commands[i, now] = stroke_command(
+                        time, cycle, strokes[i], hand[i], position[i], drives[i].low, drives[i].high, valves[i].gain, margin
+                    )
+            else:
+                moving = False
+                for i in range(n):
+                    if there[i] == 0.0:
+                        command = approach_command(position[i], targets[pose, i], drives[i].low, drives[i].high, valves[i].gain)
+                        commands[i, now] = command
+                        if command == 0.0:
+                            there[i] = 1.0
+                        else:
+                            moving = True
+                if not moving and arrived < 0.0:
+                    arrived = time
+                    still[pose, 0] = time + settle
+                    still[pose, 1] = time + settle + hold
+                if arrived >= 0.0 and time > still[pose, 1] + cycle:
+                    pose += 1
+                    arrived = -1.0
+                    there[:] = 0.0
+                    if pose == len(targets):
+                        return k // keep + 1, states, commands, still
+        now = k // cycle_steps
+        for i in range(n):
+            valve = valves[i]
+            command = delayed(commands[i, : now + 1], cycle, time, step, valve.delay)
+            target = opening(command, valve.positive, valve.negative, valve.saturation)
+            spool[i], mean = spool_step(spool[i], target, step, valve.time_constant)
+            speed = drive_speed(mean, valve.gain, valve.ratio, fluctuation[i, min(k, fluctuation.shape[1] - 1)])
+            position[i] = against_stops(position[i] + speed * step, drives[i].low, drives[i].high)
+            structure[i] = follow_with_play(structure[i], position[i], plays[i])
+            joint[i] = joint_of(structure[i], drives[i])
+        next_pivot[0], next_pivot[1], next_pivot[2] = tip_position(
+            joint[0], joint[1], joint[2], joint[3], height, boom_length, stick_length
+        )
+        swing(tool, velocity, pivot, next_pivot, length, damping_ratio, step)
+        pivot[:] = next_pivot
+    return (steps - 1) // keep + 1, states, commands, still

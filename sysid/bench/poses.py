@@ -1,0 +1,44 @@
+"""The calibration routine: drives to random poses one after the other and holds still at each."""
+
+from __future__ import annotations
+
+import numba
+import numpy as np
+import numpy.typing as npt
+
+from sysid.bench.cylinder import drive_of, position_of
+from sysid.bench.recipe import AXES, Recipe
+
+Array = npt.NDArray[np.float64]
+
+#: Columns of the routine's state: pose being taken, 0 = driving or the moment of arrival [s].
+POSE, ARRIVED = range(2)
+
+#: Smallest lever that surely overcomes the overlap of every valve, share of speed per remaining distance [1/s].
+KICK = 0.26
+APPROACH = 2.5
+#: An axis has arrived within this share of its range; the pose need not be exact, only still.
+TOLERANCE = 0.004
+
+
+def draw_targets(recipe: Recipe, count: int, rng: np.random.Generator) -> Array:
+    """Drive positions of random poses, uniform over the joint ranges less ``inset`` at either end, (count, axes)."""
+    targets = np.empty((count, len(AXES)))
+    for column, name in enumerate(AXES):
+        axis = recipe.axis(name)
+        low, high = axis.limits
+        inset = recipe.routine.inset * (high - low)
+        joints = rng.uniform(low + inset, high - inset, count)
+        drive = drive_of(axis)
+        targets[:, column] = [position_of(joint, drive) for joint in joints]
+    return targets
+
+
+@numba.njit(cache=True)
+def approach_command(position: float, target: float, low: float, high: float, speed: float) -> float:
+    """Lever that brings a drive to ``target`` and is zero once it is there."""
+    error = target - position
+    if abs(error) < TOLERANCE * (high - low):
+        return 0.0
+    size = min(KICK + APPROACH * abs(error) / speed, 1.0)
+    return size if error > 0.0 else -size

@@ -1,0 +1,364 @@
+"""The bench recipe: every number of the stand-in machine, as frozen settings filled from TOML.
+
+Every feature has a neutral setting (its default), so that a recipe switches on exactly what it names.
+Effects carry the parameter conventions of ``docs/effects``: a dead-band takes ``positive`` and ``negative`` off the command and
+leaves the slope, play is given by its full width, ``direction_ratio`` is the speed at command −1 over the speed at +1.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Literal
+
+from sysid.config import STRICT, load_settings
+from sysid.errors import SettingsError, nearest
+
+#: The axes of the crane, from the base outwards. Cylinders move the second and third, the others are driven directly.
+AXES = ("slew", "boom", "stick", "telescope")
+
+
+@dataclass(frozen=True)
+class ValveSettings:
+    """From the command to the speed of one drive.
+
+    Args:
+        gain: speed at command 1 [m/s or rad/s] before the dead-band takes its share.
+        delay: transport delay [s].
+        time_constant: first-order lag of the spool [s]; 0 = none.
+        deadband_positive, deadband_negative: overlap of the spool on either side [command], both ≥ 0.
+        saturation: opening beyond which the flow no longer rises [command].
+        direction_ratio: speed at −1 over speed at +1 (area ratio of a cylinder).
+        disturbance: standard deviation of a slow relative flow fluctuation [1].
+        disturbance_time: its correlation time [s].
+    """
+
+    __pydantic_config__ = STRICT
+
+    gain: float
+    delay: float = 0.0
+    time_constant: float = 0.0
+    deadband_positive: float = 0.0
+    deadband_negative: float = 0.0
+    saturation: float = math.inf
+    direction_ratio: float = 1.0
+    disturbance: float = 0.0
+    disturbance_time: float = 1.0
+
+
+@dataclass(frozen=True)
+class CylinderSettings:
+    """A cylinder in a triangle with two levers that meet at the joint.
+
+    ``length² = a² + b² − 2ab·cos(sense·(q + offset))``; displacement = length − ``retracted``, between 0 and ``stroke``.
+    """
+
+    __pydantic_config__ = STRICT
+
+    a: float
+    b: float
+    offset: float
+    retracted: float
+    stroke: float
+    sense: Literal[1, -1] = 1
+
+
+@dataclass(frozen=True)
+class AxisSettings:
+    """One axis: its valve, its cylinder (none = the joint is driven directly), its play, its range [rad or m]."""
+
+    __pydantic_config__ = STRICT
+
+    valve: ValveSettings
+    limits: tuple[float, float]
+    park: float
+    cylinder: CylinderSettings | None = None
+    backlash: float = 0.0
+
+
+@dataclass(frozen=True)
+class GeometrySettings:
+    """Link lengths [m]: base to boom joint (upwards), boom joint to stick joint, stick joint to boom tip at telescope zero."""
+
+    __pydantic_config__ = STRICT
+
+    height: float
+    boom: float
+    stick: float
+
+
+@dataclass(frozen=True)
+class GripperSettings:
+    """A tool on two passive crossed joints below the boom tip; ``length`` 0 = rigidly at the tip."""
+
+    __pydantic_config__ = STRICT
+
+    length: float = 0.0
+    damping_ratio: float = 0.0
+
+
+@dataclass(frozen=True)
+class WireSettings:
+    """A draw wire: white noise [m], then the quantum of its counter [m]."""
+
+    __pydantic_config__ = STRICT
+
+    noise: float = 0.0
+    quantum: float = 0.0
+
+
+@dataclass(frozen=True)
+class SlewSensorSettings:
+    """An inductive angle sensor: smooth systematic error (largest value, [rad]) and white noise [rad]."""
+
+    __pydantic_config__ = STRICT
+
+    error: float = 0.0
+    noise: float = 0.0
+
+
+@dataclass(frozen=True)
+class ControllerSettings:
+    """The machine's computer: its cycle [Hz], its clock at the start of the first recording [ns], and the way into the log.
+
+    A message is published ``publish_delay`` after its stamp and logged ``transport_delay`` later still [s];
+    each delay has an exponentially distributed part of the given ``jitter`` (mean, [s]).
+    """
+
+    __pydantic_config__ = STRICT
+
+    rate: float = 100.0
+    epoch_ns: int = 0
+    publish_delay: float = 0.0
+    transport_delay: float = 0.0
+    jitter: float = 0.0
+
+
+@dataclass(frozen=True)
+class BodySettings:
+    """A rigid body of the capture system on ``link``; ``pivot`` is its origin in that link [m], None = centre of its markers.
+
+    ``markers`` are marker positions in the link frame [m].
+    """
+
+    __pydantic_config__ = STRICT
+
+    name: str
+    link: Literal["column", "boom", "stick", "tip", "gripper"]
+    markers: tuple[tuple[float, float, float], ...]
+    pivot: tuple[float, float, float] | None = None
+
+
+@dataclass(frozen=True)
+class SwapSettings:
+    """Two markers of a body change places in ``recording`` from ``at`` for ``duration`` [s on the capture clock]."""
+
+    __pydantic_config__ = STRICT
+
+    recording: str
+    body: str
+    markers: tuple[int, int]
+    at: float
+    duration: float
+
+
+@dataclass(frozen=True)
+class CaptureSettings:
+    """The motion capture system.
+
+    Args:
+        rate: exported frames per second [Hz]; ``capture_rate`` is what the cameras ran at.
+        noise: white noise of every marker coordinate [m].
+        offset: range [s] from which the start of the capture after the start of the recording is drawn.
+        skew: rate error of the capture clock [ppm]: ``t_machine = t_capture·(1 + 1e-6·skew) + offset``.
+        latency: frames are stamped this much late [s].
+        dropouts_per_minute: occlusions of one body each, lasting ``dropout_seconds`` (range, [s]).
+        translation, rpy: pose of the capture frame in the base frame [m, rad] (fixed-axis roll, pitch, yaw).
+    """
+
+    __pydantic_config__ = STRICT
+
+    rate: float = 60.0
+    capture_rate: float = 240.0
+    pose_rate: float = 10.0
+    noise: float = 0.0
+    offset: tuple[float, float] = (0.0, 0.0)
+    skew: float = 0.0
+    latency: float = 0.0
+    dropouts_per_minute: float = 0.0
+    dropout_seconds: tuple[float, float] = (0.1, 1.0)
+    translation: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    rpy: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    bodies: tuple[BodySettings, ...] = ()
+    swaps: tuple[SwapSettings, ...] = ()
+    exported_markers: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class RecordingSettings:
+    """One recording: an operator's ``seconds`` at the joysticks, or ``poses`` static poses of the calibration routine."""
+
+    __pydantic_config__ = STRICT
+
+    name: str
+    seed: int
+    seconds: float = 0.0
+    poses: int = 0
+
+    @property
+    def is_calibration(self) -> bool:
+        return self.poses > 0
+
+
+@dataclass(frozen=True)
+class OperatorSettings:
+    """How the operator moves.
+
+    Args:
+        parked: rest at the start [s].
+        pause_every, pause: about how often no lever is touched [s], and for how long (range, [s]).
+        slow_share: share of slow strokes around the dead-band.
+        margin: share of the range kept clear at either end stop.
+    """
+
+    __pydantic_config__ = STRICT
+
+    parked: float = 3.0
+    pause_every: float = 14.0
+    pause: tuple[float, float] = (2.0, 3.5)
+    slow_share: float = 0.3
+    margin: float = 0.06
+
+
+@dataclass(frozen=True)
+class RoutineSettings:
+    """The calibration routine: waits ``settle`` after arriving, then records the still machine for ``hold`` [s]."""
+
+    __pydantic_config__ = STRICT
+
+    settle: float = 1.0
+    hold: float = 1.2
+    log_rate: float = 10.0
+    inset: float = 0.02
+
+
+@dataclass(frozen=True)
+class HiddenSettings:
+    """An effect of the machine (contract name and target) that its description keeps back."""
+
+    __pydantic_config__ = STRICT
+
+    name: str
+    target: str
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """The whole stand-in machine and the recordings to take with it; read by :func:`load_recipe`."""
+
+    __pydantic_config__ = STRICT
+
+    schema: Literal[1]
+    name: str
+    seed: int
+    geometry: GeometrySettings
+    axes: dict[str, AxisSettings]
+    recordings: tuple[RecordingSettings, ...]
+    step: float = 0.001
+    gripper: GripperSettings = field(default_factory=GripperSettings)
+    draw_wire: WireSettings = field(default_factory=WireSettings)
+    slew_sensor: SlewSensorSettings = field(default_factory=SlewSensorSettings)
+    controller: ControllerSettings = field(default_factory=ControllerSettings)
+    capture: CaptureSettings = field(default_factory=CaptureSettings)
+    operator: OperatorSettings = field(default_factory=OperatorSettings)
+    routine: RoutineSettings = field(default_factory=RoutineSettings)
+    hidden: tuple[HiddenSettings, ...] = ()
+
+    def axis(self, name: str) -> AxisSettings:
+        return self.axes[name]
+
+    def recording(self, name: str) -> RecordingSettings:
+        for recording in self.recordings:
+            if recording.name == name:
+                return recording
+        raise SettingsError(f"recipe {self.name}", f"no recording {name!r}", nearest(name, [r.name for r in self.recordings]))
+
+
+def load_recipe(path: Path) -> Recipe:
+    """Read and check a bench recipe.
+
+    Raises:
+        SettingsError: an unknown key, an axis that is missing, a value that no machine can have.
+    """
+    recipe = load_settings(path, Recipe)
+    check_recipe(recipe, path)
+    return recipe
+
+
+def check_recipe(recipe: Recipe, where: object) -> None:
+    """Raise where ``recipe`` describes no machine that can be simulated."""
+    if sorted(recipe.axes) != sorted(AXES):
+        odd = sorted(set(recipe.axes) ^ set(AXES))[0]
+        raise SettingsError(f"{where}: axes", f"{odd!r} is missing or not an axis of the crane", f"exactly {', '.join(AXES)}")
+    cycles = 1.0 / (recipe.step * recipe.controller.rate)
+    if abs(cycles - round(cycles)) > 1e-9 or round(cycles) < 1:
+        raise SettingsError(
+            f"{where}: step",
+            f"{recipe.step} s does not divide the controller's cycle of {1.0 / recipe.controller.rate} s",
+            "a whole number of steps in each cycle",
+        )
+    for name, axis in recipe.axes.items():
+        _check_axis(axis, f"{where}: axes.{name}")
+    names = [recording.name for recording in recipe.recordings]
+    for recording in recipe.recordings:
+        place = f"{where}: recording {recording.name!r}"
+        if names.count(recording.name) > 1:
+            raise SettingsError(place, "name is taken", "a name of its own for every recording")
+        if (recording.seconds > 0) == (recording.poses > 0):
+            raise SettingsError(place, f"seconds = {recording.seconds}, poses = {recording.poses}", "one of them above zero")
+    _check_swaps(recipe, where)
+
+
+def _check_axis(axis: AxisSettings, where: str) -> None:
+    valve = axis.valve
+    for key in ("delay", "time_constant", "deadband_positive", "deadband_negative", "disturbance"):
+        if not getattr(valve, key) >= 0.0:
+            raise SettingsError(f"{where}.valve.{key}", f"{getattr(valve, key)}", "zero or more")
+    for key in ("gain", "saturation", "direction_ratio", "disturbance_time"):
+        if not getattr(valve, key) > 0.0:
+            raise SettingsError(f"{where}.valve.{key}", f"{getattr(valve, key)}", "more than zero")
+    if axis.backlash < 0.0:
+        raise SettingsError(f"{where}.backlash", f"{axis.backlash}", "zero or more")
+    low, high = axis.limits
+    if not low < axis.park < high:
+        raise SettingsError(f"{where}.park", f"{axis.park}", f"a value inside the limits [{low}, {high}]")
+    if axis.cylinder is not None:
+        _check_cylinder(axis.cylinder, axis.limits, where)
+
+
+def _check_cylinder(cylinder: CylinderSettings, limits: tuple[float, float], where: str) -> None:
+    shortest, longest = cylinder.retracted, cylinder.retracted + cylinder.stroke
+    if not abs(cylinder.a - cylinder.b) < shortest < longest < cylinder.a + cylinder.b:
+        raise SettingsError(
+            f"{where}.cylinder",
+            f"levers {cylinder.a} and {cylinder.b} m cannot hold a cylinder of {shortest:.4f} to {longest:.4f} m",
+            f"lengths between {abs(cylinder.a - cylinder.b):.4f} and {cylinder.a + cylinder.b:.4f} m",
+        )
+    levers = [cylinder.sense * (q + cylinder.offset) for q in limits]
+    if min(levers) <= 0.0 or max(levers) >= math.pi:
+        raise SettingsError(f"{where}.cylinder.offset", f"lever angles {levers} rad", "angles between 0 and π over the limits")
+
+
+def _check_swaps(recipe: Recipe, where: object) -> None:
+    bodies = {body.name: body for body in recipe.capture.bodies}
+    for swap in recipe.capture.swaps:
+        recipe.recording(swap.recording)
+        if swap.body not in bodies:
+            raise SettingsError(f"{where}: swap", f"unknown body {swap.body!r}", nearest(swap.body, bodies))
+        count = len(bodies[swap.body].markers)
+        if len(set(swap.markers)) != 2 or not all(0 <= index < count for index in swap.markers):
+            raise SettingsError(f"{where}: swap", f"markers {list(swap.markers)}", f"two different ones of 0 … {count - 1}")
+    for name in recipe.capture.exported_markers:
+        if name not in bodies:
+            raise SettingsError(f"{where}: exported_markers", f"unknown body {name!r}", nearest(name, bodies))

@@ -1,0 +1,29 @@
+"""Sensors on the machine's computer: draw wires and the inductive slewing sensor."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from sysid.bench.recipe import SlewSensorSettings, WireSettings
+
+Array = npt.NDArray[np.float64]
+
+
+def read_wires(lengths: Array, settings: WireSettings, rng: np.random.Generator) -> Array:
+    """Draw wire readings of true ``lengths`` (any shape) [m]."""
+    measured = lengths + settings.noise * rng.standard_normal(lengths.shape)
+    return np.round(measured / settings.quantum) * settings.quantum if settings.quantum > 0.0 else measured
+
+
+def slew_error(angle: Array, largest: float) -> Array:
+    """Systematic error of the slewing sensor [rad], smooth and periodic over a turn, never above ``largest``.
+
+    The shape is that of an eccentric ring (once per turn) that is slightly oval (twice per turn).
+    """
+    return largest * (0.62 * np.sin(angle + 0.7) + 0.38 * np.sin(2.0 * angle - 1.1))
+
+
+def read_slew(angle: Array, settings: SlewSensorSettings, rng: np.random.Generator) -> Array:
+    """Readings of the slewing sensor at true angles of the structure (n,) [rad]."""
+    return angle + slew_error(angle, settings.error) + settings.noise * rng.standard_normal(angle.shape)

@@ -1,0 +1,58 @@
+"""What is true of the logs and stands in none of them: effects under their contract names, clocks, occlusions."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from sysid.bench.recipe import AxisSettings, Recipe
+from sysid.bench.run import Run
+
+
+def describe_effects(recipe: Recipe) -> list[dict[str, Any]]:
+    """Every effect that the recipe switches on: name, target, parameters, and whether the machine description keeps it back."""
+    hidden = {(item.name, item.target) for item in recipe.hidden}
+    effects = [effect for name, axis in recipe.axes.items() for effect in _axis_effects(name, axis)]
+    if recipe.gripper.length > 0.0:
+        sway = {"length": recipe.gripper.length, "damping_ratio": recipe.gripper.damping_ratio}
+        effects.append({"name": "gripper_sway", "target": "tool", "parameters": sway})
+    return [{**effect, "hidden": (effect["name"], effect["target"]) in hidden} for effect in effects]
+
+
+def _axis_effects(name: str, axis: AxisSettings) -> list[dict[str, Any]]:
+    valve = axis.valve
+    found: list[tuple[str, dict[str, float], bool]] = [
+        ("input_delay", {"delay": valve.delay}, valve.delay > 0.0),
+        ("first_order_lag", {"time_constant": valve.time_constant}, valve.time_constant > 0.0),
+        (
+            "valve_deadband",
+            {"positive": valve.deadband_positive, "negative": valve.deadband_negative},
+            valve.deadband_positive > 0.0 or valve.deadband_negative > 0.0,
+        ),
+        ("flow_saturation", {"limit": valve.saturation}, math.isfinite(valve.saturation)),
+        ("asymmetric_gain", {"ratio": valve.direction_ratio}, valve.direction_ratio != 1.0),
+        ("backlash", {"width": axis.backlash}, axis.backlash > 0.0),
+    ]
+    return [{"name": effect, "target": name, "parameters": values} for effect, values, present in found if present]
+
+
+def describe_run(run: Run) -> dict[str, Any]:
+    """The clock of one recording, its occlusions and its confused markers, the play's hidden start."""
+    clock = run.capture.clock
+    latency = run.recipe.capture.latency
+    return {
+        "start_ns": run.start_ns,
+        "capture_clock": {
+            "definition": "t_machine = t_capture * (1 + 1e-6 * skew_ppm) + offset_s, t_machine in s since start_ns",
+            "offset_s": clock.offset - latency,
+            "skew_ppm": clock.skew,
+            "of_which_latency_s": -latency,
+        },
+        "drive_at_start": dict(zip(run.recipe.axes, map(float, run.truth.drive[0]), strict=True)),
+        "dropouts": [{"body": d.body, "start": d.start, "end": d.end} for d in run.capture.dropouts],
+        "swaps": [
+            {"body": s.body, "markers": list(s.markers), "start": s.at, "end": s.at + s.duration}
+            for s in run.recipe.capture.swaps
+            if s.recording == run.recording.name
+        ],
+    }

@@ -1,0 +1,110 @@
+"""A proportional valve: from the command to the speed of the drive it feeds.
+
+Order: delay → overlap (dead-band) → saturation → first-order lag of the spool → gain → direction ratio. The spool is
+integrated exactly over a step, so that the step of the simulation leaves no trace in speed or displacement.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numba
+import numpy as np
+import numpy.typing as npt
+
+from sysid.bench.recipe import ValveSettings
+
+Array = npt.NDArray[np.float64]
+
+
+class Valve(NamedTuple):
+    """The settings of one valve as numbers the compiled loop can take."""
+
+    gain: float
+    delay: float
+    time_constant: float
+    positive: float
+    negative: float
+    saturation: float
+    ratio: float
+
+
+def valve_of(settings: ValveSettings) -> Valve:
+    return Valve(
+        settings.gain,
+        settings.delay,
+        settings.time_constant,
+        settings.deadband_positive,
+        settings.deadband_negative,
+        settings.saturation,
+        settings.direction_ratio,
+    )
+
+
+@numba.njit(cache=True)
+def opening(command: float, positive: float, negative: float, saturation: float) -> float:
+    """Valve opening [command] left over from ``command`` by the overlap and the saturation."""
+    if command > positive:
+        return min(command - positive, saturation)
+    if command < -negative:
+        return max(command + negative, -saturation)
+    return 0.0
+
+
+@numba.njit(cache=True)
+def delayed(commands: Array, cycle: float, time: float, step: float, delay: float) -> float:
+    """Mean over [time, time + step] of the held command, ``delay`` ago.
+
+    Args:
+        commands: command of every cycle so far (n,); cycle k holds from k·cycle on, the first one also before.
+        cycle: length of a cycle [s], not shorter than ``step``.
+    """
+    start = time - delay
+    end = start + step
+    first = math.floor(start / cycle)
+    last = math.floor(end / cycle)
+    early = commands[min(max(first, 0), len(commands) - 1)]
+    if first == last:
+        return float(early)
+    late = commands[min(max(last, 0), len(commands) - 1)]
+    share = (end - last * cycle) / step
+    return float(early + (late - early) * share)
+
+
+@numba.njit(cache=True)
+def spool_step(position: float, target: float, step: float, time_constant: float) -> tuple[float, float]:
+    """Spool position after ``step`` and its mean over the step, for a target held over the step."""
+    if time_constant <= 0.0:
+        return target, target
+    decay = math.exp(-step / time_constant)
+    after = target + (position - target) * decay
+    mean = target + (position - target) * (1.0 - decay) * time_constant / step
+    return after, mean
+
+
+@numba.njit(cache=True)
+def drive_speed(spool: float, gain: float, ratio: float, fluctuation: float) -> float:
+    """Speed of the drive [m/s or rad/s] at a spool position; ``fluctuation`` is the relative flow disturbance."""
+    speed = gain * spool * (1.0 + fluctuation)
+    return speed * ratio if spool < 0.0 else speed
+
+
+def flow_fluctuation(settings: ValveSettings, steps: int, step: float, rng: np.random.Generator) -> Array:
+    """Relative flow disturbance, first-order coloured noise, (steps,); zeros where it is switched off."""
+    if settings.disturbance == 0.0:
+        return np.zeros(1)
+    decay = math.exp(-step / settings.disturbance_time)
+    white = rng.standard_normal(steps) * settings.disturbance * math.sqrt(1.0 - decay * decay)
+    white[0] = settings.disturbance * rng.standard_normal()
+    return np.asarray(_coloured(white, decay))
+
+
+@numba.njit(cache=True)
+def _coloured(white: Array, decay: float) -> Array:
+    out = np.empty_like(white)
+    state = 0.0
+    for k in range(len(white)):
+        state = decay * state + white[k]
+        out[k] = state
+    return out
