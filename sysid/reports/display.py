@@ -1,0 +1,95 @@
+"""Numbers as people read them: SI values in mm, degrees and milliseconds, with as many digits as mean something."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+
+MINUS = "\N{MINUS SIGN}"
+NARROW_SPACE = "\N{NARROW NO-BREAK SPACE}"
+NOTHING = "–"
+
+#: SI unit → factor and unit on the page.
+_SHOWN = {
+    "m": (1e3, "mm"),
+    "rad": (180.0 / math.pi, "°"),
+    "m/s": (1e3, "mm/s"),
+    "rad/s": (180.0 / math.pi, "°/s"),
+    "1": (1.0, ""),
+}
+
+
+def shown_unit(unit: str | None) -> tuple[float, str]:
+    """``(factor, label)`` with ``shown = factor · value``; ``shown_unit("m") == (1000.0, "mm")``."""
+    return _SHOWN.get(unit or "1", (1.0, unit or ""))
+
+
+def number(value: float, digits: int = 3) -> str:
+    """``value`` with ``digits`` significant digits, in plain notation wherever that stays short."""
+    if not math.isfinite(value):
+        return NOTHING
+    if value == 0.0:
+        return "0"
+    exponent = math.floor(math.log10(abs(float(f"{value:.{digits - 1}e}"))))
+    if exponent < -5 or exponent > 6:
+        mantissa, _, power = f"{value:.{digits - 1}e}".partition("e")
+        return f"{mantissa} · 10{_superscript(int(power))}".replace("-", MINUS)
+    text = f"{value:,.{max(0, digits - 1 - exponent)}f}"
+    return text.replace(",", NARROW_SPACE).replace("-", MINUS)
+
+
+def fixed(value: float, decimals: int) -> str:
+    """``value`` with a fixed number of decimals, for columns that line up."""
+    if not math.isfinite(value):
+        return NOTHING
+    text = f"{value:,.{decimals}f}"
+    if float(text.replace(",", "")) == 0.0:
+        text = text.lstrip("-")
+    return text.replace(",", NARROW_SPACE).replace("-", MINUS)
+
+
+def decimals_for(values: Iterable[float], digits: int = 2) -> int:
+    """Decimals at which the smallest of ``values`` still has ``digits`` significant digits (0 to 4)."""
+    sizes = [abs(value) for value in values if math.isfinite(value) and value != 0.0]
+    if not sizes:
+        return 0
+    return min(4, max(0, digits - 1 - math.floor(math.log10(min(sizes)))))
+
+
+def quantity(value: float, unit: str | None, digits: int = 3) -> str:
+    """``quantity(0.0034, "m") == "3.40 mm"``; seconds below one become milliseconds."""
+    if unit == "s" and abs(value) < 1.0:
+        return _with_unit(number(1e3 * value, digits), "ms")
+    factor, label = shown_unit(unit)
+    return _with_unit(number(factor * value, digits), label)
+
+
+def interval(low: float, high: float, unit: str | None, digits: int = 3) -> str:
+    """``interval(0.0782, 0.0836, "1") == "0.0782 to 0.0836"``, the unit once at the end."""
+    factor, label = (1e3, "ms") if unit == "s" and max(abs(low), abs(high)) < 1.0 else shown_unit(unit)
+    return _with_unit(f"{number(factor * low, digits)} to {number(factor * high, digits)}", label)
+
+
+def percent(share: float) -> str:
+    """``percent(0.834) == "83 %"``; one decimal where a whole number would hide the difference from 100 %."""
+    if not math.isfinite(share):
+        return NOTHING
+    decimals = 1 if 0.99 < share < 0.9995 or 0.0 < abs(share) < 0.01 else 0
+    return f"{100.0 * share:.{decimals}f}{NARROW_SPACE}%".replace("-", MINUS)
+
+
+def ratio(value: float) -> str:
+    """``ratio(33.2) == "33 ×"``."""
+    if not math.isfinite(value):
+        return NOTHING
+    return f"{number(value, 2 if value >= 1.0 else 1)}{NARROW_SPACE}×"
+
+
+def _with_unit(text: str, label: str) -> str:
+    if not label or text == NOTHING:
+        return text
+    return text + label if label.startswith("°") else f"{text}{NARROW_SPACE}{label}"
+
+
+def _superscript(power: int) -> str:
+    return str(power).translate(str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹"))

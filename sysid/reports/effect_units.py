@@ -1,0 +1,46 @@
+"""Units of effect parameters, so that a width is shown in degrees on a turning axis and in millimetres on a sliding one."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from sysid.effects import BY_NAME
+from sysid.errors import SettingsError
+from sysid.machine import Machine
+from sysid.reports import display
+
+
+def parameter_unit(effect: str, parameter: str, target: str, machine: Machine) -> str:
+    """SI unit of a parameter of a named effect; ``1`` where neither the catalogue nor the machine knows better."""
+    if effect not in BY_NAME:
+        return "1"
+    for form in BY_NAME[effect].forms:
+        for entry in form.parameters:
+            if entry.name == parameter:
+                return _resolve(entry.unit, target, machine)
+    return "1"
+
+
+def _resolve(unit: str, target: str, machine: Machine) -> str:
+    """``drive`` and ``joint`` in a unit stand for m or rad, ``load`` for N or N·m: whichever the target moves in."""
+    try:
+        axis = machine.axis(target)
+    except SettingsError:
+        return unit
+    joint = machine.expected_unit(f"{target}.joint") or ("m" if axis.actuation == "force" else "rad")
+    drive = "m" if axis.drives == "cylinder" else joint
+    return unit.replace("drive", drive).replace("joint", joint)
+
+
+def shown(effect: str, parameter: str, target: str, value: Any, machine: Machine) -> str:
+    """A parameter's value with its unit as text; vectors component by component."""
+    unit = parameter_unit(effect, parameter, target, machine)
+    if isinstance(value, (list, tuple)):
+        return "(" + ", ".join(display.quantity(float(item), unit) for item in value) + ")"
+    return display.quantity(float(value), unit)
+
+
+def shown_parameters(effect: str, target: str, parameters: Mapping[str, Any], machine: Machine) -> dict[str, str]:
+    """All parameters of an effect as text."""
+    return {name: shown(effect, name, target, value, machine) for name, value in parameters.items()}

@@ -1,0 +1,52 @@
+"""What the recordings could not show, and what to record so that they can."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from sysid.reports import display, words
+from sysid.reports.inputs import ReportInputs
+
+
+def context(inputs: ReportInputs) -> dict[str, Any] | None:
+    gap = inputs.gap
+    if gap is None or not (gap.next_experiment or gap.excitation or gap.ambiguous or gap.unnamed):
+        return None
+    rows = [
+        {
+            "effect": words.effect_title(item.name),
+            "target": words.owner_name(item.target),
+            "have": f"{display.number(item.have)} {item.unit}".strip(),
+            "need": f"{display.number(item.need)} {item.unit}".strip(),
+            "sufficient": item.sufficient,
+        }
+        for item in sorted(gap.excitation, key=lambda item: (item.sufficient, item.target, item.name))
+    ]
+    units = inputs.dataset.units
+    return {
+        "steps": gap.next_experiment,
+        "lacking": [row for row in rows if not row["sufficient"]],
+        "enough": [row for row in rows if row["sufficient"]],
+        "ties": [
+            " or ".join(f"{words.effect_title(name)} ({words.owner_name(target)})" for name, target in tie)
+            for tie in gap.ambiguous
+        ],
+        "unnamed": [
+            {
+                "stage": words.stage_name(item.stage),
+                "target": words.owner_name(item.target),
+                "rmse": display.quantity(item.rmse, _unit(item.stage, item.target, inputs)),
+                "depends_on": words.signal_name(item.depends_on) if item.depends_on in units else item.depends_on,
+                "form": item.form,
+            }
+            for item in gap.unnamed
+        ],
+    }
+
+
+def _unit(stage: str, target: str, inputs: ReportInputs) -> str:
+    machine = inputs.dataset.machine
+    if target in machine.axis_names:
+        signal = f"{target}.joint" if stage == "joint" else machine.axis(target).driven
+        return inputs.dataset.units.get(signal, "m")
+    return "m"

@@ -1,0 +1,78 @@
+"""The values that the repaired plant uses, each with its 95 % interval."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from markupsafe import Markup
+
+from sysid.gap.result import NamedEffect
+from sysid.machine import Machine
+from sysid.reports import display, words
+from sysid.reports.effect_units import parameter_unit, shown
+from sysid.reports.inputs import ReportInputs
+
+
+def context(inputs: ReportInputs) -> dict[str, Any] | None:
+    if inputs.gap is None or not inputs.gap.effects:
+        return None
+    machine = inputs.dataset.machine
+    rows = [row for effect in inputs.gap.effects for row in _rows(effect, machine)]
+    toml = "\n\n".join(_toml(effect) for effect in inputs.gap.effects)
+    return {"rows": rows, "toml": toml, "after": inputs.gap.plant_after}
+
+
+def _rows(effect: NamedEffect, machine: Machine) -> list[dict[str, Any]]:
+    nominal = next((k.parameters for k in machine.effects if (k.name, k.target) == (effect.name, effect.target)), {})
+    rows: list[dict[str, Any]] = []
+    for name, value in effect.parameters.items():
+        low, high = effect.interval95.get(name, (math.nan, math.nan))
+        known = nominal.get(name)
+        rows.append(
+            {
+                "effect": words.effect_title(effect.name) if not rows else "",
+                "target": words.owner_name(effect.target) if not rows else "",
+                "parameter": name.replace("_", " "),
+                "value": shown(effect.name, name, effect.target, value, machine),
+                "interval": _interval(effect, name, low, high, machine),
+                "bar": _bar(value, low, high),
+                "nominal": shown(effect.name, name, effect.target, known, machine) if known is not None else "not in it",
+                "first": not rows,
+            }
+        )
+    return rows
+
+
+def _interval(effect: NamedEffect, name: str, low: Any, high: Any, machine: Machine) -> str:
+    unit = parameter_unit(effect.name, name, effect.target, machine)
+    if isinstance(low, (list, tuple)):
+        return ", ".join(display.interval(float(a), float(b), unit) for a, b in zip(low, high, strict=True))
+    if not math.isfinite(float(low) + float(high)):
+        return display.NOTHING
+    return display.interval(float(low), float(high), unit)
+
+
+def _bar(value: Any, low: Any, high: Any) -> Markup:
+    """The interval around the estimate on a scale of ± 20 % of it: how well the value is known."""
+    if isinstance(value, (list, tuple)) or not math.isfinite(float(low) + float(high)) or value == 0.0:
+        return Markup("")
+    span = 0.2 * abs(value)
+    left, right = (max(-1.0, min(1.0, (end - value) / span)) for end in (low, high))
+    x = [60 + 54 * end for end in (left, right)]
+    scale = '<line class="scale" x1="6" x2="114" y1="8" y2="8"/>'
+    known = f'<line class="range" x1="{x[0]:.1f}" x2="{x[1]:.1f}" y1="8" y2="8"/><circle cx="60" cy="8" r="4"/>'
+    return Markup(f'<svg class="interval" viewBox="0 0 120 16" aria-hidden="true">{scale}{known}</svg>')
+
+
+def _toml(effect: NamedEffect) -> str:
+    """The effect as an entry of machine.toml."""
+    values = ", ".join(f"{name} = {_toml_value(value)}" for name, value in effect.parameters.items())
+    side = f'\nside = "{effect.side}"' if effect.side else ""
+    return f'[[effects]]\nname = "{effect.name}"\ntarget = "{effect.target}"\nparameters = {{ {values} }}{side}'
+
+
+def _toml_value(value: Any) -> str:
+    if isinstance(value, (list, tuple)):
+        return "[" + ", ".join(_toml_value(item) for item in value) + "]"
+    return f"{float(value):.6g}" if "." in f"{float(value):.6g}" or "e" in f"{float(value):.6g}" else f"{float(value):.1f}"

@@ -1,0 +1,69 @@
+"""Numbers on the page: units, digits, signs."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from sysid.reports.display import MINUS, decimals_for, fixed, interval, number, percent, quantity, ratio, shown_unit
+
+
+def plain(text: str) -> str:
+    """With ordinary spaces, so that the expected texts can be typed."""
+    return text.replace("\N{NARROW NO-BREAK SPACE}", " ")
+
+
+@pytest.mark.parametrize(
+    ("value", "unit", "text"),
+    [
+        (0.0034, "m", "3.40 mm"),
+        (0.0105, "rad", "0.602°"),
+        (-3.165, "N", f"{MINUS}3.17 N"),
+        (0.034, "s", "34.0 ms"),
+        (1.5, "s", "1.50 s"),
+        (0.0808, "1", "0.0808"),
+        (0.0, "m", "0 mm"),
+        (math.nan, "m", "–"),
+        (1234567.0, "N", "1 234 567 N"),
+        (1e-9, "1", "1.00 · 10⁻⁹".replace("-", MINUS)),
+    ],
+)
+def test_quantity(value: float, unit: str, text: str) -> None:
+    assert plain(quantity(value, unit)) == text
+
+
+def test_interval_names_the_unit_once() -> None:
+    assert plain(interval(0.0782, 0.0836, "1")) == "0.0782 to 0.0836"
+    assert plain(interval(-0.001, 0.0021, "m")) == f"{MINUS}1.00 to 2.10 mm"
+    assert plain(interval(0.03, 0.04, "s")) == "30.0 to 40.0 ms"
+
+
+@pytest.mark.parametrize(
+    ("share", "text"),
+    [(0.834, "83 %"), (0.9972, "99.7 %"), (1.0, "100 %"), (0.9999, "100 %"), (0.004, "0.4 %"), (math.nan, "–")],
+)
+def test_percent_hides_no_difference_from_all_or_nothing(share: float, text: str) -> None:
+    assert plain(percent(share)) == text
+
+
+def test_ratio_and_fixed() -> None:
+    assert plain(ratio(33.2)) == "33 ×"
+    assert plain(ratio(0.98)) == "1 ×"
+    assert fixed(-0.0001, 2) == "0.00"
+    assert plain(fixed(-12345.678, 1)) == f"{MINUS}12 345.7"
+    assert decimals_for([6.64, 0.2, 0.2]) == 2
+    assert decimals_for([]) == 0
+
+
+@given(st.floats(min_value=1e-5, max_value=1e6), st.integers(2, 5))
+def test_number_is_right_to_its_digits(value: float, digits: int) -> None:
+    text = number(value, digits).replace("\N{NARROW NO-BREAK SPACE}", "")
+    assert float(text) == pytest.approx(value, rel=0.5 * 10 ** (1 - digits) * 1.0001)
+
+
+def test_units_that_are_shown_as_they_are() -> None:
+    assert shown_unit("N·m") == (1.0, "N·m")
+    assert shown_unit(None) == (1.0, "")

@@ -1,0 +1,179 @@
+"""The page: complete, self-contained, true to its inputs."""
+
+from __future__ import annotations
+
+import json
+import re
+from dataclasses import replace
+from html.parser import HTMLParser
+from pathlib import Path
+
+import pytest
+from sample_crane import sample_gap, sample_unnamed
+
+from sysid.datasets.recording import Dataset
+from sysid.gap.result import GapResult
+from sysid.reports import ReportInputs, VersionNote, build_report, write_report
+from sysid.reports.report import SECTIONS
+
+VOID = {"meta", "br", "img", "input", "link", "line", "circle", "rect", "ellipse", "path"}
+
+
+class Page(HTMLParser):
+    """Collects what a browser would: text, ids, addresses; and checks that elements nest."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.ids: list[str] = []
+        self.addresses: list[str] = []
+        self.scripts: dict[str, str] = {}
+        self.words: list[str] = []
+        self.rows: list[list[str]] = []
+        self._open: list[str] = []
+        self._script = ""
+        self.feed(text)
+        assert self._open == [], f"not closed: {self._open}"
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        values = dict(attrs)
+        if values.get("id"):
+            self.ids.append(str(values["id"]))
+        self.addresses += [str(values[key]) for key in ("src", "href", "action", "data") if values.get(key)]
+        if tag == "script":
+            self._script = str(values.get("id", ""))
+        if tag == "tr":
+            self.rows.append([])
+        if tag in ("td", "th") and self.rows:
+            self.rows[-1].append("")
+        if tag not in VOID:
+            self._open.append(tag)
+
+    def handle_startendtag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        pass
+
+    def handle_endtag(self, tag: str) -> None:
+        if tag not in VOID:
+            assert self._open, f"</{tag}> closes nothing"
+            assert self._open.pop() == tag
+
+    def handle_data(self, data: str) -> None:
+        if self._open[-1:] == ["script"]:
+            if self._script:
+                self.scripts[self._script] = data
+            return
+        if "style" not in self._open:
+            self.words.append(data)
+            if {"td", "th"} & set(self._open) and self.rows:
+                self.rows[-1][-1] += data
+
+    @property
+    def text(self) -> str:
+        return " ".join("".join(self.words).replace("\N{NARROW NO-BREAK SPACE}", " ").split())
+
+    def row(self, first: str) -> list[str]:
+        row = next(row for row in self.rows if row and " ".join(row[0].split()) == first)
+        return [" ".join(cell.replace("\N{NARROW NO-BREAK SPACE}", " ").split()) for cell in row]
+
+
+@pytest.fixture(scope="module")
+def gap(crane: Dataset) -> GapResult:
+    return sample_gap(crane)
+
+
+@pytest.fixture(scope="module")
+def page(crane: Dataset, gap: GapResult) -> Page:
+    notes = (VersionNote("autolog@3", "dataset", "ab" * 32), VersionNote("autolog@2", "plant", "cd" * 32, ("autolog@3",)))
+    return Page(build_report(ReportInputs(crane, gap, versions=notes, created="21 November 2026")))
+
+
+def test_every_section_is_there_in_order(page: Page) -> None:
+    names = [section.name for section in SECTIONS if section.name != "networks"]
+    assert [name for name in page.ids if name in names] == names
+    assert len(page.ids) == len(set(page.ids)), "ids are unique"
+
+
+def test_nothing_is_loaded_from_anywhere(page: Page, crane: Dataset) -> None:
+    assert [address for address in page.addresses if not address.startswith("#")] == []
+    own = re.sub(r"<script>.*?</script>", "", build_report(ReportInputs(crane)), count=1, flags=re.DOTALL)
+    assert not re.search(r"https?://|@import|url\((?!#)", own)
+    assert "default-src 'none'" in own, "a browser is told to refuse what slips through"
+
+
+def test_plot_library_is_in_once(crane: Dataset, gap: GapResult) -> None:
+    text = build_report(ReportInputs(crane, gap))
+    assert text.count("plotly.js v") == 1
+    assert len(text) < 9_000_000
+
+
+def test_verdict_in_plain_words(page: Page) -> None:
+    assert "Three effects are missing from the simulation." in page.text
+    assert "The boom does not move until its command exceeds +0.0808 in one direction or −0.0493 in the other." in page.text
+    assert "The slew has a play of 0.603°" in page.text
+    assert "The tool swings on a pendulum of 220 mm" in page.text
+
+
+def test_figures_are_those_of_the_result(page: Page, gap: GapResult) -> None:
+    row = page.row("boom cylinder")
+    assert float(row[1]) == pytest.approx(1e3 * gap.gap.before["boom.cylinder"], abs=0.006)
+    assert float(row[2]) == pytest.approx(1e3 * gap.gap.after["boom.cylinder"], abs=0.006)
+    assert row[4] == "mm"
+    assert row[5] == "100 %"
+
+
+def test_culprits_are_marked_on_the_picture(crane: Dataset, gap: GapResult) -> None:
+    text = build_report(ReportInputs(crane, gap))
+    picture = text[text.index('<svg class="machine"') : text.index("</svg>")]
+    assert picture.count('class="joint hot"') == 2, "boom and slew"
+    assert 'class="tool hot"' in picture
+    assert re.findall(r'class="callout"[^>]*>([^<]*)<', picture) == ["Valve dead-band", "Backlash", "Swinging tool"]
+
+
+def test_evidence_says_why_the_others_lost(page: Page) -> None:
+    assert "held-out error 7.3 × that of the dead-band" in page.text
+    assert page.row("Wrong speed gain")[-1] == "rejected: 36 × the noise floor"
+
+
+def test_traces_carry_the_signals_with_their_gaps(page: Page, gap: GapResult) -> None:
+    import base64
+
+    import numpy as np
+
+    data = json.loads(page.scripts["traces-data"])["recordings"]["manual-04"]
+    tip = np.frombuffer(base64.b64decode(data["signals"]["ee.z"]["measured"]["bdata"]), dtype="<f4")
+    expected = 1e3 * gap.traces[0].measured["ee.z"].to_numpy()
+    assert np.isnan(tip[1210:1230]).all(), "the drop-out of the motion capture stays a gap"
+    np.testing.assert_allclose(tip, expected, rtol=1e-5)
+    assert sorted(data["commands"]) == ["boom", "slew", "stick", "telescope"]
+
+
+def test_a_machine_without_geometry_and_a_name_full_of_markup(crane: Dataset, gap: GapResult) -> None:
+    machine = replace(crane.machine, name="<b>&amp;", urdf_text=None, tip=None)
+    page = Page(build_report(ReportInputs(replace(crane, machine=machine), gap)))
+    assert "<b>&amp;" in page.text
+    assert "boom cylinder" in page.text
+
+
+def test_an_abstention_offers_no_name(crane: Dataset) -> None:
+    page = Page(build_report(ReportInputs(crane, sample_unnamed(crane))))
+    assert "cannot tell the remaining candidates apart" in page.text
+    assert "Spool hysteresis (boom) or Backlash (boom)" in page.text
+    assert "0.004 − 0.031·boom.cylinder" in page.text
+    assert "parameters" not in page.ids
+
+
+def test_dataset_alone_makes_a_page(crane: Dataset) -> None:
+    page = Page(build_report(ReportInputs(crane)))
+    assert "have not been compared yet" in page.text
+    assert "truncated: last 0.31 s unreadable" in page.text
+    assert "the machine stands still: nothing to align on" in page.text
+    assert page.row("manual-04")[1] == "held out (proof)"
+
+
+def test_same_inputs_same_bytes(crane: Dataset, gap: GapResult) -> None:
+    assert build_report(ReportInputs(crane, gap)) == build_report(ReportInputs(crane, gap))
+
+
+def test_written_whole_into_a_new_folder(tmp_path: Path, crane: Dataset) -> None:
+    path = write_report(tmp_path / "a" / "b" / "report.html", ReportInputs(crane))
+    assert path.read_text("utf-8").rstrip().endswith("</html>")
+    assert [file.name for file in path.parent.iterdir()] == ["report.html"]
