@@ -10,6 +10,19 @@ sees them (``sensors``, ``capture``), then the files (``mcap_log``, ``motive_exp
 
 from sysid.bench.recipe import AXES, Recipe, RecordingSettings, load_recipe
 from sysid.bench.run import MachineLog, Run, simulate
+from sysid.bench.truth import describe_effects, without_hidden
 from sysid.bench.write import write, write_all
 
-__all__ = ["AXES", "MachineLog", "Recipe", "RecordingSettings", "Run", "load_recipe", "simulate", "write", "write_all"]
+__all__ = [
+    "AXES",
+    "MachineLog",
+    "Recipe",
+    "RecordingSettings",
+    "Run",
+    "describe_effects",
+    "load_recipe",
+    "simulate",
+    "without_hidden",
+    "write",
+    "write_all",
+]

@@ -110,12 +110,13 @@ class WireSettings:
 
 @dataclass(frozen=True)
 class SlewSensorSettings:
-    """An inductive angle sensor: smooth systematic error (largest value, [rad]) and white noise [rad]."""
+    """An inductive angle sensor: smooth systematic error (bound), white noise, the quantum of its converter [rad]."""
 
     __pydantic_config__ = STRICT
 
     error: float = 0.0
     noise: float = 0.0
+    quantum: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -164,6 +165,16 @@ class SwapSettings:
 
 
 @dataclass(frozen=True)
+class MarkerExport:
+    """The markers of ``body`` are exported as well in the take of ``recording``."""
+
+    __pydantic_config__ = STRICT
+
+    recording: str
+    body: str
+
+
+@dataclass(frozen=True)
 class CaptureSettings:
     """The motion capture system.
 
@@ -174,6 +185,7 @@ class CaptureSettings:
         skew: rate error of the capture clock [ppm]: ``t_machine = t_capture·(1 + 1e-6·skew) + offset``.
         latency: frames are stamped this much late [s].
         dropouts_per_minute: occlusions of one body each, lasting ``dropout_seconds`` (range, [s]).
+        bodies, swaps, exported_markers: what is tracked, when markers are confused, whose markers are exported.
         translation, rpy: pose of the capture frame in the base frame [m, rad] (fixed-axis roll, pitch, yaw).
     """
 
@@ -192,7 +204,7 @@ class CaptureSettings:
     rpy: tuple[float, float, float] = (0.0, 0.0, 0.0)
     bodies: tuple[BodySettings, ...] = ()
     swaps: tuple[SwapSettings, ...] = ()
-    exported_markers: tuple[str, ...] = ()
+    exported_markers: tuple[MarkerExport, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -359,6 +371,7 @@ def _check_swaps(recipe: Recipe, where: object) -> None:
         count = len(bodies[swap.body].markers)
         if len(set(swap.markers)) != 2 or not all(0 <= index < count for index in swap.markers):
             raise SettingsError(f"{where}: swap", f"markers {list(swap.markers)}", f"two different ones of 0 … {count - 1}")
-    for name in recipe.capture.exported_markers:
-        if name not in bodies:
-            raise SettingsError(f"{where}: exported_markers", f"unknown body {name!r}", nearest(name, bodies))
+    for export in recipe.capture.exported_markers:
+        recipe.recording(export.recording)
+        if export.body not in bodies:
+            raise SettingsError(f"{where}: exported_markers", f"unknown body {export.body!r}", nearest(export.body, bodies))

@@ -10,10 +10,14 @@ from sysid.bench.recipe import SlewSensorSettings, WireSettings
 Array = npt.NDArray[np.float64]
 
 
+def converted(values: Array, quantum: float) -> Array:
+    """``values`` as a converter gives them, in whole quanta; 0 = as they are."""
+    return np.round(values / quantum) * quantum if quantum > 0.0 else values
+
+
 def read_wires(lengths: Array, settings: WireSettings, rng: np.random.Generator) -> Array:
     """Draw wire readings of true ``lengths`` (any shape) [m]."""
-    measured = lengths + settings.noise * rng.standard_normal(lengths.shape)
-    return np.round(measured / settings.quantum) * settings.quantum if settings.quantum > 0.0 else measured
+    return converted(lengths + settings.noise * rng.standard_normal(lengths.shape), settings.quantum)
 
 
 def slew_error(angle: Array, largest: float) -> Array:
@@ -26,4 +30,5 @@ def slew_error(angle: Array, largest: float) -> Array:
 
 def read_slew(angle: Array, settings: SlewSensorSettings, rng: np.random.Generator) -> Array:
     """Readings of the slewing sensor at true angles of the structure (n,) [rad]."""
-    return angle + slew_error(angle, settings.error) + settings.noise * rng.standard_normal(angle.shape)
+    seen = angle + slew_error(angle, settings.error) + settings.noise * rng.standard_normal(angle.shape)
+    return converted(seen, settings.quantum)

@@ -3,10 +3,22 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import Any
 
-from sysid.bench.recipe import AxisSettings, Recipe
+from sysid.bench.recipe import AxisSettings, GripperSettings, Recipe
 from sysid.bench.run import Run
+from sysid.errors import SettingsError, nearest
+
+#: Settings that switch an effect of an axis off, by its contract name.
+_NEUTRAL: dict[str, dict[str, float]] = {
+    "input_delay": {"delay": 0.0},
+    "first_order_lag": {"time_constant": 0.0},
+    "valve_deadband": {"deadband_positive": 0.0, "deadband_negative": 0.0},
+    "flow_saturation": {"saturation": math.inf},
+    "asymmetric_gain": {"direction_ratio": 1.0},
+    "backlash": {"backlash": 0.0},
+}
 
 
 def describe_effects(recipe: Recipe) -> list[dict[str, Any]]:
@@ -17,6 +29,32 @@ def describe_effects(recipe: Recipe) -> list[dict[str, Any]]:
         sway = {"length": recipe.gripper.length, "damping_ratio": recipe.gripper.damping_ratio}
         effects.append({"name": "gripper_sway", "target": "tool", "parameters": sway})
     return [{**effect, "hidden": (effect["name"], effect["target"]) in hidden} for effect in effects]
+
+
+def without_hidden(recipe: Recipe) -> Recipe:
+    """The same machine and recordings with every hidden effect at its neutral setting: nothing is left to be found.
+
+    Raises:
+        SettingsError: the recipe hides an effect that the stand-in machine does not have.
+    """
+    axes = dict(recipe.axes)
+    gripper = recipe.gripper
+    for item in recipe.hidden:
+        if (item.name, item.target) == ("gripper_sway", "tool"):
+            gripper = GripperSettings()
+            continue
+        if item.name not in _NEUTRAL or item.target not in axes:
+            where = f"recipe {recipe.name}: hidden {item.name!r} of {item.target!r}"
+            raise SettingsError(
+                where, "no such effect", f"{nearest(item.name, [*_NEUTRAL, 'gripper_sway'])} of an axis or the tool"
+            )
+        axis = axes[item.target]
+        changes = _NEUTRAL[item.name]
+        if item.name == "backlash":
+            axes[item.target] = replace(axis, **changes)
+        else:
+            axes[item.target] = replace(axis, valve=replace(axis.valve, **changes))
+    return replace(recipe, axes=axes, gripper=gripper, hidden=())
 
 
 def _axis_effects(name: str, axis: AxisSettings) -> list[dict[str, Any]]:

@@ -27,7 +27,7 @@ def write(run: Run, folder: Path) -> None:
         f"{run.recipe.name} {run.recording.name}",
         started,
         settings.capture_rate,
-        () if run.recording.is_calibration else settings.exported_markers,
+        tuple(export.body for export in settings.exported_markers if export.recording == run.recording.name),
     )
 
 
