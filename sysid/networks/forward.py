@@ -1,0 +1,186 @@
+"""The forward network: joint values → end-effector position, learned from static poses.
+
+Source: the paper's forward network (256-128 hidden units, ReLU, Adam, 500 random poses). With ``features = "sincos"`` a
+revolute joint enters as sine and cosine, which spares the network from learning that angles are periodic.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from sysid.datasets.recording import Dataset, Role
+from sysid.errors import ExcitationError, InputError
+from sysid.networks.mlp import Mlp
+from sysid.networks.recipe import Features, NetworkRecipe
+from sysid.networks.split import Rows, gather, segments, thin
+from sysid.networks.training import Course, Member, Progress, train
+from sysid.signals import axis_signal, point_signals
+
+Array = npt.NDArray[np.float64]
+
+#: Fewer poses than this say nothing about a whole workspace.
+MIN_POSES = 30
+#: A machine is still where no joint moves faster than this share of its own 99th percentile of speed …
+STILL_SPEED = 0.02
+#: … for at least this long [s].
+STILL_S = 0.2
+
+
+@dataclass(frozen=True)
+class ForwardNetwork:
+    """Joint values → end effector in the base frame.
+
+    Args:
+        joints: signals of the inputs, in kinematic order.
+        revolute: which of them are angles.
+        features: how they enter the network.
+        members: networks whose predictions are averaged.
+        low, high: range of each joint in the rows it was fitted on, (n_axes,) [rad or m].
+        courses: how each member's training went.
+    """
+
+    joints: tuple[str, ...]
+    revolute: tuple[bool, ...]
+    features: Features
+    members: tuple[Mlp, ...]
+    low: Array
+    high: Array
+    courses: tuple[Course, ...] = ()
+
+    def predict(self, q: npt.ArrayLike) -> Array:
+        """End-effector positions (n, 3) [m] at joint values ``q`` (n, n_axes) [rad or m].
+
+        Raises:
+            InputError: another number of joints.
+        """
+        return np.asarray(self._every(q).mean(axis=0))
+
+    def spread(self, q: npt.ArrayLike) -> Array:
+        """Standard deviation between the members, (n, 3) [m]: large where they guess; zero for a single one."""
+        return np.asarray(self._every(q).std(axis=0))
+
+    def _every(self, q: npt.ArrayLike) -> Array:
+        values = np.atleast_2d(np.asarray(q, dtype=np.float64))
+        if values.shape[1] != len(self.joints):
+            raise InputError(
+                "forward network", f"{values.shape[1]} joint values", f"{len(self.joints)}: {', '.join(self.joints)}"
+            )
+        inputs = to_features(values, self.revolute, self.features)
+        return np.stack([member.predict(inputs) for member in self.members])
+
+
+def fit_forward(dataset: Dataset, recipe: NetworkRecipe, progress: Progress | None = None) -> ForwardNetwork:
+    """Fit the forward network on the dataset's ``poses`` recordings; without any, on the still phases of its motion.
+
+    Raises:
+        ExcitationError: a joint or the end effector was not measured, too few poses, a joint that did not move.
+        SettingsError: training diverges.
+    """
+    fit, select = forward_rows(dataset, "fit"), forward_rows(dataset, "select")
+    for rows, role, need in ((fit, "to fit", MIN_POSES), (select, "to decide when to stop", MIN_POSES // 10)):
+        if len(rows) < need:
+            raise ExcitationError(
+                f"dataset {dataset.reference}",
+                f"{len(rows)} static poses {role}",
+                f"at least {need}",
+                "Record the calibration routine: several hundred random poses, each held still.",
+            )
+    share = min(1.0, recipe.forward.poses / (len(fit) + len(select)))
+    fit, select = thin(fit, max(MIN_POSES, round(share * len(fit)))), thin(select, max(1, round(share * len(select))))
+    joints = forward_joints(dataset)
+    count = len(joints)
+    revolute = tuple(is_angle(dataset, signal) for signal in joints)
+    names = feature_names(joints, revolute, recipe.forward.features)
+    members = [
+        Member(
+            name=f"forward {number}" if recipe.forward.members > 1 else "forward",
+            inputs=to_features(fit.values[:, :count], revolute, recipe.forward.features),
+            outputs=fit.values[:, count:],
+            validation_inputs=to_features(select.values[:, :count], revolute, recipe.forward.features),
+            validation_outputs=select.values[:, count:],
+            input_names=names,
+            output_names=point_signals("ee"),
+        )
+        for number in range(1, recipe.forward.members + 1)
+    ]
+    trained = train(members, recipe.forward.hidden, recipe.forward.training, recipe.seed, progress)
+    return ForwardNetwork(
+        joints=joints,
+        revolute=revolute,
+        features=recipe.forward.features,
+        members=tuple(result.mlp for result in trained),
+        low=fit.values[:, :count].min(axis=0),
+        high=fit.values[:, :count].max(axis=0),
+        courses=tuple(result.course for result in trained),
+    )
+
+
+def forward_joints(dataset: Dataset) -> tuple[str, ...]:
+    """The joint signals in kinematic order."""
+    return tuple(axis_signal(axis, "joint") for axis in dataset.machine.axis_names)
+
+
+def forward_rows(dataset: Dataset, role: Role) -> Rows:
+    """Static poses of ``role``: columns are the joints, then ``ee.x ee.y ee.z``.
+
+    Raises:
+        ExcitationError: no recording to fit has all of them.
+    """
+    signals = (*forward_joints(dataset), *point_signals("ee"))
+    if dataset.of_kind("poses"):
+        return gather(segments(dataset, role, signals, "poses"), signals)
+    return _still_phases(gather(segments(dataset, role, signals), signals), len(dataset.machine.axes))
+
+
+def is_angle(dataset: Dataset, signal: str) -> bool:
+    """Whether a joint signal is in rad: by the URDF, else by the unit it was recorded in."""
+    unit = dataset.machine.expected_unit(signal) or dataset.units.get(signal, "rad")
+    return unit == "rad"
+
+
+def to_features(q: Array, revolute: tuple[bool, ...], features: Features) -> Array:
+    """Joint values (n, n_axes) as the network's inputs (n, d)."""
+    if features == "joints":
+        return q
+    angles = np.array(revolute)
+    return np.concatenate([np.sin(q[:, angles]), np.cos(q[:, angles]), q[:, ~angles]], axis=1)
+
+
+def feature_names(joints: tuple[str, ...], revolute: tuple[bool, ...], features: Features) -> tuple[str, ...]:
+    """What the columns of :func:`to_features` are, for messages."""
+    if features == "joints":
+        return joints
+    angles = [joint for joint, angle in zip(joints, revolute, strict=True) if angle]
+    others = [joint for joint, angle in zip(joints, revolute, strict=True) if not angle]
+    return (*(f"sin({joint})" for joint in angles), *(f"cos({joint})" for joint in angles), *others)
+
+
+def _still_phases(rows: Rows, joints: int) -> Rows:
+    """One row, the mean, for every stretch of consecutive rows in which no joint moves."""
+    if len(rows) < 2:
+        return rows
+    step = np.diff(rows.time)
+    joined = (rows.recording[1:] == rows.recording[:-1]) & (np.diff(rows.row) == 1)
+    speed = np.abs(np.diff(rows.values[:, :joints], axis=0)) / np.where(joined, step, np.inf)[:, None]
+    # Sensor noise makes single differences jump: judge their mean over the time that a still phase has to last.
+    typical = float(np.median(step[joined])) if joined.any() else 1.0
+    width = max(1, round(STILL_S / typical))
+    smooth = np.abs(rows.values[width:, :joints] - rows.values[:-width, :joints]) / (width * typical)
+    whole = (rows.recording[width:] == rows.recording[:-width]) & (rows.row[width:] - rows.row[:-width] == width)
+    limit = STILL_SPEED * np.percentile(speed, 99, axis=0)
+    quiet = whole & np.all(smooth <= limit, axis=1)
+    still = np.zeros(len(rows), dtype=bool)
+    for offset in range(width + 1):
+        still[offset : offset + len(quiet)] |= quiet
+    starts = np.flatnonzero(still & ~np.r_[False, still[:-1] & joined])
+    phases = np.searchsorted(starts, np.arange(len(rows)), side="right") - 1
+    picked, means = [], []
+    for number in range(len(starts)):
+        members = np.flatnonzero(still & (phases == number))
+        picked.append(members[len(members) // 2])
+        means.append(rows.values[members].mean(axis=0))
+    taken = rows.take(np.array(picked, dtype=np.int64))
+    return Rows(rows.signals, np.array(means).reshape(-1, rows.values.shape[1]), taken.recording, taken.row, taken.time)

@@ -1,0 +1,83 @@
+"""A multi-layer perceptron as plain arrays: normalisation inside, inference in NumPy without torch."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from sysid.errors import ExcitationError, InputError
+
+Array = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Normalisation:
+    """``normalised = (value − mean) / scale``, one mean and scale a column, each (d,), in the column's SI unit."""
+
+    mean: Array
+    scale: Array
+
+    @staticmethod
+    def of(values: Array, names: Sequence[str], where: object) -> Normalisation:
+        """Mean and standard deviation of the columns of ``values`` (n, d).
+
+        Raises:
+            ExcitationError: a column does not vary, so nothing can be learned from or about it.
+        """
+        mean, scale = values.mean(axis=0), values.std(axis=0)
+        for name, centre, spread in zip(names, mean, scale, strict=True):
+            if not spread > 1e-9 * max(1.0, abs(centre)):
+                raise ExcitationError(
+                    where, f"{name} is constant ({centre:.6g})", "a signal that varies", "Record data in which it moves."
+                )
+        return Normalisation(mean, scale)
+
+    def apply(self, values: Array) -> Array:
+        return np.asarray((values - self.mean) / self.scale)
+
+    def invert(self, normalised: Array) -> Array:
+        return np.asarray(normalised * self.scale + self.mean)
+
+
+@dataclass(frozen=True)
+class Mlp:
+    """Layers ``h ← max(0, h·W + b)``, the last one linear, between normalised inputs and outputs.
+
+    Args:
+        weights: (in, out) per layer, held in float64 with float32 resolution.
+        biases: (out,) per layer.
+        inputs, outputs: from and to SI units.
+    """
+
+    weights: tuple[Array, ...]
+    biases: tuple[Array, ...]
+    inputs: Normalisation
+    outputs: Normalisation
+
+    @property
+    def hidden(self) -> tuple[int, ...]:
+        """Units of the hidden layers."""
+        return tuple(int(weight.shape[1]) for weight in self.weights[:-1])
+
+    @property
+    def parameters(self) -> int:
+        """Number of weights and biases."""
+        return sum(array.size for array in (*self.weights, *self.biases))
+
+    def predict(self, values: npt.ArrayLike) -> Array:
+        """Outputs (n, n_out) [SI] at ``values`` (n, n_in) [SI]; a row with NaN gives NaN.
+
+        Raises:
+            InputError: the number of columns is not the one the network was trained with.
+        """
+        h = np.atleast_2d(np.asarray(values, dtype=np.float64))
+        expected = self.weights[0].shape[0]
+        if h.ndim != 2 or h.shape[1] != expected:
+            raise InputError("network input", f"shape {h.shape}", f"(n, {expected})")
+        h = self.inputs.apply(h)
+        for weight, bias in zip(self.weights[:-1], self.biases[:-1], strict=True):
+            h = np.maximum(h @ weight + bias, 0.0)
+        return self.outputs.invert(h @ self.weights[-1] + self.biases[-1])

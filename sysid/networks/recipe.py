@@ -1,0 +1,121 @@
+"""What is fitted and how: a frozen recipe, by default that of the paper, of which a TOML file overrides single keys.
+
+Architectures, optimiser, learning rate of the actuator networks and numbers of samples are the paper's. Its forward learning
+rate, batch sizes, numbers of epochs and schedules are not published: those here are ours (``docs/networks.md``).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any, Literal
+
+from sysid.config import STRICT, parse_settings, read_toml
+from sysid.errors import SettingsError, nearest
+from sysid.networks.training import TrainingSettings
+
+Features = Literal["joints", "sincos"]
+
+_ACTUATOR_TRAINING = TrainingSettings(learning_rate=1e-4, batch=64, epochs=400, patience=100, check_every=5, schedule="cosine")
+_FORWARD_TRAINING = TrainingSettings(learning_rate=1e-3, batch=16, epochs=1000, patience=250, check_every=5, schedule="cosine")
+
+
+@dataclass(frozen=True)
+class ActuatorRecipe:
+    """Both directions of every cylinder-joint map.
+
+    Args:
+        samples: rows learned from, spread over the stroke.
+        hidden: hidden layers of an axis that ``hidden_of`` does not name.
+        hidden_of: axis → hidden layers.
+        training: how.
+    """
+
+    __pydantic_config__ = STRICT
+
+    samples: int = 1500
+    hidden: tuple[int, ...] = (128, 128)
+    hidden_of: dict[str, tuple[int, ...]] = field(default_factory=lambda: {"boom": (256, 128, 128), "stick": (128, 128)})
+    training: TrainingSettings = _ACTUATOR_TRAINING
+
+    def layers(self, axis: str) -> tuple[int, ...]:
+        return self.hidden_of.get(axis, self.hidden)
+
+
+@dataclass(frozen=True)
+class ForwardRecipe:
+    """Joint values → end effector.
+
+    Args:
+        poses: static poses used at most, those to learn from and those that stop the training together.
+        hidden: hidden layers.
+        features: ``joints`` (the paper) or ``sincos``: sine and cosine of every revolute joint instead of its angle.
+        members: networks with different initial weights whose predictions are averaged (the paper: one).
+        training: how.
+    """
+
+    __pydantic_config__ = STRICT
+
+    poses: int = 500
+    hidden: tuple[int, ...] = (256, 128)
+    features: Features = "joints"
+    members: int = 1
+    training: TrainingSettings = _FORWARD_TRAINING
+
+
+@dataclass(frozen=True)
+class NetworkRecipe:
+    """The whole recipe; ``seed`` decides samples, initial weights and order of samples."""
+
+    __pydantic_config__ = STRICT
+
+    schema: Literal[1] = 1
+    seed: int = 0
+    actuator: ActuatorRecipe = ActuatorRecipe()
+    forward: ForwardRecipe = ForwardRecipe()
+
+    def to_json(self) -> dict[str, Any]:
+        """For lineage records; :func:`parse_recipe` takes it back."""
+        return asdict(self)
+
+    def check_axes(self, axes: Iterable[str]) -> None:
+        """Raises SettingsError where ``hidden_of`` names an axis that neither the machine nor the paper has."""
+        known = {*axes, *ActuatorRecipe().hidden_of}
+        for axis in self.actuator.hidden_of:
+            if axis not in known:
+                raise SettingsError("recipe: actuator.hidden_of", f"unknown axis {axis!r}", nearest(axis, axes))
+
+
+def load_recipe(path: Path | None = None) -> NetworkRecipe:
+    """The recipe in ``path``; keys that it leaves out, and None, mean the paper's.
+
+    Raises:
+        SettingsError: unknown keys, wrong types, impossible values.
+    """
+    return NetworkRecipe() if path is None else parse_recipe(read_toml(path), path)
+
+
+def parse_recipe(values: dict[str, Any], where: object) -> NetworkRecipe:
+    """``values`` over the paper's recipe, checked; ``where`` names their source in messages."""
+    recipe = parse_settings(_merged(asdict(NetworkRecipe()), values), NetworkRecipe, where)
+    for part, settings in (("actuator", recipe.actuator.training), ("forward", recipe.forward.training)):
+        settings.check(f"{where}: {part}.training")
+    for key, value in (
+        ("actuator.samples", recipe.actuator.samples),
+        ("forward.poses", recipe.forward.poses),
+        ("forward.members", recipe.forward.members),
+    ):
+        if value < 1:
+            raise SettingsError(f"{where}: {key}", str(value), "a positive number")
+    if recipe.seed < 0:
+        raise SettingsError(f"{where}: seed", str(recipe.seed), "a number from 0 on")
+    return recipe
+
+
+def _merged(base: dict[str, Any], over: dict[str, Any]) -> dict[str, Any]:
+    merged = dict(base)
+    for key, value in over.items():
+        both_tables = isinstance(value, dict) and isinstance(merged.get(key), dict)
+        merged[key] = _merged(merged[key], value) if both_tables else value
+    return merged

@@ -1,0 +1,143 @@
+"""Which rows may teach, stop and test a network: by whole recording, else by contiguous block with a guard, never by sample."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from sysid.datasets.recording import Dataset, Kind, Recording, Role
+from sysid.errors import ExcitationError
+
+Array = npt.NDArray[np.float64]
+Index = npt.NDArray[np.int64]
+
+#: Shares of a recording that are taken from its end where no recording has that role: (select, held out).
+BLOCK_SHARES: dict[Kind, tuple[float, float]] = {"motion": (0.15, 0.15), "poses": (0.1, 0.1)}
+#: Rows of a motion recording within this time of another block belong to neither [s].
+GUARD_S = 1.0
+
+
+@dataclass(frozen=True)
+class Segment:
+    """Rows ``start`` to ``stop`` (excluded) of one recording."""
+
+    recording: Recording
+    start: int
+    stop: int
+
+
+@dataclass(frozen=True)
+class Rows:
+    """Rows of one or more recordings in which every signal was measured.
+
+    Args:
+        signals: names of the columns.
+        values: (n, len(signals)) [SI].
+        recording: name of the recording of each row, (n,).
+        row: position in that recording's table, (n,).
+        time: since that recording's start, (n,) [s].
+    """
+
+    signals: tuple[str, ...]
+    values: Array
+    recording: npt.NDArray[np.str_]
+    row: Index
+    time: Array
+
+    def __len__(self) -> int:
+        return len(self.values)
+
+    def take(self, index: npt.NDArray[np.intp] | Index) -> Rows:
+        return Rows(self.signals, self.values[index], self.recording[index], self.row[index], self.time[index])
+
+
+def segments(dataset: Dataset, role: Role, signals: Sequence[str], kind: Kind = "motion") -> tuple[Segment, ...]:
+    """The parts of the dataset that have ``role`` for a network over ``signals``.
+
+    Only recordings that measured all the signals at once count. Where none of them is ``select`` or ``held_out``, the ends of
+    the ``fit`` recordings stand in. Poses without a role in the dataset are ``fit``: ingest gives roles to motion alone.
+
+    Raises:
+        ExcitationError: no recording to learn from has all signals.
+    """
+    usable = [r for r in dataset.of_kind(kind) if _measured(r, signals).any()]
+    default: Role | None = "fit" if kind == "poses" else None
+    roles = {r.name: dataset.splits.get(r.name, default) for r in usable}
+    present = set(roles.values())
+    if "fit" not in present:
+        missing = [signal for signal in signals if not any(np.isfinite(r.values(signal)).any() for r in dataset.of_kind(kind))]
+        found = f"no {kind} recording to fit that measures {', '.join(missing or signals)}"
+        raise ExcitationError(
+            f"dataset {dataset.reference}",
+            found + ("" if missing else " at the same time"),
+            f"at least one with all of {', '.join(signals)}",
+        )
+    if role in present and role != "fit":
+        return tuple(Segment(r, 0, len(r)) for r in usable if roles[r.name] == role)
+    select, held_out = (
+        0.0 if name in present else share for name, share in zip(("select", "held_out"), BLOCK_SHARES[kind], strict=True)
+    )
+    edges = {
+        "fit": (0.0, 1.0 - select - held_out),
+        "select": (1.0 - select - held_out, 1.0 - held_out),
+        "held_out": (1.0 - held_out, 1.0),
+    }
+    low, high = edges[role]
+    return tuple(_block(r, low, high, kind) for r in usable if roles[r.name] == "fit")
+
+
+def gather(parts: Sequence[Segment], signals: Sequence[str]) -> Rows:
+    """All rows of ``parts`` in which every signal was measured, in order."""
+    values, names, rows, times = [], [], [], []
+    for part in parts:
+        chosen = np.flatnonzero(_measured(part.recording, signals)[part.start : part.stop]) + part.start
+        values.append(np.column_stack([part.recording.values(signal)[chosen] for signal in signals]))
+        names.append(np.full(len(chosen), part.recording.name))
+        rows.append(chosen)
+        times.append(part.recording.values("time")[chosen])
+    return Rows(tuple(signals), np.concatenate(values), np.concatenate(names), np.concatenate(rows), np.concatenate(times))
+
+
+def spread_sample(values: Array, count: int, rng: np.random.Generator, bins: int = 50) -> npt.NDArray[np.intp]:
+    """``count`` row numbers, drawn so that ``values`` (n,) is covered as evenly as the data allow; sorted.
+
+    The range is cut into equal bins that give the same number of rows each; what thin bins cannot give is shared out among the
+    others. An operator dwells at some positions and rushes through others, and a uniform draw would copy that.
+    """
+    if count >= len(values):
+        return np.arange(len(values))
+    width = max(float(np.ptp(values)), 1e-300)
+    owner = np.minimum(((values - values.min()) / width * bins).astype(int), bins - 1)
+    stock = np.bincount(owner, minlength=bins)
+    quota = np.zeros(bins, dtype=int)
+    while (left := count - int(quota.sum())) > 0:
+        open_bins = np.flatnonzero(quota < stock)
+        if left < len(open_bins):
+            quota[rng.choice(open_bins, left, replace=False)] += 1
+        else:
+            quota[open_bins] = np.minimum(quota[open_bins] + left // len(open_bins), stock[open_bins])
+    chosen = [rng.choice(np.flatnonzero(owner == number), quota[number], replace=False) for number in range(bins)]
+    return np.sort(np.concatenate(chosen))
+
+
+def thin(rows: Rows, count: int) -> Rows:
+    """At most ``count`` rows, evenly spaced in their order."""
+    if len(rows) <= count:
+        return rows
+    return rows.take(np.linspace(0, len(rows) - 1, count).round().astype(np.int64))
+
+
+def _measured(recording: Recording, signals: Sequence[str]) -> npt.NDArray[np.bool_]:
+    return np.asarray(np.all([np.isfinite(recording.values(signal)) for signal in signals], axis=0))
+
+
+def _block(recording: Recording, low: float, high: float, kind: Kind) -> Segment:
+    """Rows from ``low`` to ``high`` (shares), without half the guard at each cut."""
+    n = len(recording)
+    half = round(0.5 * GUARD_S * recording.rate_hz) if kind == "motion" else 0
+    start = 0 if low == 0.0 else round(low * n) + half
+    stop = n if high == 1.0 else round(high * n) - half
+    return Segment(recording, start, max(start, stop))

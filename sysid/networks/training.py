@@ -1,0 +1,359 @@
+"""One training engine for every network: members of equal shape are trained together as one batch of matrix products.
+
+Adam (Kingma & Ba 2015) on the mean squared error of normalised outputs. Every ``check_every`` epochs each member is judged on
+its own validation rows; its best weights are kept, and a member that has not improved for ``patience`` epochs is finished.
+Members share nothing but the batch: each has its own initial weights and its own order of samples, both drawn from the seed and
+the member's name.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+import time
+import zlib
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from sysid.config import STRICT
+from sysid.errors import InputError, SettingsError
+from sysid.networks.mlp import Mlp, Normalisation
+
+if TYPE_CHECKING:
+    import torch
+
+Array = npt.NDArray[np.float64]
+
+#: ``progress(done, total, text)``: epochs done of those at most needed, and what is being trained.
+Progress = Callable[[int, int, str], None]
+
+
+@dataclass(frozen=True)
+class TrainingSettings:
+    """How a network is trained.
+
+    Args:
+        learning_rate: of Adam, at the start.
+        batch: rows per step.
+        epochs: passes over the rows at most.
+        patience: epochs without improvement on the validation rows before a member is finished.
+        check_every: epochs between two looks at the validation rows.
+        schedule: ``constant``, or ``cosine`` down to a hundredth at the last epoch.
+        threads: of torch. Fixed, because the order of a sum depends on it and the same seed must give the same network.
+    """
+
+    __pydantic_config__ = STRICT
+
+    learning_rate: float
+    batch: int = 64
+    epochs: int = 500
+    patience: int = 100
+    check_every: int = 5
+    schedule: Literal["constant", "cosine"] = "constant"
+    threads: int = 1
+
+    def check(self, where: object) -> None:
+        """Raises SettingsError for a value that cannot be used."""
+        for key in ("learning_rate", "batch", "epochs", "patience", "check_every", "threads"):
+            value = getattr(self, key)
+            if not (math.isfinite(value) and value > 0):
+                raise SettingsError(where, f"{key} = {value}", "a positive number")
+
+
+@dataclass(frozen=True)
+class Member:
+    """One network to train: rows in SI units.
+
+    Args:
+        name: decides, with the seed, the initial weights and the order of samples; shown in messages.
+        inputs, outputs: rows to learn from, (n, d_in) and (n, d_out).
+        validation_inputs, validation_outputs: rows that decide when to stop, (v, d_in) and (v, d_out).
+        input_names, output_names: of the columns, for messages.
+    """
+
+    name: str
+    inputs: Array
+    outputs: Array
+    validation_inputs: Array
+    validation_outputs: Array
+    input_names: tuple[str, ...]
+    output_names: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Course:
+    """How a training went.
+
+    Args:
+        rows: learned from and validated on.
+        epochs: passes made until it was finished.
+        best_epoch: the one whose weights were kept.
+        validation_rmse: per output at ``best_epoch`` [SI].
+        checked_epochs, fit_loss, validation_loss: (k,) each; losses are mean squared errors of normalised outputs.
+        seconds: wall time of the batch it was trained in.
+    """
+
+    rows: tuple[int, int]
+    epochs: int
+    best_epoch: int
+    validation_rmse: tuple[float, ...]
+    checked_epochs: tuple[int, ...]
+    fit_loss: tuple[float, ...]
+    validation_loss: tuple[float, ...]
+    seconds: float = 0.0
+
+    def to_json(self) -> dict[str, Any]:
+        """Without the wall time, which differs between runs that are otherwise equal."""
+        return {key: value for key, value in asdict(self).items() if key != "seconds"}
+
+
+@dataclass(frozen=True)
+class Trained:
+    """A trained member: the network with the weights of its best epoch, and how it came about."""
+
+    mlp: Mlp
+    course: Course
+
+
+def train(
+    members: Sequence[Member],
+    hidden: tuple[int, ...],
+    settings: TrainingSettings,
+    seed: int,
+    progress: Progress | None = None,
+) -> tuple[Trained, ...]:
+    """Train every member; those with equal numbers of rows and columns run in one batch.
+
+    Args:
+        hidden: units of the hidden layers.
+        progress: called at every check.
+
+    Returns:
+        One result a member, in their order.
+
+    Raises:
+        InputError: rows that are not finite, or whose numbers do not match.
+        ExcitationError: a column that does not vary.
+        SettingsError: settings that cannot be used, or with which training diverges.
+    """
+    settings.check("training")
+    if not hidden or any(units < 1 for units in hidden):
+        raise SettingsError("training", f"hidden = {list(hidden)}", "at least one layer with at least one unit")
+    groups: dict[tuple[int, ...], list[int]] = {}
+    for position, member in enumerate(members):
+        groups.setdefault(_shape(member), []).append(position)
+    results: dict[int, Trained] = {}
+    with _threads(settings.threads):
+        for positions in groups.values():
+            batch = [members[position] for position in positions]
+            results.update(zip(positions, _train_batch(batch, hidden, settings, seed, progress), strict=True))
+    return tuple(results[position] for position in range(len(members)))
+
+
+def _shape(member: Member) -> tuple[int, ...]:
+    """(n, d_in, d_out, v) of a member whose arrays fit together and are finite."""
+    (n, d_in), (v, _), d_out = member.inputs.shape, member.validation_inputs.shape, member.outputs.shape[1]
+    expected = {"inputs": (n, d_in), "outputs": (n, d_out), "validation_inputs": (v, d_in), "validation_outputs": (v, d_out)}
+    for key, shape in expected.items():
+        values = getattr(member, key)
+        if values.shape != shape or 0 in shape:
+            raise InputError(f"network {member.name}: {key}", f"shape {values.shape}", f"{shape} with at least one row")
+        if not np.isfinite(values).all():
+            count = int((~np.isfinite(values)).sum())
+            raise InputError(
+                f"network {member.name}: {key}", f"{count} values are NaN or infinite", "finite numbers", "Drop those rows."
+            )
+    return n, d_in, d_out, v
+
+
+@contextmanager
+def _threads(count: int) -> Iterator[None]:
+    import torch
+
+    before = torch.get_num_threads()
+    torch.set_num_threads(count)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)
+
+
+def _train_batch(
+    members: list[Member], hidden: tuple[int, ...], settings: TrainingSettings, seed: int, progress: Progress | None
+) -> list[Trained]:
+    import torch
+
+    start = time.perf_counter()
+    text = ", ".join(member.name for member in members)
+    scalers = [
+        (
+            Normalisation.of(member.inputs, member.input_names, f"network {member.name}"),
+            Normalisation.of(member.outputs, member.output_names, f"network {member.name}"),
+        )
+        for member in members
+    ]
+    x, y, x_validation, y_validation = (
+        torch.from_numpy(np.stack(arrays).astype(np.float32))
+        for arrays in zip(
+            *(
+                (
+                    inputs.apply(member.inputs),
+                    outputs.apply(member.outputs),
+                    inputs.apply(member.validation_inputs),
+                    outputs.apply(member.validation_outputs),
+                )
+                for member, (inputs, outputs) in zip(members, scalers, strict=True)
+            ),
+            strict=True,
+        )
+    )
+    generators = [_generator(seed, member.name) for member in members]
+    sizes = (x.shape[2], *hidden, y.shape[2])
+    parameters = _initial_parameters(sizes, generators)
+    optimiser = torch.optim.Adam(parameters, lr=settings.learning_rate, fused=True)
+    watch = _EarlyStopping(parameters, settings.patience)
+    rows = torch.arange(len(members))[:, None]
+    n = x.shape[1]
+    fit_losses: list[Array] = []
+    for epoch in range(1, settings.epochs + 1):
+        optimiser.param_groups[0]["lr"] = _learning_rate(settings, epoch)
+        order = torch.stack([torch.randperm(n, generator=generator) for generator in generators])
+        total = torch.zeros(len(members))
+        for first in range(0, n, settings.batch):
+            chosen = order[:, first : first + settings.batch]
+            errors = ((_forward(parameters, x[rows, chosen]) - y[rows, chosen]) ** 2).mean(dim=(1, 2))
+            optimiser.zero_grad()
+            # The sum keeps the gradients of the members apart: each depends on its own error alone.
+            errors.sum().backward()  # type: ignore[no-untyped-call]
+            optimiser.step()
+            total += errors.detach() * chosen.shape[1]
+        if epoch % settings.check_every and epoch != settings.epochs:
+            continue
+        fit_losses.append((total / n).numpy().astype(np.float64))
+        with torch.no_grad():
+            loss = ((_forward(parameters, x_validation) - y_validation) ** 2).mean(dim=(1, 2))
+        _refuse_divergence(members, loss, fit_losses[-1], epoch, settings)
+        watch.update(epoch, loss, parameters)
+        if progress is not None:
+            progress(epoch, settings.epochs, text)
+        if watch.finished:
+            break
+    if progress is not None:
+        progress(settings.epochs, settings.epochs, text)
+    seconds = time.perf_counter() - start
+    best = [parameter.numpy().astype(np.float64) for parameter in watch.best_parameters]
+    return [
+        _result(member, k, best, scalers[k], watch, np.array([losses[k] for losses in fit_losses]), seconds)
+        for k, member in enumerate(members)
+    ]
+
+
+def _result(
+    member: Member,
+    k: int,
+    parameters: list[Array],
+    scalers: tuple[Normalisation, Normalisation],
+    watch: _EarlyStopping,
+    fit_loss: Array,
+    seconds: float,
+) -> Trained:
+    weights, biases = parameters[0::2], parameters[1::2]
+    mlp = Mlp(tuple(weight[k] for weight in weights), tuple(bias[k, 0] for bias in biases), *scalers)
+    residual = mlp.predict(member.validation_inputs) - member.validation_outputs
+    seen = [position for position, epoch in enumerate(watch.epochs) if epoch <= watch.stopped_at[k]]
+    course = Course(
+        rows=(len(member.inputs), len(member.validation_inputs)),
+        epochs=int(watch.stopped_at[k]),
+        best_epoch=int(watch.best_epoch[k]),
+        validation_rmse=tuple(np.sqrt((residual**2).mean(axis=0)).tolist()),
+        checked_epochs=tuple(watch.epochs[position] for position in seen),
+        fit_loss=tuple(float(fit_loss[position]) for position in seen),
+        validation_loss=tuple(float(watch.losses[position][k]) for position in seen),
+        seconds=seconds,
+    )
+    return Trained(mlp, course)
+
+
+class _EarlyStopping:
+    """Best weights and stopping epoch of each member of a batch."""
+
+    def __init__(self, parameters: list[torch.Tensor], patience: int) -> None:
+        members = parameters[0].shape[0]
+        self.best_parameters = [parameter.detach().clone() for parameter in parameters]
+        self.best_loss = np.full(members, np.inf)
+        self.best_epoch = np.zeros(members, dtype=np.int64)
+        self.stopped_at = np.zeros(members, dtype=np.int64)
+        self.epochs: list[int] = []
+        self.losses: list[Array] = []
+        self._running = np.ones(members, dtype=bool)
+        self._patience = patience
+
+    def update(self, epoch: int, loss: torch.Tensor, parameters: list[torch.Tensor]) -> None:
+        values = loss.numpy().astype(np.float64)
+        self.epochs.append(epoch)
+        self.losses.append(values)
+        self.stopped_at[self._running] = epoch
+        better = self._running & (values < self.best_loss)
+        self.best_loss[better] = values[better]
+        self.best_epoch[better] = epoch
+        for kept, parameter in zip(self.best_parameters, parameters, strict=True):
+            kept[better] = parameter.detach()[better]
+        self._running &= epoch - self.best_epoch < self._patience
+
+    @property
+    def finished(self) -> bool:
+        return not self._running.any()
+
+
+def _generator(seed: int, name: str) -> torch.Generator:
+    import torch
+
+    # Not Python's hash(), which differs between processes.
+    return torch.Generator().manual_seed((seed << 32) ^ zlib.crc32(name.encode("utf-8")))
+
+
+def _initial_parameters(sizes: tuple[int, ...], generators: list[torch.Generator]) -> list[torch.Tensor]:
+    """Weights (m, in, out) and biases (m, 1, out) in turn, uniform in ±1/√in as in ``torch.nn.Linear``."""
+    import torch
+
+    parameters = []
+    for d_in, d_out in itertools.pairwise(sizes):
+        bound = 1.0 / math.sqrt(d_in)
+        for shape in ((d_in, d_out), (1, d_out)):
+            drawn = torch.stack([(torch.rand(shape, generator=generator) * 2.0 - 1.0) * bound for generator in generators])
+            parameters.append(drawn.requires_grad_())
+    return parameters
+
+
+def _forward(parameters: list[torch.Tensor], x: torch.Tensor) -> torch.Tensor:
+    """(m, n, d_in) → (m, n, d_out)."""
+    import torch
+
+    for weight, bias in zip(parameters[0:-2:2], parameters[1:-2:2], strict=True):
+        x = torch.relu(torch.baddbmm(bias, x, weight))
+    return torch.baddbmm(parameters[-1], x, parameters[-2])
+
+
+def _learning_rate(settings: TrainingSettings, epoch: int) -> float:
+    if settings.schedule == "constant":
+        return settings.learning_rate
+    share = 0.5 * (1.0 + math.cos(math.pi * (epoch - 1) / max(1, settings.epochs - 1)))
+    return settings.learning_rate * (0.01 + 0.99 * share)
+
+
+def _refuse_divergence(
+    members: list[Member], validation: torch.Tensor, fit: Array, epoch: int, settings: TrainingSettings
+) -> None:
+    for member, loss, fit_loss in zip(members, validation.tolist(), fit, strict=True):
+        if not (math.isfinite(loss) and math.isfinite(fit_loss)):
+            raise SettingsError(
+                f"network {member.name}",
+                f"the loss became {loss if not math.isfinite(loss) else fit_loss} by epoch {epoch}",
+                "a finite loss",
+                f"Lower learning_rate (now {settings.learning_rate:g}).",
+            )
