@@ -10,14 +10,13 @@ from sysid.bench.recipe import AxisSettings, GripperSettings, Recipe
 from sysid.bench.run import Run
 from sysid.errors import SettingsError, nearest
 
-#: Settings that switch an effect of an axis off, by its contract name.
+#: Settings that switch an effect of a valve off, by its contract name.
 _NEUTRAL: dict[str, dict[str, float]] = {
     "input_delay": {"delay": 0.0},
     "first_order_lag": {"time_constant": 0.0},
     "valve_deadband": {"deadband_positive": 0.0, "deadband_negative": 0.0},
     "flow_saturation": {"saturation": math.inf},
     "asymmetric_gain": {"direction_ratio": 1.0},
-    "backlash": {"backlash": 0.0},
 }
 
 
@@ -43,17 +42,15 @@ def without_hidden(recipe: Recipe) -> Recipe:
         if (item.name, item.target) == ("gripper_sway", "tool"):
             gripper = GripperSettings()
             continue
-        if item.name not in _NEUTRAL or item.target not in axes:
+        if item.name not in (*_NEUTRAL, "backlash") or item.target not in axes:
             where = f"recipe {recipe.name}: hidden {item.name!r} of {item.target!r}"
-            raise SettingsError(
-                where, "no such effect", f"{nearest(item.name, [*_NEUTRAL, 'gripper_sway'])} of an axis or the tool"
-            )
+            valid = nearest(item.name, (*_NEUTRAL, "backlash", "gripper_sway"))
+            raise SettingsError(where, "no such effect", f"{valid} of an axis or the tool")
         axis = axes[item.target]
-        changes = _NEUTRAL[item.name]
         if item.name == "backlash":
-            axes[item.target] = replace(axis, **changes)
+            axes[item.target] = replace(axis, backlash=0.0)
         else:
-            axes[item.target] = replace(axis, valve=replace(axis.valve, **changes))
+            axes[item.target] = replace(axis, valve=replace(axis.valve, **_NEUTRAL[item.name]))
     return replace(recipe, axes=axes, gripper=gripper, hidden=())
 
 
