@@ -1,1 +1,19 @@
-"""validate"""
+"""Error reports of networks on recordings they have not seen: figures, baselines, where the errors are, spikes."""
+
+from sysid.validate.error_analysis import Profile, Spike
+from sysid.validate.metrics import ErrorMetrics, error_metrics
+from sysid.validate.report import OutputReport, Trace, ValidationReport
+from sysid.validate.validation import validate_actuator, validate_forward, validate_model
+
+__all__ = [
+    "ErrorMetrics",
+    "OutputReport",
+    "Profile",
+    "Spike",
+    "Trace",
+    "ValidationReport",
+    "error_metrics",
+    "validate_actuator",
+    "validate_forward",
+    "validate_model",
+]

@@ -1,0 +1,190 @@
+"""Where the errors are: against position, speed and direction, and each spike with what happened nearest to it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from sysid.datasets.recording import Dataset
+from sysid.networks.split import Rows
+
+Array = npt.NDArray[np.float64]
+
+#: Signal → (lower, upper) end [SI].
+Ranges = Mapping[str, tuple[float, float]]
+
+#: A spike is an error beyond this many robust standard deviations (1.4826 × median absolute deviation).
+SPIKE_SIGMAS = 6.0
+#: Spikes closer together than this are one [s].
+SPIKE_APART_S = 0.5
+#: Causes are looked for within this time [s] …
+CAUSE_WITHIN_S = 0.3
+#: … and an end of a range within this share of it.
+END_SHARE = 0.02
+#: Half width of the difference that estimates a speed [s].
+SPEED_HALF_S = 0.05
+#: Below this share of its 99th percentile a speed counts as standing still.
+STILL_SHARE = 0.05
+
+
+@dataclass(frozen=True)
+class Profile:
+    """Error against one variable, bin by bin.
+
+    Args:
+        variable: ``boom.cylinder``, ``speed of boom.cylinder``, ``direction of boom.cylinder``.
+        unit: of the edges.
+        edges: (bins + 1,); for a direction the bins are negative, still and positive.
+        count, rmse, bias, p95: (bins,) each, NaN in an empty bin, in the unit of the output.
+    """
+
+    variable: str
+    unit: str
+    edges: tuple[float, ...]
+    count: tuple[int, ...]
+    rmse: tuple[float, ...]
+    bias: tuple[float, ...]
+    p95: tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class Spike:
+    """One error that stands out.
+
+    Args:
+        recording, time: where [s since the recording's start].
+        error: predicted − truth at its peak.
+        sigmas: its size in robust standard deviations.
+        cause: the nearest explanation found, or ``unexplained``.
+    """
+
+    recording: str
+    time: float
+    error: float
+    sigmas: float
+    cause: str
+
+
+def profile(errors: Array, against: Array, variable: str, unit: str, bins: int = 12) -> Profile:
+    """Error statistics in ``bins`` equal bins of ``against`` (n,); rows where it is NaN are left out."""
+    known = np.isfinite(against)
+    low, high = float(against[known].min()), float(against[known].max())
+    edges = np.linspace(low, high if high > low else low + 1e-12, bins + 1)
+    return _binned(errors[known], np.clip(np.digitize(against[known], edges) - 1, 0, bins - 1), edges, variable, unit)
+
+
+def direction_profile(errors: Array, speed: Array, variable: str, unit: str) -> Profile:
+    """Error statistics while moving down, standing still and moving up."""
+    known = np.isfinite(speed)
+    limit = STILL_SHARE * float(np.percentile(np.abs(speed[known]), 99))
+    top = max(float(np.abs(speed[known]).max()), 2.0 * limit, 1e-12)
+    owner = np.where(speed[known] < -limit, 0, np.where(speed[known] > limit, 2, 1))
+    return _binned(errors[known], owner, np.array([-top, -limit, limit, top]), variable, unit)
+
+
+def _binned(errors: Array, owner: npt.NDArray[np.intp], edges: Array, variable: str, unit: str) -> Profile:
+    groups = [errors[owner == number] for number in range(len(edges) - 1)]
+    return Profile(
+        variable=variable,
+        unit=unit,
+        edges=tuple(edges.tolist()),
+        count=tuple(len(group) for group in groups),
+        rmse=tuple(float(np.sqrt(np.mean(group**2))) if len(group) else float("nan") for group in groups),
+        bias=tuple(float(np.mean(group)) if len(group) else float("nan") for group in groups),
+        p95=tuple(float(np.percentile(np.abs(group), 95)) if len(group) else float("nan") for group in groups),
+    )
+
+
+def speeds(dataset: Dataset, rows: Rows, signal: str) -> Array:
+    """Rate of change of ``signal`` at ``rows`` by a central difference, (n,) [SI/s]; NaN beside gaps and at the ends."""
+    result = np.full(len(rows), np.nan)
+    for name in np.unique(rows.recording):
+        recording = dataset.recording(str(name))
+        values = recording.values(signal)
+        half = max(1, round(SPEED_HALF_S * recording.rate_hz))
+        rate = np.full(len(values), np.nan)
+        rate[half:-half] = (values[2 * half :] - values[: -2 * half]) * recording.rate_hz / (2 * half)
+        mine = rows.recording == name
+        result[mine] = rate[rows.row[mine]]
+    return result
+
+
+def spikes(
+    dataset: Dataset,
+    rows: Rows,
+    errors: Array,
+    ends: Ranges,
+    fitted: Ranges,
+    is_motion: bool,
+    most: int = 10,
+) -> tuple[Spike, ...]:
+    """The largest spikes of ``errors`` (n,), each with the nearest cause.
+
+    Args:
+        rows: where the errors are.
+        ends: signals whose end stops and reversals can explain a spike.
+        fitted: inputs of the network → the range it learned; beyond it, it extrapolates.
+        is_motion: rows follow one another in time; else every row stands alone and only ends of ranges can explain it.
+        most: how many to return.
+    """
+    centre = float(np.median(errors))
+    sigma = 1.4826 * float(np.median(np.abs(errors - centre)))
+    if sigma == 0.0:
+        return ()
+    size = np.abs(errors - centre) / sigma
+    found: list[Spike] = []
+    taken: list[tuple[str, float]] = []
+    for position in np.argsort(size)[::-1]:
+        if size[position] < SPIKE_SIGMAS or len(found) == most:
+            break
+        name, time = str(rows.recording[position]), float(rows.time[position])
+        if is_motion and any(name == other and abs(time - moment) < SPIKE_APART_S for other, moment in taken):
+            continue
+        taken.append((name, time))
+        cause = _cause(dataset, name, int(rows.row[position]), rows.signals, ends, fitted, is_motion)
+        found.append(Spike(name, time, float(errors[position]), float(size[position]), cause))
+    return tuple(found)
+
+
+def _cause(
+    dataset: Dataset, name: str, row: int, signals: tuple[str, ...], ends: Ranges, fitted: Ranges, is_motion: bool
+) -> str:
+    recording = dataset.recording(name)
+    for signal, (low, high) in fitted.items():
+        value = float(recording.values(signal)[row])
+        if not low <= value <= high:
+            return f"{signal} {'below' if value < low else 'above'} the fitted range"
+    reach = round(CAUSE_WITHIN_S * recording.rate_hz) if is_motion else 0
+    near = slice(max(0, row - reach), row + reach + 1)
+    for signal, (low, high) in ends.items():
+        values = recording.values(signal)[near]
+        known = values[np.isfinite(values)]
+        margin = END_SHARE * (high - low)
+        if np.isfinite(margin) and len(known):
+            if known.min() < low + margin:
+                return f"lower end of {signal}"
+            if known.max() > high - margin:
+                return f"upper end of {signal}"
+    if not is_motion:
+        return "unexplained"
+    missing = [signal for signal in signals if np.isnan(recording.values(signal)[near]).any()]
+    if missing:
+        return f"edge of a gap in {missing[0]}"
+    if row < reach or row + reach >= len(recording):
+        return "end of the recording"
+    for signal in ends:
+        steps = np.diff(recording.values(signal)[near])
+        if _reverses(steps):
+            return f"reversal of {signal}"
+    return "unexplained"
+
+
+def _reverses(steps: Array) -> bool:
+    """Whether the signal turns round: it travels both ways, each a good part of the whole."""
+    up, down = float(steps[steps > 0].sum()), float(-steps[steps < 0].sum())
+    travel = np.cumsum(steps)
+    turn = float(max(travel.max(), 0.0) - min(travel.min(), 0.0)) - abs(float(travel[-1]))
+    return turn > 0.1 * (up + down) and min(up, down) > 0.2 * max(up, down)

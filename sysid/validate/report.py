@@ -1,0 +1,140 @@
+"""What validation found, as frozen values: figures for tables and JSON, arrays for plots."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
+from typing import Any, Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from sysid.datasets.recording import Kind, Role
+from sysid.networks.actuator import RoundTrip
+from sysid.validate.error_analysis import Profile, Spike
+from sysid.validate.metrics import ErrorMetrics
+
+Array = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Trace:
+    """Sub-sampled rows for plots, in order; all (m,).
+
+    Args:
+        recording: name of each row's recording.
+        time: since that recording's start [s].
+        truth, predicted: in the output's unit.
+        inputs: input signal → its values at these rows [SI].
+    """
+
+    recording: npt.NDArray[np.str_]
+    time: Array
+    truth: Array
+    predicted: Array
+    inputs: Mapping[str, Array]
+
+
+@dataclass(frozen=True)
+class OutputReport:
+    """One output of one network on one kind of recordings.
+
+    Args:
+        output: the predicted signal, ``boom.joint`` or ``ee.x``.
+        inputs: the signals it is predicted from.
+        rows: ``motion`` or ``poses``: what was predicted.
+        recordings: which ones.
+        metrics: of the network.
+        baselines: name → the same figures of a simpler model fitted on the same rows.
+        noise_floor: RMSE that a perfect map would show, from the sensor noise of inputs and output in ``machine.toml``;
+            None where it is not stated for all of them.
+        profiles: error against position, speed and direction.
+        spikes: the largest errors that stand out, largest first.
+        trace: for plots.
+    """
+
+    output: str
+    inputs: tuple[str, ...]
+    rows: Kind
+    recordings: tuple[str, ...]
+    metrics: ErrorMetrics
+    baselines: Mapping[str, ErrorMetrics]
+    noise_floor: float | None
+    profiles: tuple[Profile, ...]
+    spikes: tuple[Spike, ...]
+    trace: Trace
+
+    @property
+    def unit(self) -> str:
+        return self.metrics.unit
+
+
+@dataclass(frozen=True)
+class ValidationReport:
+    """A network judged on recordings it has not seen.
+
+    Args:
+        kind: ``actuator`` or ``forward``.
+        model: name and version, empty for a model that is not registered.
+        dataset: name and version.
+        role: of the rows: ``held_out`` unless asked otherwise.
+        outputs: one entry an output and kind of recordings.
+        round_trips: axis → how well the two directions of an actuator network undo each other.
+    """
+
+    kind: Literal["actuator", "forward"]
+    model: str
+    dataset: str
+    role: Role
+    outputs: tuple[OutputReport, ...]
+    round_trips: Mapping[str, RoundTrip] = field(default_factory=dict)
+
+    def output(self, name: str, rows: Kind | None = None) -> OutputReport:
+        """The entry of one output; of one kind of recordings if given."""
+        return next(entry for entry in self.outputs if entry.output == name and rows in (None, entry.rows))
+
+    def metrics(self) -> dict[str, float]:
+        """Flat figures for the model registry: ``boom.joint.motion.rmse`` → value in SI."""
+        return {
+            f"{entry.output}.{entry.rows}.{key}": float(getattr(entry.metrics, key))
+            for entry in self.outputs
+            for key in ("rmse", "p95", "max")
+        }
+
+    def to_json(self) -> dict[str, Any]:
+        """Everything but the traces, as plain JSON values (NaN becomes null)."""
+        values: dict[str, Any] = {
+            "kind": self.kind,
+            "model": self.model,
+            "dataset": self.dataset,
+            "role": self.role,
+            "outputs": [
+                {
+                    "output": entry.output,
+                    "inputs": list(entry.inputs),
+                    "rows": entry.rows,
+                    "recordings": list(entry.recordings),
+                    "unit": entry.unit,
+                    "metrics": asdict(entry.metrics),
+                    "baselines": {name: asdict(metrics) for name, metrics in entry.baselines.items()},
+                    "noise_floor": entry.noise_floor,
+                    "profiles": [asdict(profile) for profile in entry.profiles],
+                    "spikes": [asdict(spike) for spike in entry.spikes],
+                }
+                for entry in self.outputs
+            ],
+            "round_trips": {axis: asdict(trip) for axis, trip in self.round_trips.items()},
+        }
+        cleaned: dict[str, Any] = _without_nan(values)
+        return cleaned
+
+
+def _without_nan(value: Any) -> Any:
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if isinstance(value, dict):
+        return {key: _without_nan(entry) for key, entry in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_without_nan(entry) for entry in value]
+    return value
