@@ -85,6 +85,11 @@ def _unit(unit: str | None, signal: str, machine: Machine, where: str) -> tuple[
     return factor, si
 
 
+def seconds(stamps: npt.NDArray[np.int64], origin_ns: int) -> npt.NDArray[np.float64]:
+    """Stamps as seconds since ``origin_ns``."""
+    return np.asarray((stamps - origin_ns) * 1e-9, dtype=np.float64)
+
+
 #: A log whose stamps step back more often than this is not repaired by sorting.
 MAX_BACKWARD_SHARE = 0.01
 #: Nor is one that steps back further than this: its clock was set while it recorded.

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from fnmatch import fnmatchcase
 from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
+import numpy.typing as npt
 
+from sysid.datasets.bodies import Flag, find_mounts, joints_and_points, mean_pose
 from sysid.datasets.channel import Channel, convert, in_order
 from sysid.datasets.discover import RecordingFiles
 from sysid.datasets.recipe import SignalMap, StreamMap
@@ -16,32 +19,113 @@ from sysid.errors import InputError, SettingsError, nearest
 from sysid.logs import ReadOptions, Stream, reader_for, reader_named
 from sysid.machine import Machine
 
+#: (recording, glob of the recipe's entry) → body → its mount on its link.
+Mounts = Mapping[tuple[str, str], Mapping[str, npt.NDArray[np.float64]]]
 
-def read_channels(files: RecordingFiles, machine: Machine) -> tuple[tuple[Channel, ...], dict[str, tuple[str, ...]]]:
-    """All mapped signals of a recording, and file name → what could not be read from it.
+
+@dataclass(frozen=True)
+class Reading:
+    """What was read of one recording: its channels, file name → what could not be read, frames that were dropped."""
+
+    channels: tuple[Channel, ...]
+    losses: Mapping[str, tuple[str, ...]]
+    flags: tuple[Flag, ...] = ()
+
+
+def survey_mounts(found: Sequence[RecordingFiles], machine: Machine) -> Mounts:
+    """Where the rigid bodies sit on their links, for each recording, from the reference poses of the recipe.
+
+    Raises:
+        InputError: a body is not seen, or moves, in the reference pose.
+        SettingsError: no reference, or it names a recording that is not there.
+    """
+    with_bodies = [(files.name, path, m) for files in found for path, m in files.streams if m is not None and m.bodies]
+    own: dict[tuple[str, str], dict[str, list[npt.NDArray[np.float64]]]] = {}
+    for name, path, mapping in with_bodies:
+        pattern = mapping.reference.recording if mapping.reference is not None else None
+        if pattern is None or fnmatchcase(name, pattern):
+            own[name, mapping.files] = find_mounts(_read(path, mapping), mapping, machine)
+    mounts: dict[tuple[str, str], dict[str, npt.NDArray[np.float64]]] = {}
+    for name, _, mapping in with_bodies:
+        shared = mapping.reference is not None and mapping.reference.recording is not None
+        sources = [m for (_, files), m in own.items() if files == mapping.files] if shared else [own[name, mapping.files]]
+        if not sources:
+            pattern = mapping.reference.recording if mapping.reference is not None else ""
+            where = f"streams {mapping.files!r}: reference.recording"
+            raise SettingsError(where, f"no recording {pattern!r}", nearest(str(pattern), [files.name for files in found]))
+        mounts[name, mapping.files] = {
+            body: mean_pose(np.stack([pose for source in sources for pose in source[body]])) for body in mapping.bodies
+        }
+    return mounts
+
+
+def read_channels(files: RecordingFiles, machine: Machine, mounts: Mounts) -> Reading:
+    """All mapped signals of a recording.
 
     Raises:
         InputError: a file that cannot be read, a field or topic that is not there, a wrong unit, stamps that go back.
     """
     channels: list[Channel] = []
     losses: dict[str, tuple[str, ...]] = {}
+    flags: list[Flag] = []
     for path, mapping in files.streams:
         streams = _read(path, mapping)
-        losses[path.name] = losses.get(path.name, ()) + tuple(loss for stream in streams for loss in stream.losses)
-        channels += _canonical(path, streams, machine) if mapping is None else _mapped(path, streams, mapping, machine)
-    return _one_clock(channels) if any(m is None for _, m in files.streams) else tuple(channels), losses
+        said = (*losses.get(path.name, ()), *(loss for stream in streams for loss in stream.losses))
+        losses[path.name] = tuple(dict.fromkeys(said))
+        if mapping is None:
+            channels += _canonical(path, streams, machine)
+            continue
+        channels += _mapped(path, streams, mapping, machine)
+        if mapping.bodies or mapping.points:
+            seen, dropped = _captured(path, streams, mapping, machine, mounts.get((files.name, mapping.files), {}))
+            channels += seen
+            flags += dropped
+    if any(mapping is None for _, mapping in files.streams):
+        channels = _one_clock(channels)
+    return Reading(tuple(channels), losses, tuple(flags))
+
+
+def _captured(
+    path: Path,
+    streams: Sequence[Stream],
+    mapping: StreamMap,
+    machine: Machine,
+    mounts: Mapping[str, npt.NDArray[np.float64]],
+) -> tuple[list[Channel], tuple[Flag, ...]]:
+    """Joints and points that the rigid bodies of an export give."""
+    signals, flags = joints_and_points(streams, mapping, mounts, machine)
+    stamps = streams[0].stamps["capture"]
+    order, repaired = in_order(stamps, str(path))
+    channels = [
+        Channel(
+            signal=signal,
+            source=path.name,
+            domain=mapping.domain,
+            stamps=stamps[order],
+            values=values[order],
+            unit=machine.expected_unit(signal) or "m",
+            primary=signal not in mapping.secondary,
+            interpolation=mapping.interpolation,
+            max_gap_s=mapping.max_gap_s,
+            repaired=repaired,
+        )
+        for signal, values in signals.items()
+    ]
+    return channels, flags
 
 
 def _read(path: Path, mapping: StreamMap | None) -> tuple[Stream, ...]:
     if mapping is None:
         return reader_for(path).read(path, ReadOptions())
     reader = reader_named(mapping.reader, path) if mapping.reader is not None else reader_for(path)
-    topics = [signal.topic for signal in mapping.signals.values() if signal.topic is not None]
+    wanted = {signal.topic for signal in mapping.signals.values() if signal.topic is not None}
+    wanted |= {*mapping.bodies, *(point.body for point in mapping.points.values())}
     options = ReadOptions(
-        streams=frozenset(topics) if topics else None,
+        streams=frozenset(wanted) if wanted else None,
         time=mapping.time,
         time_unit=mapping.time_unit,
         length_unit=mapping.length_unit,
+        rotation=mapping.rotation,
     )
     return reader.read(path, options)
 
@@ -105,11 +189,11 @@ def _canonical(path: Path, streams: Sequence[Stream], machine: Machine) -> list[
     return channels
 
 
-def _one_clock(channels: Sequence[Channel]) -> tuple[Channel, ...]:
+def _one_clock(channels: Sequence[Channel]) -> list[Channel]:
     """The file with the commands (else the first one) is on the machine's clock."""
     with_command = [channel.domain for channel in channels if channel.signal.endswith(".command")]
     machine_domain = (with_command or [channel.domain for channel in channels])[0]
-    return tuple(replace(c, domain="machine") if c.domain == machine_domain else c for c in channels)
+    return [replace(c, domain="machine") if c.domain == machine_domain else c for c in channels]
 
 
 def joined(channels: Sequence[Channel], where: object) -> dict[str, list[Channel]]:

@@ -8,12 +8,13 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
 import pandas as pd
 
 from sysid.datasets.channel import Channel
-from sysid.datasets.channels import concatenate, joined, read_channels
+from sysid.datasets.channels import Reading, concatenate, joined, read_channels, survey_mounts
+from sysid.datasets.clocks import Clocked, align, by_source, machine_times
 from sysid.datasets.discover import RecordingFiles, discover, sha256
+from sysid.datasets.poses import pose_table, still_phases
 from sysid.datasets.quality import describe
 from sysid.datasets.recipe import Recipe, check_against_machine, load_recipe
 from sysid.datasets.recording import ClockRecord, Dataset, Recording, Source
@@ -75,19 +76,22 @@ def ingest(
         report(f"the same logs are {title}@{known}", 1.0)
         return store.load(f"{title}@{known}")
 
-    channels: dict[str, tuple[Channel, ...]] = {}
-    losses: dict[str, tuple[str, ...]] = {}
+    settings = rules if rules is not None else Recipe(schema=1)
+    mounts = survey_mounts(found, description)
+    readings: dict[str, Reading] = {}
     for number, files in enumerate(found):
-        report(f"reading {files.name}", 0.05 + 0.45 * number / len(found))
-        channels[files.name], lost = read_channels(files, description)
-        losses |= {f"{files.name}/{file}": items for file, items in lost.items()}
-    clocks: tuple[ClockRecord, ...] = ()
+        report(f"reading {files.name}", 0.05 + 0.35 * number / len(found))
+        readings[files.name] = read_channels(files, description, mounts)
+    channels = {name: reading.channels for name, reading in readings.items()}
+    losses = {f"{name}/{file}": items for name, reading in readings.items() for file, items in reading.losses.items()}
+    clocked = [Clocked(files.name, files.kind, channels[files.name]) for files in found]
+    report("aligning clocks", 0.4)
+    clocks = align(clocked)
     recordings = []
-    for number, files in enumerate(found):
-        report(f"resampling {files.name}", 0.7 + 0.2 * number / len(found))
-        recordings.append(_recording(files, channels[files.name], clocks, description, rules or Recipe(schema=1)))
-    splits = (rules or Recipe(schema=1)).splits
-    parts, roles = split(recordings, splits, where)
+    for number, recording in enumerate(clocked):
+        report(f"resampling {recording.name}", 0.8 + 0.1 * number / len(found))
+        recordings.append(_recording(recording, by_source(clocks, recording.name), description, settings))
+    parts, roles = split(recordings, settings.splits, where)
     units = _units(channels)
     parts = tuple(_with_units(part, units) for part in parts)
     dataset = Dataset(
@@ -100,7 +104,7 @@ def ingest(
         splits=roles,
         sources=tuple(replace(source, losses=losses.get(source.path, ())) for source in sources),
         clocks=clocks,
-        quality=describe(parts, channels, description),
+        quality=describe(parts, readings, description),
     )
     report("storing", 0.95)
     saved = store.save(dataset, channels, rules.text if rules is not None else "")
@@ -154,22 +158,32 @@ def _digest(sources: Sequence[Source], rules: Recipe | None, machine: Machine) -
     return hashlib.sha256(json.dumps(content, sort_keys=True).encode("utf-8")).hexdigest()
 
 
-def _recording(
-    files: RecordingFiles, channels: Sequence[Channel], clocks: Sequence[ClockRecord], machine: Machine, rules: Recipe
-) -> Recording:
+def _recording(recording: Clocked, records: Mapping[str, ClockRecord], machine: Machine, rules: Recipe) -> Recording:
     """The aligned table of one recording."""
-    own = [channel.stamps for channel in channels if channel.domain == "machine" and len(channel.stamps)]
-    if not own:
-        raise InputError(files.root, "no samples on the machine's clock", "commands or sensors of the machine")
-    start, end = min(int(s[0]) for s in own), max(int(s[-1]) for s in own)
+    start = recording.start_ns
+    where = f"recording {recording.name}"
+    signals = {name: concatenate(parts) for name, parts in joined(recording.channels, where).items()}
+    signals = {name: signals[name] for name in machine.signals if name in signals}
+    times = {name: machine_times(channel, start, records.get(channel.source)) for name, channel in signals.items()}
+    if recording.kind == "poses":
+        sensors = [c for c in recording.machine if not c.signal.endswith(".command")]
+        measured = {c.signal: (machine_times(c, start, None), c.values) for c in sensors}  # noqa: PD011
+        phases = still_phases(measured, rules.still, where)
+        slack = {name: _slack(records[c.source]) for name, c in signals.items() if c.source in records}
+        values = {n: (times[n], c.values) for n, c in signals.items() if not n.endswith(".command")}  # noqa: PD011
+        return Recording(recording.name, pose_table(phases, values, slack), machine.rate_hz, "poses", start)
+    end = max(int(channel.stamps[-1]) for channel in recording.machine)
     at = grid(start, end, machine.rate_hz)
     columns = {"time": at}
-    signals = joined(channels, f"recording {files.name}")
-    for signal in (name for name in machine.signals if name in signals):
-        channel = concatenate(signals[signal])
-        times = ((channel.stamps - start) * 1e-9).astype(np.float64)
-        columns[signal] = resample(channel, times, at, machine.rate_hz, rules.hold_s)
-    return Recording(files.name, pd.DataFrame(columns), machine.rate_hz, files.kind, start)
+    for name, channel in signals.items():
+        columns[name] = resample(channel, times[name], at, machine.rate_hz, rules.hold_s)
+    return Recording(recording.name, pd.DataFrame(columns), machine.rate_hz, "motion", start)
+
+
+def _slack(record: ClockRecord) -> float:
+    """By how much the window of a still phase is widened for a clock that is known to a part of a hold only [s]."""
+    half = (record.offset_interval95[1] - record.offset_interval95[0]) / 2.0
+    return half if half > 0.01 else 0.0
 
 
 def _units(channels: Mapping[str, Sequence[Channel]]) -> dict[str, str]:

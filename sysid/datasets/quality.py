@@ -7,12 +7,12 @@ from typing import Any
 
 import numpy as np
 
-from sysid.datasets.channel import Channel
+from sysid.datasets.channels import Reading
 from sysid.datasets.recording import Recording
 from sysid.machine import Machine
 
 
-def describe(recordings: Sequence[Recording], channels: Mapping[str, Sequence[Channel]], machine: Machine) -> dict[str, Any]:
+def describe(recordings: Sequence[Recording], readings: Mapping[str, Reading], machine: Machine) -> dict[str, Any]:
     """``{"recordings": {name: {signal: {...}}}}``; JSON-able."""
     return {"recordings": {r.name: {s: _signal(r, s) for s in r.signals} for r in recordings}}
 

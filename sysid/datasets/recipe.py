@@ -67,7 +67,8 @@ class Reference:
     Args:
         seconds: from, to, on the stream's own clock counted from its first stamp.
         joints: axis → joint value [rad or m].
-        recording: where it was recorded; None: at the start of every recording.
+        recording: glob of the recordings it was recorded in (mounts are averaged over them, capture frame and bodies must not
+            have moved in between); None: every recording starts with it.
     """
 
     __pydantic_config__ = STRICT
@@ -85,7 +86,7 @@ class StreamMap:
         files: glob inside the recording's folder.
         clock: which of the stream's stamps to use; None: the reader's first.
         domain: which device's clock the stamps are on. All others are aligned to ``machine``.
-        time, time_unit, length_unit: see :class:`sysid.logs.ReadOptions`.
+        time, time_unit, length_unit, rotation: see :class:`sysid.logs.ReadOptions`.
         interpolation: between samples of measured signals; commands are held.
         max_gap_s: gaps longer than this stay empty; None: three sample periods.
         secondary: signals of this stream that another stream measures better (as ``primary = false``).
@@ -101,6 +102,7 @@ class StreamMap:
     time: str | None = None
     time_unit: str = "s"
     length_unit: str | None = None
+    rotation: str | None = None
     interpolation: Literal["linear", "cubic"] = "linear"
     max_gap_s: float | None = None
     signals: dict[str, SignalMap] = field(default_factory=dict)

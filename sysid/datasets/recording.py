@@ -63,7 +63,10 @@ class Source:
 class ClockRecord:
     """``t_machine = t_stream · (1 + 1e-6 · skew_ppm) + offset_s``, t counted from the stream's first stamp.
 
-    ``applied`` is False where the offset could not be observed; ``reason`` says why. ``interval95`` are (lo, hi).
+    t_machine counts from the start of the uncut recording (its first sample on the machine's clock), so
+    ``stamp_machine = start_ns + 1e9·t_machine`` and ``t_stream = (stamp − stream_start_ns)·1e-9``: the step can be undone.
+    ``applied`` is False where the offset could not be observed; ``reason`` says why. ``interval95`` are (lo, hi). A constant
+    latency of a sensor shifts its stamps like an offset does: what is estimated is the sum of both.
     """
 
     recording: str
@@ -76,6 +79,7 @@ class ClockRecord:
     used_signals: tuple[str, ...]
     applied: bool
     reason: str = ""
+    stream_start_ns: int = 0
 
 
 @dataclass(frozen=True)

@@ -18,12 +18,14 @@ class ReadOptions:
         time: column or variable that holds the stamps (CSV, Parquet, MATLAB).
         time_unit: unit of that column.
         length_unit: unit of positions where the file does not state one (Motive).
+        rotation: order of Euler angles where the file does not state it (Motive), e.g. ``XYZ``.
     """
 
     streams: frozenset[str] | None = None
     time: str | None = None
     time_unit: str = "s"
     length_unit: str | None = None
+    rotation: str | None = None
 
 
 class LogReader(Protocol):

@@ -7,10 +7,12 @@ from pathlib import Path
 from sysid.errors import InputError, SettingsError, nearest
 from sysid.logs.csv import CsvReader
 from sysid.logs.mat import MatReader
+from sysid.logs.mcap import McapReader
+from sysid.logs.motive import MotiveReader
 from sysid.logs.parquet import ParquetReader
 from sysid.logs.reader import LogReader
 
-READERS: tuple[LogReader, ...] = (CsvReader(), ParquetReader(), MatReader())
+READERS: tuple[LogReader, ...] = (McapReader(), CsvReader(), MotiveReader(), ParquetReader(), MatReader())
 
 
 def reader_named(name: str, where: object) -> LogReader:
