@@ -83,9 +83,13 @@ def _dotted(path: tuple[int | str, ...]) -> str:
 def _keys_at(cls: Any, path: tuple[int | str, ...]) -> list[str]:
     """The field names of the dataclass that ``path`` leads to inside ``cls``; empty where it is no dataclass."""
     for part in path:
-        if isinstance(part, str) and dataclasses.is_dataclass(cls):
+        if typing.get_origin(cls) is dict:
+            cls = get_args(cls)[1]
+        elif isinstance(part, str) and dataclasses.is_dataclass(cls):
             cls = typing.get_type_hints(cls).get(part)
-        cls = _dataclass_inside(cls)
+        # The keys of a dictionary are a step of the path of their own.
+        if typing.get_origin(cls) is not dict:
+            cls = _dataclass_inside(cls)
     return [field.name for field in dataclasses.fields(cls) if field.init] if dataclasses.is_dataclass(cls) else []
 
 

@@ -36,7 +36,7 @@ def draw_strokes(settings: OperatorSettings, seconds: float, rng: np.random.Gene
     per_axis = [_strokes_of_axis(name == "slew", settings, seconds, pauses, rng) for name in AXES]
     table = np.full((len(AXES), max(len(strokes) for strokes in per_axis) + 1, 4), np.inf)
     for row, strokes in zip(table, per_axis, strict=True):
-        row[: len(strokes)] = strokes
+        row[: len(strokes)] = np.reshape(strokes, (-1, 4))
     return table
 
 
