@@ -6,7 +6,7 @@ from numba import njit
 
 from sysid.effects.effect import Effect, Form, Parameter, Slot
 
-_STARTS = (0.03, 0.12, 0.25)
+_STARTS = (0.03, 0.12, 0.25, 0.5)
 
 EFFECT = Effect(
     name="valve_deadband",
@@ -16,8 +16,8 @@ EFFECT = Effect(
     forms=(
         Form(
             (
-                Parameter("positive", "1", (0.0, 0.75), _STARTS, 0.004, "commands up to this do not move it"),
-                Parameter("negative", "1", (0.0, 0.75), _STARTS, 0.004, "same on the negative side, as a magnitude"),
+                Parameter("positive", "1", (0.0, 0.95), _STARTS, 0.004, "commands up to this do not move it"),
+                Parameter("negative", "1", (0.0, 0.95), _STARTS, 0.004, "same on the negative side, as a magnitude"),
             )
         ),
     ),

@@ -2,6 +2,6 @@
 
 from sysid.plant.model import Model, compile_plant
 from sysid.plant.plant import Plant, effects_toml, nominal_plant, plant_from_files
-from sysid.plant.rollout import free_run, stage_run
+from sysid.plant.rollout import free_run
 
-__all__ = ["Model", "Plant", "compile_plant", "effects_toml", "free_run", "nominal_plant", "plant_from_files", "stage_run"]
+__all__ = ["Model", "Plant", "compile_plant", "effects_toml", "free_run", "nominal_plant", "plant_from_files"]

@@ -64,8 +64,10 @@ class ForceInputs:
         return out
 
 
-def force_residual_inputs(recording: Recording, axis: Axis, settings: ForceFilter | None = None) -> ForceInputs:
-    """Filter one recording for the force comparison.
+def force_inputs(
+    recording: Recording, axis: Axis, settings: ForceFilter | None = None, rows: npt.NDArray[np.int64] | None = None
+) -> ForceInputs:
+    """Filter one recording for the force comparison; ``rows`` fixes which samples survive.
 
     Raises:
         ExcitationError: the axis is not measured throughout or hardly moves.
@@ -84,6 +86,10 @@ def force_residual_inputs(recording: Recording, axis: Axis, settings: ForceFilte
     position = signal.sosfiltfilt(smooth, position)
     speed = np.gradient(position, 1.0 / rate)
     acceleration = np.gradient(speed, 1.0 / rate)
+    filtered = signal.sosfiltfilt(low_pass, force)
+    inertia = float(axis.inertia or 0.0)
+    if rows is not None:
+        return ForceInputs(rows, speed, acceleration, filtered[rows], low_pass, inertia)
     still = settings.still * float(np.percentile(np.abs(speed), 95))
     stride = max(1, int(rate / (2.5 * settings.force_hz)))
     edge = 5 * stride
@@ -95,5 +101,4 @@ def force_residual_inputs(recording: Recording, axis: Axis, settings: ForceFilte
     rows = rows[~slow[rows] & measured]
     if len(rows) < 30:
         raise ExcitationError(f"{recording.name}: {axis.name}", "the axis hardly moves", "motion in both directions")
-    filtered = signal.sosfiltfilt(low_pass, force)
-    return ForceInputs(rows, speed, acceleration, filtered[rows], low_pass, float(axis.inertia or 0.0))
+    return ForceInputs(rows, speed, acceleration, filtered[rows], low_pass, inertia)

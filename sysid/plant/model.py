@@ -53,13 +53,18 @@ class Model:
     def axes(self) -> int:
         return len(self.machine.axes)
 
-    def drive(self, thetas: Array, recording: Recording, axis: str) -> tuple[Array, Array]:
-        """Free run of one axis from its command: (position of the drive, behind the play if it lies there), each (lanes, n)."""
+    def drive(self, thetas: Array, recording: Recording, axis: str, restart_every: float | None = None) -> tuple[Array, Array]:
+        """Free run of one axis from its command: (position of the drive, behind the play if it lies there), each (lanes, n).
+
+        ``restart_every`` [s] restarts it from the measurement again and again, for starting values of a fit.
+        """
         column = self.machine.axis_names.index(axis)
         about = self.machine.axes[column]
         dt = 1.0 / recording.rate_hz
         command, segments = held(recording.values(axis_signal(axis, "command")), recording.rate_hz)
         measured = recording.values(about.driven)
+        if restart_every is not None:
+            segments = _shorter(segments, max(2, round(restart_every / dt)))
         kind = _KINDS[about.actuation]
         gain = float(about.inertia or 0.0) if about.actuation == "force" else about.gain
         low, high = about.range
@@ -158,6 +163,12 @@ def held(command: Array, rate_hz: float) -> tuple[Array, npt.NDArray[np.int64]]:
     filled = np.where(usable, command[np.maximum(last, 0)], 0.0)
     edges = np.flatnonzero(np.diff(np.concatenate(([False], usable, [False])).astype(np.int8)))
     return filled, edges.reshape(-1, 2).astype(np.int64)
+
+
+def _shorter(segments: npt.NDArray[np.int64], length: int) -> npt.NDArray[np.int64]:
+    """Every stretch cut into pieces of at most ``length`` samples."""
+    cut = [(k, min(k + length, last)) for first, last in segments for k in range(first, last, length)]
+    return np.array(cut, dtype=np.int64).reshape(-1, 2)
 
 
 def measured_point(recording: Recording, point: str) -> Array:

@@ -1,4 +1,4 @@
-"""What a plant predicts for a recording: the whole chain free-running, or each stage driven by its measured input."""
+"""What a plant predicts for a recording: the whole chain, free-running from its commands."""
 
 from __future__ import annotations
 
@@ -7,8 +7,7 @@ import numpy.typing as npt
 import pandas as pd
 
 from sysid.datasets.recording import Recording
-from sysid.plant.force import force_residual_inputs
-from sysid.plant.model import Model, compile_plant, measured_joints, measured_point
+from sysid.plant.model import compile_plant, measured_point
 from sysid.plant.plant import Plant
 from sysid.signals import axis_signal, point_signals
 
@@ -42,43 +41,6 @@ def free_run(plant: Plant, recording: Recording) -> pd.DataFrame:
         if model.machine.tool is not None:
             _add_point(columns, "tool", model.tool(theta, ee, measured_point(recording, "tool"), recording.rate_hz)[0])
     return pd.DataFrame(columns)
-
-
-def stage_run(plant: Plant, recording: Recording) -> pd.DataFrame:
-    """Every stage driven by its *measured* input.
-
-    The first stage has the command as its input, so ``<axis>.cylinder`` (or ``<axis>.joint`` of an axis that drives the
-    joint) is the free run of that stage alone. ``<axis>.command`` of a force axis is the force that the model needs for
-    the measured motion, under the filter of :mod:`sysid.plant.force`.
-    """
-    model = compile_plant(plant)
-    theta = model.theta[None]
-    columns: dict[str, Array] = {"time": recording.values("time")}
-    for axis in model.machine.axes:
-        drive, behind_play = model.drive(theta, recording, axis.name)
-        joint_signal = axis_signal(axis.name, "joint")
-        if axis.drives == "joint":
-            columns[joint_signal] = behind_play[0]
-        else:
-            columns[axis.driven] = drive[0]
-            if axis.name in model.tables:
-                columns[joint_signal] = _stage_joint(model, theta, recording, axis.name)
-        if axis.actuation == "force":
-            inputs = force_residual_inputs(recording, axis)
-            force = np.full(len(recording), np.nan)
-            force[inputs.rows] = inputs.model_force(model, theta, axis.name)[0]
-            columns[axis_signal(axis.name, "command")] = force
-    if model.chain is not None:
-        _add_point(columns, "ee", model.tip(theta, measured_joints(recording, model.machine))[0])
-        if model.machine.tool is not None:
-            pivot, bob = measured_point(recording, "ee"), measured_point(recording, "tool")
-            _add_point(columns, "tool", model.tool(theta, pivot, bob, recording.rate_hz)[0])
-    return pd.DataFrame(columns)
-
-
-def _stage_joint(model: Model, theta: Array, recording: Recording, axis: str) -> Array:
-    cylinder, joint = recording.values(axis_signal(axis, "cylinder")), recording.values(axis_signal(axis, "joint"))
-    return np.asarray(model.joint(theta, cylinder, joint, axis, recording.rate_hz)[0])
 
 
 def _add_point(columns: dict[str, Array], point: str, values: Array) -> None:

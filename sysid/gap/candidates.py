@@ -1,0 +1,160 @@
+"""What might be missing at a stage: every effect of the catalogue at every admissible place."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from sysid.effects import CATALOGUE, Effect, Form, Parameter
+from sysid.effects.effect import Stage
+from sysid.machine import KnownEffect, Machine
+from sysid.plant import Plant
+from sysid.plant.layout import parameter_indices
+
+Array = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Unknown:
+    """One number that a fit may change.
+
+    Args:
+        key: public parameter name, with ``[i]`` for a component of a vector.
+        places: indices into ``theta`` that take its value.
+        scale: a change that is just worth noticing; steps and tolerances derive from it.
+        nominal: its value in the plant that is being questioned.
+        negligible: a departure from nominal that is not worth a name.
+    """
+
+    key: str
+    places: tuple[int, ...]
+    bounds: tuple[float, float]
+    scale: float
+    nominal: float
+    negligible: float
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """One effect in one form at one place.
+
+    A ``nuisance`` is free in every fit, since other effects would absorb it otherwise; its label ends in ``~``.
+    """
+
+    effect: Effect
+    form: Form
+    target: str
+    side: str | None
+    unknowns: tuple[Unknown, ...]
+    starts: tuple[tuple[float, ...], ...]
+    nuisance: bool = False
+
+    @property
+    def key(self) -> tuple[str, str, str | None]:
+        """What two forms of the same effect share: one of them at a time may be in a model."""
+        return self.effect.name, self.target, self.side
+
+    @property
+    def label(self) -> str:
+        """For tables: ``backlash(slew, drive)``, with the form where it is not the simplest."""
+        side = f", {self.side}" if self.side else ""
+        form = "" if self.form is self.effect.forms[0] else f" [{', '.join(self.form.names)}]"
+        return f"{self.effect.name}({self.target}{side}){form}{' ~' if self.nuisance else ''}"
+
+    def instance(self, values: Array) -> KnownEffect:
+        """The effect with these values, as a plant takes it."""
+        parameters: dict[str, float | list[float]] = {}
+        k = 0
+        for parameter in self.form.parameters:
+            width = len(parameter.components)
+            part = [float(v) for v in values[k : k + width]]
+            parameters[parameter.name] = part[0] if width == 1 else part
+            k += width
+        return KnownEffect(self.effect.name, self.target, parameters, self.side)  # type: ignore[arg-type]
+
+
+def candidates_at(
+    plant: Plant,
+    theta: Array,
+    stage: Stage,
+    targets: tuple[str, ...],
+    force_scale: float = 1.0,
+    only: frozenset[str] | None = None,
+) -> list[Candidate]:
+    """All candidates of a stage.
+
+    Args:
+        theta: the questioned plant's vector; its values are the nominal ones.
+        targets: axes (and ``base`` or ``tool``) that belong to the stage's problem.
+        force_scale: typical force [N or N·m], the scale of parameters that are forces.
+        only: names to keep; all without it.
+    """
+    found = []
+    for effect in CATALOGUE:
+        if only is not None and effect.name not in only:
+            continue
+        for target in targets:
+            if not _fits(effect, target, stage, plant.machine):
+                continue
+            for side in _sides(effect, stage, target, plant.machine):
+                found += [_candidate(plant, theta, effect, form, target, side, force_scale) for form in effect.forms]
+    return found
+
+
+def as_nuisance(candidate: Candidate, reach: float | None = None) -> Candidate:
+    """The candidate as a nuisance that may move by ``reach`` from nominal (anywhere in its bounds without it)."""
+    unknowns = candidate.unknowns
+    if reach is not None:
+        unknowns = tuple(
+            replace(u, bounds=(max(u.bounds[0], u.nominal - reach), min(u.bounds[1], u.nominal + reach))) for u in unknowns
+        )
+    return replace(candidate, unknowns=unknowns, starts=(tuple(u.nominal for u in unknowns),), nuisance=True)
+
+
+def _fits(effect: Effect, target: str, stage: Stage, machine: Machine) -> bool:
+    if effect.target != ("axis" if target in machine.axis_names else target):
+        return False
+    if effect.target == "axis" and machine.axis(target).actuation not in effect.actuations:
+        return False
+    if effect.name == "backlash":
+        return bool(_sides(effect, stage, target, machine))
+    return effect.stage == stage
+
+
+def _sides(effect: Effect, stage: Stage, target: str, machine: Machine) -> tuple[str | None, ...]:
+    """Where an effect with two possible places shows: play before a directly driven joint shows in its command stage."""
+    if not effect.sides:
+        return (None,)
+    drives = machine.axis(target).drives
+    if stage == "command":
+        return ("drive",) if drives == "joint" else ()
+    if stage == "joint":
+        return ("drive",) if drives == "cylinder" else ()
+    return ("structure",) if stage == "end_effector" else ()
+
+
+def _candidate(
+    plant: Plant, theta: Array, effect: Effect, form: Form, target: str, side: str | None, force_scale: float
+) -> Candidate:
+    unknowns: list[Unknown] = []
+    starts: list[tuple[float, ...]] = []
+    for parameter in form.parameters:
+        places = parameter_indices(plant.machine.axis_names, effect.name, target, side, parameter.name)
+        for k, group in enumerate(places):
+            key = parameter.name if len(places) == 1 else f"{parameter.name}[{k}]"
+            nominal = float(theta[group[0]])
+            scale, negligible = _scale(parameter, force_scale)
+            unknowns.append(Unknown(key, tuple(group), parameter.bounds, scale, nominal, negligible))
+            starts.append(tuple(s * (force_scale if scale != parameter.negligible else 1.0) for s in parameter.starts))
+    count = max(len(s) for s in starts)
+    rows = tuple(tuple(s[min(i, len(s) - 1)] for s in starts) for i in range(count))
+    return Candidate(effect, form, target, side, tuple(unknowns), rows)
+
+
+def _scale(parameter: Parameter, force_scale: float) -> tuple[float, float]:
+    """(scale, negligible); parameters that are forces have neither in the catalogue and take them from the data."""
+    if parameter.negligible > 0.0:
+        return parameter.negligible, parameter.negligible
+    return 1e-2 * force_scale, 1e-2 * force_scale

@@ -1,0 +1,67 @@
+"""Is a larger model really better? Criteria that hold when residuals are correlated in time.
+
+Naive criteria count every sample as independent and name effects that are not there in most runs on drifting residuals
+(measured: ΔBIC > 10 in 67–94 % of null runs). Here the drift is part of each model's likelihood (:mod:`sysid.gap.drift`), and
+the gain in predictive density on recordings that the fit has not seen is bootstrapped in blocks.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+Array = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """A larger model against a smaller one.
+
+    Args:
+        delta_bic: BIC(smaller) − BIC(larger) on the fitted recordings; above 10 is strong evidence for the larger.
+        gain: log predictive density gained on unseen recordings (natural log).
+        p_value: share of block-bootstrap samples in which the larger one does not predict unseen recordings better.
+        ratio: free-run RMSE smaller / larger on the unseen recordings.
+    """
+
+    delta_bic: float
+    gain: float
+    p_value: float
+    ratio: float
+
+
+def gain_p_value(gain: Array, seed: int, draws: int = 1000) -> float:
+    """Share of stationary-bootstrap means of ``gain`` that are not positive (Politis & Romano, JASA 89 (1994))."""
+    from arch.bootstrap import StationaryBootstrap, optimal_block_length
+
+    if len(gain) < 20 or not np.any(gain != 0.0):
+        return 1.0
+    length = float(np.nan_to_num(optimal_block_length(gain)["stationary"].iloc[0], nan=1.0))
+    block = int(np.clip(round(length), 5, max(5, len(gain) // 4)))
+    bootstrap = StationaryBootstrap(block, gain, seed=np.random.default_rng(seed))
+    means = bootstrap.apply(lambda x: np.mean(x, axis=0), draws)
+    return float((np.sum(means <= 0.0) + 1) / (draws + 1))
+
+
+def confidence_set(losses: Sequence[Array], seed: int = 0, size: float = 0.05) -> list[int]:
+    """Indices of the models that survive a model confidence set (Hansen, Lunde, Nason, Econometrica 79 (2011)).
+
+    Args:
+        losses: loss series of each model on the same bins, each (m,).
+    """
+    from arch.bootstrap import MCS
+
+    table = np.column_stack(losses)
+    distinct = [k for k in range(1, len(losses)) if np.any(table[:, k] != table[:, 0])]
+    same = [k for k in range(1, len(losses)) if k not in distinct]
+    if not distinct:
+        return list(range(len(losses)))
+    kept = [0, *distinct]
+    block = int(np.clip(len(table) / 20, 5, 50))
+    mcs = MCS(table[:, kept], size=size, reps=500, block_size=block, seed=np.random.default_rng(seed))
+    mcs.compute()
+    included = {kept[k] for k in range(len(kept)) if k in mcs.included}
+    return sorted(included | (set(same) if 0 in included else set()))

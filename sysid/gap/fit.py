@@ -1,0 +1,257 @@
+"""Least squares over whole rollouts: every perturbation is a lane, the loss forgives outliers, several starts.
+
+Residuals are binned and whitened by the drift model of their own fit, so that a wandering of the machine that nothing explains
+neither pulls parameters nor counts as evidence.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+import numpy.typing as npt
+from scipy.optimize import least_squares
+
+from sysid.datasets.recording import Recording
+from sysid.gap.candidates import Candidate, Unknown
+from sysid.gap.drift import Drift, estimate_drift, to_bins, whiten
+from sysid.gap.problem import DriveProblem, Problem
+
+Array = npt.NDArray[np.float64]
+
+#: Residuals are winsorised softly beyond this many robust standard deviations.
+FORGIVE = 4.0
+#: Short runs from which a drive fit takes its starting values [s].
+SHORT_RUN = 5.0
+
+
+@dataclass(frozen=True)
+class Fit:
+    """Values of the unknowns of a set of candidates that fit best.
+
+    Args:
+        theta: the whole parameter vector with them in place.
+        values: (k,) in the order of ``unknowns``.
+        drifts: one for each signal of the problem.
+        log_likelihood: of the whitened residuals of the recordings that were fitted.
+    """
+
+    candidates: tuple[Candidate, ...]
+    unknowns: tuple[Unknown, ...]
+    values: Array
+    theta: Array
+    drifts: tuple[Drift, ...]
+    log_likelihood: float
+    converged: bool
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        return tuple(c.label for c in self.candidates)
+
+    def values_of(self, candidate: Candidate) -> Array:
+        """The part of ``values`` that belongs to one of the fitted candidates."""
+        at = 0
+        for known in self.candidates:
+            if known is candidate:
+                return self.values[at : at + len(known.unknowns)]
+            at += len(known.unknowns)
+        raise KeyError(candidate.label)
+
+
+@dataclass
+class Data:
+    """Recordings of a problem with what does not change between fits: noise and activity."""
+
+    problem: Problem
+    recordings: Sequence[Recording]
+    sigma: Array
+    activities: list[Array] = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.activities = [activity_of(self.problem, r) for r in self.recordings]
+
+    def bins(self, thetas: Array, problem: Problem | None = None) -> list[Array]:
+        """Binned residuals in units of noise, one (lanes, m, d) a recording."""
+        at = problem or self.problem
+        return [to_bins(part, at.rate(r)) for part, r in zip(self.residuals(thetas, at), self.recordings, strict=True)]
+
+    def residuals(self, thetas: Array, problem: Problem | None = None) -> list[Array]:
+        """(measured − predicted)/σ, one (lanes, n, d) a recording, NaN where either is missing."""
+        at = problem or self.problem
+        return [(at.measured(r)[None] - at.predict(thetas, r)) / self.sigma for r in self.recordings]
+
+    def whitened(self, thetas: Array, drifts: Sequence[Drift], problem: Problem | None = None) -> Array:
+        """(lanes, all bins of all signals), missing ones as zero, so that the length never changes."""
+        lanes = []
+        for part, activity in zip(self.bins(thetas, problem), self.activities, strict=True):
+            for k, drift in enumerate(drifts):
+                series = part[:, :, k]
+                if drift.present:
+                    series = np.array([whiten(lane, activity, drift)[0] for lane in series])
+                lanes.append(series / drift.noise)
+        return np.nan_to_num(np.concatenate(lanes, axis=1))
+
+    def drifts(self, theta: Array) -> tuple[tuple[Drift, ...], float]:
+        """Drift of every signal under one parameter vector, and the log-likelihood."""
+        bins = self.bins(theta[None])
+        found, total = [], 0.0
+        for k in range(len(self.sigma)):
+            drift, log_likelihood = estimate_drift([part[0, :, k] for part in bins], self.activities)
+            found.append(drift)
+            total += log_likelihood
+        return tuple(found), total
+
+    @property
+    def samples(self) -> int:
+        """Bins that are there (of the measured signals)."""
+        parts = [to_bins(self.problem.measured(r), self.problem.rate(r)) for r in self.recordings]
+        return sum(int((~np.isnan(part)).sum()) for part in parts)
+
+
+def activity_of(problem: Problem, recording: Recording) -> Array:
+    """How much the stage moves in each bin, mean 1, (m,); constant where it does not move at all.
+
+    Flow disturbances grow with flow, so a drive drifts while it moves and hardly at rest.
+    """
+    measured = to_bins(problem.measured(recording), problem.rate(recording))
+    if not isinstance(problem, DriveProblem) or len(measured) < 3:
+        return np.ones(len(measured))
+    rows = np.arange(len(measured))
+    there = ~np.isnan(measured[:, 0])
+    if there.sum() < 3:
+        return np.ones(len(measured))
+    moved = np.abs(np.gradient(np.interp(rows, rows[there], measured[there, 0])))
+    mean = float(moved.mean())
+    return moved / mean if mean > 0 else np.ones(len(measured))
+
+
+def place(theta: Array, unknowns: Sequence[Unknown], lanes: Array) -> Array:
+    """Copies of ``theta`` with the unknowns set: lanes (L, k) → (L, N)."""
+    thetas = np.repeat(theta[None], len(lanes), axis=0)
+    for k, unknown in enumerate(unknowns):
+        for at in unknown.places:
+            thetas[:, at] = lanes[:, k]
+    return thetas
+
+
+def fit_candidates(data: Data, theta: Array, candidates: Sequence[Candidate], starts: Sequence[Array]) -> Fit:
+    """Fit all unknowns of ``candidates`` together, from each of ``starts``; the likeliest end wins.
+
+    Args:
+        theta: vector of the questioned plant.
+        starts: rows of starting values, each (k,).
+    """
+    unknowns = tuple(u for c in candidates for u in c.unknowns)
+    if not unknowns:
+        drifts, log_likelihood = data.drifts(theta)
+        return Fit((), (), np.empty(0), theta, drifts, log_likelihood, True)
+    low = np.array([u.bounds[0] for u in unknowns])
+    high = np.array([u.bounds[1] for u in unknowns])
+    best: Fit | None = None
+    for start in _promising(data, theta, unknowns, [np.clip(s, low, high) for s in starts]):
+        fitted = _descend(data, theta, tuple(candidates), unknowns, start, low, high)
+        if best is None or fitted.log_likelihood > best.log_likelihood:
+            best = fitted
+    assert best is not None
+    return best
+
+
+def _promising(data: Data, theta: Array, unknowns: Sequence[Unknown], starts: list[Array]) -> list[Array]:
+    """The two best starts, judged in one batch (distinct ones only)."""
+    unique: Array = np.unique(np.round(np.array(starts), 12), axis=0)
+    if len(unique) <= 2:
+        return list(unique)
+    problem: Problem = data.problem
+    if isinstance(problem, DriveProblem):
+        problem = problem.in_short_runs(SHORT_RUN)
+    plain = (Drift(),) * len(data.sigma)
+    costs = np.mean(np.abs(data.whitened(place(theta, unknowns, unique), plain, problem)), axis=1)
+    return [unique[k] for k in np.argsort(costs)[:2]]
+
+
+def _descend(
+    data: Data,
+    theta: Array,
+    candidates: tuple[Candidate, ...],
+    unknowns: tuple[Unknown, ...],
+    start: Array,
+    low: Array,
+    high: Array,
+) -> Fit:
+    scale = np.array([u.scale for u in unknowns])
+    plain = (Drift(),) * len(data.sigma)
+    x = start
+    done = False
+    if isinstance(data.problem, DriveProblem):  # a drift cannot trap a fit in short runs
+        x, _ = _least_squares(data, theta, unknowns, x, low, high, scale, plain, data.problem.in_short_runs(SHORT_RUN))
+    x, done = _least_squares(data, theta, unknowns, x, low, high, scale, plain, data.problem)
+    drifts, log_likelihood = data.drifts(place(theta, unknowns, x[None])[0])
+    for _ in range(2):
+        if not any(drift.present for drift in drifts):
+            break
+        moved, ended = _least_squares(data, theta, unknowns, x, low, high, scale, drifts, data.problem)
+        renewed, better = data.drifts(place(theta, unknowns, moved[None])[0])
+        if better <= log_likelihood:
+            break
+        gained = better - log_likelihood
+        x, done, drifts, log_likelihood = moved, ended, renewed, better
+        if gained < 0.1:
+            break
+    return Fit(candidates, unknowns, x, place(theta, unknowns, x[None])[0], drifts, log_likelihood, done)
+
+
+def _least_squares(
+    data: Data,
+    theta: Array,
+    unknowns: Sequence[Unknown],
+    start: Array,
+    low: Array,
+    high: Array,
+    scale: Array,
+    drifts: Sequence[Drift],
+    problem: Problem,
+) -> tuple[Array, bool]:
+    def errors(x: Array) -> Array:
+        error: Array = data.whitened(place(theta, unknowns, x[None]), drifts, problem)[0]
+        return error
+
+    def slopes(x: Array) -> Array:
+        return jacobian(data, theta, unknowns, x, drifts, high, problem)[1]
+
+    x = np.clip(start, low + 1e-9 * (high - low), high - 1e-9 * (high - low))
+    solution = least_squares(
+        errors, x, slopes, (low, high), x_scale=scale, loss="soft_l1", f_scale=forgiveness(errors(x)),
+        ftol=1e-7, xtol=1e-7, max_nfev=40,
+    )  # fmt: skip
+    return solution.x, solution.status > 0
+
+
+def jacobian(
+    data: Data,
+    theta: Array,
+    unknowns: Sequence[Unknown],
+    x: Array,
+    drifts: Sequence[Drift],
+    high: Array | None = None,
+    problem: Problem | None = None,
+) -> tuple[Array, Array]:
+    """Whitened residuals (n,) and their derivatives (n, k) at ``x``, all perturbations in one batch."""
+    step = np.array([0.05 * u.scale for u in unknowns])
+    if high is not None:
+        step = np.where(x + step > high, -step, step)
+    r = data.whitened(place(theta, unknowns, np.vstack([x, x + np.diag(step)])), drifts, problem)
+    return r[0], ((r[1:] - r[0]) / step[:, None]).T
+
+
+def forgiveness(r: Array) -> float:
+    """Scale beyond which a residual counts as an outlier: a few robust standard deviations, at least of the noise."""
+    used = r[r != 0.0]
+    return FORGIVE * max(1.4826 * float(np.median(np.abs(used))) if len(used) else 1.0, 1.0)
+
+
+def spread_of(parts: Sequence[Array]) -> float:
+    """Root mean square of everything that is there, over recordings and signals."""
+    joined = np.concatenate([part.ravel() for part in parts])
+    joined = joined[~np.isnan(joined)]
+    return float(np.sqrt(np.mean(joined**2))) if len(joined) else 0.0

@@ -1,0 +1,65 @@
+"""The noise floor: what the true model would score in the same run, with sensor noise and start-state error propagated."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+import numpy.typing as npt
+import pandas as pd
+
+from sysid.datasets.recording import Recording
+from sysid.gap.problem import Problem
+
+Array = npt.NDArray[np.float64]
+Predict = Callable[[Recording], pd.DataFrame]
+
+#: Noisy copies of the recordings that the propagation averages over.
+DRAWS = 3
+
+
+def problem_floor(
+    problem: Problem, theta: Array, recordings: Sequence[Recording], noise: Mapping[str, float], seed: int
+) -> Array:
+    """RMSE of the stage's outputs if ``theta`` were the truth, (d,).
+
+    The model is run on the recordings and on copies with fresh noise on every measured signal: their difference is what noise
+    in the inputs and in the start state does; the sensor's own noise on the output is added.
+    """
+    own = np.array([noise.get(signal, 0.0) for signal in problem.signals])
+    totals, count = np.zeros(len(own)), 0
+    for recording in recordings:
+        clean = problem.predict(theta[None], recording)[0]
+        for draw in range(DRAWS):
+            noisy = with_noise(recording, noise, np.random.default_rng([seed, draw]))
+            difference = problem.predict(theta[None], noisy)[0] - clean
+            there = ~np.isnan(difference).any(axis=1)
+            totals += (difference[there] ** 2).sum(axis=0)
+            count += int(there.sum())
+    return np.asarray(np.sqrt(own**2 + totals / max(count, 1)))
+
+
+def run_floor(predict: Predict, recordings: Sequence[Recording], noise: Mapping[str, float], seed: int) -> dict[str, float]:
+    """The same for every signal of a whole run (free or stage by stage)."""
+    totals: dict[str, float] = {}
+    counts: dict[str, int] = {}
+    for recording in recordings:
+        clean = predict(recording)
+        for draw in range(DRAWS):
+            noisy = predict(with_noise(recording, noise, np.random.default_rng([seed, draw])))
+            for signal in clean.columns:
+                difference = noisy[signal].to_numpy() - clean[signal].to_numpy()
+                difference = difference[~np.isnan(difference)]
+                totals[signal] = totals.get(signal, 0.0) + float(np.sum(difference**2))
+                counts[signal] = counts.get(signal, 0) + len(difference)
+    return {s: float(np.sqrt(noise.get(s, 0.0) ** 2 + totals[s] / max(counts[s], 1))) for s in totals if s != "time"}
+
+
+def with_noise(recording: Recording, noise: Mapping[str, float], generator: np.random.Generator) -> Recording:
+    """A copy with white noise of the given standard deviation on every measured signal."""
+    table = recording.table.copy()
+    for signal in recording.signals:
+        if signal in noise:
+            table[signal] = recording.values(signal) + generator.normal(0.0, noise[signal], len(table))
+    return replace(recording, table=table)
