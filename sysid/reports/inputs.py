@@ -4,13 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
 
 from sysid.datasets.recording import Dataset
 from sysid.gap.result import GapResult
-
-if TYPE_CHECKING:
-    from sysid.validate import ValidationReport
+from sysid.validate import ValidationReport
 
 
 @dataclass(frozen=True)

@@ -255,16 +255,12 @@ def sample_gap(dataset: Dataset) -> GapResult:
         ),
     )
     candidates = (
-        Candidate("command", "boom", (), {}, 1.31e-2, 1.42e-2, 9120.0, "no effect: rejected, 71 × the noise floor"),
-        Candidate(
-            "command", "boom", ("valve_deadband",), {"positive": 0.0808, "negative": 0.0493}, 2.1e-4, 2.0e-4, 0.0, "named"
-        ),
-        Candidate(
-            "command", "boom", ("gain_error",), {"ratio": 0.91}, 6.1e-3, 7.2e-3, 5133.0, "rejected: 36 × the noise floor"
-        ),
-        Candidate("command", "boom", ("asymmetric_gain",), {"ratio": 1.04}, 9.8e-3, 9.9e-3, 7411.0, "rejected"),
-        Candidate("joint", "slew", ("backlash",), {"width": 0.01052}, 2.1e-4, 2.1e-4, 0.0, "named"),
-        Candidate("joint", "slew", (), {}, 4.4e-3, 4.5e-3, 3120.0, "no effect: rejected"),
+        Candidate("command", "boom", (), {}, 68.1, 71.3, 9120.0, "no effect: rejected"),
+        _trial("valve_deadband(boom)", {"positive": 0.0808, "negative": 0.0493}, 1.01, 0.99, 0.0, "named"),
+        _trial("gain_error(boom)", {"ratio": 0.91}, 31.0, 36.2, 5133.0, "rejected: 36 × the noise floor"),
+        _trial("asymmetric_gain(boom)", {"ratio": 1.04}, 49.0, 50.2, 7411.0, "rejected"),
+        _trial("backlash(slew, structure)", {"width": 0.01052}, 1.02, 1.01, 0.0, "named"),
+        Candidate("joint", "slew", (), {}, 22.4, 23.1, 3120.0, "no effect: rejected"),
     )
     return GapResult(
         dataset.reference,
@@ -289,6 +285,11 @@ def sample_gap(dataset: Dataset) -> GapResult:
         ("Clock of motion capture removed at ingest: −1.2346 s, 42 ppm.",),
         {"seed": 0},
     )
+
+
+def _trial(label: str, values: dict[str, float], fit: float, selection: float, bic: float, verdict: str) -> Candidate:
+    stage, target = ("joint", "slew") if "slew" in label else ("command", "boom")
+    return Candidate(stage, target, (label,), {f"{label}.{key}": v for key, v in values.items()}, fit, selection, bic, verdict)
 
 
 def sample_unnamed(dataset: Dataset) -> GapResult:

@@ -4,31 +4,38 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Mapping
 from typing import Any
 
-from sysid.gap.result import Candidate, GapResult
+from sysid.gap.result import Candidate, NamedEffect
+from sysid.machine import Machine
 from sysid.reports import display, words
 from sysid.reports.effect_units import shown
 from sysid.reports.inputs import ReportInputs
 
+#: ``backlash(slew, drive)``: effect, target and whatever else tells two instances apart.
+_LABEL = re.compile(r"(?P<name>\w+)\((?P<target>[\w.]+)(?:,\s*(?P<rest>[^)]*))?\)")
+#: Rows shown of a stage; a search may try hundreds of combinations.
+MAX_ROWS = 25
+
 
 def context(inputs: ReportInputs) -> dict[str, Any] | None:
-    if inputs.gap is None or not (inputs.gap.candidates or any(effect.alternatives for effect in inputs.gap.effects)):
+    gap = inputs.gap
+    if gap is None or not (gap.candidates or any(effect.alternatives for effect in gap.effects)):
         return None
     groups: dict[tuple[str, str], list[Candidate]] = {}
-    for candidate in inputs.gap.candidates:
+    for candidate in gap.candidates:
         groups.setdefault((candidate.stage, candidate.target), []).append(candidate)
     return {
-        "named": [_named(effect.name, effect.target, inputs.gap) for effect in inputs.gap.effects],
-        "groups": [_group(stage, target, rows, inputs) for (stage, target), rows in groups.items()],
+        "named": [_named(effect) for effect in gap.effects],
+        "groups": [_group(stage, target, rows, inputs.dataset.machine) for (stage, target), rows in groups.items()],
     }
 
 
-def _named(name: str, target: str, gap: GapResult) -> dict[str, Any]:
-    effect = next(effect for effect in gap.effects if (effect.name, effect.target) == (name, target))
+def _named(effect: NamedEffect) -> dict[str, Any]:
     return {
-        "title": words.effect_title(name),
-        "target": words.owner_name(target),
+        "title": words.effect_title(effect.name),
+        "target": words.owner_name(effect.target),
         "share": effect.gap_share,
         "alternatives": [
             {"title": words.effect_title(other.name), "target": words.owner_name(other.target), "why": other.rejected_by}
@@ -37,53 +44,49 @@ def _named(name: str, target: str, gap: GapResult) -> dict[str, Any]:
     }
 
 
-def _group(stage: str, target: str, rows: list[Candidate], inputs: ReportInputs) -> dict[str, Any]:
-    unit = _unit(stage, target, inputs)
-    factor, label = display.shown_unit(unit)
-    decimals = display.decimals_for([factor * row.selection_rmse for row in rows])
-    best = min((row.selection_rmse for row in rows if math.isfinite(row.selection_rmse)), default=math.nan)
+def _group(stage: str, target: str, rows: list[Candidate], machine: Machine) -> dict[str, Any]:
     ordered = sorted(rows, key=lambda row: (not math.isfinite(row.selection_rmse), row.selection_rmse))
     return {
         "stage": words.stage_name(stage),
         "target": words.owner_name(target),
-        "unit": label,
+        "count": len(ordered),
         "rows": [
             {
-                "effects": " + ".join(_title(effect) for effect in row.effects) or "no effect added",
-                "parameters": ", ".join(_parameter(row, name, value, inputs) for name, value in row.parameters.items()),
-                "fit": display.fixed(factor * row.fit_rmse, decimals),
-                "selection": display.fixed(factor * row.selection_rmse, decimals),
+                "effects": " + ".join(_title(label, target) for label in row.effects) or "nothing added",
+                "parameters": _parameters(row, machine),
+                "fit": display.fixed(row.fit_rmse, 2),
+                "selection": display.fixed(row.selection_rmse, 2),
                 "bic": display.fixed(row.delta_bic, 0),
                 "verdict": row.verdict,
-                "won": row.verdict.startswith("named") or (row.selection_rmse == best and row.verdict.startswith("best")),
+                "won": row.verdict.startswith(("named", "kept", "chosen")),
             }
-            for row in ordered
+            for row in ordered[:MAX_ROWS]
         ],
     }
 
 
-def _title(effect: str) -> str:
-    """``valve_deadband`` or ``valve_deadband(boom)`` / ``boom.valve_deadband`` in words."""
-    words_in = [word for word in re.split(r"[^\w#]+", effect) if word]
-    names = [word for word in words_in if word in words.EFFECTS]
-    rest = [words.owner_name(word) for word in words_in if word not in words.EFFECTS]
-    title = words.effect_title(names[0]) if names else effect.replace("_", " ")
-    return f"{title} ({', '.join(rest)})" if names and rest else title
+def _title(label: str, target: str) -> str:
+    """``valve_deadband(boom)`` in words; the target only where it is not the one of the table."""
+    match = _LABEL.fullmatch(label)
+    if match is None:
+        return words.effect_title(label)
+    extra = [words.owner_name(match["target"])] if match["target"] != target else []
+    extra += [match["rest"]] if match["rest"] else []
+    return words.effect_title(match["name"]) + (f" ({', '.join(extra)})" if extra else "")
 
 
-def _parameter(row: Candidate, key: str, value: float, inputs: ReportInputs) -> str:
-    """``key`` may carry its effect and target (``boom.valve_deadband.positive``); the parameter is its last word."""
-    parts = key.split(".")
-    name = parts[-1]
-    known = [re.split(r"[^\w]+", effect) for effect in row.effects]
-    candidates = [word for group in known for word in group if word in words.EFFECTS]
-    effect = next((part for part in parts if part in words.EFFECTS), candidates[0] if candidates else "")
-    return f"{name.replace('_', ' ')} {shown(effect, name, row.target, value, inputs.dataset.machine)}"
+def _parameters(row: Candidate, machine: Machine) -> str:
+    """Values in words; a key is ``parameter`` or ``effect(target).parameter``, with ``[i]`` for a part of a vector."""
+    groups: dict[str, list[str]] = {}
+    for key, value in row.parameters.items():
+        label, _, name = key.rpartition(".")
+        label = label or (row.effects[0] if row.effects else "")
+        match = _LABEL.fullmatch(label)
+        effect, target = (match["name"], match["target"]) if match is not None else (label, row.target)
+        text = shown(effect, name.partition("[")[0], target, value, machine)
+        groups.setdefault(label, []).append(f"{name.replace('_', ' ')} {text}")
+    return _joined(groups)
 
 
-def _unit(stage: str, target: str, inputs: ReportInputs) -> str:
-    """Unit of the output that a stage is judged by."""
-    machine = inputs.dataset.machine
-    if target in machine.axis_names and stage != "joint":
-        return inputs.dataset.units.get(machine.axis(target).driven, "m")
-    return inputs.dataset.units.get(f"{target}.joint", "m")
+def _joined(groups: Mapping[str, list[str]]) -> str:
+    return "; ".join(", ".join(parts) for parts in groups.values())

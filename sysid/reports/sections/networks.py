@@ -1,11 +1,125 @@
-"""placeholder until the validation values exist"""
+"""How well the fitted networks predict what they have not seen: figures, where the errors are, and when they jump."""
 
 from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
+
+from sysid.reports import display, words
+from sysid.reports.figures import figure, packed
 from sysid.reports.inputs import ReportInputs
+from sysid.validate import OutputReport, ValidationReport
+
+#: Largest error of the paper's forward network on 500 poses [m] (Eriksson et al., forwarder crane 1:5).
+PAPER_MAX = {"ee.x": 15.9e-3, "ee.y": 20.5e-3, "ee.z": 13.6e-3}
+TITLES = {"actuator": "Actuator networks", "forward": "Forward network"}
+ABOUT = {
+    "actuator": "Cylinder displacement to joint angle and back, one network a direction.",
+    "forward": "Joint values to the position of the boom tip.",
+}
+ROWS = {"motion": "in motion", "poses": "static poses"}
+#: Spikes listed for each report.
+MAX_SPIKES = 12
 
 
 def context(inputs: ReportInputs) -> dict[str, Any] | None:
-    return None
+    if not inputs.validations:
+        return None
+    return {"reports": [_report(report, number) for number, report in enumerate(inputs.validations)]}
+
+
+def _report(report: ValidationReport, number: int) -> dict[str, Any]:
+    spikes = sorted(((output, spike) for output in report.outputs for spike in output.spikes), key=lambda pair: -pair[1].sigmas)
+    return {
+        "title": TITLES[report.kind],
+        "model": report.model,
+        "about": ABOUT[report.kind],
+        "role": {"held_out": "held-out", "select": "selection", "fit": "fit"}[report.role],
+        "paper": report.kind == "forward" and any(output.output in PAPER_MAX for output in report.outputs),
+        "rows": [_row(output) for output in report.outputs],
+        "round_trips": [
+            f"{axis}: joint {display.quantity(trip.joint_rmse, 'rad', 2)}, cylinder {display.quantity(trip.cylinder_rmse, 'm', 2)}"
+            for axis, trip in report.round_trips.items()
+        ],
+        "figures": [_profiles(output, f"net-{number}-{index}") for index, output in enumerate(report.outputs)],
+        "spikes": [
+            {
+                "output": words.signal_name(output.output),
+                "recording": spike.recording,
+                "time": display.fixed(spike.time, 2),
+                "error": display.quantity(spike.error, output.unit, 2),
+                "cause": spike.cause.replace("_", " "),
+            }
+            for output, spike in spikes[:MAX_SPIKES]
+        ],
+        "more_spikes": max(0, len(spikes) - MAX_SPIKES),
+    }
+
+
+def _row(output: OutputReport) -> dict[str, Any]:
+    factor, unit = display.shown_unit(output.unit)
+    metrics = output.metrics
+    decimals = display.decimals_for([factor * metrics.rmse])
+    best = min(output.baselines, key=lambda name: output.baselines[name].rmse, default="")
+    paper = PAPER_MAX.get(output.output) if output.rows == "poses" else None
+    return {
+        "output": words.signal_name(output.output),
+        "rows": ROWS[output.rows],
+        "unit": unit,
+        "rmse": display.fixed(factor * metrics.rmse, decimals),
+        "p95": display.fixed(factor * metrics.p95, decimals),
+        "max": display.fixed(factor * metrics.max, decimals),
+        "floor": display.NOTHING if output.noise_floor is None else display.fixed(factor * output.noise_floor, decimals),
+        "baseline": f"{best}: {display.fixed(factor * output.baselines[best].rmse, decimals)}" if best else display.NOTHING,
+        "paper": display.fixed(factor * paper, 1) if paper is not None else "",
+    }
+
+
+def _profiles(output: OutputReport, identifier: str) -> dict[str, Any]:
+    """Error against each input's position, speed and direction: a panel a profile, one column an input."""
+    columns = list(output.inputs)
+    rows = [kind for kind in ("position", "speed", "direction") if any(_kind(p.variable)[0] == kind for p in output.profiles)]
+    factor, unit = display.shown_unit(output.unit)
+    label = f"error [{unit}]" if unit else "error"
+    traces: list[dict[str, Any]] = []
+    layout: dict[str, Any] = {
+        "grid": {"rows": len(rows), "columns": len(columns), "pattern": "independent", "xgap": 0.12, "ygap": 0.34},
+        "showlegend": True,
+        "bargap": 0.08,
+        "margin": {"l": 58, "r": 12, "t": 36, "b": 44},
+    }
+    for profile in output.profiles:
+        kind, signal = _kind(profile.variable)
+        index = 1 + rows.index(kind) * len(columns) + columns.index(signal)
+        suffix = "" if index == 1 else str(index)
+        x_factor, x_unit = display.shown_unit(profile.unit)
+        if kind == "direction":
+            x: Any = ["negative", "still", "positive"]
+        else:
+            edges = x_factor * np.array(profile.edges)
+            x = packed(0.5 * (edges[1:] + edges[:-1]))
+        title = {"position": words.signal_name(signal), "speed": "speed", "direction": "direction"}[kind]
+        common = {"x": x, "xaxis": f"x{suffix}", "yaxis": f"y{suffix}", "showlegend": index == 1}
+        rmse, p95 = (packed(factor * np.array(values)) for values in (profile.rmse, profile.p95))
+        if kind == "direction":
+            traces.append({**common, "type": "bar", "y": p95, "name": "95 %", "marker": {"color": "$band"}})
+            traces.append({**common, "type": "bar", "y": rmse, "name": "RMS", "marker": {"color": "$link"}})
+        else:
+            line = {"type": "scatter", "mode": "lines"}
+            traces.append(
+                {**common, **line, "y": p95, "name": "95 %", "line": {"color": "$noise", "width": 1.4, "dash": "dot"}}
+            )
+            traces.append({**common, **line, "y": rmse, "name": "RMS", "line": {"color": "$link", "width": 2}})
+        layout[f"xaxis{suffix}"] = {"title": f"{title} [{x_unit}]" if x_unit and kind != "direction" else title}
+        layout[f"yaxis{suffix}"] = {"title": label if columns.index(signal) == 0 else "", "rangemode": "tozero"}
+    return {
+        "title": f"{words.signal_name(output.output)}, {ROWS[output.rows]}",
+        "figure": figure(identifier, traces, layout, 70 + 215 * len(rows)) if traces else "",
+    }
+
+
+def _kind(variable: str) -> tuple[str, str]:
+    """``speed of boom.cylinder`` → ``("speed", "boom.cylinder")``; a bare signal is a position."""
+    kind, separator, signal = variable.partition(" of ")
+    return (kind, signal) if separator else ("position", variable)

@@ -34,7 +34,7 @@ def context(inputs: ReportInputs) -> dict[str, Any] | None:
         "left_out": len(inputs.gap.traces) - len(shown),
         "signals": [{"name": name, "label": words.signal_name(name)} for name in signals],
         "selected": worst,
-        "repaired": inputs.gap.plant_after != inputs.gap.plant_before,
+        "repaired": any(not item.after.equals(item.before) for item in shown),
     }
 
 

@@ -1,0 +1,70 @@
+"""The layout of the viewer: the machine on the left, its signals in tabs on the right, the commands below."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import pandas as pd
+
+from sysid.datasets.recording import Dataset, Recording
+from sysid.signals import split_signal
+
+#: Seconds of the past that the trails of boom tip and tool show.
+TRAIL_S = 3.0
+
+
+def blueprint(dataset: Dataset, recording: Recording, tables: Mapping[str, pd.DataFrame], timeline: str) -> Any:
+    """A Rerun blueprint for one recording and its simulations."""
+    import rerun.blueprint as rrb
+
+    signals = [name for name in recording.signals if not name.endswith(".command") and recording.table[name].notna().any()]
+    owners = list(dict.fromkeys(split_signal(name)[0] for name in signals))
+    tabs = [
+        rrb.Vertical(
+            *(rrb.TimeSeriesView(origin=f"signals/{name}", name=name) for name in signals if split_signal(name)[0] == owner),
+            name=owner,
+        )
+        for owner in owners
+    ]
+    commands = [f"+ signals/{name}/**" for name in recording.signals if name.endswith(".command")]
+    right = rrb.Vertical(
+        rrb.Tabs(*tabs, active_tab=_active(tables, signals, owners)),
+        rrb.TimeSeriesView(origin="signals", contents=commands, name="commands"),
+        row_shares=[3, 1],
+    )
+    panels = (
+        rrb.BlueprintPanel(state="collapsed"),
+        rrb.SelectionPanel(state="collapsed"),
+        rrb.TimePanel(timeline=timeline, state="collapsed"),
+    )
+    if dataset.machine.kinematics() is None:
+        return rrb.Blueprint(right, *panels, auto_views=False)
+    return rrb.Blueprint(
+        rrb.Horizontal(_machine_view(tables, timeline), right, column_shares=[1.1, 1]), *panels, auto_views=False
+    )
+
+
+def _machine_view(tables: Mapping[str, pd.DataFrame], timeline: str) -> Any:
+    import rerun as rr
+    import rerun.blueprint as rrb
+
+    now = rr.TimeRangeBoundary.cursor_relative(seconds=0.0)
+    then = rr.TimeRangeBoundary.cursor_relative(seconds=-TRAIL_S)
+    trail = rrb.VisibleTimeRanges([rr.VisibleTimeRange(timeline, start=then, end=now)])
+    points = [f"machine/{name}/{point}" for name in tables for point in ("ee", "tool")]
+    return rrb.Spatial3DView(origin="machine", name="machine", overrides=dict.fromkeys(points, trail))
+
+
+def _active(tables: Mapping[str, pd.DataFrame], signals: list[str], owners: list[str]) -> int:
+    """The tab in which the first simulation is worst, relative to how much the signal moves."""
+    simulated = next((table for name, table in tables.items() if name != "measured"), None)
+    if simulated is None or not owners:
+        return 0
+    measured = tables["measured"]
+    errors = {
+        name: float((simulated[name] - measured[name]).abs().mean() / max(measured[name].std(), 1e-9))
+        for name in signals
+        if name in simulated and len(simulated) == len(measured)
+    }
+    return owners.index(split_signal(max(errors, key=lambda name: errors[name]))[0]) if errors else 0

@@ -1,0 +1,90 @@
+"""Shapes of the links from the URDF's <visual> elements, to draw the machine with.
+
+Source: URDF specification (ROS wiki, ``urdf/XML/link``). Meshes are files that a dataset version does not carry: a link
+that has only a mesh is drawn as a bar to its next joint, like a link without any visual.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+from xml.etree.ElementTree import Element
+
+import numpy as np
+import numpy.typing as npt
+
+from sysid.errors import SettingsError
+from sysid.machine import Kinematics
+from sysid.machine.kinematics import rotation_about
+
+Array = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Shape:
+    """A primitive in the frame of its link.
+
+    Args:
+        kind: ``box``: size is (x, y, z); ``cylinder``: (radius, length along z); ``sphere``: (radius,); ``bar``: the end point.
+        size: [m].
+        pose: centre and orientation in the link's frame, 4×4.
+    """
+
+    kind: Literal["box", "cylinder", "sphere", "bar"]
+    size: tuple[float, ...]
+    pose: Array
+
+
+def link_shapes(urdf: str, kinematics: Kinematics) -> dict[str, tuple[Shape, ...]]:
+    """Shapes of every link of the chain; each link has at least one unless it carries nothing."""
+    from defusedxml.ElementTree import fromstring
+
+    root: Element = fromstring(urdf, forbid_dtd=True)
+    described = {str(link.get("name")): link for link in root.findall("link")}
+    links = [kinematics.chain[0].parent, *(joint.child for joint in kinematics.chain)]
+    shapes: dict[str, tuple[Shape, ...]] = {}
+    for link in links:
+        element = described.get(link)
+        found = tuple(
+            shape for visual in (element.findall("visual") if element is not None else []) for shape in _shape(visual)
+        )
+        shapes[link] = found or _bar(link, kinematics)
+    return shapes
+
+
+def _shape(visual: Element) -> tuple[Shape, ...]:
+    pose = _pose(visual.find("origin"))
+    box, cylinder, sphere = (visual.find(f"geometry/{kind}") for kind in ("box", "cylinder", "sphere"))
+    if box is not None:
+        return (Shape("box", _numbers(box.get("size", "")), pose),)
+    if cylinder is not None:
+        return (Shape("cylinder", _numbers(f"{cylinder.get('radius')} {cylinder.get('length')}"), pose),)
+    if sphere is not None:
+        return (Shape("sphere", _numbers(sphere.get("radius", "")), pose),)
+    return ()
+
+
+def _bar(link: str, kinematics: Kinematics) -> tuple[Shape, ...]:
+    """A bar from the link's frame to the joint that it carries; nothing where the two coincide."""
+    for joint in kinematics.chain:
+        if joint.parent == link:
+            end = joint.origin[:3, 3]
+            if float(np.linalg.norm(end)) > 1e-6:
+                return (Shape("bar", (float(end[0]), float(end[1]), float(end[2])), np.eye(4)),)
+    return ()
+
+
+def _pose(origin: Element | None) -> Array:
+    pose = np.eye(4)
+    if origin is not None:
+        pose[:3, 3] = _numbers(origin.get("xyz", "0 0 0"))
+        for axis, angle in zip(np.eye(3), _numbers(origin.get("rpy", "0 0 0")), strict=True):
+            pose[:3, :3] = rotation_about(axis, np.array([angle]))[0] @ pose[:3, :3]
+    return pose
+
+
+def _numbers(text: str) -> tuple[float, ...]:
+    try:
+        return tuple(float(word) for word in text.split())
+    except ValueError:
+        raise SettingsError("urdf: visual", f"{text!r}", "numbers") from None

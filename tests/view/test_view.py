@@ -1,0 +1,114 @@
+"""The Rerun file, read back with Rerun's own reader."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from sample_crane import sample_traces
+
+from sysid.datasets.recording import Dataset
+from sysid.errors import StoreError
+from sysid.machine import Kinematics
+from sysid.view import write_rerun
+from sysid.view.visuals import link_shapes
+
+
+class Written:
+    """Everything in a recording: entity → its chunks as tables."""
+
+    def __init__(self, path: Path) -> None:
+        from rerun.chunk import RrdReader
+
+        reader = RrdReader(str(path))
+        self.blueprints = len(list(reader.blueprints()))
+        self.tables: dict[str, list[Any]] = {}
+        for chunk in reader.stream().to_chunks():
+            self.tables.setdefault(chunk.entity_path, []).append(chunk.to_record_batch())
+
+    def column(self, entity: str, component: str) -> tuple[np.ndarray, list[Any]]:
+        """``(time [s], values)`` of one component over time."""
+        for batch in self.tables[entity]:
+            names = [name for name in batch.schema.names if name.endswith(component)]
+            if names and "time" in batch.schema.names:
+                return batch.column("time").cast("int64").to_numpy() * 1e-9, batch.column(names[0]).to_pylist()
+        raise AssertionError(f"{entity} has no {component}: {[b.schema.names for b in self.tables[entity]]}")
+
+
+@pytest.fixture(scope="module")
+def written(crane: Dataset, tmp_path_factory: pytest.TempPathFactory) -> Written:
+    traces = sample_traces(crane)
+    path = tmp_path_factory.mktemp("view") / "deep" / "crane.rrd"
+    assert write_rerun(path, crane, "manual-04", {"before": traces.before, "after": traces.after}) == path
+    assert [file.name for file in path.parent.iterdir()] == ["crane.rrd"]
+    return Written(path)
+
+
+def test_every_link_moves_in_every_version(written: Written, crane: Dataset) -> None:
+    kinematics = crane.machine.kinematics()
+    assert kinematics is not None
+    for version in ("measured", "before", "after"):
+        for link in ("base", *(joint.child for joint in kinematics.chain)):
+            assert f"/machine/{version}/{link}" in written.tables
+
+
+def test_link_poses_are_those_of_the_kinematics(written: Written, crane: Dataset) -> None:
+    recording = crane.recording("manual-04")
+    kinematics = crane.machine.kinematics()
+    assert kinematics is not None
+    joints = np.column_stack([recording.values(f"{axis}.joint") for axis in crane.machine.axis_names])
+    pose = kinematics.link_poses(joints)["stick"]
+    time, places = written.column("/machine/measured/stick", "translation")
+    np.testing.assert_allclose(time, recording.values("time"), atol=1e-9)
+    np.testing.assert_allclose([place[0] for place in places], pose[:, :3, 3], atol=1e-6)
+    _, turns = written.column("/machine/measured/stick", "quaternion")
+    x, y, z, w = np.array([turn[0] for turn in turns]).T
+    first_axis = np.column_stack([1 - 2 * (y * y + z * z), 2 * (x * y + z * w), 2 * (x * z - y * w)])
+    np.testing.assert_allclose(first_axis, pose[:, :3, 0], atol=1e-5)
+
+
+def test_curves_are_in_display_units_and_gaps_stay_gaps(written: Written, crane: Dataset) -> None:
+    recording = crane.recording("manual-04")
+    _, values = written.column("/signals/boom.joint/measured", "scalars")
+    np.testing.assert_allclose([value[0] for value in values], np.degrees(recording.values("boom.joint")), rtol=1e-9)
+    time, _ = written.column("/signals/ee.x/measured", "scalars")
+    known = np.isfinite(recording.values("ee.x"))
+    assert 0 < known.sum() < len(known), "the sample has a drop-out"
+    np.testing.assert_allclose(time, recording.values("time")[known], atol=1e-9)
+
+
+def test_commands_are_there_once_and_predictions_beside_measurements(written: Written) -> None:
+    curves = {path for path in written.tables if path.startswith("/signals/")}
+    assert {"/signals/boom.command/measured", "/signals/boom.cylinder/before", "/signals/tool.z/after"} <= curves
+    assert "/signals/boom.command/before" not in curves
+    assert written.blueprints == 1
+
+
+def test_a_machine_without_geometry_has_its_curves(crane: Dataset, tmp_path: Path) -> None:
+    bare = replace(crane, machine=replace(crane.machine, urdf_text=None, tip=None))
+    written = Written(write_rerun(tmp_path / "bare.rrd", bare, "manual-01", {}))
+    assert not any(path.startswith("/machine/") for path in written.tables)
+    assert "/signals/boom.cylinder/measured" in written.tables
+
+
+def test_unknown_recording_suggests_the_nearest(crane: Dataset, tmp_path: Path) -> None:
+    with pytest.raises(StoreError, match=r"no recording 'manual-4'.*'manual-04'\?"):
+        write_rerun(tmp_path / "x.rrd", crane, "manual-4", {})
+    assert list(tmp_path.iterdir()) == [], "nothing half-written"
+
+
+def test_shapes_come_from_the_urdf_and_bars_fill_in(crane: Dataset) -> None:
+    kinematics = crane.machine.kinematics()
+    assert isinstance(kinematics, Kinematics)
+    shapes = link_shapes(crane.machine.urdf_text or "", kinematics)
+    assert shapes["boom"][0].kind == "box"
+    assert shapes["boom"][0].size == (0.576, 0.06, 0.07)
+    assert shapes["column"][0].size[0] == 0.05
+    stripped = (crane.machine.urdf_text or "").replace("visual>", "other>")
+    bars = link_shapes(stripped, kinematics)
+    assert bars["boom"][0].kind == "bar"
+    assert math.hypot(*bars["boom"][0].size) == pytest.approx(0.576)
