@@ -8,13 +8,12 @@ the member's name.
 
 from __future__ import annotations
 
-import itertools
 import math
 import time
 import zlib
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
@@ -22,6 +21,7 @@ import numpy.typing as npt
 
 from sysid.config import STRICT
 from sysid.errors import InputError, SettingsError
+from sysid.networks.batch import BatchedMlp, FusedAdam, unpack
 from sysid.networks.mlp import Mlp, Normalisation
 
 if TYPE_CHECKING:
@@ -214,100 +214,94 @@ def _train_batch(
     )
     generators = [_generator(seed, member.name) for member in members]
     sizes = (x.shape[2], *hidden, y.shape[2])
-    parameters = _initial_parameters(sizes, generators)
-    optimiser = torch.optim.Adam(parameters, lr=settings.learning_rate, fused=True)
-    watch = _EarlyStopping(parameters, settings.patience)
-    rows = torch.arange(len(members))[:, None]
+    model = BatchedMlp.initial(sizes, generators)
+    adam = FusedAdam(model, settings.learning_rate)
+    watch = _EarlyStopping(len(members), settings.patience)
+    running = list(range(len(members)))
     n = x.shape[1]
-    fit_losses: list[Array] = []
-    for epoch in range(1, settings.epochs + 1):
-        optimiser.param_groups[0]["lr"] = _learning_rate(settings, epoch)
-        order = torch.stack([torch.randperm(n, generator=generator) for generator in generators])
-        total = torch.zeros(len(members))
-        for first in range(0, n, settings.batch):
-            chosen = order[:, first : first + settings.batch]
-            errors = ((_forward(parameters, x[rows, chosen]) - y[rows, chosen]) ** 2).mean(dim=(1, 2))
-            optimiser.zero_grad()
-            # The sum keeps the gradients of the members apart: each depends on its own error alone.
-            errors.sum().backward()  # type: ignore[no-untyped-call]
-            optimiser.step()
-            total += errors.detach() * chosen.shape[1]
-        if epoch % settings.check_every and epoch != settings.epochs:
-            continue
-        fit_losses.append((total / n).numpy().astype(np.float64))
-        with torch.no_grad():
-            loss = ((_forward(parameters, x_validation) - y_validation) ** 2).mean(dim=(1, 2))
-        _refuse_divergence(members, loss, fit_losses[-1], epoch, settings)
-        watch.update(epoch, loss, parameters)
-        if progress is not None:
-            progress(epoch, settings.epochs, text)
-        if watch.finished:
-            break
+    with torch.no_grad():
+        for epoch in range(1, settings.epochs + 1):
+            learning_rate = _learning_rate(settings, epoch)
+            order = torch.stack([torch.randperm(n, generator=generators[member]) for member in running])
+            rows = torch.tensor(running)[:, None]
+            total = torch.zeros(len(running))
+            for first in range(0, n, settings.batch):
+                chosen = order[:, first : first + settings.batch]
+                losses = model.accumulate(x[rows, chosen], y[rows, chosen])
+                adam.step(learning_rate)
+                total += losses * chosen.shape[1]
+            if epoch % settings.check_every and epoch != settings.epochs:
+                continue
+            validation = (model.predict(x_validation[running]) - y_validation[running]).square().mean(dim=(1, 2))
+            _refuse_divergence([members[member] for member in running], validation, total / n, epoch, settings)
+            finished = watch.update(epoch, running, total / n, validation, model.parameters)
+            if progress is not None:
+                progress(epoch, settings.epochs, text)
+            if finished:
+                stay = [position for position, member in enumerate(running) if member not in finished]
+                running = [running[position] for position in stay]
+                if not running:
+                    break
+                model, adam = adam.kept(model, stay)
     if progress is not None:
         progress(settings.epochs, settings.epochs, text)
     seconds = time.perf_counter() - start
-    best = [parameter.numpy().astype(np.float64) for parameter in watch.best_parameters]
-    return [
-        _result(member, k, best, scalers[k], watch, np.array([losses[k] for losses in fit_losses]), seconds)
-        for k, member in enumerate(members)
-    ]
+    return [_result(member, sizes, scalers[k], watch.records[k], seconds) for k, member in enumerate(members)]
 
 
 def _result(
-    member: Member,
-    k: int,
-    parameters: list[Array],
-    scalers: tuple[Normalisation, Normalisation],
-    watch: _EarlyStopping,
-    fit_loss: Array,
-    seconds: float,
+    member: Member, sizes: tuple[int, ...], scalers: tuple[Normalisation, Normalisation], record: _Record, seconds: float
 ) -> Trained:
-    weights, biases = parameters[0::2], parameters[1::2]
-    mlp = Mlp(tuple(weight[k] for weight in weights), tuple(bias[k, 0] for bias in biases), *scalers)
+    mlp = Mlp(*unpack(sizes, record.best_parameters), *scalers)
     residual = mlp.predict(member.validation_inputs) - member.validation_outputs
-    seen = [position for position, epoch in enumerate(watch.epochs) if epoch <= watch.stopped_at[k]]
     course = Course(
         rows=(len(member.inputs), len(member.validation_inputs)),
-        epochs=int(watch.stopped_at[k]),
-        best_epoch=int(watch.best_epoch[k]),
+        epochs=record.epochs[-1],
+        best_epoch=record.best_epoch,
         validation_rmse=tuple(np.sqrt((residual**2).mean(axis=0)).tolist()),
-        checked_epochs=tuple(watch.epochs[position] for position in seen),
-        fit_loss=tuple(float(fit_loss[position]) for position in seen),
-        validation_loss=tuple(float(watch.losses[position][k]) for position in seen),
+        checked_epochs=tuple(record.epochs),
+        fit_loss=tuple(record.fit),
+        validation_loss=tuple(record.validation),
         seconds=seconds,
     )
     return Trained(mlp, course)
 
 
-class _EarlyStopping:
-    """Best weights and stopping epoch of each member of a batch."""
+@dataclass
+class _Record:
+    """What has been seen of one member so far."""
 
-    def __init__(self, parameters: list[torch.Tensor], patience: int) -> None:
-        members = parameters[0].shape[0]
-        self.best_parameters = [parameter.detach().clone() for parameter in parameters]
-        self.best_loss = np.full(members, np.inf)
-        self.best_epoch = np.zeros(members, dtype=np.int64)
-        self.stopped_at = np.zeros(members, dtype=np.int64)
-        self.epochs: list[int] = []
-        self.losses: list[Array] = []
-        self._running = np.ones(members, dtype=bool)
+    epochs: list[int] = field(default_factory=list)
+    fit: list[float] = field(default_factory=list)
+    validation: list[float] = field(default_factory=list)
+    best_epoch: int = 0
+    best_loss: float = math.inf
+    best_parameters: Array = field(default_factory=lambda: np.empty(0))
+
+
+class _EarlyStopping:
+    """Best weights of each member, and which of them are finished."""
+
+    def __init__(self, members: int, patience: int) -> None:
+        self.records = [_Record() for _ in range(members)]
         self._patience = patience
 
-    def update(self, epoch: int, loss: torch.Tensor, parameters: list[torch.Tensor]) -> None:
-        values = loss.numpy().astype(np.float64)
-        self.epochs.append(epoch)
-        self.losses.append(values)
-        self.stopped_at[self._running] = epoch
-        better = self._running & (values < self.best_loss)
-        self.best_loss[better] = values[better]
-        self.best_epoch[better] = epoch
-        for kept, parameter in zip(self.best_parameters, parameters, strict=True):
-            kept[better] = parameter.detach()[better]
-        self._running &= epoch - self.best_epoch < self._patience
-
-    @property
-    def finished(self) -> bool:
-        return not self._running.any()
+    def update(
+        self, epoch: int, running: list[int], fit: torch.Tensor, validation: torch.Tensor, parameters: torch.Tensor
+    ) -> set[int]:
+        """Note the losses of the ``running`` members; returns those that are finished."""
+        finished = set()
+        for position, member in enumerate(running):
+            record, loss = self.records[member], float(validation[position])
+            record.epochs.append(epoch)
+            record.fit.append(float(fit[position]))
+            record.validation.append(loss)
+            if loss < record.best_loss:
+                record.best_loss, record.best_epoch = loss, epoch
+                record.best_parameters = parameters[position].numpy().astype(np.float64)
+            elif epoch - record.best_epoch >= self._patience:
+                finished.add(member)
+        return finished
 
 
 def _generator(seed: int, name: str) -> torch.Generator:
@@ -315,28 +309,6 @@ def _generator(seed: int, name: str) -> torch.Generator:
 
     # Not Python's hash(), which differs between processes.
     return torch.Generator().manual_seed((seed << 32) ^ zlib.crc32(name.encode("utf-8")))
-
-
-def _initial_parameters(sizes: tuple[int, ...], generators: list[torch.Generator]) -> list[torch.Tensor]:
-    """Weights (m, in, out) and biases (m, 1, out) in turn, uniform in ±1/√in as in ``torch.nn.Linear``."""
-    import torch
-
-    parameters = []
-    for d_in, d_out in itertools.pairwise(sizes):
-        bound = 1.0 / math.sqrt(d_in)
-        for shape in ((d_in, d_out), (1, d_out)):
-            drawn = torch.stack([(torch.rand(shape, generator=generator) * 2.0 - 1.0) * bound for generator in generators])
-            parameters.append(drawn.requires_grad_())
-    return parameters
-
-
-def _forward(parameters: list[torch.Tensor], x: torch.Tensor) -> torch.Tensor:
-    """(m, n, d_in) → (m, n, d_out)."""
-    import torch
-
-    for weight, bias in zip(parameters[0:-2:2], parameters[1:-2:2], strict=True):
-        x = torch.relu(torch.baddbmm(bias, x, weight))
-    return torch.baddbmm(parameters[-1], x, parameters[-2])
 
 
 def _learning_rate(settings: TrainingSettings, epoch: int) -> float:
@@ -347,9 +319,9 @@ def _learning_rate(settings: TrainingSettings, epoch: int) -> float:
 
 
 def _refuse_divergence(
-    members: list[Member], validation: torch.Tensor, fit: Array, epoch: int, settings: TrainingSettings
+    members: list[Member], validation: torch.Tensor, fit: torch.Tensor, epoch: int, settings: TrainingSettings
 ) -> None:
-    for member, loss, fit_loss in zip(members, validation.tolist(), fit, strict=True):
+    for member, loss, fit_loss in zip(members, validation.tolist(), fit.tolist(), strict=True):
         if not (math.isfinite(loss) and math.isfinite(fit_loss)):
             raise SettingsError(
                 f"network {member.name}",
