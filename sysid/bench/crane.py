@@ -8,16 +8,16 @@ from __future__ import annotations
 
 import math
 
-import numba
 import numpy as np
 import numpy.typing as npt
 
+from sysid.bench.compiled import compiled
 from sysid.bench.recipe import GeometrySettings
 
 Array = npt.NDArray[np.float64]
 
 
-@numba.njit(cache=True)
+@compiled
 def tip_position(
     slew: float, boom: float, stick: float, telescope: float, height: float, boom_length: float, stick_length: float
 ) -> tuple[float, float, float]:

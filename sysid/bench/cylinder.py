@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-import numba
 import numpy as np
 import numpy.typing as npt
 
+from sysid.bench.compiled import compiled
 from sysid.bench.recipe import AxisSettings
 
 Array = npt.NDArray[np.float64]
@@ -34,13 +34,13 @@ def drive_of(axis: AxisSettings) -> Drive:
     return Drive(0.0, cylinder.stroke, 1, cylinder.a, cylinder.b, cylinder.offset, cylinder.retracted, float(cylinder.sense))
 
 
-@numba.njit(cache=True)
+@compiled
 def against_stops(position: float, low: float, high: float) -> float:
     """The drive's position, held by its end stops."""
     return min(max(position, low), high)
 
 
-@numba.njit(cache=True)
+@compiled
 def joint_of(position: float, drive: Drive) -> float:
     """Joint value [rad or m] at a drive position: law of cosines where a cylinder stands in between."""
     if drive.triangle == 0:
@@ -50,7 +50,7 @@ def joint_of(position: float, drive: Drive) -> float:
     return drive.sense * math.acos(min(max(cosine, -1.0), 1.0)) - drive.offset
 
 
-@numba.njit(cache=True)
+@compiled
 def position_of(joint: float, drive: Drive) -> float:
     """Drive position at a joint value: the inverse of :func:`joint_of`."""
     if drive.triangle == 0:

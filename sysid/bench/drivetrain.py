@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import numba
+from sysid.bench.compiled import compiled
 
 
-@numba.njit(cache=True)
+@compiled
 def follow_with_play(structure: float, drive: float, width: float) -> float:
     """Structure position after the drive has moved to ``drive``; ``width`` is the full play [m or rad]."""
     half = 0.5 * width

@@ -14,16 +14,17 @@ from __future__ import annotations
 
 import math
 
-import numba
 import numpy as np
 import numpy.typing as npt
+
+from sysid.bench.compiled import compiled
 
 Array = npt.NDArray[np.float64]
 
 GRAVITY = 9.81
 
 
-@numba.njit(cache=True)
+@compiled
 def swing(
     tool: Array, velocity: Array, pivot: Array, next_pivot: Array, length: float, damping_ratio: float, step: float
 ) -> None:

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numba
 import numpy as np
 import numpy.typing as npt
 
+from sysid.bench.compiled import compiled
 from sysid.bench.crane import tip_position
 from sysid.bench.cylinder import Drive, against_stops, drive_of, joint_of, position_of
 from sysid.bench.drivetrain import follow_with_play
@@ -95,7 +95,7 @@ def run_machine(recipe: Recipe, recording: RecordingSettings, rng: np.random.Gen
     return Truth(time, commands.T[held], states[:, 0:4], states[:, 4:8], states[:, 8:11], states[:, 11:14], still)
 
 
-@numba.njit(cache=True)
+@compiled
 def _loop(
     valves: tuple[Valve, ...],
     drives: tuple[Drive, ...],

@@ -8,10 +8,10 @@ from __future__ import annotations
 
 import math
 
-import numba
 import numpy as np
 import numpy.typing as npt
 
+from sysid.bench.compiled import compiled
 from sysid.bench.recipe import AXES, OperatorSettings
 
 Array = npt.NDArray[np.float64]
@@ -86,7 +86,7 @@ def _after_pauses(time: float, duration: float, pauses: list[tuple[float, float]
     return time
 
 
-@numba.njit(cache=True)
+@compiled
 def stroke_command(
     time: float,
     cycle: float,

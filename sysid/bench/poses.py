@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 import numpy.typing as npt
 
+from sysid.bench.compiled import compiled
 from sysid.bench.cylinder import drive_of, position_of
 from sysid.bench.recipe import AXES, Recipe
 
@@ -34,7 +34,7 @@ def draw_targets(recipe: Recipe, count: int, rng: np.random.Generator) -> Array:
     return targets
 
 
-@numba.njit(cache=True)
+@compiled
 def approach_command(position: float, target: float, low: float, high: float, speed: float) -> float:
     """Lever that brings a drive to ``target`` and is zero once it is there."""
     error = target - position

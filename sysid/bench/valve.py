@@ -9,10 +9,10 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-import numba
 import numpy as np
 import numpy.typing as npt
 
+from sysid.bench.compiled import compiled
 from sysid.bench.recipe import ValveSettings
 
 Array = npt.NDArray[np.float64]
@@ -42,7 +42,7 @@ def valve_of(settings: ValveSettings) -> Valve:
     )
 
 
-@numba.njit(cache=True)
+@compiled
 def opening(command: float, positive: float, negative: float, saturation: float) -> float:
     """Valve opening [command] left over from ``command`` by the overlap and the saturation."""
     if command > positive:
@@ -52,7 +52,7 @@ def opening(command: float, positive: float, negative: float, saturation: float)
     return 0.0
 
 
-@numba.njit(cache=True)
+@compiled
 def delayed(commands: Array, cycle: float, time: float, step: float, delay: float) -> float:
     """Mean over [time, time + step] of the held command, ``delay`` ago.
 
@@ -72,7 +72,7 @@ def delayed(commands: Array, cycle: float, time: float, step: float, delay: floa
     return float(early + (late - early) * share)
 
 
-@numba.njit(cache=True)
+@compiled
 def spool_step(position: float, target: float, step: float, time_constant: float) -> tuple[float, float]:
     """Spool position after ``step`` and its mean over the step, for a target held over the step."""
     if time_constant <= 0.0:
@@ -83,7 +83,7 @@ def spool_step(position: float, target: float, step: float, time_constant: float
     return after, mean
 
 
-@numba.njit(cache=True)
+@compiled
 def drive_speed(spool: float, gain: float, ratio: float, fluctuation: float) -> float:
     """Speed of the drive [m/s or rad/s] at a spool position; ``fluctuation`` is the relative flow disturbance."""
     speed = gain * spool * (1.0 + fluctuation)
@@ -100,7 +100,7 @@ def flow_fluctuation(settings: ValveSettings, steps: int, step: float, rng: np.r
     return np.asarray(_coloured(white, decay))
 
 
-@numba.njit(cache=True)
+@compiled
 def _coloured(white: Array, decay: float) -> Array:
     out = np.empty_like(white)
     state = 0.0

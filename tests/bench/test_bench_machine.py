@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from pathlib import Path
 
+import numba
 import numpy as np
 import numpy.typing as npt
 import pytest
 
 from sysid.bench import AXES, Recipe, RecordingSettings, Run, describe_effects, simulate, without_hidden
+from sysid.bench.compiled import cache_folder, compiled
 from sysid.bench.cylinder import drive_of, position_of
 from sysid.bench.recipe import (
     ControllerSettings,
@@ -184,3 +187,22 @@ def test_drive_positions_of_the_parked_machine(recipe: Recipe, manual: Run) -> N
         axis = recipe.axis(name)
         parked = position_of(axis.park, drive_of(axis))
         assert abs(manual.truth.drive[0, column] - parked) <= 0.5 * axis.backlash + 1e-12
+
+
+def test_compiled_code_is_kept_apart_by_its_sources(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """The folder is named by the sources, other packages keep theirs, and where nothing can be written nothing is kept."""
+    before = numba.config.CACHE_DIR
+    compiled(lambda x: x)
+    assert before == numba.config.CACHE_DIR
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    cache_folder.cache_clear()
+    try:
+        folder = cache_folder()
+        assert folder is not None
+        assert folder.is_relative_to(tmp_path)
+        (tmp_path / "file").write_text("", "utf-8")
+        monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "file"))
+        cache_folder.cache_clear()
+        assert cache_folder() is None
+    finally:
+        cache_folder.cache_clear()
