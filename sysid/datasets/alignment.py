@@ -23,7 +23,6 @@ from dataclasses import dataclass, field
 
 import numpy as np
 import numpy.typing as npt
-from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]
 
 from sysid.datasets.channel import Channel, seconds
 from sysid.datasets.resample import interpolate, low_pass
@@ -87,27 +86,30 @@ def pairs_of(machine: Sequence[Channel], other: Sequence[Channel], start_ns: int
     return tuple(pairs)
 
 
-def estimate(pairs: Sequence[Pair], skew: float | None = None) -> Estimate:
-    """Offset and skew from ``pairs``; ``skew`` fixes the skew (a share, not ppm).
+def estimate(pairs: Sequence[Pair], skew: float | None = None, start: float | None = None) -> Estimate:
+    """Offset and skew from ``pairs``.
+
+    Args:
+        skew: fixes the skew (a share, not ppm); None estimates it.
+        start: offset to start from, within a few samples; None searches all lags.
 
     Returns:
         The estimate; ``refused`` where no pair moves, no lag stands out, or too little is left after dropping gaps.
     """
     if not pairs:
         return Estimate(refused="no joint or cylinder is measured on both clocks")
-    moving = [pair for pair in pairs if _moves(pair.x_times, pair.x) and _moves(pair.y_times, pair.y)]
+    moving = [pair for pair in pairs if _moves(pair.x) and _moves(pair.y)]
     if not moving:
         names = ", ".join(pair.name for pair in pairs)
         return Estimate(refused=f"nothing moves that both clocks have seen ({names})")
-    lag, refused = coarse_offset(moving)
-    if refused:
-        return Estimate(refused=refused)
-    prepared = [_smoothed(pair) for pair in moving]
-    with threadpool_limits(limits=1):  # the systems are small: threads cost ten times what they save
-        return _refine(prepared, lag, skew)
+    if start is None:
+        start, refused = coarse_offset(moving)
+        if refused:
+            return Estimate(refused=refused)
+    return _refine([_smoothed(pair) for pair in moving], start, skew)
 
 
-def _moves(times: Array, values: Array) -> bool:
+def _moves(values: Array) -> bool:
     """Whether a signal moves by much more than its noise (differences of neighbours) and its quantum."""
     known = values[~np.isnan(values)]
     if len(known) < 50:
@@ -175,57 +177,63 @@ def _smoothed(pair: Pair) -> Pair:
     return Pair(pair.name, pair.x_times, x, pair.y_times[known], pair.y[known], pair.degree, pair.x_gap_s)
 
 
-def _refine(pairs: Sequence[Pair], lag: float, fixed_skew: float | None) -> Estimate:
+def _refine(pairs: Sequence[Pair], start: float, fixed_skew: float | None) -> Estimate:
     """Gauss-Newton on (offset, skew) with the maps projected out and soft-L1 weights."""
-    overlap = [t for p in pairs for t in (max(p.y_times[0], p.x_times[0] - lag), min(p.y_times[-1], p.x_times[-1] - lag))]
+    overlap = [t for p in pairs for t in (max(p.y_times[0], p.x_times[0] - start), min(p.y_times[-1], p.x_times[-1] - start))]
     mid = (min(overlap) + max(overlap)) / 2.0
-    offset, skew = lag, fixed_skew or 0.0
+    offset, skew = start, fixed_skew or 0.0
     scales = [0.0] * len(pairs)
     for iteration in range(40):
-        normal, score = np.zeros((2, 2)), np.zeros(2)
-        blocks: dict[int, Array] = {}
-        squares, weights_sum = 0.0, 0
+        settled = iteration > 5
+        parts = []
         for index, pair in enumerate(pairs):
-            part = _linearise(pair, offset, skew, mid, scales[index])
+            part = _linearise(pair, offset, skew, mid, scales[index] if settled else 0.0)
             if part is None:
                 return Estimate(refused=f"too little of {pair.name} overlaps")
-            times, jacobian, residual, weight, scale = part
-            scales[index] = scale if iteration < 8 else scales[index]
-            weighted = jacobian * (weight / scale**2)[:, None]
-            normal += weighted.T @ jacobian
-            contributions = weighted * residual[:, None]
-            score += contributions.sum(axis=0)
-            for block, total in _block_sums(times, contributions):
-                blocks[block] = blocks.get(block, np.zeros(2)) + total
-            squares += float(np.sum(np.minimum(weight, 1.0) * (residual / scale) ** 2))
-            weights_sum += len(residual)
-        held = np.diag([1.0 / normal[0, 0], 0.0])
-        bread = np.linalg.inv(normal) if fixed_skew is None else held
-        step = bread @ score
+            scales[index] = part.scale
+            parts.append(part)
+        normal = np.sum([part.normal for part in parts], axis=0)
+        score = np.sum([part.scores.sum(axis=0) for part in parts], axis=0)
+        bread = np.linalg.inv(normal) if fixed_skew is None else np.diag([1.0 / normal[0, 0], 0.0])
         # A start from the coarse grid is within its step: larger moves mean that the linearisation does not hold.
-        step[0] = np.clip(step[0], -0.05, 0.05)
-        step[1] = np.clip(step[1], -5e-4, 5e-4)
+        step = np.clip(bread @ score, [-0.05, -5e-4], [0.05, 5e-4])
         offset, skew = offset + float(step[0]), skew + float(step[1])
-        if iteration > 8 and abs(step[0]) < 1e-8 and abs(step[1]) < 1e-10:
+        if settled and abs(step[0]) < 1e-8 and abs(step[1]) < 1e-10:
             break
-    meat = np.sum([np.outer(total, total) for total in blocks.values()], axis=0)
+    blocks: dict[int, Array] = {}
+    for part in parts:
+        for block, total in _block_sums(part.times, part.scores):
+            blocks[block] = blocks.get(block, np.zeros(2)) + total
     count = len(blocks)
     if count < 4:
         return Estimate(refused=f"only {count} blocks of {BLOCK_S:g} s overlap: too short for an interval")
+    meat = np.sum([np.outer(total, total) for total in blocks.values()], axis=0)
     covariance = bread @ meat @ bread * count / (count - 2)
     used = tuple(sorted({name for pair in pairs for name in pair.name.split("~")}))
-    return Estimate(mid, offset, skew, covariance, count - 2, float(np.sqrt(squares / weights_sum)), used)
+    squares = np.concatenate([part.weight * (part.residual / part.scale) ** 2 for part in parts])
+    return Estimate(mid, offset, skew, covariance, count - 2, float(np.sqrt(squares.mean())), used)
 
 
-def _linearise(
-    pair: Pair, offset: float, skew: float, mid: float, scale: float
-) -> tuple[Array, Array, Array, Array, float] | None:
-    """Times, projected Jacobian (n, 2), residual y − f(x), soft-L1 weights and noise scale of one pair at (offset, skew)."""
+@dataclass(frozen=True)
+class _Part:
+    """One pair linearised: residual ``y − f(x)`` and weights (n,), noise scale, J'WJ (2, 2), rows of J'Wr (n, 2)."""
+
+    times: Array
+    residual: Array
+    weight: Array
+    scale: float
+    normal: Array
+    scores: Array
+
+
+def _linearise(pair: Pair, offset: float, skew: float, mid: float, scale: float) -> _Part | None:
+    """``pair`` at (offset, skew) with its map fitted and projected out; None where too little overlaps.
+
+    ``scale`` is the noise's standard deviation; 0 estimates it. It is held while the iteration converges.
+    """
     at = pair.y_times + offset + skew * (pair.y_times - mid)
-    x = interpolate(pair.x_times, pair.x, at, pair.x_gap_s, cubic=True)
     half = 0.5 * float(np.median(np.diff(pair.x_times)))
-    later = interpolate(pair.x_times, pair.x, at + half, pair.x_gap_s, cubic=True)
-    earlier = interpolate(pair.x_times, pair.x, at - half, pair.x_gap_s, cubic=True)
+    x, later, earlier = (interpolate(pair.x_times, pair.x, at + d, pair.x_gap_s, cubic=True) for d in (0.0, half, -half))
     rate = (later - earlier) / (2.0 * half)
     known = ~np.isnan(x) & ~np.isnan(rate)
     if np.count_nonzero(known) < 20 * (pair.degree + 3):
@@ -236,22 +244,26 @@ def _linearise(
         return None
     u = 2.0 * (x - low) / (high - low) - 1.0
     basis = np.polynomial.chebyshev.chebvander(u, pair.degree)
-    weight = np.ones(len(y))
-    residual = y
-    coefficients: Array = np.zeros(pair.degree + 1)
+    weight, residual, coefficients = np.ones(len(y)), y, np.zeros(pair.degree + 1)
     for _ in range(4):
-        root = np.sqrt(weight)
-        coefficients = np.linalg.lstsq(basis * root[:, None], y * root, rcond=None)[0]
+        weighted = basis * weight[:, None]
+        coefficients = _solve(weighted.T @ basis, weighted.T @ y)
         residual = y - basis @ coefficients
         sigma = scale or 1.4826 * float(np.median(np.abs(residual))) + 1e-15
         # Soft-L1 with its knee at two standard deviations: noise counts in full, mistaken frames hardly.
         weight = 1.0 / np.sqrt(1.0 + (residual / (2.0 * sigma)) ** 2)
     slope = np.polynomial.chebyshev.chebval(u, np.polynomial.chebyshev.chebder(coefficients)) * (2.0 / (high - low))
     jacobian = np.column_stack([slope * rate, slope * rate * (times - mid)])
-    root = np.sqrt(weight)
-    projection = np.linalg.lstsq(basis * root[:, None], jacobian * root[:, None], rcond=None)[0]
-    fresh = 1.4826 * float(np.median(np.abs(residual))) + 1e-15
-    return times, jacobian - basis @ projection, residual, weight, fresh
+    weighted = basis * weight[:, None]
+    jacobian = jacobian - basis @ _solve(weighted.T @ basis, weighted.T @ jacobian)
+    scores = jacobian * (weight / sigma**2 * residual)[:, None]
+    normal = (jacobian * (weight / sigma**2)[:, None]).T @ jacobian
+    return _Part(times, residual, weight, sigma, normal, scores)
+
+
+def _solve(matrix: Array, right: Array) -> Array:
+    """Normal equations of a Chebyshev basis; a ridge far below the noise keeps a sparse range solvable."""
+    return np.asarray(np.linalg.solve(matrix + 1e-12 * np.trace(matrix) * np.eye(len(matrix)), right))
 
 
 def _block_sums(times: Array, contributions: Array) -> list[tuple[int, Array]]:

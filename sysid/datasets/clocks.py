@@ -145,7 +145,7 @@ def _moving(recording: Clocked, clock: str, channels: Sequence[Channel], first: 
         return _refused(recording, clock, channels, first.refused)
     half = _quantile(first.degrees_of_freedom) * math.sqrt(first.covariance[1, 1])
     skew = shared if shared is not None else _judge(first.skew, half, "differs between recordings: each has its own")
-    result = estimate(_pairs(recording, channels), skew=skew.value)
+    result = estimate(_pairs(recording, channels), skew=skew.value, start=first.mid_offset)
     if result.refused:
         return _refused(recording, clock, channels, result.refused)
     # Offset at the stream's first stamp; its error holds that of the offset at mid-recording and of the skew up to there.

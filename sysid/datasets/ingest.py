@@ -52,7 +52,20 @@ def ingest(
         InputError: a log that cannot be used as it is.
         SettingsError: a mistake in ``machine.toml`` or in the recipe.
     """
-    report = progress if progress is not None else lambda _text, _share: None
+    from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]
+
+    with threadpool_limits(limits=1):  # thousands of small systems: threads cost ten times what they save
+        return _ingest(paths, workspace, machine, recipe, name, progress or (lambda _text, _share: None))
+
+
+def _ingest(
+    paths: Sequence[Path | str] | Path | str,
+    workspace: Path | str,
+    machine: Path | str | None,
+    recipe: Path | str | None,
+    name: str | None,
+    report: Progress,
+) -> Dataset:
     roots = [Path(path) for path in ([paths] if isinstance(paths, str | Path) else paths)]
     recipe_path = _recipe_path(recipe, roots)
     rules = load_recipe(recipe_path) if recipe_path is not None else None
@@ -104,7 +117,7 @@ def ingest(
         splits=roles,
         sources=tuple(replace(source, losses=losses.get(source.path, ())) for source in sources),
         clocks=clocks,
-        quality=describe(parts, readings, description),
+        quality=describe(parts, readings, clocks, description),
     )
     report("storing", 0.95)
     saved = store.save(dataset, channels, rules.text if rules is not None else "")
@@ -171,7 +184,13 @@ def _recording(recording: Clocked, records: Mapping[str, ClockRecord], machine: 
         phases = still_phases(measured, rules.still, where)
         slack = {name: _slack(records[c.source]) for name, c in signals.items() if c.source in records}
         values = {n: (times[n], c.values) for n, c in signals.items() if not n.endswith(".command")}  # noqa: PD011
-        return Recording(recording.name, pose_table(phases, values, slack), machine.rate_hz, "poses", start)
+        return Recording(
+            recording.name,
+            pose_table(phases, values, slack, machine.noise, rules.still.tolerance),
+            machine.rate_hz,
+            "poses",
+            start,
+        )
     end = max(int(channel.stamps[-1]) for channel in recording.machine)
     at = grid(start, end, machine.rate_hz)
     columns = {"time": at}

@@ -14,8 +14,8 @@ from sysid.errors import InputError
 
 Array = npt.NDArray[np.float64]
 
-#: Signals that move this much more in a phase than in most phases (a swinging tool) have no static value there.
-UNREST = 4.0
+#: A signal that moves by more standard deviations than this within a phase (a swinging tool) has no static value there.
+UNREST = 12.0
 
 
 def still_phases(signals: Mapping[str, tuple[Array, Array]], rules: StillPhases, where: object) -> list[tuple[float, float]]:
@@ -63,11 +63,17 @@ def _ranges(values: Array, first: npt.NDArray[np.intp], last: npt.NDArray[np.int
 
 
 def pose_table(
-    phases: list[tuple[float, float]], signals: Mapping[str, tuple[Array, Array]], slack_s: Mapping[str, float]
+    phases: list[tuple[float, float]],
+    signals: Mapping[str, tuple[Array, Array]],
+    slack_s: Mapping[str, float],
+    noise: Mapping[str, float],
+    tolerance: float,
 ) -> pd.DataFrame:
     """One row a phase: ``time`` (its middle) and the median of each signal (times, values) within it.
 
     Args:
+        noise: signal → its standard deviation; within a phase a signal may move by :data:`UNREST` times that.
+        tolerance: the same for signals of unknown noise, as a share of their range.
         slack_s: signal → how far a window is widened (below zero: narrowed) for the uncertainty of its clock [s].
     """
     columns = {"time": np.array([(begin + end) / 2.0 for begin, end in phases])}
@@ -80,7 +86,9 @@ def pose_table(
             inside = inside[~np.isnan(inside)]
             if len(inside) >= 2:
                 medians[row], ranges[row] = float(np.median(inside)), float(np.ptp(inside))
-        typical = float(np.nanmedian(ranges)) if np.isfinite(ranges).any() else np.nan
-        medians[ranges > UNREST * typical] = np.nan
+        known = medians[~np.isnan(medians)]
+        spread = float(np.ptp(known)) if len(known) else 0.0
+        limit = UNREST * noise[signal] if signal in noise else max(tolerance * spread, 1e-9)
+        medians[ranges > limit] = np.nan
         columns[signal] = medians
     return pd.DataFrame(columns)
