@@ -24,6 +24,7 @@ FLOORS: tuple[tuple[str, ...], ...] = (
     ("registry", "validate"),
     ("gap",),
     ("reports", "view"),
+    ("workspace",),
     ("cli",),
 )
 #: The stand-in machine is judged by the library, so it may share nothing with it but errors and settings.

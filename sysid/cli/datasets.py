@@ -1,0 +1,103 @@
+"""``sysid datasets [NAME]``: what the workspace holds, or what one dataset version is made of."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from sysid.cli.output import Printer, json_option, write_json
+
+if TYPE_CHECKING:
+    from sysid.datasets import Dataset
+
+
+@click.command()
+@click.argument("reference", metavar="[NAME[@VERSION]]", required=False)
+@json_option
+@click.pass_obj
+def datasets(workspace: str, reference: str | None, json_file: str | None) -> None:
+    """List dataset versions, or show one."""
+    from sysid.datasets import Store
+
+    out = Printer(json_file)
+    store = Store(workspace)
+    if reference is not None:
+        dataset = store.load(reference)
+        show(out, dataset)
+        write_json(json_file, describe(dataset))
+        return
+    entries = store.list()
+    write_json(json_file, {"schema": 1, "datasets": [_entry(entry) for entry in entries]})
+    if not entries:
+        out.line(f"No datasets in {workspace} yet: sysid ingest PATH makes one.")
+        return
+    rows = [
+        (entry.reference, entry.machine, entry.recordings, f"{entry.seconds:.0f}", entry.created, entry.digest[:12])
+        for entry in entries
+    ]
+    out.table(("dataset", "machine", "recordings", "seconds", "made", "content"), rows, right=(2, 3))
+
+
+def _entry(entry: Any) -> dict[str, Any]:
+    return {
+        "dataset": entry.reference,
+        "machine": entry.machine,
+        "recordings": entry.recordings,
+        "seconds": entry.seconds,
+        "created": entry.created,
+        "digest": entry.digest,
+    }
+
+
+def show(out: Printer, dataset: Dataset) -> None:
+    """Recordings, clocks and losses of a dataset version, for people."""
+    rows = [
+        (
+            recording.name,
+            recording.kind,
+            dataset.splits.get(recording.name, "–"),
+            f"{len(recording)} poses" if recording.kind == "poses" else f"{len(recording) / recording.rate_hz:.1f} s",
+            len(recording.signals),
+            f"{100.0 * (1.0 - recording.table.drop(columns='time').isna().to_numpy().mean()):.1f} %",
+        )
+        for recording in dataset.recordings
+    ]
+    out.table(("recording", "kind", "role", "length", "signals", "complete"), rows, right=(3, 4, 5))
+    for clock in dataset.clocks:
+        if clock.applied:
+            half = 0.5e3 * (clock.offset_interval95[1] - clock.offset_interval95[0])
+            text = f"{clock.offset_s:+.6f} s ± {half:.3f} ms, skew {clock.skew_ppm:+.1f} ppm"
+        else:
+            text = f"not aligned: {clock.reason}"
+        out.line(f"clock {clock.stream} of {clock.recording}: {text}")
+    for source in dataset.sources:
+        for loss in source.losses:
+            out.line(f"loss in {source.path}: {loss}")
+
+
+def describe(dataset: Dataset) -> dict[str, Any]:
+    """The same for machines."""
+    from dataclasses import asdict
+
+    return {
+        "schema": 1,
+        "dataset": dataset.reference,
+        "digest": dataset.digest,
+        "machine": dataset.machine.name,
+        "recordings": [
+            {
+                "name": recording.name,
+                "kind": recording.kind,
+                "role": dataset.splits.get(recording.name),
+                "rows": len(recording),
+                "rate_hz": recording.rate_hz,
+                "signals": list(recording.signals),
+            }
+            for recording in dataset.recordings
+        ],
+        "units": dict(dataset.units),
+        "clocks": [asdict(clock) for clock in dataset.clocks],
+        "sources": [asdict(source) for source in dataset.sources],
+        "quality": dict(dataset.quality),
+    }

@@ -1,0 +1,42 @@
+"""``sysid fit actuator|forward NAME``: networks of a dataset, fitted, judged and registered."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+
+import click
+
+from sysid.cli.output import Printer, json_option, progress_bar, write_json
+from sysid.cli.validate import show_errors
+
+
+@click.command()
+@click.argument("kind", type=click.Choice(["actuator", "forward"]))
+@click.argument("reference", metavar="NAME[@VERSION]")
+@click.option(
+    "--recipe", type=click.Path(path_type=Path), default=None, metavar="R.toml", help="Keys that differ from the paper's."
+)
+@json_option
+@click.pass_obj
+def fit(workspace: str, kind: str, reference: str, recipe: Path | None, json_file: str | None) -> None:
+    """Fit the actuator networks (cylinder ↔ joint) or the forward network (joints → boom tip) of a dataset."""
+    from sysid.networks import fit_actuator, fit_forward, load_recipe
+    from sysid.workspace import open_workspace
+
+    place = open_workspace(workspace)
+    dataset = place.dataset(reference)
+    settings = load_recipe(recipe)
+    begin = time.perf_counter()
+    with progress_bar(f"fit {kind}") as progress:
+        model = fit_actuator(dataset, settings, progress) if kind == "actuator" else fit_forward(dataset, settings, progress)
+    seconds = time.perf_counter() - begin
+    version, report = place.add_network(dataset, model, settings)
+    out = Printer(json_file)
+    if report is not None:
+        show_errors(out, report)
+    else:
+        out.line("Not judged: no held-out recording measures its signals.")
+    out.line(f"{version.reference} in {place.folder} ({seconds:.1f} s)")
+    result = {"schema": 1, "model": version.reference, "dataset": dataset.reference, "seconds": seconds}
+    write_json(json_file, {**result, "validation": report.to_json() if report is not None else None})

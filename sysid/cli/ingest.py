@@ -1,0 +1,37 @@
+"""``sysid ingest PATH…``: raw logs become a new version of a dataset."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+
+import click
+
+from sysid.cli.output import Printer, json_option, progress_bar, write_json
+
+
+@click.command()
+@click.argument("paths", metavar="PATH…", nargs=-1, required=True, type=click.Path(path_type=Path))
+@click.option("--machine", type=click.Path(path_type=Path), default=None, metavar="machine.toml", help="The machine.")
+@click.option("--recipe", type=click.Path(path_type=Path), default=None, metavar="R.toml", help="Which field is which signal.")
+@click.option("--name", default=None, help="Name of the dataset; else the recipe's, else the machine's.")
+@json_option
+@click.pass_obj
+def ingest(
+    workspace: str, paths: tuple[Path, ...], machine: Path | None, recipe: Path | None, name: str | None, json_file: str | None
+) -> None:
+    """Turn raw logs into a new dataset version.
+
+    PATH is a folder DIR with DIR/<recording>/<log files>, or a log file. The same files again give the same version.
+    """
+    from sysid import datasets
+    from sysid.cli.datasets import describe, show
+
+    begin = time.perf_counter()
+    with progress_bar("ingest") as progress:
+        dataset = datasets.ingest(list(paths), workspace, machine=machine, recipe=recipe, name=name, progress=progress)
+    seconds = time.perf_counter() - begin
+    out = Printer(json_file)
+    show(out, dataset)
+    out.line(f"{dataset.reference} in {workspace} ({seconds:.1f} s)")
+    write_json(json_file, {**describe(dataset), "seconds": seconds})

@@ -1,0 +1,36 @@
+"""``sysid report [NAME]``: the HTML page about a dataset and everything computed on it."""
+
+from __future__ import annotations
+
+from datetime import datetime
+from pathlib import Path
+
+import click
+
+from sysid.cli.output import Printer, json_option, write_json
+
+
+@click.command()
+@click.argument("reference", metavar="[NAME[@VERSION]]", required=False)
+@click.option("--out", "path", type=click.Path(dir_okay=False, path_type=Path), default=None, metavar="FILE.html")
+@json_option
+@click.pass_obj
+def report(workspace: str, reference: str | None, path: Path | None, json_file: str | None) -> None:
+    """Write the HTML report of a dataset: one file that works without a network."""
+    from sysid.reports import write_report
+    from sysid.workspace import open_workspace
+
+    place = open_workspace(workspace)
+    dataset = place.dataset(reference)
+    created = f"{datetime.now().astimezone():%d %B %Y, %H:%M}".lstrip("0")
+    inputs = place.report_inputs(dataset, created)
+    path = path or place.results(dataset) / "report.html"
+    write_report(path, inputs)
+    out = Printer(json_file)
+    out.line(f"{path}  ({path.stat().st_size / 1e6:.1f} MB)")
+    if inputs.gap is None:
+        out.line(f"It has no comparison with a simulation yet: sysid --workspace {workspace} gap {dataset.name}")
+    write_json(
+        json_file,
+        {"schema": 1, "file": path, "dataset": dataset.reference, "verdict": inputs.gap.verdict if inputs.gap else None},
+    )

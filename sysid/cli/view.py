@@ -1,0 +1,45 @@
+"""``sysid view NAME``: a Rerun recording of the moving machine."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from sysid.cli.output import Printer, json_option, write_json
+
+
+@click.command()
+@click.argument("reference", metavar="NAME[@VERSION]")
+@click.option("--recording", default=None, help="Which one; else the first held-out recording.")
+@click.option(
+    "--plant", default=None, metavar="PLANT[@VERSION]", help="Simulate with this plant; else before and after the gap."
+)
+@click.option("--out", "path", type=click.Path(dir_okay=False, path_type=Path), default=None, metavar="FILE.rrd")
+@json_option
+@click.pass_obj
+def view(
+    workspace: str, reference: str, recording: str | None, plant: str | None, path: Path | None, json_file: str | None
+) -> None:
+    """Write a Rerun recording: machine, trails and signals, measured and simulated."""
+    from sysid.errors import StoreError
+    from sysid.view import write_rerun
+    from sysid.workspace import open_workspace
+
+    place = open_workspace(workspace)
+    dataset = place.dataset(reference)
+    if recording is None:
+        shown = [*dataset.with_role("held_out"), *dataset.of_kind("motion")]
+        if not shown:
+            raise StoreError(dataset.reference, "no recording of motion", "at least one")
+        recording = shown[0].name
+    predictions = place.predictions(dataset, recording, plant)
+    path = path or place.results(dataset) / f"{recording.replace('#', '-')}.rrd"
+    write_rerun(path, dataset, recording, predictions)
+    out = Printer(json_file)
+    out.line(f"{path}  ({recording} of {dataset.reference}; measured, {', '.join(predictions)})")
+    out.line(f"Look at it: rerun {path}")
+    write_json(
+        json_file,
+        {"schema": 1, "file": path, "dataset": dataset.reference, "recording": recording, "simulations": list(predictions)},
+    )

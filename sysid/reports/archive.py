@@ -1,0 +1,133 @@
+"""Keeps the answer of the gap workflow beside the models, so that a report can be made again without computing it again."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from pydantic import TypeAdapter
+
+from sysid.errors import StoreError
+from sysid.gap.result import (
+    Candidate,
+    Excitation,
+    Gap,
+    GapResult,
+    Localised,
+    NamedEffect,
+    Traces,
+    Unnamed,
+)
+
+RESULT, TRACES = "result.json", "traces.parquet"
+VERSIONS = ("measured", "before", "after")
+
+
+def save_gap(folder: Path, result: GapResult) -> Path:
+    """Write ``result`` into ``folder``: the traces first, the JSON last, each whole or not at all."""
+    folder.mkdir(parents=True, exist_ok=True)
+    frames = [
+        getattr(trace, version).assign(recording=trace.recording, version=version)
+        for trace in result.traces
+        for version in VERSIONS
+    ]
+    traces = folder / TRACES
+    if frames:
+        _replace(traces, lambda half: pd.concat(frames, ignore_index=True).to_parquet(half, index=False))
+    else:
+        traces.unlink(missing_ok=True)
+    text = json.dumps(_finite(result.to_json()), indent=1, ensure_ascii=False, allow_nan=False)
+    _replace(folder / RESULT, lambda half: half.write_text(text, "utf-8"))
+    return folder / RESULT
+
+
+def load_gap(folder: Path) -> GapResult | None:
+    """The result that :func:`save_gap` wrote into ``folder``; None where there is none.
+
+    Raises:
+        StoreError: the files are damaged.
+    """
+    path = folder / RESULT
+    if not path.is_file():
+        return None
+    try:
+        return _result(_numbers(json.loads(path.read_text("utf-8"))), _traces(folder / TRACES))
+    except (ValueError, KeyError, TypeError) as error:
+        message = str(error).splitlines()[0]
+        raise StoreError(path, f"not readable ({message})", "a result as it was written", "Run `sysid gap` again.") from None
+
+
+def _result(values: dict[str, Any], traces: tuple[Traces, ...]) -> GapResult:
+    for effect in values["effects"]:
+        effect["aliases"] = [(alias["name"], alias["target"]) for alias in effect.get("aliases", [])]
+    return GapResult(
+        dataset=values["dataset"],
+        plant_before=values["plant"]["before"],
+        plant_after=values["plant"]["after"],
+        verdict=values["verdict"],
+        effects=_many(NamedEffect, values["effects"]),
+        unnamed=_many(Unnamed, values["unnamed"]),
+        ambiguous=tuple(tuple((item["name"], item["target"]) for item in tie) for tie in values["ambiguous"]),
+        next_experiment=tuple(values["next_experiment"]),
+        gap=TypeAdapter(Gap).validate_python(values["gap"]),
+        stage_gap=TypeAdapter(Gap).validate_python(values["stage_gap"]),
+        excitation=_many(Excitation, values["excitation"]),
+        held_out_recordings=tuple(values["held_out_recordings"]),
+        seconds=values["seconds"],
+        localised=_many(Localised, values["localised"]),
+        candidates=_many(Candidate, values["candidates"]),
+        traces=traces,
+        notes=tuple(values["notes"]),
+        settings=values["settings"],
+    )
+
+
+def _many(cls: type[Any], items: list[Any]) -> tuple[Any, ...]:
+    adapter = TypeAdapter(cls)
+    return tuple(adapter.validate_python(item) for item in items)
+
+
+def _traces(path: Path) -> tuple[Traces, ...]:
+    if not path.is_file():
+        return ()
+    table = pd.read_parquet(path)
+    found = []
+    for recording in dict.fromkeys(table["recording"]):
+        parts = [table[(table["recording"] == recording) & (table["version"] == version)] for version in VERSIONS]
+        measured, before, after = (
+            part.drop(columns=["recording", "version"]).dropna(axis="columns", how="all").reset_index(drop=True)
+            for part in parts
+        )
+        found.append(Traces(str(recording), measured, before, after))
+    return tuple(found)
+
+
+def _finite(value: Any) -> Any:
+    """JSON has no NaN and no infinity: both become null."""
+    if isinstance(value, dict):
+        return {key: _finite(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_finite(item) for item in value]
+    if isinstance(value, np.generic):
+        return _finite(value.item())
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def _numbers(value: Any) -> Any:
+    """And back: where a number is missing, it was not finite."""
+    if isinstance(value, dict):
+        return {key: _numbers(item) for key, item in value.items()}
+    if isinstance(value, list):
+        return [_numbers(item) for item in value]
+    return math.nan if value is None else value
+
+
+def _replace(path: Path, write: Any) -> None:
+    half = path.with_name(f".{path.name}.{os.getpid()}.part")
+    write(half)
+    half.replace(path)

@@ -1,0 +1,210 @@
+"""A workspace: the dataset versions, model versions and results of one place, and what belongs to what.
+
+The stations themselves (``ingest``, ``fit_actuator``, ``find_gap``, …) are plain functions on values. This is the clerk who
+files what they return, and finds it again for the next one: it keeps the command line and the pipelines short.
+"""
+
+from __future__ import annotations
+
+import importlib.metadata
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+import pandas as pd
+
+from sysid import __version__
+from sysid.datasets import Dataset, Store
+from sysid.errors import ExcitationError, SettingsError, StoreError
+from sysid.gap import GapResult
+from sysid.networks import ActuatorNetwork, ForwardNetwork, Model, NetworkRecipe, from_files, parse_recipe, to_files
+from sysid.plant import Plant, free_run, nominal_plant, plant_from_files
+from sysid.registry import ModelVersion, Registry
+from sysid.reports import ReportInputs, VersionNote
+from sysid.reports.archive import load_gap, save_gap
+from sysid.validate import ValidationReport, validate_model
+
+#: What the figures of a report depend on.
+SOFTWARE = ("numpy", "scipy", "numba", "torch", "pandas", "deltalake", "mlflow-skinny")
+
+
+@dataclass(frozen=True)
+class Workspace:
+    """Datasets, models and results under one location.
+
+    Args:
+        location: a folder, or the URL of an object store for the datasets; models and results then stay in ``local``.
+        local: folder for models and results where ``location`` is a URL.
+    """
+
+    location: str | Path = "./workspace"
+    local: Path = Path("./workspace")
+
+    @property
+    def folder(self) -> Path:
+        """Where models, results and reports live."""
+        return self.local if "://" in str(self.location) else Path(self.location)
+
+    @cached_property
+    def datasets(self) -> Store:
+        return Store(self.location)
+
+    @cached_property
+    def models(self) -> Registry:
+        return Registry(self.folder)
+
+    def dataset(self, reference: str | None = None) -> Dataset:
+        """``name``, ``name@3``, or the only dataset there is.
+
+        Raises:
+            StoreError: there is no such dataset, or several and none was named.
+        """
+        if reference is None:
+            names = sorted({entry.name for entry in self.datasets.list()})
+            if len(names) != 1:
+                listed = ", ".join(names) or "none"
+                raise StoreError(f"workspace {self.location}", f"{len(names)} datasets ({listed})", "the name of one")
+            reference = names[0]
+        return self.datasets.load(reference)
+
+    def add_network(
+        self, dataset: Dataset, model: Model, recipe: NetworkRecipe
+    ) -> tuple[ModelVersion, ValidationReport | None]:
+        """Judge a fitted network on held-out recordings and register it as ``<dataset>-actuator`` or ``<dataset>-forward``.
+
+        Returns:
+            The version, and its error report (None where nothing is held out that could judge it).
+        """
+        kind, files = to_files(model)
+        try:
+            report = validate_model(model, dataset, recipe=recipe)
+        except ExcitationError:
+            report = None
+        lineage = {"dataset": dataset.reference, "dataset_digest": dataset.digest, "recipe": recipe.to_json()}
+        metrics = report.metrics() if report is not None else {}
+        return self.models.register(f"{dataset.name}-{kind}", kind, files, lineage, metrics), report
+
+    def network_version(self, dataset: Dataset, kind: str) -> ModelVersion | None:
+        """The newest network of ``kind`` fitted on this dataset version, else on any version of the dataset."""
+        versions = [version for version in self.models.list(kind) if version.name == f"{dataset.name}-{kind}"]
+        exact = [version for version in versions if version.lineage.get("dataset_digest") == dataset.digest]
+        return max(exact or versions, key=lambda version: version.version, default=None)
+
+    def network(self, reference: str) -> Model:
+        """The actuator or forward network ``name@version``.
+
+        Raises:
+            StoreError: there is none, or it is a plant or policy.
+        """
+        version = self.models.load(reference)
+        if version.kind not in ("actuator", "forward"):
+            raise StoreError(f"model {reference}", f"is a {version.kind}", "an actuator or forward network")
+        return from_files(version.files, version.reference)
+
+    def linkages(self, dataset: Dataset) -> dict[str, ActuatorNetwork]:
+        """The fitted cylinder ↔ joint maps of the dataset by axis; empty where none were fitted."""
+        version = self.network_version(dataset, "actuator")
+        model = self.network(version.reference) if version is not None else {}
+        return {} if isinstance(model, ForwardNetwork) else dict(model)
+
+    def validation(self, reference: str, dataset: Dataset) -> ValidationReport:
+        """Judge a registered network on a dataset, with the recipe it was fitted by."""
+        version = self.models.find(reference)
+        values = version.lineage.get("recipe")
+        recipe = parse_recipe(dict(values), reference) if isinstance(values, Mapping) else None
+        return validate_model(self.network(reference), dataset, recipe=recipe, name=version.reference)
+
+    def plant(self, dataset: Dataset, reference: str | None = None) -> Plant:
+        """A registered plant, or the nominal one that the dataset's ``machine.toml`` describes.
+
+        Raises:
+            StoreError: no such plant.
+            SettingsError: the plant is of another machine.
+        """
+        if reference is None:
+            version = self.network_version(dataset, "actuator")
+            origin = {"linkages": version.reference} if version is not None else {}
+            return nominal_plant(dataset.machine, self.linkages(dataset), **origin)
+        version = self.models.load(reference)
+        if version.kind != "plant":
+            raise StoreError(f"model {reference}", f"is a {version.kind}", "a plant")
+        plant = plant_from_files(version.files, version.reference)
+        if plant.machine.axis_names != dataset.machine.axis_names:
+            found = ", ".join(plant.machine.axis_names)
+            raise SettingsError(f"plant {reference}", f"axes {found}", f"those of {dataset.machine.name}")
+        return plant
+
+    def results(self, dataset: Dataset) -> Path:
+        """Folder for what was computed on a dataset version."""
+        return self.folder / "results" / dataset.reference
+
+    def keep_gap(self, dataset: Dataset, result: GapResult) -> Path:
+        """File the answer of the gap workflow; the newest one of a dataset version is kept."""
+        return save_gap(self.results(dataset) / "gap", result)
+
+    def gap(self, dataset: Dataset) -> GapResult | None:
+        """The newest answer of the gap workflow on this dataset version."""
+        return load_gap(self.results(dataset) / "gap")
+
+    def predictions(self, dataset: Dataset, recording: str, plant: str | None = None) -> dict[str, pd.DataFrame]:
+        """Free runs of one recording: ``before`` and ``after`` the newest gap result, or of one named plant.
+
+        Returns:
+            Name → table of predicted signals, as :func:`sysid.view.write_rerun` takes them.
+        """
+        source = dataset.recording(recording)
+        if plant is not None:
+            return {plant: free_run(self.plant(dataset, plant), source)}
+        result = self.gap(dataset)
+        for trace in result.traces if result is not None else ():
+            if trace.recording == recording:
+                return {"before": trace.before, "after": trace.after} if result and result.effects else {"before": trace.before}
+        return {"before": free_run(self.plant(dataset), source)}
+
+    def report_inputs(self, dataset: Dataset, created: str = "") -> ReportInputs:
+        """Everything that is known about a dataset version, for :func:`sysid.reports.build_report`."""
+        versions = [self.network_version(dataset, kind) for kind in ("actuator", "forward")]
+        validations = []
+        for version in versions:
+            if version is None:
+                continue
+            try:
+                validations.append(self.validation(version.reference, dataset))
+            except ExcitationError:
+                continue  # nothing held out measures its signals: the version is listed without figures
+        return ReportInputs(
+            dataset=dataset,
+            gap=self.gap(dataset),
+            validations=tuple(validations),
+            versions=self._notes(dataset, [version for version in versions if version is not None]),
+            created=created,
+            software={"sysid": __version__, **{name: importlib.metadata.version(name) for name in SOFTWARE}},
+        )
+
+    def _notes(self, dataset: Dataset, networks: list[ModelVersion]) -> tuple[VersionNote, ...]:
+        notes = [VersionNote(dataset.reference, "dataset", dataset.digest, note=f"{len(dataset.sources)} raw files")]
+        notes += [_note(version) for version in networks]
+        result = self.gap(dataset)
+        for reference in dict.fromkeys((result.plant_before, result.plant_after) if result is not None else ()):
+            if "@" in reference:
+                notes.append(_note(self.models.find(reference)))
+        return tuple(notes)
+
+
+def _note(version: ModelVersion) -> VersionNote:
+    parents = [str(version.lineage[key]) for key in ("dataset", "plant", "linkages") if version.lineage.get(key)]
+    return VersionNote(version.reference, version.kind, version.digest, tuple(parents), ", ".join(version.aliases))
+
+
+def open_workspace(location: str | os.PathLike[str]) -> Workspace:
+    """The workspace at ``location``; nothing is made before something is written.
+
+    Raises:
+        SettingsError: a file stands in its place.
+    """
+    text = os.fspath(location)
+    if "://" not in text and Path(text).exists() and not Path(text).is_dir():
+        raise SettingsError(f"--workspace {text}", "is a file", "a folder")
+    return Workspace(text)
