@@ -40,9 +40,7 @@ def _find() -> Path:
     for folder in (here, *here.parents, Path(__file__).resolve().parents[2]):
         if (folder / PIPELINE).is_file():
             return folder / PIPELINE
-    raise SettingsError(
-        "demo", f"no {PIPELINE} here or above", "the project's own folder", "Run it inside a checkout of the project."
-    )
+    raise SettingsError("demo", f"no {PIPELINE} here or above", "the project's own folder", "Run it in a checkout.")
 
 
 def _load(path: Path) -> ModuleType:

@@ -10,6 +10,7 @@ from sysid.cli.output import Printer, json_option, progress_bar, write_json
 
 if TYPE_CHECKING:
     from sysid.gap import GapResult
+    from sysid.gap.result import Localised
     from sysid.machine import Machine
 
 
@@ -57,6 +58,10 @@ def _show_localised(out: Printer, result: GapResult) -> None:
     out.table(("stage", "signal", "error (SI)", "noise (SI)", "times noise"), rows, right=(2, 3, 4))
 
 
+def _times(item: Localised) -> float:
+    return item.stage_rmse / item.noise_floor if item.noise_floor > 0.0 else float("nan")
+
+
 def _show(out: Printer, result: GapResult, machine: Machine) -> None:
     from sysid.reports.effect_units import shown, shown_parameters
     from sysid.reports.words import effect_sentence, headline
@@ -64,9 +69,8 @@ def _show(out: Printer, result: GapResult, machine: Machine) -> None:
     out.line(f"{headline(result.verdict, len(result.effects))}  [{result.verdict}, {result.seconds:.1f} s]")
     rows = []
     for effect in result.effects:
-        out.line(
-            f"  {effect_sentence(effect.name, effect.target, shown_parameters(effect.name, effect.target, effect.parameters, machine))}"
-        )
+        texts = shown_parameters(effect.name, effect.target, effect.parameters, machine)
+        out.line(f"  {effect_sentence(effect.name, effect.target, texts)}")
         for name in effect.parameters:
             value, low, high = (
                 shown(effect.name, name, effect.target, number, machine)

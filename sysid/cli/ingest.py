@@ -29,7 +29,14 @@ def ingest(
 
     begin = time.perf_counter()
     with progress_bar("ingest") as progress:
-        dataset = datasets.ingest(list(paths), workspace, machine=machine, recipe=recipe, name=name, progress=progress)
+        dataset = datasets.ingest(
+            list(paths),
+            workspace,
+            machine=machine,
+            recipe=recipe,
+            name=name,
+            progress=lambda text, share: progress(share, text),
+        )
     seconds = time.perf_counter() - begin
     out = Printer(json_file)
     show(out, dataset)

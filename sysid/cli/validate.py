@@ -31,9 +31,8 @@ def validate(workspace: str, model: str, reference: str, json_file: str | None) 
     for entry in report.outputs:
         for spike in entry.spikes[:3]:
             factor, unit = SHOWN[entry.unit]
-            out.line(
-                f"spike in {entry.output}: {factor * spike.error:+.2f} {unit} at {spike.time:.2f} s of {spike.recording} ({spike.cause})"
-            )
+            where = f"{spike.time:.2f} s of {spike.recording} ({spike.cause})"
+            out.line(f"spike in {entry.output}: {factor * spike.error:+.2f} {unit} at {where}")
     write_json(json_file, {"schema": 1, **report.to_json()})
 
 

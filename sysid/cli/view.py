@@ -12,9 +12,7 @@ from sysid.cli.output import Printer, json_option, write_json
 @click.command()
 @click.argument("reference", metavar="NAME[@VERSION]")
 @click.option("--recording", default=None, help="Which one; else the first held-out recording.")
-@click.option(
-    "--plant", default=None, metavar="PLANT[@VERSION]", help="Simulate with this plant; else before and after the gap."
-)
+@click.option("--plant", default=None, metavar="PLANT[@VERSION]", help="Simulate with this plant; else before and after.")
 @click.option("--out", "path", type=click.Path(dir_okay=False, path_type=Path), default=None, metavar="FILE.rrd")
 @json_option
 @click.pass_obj

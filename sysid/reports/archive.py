@@ -98,11 +98,13 @@ def _traces(path: Path) -> tuple[Traces, ...]:
     table = pd.read_parquet(path)
     found = []
     for recording in dict.fromkeys(table["recording"]):
-        parts = [table[(table["recording"] == recording) & (table["version"] == version)] for version in VERSIONS]
-        measured, before, after = (
-            part.drop(columns=["recording", "version"]).dropna(axis="columns", how="all").reset_index(drop=True)
-            for part in parts
-        )
+        tables = []
+        for version in VERSIONS:
+            rows = table[(table["recording"] == recording) & (table["version"] == version)]
+            # The three have different columns: those that only the others have are empty here.
+            rows = rows.drop(columns=["recording", "version"]).dropna(axis="columns", how="all")
+            tables.append(rows.reset_index(drop=True))
+        measured, before, after = tables
         found.append(Traces(str(recording), measured, before, after))
     return tuple(found)
 

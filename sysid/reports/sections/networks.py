@@ -39,7 +39,8 @@ def _report(report: ValidationReport, number: int) -> dict[str, Any]:
         "paper": report.kind == "forward" and any(output.output in PAPER_MAX for output in report.outputs),
         "rows": [_row(output) for output in report.outputs],
         "round_trips": [
-            f"{axis} {display.quantity(trip.joint_rmse, 'rad', 2)}, {display.quantity(trip.cylinder_rmse, 'm', 2)}"
+            f"{axis} "
+            + " and ".join((display.quantity(trip.joint_rmse, "rad", 2), display.quantity(trip.cylinder_rmse, "m", 2)))
             for axis, trip in report.round_trips.items()
         ],
         "figures": [_profiles(output, f"net-{number}-{index}") for index, output in enumerate(report.outputs)],
