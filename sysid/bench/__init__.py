@@ -8,7 +8,8 @@ sees them (``sensors``, ``capture``), then the files (``mcap_log``, ``motive_exp
 ``python -m sysid.bench RECIPE.toml OUT`` writes all recordings of a recipe.
 """
 
-from sysid.bench.recipe import AXES, Recipe, RecordingSettings, load_recipe
+from sysid.bench.recipe import AXES, Recipe, RecordingSettings
+from sysid.bench.recipe_file import load_recipe
 from sysid.bench.run import MachineLog, Run, simulate
 from sysid.bench.truth import describe_effects, without_hidden
 from sysid.bench.write import write, write_all

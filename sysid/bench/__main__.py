@@ -6,7 +6,7 @@ import argparse
 import sys
 from pathlib import Path
 
-from sysid.bench.recipe import load_recipe
+from sysid.bench.recipe_file import load_recipe
 from sysid.bench.write import write_all
 from sysid.errors import SysidError
 

@@ -9,10 +9,9 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Literal
 
-from sysid.config import STRICT, load_settings
+from sysid.config import STRICT
 from sysid.errors import SettingsError, nearest
 
 #: The axes of the crane, from the base outwards. Cylinders move the second and third, the others are driven directly.
@@ -267,7 +266,7 @@ class HiddenSettings:
 
 @dataclass(frozen=True)
 class Recipe:
-    """The whole stand-in machine and the recordings to take with it; read by :func:`load_recipe`."""
+    """The whole stand-in machine and the recordings to take with it; read by :func:`sysid.bench.recipe_file.load_recipe`."""
 
     __pydantic_config__ = STRICT
 
@@ -295,83 +294,3 @@ class Recipe:
             if recording.name == name:
                 return recording
         raise SettingsError(f"recipe {self.name}", f"no recording {name!r}", nearest(name, [r.name for r in self.recordings]))
-
-
-def load_recipe(path: Path) -> Recipe:
-    """Read and check a bench recipe.
-
-    Raises:
-        SettingsError: an unknown key, an axis that is missing, a value that no machine can have.
-    """
-    recipe = load_settings(path, Recipe)
-    check_recipe(recipe, path)
-    return recipe
-
-
-def check_recipe(recipe: Recipe, where: object) -> None:
-    """Raise where ``recipe`` describes no machine that can be simulated."""
-    if sorted(recipe.axes) != sorted(AXES):
-        odd = sorted(set(recipe.axes) ^ set(AXES))[0]
-        raise SettingsError(f"{where}: axes", f"{odd!r} is missing or not an axis of the crane", f"exactly {', '.join(AXES)}")
-    cycles = 1.0 / (recipe.step * recipe.controller.rate)
-    if abs(cycles - round(cycles)) > 1e-9 or round(cycles) < 1:
-        raise SettingsError(
-            f"{where}: step",
-            f"{recipe.step} s does not divide the controller's cycle of {1.0 / recipe.controller.rate} s",
-            "a whole number of steps in each cycle",
-        )
-    for name, axis in recipe.axes.items():
-        _check_axis(axis, f"{where}: axes.{name}")
-    names = [recording.name for recording in recipe.recordings]
-    for recording in recipe.recordings:
-        place = f"{where}: recording {recording.name!r}"
-        if names.count(recording.name) > 1:
-            raise SettingsError(place, "name is taken", "a name of its own for every recording")
-        if (recording.seconds > 0) == (recording.poses > 0):
-            raise SettingsError(place, f"seconds = {recording.seconds}, poses = {recording.poses}", "one of them above zero")
-    _check_swaps(recipe, where)
-
-
-def _check_axis(axis: AxisSettings, where: str) -> None:
-    valve = axis.valve
-    for key in ("delay", "time_constant", "deadband_positive", "deadband_negative", "disturbance"):
-        if not getattr(valve, key) >= 0.0:
-            raise SettingsError(f"{where}.valve.{key}", f"{getattr(valve, key)}", "zero or more")
-    for key in ("gain", "saturation", "direction_ratio", "disturbance_time"):
-        if not getattr(valve, key) > 0.0:
-            raise SettingsError(f"{where}.valve.{key}", f"{getattr(valve, key)}", "more than zero")
-    if axis.backlash < 0.0:
-        raise SettingsError(f"{where}.backlash", f"{axis.backlash}", "zero or more")
-    low, high = axis.limits
-    if not low < axis.park < high:
-        raise SettingsError(f"{where}.park", f"{axis.park}", f"a value inside the limits [{low}, {high}]")
-    if axis.cylinder is not None:
-        _check_cylinder(axis.cylinder, axis.limits, where)
-
-
-def _check_cylinder(cylinder: CylinderSettings, limits: tuple[float, float], where: str) -> None:
-    shortest, longest = cylinder.retracted, cylinder.retracted + cylinder.stroke
-    if not abs(cylinder.a - cylinder.b) < shortest < longest < cylinder.a + cylinder.b:
-        raise SettingsError(
-            f"{where}.cylinder",
-            f"levers {cylinder.a} and {cylinder.b} m cannot hold a cylinder of {shortest:.4f} to {longest:.4f} m",
-            f"lengths between {abs(cylinder.a - cylinder.b):.4f} and {cylinder.a + cylinder.b:.4f} m",
-        )
-    levers = [cylinder.sense * (q + cylinder.offset) for q in limits]
-    if min(levers) <= 0.0 or max(levers) >= math.pi:
-        raise SettingsError(f"{where}.cylinder.offset", f"lever angles {levers} rad", "angles between 0 and π over the limits")
-
-
-def _check_swaps(recipe: Recipe, where: object) -> None:
-    bodies = {body.name: body for body in recipe.capture.bodies}
-    for swap in recipe.capture.swaps:
-        recipe.recording(swap.recording)
-        if swap.body not in bodies:
-            raise SettingsError(f"{where}: swap", f"unknown body {swap.body!r}", nearest(swap.body, bodies))
-        count = len(bodies[swap.body].markers)
-        if len(set(swap.markers)) != 2 or not all(0 <= index < count for index in swap.markers):
-            raise SettingsError(f"{where}: swap", f"markers {list(swap.markers)}", f"two different ones of 0 … {count - 1}")
-    for export in recipe.capture.exported_markers:
-        recipe.recording(export.recording)
-        if export.body not in bodies:
-            raise SettingsError(f"{where}: exported_markers", f"unknown body {export.body!r}", nearest(export.body, bodies))
