@@ -10,6 +10,8 @@ from numba import njit
 from sysid.effects.effect import Effect, Form, Parameter, Slot
 
 GRAVITY = 9.80665
+#: State: bob x, y, its velocity x, y, last pivot x, y, z, last pivot velocity x, y, z.
+MEMORY = 10
 
 EFFECT = Effect(
     name="gripper_sway",
@@ -28,7 +30,7 @@ EFFECT = Effect(
     source="Goldstein, Classical Mechanics, §1.4; L 0.20–0.30 m, ζ 0.01–0.08 at 1:5 (machine facts)",
     excited_by="starts and stops of the boom tip, and seconds of rest after them",
     confused_with=("oil_compressibility",),
-    memory=lambda dt: 9,
+    memory=lambda dt: MEMORY,
 )
 
 
@@ -51,8 +53,9 @@ def _pull(dx, dy, vx, vy, length, rate, damping):
 def step(x, y, z, p, i, s, j, dt, out):
     """Advance by ``dt`` with the pivot moving evenly from its last place to (x, y, z); writes the tool into ``out``.
 
-    State: horizontal position and velocity of the bob, last pivot. The pivot enters as a position, never as an
-    acceleration, so a measured pivot can drive it without being differentiated twice. Velocity Verlet in sub-steps.
+    The pivot enters as a position; its velocity changes at samples only, and that part of each change which points along the
+    string pulls the bob with it (``Δv = r (r·Δv_pivot)/L²``). So a measured pivot can drive the swing without being
+    differentiated twice. Velocity Verlet in sub-steps.
     """
     length = p[i]
     if length < 1e-3:
@@ -65,8 +68,13 @@ def step(x, y, z, p, i, s, j, dt, out):
         s[j + 1] = y
         s[j + 2] = 0.0
         s[j + 3] = 0.0
+    if np.isnan(s[j + 4]):
         s[j + 4] = x
         s[j + 5] = y
+        s[j + 6] = z
+        s[j + 7] = 0.0
+        s[j + 8] = 0.0
+        s[j + 9] = 0.0
     rate = math.sqrt(GRAVITY / length)
     damping = p[i + 1]
     parts = max(1, math.ceil(dt * rate / 0.1))
@@ -77,8 +85,15 @@ def step(x, y, z, p, i, s, j, dt, out):
     gy = (y - py) / dt
     bx = s[j]
     by = s[j + 1]
+    gz = (z - s[j + 6]) / dt
     vx = s[j + 2]
     vy = s[j + 3]
+    dx = bx - px
+    dy = by - py
+    drop = math.sqrt(max(length * length - dx * dx - dy * dy, 1e-4 * length * length))
+    along = dx * (gx - s[j + 7]) + dy * (gy - s[j + 8]) - drop * (gz - s[j + 9])
+    vx += dx * along / (length * length)
+    vy += dy * along / (length * length)
     for _ in range(parts):
         ax, ay = _pull(bx - px, by - py, vx - gx, vy - gy, length, rate, damping)
         hx = vx + 0.5 * h * ax
@@ -96,6 +111,10 @@ def step(x, y, z, p, i, s, j, dt, out):
     s[j + 3] = vy
     s[j + 4] = x
     s[j + 5] = y
+    s[j + 6] = z
+    s[j + 7] = gx
+    s[j + 8] = gy
+    s[j + 9] = gz
     dx = bx - x
     dy = by - y
     out[0] = bx

@@ -95,6 +95,11 @@ def motion(recordings: Sequence[Recording], machine: Machine, axis: str) -> floa
     return sum(float(np.sum(_level(r, axis) != 0)) / r.rate_hz for r in recordings)
 
 
+def rest(recordings: Sequence[Recording], machine: Machine, axis: str) -> float:
+    """Seconds with the command at zero."""
+    return sum(float(np.sum(_level(r, axis) == 0)) / r.rate_hz for r in recordings)
+
+
 def joint_coverage(recordings: Sequence[Recording], machine: Machine, axis: str) -> float:
     """Share of the joint's range that was visited [%]; for the base, of the axis that visited least."""
     axes = machine.axis_names if axis == "base" else (axis,)
@@ -129,6 +134,12 @@ _NEEDS: dict[str, tuple[Count, float, str]] = {
     "input_delay": (command_changes, 10, "command changes"),
     "first_order_lag": (command_changes, 10, "command changes"),
     "valve_deadband": (small_commands, 2, "s of small commands on each side"),
+    "valve_hysteresis": (command_changes, 10, "command changes"),
+    "gain_curve": (small_commands, 2, "s of small commands on each side"),
+    "flow_saturation": (motion, 5, "s of motion"),
+    "command_rate_limit": (command_changes, 10, "command changes"),
+    "internal_leakage": (rest, 10, "s at rest"),
+    "stiction": (command_changes, 10, "command changes"),
     "gain_error": (motion, 5, "s of motion"),
     "asymmetric_gain": (motion_both_ways, 3, "s of motion in each direction"),
     "coulomb_friction": (motion_both_ways, 1, "s of force in each direction"),
@@ -146,6 +157,12 @@ _ADVICE: dict[str, str] = {
     "input_delay": "Record 20 sharp starts and stops of {axis}.",
     "first_order_lag": "Record 20 sharp starts and stops of {axis}.",
     "valve_deadband": "Record {axis} with slow commands from 0 to 30 % and back on both sides, 30 s.",
+    "valve_hysteresis": "Record 20 slow reversals of the command of {axis} around three openings.",
+    "gain_curve": "Record {axis} at 10, 20, 40, 70 and 100 % in both directions, 5 s each.",
+    "flow_saturation": "Record {axis} alone at 60, 80 and 100 %, 5 s each.",
+    "command_rate_limit": "Record 10 sudden full commands of {axis}.",
+    "internal_leakage": "Leave {axis} at rest under load for 60 s.",
+    "stiction": "Record 20 slow starts from rest and slow stops of {axis} on both sides.",
     "gain_error": "Record {axis} moving over half of its range, 20 s.",
     "asymmetric_gain": "Record {axis} at 30, 60 and 100 % in both directions, 5 s each.",
     "coulomb_friction": "Record {axis} moving slowly in both directions, with several stops, 20 s.",

@@ -114,9 +114,11 @@ class Search:
             return Finding(self.problem, (), (), nominal, nominal_rmse, nominal_rmse)
         model = self._forward()
         model = self._exchange(model)
+        model, _ = self._backward(model, keep_nuisances=True)
+        rivals = {c.key: self._rivals(model, c) for c in self._ordinary(model)}  # while nuisances are free: they imitate much
         model, kept = self._backward(model)
         ordinary = [c for c in model.candidates if not c.nuisance or _departs(c, model)]
-        named = tuple(self._rivals(model, c, kept[c.label]) for c in model.candidates if c in ordinary)
+        named = tuple(Kept(c, kept[c.label], *rivals.get(c.key, ((), ()))) for c in ordinary)
         adjusted = tuple(c for c in model.candidates if c not in ordinary)
         seen = Data(self.problem, self.split.seen, self.sigma)
         final = fit_candidates(seen, self.theta, model.candidates, [model.values])
@@ -126,7 +128,7 @@ class Search:
 
     def _forward(self) -> Fit:
         model = self._fit(tuple(self.nuisances), ())
-        while len(self._ordinary(model)) < self.strict.most:
+        while len(self._ordinary(model)) < self.strict.most and self._rmse(model) > self.strict.gap:
             trials = [self._fit(_joined(model.candidates, c), (model,)) for c in self._open(model)]
             if not trials:
                 break
@@ -154,13 +156,13 @@ class Search:
             model = best
         return model
 
-    def _backward(self, model: Fit) -> tuple[Fit, dict[str, Comparison]]:
+    def _backward(self, model: Fit, keep_nuisances: bool = False) -> tuple[Fit, dict[str, Comparison]]:
         """Drop what fails the strict test, the weakest first."""
         while True:
             kept: dict[str, Comparison] = {}
             weakest: tuple[float, Fit, str] | None = None
             shares = self._own_share(model)
-            for candidate in model.candidates:
+            for candidate in self._ordinary(model) if keep_nuisances else model.candidates:
                 rest = tuple(c for c in model.candidates if c is not candidate)
                 smaller = self._fit(rest, (model,))
                 simpler = self._simpler(model, candidate)
@@ -176,8 +178,8 @@ class Search:
             self._note(weakest[1], model, f"drops {weakest[2]}")
             model = weakest[1]
 
-    def _rivals(self, model: Fit, candidate: Candidate, comparison: Comparison) -> Kept:
-        """Every other effect in the place of this one; those that predict unseen recordings as well are ties."""
+    def _rivals(self, model: Fit, candidate: Candidate) -> tuple[tuple[tuple[Candidate, str], ...], tuple[Candidate, ...]]:
+        """Every other effect in the place of this one: (those that lost and why, those that predict unseen data as well)."""
         rest = tuple(c for c in model.candidates if c is not candidate)
         rivals = [c for c in self._open(model) if c.key != candidate.key]
         fits = [self._fit(_joined(rest, rival), (model,)) for rival in rivals]
@@ -188,7 +190,7 @@ class Search:
             for rival, fit in zip(rivals, fits, strict=True)
             if rival not in ties
         )
-        return Kept(candidate, comparison, rejected, ties)
+        return rejected, ties
 
     # -- parts ---------------------------------------------------------------------------------------------------
 

@@ -14,12 +14,18 @@ from numba import njit
 from sysid.effects import (
     asymmetric_gain,
     backlash,
+    command_rate_limit,
     coulomb_friction,
     first_order_lag,
+    flow_saturation,
+    gain_curve,
     gain_error,
     gripper_sway,
     input_delay,
+    internal_leakage,
+    stiction,
     valve_deadband,
+    valve_hysteresis,
     viscous_friction,
 )
 from sysid.plant import cache, layout
@@ -28,10 +34,16 @@ assert cache.CACHE_FOLDER is not None  # chosen before anything compiles
 
 WIDTH = layout.AXIS_WIDTH
 _DELAY = layout.axis_place("input_delay")
+_HYSTERESIS = layout.axis_place("valve_hysteresis")
 _DEADBAND = layout.axis_place("valve_deadband")
+_CURVE = layout.axis_place("gain_curve")
+_SATURATION = layout.axis_place("flow_saturation")
+_RATE = layout.axis_place("command_rate_limit")
 _LAG = layout.axis_place("first_order_lag")
 _GAIN = layout.axis_place("gain_error")
 _ASYMMETRY = layout.axis_place("asymmetric_gain")
+_LEAKAGE = layout.axis_place("internal_leakage")
+_STICTION = layout.axis_place("stiction")
 _COULOMB = layout.axis_place("coulomb_friction")
 _VISCOUS = layout.axis_place("viscous_friction")
 _INERTIA = layout.axis_place("inertia_error")
@@ -43,8 +55,8 @@ _LENGTH = layout.axis_place("link_length_error")
 
 VELOCITY, POSITION, FORCE = 0, 1, 2
 
-# State of one axis: position, speed, lag, play, then the ring of the delay.
-_S_POSITION, _S_SPEED, _S_LAG, _S_PLAY, S_RING = 0, 1, 2, 3, 4
+# State of one axis, one number each, then the ring of the delay.
+_S_POSITION, _S_SPEED, _S_LAG, _S_PLAY, _S_HYSTERESIS, _S_RATE, _S_STICTION, S_RING = 0, 1, 2, 3, 4, 5, 6, 7
 
 
 def axis_memory(dt: float) -> int:
@@ -53,19 +65,26 @@ def axis_memory(dt: float) -> int:
 
 
 @njit(inline="always")
-def command_stage(u, p, b, s, m, size, dt):
-    """Command → relative speed of a velocity axis (1 = nominal full speed), mean over the step."""
+def command_stage(u, p, b, s, m, size, gain, dt):
+    """Command → speed of a velocity axis [m/s or rad/s], mean over the step."""
     u = input_delay.step(u, p, b + _DELAY, s, m + S_RING, size - S_RING, dt)
+    u = valve_hysteresis.step(u, p, b + _HYSTERESIS, s, m + _S_HYSTERESIS)
     u = valve_deadband.step(u, p, b + _DEADBAND)
+    u = gain_curve.step(u, p, b + _CURVE)
+    u = flow_saturation.step(u, p, b + _SATURATION)
+    u = command_rate_limit.step(u, p, b + _RATE, s, m + _S_RATE, dt)
     x = first_order_lag.step(u, p, b + _LAG, s, m + _S_LAG, dt)
     x = gain_error.step(x, p, b + _GAIN)
-    return asymmetric_gain.step(x, p, b + _ASYMMETRY)
+    x = asymmetric_gain.step(x, p, b + _ASYMMETRY)
+    x = stiction.step(x, p, b + _STICTION, s, m + _S_STICTION)
+    return internal_leakage.step(gain * x, p, b + _LEAKAGE)
 
 
 @njit(inline="always")
 def position_stage(u, p, b, s, m, size, dt):
     """Commanded position → position of a servo axis."""
     u = input_delay.step(u, p, b + _DELAY, s, m + S_RING, size - S_RING, dt)
+    u = command_rate_limit.step(u, p, b + _RATE, s, m + _S_RATE, dt)
     return first_order_lag.step(u, p, b + _LAG, s, m + _S_LAG, dt)
 
 
@@ -122,7 +141,7 @@ def advance(u, p, b, s, m, size, kind, gain, low, high, dt):
         s[m + _S_POSITION] = position
         return position
     if kind == VELOCITY:
-        speed = gain * command_stage(u, p, b, s, m, size, dt)
+        speed = command_stage(u, p, b, s, m, size, gain, dt)
         s[m + _S_SPEED] = speed
     else:
         before = s[m + _S_SPEED]
@@ -403,7 +422,8 @@ def _rotation_vector(x, y, z, out):
 @njit(cache=True, nogil=True)
 def tool(p, at, pivot, measured, window, dt, out):
     """Boom tip (n, 3) → tool (n, 3). After a gap in the tip the swing restarts from the first measured samples."""
-    s = np.empty(9)
+    s = np.empty(gripper_sway.MEMORY)
+    start = np.empty(4)
     begun = False
     for k in range(len(pivot)):
         if np.isnan(pivot[k, 0]):
@@ -414,38 +434,58 @@ def tool(p, at, pivot, measured, window, dt, out):
             continue
         if not begun:
             begun = True
-            for i in range(9):
-                s[i] = np.nan
-            _begin_swing(p, at, pivot, measured, k, min(k + window, len(pivot)), dt, s)
+            last = k
+            while last < min(k + window, len(pivot)) and not np.isnan(pivot[last, 0]):
+                last += 1
+            start[0] = pivot[k, 0]
+            start[1] = pivot[k, 1]
+            start[2] = 0.0
+            start[3] = 0.0
+            for _ in range(3):
+                _begin(s, start)
+                for i in range(k, last):
+                    gripper_sway.step(pivot[i, 0], pivot[i, 1], pivot[i, 2], p, at, s, 0, dt, out[i])
+                _correct_start(p, at, measured, out, k, last, dt, start)
+            _begin(s, start)
         gripper_sway.step(pivot[k, 0], pivot[k, 1], pivot[k, 2], p, at, s, 0, dt, out[k])
 
 
 @njit(inline="always")
-def _begin_swing(p, at, pivot, measured, first, last, dt, s):
-    """Bob at the measured place with the measured speed; hanging at rest where the tool is not measured or is too far off."""
-    n = 0
-    for k in range(first, last):
-        if not np.isnan(measured[k, 0]) and not np.isnan(pivot[k, 0]):
-            n += 1
-    if n < 5:
+def _begin(s, start):
+    """State of the swing with the bob at ``start[:2]`` moving at ``start[2:]``; the pivot begins where it is first seen."""
+    for i in range(len(s)):
+        s[i] = np.nan
+    for i in range(4):
+        s[i] = start[i]
+
+
+@njit(inline="always")
+def _correct_start(p, at, measured, out, first, last, dt, start):
+    """Least-squares correction of place and speed of the bob from what is left over the first samples.
+
+    A change of the start dies out as a free swing: ``e^(−ζωt)(δx·cos ωt + (δv + ζω·δx)/ω·sin ωt)``.
+    """
+    length = p[at]
+    if length < 1e-3:
         return
+    rate = math.sqrt(gripper_sway.GRAVITY / length)
+    fade = p[at + 1] * rate
     for c in range(2):
-        st = 0.0
-        sy = 0.0
+        a11 = a12 = a22 = b1 = b2 = 0.0
         for k in range(first, last):
-            if not np.isnan(measured[k, 0]) and not np.isnan(pivot[k, 0]):
-                st += k - first
-                sy += measured[k, c]
-        top = 0.0
-        bottom = 0.0
-        for k in range(first, last):
-            if not np.isnan(measured[k, 0]) and not np.isnan(pivot[k, 0]):
-                top += (k - first - st / n) * (measured[k, c] - sy / n)
-                bottom += (k - first - st / n) ** 2
-        slope = top / bottom
-        place = sy / n - slope * st / n
-        away = place - pivot[first, c]
-        limit = 0.7 * p[at]
-        s[c] = pivot[first, c] + min(max(away, -limit), limit)
-        s[2 + c] = slope / dt
-        s[4 + c] = pivot[first, c]
+            if np.isnan(measured[k, c]):
+                continue
+            t = (k - first) * dt
+            decay = math.exp(-fade * t)
+            by_speed = decay * math.sin(rate * t) / rate
+            by_place = decay * math.cos(rate * t) + fade * by_speed
+            left = measured[k, c] - out[k, c]
+            a11 += by_place * by_place
+            a12 += by_place * by_speed
+            a22 += by_speed * by_speed
+            b1 += by_place * left
+            b2 += by_speed * left
+        bottom = a11 * a22 - a12 * a12
+        if bottom > 1e-9 * a11 * a22:
+            start[c] += (b1 * a22 - b2 * a12) / bottom
+            start[2 + c] += (a11 * b2 - a12 * b1) / bottom

@@ -1,0 +1,45 @@
+"""``command_rate_limit``: a ramp in the valve driver or the joystick electronics."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+from sysid.effects.effect import Effect, Form, Parameter, Slot
+
+#: Faster than any log can tell: the effect is absent.
+ABSENT = 1e4
+
+EFFECT = Effect(
+    name="command_rate_limit",
+    stage="command",
+    target="axis",
+    slots=(Slot("rate", ABSENT),),
+    forms=(Form((Parameter("rate", "1/s", (0.05, ABSENT), (0.5, 1.5, 4.0, 10.0), 0.02, "largest change of the command"),)),),
+    equation="|dy/dt| ≤ rate",
+    source="data sheets of proportional valve amplifiers (ramp time)",
+    excited_by="large sudden changes of the command",
+    confused_with=("first_order_lag", "flow_saturation"),
+    actuations=("velocity", "position"),
+    memory=lambda dt: 1,
+)
+
+
+@njit(inline="always")
+def step(u, p, i, s, j, dt):
+    """Mean of the ramp over the step; ``s[j]`` is where it ends."""
+    if np.isnan(s[j]):
+        s[j] = u
+    reach = p[i] * dt
+    before = s[j]
+    change = u - before
+    if change > reach:
+        s[j] = before + reach
+        return before + 0.5 * reach
+    if change < -reach:
+        s[j] = before - reach
+        return before - 0.5 * reach
+    s[j] = u
+    if reach > 0.0:
+        return u - 0.5 * change * abs(change) / reach
+    return u

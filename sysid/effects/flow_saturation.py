@@ -1,0 +1,28 @@
+"""``flow_saturation``: beyond some command the spool is fully open (or the pump fully used) and speed rises no more."""
+
+from __future__ import annotations
+
+from numba import njit
+
+from sysid.effects.effect import Effect, Form, Parameter, Slot
+
+#: A command no log reaches: the effect is absent.
+ABSENT = 10.0
+
+EFFECT = Effect(
+    name="flow_saturation",
+    stage="command",
+    target="axis",
+    slots=(Slot("limit", ABSENT),),
+    forms=(Form((Parameter("limit", "1", (0.02, ABSENT), (0.2, 0.4, 0.6, 0.8), 0.01, "speed is constant above it"),)),),
+    equation="y = max(−limit, min(limit, u))",
+    source="Merritt 1967, ch. 5",
+    excited_by="large commands on one axis at a time",
+    confused_with=("pump_flow_limit", "command_rate_limit", "gain_curve"),
+    actuations=("velocity",),
+)
+
+
+@njit(inline="always")
+def step(u, p, i):
+    return min(max(u, -p[i]), p[i])

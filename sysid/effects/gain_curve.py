@@ -1,0 +1,29 @@
+"""``gain_curve``: the metering edge opens progressively; speed grows with a power of the command."""
+
+from __future__ import annotations
+
+import math
+
+from numba import njit
+
+from sysid.effects.effect import Effect, Form, Parameter, Slot
+
+EFFECT = Effect(
+    name="gain_curve",
+    stage="command",
+    target="axis",
+    slots=(Slot("exponent", 1.0),),
+    forms=(Form((Parameter("exponent", "1", (0.3, 5.0), (0.7, 1.5, 2.5), 0.02, "power of the command"),)),),
+    equation="y = sign(u)·|u|^exponent",
+    source="Jelali & Kroll 2003, §3.2 (progressive spools)",
+    excited_by="commands of many magnitudes on both sides",
+    confused_with=("valve_deadband", "flow_saturation"),
+    actuations=("velocity",),
+)
+
+
+@njit(inline="always")
+def step(u, p, i):
+    if p[i] == 1.0 or u == 0.0:
+        return u
+    return math.copysign(abs(u) ** p[i], u)

@@ -1,0 +1,26 @@
+"""``internal_leakage``: oil creeps past piston and spool; the axis sinks with the valve closed."""
+
+from __future__ import annotations
+
+from numba import njit
+
+from sysid.effects.effect import Effect, Form, Parameter, Slot
+
+EFFECT = Effect(
+    name="internal_leakage",
+    stage="command",
+    target="axis",
+    slots=(Slot("rate"),),
+    forms=(Form((Parameter("rate", "drive/s", (-0.05, 0.05), (-3e-4, 3e-4), 5e-6, "speed lost, at any command"),)),),
+    equation="v = speed − rate",
+    source="Merritt 1967, §5.3; 0.01–0.2 mm/s (machine facts)",
+    excited_by="rest under load for tens of seconds",
+    confused_with=("sensor_bias", "load_dependent_flow"),
+    actuations=("velocity",),
+)
+
+
+@njit(inline="always")
+def step(v, p, i):
+    """``v`` is the speed in units of the drive."""
+    return v - p[i]

@@ -1,0 +1,43 @@
+"""``stiction``: spool or seals stick; nothing moves until the command reaches break-away, then flow is full until release."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+from sysid.effects.effect import Effect, Form, Parameter, Slot
+
+EFFECT = Effect(
+    name="stiction",
+    stage="command",
+    target="axis",
+    slots=(Slot("breakaway"), Slot("release")),
+    forms=(
+        Form(
+            (
+                Parameter("breakaway", "1", (0.0, 0.95), (0.05, 0.15, 0.3), 0.004, "effective command at which motion begins"),
+                Parameter("release", "1", (0.0, 0.95), (0.02, 0.05, 0.15), 0.004, "effective command below which it ends"),
+            )
+        ),
+    ),
+    equation="at rest until |x| > breakaway, then y = x until |x| < release",
+    source="Karnopp, J. Dyn. Syst. Meas. Control 107 (1985)",
+    excited_by="slow starts from rest and slow stops on both sides",
+    confused_with=("valve_deadband", "backlash"),
+    actuations=("velocity",),
+    memory=lambda dt: 1,
+)
+
+
+@njit(inline="always")
+def step(x, p, i, s, j):
+    """``s[j]`` is 1 while moving. The release is at most the break-away."""
+    if np.isnan(s[j]):
+        s[j] = 0.0
+    size = abs(x)
+    if s[j] == 0.0:
+        if size > p[i]:
+            s[j] = 1.0
+    elif size < min(p[i + 1], p[i]):
+        s[j] = 0.0
+    return x if s[j] == 1.0 else 0.0

@@ -1,0 +1,35 @@
+"""``valve_hysteresis``: friction and magnetic remanence of the spool; the opening lags the command by a play of commands."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+from sysid.effects.effect import Effect, Form, Parameter, Slot
+
+EFFECT = Effect(
+    name="valve_hysteresis",
+    stage="command",
+    target="axis",
+    slots=(Slot("width"),),
+    forms=(Form((Parameter("width", "1", (0.0, 0.5), (0.02, 0.06, 0.15), 0.004, "full width of the play, in command"),)),),
+    equation="y = min(max(y, u − width/2), u + width/2)",
+    source="Jelali & Kroll 2003, §3.4; 1–6 % on proportional valves (machine facts)",
+    excited_by="command reversals at any rate, small ones included",
+    confused_with=("first_order_lag", "input_delay", "backlash"),
+    actuations=("velocity",),
+    memory=lambda dt: 1,
+)
+
+
+@njit(inline="always")
+def step(u, p, i, s, j):
+    """``s[j]`` is the output; it begins in the middle of its play."""
+    half = 0.5 * p[i]
+    if np.isnan(s[j]):
+        s[j] = u
+    if s[j] > u + half:
+        s[j] = u + half
+    elif s[j] < u - half:
+        s[j] = u - half
+    return s[j]
