@@ -33,16 +33,16 @@ class CsvReader:
             )  # fmt: skip
         except (pd.errors.ParserError, pd.errors.ParserWarning, UnicodeDecodeError) as error:
             raise InputError(path, f"not readable as CSV ({error})", "rows with as many cells as the header has") from None
-        columns = {}
+        columns = []
         losses = []
         for index, header in enumerate(headers):
             numbers = pd.to_numeric(table[index], errors="coerce").to_numpy(dtype=np.float64)
             text = int(np.count_nonzero(np.isnan(numbers) & table[index].notna().to_numpy()))
-            if text and text == len(numbers):
+            if text and np.isnan(numbers).all():
                 continue  # a column of labels
             if text:
                 losses.append(f"{path.name}: column {header!r}: {text} cells are not numbers")
-            columns[header] = numbers
+            columns.append((header, numbers))
         return (table_stream(path, columns, options, tuple(losses)),)
 
 

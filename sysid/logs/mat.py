@@ -43,7 +43,8 @@ class MatReader:
         for name, value in variables.items():
             if not name.startswith("__"):
                 _flatten(name, value, arrays)
-        return (table_stream(path, _columns(path, arrays, options), options),)
+        columns = list(_columns(arrays, options).items())
+        return (table_stream(path, columns, options, units_in_headers=False),)
 
 
 def _flatten(name: str, value: Any, into: dict[str, npt.NDArray[Any]]) -> None:
@@ -54,7 +55,7 @@ def _flatten(name: str, value: Any, into: dict[str, npt.NDArray[Any]]) -> None:
         into[name] = value
 
 
-def _columns(path: Path, arrays: dict[str, npt.NDArray[Any]], options: ReadOptions) -> dict[str, npt.NDArray[np.float64]]:
+def _columns(arrays: dict[str, npt.NDArray[Any]], options: ReadOptions) -> dict[str, npt.NDArray[np.float64]]:
     """The vectors that are as long as the time vector; matrices with that many rows give one column each."""
     vectors = {name: array for name, array in arrays.items() if array.ndim == 1}
     time = options.time if options.time is not None else next((name for name in TIME_NAMES if name in vectors), None)

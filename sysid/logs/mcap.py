@@ -22,7 +22,7 @@ from sysid.logs.stream import Stream
 from sysid.logs.table import check_not_empty
 
 MAGIC = b"\x89MCAP0\r\n"
-_SCHEMA, _CHANNEL, _MESSAGE, _CHUNK, _DATA_END = 0x03, 0x04, 0x05, 0x06, 0x0F
+_FOOTER, _SCHEMA, _CHANNEL, _MESSAGE, _CHUNK, _DATA_END = 0x02, 0x03, 0x04, 0x05, 0x06, 0x0F
 #: Opcode and length before every record; channel, sequence, log and publish time before the data of a message.
 _RECORD, _MESSAGE_HEAD = 9, 22
 _SECOND = 1_000_000_000
@@ -68,36 +68,49 @@ class McapReader:
         known = set(log.topics.values())
         for topic in sorted(options.streams or ()):
             if topic not in known:
-                raise InputError(path, f"no topic {topic!r}", nearest(topic, known), "Correct `topic` in the recipe.")
-        return tuple(_stream(channel, log) for channel in log.channels.values() if channel.decoder.total)
+                lost = f" ({log.losses[0]})" if log.losses else ""
+                raise InputError(path, f"no topic {topic!r}{lost}", nearest(topic, known), "Correct `topic` in the recipe.")
+        streams = tuple(_stream(channel, log) for channel in log.channels.values() if channel.decoder.total)
+        if not streams:
+            found = log.losses[0] if log.losses else "no messages"
+            raise InputError(path, found, "at least one readable message", "Record the log again.")
+        return streams
 
 
 def _read_records(data: Bytes, log: _Log) -> None:
-    loose: list[int] = []
+    """All messages. Definitions come first: the summary repeats those whose chunk is damaged."""
+    records, complete, cut_off = _outline(data)
+    for wanted in (_SCHEMA, _CHANNEL):
+        for opcode, start, length in records:
+            if opcode == wanted:
+                _read_definition(opcode, data[start : start + length].tobytes(), log)
+    if not complete:
+        log.losses.append(f"{log.path.name}: the file is cut off at byte {len(data)}; what lies before has been read")
+    for opcode, start, length in records:
+        if opcode == _CHUNK:
+            _read_chunk(data[start : start + length], log)
+    loose = [start - _RECORD for opcode, start, _ in records if opcode == _MESSAGE]
+    _take_messages(data, np.array(loose, dtype=np.int64), log)
+    if cut_off is not None:
+        _read_chunk(data[cut_off:], log, cut_off=True)
+
+
+def _outline(data: Bytes) -> tuple[list[tuple[int, int, int]], bool, int | None]:
+    """Opcode, start and length of every whole record; whether the data section is complete; where a cut-off chunk starts."""
+    records: list[tuple[int, int, int]] = []
     position, end, complete = len(MAGIC), len(data), False
     while position + _RECORD <= end:
         opcode = int(data[position])
         length = int(data[position + 1 : position + _RECORD].view("<u8")[0])
         start = position + _RECORD
         if start + length > end:
-            if opcode == _CHUNK:
-                _read_chunk(data[start:], log, cut_off=True)
-            break
-        body = data[start : start + length]
-        if opcode == _CHUNK:
-            _read_chunk(body, log)
-        elif opcode == _MESSAGE:
-            loose.append(position)
-        elif opcode in (_SCHEMA, _CHANNEL):
-            _read_definition(opcode, body.tobytes(), log)
-        elif opcode == _DATA_END:
-            complete = True
-            break
+            return records, complete, start if opcode == _CHUNK else None
+        complete = complete or opcode == _DATA_END
+        records.append((opcode, start, length))
         position = start + length
-    if loose:
-        _take_messages(data, np.array(loose, dtype=np.int64), log)
-    if not complete:
-        log.losses.insert(0, f"{log.path.name}: the file is cut off at byte {end}; what lies before has been read")
+        if opcode == _FOOTER:
+            break
+    return records, complete, None
 
 
 def _read_definition(opcode: int, body: bytes, log: _Log) -> None:

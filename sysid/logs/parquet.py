@@ -30,9 +30,9 @@ class ParquetReader:
             table = pq.read_table(path)
         except (pa.ArrowInvalid, OSError) as error:
             raise InputError(path, f"not readable as Parquet ({error})", "a Parquet file") from None
-        columns = {}
+        columns = []
         for name in table.column_names:
             kind = table.schema.field(name).type
             if pa.types.is_floating(kind) or pa.types.is_integer(kind) or pa.types.is_boolean(kind):
-                columns[name] = table.column(name).cast(pa.float64()).to_numpy().astype(np.float64)
+                columns.append((name, table.column(name).cast(pa.float64()).to_numpy().astype(np.float64)))
         return (table_stream(path, columns, options),)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -26,17 +26,21 @@ def check_not_empty(path: Path, what: str) -> None:
 
 
 def table_stream(
-    path: Path, columns: Mapping[str, npt.NDArray[np.float64]], options: ReadOptions, losses: tuple[str, ...] = ()
+    path: Path,
+    columns: Sequence[tuple[str, npt.NDArray[np.float64]]],
+    options: ReadOptions,
+    losses: tuple[str, ...] = (),
+    units_in_headers: bool = True,
 ) -> Stream:
-    """The stream of a plain table whose headers may carry units (``boom.cylinder [mm]``).
+    """The stream of a plain table of (header, values); headers may carry units (``boom.cylinder [mm]``).
 
     Raises:
         InputError: no time column, no rows, a time column with missing values, two columns of one name.
     """
     values: dict[str, npt.NDArray[np.float64]] = {}
     units: dict[str, str] = {}
-    for header, column in columns.items():
-        name, unit = split_header(header)
+    for header, column in columns:
+        name, unit = split_header(header) if units_in_headers else (header, None)
         if name in values:
             raise InputError(path, f"two columns are named {name!r}", "one column a name", "Rename or drop one of them.")
         values[name] = column

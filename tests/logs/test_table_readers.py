@@ -1,0 +1,111 @@
+"""Plain tables: CSV, Parquet, MATLAB."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.io import savemat
+
+from sysid.errors import InputError, SettingsError
+from sysid.logs import ReadOptions, Stream, reader_for, reader_named
+from sysid.logs.table import to_ns
+
+
+def read(path: Path, **options: str) -> Stream:
+    (stream,) = reader_for(path).read(path, ReadOptions(**options))  # type: ignore[arg-type]
+    return stream
+
+
+@pytest.mark.parametrize("separator", [",", ";", "\t"])
+def test_csv_with_units_gaps_and_labels(tmp_path: Path, separator: str) -> None:
+    path = tmp_path / "wires.csv"
+    rows = ["time [ms]|boom.cylinder [mm]|note", "0|1.5|start", "10||", "20|2.5|end"]
+    path.write_text("# a remark\n" + "\n".join(rows).replace("|", separator) + "\n", encoding="utf-8-sig")
+    stream = read(path)
+    np.testing.assert_array_equal(stream.stamps["time"], [0, 10_000_000, 20_000_000])
+    np.testing.assert_array_equal(stream.columns["boom.cylinder"], [1.5, np.nan, 2.5])
+    assert stream.units == {"boom.cylinder": "mm"}
+    assert set(stream.columns) == {"boom.cylinder"}
+
+
+def test_cells_that_are_no_numbers_are_reported(tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    path.write_text("time,x\n0,1\n1,ERR\n2,3\n")
+    stream = read(path)
+    assert stream.losses == ("a.csv: column 'x': 1 cells are not numbers",)
+    np.testing.assert_array_equal(stream.columns["x"], [1.0, np.nan, 3.0])
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("", r"a\.csv: the file is empty"),
+        ("\n\n", "no header row"),
+        ("time,x\n", "a header but no rows"),
+        ("x,y\n1,2\n", "no time column; expected a column named 'time'; found x, y"),
+        ("time,x\n0,1\n,2\n", "no time in row 2"),
+        ("time,x,x\n0,1,2\n", "two columns are named 'x'"),
+        ("time [m],x\n0,1\n", r"a unit of \[m\]; expected a unit of time"),
+    ],
+)
+def test_what_is_no_table_is_named(tmp_path: Path, text: str, message: str) -> None:
+    path = tmp_path / "a.csv"
+    path.write_text(text)
+    with pytest.raises(InputError, match=message):
+        read(path)
+
+
+def test_an_unknown_time_column_suggests_the_nearest(tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    path.write_text("Tme,x\n0,1\n")
+    with pytest.raises(InputError, match=r"no time column 'Time'; expected 'Tme'\?"):
+        read(path, time="Time")
+
+
+def test_parquet_is_read_like_csv(tmp_path: Path) -> None:
+    path = tmp_path / "a.parquet"
+    pd.DataFrame({"time": [0.0, 0.5], "boom.joint [deg]": [1.0, np.nan], "label": ["a", "b"]}).to_parquet(path)
+    stream = read(path)
+    np.testing.assert_array_equal(stream.columns["boom.joint"], [1.0, np.nan])
+    assert stream.units == {"boom.joint": "deg"}
+    path.write_bytes(b"no parquet at all")
+    with pytest.raises(InputError, match="not readable as Parquet"):
+        read(path)
+
+
+def test_matlab_vectors_structures_and_matrices(tmp_path: Path) -> None:
+    path = tmp_path / "a.mat"
+    time = np.array([[0.0], [0.1], [0.2]])
+    savemat(path, {"t": time, "log": {"u": time * 2}, "q": np.hstack([time, -time]), "gain": 3.0, "other": np.ones(7)})
+    stream = read(path)
+    assert set(stream.columns) == {"log.u", "q[0]", "q[1]"}
+    np.testing.assert_allclose(stream.columns["q[1]"], [0.0, -0.1, -0.2])
+    path.write_bytes(b"x" * 200)
+    with pytest.raises(InputError, match="not readable as a MATLAB file"):
+        read(path)
+
+
+def test_real_matlab_file(shared_data: Path) -> None:
+    stream = read(shared_data / "emps/DATA_EMPS.mat")
+    assert len(stream) == 24841
+    assert {"qm", "vir", "qg"} <= set(stream.columns)
+    assert stream.stamps["time"][1] == pytest.approx(1_000_020, abs=20)
+
+
+@given(st.lists(st.integers(0, 4 * 10**18), min_size=1, max_size=20))
+def test_stamps_in_seconds_keep_the_precision_of_a_float(stamps: list[int]) -> None:
+    seconds = np.array(stamps, dtype=np.int64) * 1e-9
+    error = np.abs(to_ns(seconds, 1.0, "test") - np.array(stamps))
+    assert np.all(error <= 2.0 * np.spacing(seconds) * 1e9 + 1)
+
+
+def test_unknown_formats_and_readers() -> None:
+    with pytest.raises(InputError, match=r"no reader for '\.xlsx'; expected one of \.csv"):
+        reader_for(Path("a.xlsx"))
+    with pytest.raises(SettingsError, match=r"unknown reader 'mcp'; expected 'mcap'\?"):
+        reader_named("mcp", "recipe.toml")
