@@ -125,7 +125,7 @@ class Workspace:
         """
         if reference is None:
             version = self.network_version(dataset, "actuator")
-            origin = {"linkages": version.reference} if version is not None else {}
+            origin = {"networks": version.reference} if version is not None else {}
             return nominal_plant(dataset.machine, self.linkages(dataset), **origin)
         version = self.models.load(reference)
         if version.kind != "plant":
@@ -194,7 +194,7 @@ class Workspace:
 
 
 def _note(version: ModelVersion) -> VersionNote:
-    parents = [str(version.lineage[key]) for key in ("dataset", "plant", "linkages") if version.lineage.get(key)]
+    parents = [str(version.lineage[key]) for key in ("dataset", "plant", "networks") if version.lineage.get(key)]
     return VersionNote(version.reference, version.kind, version.digest, tuple(parents), ", ".join(version.aliases))
 
 

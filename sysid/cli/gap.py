@@ -62,6 +62,12 @@ def _times(item: Localised) -> float:
     return item.stage_rmse / item.noise_floor if item.noise_floor > 0.0 else float("nan")
 
 
+def _closed(result: GapResult, signal: str) -> str:
+    """The closed share; nothing where there was nothing to close."""
+    before, floor = result.gap.before[signal], result.gap.noise_floor[signal]
+    return f"{100 * result.gap.closed(signal):.1f} %" if before > 1.05 * floor else "–"
+
+
 def _show(out: Printer, result: GapResult, machine: Machine) -> None:
     from sysid.reports.effect_units import shown, shown_parameters
     from sysid.reports.words import effect_sentence, headline
@@ -73,7 +79,7 @@ def _show(out: Printer, result: GapResult, machine: Machine) -> None:
         out.line(f"  {effect_sentence(effect.name, effect.target, texts)}")
         for name in effect.parameters:
             value, low, high = (
-                shown(effect.name, name, effect.target, number, machine)
+                shown(effect.name, name, effect.target, number, machine, digits=4)
                 for number in (effect.parameters[name], *effect.interval95[name])
             )
             rows.append((effect.name, effect.target, name, value, f"{low} … {high}", f"{100 * effect.gap_share:.0f} %"))
@@ -85,7 +91,7 @@ def _show(out: Printer, result: GapResult, machine: Machine) -> None:
         out.line(f"  left over without a name: {item.stage} of {item.target}, depends on {item.depends_on}: {item.form}")
     floor = result.gap.noise_floor
     figures = [
-        (name, f"{before:.4g}", f"{result.gap.after[name]:.4g}", f"{floor[name]:.4g}", f"{100 * result.gap.closed(name):.1f} %")
+        (name, f"{before:.4g}", f"{result.gap.after[name]:.4g}", f"{floor[name]:.4g}", _closed(result, name))
         for name, before in result.gap.before.items()
     ]
     out.table(("signal (SI)", "before", "after", "noise floor", "closed"), figures, right=(1, 2, 3, 4))

@@ -67,7 +67,16 @@ def quantity(value: float, unit: str | None, digits: int = 3) -> str:
 def interval(low: float, high: float, unit: str | None, digits: int = 3) -> str:
     """``interval(0.0782, 0.0836, "1") == "0.0782 to 0.0836"``, the unit once at the end."""
     factor, label = (1e3, "ms") if unit == "s" and max(abs(low), abs(high)) < 1.0 else shown_unit(unit)
+    digits = max(digits, digits_for(low, high))
     return _with_unit(f"{number(factor * low, digits)} to {number(factor * high, digits)}", label)
+
+
+def digits_for(low: float, high: float) -> int:
+    """Significant digits at which the two ends of an interval differ in their last two (3 to 7)."""
+    size, width = max(abs(low), abs(high)), high - low
+    if not (math.isfinite(size) and width > 0.0):
+        return 3
+    return min(7, max(3, math.floor(math.log10(size)) - math.floor(math.log10(width)) + 2))
 
 
 def percent(share: float) -> str:
@@ -79,10 +88,10 @@ def percent(share: float) -> str:
 
 
 def ratio(value: float) -> str:
-    """``ratio(33.2) == "33 ×"``."""
+    """``ratio(33.2) == "33 ×"``, one decimal below ten."""
     if not math.isfinite(value):
         return NOTHING
-    return f"{number(value, 2 if value >= 1.0 else 1)}{NARROW_SPACE}×"
+    return f"{fixed(value, 1 if value < 9.95 else 0)}{NARROW_SPACE}×"
 
 
 def _with_unit(text: str, label: str) -> str:

@@ -33,12 +33,12 @@ def _resolve(unit: str, target: str, machine: Machine) -> str:
     return unit.replace("drive", drive).replace("joint", joint)
 
 
-def shown(effect: str, parameter: str, target: str, value: Any, machine: Machine) -> str:
+def shown(effect: str, parameter: str, target: str, value: Any, machine: Machine, digits: int = 3) -> str:
     """A parameter's value with its unit as text; vectors component by component."""
     unit = parameter_unit(effect, parameter, target, machine)
     if isinstance(value, (list, tuple)):
-        return "(" + ", ".join(display.quantity(float(item), unit) for item in value) + ")"
-    return display.quantity(float(value), unit)
+        return "(" + ", ".join(display.quantity(float(item), unit, digits) for item in value) + ")"
+    return display.quantity(float(value), unit, digits)
 
 
 def shown_parameters(effect: str, target: str, parameters: Mapping[str, Any], machine: Machine) -> dict[str, str]:

@@ -25,6 +25,7 @@
       font: { family: getComputedStyle(document.body).fontFamily, size: 13, color: colour("ink") }, separators: ". ",
       hoverlabel: { bgcolor: colour("panel"), bordercolor: colour("rule"), font: { color: colour("ink") } },
       legend: { orientation: "h", x: 0, y: 1.01, yanchor: "bottom" },
+      modebar: { bgcolor: "rgba(0,0,0,0)", color: colour("noise"), activecolor: colour("ink") },
     };
     const result = { ...base, ...themed(layout) };
     for (const key of new Set([...Object.keys(result).filter((name) => /^[xy]axis\d*$/.test(name)), "xaxis", "yaxis"])) {
@@ -68,18 +69,18 @@
       ];
       const owner = chosenSignal.value.split(".")[0];
       const axes = owner in recording.commands ? [owner] : Object.keys(recording.commands);
-      const shades = ["$link", "$before", "$after", "$quiet", "$measured", "$noise"];
+      const shades = ["$c1", "$c2", "$c3", "$c4"];
       axes.forEach((name, i) => data.push(line(axes.length > 1 ? `command ${name}` : "command", decode(recording.commands[name]),
         axes.length > 1 ? shades[i % shades.length] : "$quiet", 1.1, "3", { legendgroup: `command ${name}`, showlegend: axes.length > 1 })));
       const unit = signal.unit ? ` [${signal.unit}]` : "";
       const band = { type: "rect", xref: "paper", x0: 0, x1: 1, yref: "y2", y0: -2 * signal.floor, y1: 2 * signal.floor,
         fillcolor: "$band", line: { width: 0 }, layer: "below" };
       draw(explorer, data, {
-        xaxis: { title: "time [s]", anchor: "y3" },
+        xaxis: { title: { text: "time [s]", standoff: 6 }, anchor: "y3" },
         yaxis: { title: `${chosenSignal.selectedOptions[0].text}${unit}`, domain: [0.5, 1] },
         yaxis2: { title: `error${unit}`, domain: [0.2, 0.45], zeroline: true },
         yaxis3: { title: "command", domain: [0, 0.15] },
-        shapes: signal.floor > 0 ? [band] : [], hovermode: "x unified", margin: { l: 66, r: 18, t: 40, b: 46 },
+        shapes: signal.floor > 0 ? [band] : [], hovermode: "x unified", margin: { l: 66, r: 18, t: 58, b: 52 },
       });
     };
     chosenSignal.addEventListener("change", show);

@@ -55,7 +55,7 @@ def _side_view(machine: Machine, kinematics: Kinematics, callouts: Sequence[Call
         index = next(i for i, joint in enumerate(kinematics.chain) if joint.name == axis.joint)
         # A prismatic joint is marked in the middle of what it extends, a revolute one where it turns.
         end = chain[index + 1]
-        place[axis.name] = 0.5 * (chain[index] + end) if kinematics.chain[index].prismatic else end
+        place[axis.name] = 0.5 * (sleeve_at[index] + end) if kinematics.chain[index].prismatic else end
     marked = {callout.target for callout in callouts}
     parts = [_ground(at[0]), *_leaders(callouts, place)]
     for i in range(len(kinematics.chain)):

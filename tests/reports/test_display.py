@@ -39,6 +39,7 @@ def test_interval_names_the_unit_once() -> None:
     assert plain(interval(0.0782, 0.0836, "1")) == "0.0782 to 0.0836"
     assert plain(interval(-0.001, 0.0021, "m")) == f"{MINUS}1.00 to 2.10 mm"
     assert plain(interval(0.03, 0.04, "s")) == "30.0 to 40.0 ms"
+    assert plain(interval(0.11984, 0.12013, "1")) == "0.11984 to 0.12013", "as many digits as the ends need to differ"
 
 
 @pytest.mark.parametrize(
@@ -51,7 +52,7 @@ def test_percent_hides_no_difference_from_all_or_nothing(share: float, text: str
 
 def test_ratio_and_fixed() -> None:
     assert plain(ratio(33.2)) == "33 ×"
-    assert plain(ratio(0.98)) == "1 ×"
+    assert plain(ratio(0.98)) == "1.0 ×"
     assert fixed(-0.0001, 2) == "0.00"
     assert plain(fixed(-12345.678, 1)) == f"{MINUS}12 345.7"
     assert decimals_for([6.64, 0.2, 0.2]) == 2

@@ -34,7 +34,7 @@ def _rows(effect: NamedEffect, machine: Machine) -> list[dict[str, Any]]:
                 "effect": words.effect_title(effect.name) if not rows else "",
                 "target": words.owner_name(effect.target) if not rows else "",
                 "parameter": name.replace("_", " "),
-                "value": shown(effect.name, name, effect.target, value, machine),
+                "value": shown(effect.name, name, effect.target, value, machine, _digits(low, high)),
                 "interval": _interval(effect, name, low, high, machine),
                 "bar": _bar(value, low, high),
                 "nominal": shown(effect.name, name, effect.target, known, machine) if known is not None else "not in it",
@@ -42,6 +42,13 @@ def _rows(effect: NamedEffect, machine: Machine) -> list[dict[str, Any]]:
             }
         )
     return rows
+
+
+def _digits(low: Any, high: Any) -> int:
+    """As many digits for the value as its interval is given with."""
+    if isinstance(low, (list, tuple)):
+        return max(display.digits_for(float(a), float(b)) for a, b in zip(low, high, strict=True))
+    return display.digits_for(float(low), float(high))
 
 
 def _interval(effect: NamedEffect, name: str, low: Any, high: Any, machine: Machine) -> str:

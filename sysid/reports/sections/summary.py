@@ -154,7 +154,7 @@ def dumbbells(lines: list[Closing]) -> str:
     for decade in range(decades + 1):
         at = x(10.0**decade)
         parts.append(f'<line class="tick" x1="{at:.1f}" x2="{at:.1f}" y1="8" y2="{height - 28}"/>')
-        label = "noise floor" if decade == 0 else f"{10**decade} ×"
+        label = "noise floor" if decade == 0 else display.ratio(10.0**decade)
         parts.append(f'<text class="tick" x="{at:.1f}" y="{height - 10}" text-anchor="middle">{label}</text>')
     for number, (line, (before, after)) in enumerate(zip(judged, ratios, strict=True)):
         y = 24 + row * number
