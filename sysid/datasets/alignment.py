@@ -38,6 +38,8 @@ DEGREE_SAME, DEGREE_LINKAGE = 7, 9
 MAX_SKEW_HALF_WIDTH = 30.0
 #: A coarse match counts where the rates correlate this well and no other lag comes near.
 MIN_CORRELATION, MAX_RIVAL = 0.5, 0.85
+#: Share of the variance of y that f(x) has to explain, and the largest skew that a clock has (a share, not ppm).
+MIN_EXPLAINED, MAX_SKEW = 0.95, 2e-3
 _COARSE_HZ = 50.0
 
 
@@ -106,7 +108,15 @@ def estimate(pairs: Sequence[Pair], skew: float | None = None, start: float | No
         start, refused = coarse_offset(moving)
         if refused:
             return Estimate(refused=refused)
-    return _refine([_smoothed(pair) for pair in moving], start, skew)
+    smoothed = [_smoothed(pair) for pair in moving]
+    result, explained = _refine(smoothed, start, skew)
+    good = [pair for pair, share in zip(smoothed, explained, strict=True) if share >= MIN_EXPLAINED]
+    if good and len(good) < len(smoothed):  # a broken sensor must not spoil what the others know
+        result, explained = _refine(good, start, skew)
+    if not result.refused and (min(explained) < MIN_EXPLAINED or abs(result.skew) > MAX_SKEW):
+        listed = ", ".join(f"{pair.name}: {share:.2f}" for pair, share in zip(good or smoothed, explained, strict=True))
+        return Estimate(refused=f"the motions do not agree at the best lag (explained shares {listed})")
+    return result
 
 
 def _moves(values: Array) -> bool:
@@ -177,8 +187,8 @@ def _smoothed(pair: Pair) -> Pair:
     return Pair(pair.name, pair.x_times, x, pair.y_times[known], pair.y[known], pair.degree, pair.x_gap_s)
 
 
-def _refine(pairs: Sequence[Pair], start: float, fixed_skew: float | None) -> Estimate:
-    """Gauss-Newton on (offset, skew) with the maps projected out and soft-L1 weights."""
+def _refine(pairs: Sequence[Pair], start: float, fixed_skew: float | None) -> tuple[Estimate, list[float]]:
+    """Gauss-Newton on (offset, skew) with the maps projected out and soft-L1 weights; explained share of each pair beside."""
     overlap = [t for p in pairs for t in (max(p.y_times[0], p.x_times[0] - start), min(p.y_times[-1], p.x_times[-1] - start))]
     mid = (min(overlap) + max(overlap)) / 2.0
     offset, skew = start, fixed_skew or 0.0
@@ -189,7 +199,7 @@ def _refine(pairs: Sequence[Pair], start: float, fixed_skew: float | None) -> Es
         for index, pair in enumerate(pairs):
             part = _linearise(pair, offset, skew, mid, scales[index] if settled else 0.0)
             if part is None:
-                return Estimate(refused=f"too little of {pair.name} overlaps")
+                return Estimate(refused=f"too little of {pair.name} overlaps"), [0.0] * len(pairs)
             scales[index] = part.scale
             parts.append(part)
         normal = np.sum([part.normal for part in parts], axis=0)
@@ -206,22 +216,24 @@ def _refine(pairs: Sequence[Pair], start: float, fixed_skew: float | None) -> Es
             blocks[block] = blocks.get(block, np.zeros(2)) + total
     count = len(blocks)
     if count < 4:
-        return Estimate(refused=f"only {count} blocks of {BLOCK_S:g} s overlap: too short for an interval")
+        return Estimate(refused=f"only {count} blocks of {BLOCK_S:g} s overlap: too short for an interval"), [0.0] * len(pairs)
     meat = np.sum([np.outer(total, total) for total in blocks.values()], axis=0)
     covariance = bread @ meat @ bread * count / (count - 2)
     used = tuple(sorted({name for pair in pairs for name in pair.name.split("~")}))
     squares = np.concatenate([part.weight * (part.residual / part.scale) ** 2 for part in parts])
-    return Estimate(mid, offset, skew, covariance, count - 2, float(np.sqrt(squares.mean())), used)
+    explained = [1.0 - float(np.average(part.residual**2, weights=part.weight)) / part.variance for part in parts]
+    return Estimate(float(mid), offset, skew, covariance, count - 2, float(np.sqrt(squares.mean())), used), explained
 
 
 @dataclass(frozen=True)
 class _Part:
-    """One pair linearised: residual ``y − f(x)`` and weights (n,), noise scale, J'WJ (2, 2), rows of J'Wr (n, 2)."""
+    """One pair linearised: residual ``y − f(x)``, weights (n,), noise scale, variance of y, J'WJ (2, 2), rows of J'Wr (n, 2)."""
 
     times: Array
     residual: Array
     weight: Array
     scale: float
+    variance: float
     normal: Array
     scores: Array
 
@@ -258,7 +270,7 @@ def _linearise(pair: Pair, offset: float, skew: float, mid: float, scale: float)
     jacobian = jacobian - basis @ _solve(weighted.T @ basis, weighted.T @ jacobian)
     scores = jacobian * (weight / sigma**2 * residual)[:, None]
     normal = (jacobian * (weight / sigma**2)[:, None]).T @ jacobian
-    return _Part(times, residual, weight, sigma, normal, scores)
+    return _Part(times, residual, weight, sigma, max(float(np.var(y)), 1e-30), normal, scores)
 
 
 def _solve(matrix: Array, right: Array) -> Array:

@@ -1,0 +1,189 @@
+"""Clock offset and skew from motion: known truth, honest intervals, refusals."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+from scipy.signal import butter, sosfiltfilt
+
+from sysid.datasets.alignment import Estimate, Pair, estimate
+from sysid.datasets.channel import Channel
+from sysid.datasets.clocks import Clocked, align, machine_times
+from sysid.errors import AlignmentError
+
+Array = npt.NDArray[np.float64]
+
+
+def motion(seconds: float, rng: np.random.Generator, bandwidth: float = 1.0) -> tuple[Array, Array]:
+    """Smooth random motion of about unit size on a fine grid from −5 s to ``seconds`` + 5 s."""
+    time = np.arange(-5.0, seconds + 5.0, 0.001)
+    noise = sosfiltfilt(butter(2, bandwidth, fs=1000.0, output="sos"), rng.normal(size=len(time)))
+    return time, noise / noise.std()
+
+
+def pair(
+    seconds: float,
+    offset: float,
+    skew: float,
+    seed: int,
+    noise: float = 0.01,
+    linkage: bool = False,
+    gaps: bool = False,
+    bandwidth: float = 1.0,
+) -> Pair:
+    """x at 100 Hz on the machine's clock, y at 120 Hz on a clock with t_machine = t·(1 + skew) + offset."""
+    rng = np.random.default_rng(seed)
+    time, truth = motion(seconds, rng, bandwidth)
+    x_times = np.arange(0.0, seconds, 0.01)
+    y_times = np.arange(0.0, seconds - offset, 1.0 / 120.0)
+    x = np.interp(x_times, time, truth)
+    y = np.interp(y_times * (1.0 + skew) + offset, time, truth)
+    if linkage:
+        y = -np.arctan(0.4 * y) * 1.7 + 0.3
+    x, y = x + noise * rng.normal(size=len(x)), y + noise * rng.normal(size=len(y))
+    if gaps:
+        for start in rng.uniform(0.0, seconds, 12):
+            y[(y_times > start) & (y_times < start + rng.uniform(0.1, 1.0))] = np.nan
+    return Pair(
+        "boom.cylinder~boom.joint" if linkage else "slew.joint~slew.joint", x_times, x, y_times, y, 9 if linkage else 7, 0.035
+    )
+
+
+def error_at(result: Estimate, time: float, offset: float, skew: float) -> float:
+    """Error of the estimated machine time at stream time ``time`` [s]."""
+    return result.mid_offset + result.skew * (time - result.mid_time) - (offset + skew * time)
+
+
+@pytest.mark.parametrize("linkage", [False, True])
+@pytest.mark.parametrize("gaps", [False, True])
+@pytest.mark.parametrize(("offset", "skew"), [(0.0123, 40e-6), (-3.7311, -180e-6), (2.5, 0.0)])
+def test_offset_and_skew_are_found_far_below_a_sample(offset: float, skew: float, gaps: bool, linkage: bool) -> None:
+    result = estimate([pair(120.0, offset, skew, seed=3, gaps=gaps, linkage=linkage)])
+    assert result.refused == ""
+    assert abs(error_at(result, result.mid_time, offset, skew)) < 0.2e-3
+    assert abs(error_at(result, 120.0, offset, skew)) < 0.5e-3
+    assert abs(result.skew - skew) < 6e-6
+
+
+def test_the_figures_published_by_simulation_are_reached() -> None:
+    """300 s of 1 Hz motion, 100 against 120 Hz, +40 ppm, with and without gaps: 0.04-0.08 ms RMS are the figures to reach."""
+    for gaps in (False, True):
+        middle, end = [], []
+        for seed in range(6):
+            result = estimate([pair(300.0, 0.4, 40e-6, seed=seed, gaps=gaps)])
+            middle.append(error_at(result, 150.0, 0.4, 40e-6))
+            end.append(error_at(result, 300.0, 0.4, 40e-6))
+        assert np.sqrt(np.mean(np.square(middle))) < 0.08e-3
+        assert np.sqrt(np.mean(np.square(end))) < 0.16e-3
+
+
+def test_intervals_cover_the_truth_as_often_as_they_say() -> None:
+    from scipy.stats import t
+
+    inside_offset, inside_skew, runs = 0, 0, 60
+    for seed in range(runs):
+        result = estimate([pair(60.0, 0.3, 60e-6, seed=100 + seed, noise=0.02, linkage=seed % 2 == 0)])
+        quantile = t.ppf(0.975, result.degrees_of_freedom)
+        error = error_at(result, result.mid_time, 0.3, 60e-6)
+        inside_offset += abs(error) < quantile * np.sqrt(result.covariance[0, 0])
+        inside_skew += abs(result.skew - 60e-6) < quantile * np.sqrt(result.covariance[1, 1])
+    assert inside_offset >= 0.85 * runs
+    assert inside_skew >= 0.85 * runs
+
+
+def test_mistaken_frames_hardly_move_the_estimate() -> None:
+    clean = pair(60.0, 0.5, 50e-6, seed=5)
+    spoiled = clean.y.copy()
+    spoiled[2000:2050] += 1.5
+    spoiled[::400] -= 3.0
+    result = estimate([Pair(clean.name, clean.x_times, clean.x, clean.y_times, spoiled, clean.degree, clean.x_gap_s)])
+    assert abs(error_at(result, result.mid_time, 0.5, 50e-6)) < 0.4e-3
+
+
+def test_several_pairs_together_are_better_than_each() -> None:
+    pairs = [pair(60.0, 1.0, 30e-6, seed=seed, noise=0.05) for seed in (1, 2, 3, 4)]
+    together = estimate(pairs)
+    alone = [estimate([each]) for each in pairs]
+    assert together.covariance[0, 0] < min(each.covariance[0, 0] for each in alone)
+    assert abs(error_at(together, together.mid_time, 1.0, 30e-6)) < 0.3e-3
+
+
+def test_nothing_shared_nothing_moving_and_motion_that_repeats_are_refused() -> None:
+    assert "no joint or cylinder is measured on both clocks" in estimate([]).refused
+    moving = pair(60.0, 0.0, 0.0, seed=1)
+    rng = np.random.default_rng(0)
+    still = Pair("a~a", moving.x_times, 0.001 * rng.normal(size=len(moving.x)), moving.y_times, moving.y, 7, 0.035)
+    assert "nothing moves that both clocks have seen (a~a)" in estimate([still]).refused
+    x_times, y_times = np.arange(0.0, 60.0, 0.01), np.arange(0.0, 60.0, 1 / 120)
+    periodic = Pair("a~a", x_times, np.sin(2.0 * x_times), y_times, np.sin(2.0 * y_times + 0.3), 7, 0.035)
+    assert "the motion repeats itself" in estimate([periodic]).refused
+    other = pair(60.0, 0.0, 0.0, seed=2)
+    unrelated = Pair("a~a", moving.x_times, moving.x, other.y_times, other.y, 7, 0.035)
+    assert "do not agree at the best lag" in estimate([unrelated]).refused
+
+
+def test_a_broken_sensor_does_not_spoil_what_the_others_know() -> None:
+    good, broken = pair(60.0, 0.7, 20e-6, seed=1), pair(60.0, 0.7, 20e-6, seed=2)
+    wrong = broken.y.copy()
+    wrong[3000:] = motion(60.0, np.random.default_rng(9))[1][: len(wrong) - 3000]
+    result = estimate([good, Pair("broken~broken", broken.x_times, broken.x, broken.y_times, wrong, 7, 0.035)])
+    assert result.used == ("slew.joint",)
+    assert abs(error_at(result, result.mid_time, 0.7, 20e-6)) < 0.3e-3
+
+
+EPOCH = 1_700_000_000_000_000_000
+
+
+def clocked(
+    name: str, seconds: float, offset: float, skew: float, seed: int, other_epoch: int = 0, still: bool = False
+) -> Clocked:
+    source = pair(seconds, offset, skew, seed)
+    x = np.zeros(len(source.x)) if still else source.x
+    machine = Channel(
+        "slew.joint", "log.mcap", "machine", EPOCH + np.rint(source.x_times * 1e9).astype(np.int64), x, primary=False
+    )
+    stamps = other_epoch + np.rint(source.y_times * 1e9).astype(np.int64)
+    return Clocked(name, "motion", (machine, Channel("slew.joint", "mocap.csv", "mocap", stamps, source.y)))
+
+
+def test_the_skew_of_a_device_is_shared_by_its_recordings() -> None:
+    recordings = [clocked(f"r{k}", 60.0, 0.2 * k, 45e-6, seed=k) for k in range(4)]
+    records = align(recordings)
+    assert len({record.skew_ppm for record in records}) == 1
+    for k, (record, recording) in enumerate(zip(records, recordings, strict=True)):
+        assert record.applied
+        assert "common to 4 recordings" in record.reason
+        assert "latency" in record.reason
+        low, high = record.offset_interval95
+        assert low < record.offset_s < high
+        assert abs(record.offset_s - 0.2 * k) < 1e-3
+        assert abs(record.skew_ppm - 45.0) < 5.0
+        # The record can be applied to any channel of that clock, and undone.
+        channel = recording.channels[1]
+        times = machine_times(channel, recording.start_ns, record)
+        back = (times - record.offset_s) / (1.0 + 1e-6 * record.skew_ppm)
+        np.testing.assert_allclose(back * 1e9 + record.stream_start_ns, channel.stamps, atol=2.0)
+
+
+def test_skews_that_contradict_each_other_are_kept_apart() -> None:
+    records = align([clocked("a", 120.0, 0.1, 150e-6, seed=1), clocked("b", 120.0, 0.1, -150e-6, seed=2)])
+    assert [round(record.skew_ppm / 10) for record in records] == [15, -15]
+    assert "differs between recordings" in records[0].reason
+
+
+def test_a_skew_that_cannot_be_known_is_not_applied() -> None:
+    (record,) = align([clocked("short", 14.0, 0.3, 100e-6, seed=3)])
+    assert record.applied
+    assert record.skew_ppm == 0.0
+    assert "skew not applied: known to ±" in record.reason
+    assert record.skew_interval95[0] < 100.0 < record.skew_interval95[1]
+
+
+def test_stamps_without_shared_motion_are_refused_or_taken_as_they_are() -> None:
+    with pytest.raises(AlignmentError, match=r"recording r: mocap\.csv: its clock cannot be aligned .*nothing moves"):
+        align([clocked("r", 60.0, 0.0, 0.0, seed=1, still=True)])
+    (record,) = align([clocked("r", 60.0, 0.0, 0.0, seed=1, still=True, other_epoch=EPOCH + 2_000_000_000)])
+    assert not record.applied
+    assert record.offset_s == pytest.approx(2.0)
+    assert "taken as they are" in record.reason
