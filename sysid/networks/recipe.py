@@ -18,7 +18,7 @@ from sysid.networks.training import TrainingSettings
 Features = Literal["joints", "sincos"]
 
 _ACTUATOR_TRAINING = TrainingSettings(learning_rate=1e-4, batch=64, epochs=800, patience=100, check_every=5, schedule="cosine")
-_FORWARD_TRAINING = TrainingSettings(learning_rate=1e-3, batch=16, epochs=1000, patience=250, check_every=5, schedule="cosine")
+_FORWARD_TRAINING = TrainingSettings(learning_rate=3e-3, batch=16, epochs=500, patience=150, check_every=5, schedule="cosine")
 
 
 @dataclass(frozen=True)

@@ -307,8 +307,8 @@ class _EarlyStopping:
 def _generator(seed: int, name: str) -> torch.Generator:
     import torch
 
-    # Not Python's hash(), which differs between processes.
-    return torch.Generator().manual_seed((seed << 32) ^ zlib.crc32(name.encode("utf-8")))
+    # Not Python's hash(), which differs between processes; and 32 bits, since torch's generator ignores the rest.
+    return torch.Generator().manual_seed(zlib.crc32(f"{seed} {name}".encode()))
 
 
 def _learning_rate(settings: TrainingSettings, epoch: int) -> float:
