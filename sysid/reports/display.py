@@ -72,11 +72,11 @@ def interval(low: float, high: float, unit: str | None, digits: int = 3) -> str:
 
 
 def digits_for(low: float, high: float) -> int:
-    """Significant digits at which the two ends of an interval differ in their last two (3 to 7)."""
+    """Significant digits at which the two ends of an interval differ clearly (3 to 7)."""
     size, width = max(abs(low), abs(high)), high - low
     if not (math.isfinite(size) and width > 0.0):
         return 3
-    return min(7, max(3, math.floor(math.log10(size)) - math.floor(math.log10(width)) + 2))
+    return min(7, max(3, math.floor(math.log10(size)) - math.floor(math.log10(width)) + 1))
 
 
 def percent(share: float) -> str:

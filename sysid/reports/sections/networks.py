@@ -37,7 +37,7 @@ def _report(report: ValidationReport, number: int) -> dict[str, Any]:
         "about": ABOUT[report.kind],
         "role": {"held_out": "held-out", "select": "selection", "fit": "fit"}[report.role],
         "paper": report.kind == "forward" and any(output.output in PAPER_MAX for output in report.outputs),
-        "rows": [_row(output) for output in report.outputs],
+        "rows": [_row(output, _decimals(report, output.unit)) for output in report.outputs],
         "round_trips": [
             f"{axis} "
             + " and ".join((display.quantity(trip.joint_rmse, "rad", 2), display.quantity(trip.cylinder_rmse, "m", 2)))
@@ -58,10 +58,16 @@ def _report(report: ValidationReport, number: int) -> dict[str, Any]:
     }
 
 
-def _row(output: OutputReport) -> dict[str, Any]:
+def _decimals(report: ValidationReport, unit: str) -> int:
+    """Decimals for all figures of one unit, so that they line up: two digits of the smallest error or noise floor."""
+    factor, _ = display.shown_unit(unit)
+    figures = [value for output in report.outputs if output.unit == unit for value in (output.metrics.rmse, output.noise_floor)]
+    return display.decimals_for(factor * value for value in figures if value is not None)
+
+
+def _row(output: OutputReport, decimals: int) -> dict[str, Any]:
     factor, unit = display.shown_unit(output.unit)
     metrics = output.metrics
-    decimals = display.decimals_for([factor * metrics.rmse])
     best = min(output.baselines, key=lambda name: output.baselines[name].rmse, default="")
     paper = PAPER_MAX.get(output.output) if output.rows == "poses" else None
     return {
@@ -79,20 +85,24 @@ def _row(output: OutputReport) -> dict[str, Any]:
 
 def _profiles(output: OutputReport, identifier: str) -> dict[str, Any]:
     """Error against each input's position, speed and direction: a panel a profile, one column an input."""
-    columns = list(output.inputs)
-    rows = [kind for kind in ("position", "speed", "direction") if any(_kind(p.variable)[0] == kind for p in output.profiles)]
+    signals = list(output.inputs)
+    kinds = [kind for kind in ("position", "speed", "direction") if any(_kind(p.variable)[0] == kind for p in output.profiles)]
+    # One input: its panels side by side. Several: a column each, so that panels of one kind can be compared.
+    alone = len(signals) == 1
+    rows, columns = (1, len(kinds)) if alone else (len(kinds), len(signals))
     factor, unit = display.shown_unit(output.unit)
     label = f"error [{unit}]" if unit else "error"
     traces: list[dict[str, Any]] = []
     layout: dict[str, Any] = {
-        "grid": {"rows": len(rows), "columns": len(columns), "pattern": "independent", "xgap": 0.12, "ygap": 0.34},
+        "grid": {"rows": rows, "columns": columns, "pattern": "independent", "xgap": 0.16, "ygap": 0.36},
         "showlegend": True,
         "bargap": 0.08,
-        "margin": {"l": 58, "r": 12, "t": 36, "b": 44},
+        "margin": {"l": 58, "r": 12, "t": 52, "b": 56},
     }
     for profile in output.profiles:
         kind, signal = _kind(profile.variable)
-        index = 1 + rows.index(kind) * len(columns) + columns.index(signal)
+        column = kinds.index(kind) if alone else signals.index(signal)
+        index = 1 + column + (0 if alone else kinds.index(kind) * columns)
         suffix = "" if index == 1 else str(index)
         x_factor, x_unit = display.shown_unit(profile.unit)
         if kind == "direction":
@@ -104,7 +114,7 @@ def _profiles(output: OutputReport, identifier: str) -> dict[str, Any]:
         common = {"x": x, "xaxis": f"x{suffix}", "yaxis": f"y{suffix}", "showlegend": index == 1}
         rmse, p95 = (packed(factor * np.array(values)) for values in (profile.rmse, profile.p95))
         if kind == "direction":
-            traces.append({**common, "type": "bar", "y": p95, "name": "95 %", "marker": {"color": "$band"}})
+            traces.append({**common, "type": "bar", "y": p95, "name": "95 %", "marker": {"color": "$noise"}})
             traces.append({**common, "type": "bar", "y": rmse, "name": "RMS", "marker": {"color": "$link"}})
         else:
             line = {"type": "scatter", "mode": "lines"}
@@ -113,10 +123,10 @@ def _profiles(output: OutputReport, identifier: str) -> dict[str, Any]:
             )
             traces.append({**common, **line, "y": rmse, "name": "RMS", "line": {"color": "$link", "width": 2}})
         layout[f"xaxis{suffix}"] = {"title": f"{title} [{x_unit}]" if x_unit and kind != "direction" else title}
-        layout[f"yaxis{suffix}"] = {"title": label if columns.index(signal) == 0 else "", "rangemode": "tozero"}
+        layout[f"yaxis{suffix}"] = {"title": label if column == 0 else "", "rangemode": "tozero"}
     return {
         "title": f"{words.signal_name(output.output)}, {ROWS[output.rows]}",
-        "figure": figure(identifier, traces, layout, 70 + 215 * len(rows)) if traces else "",
+        "figure": figure(identifier, traces, layout, 110 + 190 * rows) if traces else "",
     }
 
 
