@@ -227,7 +227,7 @@ def _refine(pairs: Sequence[Pair], start: float, fixed_skew: float | None) -> tu
 
 @dataclass(frozen=True)
 class _Part:
-    """One pair linearised: residual ``y − f(x)``, weights (n,), noise scale, variance of y, J'WJ (2, 2), rows of J'Wr (n, 2)."""
+    """One pair linearised: residual ``y − f(x)``, weights (n,), noise scale, variance of y, J'WJ, rows of J'Wr (n, 2)."""
 
     times: Array
     residual: Array
