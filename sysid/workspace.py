@@ -100,7 +100,7 @@ class Workspace:
         """
         version = self.models.load(reference)
         if version.kind not in ("actuator", "forward"):
-            raise StoreError(f"model {reference}", f"is a {version.kind}", "an actuator or forward network")
+            raise StoreError(f"model {reference}", f"is of kind {version.kind!r}", "an actuator or forward network")
         return from_files(version.files, version.reference)
 
     def linkages(self, dataset: Dataset) -> dict[str, ActuatorNetwork]:
@@ -129,7 +129,7 @@ class Workspace:
             return nominal_plant(dataset.machine, self.linkages(dataset), **origin)
         version = self.models.load(reference)
         if version.kind != "plant":
-            raise StoreError(f"model {reference}", f"is a {version.kind}", "a plant")
+            raise StoreError(f"model {reference}", f"is of kind {version.kind!r}", "a plant")
         plant = plant_from_files(version.files, version.reference)
         if plant.machine.axis_names != dataset.machine.axis_names:
             found = ", ".join(plant.machine.axis_names)

@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from sysid.cli import main
+from sysid.datasets.recipe import load_recipe
 from sysid.machine import load_machine
 
 
@@ -22,6 +23,8 @@ def test_layout_is_valid_as_it_stands(tmp_path: Path) -> None:
     assert run("init", tmp_path / "My Crane", "--json", tmp_path / "made.json") == 0
     folder = tmp_path / "My Crane" / "datasets" / "my-crane"
     machine = load_machine(folder / "machine.toml")
+    recipe = load_recipe(folder / "recipe.toml")
+    assert recipe.name == "my-crane"
     assert machine.name == "my-crane"
     assert machine.axis("boom").driven == "boom.cylinder"
     assert {path.name for path in (tmp_path / "My Crane").iterdir()} == {"datasets", "pipelines", "rl", "reports", ".gitignore"}

@@ -1,0 +1,196 @@
+"""The verbs one after the other on a small machine with a known dead-band, as a user would type them."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from sample_crane import commands
+
+from sysid.cli import main
+from sysid.machine import Linkage, TriangleLinkage
+
+MACHINE = """
+schema = 1
+name = "lift"
+rate_hz = 50.0
+[noise]
+"boom.cylinder" = 2e-5
+"boom.joint" = 2e-4
+[[axes]]
+name = "boom"
+actuation = "velocity"
+drives = "cylinder"
+gain = 0.03
+stroke = [0.0, 0.3]
+limits = [-0.4, 1.2]
+"""
+RECIPE = "[actuator]\nsamples = 300\nhidden_of = {boom = [16, 16]}\n[actuator.training]\nlearning_rate = 3e-3\nepochs = 60\n"
+LINKAGE = TriangleLinkage(Linkage("triangle", a=0.15, b=0.4, offset=1.1, retracted=0.3))
+DEADBAND = (0.11, 0.07)
+
+
+def run(*args: str | Path) -> int:
+    with pytest.raises(SystemExit) as stop:
+        main([str(arg) for arg in args])
+    assert isinstance(stop.value.code, int)
+    return stop.value.code
+
+
+def write_logs(folder: Path) -> None:
+    for number in range(4):
+        rng = np.random.default_rng(number)
+        u = commands(24.0, 50.0, seed=number + 10)["boom"]
+        flow = np.where(u > DEADBAND[0], u - DEADBAND[0], np.where(u < -DEADBAND[1], u + DEADBAND[1], 0.0))
+        cylinder = 0.1 + np.concatenate([[0.0], np.cumsum(0.03 * flow[:-1]) / 50.0])
+        table = pd.DataFrame(
+            {
+                "time": np.arange(len(u)) / 50.0,
+                "boom.command": u,
+                "boom.cylinder [mm]": 1e3 * (cylinder + rng.normal(0.0, 2e-5, len(u))),
+                "boom.joint [deg]": np.degrees(LINKAGE.joint(cylinder) + rng.normal(0.0, 2e-4, len(u))),
+            }
+        )
+        (folder / f"run-{number}").mkdir(parents=True)
+        table.to_csv(folder / f"run-{number}" / "log.csv", index=False)
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with logs, a workspace beside them, and the dataset ingested."""
+    folder = tmp_path_factory.mktemp("site")
+    (folder / "machine.toml").write_text(MACHINE)
+    (folder / "recipe.toml").write_text(RECIPE)
+    write_logs(folder / "logs")
+    assert (
+        run(
+            "--workspace",
+            folder / "ws",
+            "ingest",
+            folder / "logs",
+            "--machine",
+            folder / "machine.toml",
+            "--json",
+            folder / "i.json",
+        )
+        == 0
+    )
+    return folder
+
+
+@pytest.fixture(scope="module")
+def answered(site: Path) -> Path:
+    """The same after the networks and the gap."""
+    assert (
+        run("--workspace", site / "ws", "fit", "actuator", "lift", "--recipe", site / "recipe.toml", "--json", site / "f.json")
+        == 0
+    )
+    assert run("--workspace", site / "ws", "gap", "lift", "--add", "--json", site / "g.json") == 0
+    return site
+
+
+def test_ingest_again_is_the_same_version(site: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    made = json.loads((site / "i.json").read_text())
+    assert made["dataset"] == "lift@1"
+    assert {entry["role"] for entry in made["recordings"]} == {"fit", "select", "held_out"}
+    assert run("--workspace", site / "ws", "ingest", site / "logs", "--machine", site / "machine.toml", "--json", "-") == 0
+    captured = capsys.readouterr()
+    assert json.loads(captured.out)["dataset"] == "lift@1"
+    assert "lift@1 in " in captured.err, "with JSON on stdout the text goes to stderr"
+
+
+def test_datasets_lists_and_shows(site: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run("--workspace", site / "ws", "datasets") == 0
+    assert "lift@1" in capsys.readouterr().out
+    assert run("--workspace", site / "ws", "datasets", "lift@1") == 0
+    assert "run-3" in capsys.readouterr().out
+    assert run("--workspace", site / "ws", "datasets", "lfit") == 2
+    assert "'lift'?" in capsys.readouterr().err
+
+
+def test_gap_names_what_is_hidden(answered: Path) -> None:
+    result = json.loads((answered / "g.json").read_text())
+    assert result["verdict"] == "named"
+    assert [(effect["name"], effect["target"]) for effect in result["effects"]] == [("valve_deadband", "boom")]
+    found = result["effects"][0]["parameters"]
+    assert found["positive"] == pytest.approx(DEADBAND[0], rel=0.1)
+    assert found["negative"] == pytest.approx(DEADBAND[1], rel=0.1)
+    assert result["plant"] == {"before": "lift@1", "after": "lift@2"}
+
+
+def test_validate_repeats_the_report_of_the_fit(answered: Path) -> None:
+    fitted = json.loads((answered / "f.json").read_text())
+    assert fitted["model"] == "lift-actuator@1"
+    assert run("--workspace", answered / "ws", "validate", "lift-actuator@1", "lift", "--json", answered / "v.json") == 0
+    again = json.loads((answered / "v.json").read_text())
+    assert [entry["metrics"] for entry in again["outputs"]] == [entry["metrics"] for entry in fitted["validation"]["outputs"]]
+
+
+def test_models_shows_what_was_made_from_what(answered: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run("--workspace", answered / "ws", "models", "--json", answered / "m.json") == 0
+    listed = {f"{m['name']}@{m['version']}": m["lineage"] for m in json.loads((answered / "m.json").read_text())["models"]}
+    assert set(listed) == {"lift-actuator@1", "lift@1", "lift@2"}
+    assert listed["lift@2"]["plant"] == "lift@1"
+    assert listed["lift@1"]["networks"] == "lift-actuator@1"
+    capsys.readouterr()
+    assert run("--workspace", answered / "ws", "models", "lift@2") == 0
+    assert '"dataset": "lift@1"' in capsys.readouterr().out
+    assert run("--workspace", answered / "ws", "models", "--kind", "plants") == 2
+    assert "plant" in capsys.readouterr().err
+
+
+def test_report_holds_the_answer(answered: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run("--workspace", answered / "ws", "report", "--out", answered / "r.html") == 0
+    text = (answered / "r.html").read_text("utf-8")
+    assert "One effect is missing from the simulation." in text
+    assert "lift-actuator@1" in text
+    assert "traces-data" in text
+    assert str(answered / "r.html") in capsys.readouterr().out
+
+
+def test_view_shows_before_and_after(answered: Path) -> None:
+    assert run("--workspace", answered / "ws", "view", "lift", "--out", answered / "v.rrd", "--json", answered / "w.json") == 0
+    assert json.loads((answered / "w.json").read_text())["simulations"] == ["before", "after"]
+    assert run("--workspace", answered / "ws", "view", "lift", "--plant", "lift@2", "--recording", "run-0") == 0
+    assert (answered / "ws" / "results" / "lift@1" / "run-0.rrd").stat().st_size > 10_000
+
+
+def test_repaired_plant_leaves_no_gap(answered: Path) -> None:
+    assert (
+        run("--workspace", answered / "ws", "gap", "lift", "--plant", "lift@2", "--localise", "--json", answered / "l.json")
+        == 0
+    )
+    stages = {item["stage"]: item for item in json.loads((answered / "l.json").read_text())["localised"]}
+    assert stages["command"]["stage_rmse"] < 1.5 * stages["command"]["noise_floor"]
+
+
+@pytest.mark.parametrize(
+    ("args", "message"),
+    [
+        (("gap", "lift", "--plant", "lift-actuator@1"), "is of kind 'actuator'; expected a plant"),
+        (("gap", "lift", "--plant", "lfit"), "'lift'"),
+        (("validate", "lift@1", "lift"), "expected an actuator or forward network"),
+        (("view", "lift", "--recording", "run-9"), "no recording 'run-9'"),
+        (("fit", "forward", "lift"), "ee"),
+    ],
+)
+def test_mistakes_are_one_paragraph(
+    answered: Path, args: tuple[str, ...], message: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run("--workspace", answered / "ws", *args) == 2
+    text = capsys.readouterr().err
+    assert re.match(r"sysid: .*\n\Z", text)
+    assert message in text
+
+
+def test_a_damaged_result_is_reported(answered: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    import shutil
+
+    shutil.copytree(answered / "ws", tmp_path / "ws")
+    (tmp_path / "ws" / "results" / "lift@1" / "gap" / "result.json").write_text('{"schema": 1}')
+    assert run("--workspace", tmp_path / "ws", "report", "lift") == 2
+    assert "Run `sysid gap` again" in capsys.readouterr().err

@@ -1,0 +1,43 @@
+"""A result that is filed comes back as it was."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import pandas as pd
+import pytest
+from sample_crane import sample_gap, sample_unnamed
+
+from sysid.datasets.recording import Dataset
+from sysid.errors import StoreError
+from sysid.reports.archive import load_gap, save_gap
+
+
+def test_round_trip(crane: Dataset, tmp_path: Path) -> None:
+    result = sample_gap(crane)
+    save_gap(tmp_path / "gap", result)
+    again = load_gap(tmp_path / "gap")
+    assert again is not None
+    assert replace(again, traces=()) == replace(result, traces=())
+    for part in ("measured", "before", "after"):
+        pd.testing.assert_frame_equal(getattr(again.traces[0], part), getattr(result.traces[0], part), check_like=True)
+
+
+def test_numbers_that_json_lacks_survive(crane: Dataset, tmp_path: Path) -> None:
+    result = sample_unnamed(crane)
+    lost = replace(result.candidates[0], delta_bic=math.nan)
+    save_gap(tmp_path, replace(result, candidates=(lost,), traces=()))
+    again = load_gap(tmp_path)
+    assert again is not None
+    assert math.isnan(again.candidates[0].delta_bic)
+    assert again.ambiguous == result.ambiguous
+    assert again.traces == ()
+
+
+def test_nothing_there_and_something_broken(tmp_path: Path) -> None:
+    assert load_gap(tmp_path) is None
+    (tmp_path / "result.json").write_text("{")
+    with pytest.raises(StoreError, match="Run `sysid gap` again"):
+        load_gap(tmp_path)
