@@ -16,7 +16,7 @@ from sysid.datasets.recording import Dataset
 from sysid.errors import ExcitationError
 from sysid.networks.mlp import Mlp
 from sysid.networks.recipe import NetworkRecipe
-from sysid.networks.split import Rows, gather, segments, spread_sample, thin
+from sysid.networks.split import Rows, gather, joined, measures, segments, spread_sample, thin
 from sysid.networks.training import Course, Member, Progress, train
 from sysid.signals import axis_signal
 
@@ -80,8 +80,8 @@ class ActuatorNetwork:
 def fit_actuator(dataset: Dataset, recipe: NetworkRecipe, progress: Progress | None = None) -> dict[str, ActuatorNetwork]:
     """Fit both directions for every axis whose cylinder and joint were measured together.
 
-    Rows to learn from: ``samples`` of the ``fit`` recordings, spread over the stroke; as many of the ``select`` recordings
-    decide when to stop. ``held_out`` recordings are not looked at.
+    Rows to learn from: ``samples`` of the ``fit`` recordings and of the first static poses, spread over the stroke; as many
+    of the ``select`` recordings, and the poses after those, decide when to stop. ``held_out`` rows are not looked at.
 
     Returns:
         Axis → network, in kinematic order.
@@ -135,14 +135,8 @@ def fit_actuator(dataset: Dataset, recipe: NetworkRecipe, progress: Progress | N
 
 def cylinder_axes(dataset: Dataset) -> tuple[str, ...]:
     """Axes on which some motion recording measured cylinder and joint at the same time."""
-    return tuple(
-        axis
-        for axis in dataset.machine.axis_names
-        if any(
-            np.any(np.isfinite(r.values(axis_signal(axis, "cylinder"))) & np.isfinite(r.values(axis_signal(axis, "joint"))))
-            for r in dataset.of_kind("motion")
-        )
-    )
+    signals = {axis: (axis_signal(axis, "cylinder"), axis_signal(axis, "joint")) for axis in dataset.machine.axis_names}
+    return tuple(axis for axis, both in signals.items() if measures(dataset, both, "motion"))
 
 
 def actuator_rows(dataset: Dataset, axis: str, recipe: NetworkRecipe) -> tuple[Rows, Rows]:
@@ -162,9 +156,12 @@ def actuator_rows(dataset: Dataset, axis: str, recipe: NetworkRecipe) -> tuple[R
                 f"at least {MIN_ROWS}",
                 "Record more manual operation.",
             )
+    select = thin(select, recipe.actuator.samples)
+    if "poses" in recipe.actuator.rows and measures(dataset, signals, "poses"):
+        fit = joined(fit, gather(segments(dataset, "fit", signals, "poses"), signals))
+        select = joined(select, gather(segments(dataset, "select", signals, "poses"), signals))
     rng = np.random.default_rng([recipe.seed, dataset.machine.axis_names.index(axis)])
-    chosen = spread_sample(fit.values[:, 0], recipe.actuator.samples, rng)
-    return fit.take(chosen), thin(select, recipe.actuator.samples)
+    return fit.take(spread_sample(fit.values[:, 0], recipe.actuator.samples, rng)), select
 
 
 def _apply(mlp: Mlp, values: Array) -> Array:

@@ -27,6 +27,7 @@ class ActuatorRecipe:
 
     Args:
         samples: rows learned from, spread over the stroke.
+        rows: where they come from. Poses reach the ends of the stroke, which an operator avoids and a network cannot guess.
         hidden: hidden layers of an axis that ``hidden_of`` does not name.
         hidden_of: axis → hidden layers.
         training: how.
@@ -35,6 +36,7 @@ class ActuatorRecipe:
     __pydantic_config__ = STRICT
 
     samples: int = 1500
+    rows: tuple[Literal["motion", "poses"], ...] = ("motion", "poses")
     hidden: tuple[int, ...] = (128, 128)
     hidden_of: dict[str, tuple[int, ...]] = field(default_factory=lambda: {"boom": (256, 128, 128), "stick": (128, 128)})
     training: TrainingSettings = _ACTUATOR_TRAINING
@@ -108,6 +110,8 @@ def parse_recipe(values: dict[str, Any], where: object) -> NetworkRecipe:
     ):
         if value < 1:
             raise SettingsError(f"{where}: {key}", str(value), "a positive number")
+    if "motion" not in recipe.actuator.rows:
+        raise SettingsError(f"{where}: actuator.rows", str(list(recipe.actuator.rows)), "motion, with or without poses")
     if recipe.seed < 0:
         raise SettingsError(f"{where}: seed", str(recipe.seed), "a number from 0 on")
     return recipe

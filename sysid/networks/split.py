@@ -101,6 +101,22 @@ def gather(parts: Sequence[Segment], signals: Sequence[str]) -> Rows:
     return Rows(tuple(signals), np.concatenate(values), np.concatenate(names), np.concatenate(rows), np.concatenate(times))
 
 
+def joined(first: Rows, second: Rows) -> Rows:
+    """The rows of both, in order."""
+    return Rows(
+        first.signals,
+        np.concatenate([first.values, second.values]),
+        np.concatenate([first.recording, second.recording]),
+        np.concatenate([first.row, second.row]),
+        np.concatenate([first.time, second.time]),
+    )
+
+
+def measures(dataset: Dataset, signals: Sequence[str], kind: Kind) -> bool:
+    """Whether some recording of ``kind`` has a row with all the signals."""
+    return any(_measured(recording, signals).any() for recording in dataset.of_kind(kind))
+
+
 def spread_sample(values: Array, count: int, rng: np.random.Generator, bins: int = 50) -> npt.NDArray[np.intp]:
     """``count`` row numbers, drawn so that ``values`` (n,) is covered as evenly as the data allow; sorted.
 

@@ -48,7 +48,7 @@ class OutputReport:
         metrics: of the network.
         baselines: name → the same figures of a simpler model fitted on the same rows.
         noise_floor: RMSE that a perfect map would show, from the sensor noise of inputs and output in ``machine.toml``;
-            None where it is not stated for all of them.
+            None where it is not stated for all of them, and for poses, which are means of many samples.
         profiles: error against position, speed and direction.
         spikes: the largest errors that stand out, largest first.
         trace: for plots.

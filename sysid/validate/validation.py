@@ -14,7 +14,7 @@ from sysid.networks.actuator import ActuatorNetwork, actuator_rows
 from sysid.networks.artifacts import Model
 from sysid.networks.forward import ForwardNetwork, forward_rows, is_angle
 from sysid.networks.recipe import NetworkRecipe
-from sysid.networks.split import Rows, gather, segments, thin
+from sysid.networks.split import Rows, gather, measures, segments, thin
 from sysid.signals import axis_signal, point_signals
 from sysid.validate.baselines import learned, urdf_kinematics
 from sysid.validate.error_analysis import Profile, Ranges, direction_profile, profile, speeds, spikes
@@ -45,7 +45,7 @@ def validate_actuator(
     recipe: NetworkRecipe | None = None,
     name: str = "",
 ) -> ValidationReport:
-    """Both directions of every axis on all rows of ``role``.
+    """Both directions of every axis on all rows of ``role``: in motion, and at static poses that measure the cylinder.
 
     Args:
         networks: axis → network, from ``fit_actuator``.
@@ -59,25 +59,26 @@ def validate_actuator(
     outputs = []
     for axis, network in networks.items():
         signals = (axis_signal(axis, "cylinder"), axis_signal(axis, "joint"))
-        rows = _some(gather(segments(dataset, role, signals), signals), dataset, role, signals)
         fit, _ = actuator_rows(dataset, axis, recipe or NetworkRecipe())
-        for source, target, predict in ((0, 1, network.joint), (1, 0, network.displacement)):
-            inputs = rows.values[:, [source]]
-            baselines = learned(fit.values[:, [source]], fit.values[:, target], inputs)
-            outputs.append(
-                _output_report(
-                    dataset,
-                    rows,
-                    target,
-                    (source,),
-                    "motion",
-                    predict(inputs[:, 0]),
-                    baselines,
-                    _noise_floor(dataset, rows, (source,), target, lambda x, predict=predict: predict(x[:, 0])),  # type: ignore[misc]
-                    ends={signals[0]: _ends(dataset, axis, network)},
-                    fitted={signals[source]: (network.displacements, network.joints)[source]},
+        judged = _judged(dataset, role, signals, ("motion", "poses"))
+        for kind, rows in judged.items():
+            for source, target, predict in ((0, 1, network.joint), (1, 0, network.displacement)):
+                inputs = rows.values[:, [source]]
+                baselines = learned(fit.values[:, [source]], fit.values[:, target], inputs)
+                outputs.append(
+                    _output_report(
+                        dataset,
+                        rows,
+                        target,
+                        (source,),
+                        kind,
+                        predict(inputs[:, 0]),
+                        baselines,
+                        _noise_floor(dataset, rows, (source,), target, lambda x, predict=predict: predict(x[:, 0])),  # type: ignore[misc]
+                        ends={signals[0]: _ends(dataset, axis, network)},
+                        fitted={signals[source]: (network.displacements, network.joints)[source]},
+                    )
                 )
-            )
     round_trips = {axis: network.round_trip() for axis, network in networks.items()}
     return ValidationReport("actuator", name, dataset.reference, role, tuple(outputs), round_trips)
 
@@ -93,13 +94,7 @@ def validate_forward(network: ForwardNetwork, dataset: Dataset, role: Role = "he
     fit = forward_rows(dataset, "fit")
     fitted = dict(zip(network.joints, zip(network.low.tolist(), network.high.tolist(), strict=True), strict=True))
     outputs = []
-    kinds: tuple[Kind, ...] = ("poses", "motion")
-    for kind in kinds:
-        if not any(np.isfinite(r.values(signals[-1])).any() for r in dataset.of_kind(kind)):
-            continue
-        rows = gather(segments(dataset, role, signals, kind), signals)
-        if not len(rows):
-            continue
+    for kind, rows in _judged(dataset, role, signals, ("poses", "motion")).items():
         predicted = network.predict(rows.values[:, :count])
         baselines = learned(fit.values[:, :count], fit.values[:, count:], rows.values[:, :count])
         urdf = urdf_kinematics(dataset, rows, count)
@@ -126,8 +121,6 @@ def validate_forward(network: ForwardNetwork, dataset: Dataset, role: Role = "he
                     fitted=fitted,
                 )
             )
-    if not outputs:
-        raise _nothing(dataset, role, signals)
     return ValidationReport("forward", name, dataset.reference, role, tuple(outputs))
 
 
@@ -171,7 +164,8 @@ def _output_report(
         recordings=tuple(dict.fromkeys(str(name) for name in rows.recording)),
         metrics=error_metrics(truth, predicted, unit),
         baselines={title: error_metrics(truth, values, unit) for title, values in baselines.items()},
-        noise_floor=noise_floor,
+        # A static pose is the mean of many samples: the noise of one sample says nothing about it.
+        noise_floor=noise_floor if kind == "motion" else None,
         profiles=tuple(profiles),
         spikes=spikes(dataset, rows, errors, ends, fitted, kind == "motion"),
         trace=trace,
@@ -213,16 +207,23 @@ def _unit(dataset: Dataset, signal: str) -> Literal["m", "rad"]:
     return "m"
 
 
-def _some(rows: Rows, dataset: Dataset, role: Role, signals: tuple[str, ...]) -> Rows:
-    if not len(rows):
-        raise _nothing(dataset, role, signals)
-    return rows
+def _judged(dataset: Dataset, role: Role, signals: tuple[str, ...], kinds: tuple[Kind, ...]) -> dict[Kind, Rows]:
+    """Rows of ``role`` by kind of recording.
 
-
-def _nothing(dataset: Dataset, role: Role, signals: tuple[str, ...]) -> ExcitationError:
-    return ExcitationError(
-        f"dataset {dataset.reference}",
-        f"no {role} rows that measure {', '.join(signals)} at the same time",
-        "at least one",
-        "Record more, or name other recordings in [splits] of the recipe.",
-    )
+    Raises:
+        ExcitationError: there are none at all.
+    """
+    found: dict[Kind, Rows] = {}
+    for kind in kinds:
+        if measures(dataset, signals, kind):
+            rows = gather(segments(dataset, role, signals, kind), signals)
+            if len(rows):
+                found[kind] = rows
+    if not found:
+        raise ExcitationError(
+            f"dataset {dataset.reference}",
+            f"no {role} rows that measure {', '.join(signals)} at the same time",
+            "at least one",
+            "Record more, or name other recordings in [splits] of the recipe.",
+        )
+    return found

@@ -165,10 +165,16 @@ def test_layers_that_do_not_fit_are_refused(forward: ForwardNetwork) -> None:
 
 
 def test_rows_come_from_the_recordings_of_a_role(data: Dataset) -> None:
-    fit, select = actuator_rows(data, "boom", NetworkRecipe())
+    both_fit, both_select = actuator_rows(data, "boom", NetworkRecipe())
+    assert set(both_fit.recording) == {"run-1", "poses"}
+    assert set(both_select.recording) == {"run-2", "poses"}
+    poses_rows = {role: rows.row[rows.recording == "poses"] for role, rows in (("fit", both_fit), ("select", both_select))}
+    assert poses_rows["fit"].max() < 240 <= poses_rows["select"].min()
+    assert poses_rows["select"].max() < 270
+    fit, select = actuator_rows(data, "boom", parse_recipe({"actuator": {"rows": ["motion"]}}, "test"))
     assert set(fit.recording) == {"run-1"}
     assert set(select.recording) == {"run-2"}
-    assert len(fit) == 1500
+    assert len(fit) == len(both_fit) == 1500
     assert np.isfinite(fit.values).all()
     # The operator dwells near the turning points; the sample must not.
     counts, _ = np.histogram(fit.values[:, 0], bins=10)
@@ -240,7 +246,7 @@ def without(data: Dataset, *signals: str) -> Dataset:
         (lambda d: replace(d, splits={"run-3": "held_out"}), r"no motion recording to fit that measures boom.cylinder"),
         (
             lambda d: dataset(
-                (replaced(motion("a", 20.0), "boom.cylinder", 0.05), *d.recordings[1:]), {**d.splits, "a": "fit"}
+                (replaced(motion("a", 20.0), "boom.cylinder", 0.05), *d.recordings[1:3]), {**d.splits, "a": "fit"}
             ),
             r"network boom to_joint: boom.cylinder is constant \(0.05\)",
         ),
@@ -299,6 +305,7 @@ def test_a_recipe_overrides_single_keys(tmp_path: Path) -> None:
         ("[forward]\nfeature = 'sincos'", r"unknown key 'forward.feature'; expected 'features'\?"),
         ("[forward]\nfeatures = 'cosine'", r"forward.features = 'cosine'; expected input should be 'joints' or 'sincos'"),
         ("[actuator.training]\nepochs = 0", r"actuator.training: epochs = 0; expected a positive number"),
+        ("[actuator]\nrows = ['poses']", r"actuator.rows: \['poses'\]; expected motion, with or without poses"),
         ("[actuator]\nsamples = 0", r"actuator.samples: 0; expected a positive number"),
         ("seed = -1", r"seed: -1"),
     ],

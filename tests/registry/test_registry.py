@@ -175,7 +175,7 @@ def test_a_locked_database_is_reported_at_once(workspace: Path, write: bool) -> 
     holder.execute("BEGIN EXCLUSIVE")
     registry = Registry(workspace, wait_s=0.1)
     try:
-        with pytest.raises(StoreError, match="in use by another process; expected a free registry. Try again"):
+        with pytest.raises(StoreError, match=r"in use by another process; expected a free registry\. Try again"):
             registry.register("x", "plant", files(), {}) if write else registry.load("crane-actuator")
     finally:
         holder.rollback()

@@ -90,10 +90,14 @@ def test_nothing_to_compare_is_an_error(truth: Array, predicted: Array, message:
 
 def test_a_true_map_scores_the_noise_floor(data: Dataset) -> None:
     report = validate_actuator({"boom": exact("boom")}, data, name="crane-actuator@1")
-    joint, cylinder = report.outputs
+    assert [(entry.output, entry.rows) for entry in report.outputs] == [
+        (output, rows) for rows in ("motion", "poses") for output in ("boom.joint", "boom.cylinder")
+    ]
+    joint, cylinder = report.outputs[:2]
     assert (joint.output, joint.inputs, joint.unit) == ("boom.joint", ("boom.cylinder",), "rad")
     assert (cylinder.output, cylinder.inputs, cylinder.unit) == ("boom.cylinder", ("boom.joint",), "m")
-    for output in report.outputs:
+    assert report.output("boom.joint", "poses").metrics.count == 30
+    for output in (joint, cylinder):
         assert output.recordings == ("run-3",)
         assert output.noise_floor is not None
         assert output.metrics.rmse == pytest.approx(output.noise_floor, rel=0.1)
