@@ -50,7 +50,8 @@ def parse_settings(values: dict[str, Any], cls: type[T], where: object) -> T:
         SettingsError: an unknown or missing key, or a value of the wrong type.
     """
     try:
-        result: T = _adapter(cls).validate_python(values)
+        # The checker does not take a class for hashable, which every class is.
+        result: T = _adapter(typing.cast(Any, cls)).validate_python(values)
         return result
     except ValidationError as error:
         raise _as_settings_error(error, cls, where) from None

@@ -1,0 +1,135 @@
+"""Side by side with neighbouring tools, on the same logs, alternating: `make bench` writes reports/bench/result.json.
+
+The figures are ratios of times measured in turn on one machine (above 1: ours is faster); absolute times depend on the machine.
+"""
+
+from __future__ import annotations
+
+import importlib.metadata
+import json
+import os
+import platform
+import statistics
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+from mcap_ros2.reader import read_ros2_messages
+from rosbags.highlevel import AnyReader
+
+from sysid.logs import ReadOptions, reader_for
+
+ROOT = Path(__file__).resolve().parents[1]
+LOGS = sorted((ROOT / "datasets" / "autolog" / "logs").glob("manual-*/machine.mcap"))
+RESULT = ROOT / "reports" / "bench" / "result.json"
+PACKAGES = ("sysid", "mcap-ros2-support", "rosbags", "numpy", "click")
+#: `sysid --help` has to answer within this time [s].
+HELP_LIMIT = 0.5
+
+
+def seconds(work: Callable[[], object]) -> float:
+    begin = time.perf_counter()
+    work()
+    return time.perf_counter() - begin
+
+
+def side_by_side(
+    work: str, peer: str, ours: Callable[[], object], theirs: Callable[[], object], repeats: int
+) -> dict[str, Any]:
+    """One row of the result: the two take turns, after one run of each that does not count."""
+    ours(), theirs()
+    pairs = [(seconds(ours), seconds(theirs)) for _ in range(repeats)]
+    return row(work, peer, [mine for mine, _ in pairs], [other for _, other in pairs])
+
+
+def row(work: str, peer: str, ours: list[float], theirs: list[float]) -> dict[str, Any]:
+    ratios = [other / mine for mine, other in zip(ours, theirs, strict=True)]
+    return {
+        "work": work,
+        "peer": peer,
+        "ratio": {"min": min(ratios), "median": statistics.median(ratios), "max": max(ratios)},
+        "ours": statistics.median(ours),
+        "theirs": statistics.median(theirs),
+        "unit": "s",
+    }
+
+
+def ours_read() -> int:
+    """Every message of the shipped bags as columns."""
+    return sum(len(stream) for path in LOGS for stream in reader_for(path).read(path, ReadOptions()))
+
+
+def mcap_ros2_read() -> int:
+    """The same messages as lists of values, the way one fills a table from that reader."""
+    count = 0
+    for path in LOGS:
+        rows: list[list[float]] = []
+        for message in read_ros2_messages(str(path)):
+            values = message.ros_msg
+            stamp = values.header.stamp
+            numbers = values.command if hasattr(values, "command") else values.position
+            rows.append([stamp.sec + 1e-9 * stamp.nanosec, message.log_time_ns, *numbers])
+        count += len(rows)
+    return count
+
+
+def rosbags_read() -> int:
+    """The same with rosbags."""
+    count = 0
+    for path in LOGS:
+        rows: list[list[float]] = []
+        with AnyReader([path]) as reader:
+            for connection, log_time, data in reader.messages():
+                values: Any = reader.deserialize(data, connection.msgtype)
+                numbers = values.command if hasattr(values, "command") else values.position
+                rows.append([values.header.stamp.sec + 1e-9 * values.header.stamp.nanosec, log_time, *numbers])
+        count += len(rows)
+    return count
+
+
+def help_seconds() -> float:
+    program = [sys.executable, "-c", "from sysid.cli import main; main()", "--help"]
+    return seconds(lambda: subprocess.run(program, check=True, capture_output=True))
+
+
+def processor() -> str:
+    lines = Path("/proc/cpuinfo").read_text().splitlines() if Path("/proc/cpuinfo").exists() else []
+    name = next((line.partition(":")[2].strip() for line in lines if line.startswith("model name")), platform.processor())
+    return f"{name}, {os.cpu_count()} cores, {platform.system()}, Python {platform.python_version()}"
+
+
+def main() -> Path:
+    counts = {read.__name__: read() for read in (ours_read, mcap_ros2_read, rosbags_read)}
+    if len(set(counts.values())) != 1:
+        raise SystemExit(f"the readers disagree on the number of messages: {counts}")
+    helps = [help_seconds() for _ in range(6)][1:]
+    rows = [
+        side_by_side("ingest_ros2_mcap", "mcap-ros2-support", ours_read, mcap_ros2_read, 3),
+        side_by_side("ingest_ros2_mcap", "rosbags", ours_read, rosbags_read, 3),
+        row("cli_help", f"limit of {HELP_LIMIT} s", helps, [HELP_LIMIT] * len(helps)),
+    ]
+    result = {
+        "command": "make bench",
+        "seed": None,
+        "versions": {name: importlib.metadata.version(name) for name in PACKAGES},
+        "machine": processor(),
+        "date": datetime.now(UTC).strftime("%Y-%m-%d"),
+        "messages": counts["ours_read"],
+        "rows": rows,
+    }
+    RESULT.parent.mkdir(parents=True, exist_ok=True)
+    RESULT.write_text(json.dumps(result, indent=2) + "\n", "utf-8")
+    for entry in rows:
+        ratio = entry["ratio"]
+        against = f"{entry['ours']:.3f} s against {entry['theirs']:.3f} s of {entry['peer']}"
+        print(f"{entry['work']:18s} {against}: {ratio['median']:.1f} × ({ratio['min']:.1f} to {ratio['max']:.1f})")
+    print(RESULT.relative_to(ROOT))
+    return RESULT
+
+
+if __name__ == "__main__":
+    main()
