@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -173,7 +173,9 @@ def _static(recording: Clocked, clock: str, channels: Sequence[Channel], shared:
     """Static poses: bursts of samples are matched; nothing moves in them, so a fraction of a hold is near enough."""
     match = match_bursts(recording.machine, channels, recording.start_ns, _stream_start(channels))
     if match.refused:
-        return _refused(recording, clock, channels, match.refused)
+        # A log that runs on between the poses shows motion, and that says more than the poses would.
+        record = _moving(recording, clock, channels, estimate(_pairs(recording, channels)), shared)
+        return record if record.applied else replace(record, reason=f"{match.refused}; {record.reason}")
     skew = shared.value if shared is not None and shared.applied else 0.0
     interval = shared.interval if shared is not None and shared.applied else (-math.inf, math.inf)
     return ClockRecord(

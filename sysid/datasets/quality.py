@@ -35,14 +35,17 @@ def describe(
         ``recordings``: name → ``signals`` (signal → missing share, range, coverage, noise, longest gap), ``axes`` (axis →
         reversals, idle share, time at small commands), ``several_axes`` (share of the moving time in which more than one axis
         is commanded), ``flags`` (texts). ``streams``: uncut recording → source/signal → rate, jitter, samples, repaired rows.
-        ``cross_checks``: uncut recording → secondary signal → how it differs from the primary one. ``dropped``: uncut
+        ``cross_checks``: uncut motion recording → secondary signal → how it differs from the primary one. ``dropped``: uncut
         recording → flagged frames.
     """
     by_source = {(record.recording, record.stream): record for record in clocks}
+    still = {recording.name for recording in recordings if recording.kind == "poses"}
     return {
         "recordings": {recording.name: _recording(recording, machine) for recording in recordings},
         "streams": {name: {_key(c): _stream(c) for c in reading.channels} for name, reading in readings.items()},
-        "cross_checks": {name: _cross_checks(name, reading, by_source) for name, reading in readings.items()},
+        "cross_checks": {
+            name: _cross_checks(name, reading, by_source) for name, reading in readings.items() if name not in still
+        },
         "dropped": {
             name: [
                 {"body": f.body, "reason": f.reason, "from_s": f.start_s, "to_s": f.end_s, "frames": f.frames}

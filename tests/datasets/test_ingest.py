@@ -188,7 +188,7 @@ CASES: dict[str, tuple[Callable[[Path], None], type[Exception], str]] = {
     ),
     "unknown field": (
         lambda f: write(
-            f / "recipe.toml", 'schema = 1\n[[streams]]\nfiles = "*.csv"\n[streams.signals]\n"boom.joint" = {field = "bom"}\n'
+            f / "recipe.toml", 'schema = 1\n[[streams]]\nfiles = "*.csv"\nsignals = {"boom.joint" = {field = "bom"}}\n'
         ),
         InputError,
         r"no field 'bom' in 'log'; expected",
@@ -196,7 +196,7 @@ CASES: dict[str, tuple[Callable[[Path], None], type[Exception], str]] = {
     "unit mismatch": (
         lambda f: write(
             f / "recipe.toml",
-            'schema = 1\n[[streams]]\nfiles = "*.csv"\n[streams.signals]\n"boom.cylinder" = {field = "boom.cylinder", unit = "m"}\n',
+            'schema = 1\n[[streams]]\nfiles = "*.csv"\nsignals = {"boom.cylinder" = {field = "boom.cylinder", unit = "m"}}\n',
         ),
         InputError,
         r"the file states \[mm\]; expected \[m\] as the recipe says",
