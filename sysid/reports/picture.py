@@ -17,16 +17,22 @@ Array = npt.NDArray[np.float64]
 WIDTH, HEIGHT, MARGIN = 760, 400, 46
 #: The right part of the drawing is kept free for the call-outs.
 DRAWING_WIDTH = 500
-LABEL_X = DRAWING_WIDTH + 24
+LABEL_X = DRAWING_WIDTH + 38
+LINE = 20.0
 
 
 @dataclass(frozen=True)
 class Callout:
-    """A mark on the drawing: ``target`` is an axis, ``ee``, ``tool``, ``base`` or ``machine``."""
+    """A mark on the drawing: ``target`` is an axis, ``ee``, ``tool``, ``base`` or ``machine``; a line of text a title."""
 
     target: str
-    title: str
+    titles: tuple[str, ...]
     detail: str = ""
+
+    @property
+    def height(self) -> float:
+        """Room that its text takes [px]."""
+        return LINE * len(self.titles) + 40.0
 
 
 def machine_picture(machine: Machine, callouts: Sequence[Callout]) -> str:
@@ -149,13 +155,12 @@ def _spread(callouts: Sequence[Callout], place: Mapping[str, Array]) -> list[tup
     """Call-outs with their heights in the right column: as their places lie, but never on top of each other."""
     known = [callout for callout in callouts if callout.target in place]
     known.sort(key=lambda callout: float(place[callout.target][1]))
-    step = 64.0
     spread = []
     lowest = 40.0
     for number, callout in enumerate(known):
-        room_below = (len(known) - number) * step
+        room_below = sum(other.height for other in known[number:])
         y = min(max(lowest, float(place[callout.target][1])), HEIGHT - room_below + 24)
-        lowest = y + step
+        lowest = y + callout.height
         spread.append((callout, y))
     return spread
 
@@ -172,34 +177,40 @@ def _leaders(callouts: Sequence[Callout], place: Mapping[str, Array]) -> list[st
 def _labels(callouts: Sequence[Callout], place: Mapping[str, Array]) -> list[str]:
     parts = []
     for callout, y in _spread(callouts, place):
-        parts.append(f'<text class="callout" x="{LABEL_X}" y="{y + 1:.1f}">{escape(callout.title)}</text>')
-        parts.append(f'<text class="detail" x="{LABEL_X}" y="{y + 19:.1f}">{escape(callout.detail)}</text>')
+        parts += _text(callout, y + 1.0)
     return parts
+
+
+def _text(callout: Callout, y: float) -> list[str]:
+    lines = [("callout", title) for title in callout.titles] + [("detail", callout.detail)]
+    return [
+        f'<text class="{kind}" x="{LABEL_X}" y="{y + LINE * number:.1f}">{escape(text)}</text>'
+        for number, (kind, text) in enumerate(lines)
+    ]
 
 
 def _axis_row(axes: Sequence[Axis], callouts: Sequence[Callout]) -> str:
     """Without geometry: one row an axis, command → cylinder → joint."""
     by_target = {callout.target: callout for callout in callouts}
     parts = []
-    row = 54
-    for number, axis in enumerate(axes):
-        y = 34 + row * number
+    y = 34.0
+    for axis in axes:
         callout = by_target.get(axis.name)
         stations = ("command", "cylinder", "joint") if axis.drives == "cylinder" else ("command", "joint")
         x = 24.0
         for index, station in enumerate(stations):
             hot = " hot" if callout is not None and index == 1 else ""
-            parts.append(f'<rect class="box{hot}" x="{x:.0f}" y="{y - 17}" width="120" height="34" rx="5"/>')
+            parts.append(f'<rect class="box{hot}" x="{x:.0f}" y="{y - 17:.0f}" width="132" height="34" rx="5"/>')
             parts.append(
-                f'<text class="box" x="{x + 60:.0f}" y="{y + 5}" text-anchor="middle">{escape(axis.name)} {station}</text>'
+                f'<text class="box" x="{x + 66:.0f}" y="{y + 5:.0f}" text-anchor="middle">{escape(axis.name)} {station}</text>'
             )
             if index < len(stations) - 1:
-                parts.append(f'<line class="arrow" x1="{x + 121:.0f}" y1="{y}" x2="{x + 149:.0f}" y2="{y}"/>')
-            x += 150.0
+                parts.append(f'<line class="arrow" x1="{x + 133:.0f}" y1="{y:.0f}" x2="{x + 159:.0f}" y2="{y:.0f}"/>')
+            x += 160.0
         if callout is not None:
-            parts.append(f'<text class="callout" x="{LABEL_X}" y="{y - 2}">{escape(callout.title)}</text>')
-            parts.append(f'<text class="detail" x="{LABEL_X}" y="{y + 16}">{escape(callout.detail)}</text>')
-    return _svg(parts, "The axes of the machine", 34 + row * len(axes))
+            parts += _text(callout, y - 2.0)
+        y += max(54.0, callout.height) if callout is not None else 54.0
+    return _svg(parts, "The axes of the machine", round(y))
 
 
 def _ends(a: Array, b: Array) -> str:

@@ -134,7 +134,7 @@ def _callouts(gap: GapResult, effects: list[dict[str, Any]]) -> list[Callout]:
             by_target.setdefault(target, []).append(f"{words.effect_title(name)}?")
     for item in gap.unnamed:
         by_target.setdefault(item.target, []).append("Unexplained")
-    return [Callout(target, ", ".join(dict.fromkeys(titles)), words.owner_name(target)) for target, titles in by_target.items()]
+    return [Callout(target, tuple(dict.fromkeys(titles)), words.owner_name(target)) for target, titles in by_target.items()]
 
 
 def dumbbells(lines: list[Closing]) -> str:
