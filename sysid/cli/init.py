@@ -49,6 +49,7 @@ RECIPE = """\
 schema = 1
 name = "{name}"
 machine = "machine.toml"         # relative to this file; paths never leave this folder
+logs = "logs"                    # logs/<recording>/<files>, each file with its own clock
 
 # [splits]                       # else chosen automatically, by recording
 # held_out = ["day-2-*"]         # what the final proof uses and no fit ever sees
@@ -93,7 +94,7 @@ def init(directory: Path, name: str | None, json_file: str | None) -> None:
         out.line(f"kept  {directory / relative}")
     folder = directory / "datasets" / name
     out.line(f"Next: describe the machine in {folder / 'machine.toml'}, put logs into {folder / 'logs'}/<recording>/, then")
-    out.line(f"      sysid ingest {folder / 'logs'} --recipe {folder / 'recipe.toml'}")
+    out.line(f"      sysid ingest {folder}")
     write_json(json_file, {"schema": 1, "directory": directory, "name": name, "made": made, "kept": kept})
 
 

@@ -23,13 +23,16 @@ def parameter_unit(effect: str, parameter: str, target: str, machine: Machine) -
 
 
 def _resolve(unit: str, target: str, machine: Machine) -> str:
-    """``drive`` and ``joint`` in a unit stand for m or rad, ``load`` for N or N·m: whichever the target moves in."""
+    """The unit on this target: ``drive`` and ``joint`` stand for m or rad; of ``N or N·m`` a sliding axis takes the first."""
     try:
         axis = machine.axis(target)
     except SettingsError:
         return unit
     joint = machine.expected_unit(f"{target}.joint") or ("m" if axis.actuation == "force" else "rad")
     drive = "m" if axis.drives == "cylinder" else joint
+    sliding, _, turning = unit.partition(" or ")
+    if turning:
+        unit = sliding if drive == "m" else turning
     return unit.replace("drive", drive).replace("joint", joint)
 
 

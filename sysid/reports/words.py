@@ -81,7 +81,7 @@ EFFECTS: dict[str, Words] = {
 #: Stage → what is compared, in the order of the signal chain.
 STAGES: dict[str, tuple[str, str]] = {
     "command": ("Command → actuator", "driven by the recorded command"),
-    "force": ("Force → motion", "driven by the recorded force"),
+    "force": ("Force → motion", "force that the measured motion needs"),
     "joint": ("Actuator → joint", "driven by the measured actuator"),
     "end_effector": ("Joints → tip", "driven by the measured joints"),
     "tool": ("Tip → tool", "driven by the measured tip"),

@@ -5,9 +5,12 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+import numpy as np
+import pandas as pd
 import pytest
 
 from sysid.cli import main
+from sysid.datasets import Store
 from sysid.datasets.recipe import load_recipe
 from sysid.machine import load_machine
 
@@ -29,6 +32,20 @@ def test_layout_is_valid_as_it_stands(tmp_path: Path) -> None:
     assert machine.axis("boom").driven == "boom.cylinder"
     assert {path.name for path in (tmp_path / "My Crane").iterdir()} == {"datasets", "pipelines", "rl", "reports", ".gitignore"}
     assert f"datasets/{machine.name}/recipe.toml" in json.loads((tmp_path / "made.json").read_text())["made"]
+
+
+def test_logs_in_the_laid_out_folder_are_ingested_as_the_templates_stand(tmp_path: Path) -> None:
+    run("init", tmp_path / "lift")
+    folder = tmp_path / "lift" / "datasets" / "lift"
+    time = np.arange(0.0, 20.0, 0.01)
+    table = {"time": time, "joystick_y": 50.0 * np.sin(time), "draw_wire_1": 80.0 + 20.0 * np.sin(time - 0.3)}
+    (folder / "logs" / "day-1").mkdir()
+    pd.DataFrame(table).to_csv(folder / "logs" / "day-1" / "crane.csv", index=False)
+    assert run("--workspace", tmp_path / "ws", "ingest", folder) == 0
+    dataset = Store(tmp_path / "ws").load("lift")
+    values = np.concatenate([recording.values("boom.command") for recording in dataset.recordings])
+    assert 0.45 < np.nanmax(values) <= 0.5, "per cent became 1"
+    assert dataset.units["boom.cylinder"] == "m"
 
 
 def test_a_second_run_changes_nothing(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -1,0 +1,51 @@
+"""Units of effect parameters follow the axis that they sit on."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+
+from sysid.datasets.recording import Dataset
+from sysid.effects import CATALOGUE
+from sysid.machine import Axis
+from sysid.reports.effect_units import parameter_unit, shown
+from sysid.reports.words import EFFECTS
+
+
+@pytest.mark.parametrize(
+    ("effect", "parameter", "target", "unit"),
+    [
+        ("backlash", "width", "slew", "rad"),
+        ("backlash", "width", "telescope", "m"),
+        ("valve_deadband", "positive", "boom", "1"),
+        ("gripper_sway", "length", "tool", "m"),
+        ("input_delay", "delay", "stick", "s"),
+        ("no_such_effect", "width", "slew", "1"),
+    ],
+)
+def test_unit(crane: Dataset, effect: str, parameter: str, target: str, unit: str) -> None:
+    assert parameter_unit(effect, parameter, target, crane.machine) == unit
+
+
+def test_a_force_axis_without_geometry_slides(crane: Dataset) -> None:
+    slide = Axis("slide", "force", "joint", inertia=95.0)
+    machine = replace(crane.machine, axes=(slide,), urdf=None, urdf_text=None, tip=None, tool=None)
+    assert parameter_unit("coulomb_friction", "force", "slide", machine) == "N"
+    assert shown("coulomb_friction", "force", "slide", 20.71, machine).startswith("20.7")
+
+
+def test_every_effect_of_the_catalogue_has_words_for_each_of_its_forms() -> None:
+    for effect in CATALOGUE:
+        assert effect.name in EFFECTS
+        for form in effect.forms:
+            values = {"target": "boom", **dict.fromkeys(form.names, "1")}
+            assert any(_fits(sentence, values) for sentence in EFFECTS[effect.name].sentences), (effect.name, form.names)
+
+
+def _fits(sentence: str, values: dict[str, str]) -> bool:
+    try:
+        sentence.format(**values)
+    except KeyError:
+        return False
+    return True
