@@ -128,7 +128,7 @@ def _moves(values: Array) -> bool:
     steps = np.abs(np.diff(np.unique(known)))
     quantum = float(steps.min()) if len(steps) else 0.0
     spread = float(np.quantile(known, 0.99) - np.quantile(known, 0.01))
-    return spread > 20.0 * max(noise, quantum) and spread > 1e-3
+    return spread > 20.0 * max(noise, quantum)
 
 
 def coarse_offset(pairs: Sequence[Pair]) -> tuple[float, str]:

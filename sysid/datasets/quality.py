@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -40,9 +41,16 @@ def describe(
     """
     by_source = {(record.recording, record.stream): record for record in clocks}
     still = {recording.name for recording in recordings if recording.kind == "poses"}
+    streams = {name: {_key(c): _stream(c) for c in reading.channels} for name, reading in readings.items()}
+    result = {recording.name: _recording(recording, machine) for recording in recordings}
+    for name, numbers in result.items():
+        uncut = name if name in readings else name.rpartition("#")[0]
+        for channel in readings[uncut].channels:
+            if channel.primary and channel.signal in numbers["signals"]:
+                numbers["signals"][channel.signal]["noise"] = streams[uncut][_key(channel)]["noise"]
     return {
-        "recordings": {recording.name: _recording(recording, machine) for recording in recordings},
-        "streams": {name: {_key(c): _stream(c) for c in reading.channels} for name, reading in readings.items()},
+        "recordings": result,
+        "streams": streams,
         "cross_checks": {
             name: _cross_checks(name, reading, by_source) for name, reading in readings.items() if name not in still
         },
@@ -96,25 +104,40 @@ def _signal(recording: Recording, signal: str) -> dict[str, Any]:
         "min": low,
         "max": high,
         "coverage": float(np.mean(counts > 0)),
-        "noise": still_noise(values, recording.rate_hz) if recording.kind == "motion" else None,
     }
     if recording.kind == "motion":
         numbers["longest_gap_s"] = _longest_run(~known) / recording.rate_hz
     return numbers
 
 
-def still_noise(values: Array, rate_hz: float) -> float:
-    """Standard deviation of a signal while it stands still [its unit]: lowest quarter of the spreads about half-second means.
+def noise_of(values: Array, rate_hz: float) -> float:
+    """Standard deviation of a sensor's noise [unit of the signal], from its own samples, whether it moves or not.
 
-    A sensor that moves all the time shows its slowest motion instead: an upper bound.
+    Median of the scatter about cubics over a fifth of a second: a cubic follows any motion of a machine over that time, the
+    median leaves out what it does not follow (stops, jerks); noise slower than that is not seen. Where the sensor counts
+    in steps, at least the uniform error of a step.
     """
-    width = max(round(0.5 * rate_hz), 4)
+    width = max(round(0.2 * rate_hz), 10)
     count = len(values) // width
     windows = values[: count * width].reshape(count, width)
     windows = windows[~np.isnan(windows).any(axis=1)]
     if not len(windows):
         return float("nan")
-    return float(np.quantile(windows.std(axis=1, ddof=1), 0.25))
+    basis = np.linalg.qr(np.vander(np.linspace(-1.0, 1.0, width), 4))[0]
+    centred = windows - windows.mean(axis=1, keepdims=True)
+    residual = centred - centred @ basis @ basis.T
+    scatter = float(np.sqrt(np.median(np.sum(residual**2, axis=1)) / (width - 4)))
+    return max(scatter, _step(values) / math.sqrt(12.0))
+
+
+def _step(values: Array) -> float:
+    """The sensor's quantum; 0 where its values do not repeat."""
+    known = values[~np.isnan(values)]
+    levels = np.unique(known)
+    if len(levels) < 2 or len(levels) > len(known) / 4:
+        return 0.0
+    gaps = np.diff(levels)
+    return float(gaps[gaps > 1e-6 * (levels[-1] - levels[0])].min())
 
 
 def _axis(command: Array, moved: Array, rate_hz: float) -> dict[str, Any]:
@@ -194,6 +217,7 @@ def _stream(channel: Channel) -> dict[str, Any]:
         "longest_gap_s": float(steps.max()) if len(steps) else None,
         "missing": float(np.isnan(channel.values).mean()),
         "repaired_rows": channel.repaired,
+        "noise": noise_of(channel.values, 1.0 / period) if not channel.signal.endswith(".command") else None,
         "primary": channel.primary,
         "clock": channel.clock,
     }

@@ -66,7 +66,8 @@ class ClockRecord:
     t_machine counts from the start of the uncut recording (its first sample on the machine's clock), so
     ``stamp_machine = start_ns + 1e9·t_machine`` and ``t_stream = (stamp − stream_start_ns)·1e-9``: the step can be undone.
     ``applied`` is False where the offset could not be observed; ``reason`` says why. ``interval95`` are (lo, hi). A constant
-    latency of a sensor shifts its stamps like an offset does: what is estimated is the sum of both.
+    latency of a sensor shifts its stamps like an offset does: what is estimated is the sum of both. ``residual_rms`` is what
+    the two motions still differ by, in standard deviations of their noise: far above 1 the map or the clock is not linear.
     """
 
     recording: str

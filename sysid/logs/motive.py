@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 import pandas as pd
 
-from sysid.errors import InputError
+from sysid.errors import InputError, nearest
 from sysid.logs.reader import ReadOptions
 from sysid.logs.stream import Stream
 from sysid.logs.table import check_not_empty, to_ns
@@ -56,7 +56,11 @@ class MotiveReader:
         table, losses = _numbers(path, len(columns), rows)
         stamps = {"capture": to_ns(table[:, 1], 1.0, f"{path}: Time")}
         streams = []
-        for name in dict.fromkeys(column.name for column in columns if column.kind in ("Rigid Body", *_MARKERS)):
+        names = dict.fromkeys(column.name for column in columns if column.kind in ("Rigid Body", *_MARKERS))
+        for wanted in sorted(options.streams or ()):
+            if wanted not in names:
+                raise InputError(path, f"no rigid body {wanted!r}", nearest(wanted, names), "Correct the recipe.")
+        for name in names:
             own = [(index, column) for index, column in enumerate(columns) if column.name == name]
             if name.startswith("Unlabeled") or (options.streams is not None and name not in options.streams):
                 continue

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +11,8 @@ import numpy as np
 import pytest
 
 from sysid.bench import load_recipe, simulate
-from sysid.datasets import Dataset, ingest
+from sysid.datasets import Dataset, Store, ingest
+from sysid.errors import InputError, SysidError
 
 AUTOLOG = Path(__file__).parents[2] / "datasets/autolog"
 
@@ -91,6 +93,66 @@ def test_the_second_sensor_is_checked_against_the_first(dataset: Dataset) -> Non
         if "machine.mcap/slew.joint" in checks:
             assert checks["machine.mcap/slew.joint"]["rms"] < np.deg2rad(0.8)
             assert checks["mocap.csv/telescope.joint"]["rms"] < 5e-4
+
+
+@pytest.fixture
+def copied(tmp_path: Path) -> Path:
+    """Recipe, machine and the first three recordings, to be spoiled."""
+    root = tmp_path / "autolog"
+    root.mkdir()
+    for name in ("recipe.toml", "machine.toml", "autolog.urdf"):
+        shutil.copy(AUTOLOG / name, root)
+    for name in ("manual-01", "manual-02", "manual-06"):
+        shutil.copytree(AUTOLOG / "logs" / name, root / "logs" / name)
+    return root
+
+
+def test_of_a_cut_off_log_the_rest_is_ingested_and_the_loss_reported(copied: Path, tmp_path: Path) -> None:
+    path = copied / "logs/manual-02/machine.mcap"
+    data = path.read_bytes()
+    path.write_bytes(data[: len(data) * 2 // 3])
+    made = ingest(copied, tmp_path / "ws")
+    losses = {source.path: source.losses for source in made.sources if source.losses}
+    assert list(losses) == ["manual-02/machine.mcap"]
+    assert "the file is cut off at byte" in losses["manual-02/machine.mcap"][0]
+    assert 30.0 < len(made.recording("manual-02")) / 100.0 < 45.0
+    assert len(made.recording("manual-01")) == 6000
+    assert all(record.applied for record in made.clocks)
+
+
+def test_what_spoils_a_recording_is_named_with_its_file(copied: Path, tmp_path: Path) -> None:
+    capture = copied / "logs/manual-02/mocap.csv"
+    text = capture.read_text()
+    capture.write_text(text.replace("Format Version,1.23", "Format Version,1.19", 1))
+    with pytest.raises(InputError, match=r"manual-02/mocap\.csv: format version '1\.19'; expected one of 1\.21"):
+        ingest(copied, tmp_path / "ws")
+    capture.write_text(text)
+    recipe = copied / "recipe.toml"
+    original = recipe.read_text()
+    for old, new, message in (
+        (
+            'field = "command[slew]"',
+            'field = "command[slow]"',
+            r"no field 'command\[slow\]' in '/valves/command'; expected 'command\[slew\]'\?",
+        ),
+        (
+            '"/draw_wires", field = "position[boom]"',
+            '"/draw_wire", field = "position[boom]"',
+            "no topic '/draw_wire'; expected '/draw_wires'",
+        ),
+        (
+            'field = "position[boom]", unit = "m"',
+            'field = "position[boom]", unit = "deg"',
+            r"a unit of \[rad\] \(deg\); expected a unit of \[m\]",
+        ),
+        ('boom_body = "boom"', 'boom_bdy = "boom"', r"no rigid body 'boom_bdy'; expected 'boom_body'\?"),
+        ('boom_body = "boom"', 'boom_body = "bom"', r"unknown link 'bom'; expected 'boom'\?"),
+        ('recording = "manual-*"', 'recording = "x"', r"reference\.recording: no recording 'x'"),
+    ):
+        recipe.write_text(original.replace(old, new, 1))
+        with pytest.raises(SysidError, match=message):
+            ingest(copied, tmp_path / "ws")
+    assert Store(tmp_path / "ws").list() == ()
 
 
 def test_a_table_says_what_it_holds(dataset: Dataset) -> None:
