@@ -204,6 +204,9 @@ def _refine(pairs: Sequence[Pair], start: float, fixed_skew: float | None) -> tu
             parts.append(part)
         normal = np.sum([part.normal for part in parts], axis=0)
         score = np.sum([part.scores.sum(axis=0) for part in parts], axis=0)
+        size = np.sqrt(np.diag(normal))
+        if size.min() <= 0.0 or float(np.linalg.det(normal / np.outer(size, size))) < 1e-10:
+            return Estimate(refused="too little motion lies where both clocks have seen it"), [0.0] * len(pairs)
         bread = np.linalg.inv(normal) if fixed_skew is None else np.diag([1.0 / normal[0, 0], 0.0])
         # A start from the coarse grid is within its step: larger moves mean that the linearisation does not hold.
         step = np.clip(bread @ score, [-0.05, -5e-4], [0.05, 5e-4])
