@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal
@@ -43,10 +44,17 @@ class Recording:
         return tuple(str(column) for column in self.table.columns if column != "time")
 
     def values(self, signal: str) -> npt.NDArray[np.float64]:
-        """The signal as float64 (n,); all NaN where the recording does not have it."""
-        if signal not in self.table.columns:
-            return np.full(len(self.table), np.nan)
-        return self.table[signal].to_numpy(dtype=np.float64)
+        """The signal as float64 (n,), read-only; all NaN where the recording does not have it."""
+        found = self._arrays.get(signal)
+        return found if found is not None else np.full(len(self.table), np.nan)
+
+    @functools.cached_property
+    def _arrays(self) -> dict[str, npt.NDArray[np.float64]]:
+        """Columns as plain arrays: a fit asks for them thousands of times."""
+        arrays = {str(column): np.array(self.table[column], dtype=np.float64) for column in self.table.columns}
+        for values in arrays.values():
+            values.setflags(write=False)
+        return arrays
 
 
 @dataclass(frozen=True)

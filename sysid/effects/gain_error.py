@@ -11,7 +11,7 @@ EFFECT = Effect(
     stage="command",
     target="axis",
     slots=(Slot("ratio", 1.0),),
-    forms=(Form((Parameter("ratio", "1", (0.1, 5.0), (0.7, 1.3), 0.01, "true gain / nominal gain"),)),),
+    forms=(Form((Parameter("ratio", "1", (0.05, 20.0), (0.7, 1.3, 2.0), 0.01, "true gain / nominal gain"),)),),
     equation="v = ratio · gain · x",
     source="definition",
     excited_by="any motion",

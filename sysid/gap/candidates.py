@@ -40,7 +40,8 @@ class Unknown:
 class Candidate:
     """One effect in one form at one place.
 
-    A ``nuisance`` is free in every fit, since other effects would absorb it otherwise; its label ends in ``~``.
+    A ``nuisance`` is free in every fit, since other effects would absorb it otherwise; its label ends in ``~``. It is named
+    like any other effect where it departs from nominal by more than is negligible.
     """
 
     effect: Effect
@@ -103,14 +104,9 @@ def candidates_at(
     return found
 
 
-def as_nuisance(candidate: Candidate, reach: float | None = None) -> Candidate:
-    """The candidate as a nuisance that may move by ``reach`` from nominal (anywhere in its bounds without it)."""
-    unknowns = candidate.unknowns
-    if reach is not None:
-        unknowns = tuple(
-            replace(u, bounds=(max(u.bounds[0], u.nominal - reach), min(u.bounds[1], u.nominal + reach))) for u in unknowns
-        )
-    return replace(candidate, unknowns=unknowns, starts=(tuple(u.nominal for u in unknowns),), nuisance=True)
+def as_nuisance(candidate: Candidate) -> Candidate:
+    """The candidate as a nuisance."""
+    return replace(candidate, nuisance=True)
 
 
 def _fits(effect: Effect, target: str, stage: Stage, machine: Machine) -> bool:

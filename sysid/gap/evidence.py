@@ -24,13 +24,11 @@ class Comparison:
         delta_bic: BIC(smaller) − BIC(larger) on the fitted recordings; above 10 is strong evidence for the larger.
         gain: log predictive density gained on unseen recordings (natural log).
         p_value: share of block-bootstrap samples in which the larger one does not predict unseen recordings better.
-        ratio: free-run RMSE smaller / larger on the unseen recordings.
     """
 
     delta_bic: float
     gain: float
     p_value: float
-    ratio: float
 
 
 def gain_p_value(gain: Array, seed: int, draws: int = 1000) -> float:

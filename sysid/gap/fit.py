@@ -24,6 +24,8 @@ Array = npt.NDArray[np.float64]
 FORGIVE = 4.0
 #: Short runs from which a drive fit takes its starting values [s].
 SHORT_RUN = 5.0
+#: Starts from which a fit descends.
+DESCENTS = 2
 
 
 @dataclass(frozen=True)
@@ -61,15 +63,18 @@ class Fit:
 
 @dataclass
 class Data:
-    """Recordings of a problem with what does not change between fits: noise and activity."""
+    """Recordings of a problem with what does not change between fits: noise, activity, how many bins are measured."""
 
     problem: Problem
     recordings: Sequence[Recording]
     sigma: Array
     activities: list[Array] = field(init=False)
+    samples: int = field(init=False)
 
     def __post_init__(self) -> None:
         self.activities = [activity_of(self.problem, r) for r in self.recordings]
+        parts = [to_bins(self.problem.measured(r), self.problem.rate(r)) for r in self.recordings]
+        self.samples = sum(int((~np.isnan(part)).sum()) for part in parts)
 
     def bins(self, thetas: Array, problem: Problem | None = None) -> list[Array]:
         """Binned residuals in units of noise, one (lanes, m, d) a recording."""
@@ -101,12 +106,6 @@ class Data:
             found.append(drift)
             total += log_likelihood
         return tuple(found), total
-
-    @property
-    def samples(self) -> int:
-        """Bins that are there (of the measured signals)."""
-        parts = [to_bins(self.problem.measured(r), self.problem.rate(r)) for r in self.recordings]
-        return sum(int((~np.isnan(part)).sum()) for part in parts)
 
 
 def activity_of(problem: Problem, recording: Recording) -> Array:
@@ -158,16 +157,16 @@ def fit_candidates(data: Data, theta: Array, candidates: Sequence[Candidate], st
 
 
 def _promising(data: Data, theta: Array, unknowns: Sequence[Unknown], starts: list[Array]) -> list[Array]:
-    """The two best starts, judged in one batch (distinct ones only)."""
+    """The best :data:`DESCENTS` starts, judged in one batch (distinct ones only)."""
     unique: Array = np.unique(np.round(np.array(starts), 12), axis=0)
-    if len(unique) <= 2:
+    if len(unique) <= DESCENTS:
         return list(unique)
     problem: Problem = data.problem
     if isinstance(problem, DriveProblem):
         problem = problem.in_short_runs(SHORT_RUN)
     plain = (Drift(),) * len(data.sigma)
     costs = np.mean(np.abs(data.whitened(place(theta, unknowns, unique), plain, problem)), axis=1)
-    return [unique[k] for k in np.argsort(costs)[:2]]
+    return [unique[k] for k in np.argsort(costs)[:DESCENTS]]
 
 
 def _descend(

@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 import numpy.typing as npt
+from scipy.stats import qmc
 
 from sysid.gap.candidates import Candidate
 from sysid.gap.drift import log_density
@@ -21,6 +22,9 @@ from sysid.gap.problem import Problem, Split
 
 Array = npt.NDArray[np.float64]
 
+#: Starting points spread over the ranges of what is fitted; they are judged in one batch, the best are descended from.
+STARTS = 32
+
 
 @dataclass(frozen=True)
 class Strictness:
@@ -28,19 +32,20 @@ class Strictness:
 
     Args:
         gap: a stage whose error is below this multiple of its noise floor is explained.
-        forward: least gain in log predictive density on unseen recordings that adds an effect for the time being.
-        ratio, delta_bic, p_value: what an effect needs to stay; ``ratio`` is of free-run RMSE on unseen recordings.
+        forward: least gain in log evidence that adds an effect for the time being.
+        delta_bic, p_value: what an effect needs to stay, and what a rival needs to be beaten.
         sensitivity: least share of an effect's influence that no other fitted parameter can imitate.
         most: largest number of effects at one stage.
+        crossed: with less than this much to select on [s], fitting and selecting recordings change places as well.
     """
 
     gap: float = 1.15
     forward: float = 3.0
-    ratio: float = 1.0
     delta_bic: float = 10.0
     p_value: float = 0.01
     sensitivity: float = 0.02
     most: int = 6
+    crossed: float = 90.0
 
 
 @dataclass(frozen=True)
@@ -98,13 +103,14 @@ class Search:
     strict: Strictness = field(default_factory=Strictness)
     seed: int = 0
     on_fit: Callable[[str], None] = lambda text: None
-    _fits: dict[frozenset[str], Fit] = field(default_factory=dict)
+    _fits: dict[frozenset[str], tuple[Fit, ...]] = field(default_factory=dict)
     _scores: dict[frozenset[str], tuple[Array, float]] = field(default_factory=dict)
     _trials: list[Trial] = field(default_factory=list)
 
     def __post_init__(self) -> None:
-        self.fitting = Data(self.problem, self.split.fit, self.sigma)
-        self.selecting = Data(self.problem, self.split.select, self.sigma)
+        fit, select = (Data(self.problem, part, self.sigma) for part in (self.split.fit, self.split.select))
+        seconds = sum(len(r) / r.rate_hz for r in self.split.select)
+        self.folds = ((fit, select), (select, fit)) if seconds < self.strict.crossed else ((fit, select),)
 
     def run(self) -> Finding:
         """Name what is missing, or nothing."""
@@ -112,12 +118,17 @@ class Search:
         nominal_rmse = self._rmse(nominal)
         if nominal_rmse <= self.strict.gap:
             return Finding(self.problem, (), (), nominal, nominal_rmse, nominal_rmse)
-        model = self._forward()
-        model = self._exchange(model)
-        model, _ = self._backward(model, keep_nuisances=True)
-        rivals = {c.key: self._rivals(model, c) for c in self._ordinary(model)}  # while nuisances are free: they imitate much
+        model = self._fit(tuple(self.nuisances), ())
+        for _ in range(3):
+            model, _ = self._backward(self._forward(model), keep_nuisances=True)
+            better = self._exchange(model)
+            if better is model:
+                break
+            model = better
+        doubtful = [c for c in model.candidates if not c.nuisance or _departs(c, model)]
+        rivals = {c.key: self._rivals(model, c) for c in doubtful}  # while nuisances are free: they imitate much
         model, kept = self._backward(model)
-        ordinary = [c for c in model.candidates if not c.nuisance or _departs(c, model)]
+        ordinary = [c for c in model.candidates if not c.nuisance or (_departs(c, model))]
         named = tuple(Kept(c, kept[c.label], *rivals.get(c.key, ((), ()))) for c in ordinary)
         adjusted = tuple(c for c in model.candidates if c not in ordinary)
         seen = Data(self.problem, self.split.seen, self.sigma)
@@ -126,35 +137,31 @@ class Search:
 
     # -- steps ---------------------------------------------------------------------------------------------------
 
-    def _forward(self) -> Fit:
-        model = self._fit(tuple(self.nuisances), ())
+    def _forward(self, model: Fit) -> Fit:
+        """Add what has most evidence, until nothing helps or the stage is explained."""
         while len(self._ordinary(model)) < self.strict.most and self._rmse(model) > self.strict.gap:
             trials = [self._fit(_joined(model.candidates, c), (model,)) for c in self._open(model)]
             if not trials:
                 break
             for trial in trials:
                 self._note(trial, model, "tried")
-            best = max(trials, key=self._density)
-            if self._density(best) < self._density(model) + self.strict.forward:
+            best = max(trials, key=self._merit)
+            if self._merit(best) < self._merit(model) + self.strict.forward:
                 break
             model = best
         return model
 
     def _exchange(self, model: Fit) -> Fit:
-        """Put another effect in the place of one, as long as that predicts unseen recordings better."""
-        for _ in range(self.strict.most):
-            best = model
-            for old in self._ordinary(model):
-                rest = tuple(c for c in model.candidates if c is not old)
-                for new in self._open(model):
-                    if new.key != old.key:
-                        trial = self._fit(_joined(rest, new), (model,))
-                        if self._density(trial) > self._density(best) + self.strict.forward:
-                            best = trial
-            if best is model:
-                return model
-            model = best
-        return model
+        """The model with another effect in the place of one, where that has more evidence."""
+        best = model
+        for old in self._ordinary(model):
+            rest = tuple(c for c in model.candidates if c is not old)
+            for new in self._open(model):
+                if new.key != old.key:
+                    trial = self._fit(_joined(rest, new), (model,))
+                    if self._merit(trial) > self._merit(best) + self.strict.forward:
+                        best = trial
+        return best
 
     def _backward(self, model: Fit, keep_nuisances: bool = False) -> tuple[Fit, dict[str, Comparison]]:
         """Drop what fails the strict test, the weakest first."""
@@ -166,11 +173,12 @@ class Search:
                 rest = tuple(c for c in model.candidates if c is not candidate)
                 smaller = self._fit(rest, (model,))
                 simpler = self._simpler(model, candidate)
-                if simpler is not None and self._density(simpler) > self._density(smaller):
+                if simpler is not None and self._merit(simpler) > self._merit(smaller):
                     smaller = simpler
                 comparison = self._compare(smaller, model)
                 kept[candidate.label] = comparison
                 lasting = self._lasts(comparison) and shares[candidate.label] >= self.strict.sensitivity
+                lasting &= candidate.nuisance or _departs(candidate, model)
                 if not lasting and (weakest is None or comparison.gain < weakest[0]):
                     weakest = (comparison.gain, smaller, candidate.label)
             if weakest is None:
@@ -183,10 +191,16 @@ class Search:
         rest = tuple(c for c in model.candidates if c is not candidate)
         rivals = [c for c in self._open(model) if c.key != candidate.key]
         fits = [self._fit(_joined(rest, rival), (model,)) for rival in rivals]
-        surviving = confidence_set([-self._log_densities(f) for f in (model, *fits)], self.seed)
-        ties = tuple(rivals[k - 1] for k in surviving if k > 0)
+        # A rival ties only if neither the fitted nor the unseen recordings tell the two apart.
+        near = [k for k, fit in enumerate(fits) if self._delta_bic(fit, model) < self.strict.delta_bic]
+        surviving = confidence_set([-self._log_densities(f) for f in (model, *(fits[k] for k in near))], self.seed)
+        ties = tuple(rivals[near[k - 1]] for k in surviving if k > 0)
         rejected = tuple(
-            (rival, f"predicts unseen recordings worse by {self._density(model) - self._density(fit):.0f} nats")
+            (
+                rival,
+                f"evidence: ΔBIC {self._delta_bic(fit, model):.0f} on fitted recordings, "
+                f"{self._density(model) - self._density(fit):.0f} nats on unseen ones",
+            )
             for rival, fit in zip(rivals, fits, strict=True)
             if rival not in ties
         )
@@ -195,7 +209,7 @@ class Search:
     # -- parts ---------------------------------------------------------------------------------------------------
 
     def _lasts(self, c: Comparison) -> bool:
-        return c.delta_bic > self.strict.delta_bic and c.p_value < self.strict.p_value and c.ratio >= self.strict.ratio
+        return c.delta_bic > self.strict.delta_bic and c.p_value < self.strict.p_value
 
     def _ordinary(self, model: Fit) -> list[Candidate]:
         return [c for c in model.candidates if not c.nuisance]
@@ -230,7 +244,7 @@ class Search:
         """For each effect, the smallest share of a parameter's influence that the other parameters cannot imitate."""
         if not model.unknowns:
             return {}
-        _, slopes = jacobian(self.fitting, self.theta, model.unknowns, model.values, model.drifts)
+        _, slopes = jacobian(self.folds[0][0], self.theta, model.unknowns, model.values, model.drifts)
         norms = np.linalg.norm(slopes, axis=0)
         shares = []
         for k in range(slopes.shape[1]):
@@ -252,37 +266,24 @@ class Search:
         key = frozenset(c.label for c in candidates)
         if key not in self._fits:
             self.on_fit(", ".join(sorted(key)) or "nominal")
-            self._fits[key] = fit_candidates(self.fitting, self.theta, candidates, self._starts(candidates, parents))
-        return self._fits[key]
-
-    def _starts(self, candidates: tuple[Candidate, ...], parents: tuple[Fit, ...]) -> list[Array]:
-        """Known effects from each parent's optimum and from nominal; new ones from their own starts and from nominal."""
-        if not candidates:
-            return [np.empty(0)]
-        starts = []
-        for parent in (*parents, None):
-            known: list[Array | None] = []
-            for candidate in candidates:
-                if parent is not None and candidate in parent.candidates:
-                    known.append(parent.values_of(candidate))
-                else:
-                    known.append(None)
-            rows = max((len(c.starts) for c, k in zip(candidates, known, strict=True) if k is None), default=0)
-            for row in range(-1, rows):
-                starts.append(np.concatenate([_start(c, k, row, parent) for c, k in zip(candidates, known, strict=True)]))
-        return starts
+            starts = starting_values(candidates, parents, self.seed)
+            fits = [fit_candidates(self.folds[0][0], self.theta, candidates, starts)]
+            for data, _ in self.folds[1:]:
+                fits.append(fit_candidates(data, self.theta, candidates, [fits[0].values, *starts]))
+            self._fits[key] = tuple(fits)
+        return self._fits[key][0]
 
     def _score(self, fit: Fit) -> tuple[Array, float]:
         """(log predictive density of every unseen bin, unseen RMSE in noise floors)."""
         key = frozenset(fit.labels)
         if key not in self._scores:
-            parts = [
-                log_density(part[0, :, k], activity, drift)
-                for part, activity in zip(self.selecting.bins(fit.theta[None]), self.selecting.activities, strict=True)
-                for k, drift in enumerate(fit.drifts)
-            ]
-            joined = np.concatenate(parts)
-            self._scores[key] = joined[~np.isnan(joined)], spread_of(self.selecting.residuals(fit.theta[None]))
+            densities, left = [], []
+            for (_, unseen), fitted in zip(self.folds, self._fits_of(fit), strict=True):
+                for part, activity in zip(unseen.bins(fitted.theta[None]), unseen.activities, strict=True):
+                    densities += [log_density(part[0, :, k], activity, d) for k, d in enumerate(fitted.drifts)]
+                left += unseen.residuals(fitted.theta[None])
+            joined = np.concatenate(densities)
+            self._scores[key] = joined[~np.isnan(joined)], spread_of(left)
         return self._scores[key]
 
     def _log_densities(self, fit: Fit) -> Array:
@@ -291,48 +292,85 @@ class Search:
     def _density(self, fit: Fit) -> float:
         return float(self._score(fit)[0].sum())
 
+    def _merit(self, fit: Fit) -> float:
+        """Log evidence from fitted recordings (penalised for parameters) and from unseen ones together."""
+        fitted = sum(
+            f.log_likelihood - 0.5 * len(f.unknowns) * np.log(max(data.samples, 2))
+            for (data, _), f in zip(self.folds, self._fits_of(fit), strict=True)
+        )
+        return float(fitted) + self._density(fit)
+
     def _rmse(self, fit: Fit) -> float:
         return self._score(fit)[1]
 
     def _compare(self, smaller: Fit, larger: Fit) -> Comparison:
-        extra = len(larger.unknowns) - len(smaller.unknowns)
-        delta = 2.0 * (larger.log_likelihood - smaller.log_likelihood) - extra * np.log(max(self.fitting.samples, 2))
         gain = self._log_densities(larger) - self._log_densities(smaller)
         p_value = gain_p_value(gain, self.seed)
-        return Comparison(float(delta), float(gain.sum()), p_value, self._rmse(smaller) / max(self._rmse(larger), 1e-12))
+        return Comparison(self._delta_bic(smaller, larger), float(gain.sum()), p_value)
+
+    def _delta_bic(self, one: Fit, other: Fit) -> float:
+        """BIC(one) − BIC(other) on the fitted recordings: above zero speaks for the other."""
+        extra = len(other.unknowns) - len(one.unknowns)
+        total = 0.0
+        for (data, _), a, b in zip(self.folds, self._fits_of(one), self._fits_of(other), strict=True):
+            total += 2.0 * (b.log_likelihood - a.log_likelihood) - extra * np.log(max(data.samples, 2))
+        return total
+
+    def _fits_of(self, fit: Fit) -> tuple[Fit, ...]:
+        """The fits of the same effects on every fold."""
+        return self._fits[frozenset(fit.labels)]
 
     def _note(self, fit: Fit, against: Fit, verdict: str) -> None:
-        extra = len(fit.unknowns) - len(against.unknowns)
-        delta = 2.0 * (fit.log_likelihood - against.log_likelihood) - extra * np.log(max(self.fitting.samples, 2))
         names = (f"{c.label}.{u.key}" for c in fit.candidates for u in c.unknowns)
         self._trials.append(
             Trial(
                 tuple(sorted(fit.labels)),
                 dict(zip(names, map(float, fit.values), strict=True)),
-                spread_of(self.fitting.residuals(fit.theta[None])),
+                spread_of(self.folds[0][0].residuals(fit.theta[None])),
                 self._rmse(fit),
-                float(delta),
+                self._delta_bic(against, fit),
                 verdict,
             )
         )
 
 
+def starting_values(candidates: Sequence[Candidate], parents: Sequence[Fit], seed: int) -> list[Array]:
+    """Where a fit may begin: nominal, spread over all ranges, and parents' optima with what is new spread over its range."""
+    if not candidates:
+        return [np.empty(0)]
+    nominal = np.array([u.nominal for c in candidates for u in c.unknowns])
+    low = np.concatenate([_ends(c)[0] for c in candidates])
+    high = np.concatenate([_ends(c)[1] for c in candidates])
+    spread = low + (high - low) * qmc.Sobol(len(nominal), rng=np.random.default_rng(seed)).random(STARTS)
+    starts = [nominal, *spread]
+    for parent in parents:
+        known = np.concatenate([_known(c, parent) for c in candidates])
+        new = np.isnan(known)
+        starts += [np.where(new, row, known) for row in (spread if new.any() else [nominal])]
+        starts.append(np.where(new, nominal, known))
+    return starts
+
+
+def _ends(candidate: Candidate) -> tuple[Array, Array]:
+    """Least and greatest of a candidate's starting values and its nominal ones."""
+    table = np.array([*candidate.starts, [u.nominal for u in candidate.unknowns]])
+    return table.min(axis=0), table.max(axis=0)
+
+
+def _known(candidate: Candidate, parent: Fit) -> Array:
+    """Values of a candidate at a parent's optimum (in another form of the same effect too); NaN where it is new."""
+    for other in parent.candidates:
+        if other is candidate:
+            return parent.values_of(other)
+        if other.key == candidate.key:
+            slots = {at: v for u, v in zip(other.unknowns, parent.values_of(other), strict=True) for at in u.places}
+            return np.array([slots.get(u.places[0], u.nominal) for u in candidate.unknowns])
+    return np.full(len(candidate.unknowns), np.nan)
+
+
 def _joined(model: Iterable[Candidate], new: Candidate) -> tuple[Candidate, ...]:
     """The model with ``new``, which replaces another form of the same effect (or the nuisance of that name)."""
     return (*(c for c in model if c.key != new.key), new)
-
-
-def _start(candidate: Candidate, known: Array | None, row: int, parent: Fit | None) -> Array:
-    if known is not None:
-        return known
-    if parent is not None:
-        for other in parent.candidates:
-            if other.key == candidate.key and row < 0:  # another form of the same effect: begin where that one ended
-                slots = {at: v for u, v in zip(other.unknowns, parent.values_of(other), strict=True) for at in u.places}
-                return np.array([slots.get(u.places[0], u.nominal) for u in candidate.unknowns])
-    if row < 0:
-        return np.array([u.nominal for u in candidate.unknowns])
-    return np.array(candidate.starts[min(row, len(candidate.starts) - 1)])
 
 
 def _departs(candidate: Candidate, fit: Fit) -> bool:

@@ -42,8 +42,6 @@ if TYPE_CHECKING:
 Array = npt.NDArray[np.float64]
 Progress = Callable[[float, str], None]
 
-#: Nuisances may move this far from nominal without becoming a name: [samples] for the delay of sample and hold.
-DELAY_SAMPLES = 1.5
 #: A stage that stays above this multiple of its noise floor has structure that nothing explains.
 UNEXPLAINED = 1.5
 
@@ -139,20 +137,12 @@ def _search(
         force = float(np.median(np.abs(np.concatenate([problem.measured(r)[:, 0] for r in stage.split.fit]))))
     everything = candidates_at(plant, theta, problem.stage, problem.targets, force)
     sufficient = [c for c in everything if excitation_of(c, stage.split.fit, plant.machine).sufficient]
-    nuisances = [
-        n for n in (_nuisance(c, stage.split.fit[0].rate_hz) for c in sufficient if c.effect.name in problem.nuisances) if n
-    ]
+    nuisances = [as_nuisance(c) for c in sufficient if c.effect.name in problem.nuisances]
     tell(share, label)
     return Search(
         problem, theta, stage.split, stage.sigma, sufficient, nuisances, strict, seed,
         on_fit=lambda text: tell(share, f"{label}: {text}"),
     ).run()  # fmt: skip
-
-
-def _nuisance(candidate: Candidate, rate_hz: float) -> Candidate | None:
-    if candidate.effect.name == "input_delay":
-        return as_nuisance(candidate, DELAY_SAMPLES / rate_hz)
-    return as_nuisance(candidate)
 
 
 def _conclude(
@@ -192,11 +182,15 @@ def _conclude(
         elif finding.fit.candidates:
             limits = intervals(Data(problem, stage.split.seen, stage.sigma), theta, finding.fit)
             for kept in finding.named:
+                instance = kept.candidate.instance(finding.fit.values_of(kept.candidate))
+                repaired = repaired.with_effect(instance)
                 if kept.ties:
-                    ties.append(tuple((c.effect.name, c.target) for c in (kept.candidate, *kept.ties)))
-                    continue
-                named.append(_named(stage, kept, theta, limits))
-                repaired = repaired.with_effect(kept.candidate.instance(finding.fit.values_of(kept.candidate)))
+                    tie = tuple((c.effect.name, c.target) for c in (kept.candidate, *kept.ties))
+                    ties.append(tie)
+                    shown = ", ".join(f"{k} = {v}" for k, v in instance.parameters.items())
+                    notes.append(f"{instance.name} on {instance.target} stands in the plant for {len(tie)} that tie: {shown}")
+                else:
+                    named.append(_named(stage, kept, theta, limits))
             for candidate in finding.adjusted:
                 values = finding.fit.values_of(candidate)
                 repaired = repaired.with_effect(candidate.instance(values))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 import numpy.typing as npt
@@ -48,6 +48,9 @@ class Model:
     theta: Array
     tables: dict[str, tuple[Array, float, float]]
     chain: Chain | None
+    commands: dict[tuple[int, str], tuple[Recording, Array, npt.NDArray[np.int64]]] = field(
+        default_factory=dict, repr=False, compare=False
+    )
 
     @property
     def axes(self) -> int:
@@ -61,7 +64,7 @@ class Model:
         column = self.machine.axis_names.index(axis)
         about = self.machine.axes[column]
         dt = 1.0 / recording.rate_hz
-        command, segments = held(recording.values(axis_signal(axis, "command")), recording.rate_hz)
+        command, segments = self._held(recording, axis)
         measured = recording.values(about.driven)
         if restart_every is not None:
             segments = _shorter(segments, max(2, round(restart_every / dt)))
@@ -78,8 +81,16 @@ class Model:
                 outs[0, i], outs[1, i],
             )  # fmt: skip
 
-        in_parallel(lane, len(thetas))
+        in_parallel(lane, len(thetas), len(command))
         return outs[0], outs[1]
+
+    def _held(self, recording: Recording, axis: str) -> tuple[Array, npt.NDArray[np.int64]]:
+        """:func:`held` of a command, remembered: a fit asks for it thousands of times."""
+        known = self.commands.get((id(recording), axis))
+        if known is None or known[0] is not recording:
+            known = (recording, *held(recording.values(axis_signal(axis, "command")), recording.rate_hz))
+            self.commands[id(recording), axis] = known
+        return known[1], known[2]
 
     def joint(self, thetas: Array, cylinder: Array, measured: Array, axis: str, rate_hz: float) -> Array:
         """Cylinder (n,) or (lanes, n) → joint (lanes, n) through linkage and play."""
@@ -94,7 +105,7 @@ class Model:
         def lane(i: int) -> None:
             chain.joint_axis(thetas[i], begin, source[i], measured, table, low, step, window, out[i])
 
-        in_parallel(lane, len(thetas))
+        in_parallel(lane, len(thetas), source.shape[-1])
         return out
 
     def tip(self, thetas: Array, joints: Array) -> Array:
@@ -103,13 +114,13 @@ class Model:
             raise SettingsError(f"machine {self.machine.name}", "no URDF", "urdf and tip in machine.toml")
         c = self.chain
         source = np.broadcast_to(joints, (len(thetas), *joints.shape[-2:]))
-        out = np.empty((*source.shape[:2], 3))
+        out = np.empty((len(thetas), source.shape[-2], 3))
         base = layout.base_place(self.axes)
 
         def lane(i: int) -> None:
             chain.tip(thetas[i], base, source[i], c.origins, c.axes, c.prismatic, c.order, c.end, out[i])
 
-        in_parallel(lane, len(thetas))
+        in_parallel(lane, len(thetas), source.shape[-2])
         return out
 
     def tool(self, thetas: Array, ee: Array, measured: Array, rate_hz: float) -> Array:
@@ -122,7 +133,7 @@ class Model:
         def lane(i: int) -> None:
             chain.tool(thetas[i], at, source[i], measured, window, 1.0 / rate_hz, out[i])
 
-        in_parallel(lane, len(thetas))
+        in_parallel(lane, len(thetas), source.shape[-2])
         return out
 
 
@@ -185,15 +196,26 @@ def measured_joints(recording: Recording, machine: Machine) -> Array:
 
 _WORKERS = max(1, len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else (os.cpu_count() or 1))
 _pool: ThreadPoolExecutor | None = None
+#: Fewer steps than this run faster on one core than handed to several.
+SERIAL = 20_000
 
 
-def in_parallel(lane: Callable[[int], None], count: int) -> None:
-    """Run ``lane(0) … lane(count − 1)`` on all cores; the kernels release the interpreter lock."""
+def in_parallel(lane: Callable[[int], None], count: int, samples: int) -> None:
+    """Run ``lane(0) … lane(count − 1)`` of ``samples`` steps each; on all cores where that is worth it.
+
+    The kernels release the interpreter lock; every worker takes a stretch of lanes.
+    """
     global _pool
-    if count == 1 or _WORKERS == 1:
+    workers = min(_WORKERS, count)
+    if workers == 1 or count * samples < SERIAL:
         for i in range(count):
             lane(i)
         return
     if _pool is None:
         _pool = ThreadPoolExecutor(_WORKERS, thread_name_prefix="sysid-lane")
-    list(_pool.map(lane, range(count)))
+
+    def stretch(worker: int) -> None:
+        for i in range(worker, count, workers):
+            lane(i)
+
+    list(_pool.map(stretch, range(workers)))
