@@ -29,11 +29,8 @@ def fit(workspace: str, kind: str, reference: str, recipe: Path | None, json_fil
     settings = load_recipe(recipe)
     begin = time.perf_counter()
     with progress_bar(f"fit {kind}") as progress:
-
-        def tell(done: int, total: int, text: str) -> None:
-            progress(done / max(total, 1), text)
-
-        model = fit_actuator(dataset, settings, tell) if kind == "actuator" else fit_forward(dataset, settings, tell)
+        fit_network = fit_actuator if kind == "actuator" else fit_forward
+        model = fit_network(dataset, settings, progress)
     seconds = time.perf_counter() - begin
     version, report = place.add_network(dataset, model, settings)
     out = Printer(json_file)

@@ -35,7 +35,7 @@ def ingest(
             machine=machine,
             recipe=recipe,
             name=name,
-            progress=lambda text, share: progress(share, text),
+            progress=progress,
         )
     seconds = time.perf_counter() - begin
     out = Printer(json_file)

@@ -7,15 +7,14 @@ import json
 import math
 import os
 import sys
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import click
 
 from sysid.errors import SettingsError
-
-Progress = Callable[[float, str], None]
+from sysid.progress import Progress
 
 json_option = click.option(
     "--json",

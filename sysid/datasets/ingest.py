@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -23,11 +23,10 @@ from sysid.datasets.splits import split
 from sysid.datasets.store import Store
 from sysid.errors import InputError, SettingsError
 from sysid.machine import Machine, load_machine
+from sysid.progress import Progress, silent
 
 #: Part of every digest: raise it when the same logs would give another table.
 INGEST_VERSION = 1
-
-Progress = Callable[[str, float], None]
 
 
 def ingest(
@@ -46,7 +45,7 @@ def ingest(
         machine: ``machine.toml``; else what the recipe names, else ``machine.toml`` beside the logs.
         recipe: ``recipe.toml``; else the one in the ingested folder, else the columns have canonical names.
         name: of the dataset; else the recipe's, else the machine's.
-        progress: called with a text and the share done.
+        progress: called with the share done and a text.
 
     Raises:
         InputError: a log that cannot be used as it is.
@@ -55,7 +54,7 @@ def ingest(
     from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]
 
     with threadpool_limits(limits=1):  # thousands of small systems: threads cost ten times what they save
-        return _ingest(paths, workspace, machine, recipe, name, progress or (lambda _text, _share: None))
+        return _ingest(paths, workspace, machine, recipe, name, progress or silent)
 
 
 def _ingest(
@@ -79,30 +78,30 @@ def _ingest(
     title = name or (rules.name if rules is not None else None) or description.name
     _check_name(title)
 
-    report("reading file names", 0.0)
+    report(0.0, "reading file names")
     found = discover(roots, rules)
     sources = _sources(found)
     digest = _digest(sources, rules, description)
     store = Store(workspace)
     known = store.find_digest(title, digest)
     if known is not None:
-        report(f"the same logs are {title}@{known}", 1.0)
+        report(1.0, f"the same logs are {title}@{known}")
         return store.load(f"{title}@{known}")
 
     settings = rules if rules is not None else Recipe(schema=1)
     mounts = survey_mounts(found, description)
     readings: dict[str, Reading] = {}
     for number, files in enumerate(found):
-        report(f"reading {files.name}", 0.05 + 0.35 * number / len(found))
+        report(0.05 + 0.35 * number / len(found), f"reading {files.name}")
         readings[files.name] = read_channels(files, description, mounts)
     channels = {name: reading.channels for name, reading in readings.items()}
     losses = {f"{name}/{file}": items for name, reading in readings.items() for file, items in reading.losses.items()}
     clocked = [Clocked(files.name, files.kind, channels[files.name]) for files in found]
-    report("aligning clocks", 0.4)
+    report(0.4, "aligning clocks")
     clocks = align(clocked)
     recordings = []
     for number, recording in enumerate(clocked):
-        report(f"resampling {recording.name}", 0.8 + 0.1 * number / len(found))
+        report(0.8 + 0.1 * number / len(found), f"resampling {recording.name}")
         recordings.append(_recording(recording, by_source(clocks, recording.name), description, settings))
     parts, roles = split(recordings, settings.splits, where)
     units = _units(channels)
@@ -119,9 +118,9 @@ def _ingest(
         clocks=clocks,
         quality=describe(parts, readings, clocks, description),
     )
-    report("storing", 0.95)
+    report(0.95, "storing")
     saved = store.save(dataset, channels, rules.text if rules is not None else "")
-    report(f"stored {saved.reference}", 1.0)
+    report(1.0, f"stored {saved.reference}")
     return saved
 
 

@@ -5,7 +5,7 @@ from sysid.networks.artifacts import Model, from_files, to_files
 from sysid.networks.forward import ForwardNetwork, fit_forward
 from sysid.networks.mlp import Mlp, Normalisation
 from sysid.networks.recipe import ActuatorRecipe, ForwardRecipe, NetworkRecipe, load_recipe, parse_recipe
-from sysid.networks.training import Course, Member, Progress, Trained, TrainingSettings, train
+from sysid.networks.training import Course, Member, Trained, TrainingSettings, train
 
 __all__ = [
     "ActuatorNetwork",
@@ -18,7 +18,6 @@ __all__ = [
     "Model",
     "NetworkRecipe",
     "Normalisation",
-    "Progress",
     "RoundTrip",
     "Trained",
     "TrainingSettings",

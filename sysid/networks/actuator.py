@@ -17,7 +17,8 @@ from sysid.errors import ExcitationError
 from sysid.networks.mlp import Mlp
 from sysid.networks.recipe import NetworkRecipe
 from sysid.networks.split import Rows, gather, joined, measures, segments, spread_sample, thin
-from sysid.networks.training import Course, Member, Progress, train
+from sysid.networks.training import Course, Member, train
+from sysid.progress import Progress, part, silent
 from sysid.signals import axis_signal
 
 Array = npt.NDArray[np.float64]
@@ -117,8 +118,9 @@ def fit_actuator(dataset: Dataset, recipe: NetworkRecipe, progress: Progress | N
             )
             members.setdefault(recipe.actuator.layers(axis), []).append((axis, direction, member))
     trained = {}
-    for hidden, group in members.items():
-        results = train([member for _, _, member in group], hidden, recipe.actuator.training, recipe.seed, progress)
+    for number, (hidden, group) in enumerate(members.items()):
+        tell = part(progress or silent, number / len(members), (number + 1) / len(members))
+        results = train([member for _, _, member in group], hidden, recipe.actuator.training, recipe.seed, tell)
         trained.update({(axis, direction): result for (axis, direction, _), result in zip(group, results, strict=True)})
     return {
         axis: ActuatorNetwork(

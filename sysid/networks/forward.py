@@ -16,7 +16,8 @@ from sysid.errors import ExcitationError, InputError
 from sysid.networks.mlp import Mlp
 from sysid.networks.recipe import Features, NetworkRecipe
 from sysid.networks.split import Rows, gather, segments, thin
-from sysid.networks.training import Course, Member, Progress, train
+from sysid.networks.training import Course, Member, train
+from sysid.progress import Progress
 from sysid.signals import axis_signal, point_signals
 
 Array = npt.NDArray[np.float64]

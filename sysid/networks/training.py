@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 import time
 import zlib
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field
 from typing import TYPE_CHECKING, Any, Literal
@@ -23,14 +23,12 @@ from sysid.config import STRICT
 from sysid.errors import InputError, SettingsError
 from sysid.networks.batch import BatchedMlp, FusedAdam, unpack
 from sysid.networks.mlp import Mlp, Normalisation
+from sysid.progress import Progress, part, silent
 
 if TYPE_CHECKING:
     import torch
 
 Array = npt.NDArray[np.float64]
-
-#: ``progress(done, total, text)``: epochs done of those at most needed, and what is being trained.
-Progress = Callable[[int, int, str], None]
 
 
 @dataclass(frozen=True)
@@ -131,7 +129,7 @@ def train(
 
     Args:
         hidden: units of the hidden layers.
-        progress: called at every check.
+        progress: called at every check with the share of epochs done of those at most needed, and who is being trained.
 
     Returns:
         One result a member, in their order.
@@ -149,9 +147,10 @@ def train(
         groups.setdefault(_shape(member), []).append(position)
     results: dict[int, Trained] = {}
     with _threads(settings.threads):
-        for positions in groups.values():
+        for number, positions in enumerate(groups.values()):
             batch = [members[position] for position in positions]
-            results.update(zip(positions, _train_batch(batch, hidden, settings, seed, progress), strict=True))
+            tell = part(progress or silent, number / len(groups), (number + 1) / len(groups))
+            results.update(zip(positions, _train_batch(batch, hidden, settings, seed, tell), strict=True))
     return tuple(results[position] for position in range(len(members)))
 
 
@@ -184,7 +183,7 @@ def _threads(count: int) -> Iterator[None]:
 
 
 def _train_batch(
-    members: list[Member], hidden: tuple[int, ...], settings: TrainingSettings, seed: int, progress: Progress | None
+    members: list[Member], hidden: tuple[int, ...], settings: TrainingSettings, seed: int, progress: Progress
 ) -> list[Trained]:
     import torch
 
@@ -235,16 +234,14 @@ def _train_batch(
             validation = (model.predict(x_validation[running]) - y_validation[running]).square().mean(dim=(1, 2))
             _refuse_divergence([members[member] for member in running], validation, total / n, epoch, settings)
             finished = watch.update(epoch, running, total / n, validation, model.parameters)
-            if progress is not None:
-                progress(epoch, settings.epochs, text)
+            progress(epoch / settings.epochs, text)
             if finished:
                 stay = [position for position, member in enumerate(running) if member not in finished]
                 running = [running[position] for position in stay]
                 if not running:
                     break
                 model, adam = adam.kept(model, stay)
-    if progress is not None:
-        progress(settings.epochs, settings.epochs, text)
+    progress(1.0, text)
     seconds = time.perf_counter() - start
     return [_result(member, sizes, scalers[k], watch.records[k], seconds) for k, member in enumerate(members)]
 

@@ -16,12 +16,12 @@ PACKAGE = ROOT / "sysid"
 #: From the ground floor up. A part may import itself and what stands on a lower floor, never a neighbour or a higher one.
 FLOORS: tuple[tuple[str, ...], ...] = (
     ("errors",),
-    ("units", "config", "signals"),
+    ("units", "config", "signals", "progress"),
     ("logs", "machine"),
     ("datasets",),
     ("networks", "effects"),
     ("plant",),
-    ("registry", "validate"),
+    ("registry", "validate", "testing"),
     ("gap",),
     ("reports", "view"),
     ("workspace",),

@@ -50,8 +50,8 @@ def folder(tmp_path: Path) -> Path:
 
 
 def test_a_canonical_folder_needs_no_recipe(folder: Path, tmp_path: Path) -> None:
-    steps: list[tuple[str, float]] = []
-    dataset = ingest(folder, tmp_path / "ws", progress=lambda text, share: steps.append((text, share)))
+    steps: list[tuple[float, str]] = []
+    dataset = ingest(folder, tmp_path / "ws", progress=lambda done, text: steps.append((done, text)))
     assert dataset.reference == "demo@1"
     assert dataset.splits == {"run-0": "fit", "run-1": "select", "run-2": "held_out"}
     assert dataset.units == {"time": "s", "boom.command": "1", "boom.cylinder": "m"}
@@ -62,8 +62,8 @@ def test_a_canonical_folder_needs_no_recipe(folder: Path, tmp_path: Path) -> Non
     np.testing.assert_allclose(recording.values("boom.cylinder"), cylinder, atol=1e-9)
     assert recording.start_ns == 100_000_000_000
     assert recording.table.attrs["units"]["boom.cylinder"] == "m"
-    assert [share for _, share in steps] == sorted(share for _, share in steps)
-    assert steps[-1] == ("stored demo@1", 1.0)
+    assert [done for done, _ in steps] == sorted(done for done, _ in steps)
+    assert steps[-1] == (1.0, "stored demo@1")
 
 
 def test_what_is_stored_is_what_was_made(folder: Path, tmp_path: Path) -> None:

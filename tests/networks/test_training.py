@@ -146,11 +146,14 @@ def test_cosine_lowers_the_rate_to_a_hundredth(monkeypatch: pytest.MonkeyPatch) 
     assert rates == sorted(rates, reverse=True)
 
 
-def test_progress_counts_epochs_to_the_end() -> None:
-    seen: list[tuple[int, int, str]] = []
-    train([member("boom to_joint")], (4,), replace(QUICK, epochs=20), 0, lambda *call: seen.append(call))
-    assert [done for done, _, _ in seen] == [5, 10, 15, 20, 20]
-    assert {(total, text) for _, total, text in seen} == {(20, "boom to_joint")}
+def test_progress_is_the_share_of_epochs_over_all_batches() -> None:
+    seen: list[tuple[float, str]] = []
+    members = [member("boom to_joint"), member("stick to_joint", rows=32)]
+    train(members, (4,), replace(QUICK, epochs=10), 0, lambda done, text: seen.append((done, text)))
+    assert seen == [
+        (0.25, "boom to_joint"), (0.5, "boom to_joint"), (0.5, "boom to_joint"),
+        (0.75, "stick to_joint"), (1.0, "stick to_joint"), (1.0, "stick to_joint"),
+    ]  # fmt: skip
 
 
 def test_threads_are_put_back() -> None:
