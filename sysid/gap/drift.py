@@ -21,7 +21,7 @@ Array = npt.NDArray[np.float64]
 #: Residuals are averaged over this time [s] before they are whitened.
 BIN = 0.1
 #: A whitened residual counts as at most this many standard deviations.
-CLIP = 6.0
+CLIP = 12.0
 #: Searched strengths of the drift, variance per bin relative to the noise of a bin.
 _STRENGTHS = (0.0, 1e-4, 1e-3, 1e-2, 0.1, 1.0, 10.0, 100.0, 1e4)
 

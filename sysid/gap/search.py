@@ -34,6 +34,7 @@ class Strictness:
         gap: a stage whose error is below this multiple of its noise floor is explained.
         forward: least gain in log evidence that adds an effect for the time being.
         delta_bic, p_value: what an effect needs to stay, and what a rival needs to be beaten.
+        likely: p-value that is enough where the unseen recordings gain more than ``delta_bic`` nats (few strokes, each clear).
         sensitivity: least share of an effect's influence that no other fitted parameter can imitate.
         most: largest number of effects at one stage.
         crossed: with less than this much to select on [s], fitting and selecting recordings change places as well.
@@ -43,6 +44,7 @@ class Strictness:
     forward: float = 3.0
     delta_bic: float = 10.0
     p_value: float = 0.01
+    likely: float = 0.15
     sensitivity: float = 0.02
     most: int = 6
     crossed: float = 90.0
@@ -76,7 +78,7 @@ class Finding:
 
     Args:
         named: effects that a name is given to.
-        adjusted: nuisance parameters that moved by less than is worth a name, but matter.
+        adjusted: nuisance parameters that matter, but moved too little or are too poorly shown for a name.
         fit: the final fit, on all recordings that may be seen.
         nominal_rmse, final_rmse: of unseen recordings, as multiples of the noise floor.
     """
@@ -128,7 +130,7 @@ class Search:
         doubtful = [c for c in model.candidates if not c.nuisance or _departs(c, model)]
         rivals = {c.key: self._rivals(model, c) for c in doubtful}  # while nuisances are free: they imitate much
         model, kept = self._backward(model)
-        ordinary = [c for c in model.candidates if not c.nuisance or (_departs(c, model))]
+        ordinary = [c for c in model.candidates if not c.nuisance or (_departs(c, model) and self._lasts(kept[c.label]))]
         named = tuple(Kept(c, kept[c.label], *rivals.get(c.key, ((), ()))) for c in ordinary)
         adjusted = tuple(c for c in model.candidates if c not in ordinary)
         seen = Data(self.problem, self.split.seen, self.sigma)
@@ -177,8 +179,11 @@ class Search:
                     smaller = simpler
                 comparison = self._compare(smaller, model)
                 kept[candidate.label] = comparison
-                lasting = self._lasts(comparison) and shares[candidate.label] >= self.strict.sensitivity
-                lasting &= candidate.nuisance or _departs(candidate, model)
+                if candidate.nuisance:  # stays as an adjustment as long as it predicts better; a name needs more
+                    lasting = self._merit(model) > self._merit(smaller) + self.strict.forward
+                else:
+                    lasting = self._lasts(comparison) and _departs(candidate, model)
+                lasting &= shares[candidate.label] >= self.strict.sensitivity
                 if not lasting and (weakest is None or comparison.gain < weakest[0]):
                     weakest = (comparison.gain, smaller, candidate.label)
             if weakest is None:
@@ -209,7 +214,9 @@ class Search:
     # -- parts ---------------------------------------------------------------------------------------------------
 
     def _lasts(self, c: Comparison) -> bool:
-        return c.delta_bic > self.strict.delta_bic and c.p_value < self.strict.p_value
+        sure = c.p_value < self.strict.p_value
+        likely = c.p_value < self.strict.likely and c.gain > self.strict.delta_bic
+        return c.delta_bic > self.strict.delta_bic and (sure or likely)
 
     def _ordinary(self, model: Fit) -> list[Candidate]:
         return [c for c in model.candidates if not c.nuisance]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -64,6 +64,7 @@ def find_gap(
     *,
     add: bool = False,
     localise_only: bool = False,
+    forms: Literal["all", "simple"] = "all",
     progress: Progress | None = None,
     strict: Strictness | None = None,
     seed: int = 0,
@@ -74,6 +75,7 @@ def find_gap(
         registry: where plant versions live; without it none is written.
         add: write the repaired plant as a new version.
         localise_only: stop after localising.
+        forms: "simple" tries every effect in its simplest form only, e.g. one friction for both directions.
         progress: called with (share done, text).
 
     Raises:
@@ -110,7 +112,9 @@ def find_gap(
     for k, stage in enumerate(stages):
         label = f"{stage.problem.stage} stage of {stage.problem.target}"
         share = 0.05 + 0.8 * k / len(stages)
-        stages[k] = replace(stage, finding=_search(stage, plant, theta, strict or Strictness(), seed, tell, share, label))
+        stages[k] = replace(
+            stage, finding=_search(stage, plant, theta, strict or Strictness(), seed, tell, share, label, forms)
+        )
 
     tell(0.87, "proving on held-out recordings")
     return _conclude(dataset, plant, registry, add, stages, located, noise, theta, reference, seed, begin, tell)
@@ -129,13 +133,23 @@ def _stage(
 
 
 def _search(
-    stage: _Stage, plant: Plant, theta: Array, strict: Strictness, seed: int, tell: Progress, share: float, label: str
+    stage: _Stage,
+    plant: Plant,
+    theta: Array,
+    strict: Strictness,
+    seed: int,
+    tell: Progress,
+    share: float,
+    label: str,
+    forms: str,
 ) -> Finding:
     problem = stage.problem
     force = 1.0
     if isinstance(problem, ForceProblem):
         force = float(np.median(np.abs(np.concatenate([problem.measured(r)[:, 0] for r in stage.split.fit]))))
     everything = candidates_at(plant, theta, problem.stage, problem.targets, force)
+    if forms == "simple":
+        everything = [c for c in everything if c.form is c.effect.forms[0]]
     sufficient = [c for c in everything if excitation_of(c, stage.split.fit, plant.machine).sufficient]
     nuisances = [as_nuisance(c) for c in sufficient if c.effect.name in problem.nuisances]
     tell(share, label)
@@ -195,7 +209,9 @@ def _conclude(
                 values = finding.fit.values_of(candidate)
                 repaired = repaired.with_effect(candidate.instance(values))
                 shown = ", ".join(f"{u.key} = {v:.4g}" for u, v in zip(candidate.unknowns, values, strict=True))
-                notes.append(f"{candidate.effect.name} on {candidate.target} adjusted, too small for a name: {shown}")
+                notes.append(
+                    f"{candidate.effect.name} on {candidate.target} adjusted, too small or too poorly shown for a name: {shown}"
+                )
         level = finding.final_rmse if proven else finding.nominal_rmse
         if level > UNEXPLAINED:
             fit = finding.fit if proven else Fit((), (), np.empty(0), theta, (), 0.0, True)
