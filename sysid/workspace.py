@@ -70,21 +70,13 @@ class Workspace:
         return self.datasets.load(reference)
 
     def add_network(
-        self, dataset: Dataset, model: Model, recipe: NetworkRecipe
-    ) -> tuple[ModelVersion, ValidationReport | None]:
-        """Judge a fitted network on held-out recordings and register it as ``<dataset>-actuator`` or ``<dataset>-forward``.
-
-        Returns:
-            The version, and its error report (None where nothing is held out that could judge it).
-        """
+        self, dataset: Dataset, model: Model, recipe: NetworkRecipe, report: ValidationReport | None = None
+    ) -> ModelVersion:
+        """Register a fitted network as ``<dataset>-actuator`` or ``<dataset>-forward``, with its figures."""
         kind, files = to_files(model)
-        try:
-            report = validate_model(model, dataset, recipe=recipe)
-        except ExcitationError:
-            report = None
         lineage = {"dataset": dataset.reference, "dataset_digest": dataset.digest, "recipe": recipe.to_json()}
         metrics = report.metrics() if report is not None else {}
-        return self.models.register(f"{dataset.name}-{kind}", kind, files, lineage, metrics), report
+        return self.models.register(f"{dataset.name}-{kind}", kind, files, lineage, metrics)
 
     def network_version(self, dataset: Dataset, kind: str) -> ModelVersion | None:
         """The newest network of ``kind`` fitted on this dataset version, else on any version of the dataset."""

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from sysid.cli.output import Printer, json_option, write_json
+from sysid.cli.tables import show_dataset
 
 if TYPE_CHECKING:
     from sysid.datasets import Dataset
@@ -24,7 +25,7 @@ def datasets(workspace: str, reference: str | None, json_file: str | None) -> No
     store = Store(workspace)
     if reference is not None:
         dataset = store.load(reference)
-        show(out, dataset)
+        show_dataset(out, dataset)
         write_json(json_file, describe(dataset))
         return
     entries = store.list()
@@ -50,34 +51,8 @@ def _entry(entry: Any) -> dict[str, Any]:
     }
 
 
-def show(out: Printer, dataset: Dataset) -> None:
-    """Recordings, clocks and losses of a dataset version, for people."""
-    rows = [
-        (
-            recording.name,
-            recording.kind,
-            dataset.splits.get(recording.name, "–"),
-            f"{len(recording)} poses" if recording.kind == "poses" else f"{len(recording) / recording.rate_hz:.1f} s",
-            len(recording.signals),
-            f"{100.0 * (1.0 - recording.table.drop(columns='time').isna().to_numpy().mean()):.1f} %",
-        )
-        for recording in dataset.recordings
-    ]
-    out.table(("recording", "kind", "role", "length", "signals", "complete"), rows, right=(3, 4, 5))
-    for clock in dataset.clocks:
-        if clock.applied:
-            half = 0.5e3 * (clock.offset_interval95[1] - clock.offset_interval95[0])
-            text = f"{clock.offset_s:+.6f} s ± {half:.3f} ms, skew {clock.skew_ppm:+.1f} ppm"
-        else:
-            text = f"not aligned: {clock.reason}"
-        out.line(f"clock {clock.stream} of {clock.recording}: {text}")
-    for source in dataset.sources:
-        for loss in source.losses:
-            out.line(f"loss in {source.path}: {loss}")
-
-
 def describe(dataset: Dataset) -> dict[str, Any]:
-    """The same for machines."""
+    """A dataset version for machines; :func:`sysid.cli.tables.show_dataset` is for people."""
     from dataclasses import asdict
 
     return {

@@ -8,7 +8,7 @@ from pathlib import Path
 import click
 
 from sysid.cli.output import Printer, json_option, progress_bar, write_json
-from sysid.cli.validate import show_errors
+from sysid.cli.tables import show_errors
 
 
 @click.command()
@@ -21,7 +21,9 @@ from sysid.cli.validate import show_errors
 @click.pass_obj
 def fit(workspace: str, kind: str, reference: str, recipe: Path | None, json_file: str | None) -> None:
     """Fit the actuator networks (cylinder ↔ joint) or the forward network (joints → boom tip) of a dataset."""
+    from sysid.errors import ExcitationError
     from sysid.networks import fit_actuator, fit_forward, load_recipe
+    from sysid.validate import validate_model
     from sysid.workspace import open_workspace
 
     place = open_workspace(workspace)
@@ -32,12 +34,16 @@ def fit(workspace: str, kind: str, reference: str, recipe: Path | None, json_fil
         fit_network = fit_actuator if kind == "actuator" else fit_forward
         model = fit_network(dataset, settings, progress)
     seconds = time.perf_counter() - begin
-    version, report = place.add_network(dataset, model, settings)
+    try:
+        report = validate_model(model, dataset, recipe=settings)
+    except ExcitationError as reason:
+        report, unjudged = None, str(reason)
+    version = place.add_network(dataset, model, settings, report)
     out = Printer(json_file)
     if report is not None:
         show_errors(out, report)
     else:
-        out.line("Not judged: no held-out recording measures its signals.")
+        out.line(f"Not judged: {unjudged}")
     out.line(f"{version.reference} in {place.folder} ({seconds:.1f} s)")
     result = {"schema": 1, "model": version.reference, "dataset": dataset.reference, "seconds": seconds}
     write_json(json_file, {**result, "validation": report.to_json() if report is not None else None})

@@ -8,6 +8,7 @@ from pathlib import Path
 import click
 
 from sysid.cli.output import Printer, json_option, progress_bar, write_json
+from sysid.cli.tables import show_dataset
 
 
 @click.command()
@@ -25,7 +26,7 @@ def ingest(
     PATH is a folder DIR with DIR/<recording>/<log files>, or a log file. The same files again give the same version.
     """
     from sysid import datasets
-    from sysid.cli.datasets import describe, show
+    from sysid.cli.datasets import describe
 
     begin = time.perf_counter()
     with progress_bar("ingest") as progress:
@@ -39,6 +40,6 @@ def ingest(
         )
     seconds = time.perf_counter() - begin
     out = Printer(json_file)
-    show(out, dataset)
+    show_dataset(out, dataset)
     out.line(f"{dataset.reference} in {workspace} ({seconds:.1f} s)")
     write_json(json_file, {**describe(dataset), "seconds": seconds})

@@ -6,7 +6,9 @@ import contextlib
 import json
 import math
 import os
+import shutil
 import sys
+import time
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -77,7 +79,34 @@ def progress_bar(title: str) -> Iterator[Progress]:
         yield report
 
 
-def write_json(json_file: str | None, value: Mapping[str, Any]) -> None:
+def rerun_command(path: Path) -> str:
+    """What to type to look at a Rerun file: the viewer comes with the SDK, but its folder need not be on the PATH."""
+    beside = Path(sys.executable).with_name("rerun")
+    viewer = "rerun" if shutil.which("rerun") or not beside.exists() else os.path.relpath(beside)
+    return f"{viewer} {path}"
+
+
+class Stations:
+    """Runs the stations of a pipeline: a bar while one works, a line with its time when it is done.
+
+    >>> with stations("ingest") as progress:
+    ...     dataset = ingest(logs, workspace, progress=progress)
+    """
+
+    def __init__(self, out: Printer) -> None:
+        self.out = out
+        self.seconds: dict[str, float] = {}
+
+    @contextlib.contextmanager
+    def __call__(self, name: str) -> Iterator[Progress]:
+        begin = time.perf_counter()
+        with progress_bar(name) as progress:
+            yield progress
+        self.seconds[name] = time.perf_counter() - begin
+        self.out.line(f"{name:<12} {self.seconds[name]:6.1f} s")
+
+
+def write_json(json_file: str | Path | None, value: Mapping[str, Any]) -> None:
     """Write ``value`` whole or not at all; numbers that JSON does not have (NaN, infinity) become null.
 
     Raises:

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from sysid.cli.output import Printer, json_option, write_json
+from sysid.cli.output import Printer, json_option, rerun_command, write_json
 
 
 @click.command()
@@ -36,7 +36,7 @@ def view(
     write_rerun(path, dataset, recording, predictions)
     out = Printer(json_file)
     out.line(f"{path}  ({recording} of {dataset.reference}; measured, {', '.join(predictions)})")
-    out.line(f"Look at it: rerun {path}")
+    out.line(f"Look at it: {rerun_command(path)}")
     write_json(
         json_file,
         {"schema": 1, "file": path, "dataset": dataset.reference, "recording": recording, "simulations": list(predictions)},

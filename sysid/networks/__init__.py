@@ -4,10 +4,11 @@ from sysid.networks.actuator import ActuatorNetwork, RoundTrip, fit_actuator
 from sysid.networks.artifacts import Model, from_files, to_files
 from sysid.networks.forward import ForwardNetwork, fit_forward
 from sysid.networks.mlp import Mlp, Normalisation
-from sysid.networks.recipe import ActuatorRecipe, ForwardRecipe, NetworkRecipe, load_recipe, parse_recipe
+from sysid.networks.recipe import PAPER_MAX, ActuatorRecipe, ForwardRecipe, NetworkRecipe, load_recipe, parse_recipe
 from sysid.networks.training import Course, Member, Trained, TrainingSettings, train
 
 __all__ = [
+    "PAPER_MAX",
     "ActuatorNetwork",
     "ActuatorRecipe",
     "Course",

@@ -6,13 +6,12 @@ from typing import Any
 
 import numpy as np
 
+from sysid.networks import PAPER_MAX
 from sysid.reports import display, words
 from sysid.reports.figures import figure, packed
 from sysid.reports.inputs import ReportInputs
 from sysid.validate import OutputReport, ValidationReport
 
-#: Largest error of the paper's forward network on 500 poses [m] (Eriksson et al., forwarder crane 1:5).
-PAPER_MAX = {"ee.x": 15.9e-3, "ee.y": 20.5e-3, "ee.z": 13.6e-3}
 TITLES = {"actuator": "Actuator networks", "forward": "Forward network"}
 ABOUT = {
     "actuator": "Cylinder displacement to joint angle and back, one network a direction.",

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import Any, Literal, cast
 
 from markupsafe import Markup
 
 from sysid.gap.result import NamedEffect
-from sysid.machine import Machine
+from sysid.machine import KnownEffect, Machine
+from sysid.plant import effects_toml
 from sysid.reports import display, words
 from sysid.reports.effect_units import parameter_unit, shown
 from sysid.reports.inputs import ReportInputs
@@ -19,8 +20,13 @@ def context(inputs: ReportInputs) -> dict[str, Any] | None:
         return None
     machine = inputs.dataset.machine
     rows = [row for effect in inputs.gap.effects for row in _rows(effect, machine)]
-    toml = "\n\n".join(_toml(effect) for effect in inputs.gap.effects)
+    toml = effects_toml([_as_known(effect) for effect in inputs.gap.effects])
     return {"rows": rows, "toml": toml, "after": inputs.gap.plant_after}
+
+
+def _as_known(effect: NamedEffect) -> KnownEffect:
+    parameters = {name: list(value) if isinstance(value, tuple) else value for name, value in effect.parameters.items()}
+    return KnownEffect(effect.name, effect.target, parameters, cast(Literal["drive", "structure"] | None, effect.side))
 
 
 def _rows(effect: NamedEffect, machine: Machine) -> list[dict[str, Any]]:
@@ -70,16 +76,3 @@ def _bar(value: Any, low: Any, high: Any) -> Markup:
     scale = '<line class="scale" x1="6" x2="114" y1="8" y2="8"/>'
     known = f'<line class="range" x1="{x[0]:.1f}" x2="{x[1]:.1f}" y1="8" y2="8"/><circle cx="60" cy="8" r="4"/>'
     return Markup(f'<svg class="interval" viewBox="0 0 120 16" aria-hidden="true">{scale}{known}</svg>')
-
-
-def _toml(effect: NamedEffect) -> str:
-    """The effect as an entry of machine.toml."""
-    values = ", ".join(f"{name} = {_toml_value(value)}" for name, value in effect.parameters.items())
-    side = f'\nside = "{effect.side}"' if effect.side else ""
-    return f'[[effects]]\nname = "{effect.name}"\ntarget = "{effect.target}"\nparameters = {{ {values} }}{side}'
-
-
-def _toml_value(value: Any) -> str:
-    if isinstance(value, (list, tuple)):
-        return "[" + ", ".join(_toml_value(item) for item in value) + "]"
-    return f"{float(value):.6g}" if "." in f"{float(value):.6g}" or "e" in f"{float(value):.6g}" else f"{float(value):.1f}"

@@ -1,0 +1,149 @@
+"""The tables of the verbs and pipelines: a dataset, the errors of a network, the answer of the gap workflow, a repair."""
+
+from __future__ import annotations
+
+import difflib
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from sysid.cli.output import Printer
+    from sysid.datasets import Dataset
+    from sysid.gap import GapResult
+    from sysid.machine import KnownEffect
+    from sysid.plant import Plant
+    from sysid.validate import ValidationReport
+
+#: Below this multiple of the noise floor there was nothing to close.
+NOTHING_TO_CLOSE = 1.05
+
+
+def show_dataset(out: Printer, dataset: Dataset) -> None:
+    """Recordings, clocks and losses of a dataset version."""
+    rows = [
+        (
+            recording.name,
+            recording.kind,
+            dataset.splits.get(recording.name, "–"),
+            f"{len(recording)} poses" if recording.kind == "poses" else f"{len(recording) / recording.rate_hz:.1f} s",
+            len(recording.signals),
+            f"{100.0 * (1.0 - recording.table.drop(columns='time').isna().to_numpy().mean()):.1f} %",
+        )
+        for recording in dataset.recordings
+    ]
+    out.table(("recording", "kind", "role", "length", "signals", "complete"), rows, right=(3, 4, 5))
+    for clock in dataset.clocks:
+        if clock.applied:
+            half = 0.5e3 * (clock.offset_interval95[1] - clock.offset_interval95[0])
+            text = f"{clock.offset_s:+.6f} s ± {half:.3f} ms, skew {clock.skew_ppm:+.1f} ppm"
+        else:
+            text = f"not aligned: {clock.reason}"
+        out.line(f"clock {clock.stream} of {clock.recording}: {text}")
+    for source in dataset.sources:
+        for loss in source.losses:
+            out.line(f"loss in {source.path}: {loss}")
+
+
+def show_errors(out: Printer, *reports: ValidationReport, paper: Mapping[str, float] | None = None) -> None:
+    """One row an output: RMSE, 95 %, maximum, what sensor noise alone would give, and the best simpler model.
+
+    ``paper`` adds a column with a published maximum [SI] by output.
+    """
+    from sysid.reports.display import shown_unit
+
+    rows = []
+    for entry in (entry for report in reports for entry in report.outputs):
+        factor, unit = shown_unit(entry.unit)
+        best = min(entry.baselines, key=lambda name: entry.baselines[name].rmse, default=None)
+        figures = [f"{factor * value:.2f}" for value in (entry.metrics.rmse, entry.metrics.p95, entry.metrics.max)]
+        floor = "–" if entry.noise_floor is None else f"{factor * entry.noise_floor:.2f}"
+        simple = "–" if best is None else f"{best} {factor * entry.baselines[best].rmse:.2f}"
+        published = [] if paper is None else [f"{factor * paper[entry.output]:.2f}" if entry.output in paper else ""]
+        rows.append((entry.output, entry.rows, *figures, *published, floor, unit, simple))
+    beside = [] if paper is None else ["paper's max"]
+    header = ("network output", "rows", "rmse", "95 %", "max", *beside, "noise", "unit", "best simple model")
+    out.table(header, rows, right=range(2, 6 + len(beside)))
+
+
+def show_localised(out: Printer, result: GapResult, dataset: Dataset) -> None:
+    """Error of every stage that is measured at both ends, the largest share of the disagreement first."""
+    from sysid.reports.display import quantity, ratio
+
+    rows = []
+    for item in sorted(result.localised, key=lambda item: -item.share):
+        unit = dataset.units.get(item.signal)
+        times = item.stage_rmse / item.noise_floor if item.noise_floor > 0.0 else float("nan")
+        rows.append((item.stage, item.signal, quantity(item.stage_rmse, unit), quantity(item.noise_floor, unit), ratio(times)))
+    out.table(("stage", "signal", "error", "noise floor", "times"), rows, right=(2, 3, 4))
+
+
+def show_gap(out: Printer, result: GapResult, dataset: Dataset) -> None:
+    """The verdict, what was named with its intervals, what could not be, and the gap before and after of every signal."""
+    from sysid.reports.display import digits_for, percent
+    from sysid.reports.effect_units import shown, shown_parameters
+    from sysid.reports.words import effect_sentence, headline
+
+    machine = dataset.machine
+    out.line(f"{headline(result.verdict, len(result.effects))}  [{result.verdict}, {result.seconds:.1f} s]")
+    rows = []
+    for effect in result.effects:
+        texts = shown_parameters(effect.name, effect.target, effect.parameters, machine)
+        out.line(f"  {effect_sentence(effect.name, effect.target, texts)}")
+        for name, value in effect.parameters.items():
+            low, high = effect.interval95[name]
+            digits = 4 if isinstance(low, (list, tuple)) else digits_for(low, high)
+            value_shown, *ends = (shown(effect.name, name, effect.target, v, machine, digits) for v in (value, low, high))
+            rows.append((effect.name, effect.target, name, value_shown, " … ".join(ends), percent(effect.gap_share)))
+    if rows:
+        out.table(("effect", "target", "parameter", "value", "95 % interval", "share of gap"), rows, right=(3, 4, 5))
+    for tie in result.ambiguous:
+        out.line("  cannot be told apart: " + " / ".join(f"{name} ({target})" for name, target in tie))
+    for item in result.unnamed:
+        out.line(f"  left over without a name: {item.stage} of {item.target}, depends on {item.depends_on}: {item.form}")
+    out.table(("held-out error", "before", "after", "noise floor", "closed"), gap_rows(result, dataset), right=(1, 2, 3, 4))
+    for step in result.next_experiment:
+        out.line(f"next: {step}")
+    out.line(f"proved on {', '.join(result.held_out_recordings)}")
+
+
+def gap_rows(result: GapResult, dataset: Dataset) -> list[tuple[str, ...]]:
+    """Per measured signal: RMSE before and after, noise floor, closed share; in mm and degrees."""
+    from sysid.reports.display import NOTHING, percent, quantity
+
+    rows = []
+    for name, before in result.gap.before.items():
+        after, floor = result.gap.after[name], result.gap.noise_floor[name]
+        closed = percent(result.gap.closed(name)) if before > NOTHING_TO_CLOSE * floor else NOTHING
+        rows.append((name, *(quantity(value, dataset.units.get(name)) for value in (before, after, floor)), closed))
+    return rows
+
+
+def show_repair(out: Printer, before: Plant, after: Plant, dataset: Dataset) -> None:
+    """What ``--add`` changed, as a difference of ``machine.toml``, how to use it and how to do without it."""
+    out.line(f"{after.reference} = {before.reference} with these changes of its machine.toml (SI units):")
+    out.line()
+    for line in effects_difference(before.effects, after.effects):
+        out.line(f"  {line}".rstrip())
+    out.line()
+    out.line(f"Use it:  --plant {after.reference}, or edit machine.toml by the lines above and ingest again.")
+    out.line(
+        f"Undo it: nothing was overwritten. {before.reference} stays as it was, machine.toml too, "
+        f"and `sysid gap {dataset.name}` goes on questioning the simulation that machine.toml describes."
+    )
+
+
+def effects_difference(before: Sequence[KnownEffect], after: Sequence[KnownEffect]) -> list[str]:
+    """Lines to remove (``-``) and to add (``+``), effect by effect; a changed effect shows its name as context."""
+    from sysid.plant import effects_toml
+
+    def key(item: KnownEffect) -> tuple[Any, ...]:
+        return item.name, item.target, item.side
+
+    old, new = {key(item): item for item in before}, {key(item): item for item in after}
+    blocks = []
+    for place in dict.fromkeys((*old, *new)):
+        was, becomes = (effects_toml([table[place]]).splitlines() if place in table else [] for table in (old, new))
+        if was != becomes:
+            blocks.append([line for line in difflib.ndiff(was, becomes) if not line.startswith("?")])
+    return [line.rstrip() for number, block in enumerate(blocks) for line in ([""] if number else []) + block]
