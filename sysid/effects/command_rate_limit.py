@@ -30,6 +30,9 @@ def step(u, p, i, s, j, dt):
     """Mean of the ramp over the step; ``s[j]`` is where it ends."""
     if np.isnan(s[j]):
         s[j] = u
+    if p[i] >= ABSENT:
+        s[j] = u
+        return u
     reach = p[i] * dt
     before = s[j]
     change = u - before

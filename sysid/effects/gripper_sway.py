@@ -35,17 +35,18 @@ EFFECT = Effect(
 
 
 @njit(inline="always")
-def _pull(dx, dy, vx, vy, length, rate, damping):
-    """Acceleration of the bob for a horizontal deflection (dx, dy) and a velocity relative to the pivot.
+def _pull(dx, dy, vx, vy, length, rate, damping, h):
+    """Acceleration of the bob for a horizontal deflection (dx, dy) and a velocity relative to the pivot, in a sub-step ``h``.
 
     String tension keeps the bob on the sphere: with w² = L² − d² the restoring acceleration is g·d·w/L²
-    plus the centripetal part, which at small angles is the linear pendulum g·d/L.
+    plus the centripetal part, which at small angles is the linear pendulum g·d/L. A bob thrown up to its pivot (a jump in the
+    measured tip) would need any tension: it is limited to what the sub-step can follow, a hundred times that of rest or more.
     """
     reach = length * length - dx * dx - dy * dy
     drop = math.sqrt(max(reach, 1e-4 * length * length))
     fall = -(dx * vx + dy * vy) / drop
     speed2 = vx * vx + vy * vy + fall * fall
-    tension = (GRAVITY * drop / length + speed2 / length) / length
+    tension = min((GRAVITY * drop / length + speed2 / length) / length, 1.0 / (h * h))
     return -tension * dx - 2.0 * damping * rate * vx, -tension * dy - 2.0 * damping * rate * vy
 
 
@@ -95,16 +96,22 @@ def step(x, y, z, p, i, s, j, dt, out):
     vx += dx * along / (length * length)
     vy += dy * along / (length * length)
     for _ in range(parts):
-        ax, ay = _pull(bx - px, by - py, vx - gx, vy - gy, length, rate, damping)
+        ax, ay = _pull(bx - px, by - py, vx - gx, vy - gy, length, rate, damping, h)
         hx = vx + 0.5 * h * ax
         hy = vy + 0.5 * h * ay
         bx += h * hx
         by += h * hy
         px += h * gx
         py += h * gy
-        ax, ay = _pull(bx - px, by - py, hx - gx, hy - gy, length, rate, damping)
+        ax, ay = _pull(bx - px, by - py, hx - gx, hy - gy, length, rate, damping, h)
         vx = hx + 0.5 * h * ax
         vy = hy + 0.5 * h * ay
+        over = ((bx - px) ** 2 + (by - py) ** 2) / (0.9999 * length * length)
+        if over > 1.0:  # a jump of the pivot beyond the string: the bob is drawn after it
+            bx = px + (bx - px) / math.sqrt(over)
+            by = py + (by - py) / math.sqrt(over)
+            vx = gx
+            vy = gy
     s[j] = bx
     s[j + 1] = by
     s[j + 2] = vx

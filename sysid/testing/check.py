@@ -1,0 +1,317 @@
+"""What every effect promises, checked on the compiled plant: ``check_effect`` says which promise is broken, with figures."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from sysid.datasets.recording import Recording
+from sysid.effects import Effect, Form, Parameter
+from sysid.errors import SysidError, nearest
+from sysid.testing.names import CONTRACT_NAMES
+from sysid.testing.probe import RATE_HZ, Place, Run, Values, places_of, plant_run, probe_recording, with_inputs
+
+Array = npt.NDArray[np.float64]
+
+#: Results that should be the same up to rounding may differ by this much, relative to their range.
+ROUNDING = 1e-9
+#: SI units a parameter may have; ``drive`` is m or rad, whichever the target moves in.
+UNITS = frozenset({"1", "s", "1/s", "m", "rad", "drive", "drive/s", "N or N·m", "N·s/m or N·m·s", "rad/(N·m)", "Hz", "ppm"})
+#: Effects that do not depend on how fast their input is run through.
+_RATE_INDEPENDENT = frozenset({"backlash", "valve_hysteresis"})
+
+
+class EffectError(SysidError):
+    """An effect breaks a promise of the catalogue."""
+
+
+@dataclass(frozen=True)
+class Failure:
+    """One broken promise: which, where, and by how much."""
+
+    promise: str
+    place: str
+    figures: str
+
+    def __str__(self) -> str:
+        return f"{self.promise} at {self.place}: {self.figures}" if self.place else f"{self.promise}: {self.figures}"
+
+
+def check_effect(effect: Effect, run: Run | None = None) -> None:
+    """Check metadata and behaviour of an effect.
+
+    Args:
+        effect: its description.
+        run: how its stage behaves, for an effect that the compiled plant does not have yet: (parameters or None, recording) →
+            output (n, d), on the recordings of :func:`sysid.testing.probe_recording`. Without it the compiled plant is run.
+
+    Raises:
+        EffectError: names every broken promise, with figures.
+    """
+    found = failures_of(effect, run)
+    if found:
+        raise EffectError(f"effect {effect.name}", "; ".join(map(str, found)), f"all of: {', '.join(PROPERTIES)}")
+
+
+def failures_of(effect: Effect, run: Run | None = None) -> tuple[Failure, ...]:
+    """Every broken promise; empty for a sound effect. Behaviour is only looked at where the metadata are complete."""
+    found = [Failure("metadata", "", text) for text in _metadata(effect)]
+    if found:
+        return tuple(found)
+    for place in places_of(effect):
+        subject = _Subject(effect, place, run or plant_run(effect, place))
+        for promise, check in PROPERTIES.items():
+            figures = next(check(subject), None) if promise != "metadata" else None
+            if figures is not None:
+                found.append(Failure(promise, str(place), figures))
+    return tuple(found)
+
+
+@dataclass(frozen=True)
+class _Subject:
+    """One effect at one place, with short ways to run it."""
+
+    effect: Effect
+    place: Place
+    run: Run
+
+    def inputs(self, recording: Recording) -> Array:
+        return np.column_stack([recording.values(name) for name in self.place.inputs])
+
+    def driven(self, values: Values | None, inputs: Array) -> Array:
+        return self.run(values, with_inputs(_RICH, self.place.inputs, inputs))
+
+
+_RICH = probe_recording()
+
+
+def neutral_values(effect: Effect, form: Form) -> dict[str, float | list[float]]:
+    """The values of a form at which the effect is absent, as near as its bounds allow."""
+    neutral = {slot.name: slot.neutral for slot in effect.slots}
+    return _values(form, lambda p, group: float(np.clip(neutral[group[0]], *p.bounds)))
+
+
+def typical_values(effect: Effect, form: Form) -> dict[str, float | list[float]]:
+    """Values at which the effect shows: its first start that is not neutral, else a multiple of what is negligible."""
+    neutral = {slot.name: slot.neutral for slot in effect.slots}
+
+    def value(parameter: Parameter, group: tuple[str, ...]) -> float:
+        base = neutral[group[0]]
+        away = [start for start in parameter.starts if start != base]
+        return away[0] if away else base + (30.0 * parameter.negligible or 1.0)
+
+    return _values(form, value)
+
+
+def _values(form: Form, value: Callable[[Parameter, tuple[str, ...]], float]) -> dict[str, float | list[float]]:
+    found: dict[str, float | list[float]] = {}
+    for parameter in form.parameters:
+        part = [value(parameter, group) for group in parameter.components]
+        found[parameter.name] = part[0] if len(part) == 1 else part
+    return found
+
+
+# -- promises: each yields the figures of what is broken ------------------------------------------------------------
+
+
+def _metadata(effect: Effect) -> Iterator[str]:
+    for key in ("name", "equation", "source", "excited_by"):
+        if not str(getattr(effect, key)).strip():
+            yield f"{key} is empty"
+    if not effect.slots or not effect.forms:
+        yield f"{len(effect.slots)} slots and {len(effect.forms)} forms, at least one of each expected"
+    if effect.target == "axis" and not effect.actuations:
+        yield "an axis effect names no kind of actuation"
+    if not effect.confused_with:
+        yield "confused_with is empty: every effect has a neighbour that it can be taken for"
+    for other in effect.confused_with:
+        if other not in CONTRACT_NAMES or other == effect.name:
+            yield f"confused_with names {other!r}, expected {nearest(other, CONTRACT_NAMES - {effect.name})}"
+    slots = {slot.name for slot in effect.slots}
+    for form in effect.forms:
+        written = [slot for p in form.parameters for group in p.components for slot in group]
+        if set(written) != slots or len(written) != len(slots):
+            yield f"form {{{', '.join(form.names)}}} writes the slots {sorted(written)}, expected each of {sorted(slots)} once"
+        for parameter in form.parameters:
+            yield from _parameter(parameter)
+
+
+def _parameter(parameter: Parameter) -> Iterator[str]:
+    low, high = parameter.bounds
+    if parameter.unit not in UNITS:
+        yield f"{parameter.name}: unit {parameter.unit!r} is not one of {sorted(UNITS)}"
+    if not parameter.about.strip():
+        yield f"{parameter.name}: says nothing about itself"
+    if not (np.isfinite([low, high]).all() and low < high):
+        yield f"{parameter.name}: bounds [{low}, {high}]"
+    if not parameter.starts:
+        yield f"{parameter.name}: no value to start a fit from"
+    outside = [start for start in parameter.starts if not low <= start <= high]
+    if outside:
+        yield f"{parameter.name}: starts {outside} lie outside of the bounds [{low}, {high}]"
+    if parameter.negligible < 0.0:
+        yield f"{parameter.name}: negligible = {parameter.negligible}"
+
+
+def _neutral(subject: _Subject) -> Iterator[str]:
+    without = subject.run(None, _RICH)
+    for form in subject.effect.forms:
+        values = neutral_values(subject.effect, form)
+        yield from _differ(f"with {_text(values)} and without it", subject.run(values, _RICH), without, 0.0)
+
+
+def _acts(subject: _Subject) -> Iterator[str]:
+    without = subject.run(None, _RICH)
+    for form in subject.effect.forms:
+        values = typical_values(subject.effect, form)
+        if np.array_equal(subject.run(values, _RICH), without, equal_nan=True):
+            yield f"{_text(values)} changes nothing"
+
+
+def _causal(subject: _Subject) -> Iterator[str]:
+    at = 2 * len(_RICH) // 3
+    changed = subject.inputs(_RICH).copy()
+    changed[at:] += 0.05 * np.ptp(changed, axis=0)
+    for form in subject.effect.forms:
+        values = typical_values(subject.effect, form)
+        one, other = subject.run(values, _RICH), subject.driven(values, changed)
+        yield from _differ(f"before the input changes at sample {at}", other[:at], one[:at], 0.0)
+
+
+def _deterministic(subject: _Subject) -> Iterator[str]:
+    for form in subject.effect.forms:
+        values = typical_values(subject.effect, form)
+        yield from _differ("in a second run of the same", subject.run(values, _RICH), subject.run(values, _RICH), 0.0)
+
+
+def _reset(subject: _Subject) -> Iterator[str]:
+    other = subject.inputs(_RICH)[::-1] * 0.7
+    for form in subject.effect.forms:
+        values = typical_values(subject.effect, form)
+        first = subject.run(values, _RICH)
+        subject.driven(values, other)
+        yield from _differ("after a run of something else", subject.run(values, _RICH), first, 0.0)
+
+
+def _finite(subject: _Subject) -> Iterator[str]:
+    effect = subject.effect
+    for form in effect.forms:
+        tried = [_values(form, lambda p, _, end=end: p.bounds[end]) for end in (0, 1)]  # type: ignore[misc]
+        if len(form.parameters) == 2:
+            tried += [
+                _values(form, lambda p, _, first=form.parameters[0], end=end: p.bounds[end if p is first else 1 - end])  # type: ignore[misc]
+                for end in (0, 1)
+            ]
+        tried += [typical_values(effect, form)]
+        for values, (kind, inputs) in itertools.product(tried, _hostile(subject.inputs(_RICH))):
+            out = subject.driven(values, inputs)
+            there = ~np.isnan(inputs).any(axis=1)
+            wrong = np.flatnonzero(there & ~np.isfinite(out).all(axis=1))
+            if len(wrong):
+                yield f"{_text(values)}, {kind}: {len(wrong)} samples are not finite, the first at {wrong[0]}"
+
+
+def _hostile(inputs: Array) -> Iterator[tuple[str, Array]]:
+    count = len(inputs)
+    centre, reach = inputs[0], np.ptp(inputs, axis=0)
+    square = np.where((np.arange(count) // 7) % 2 == 0, 1.0, -1.0)[:, None]
+    yield "full steps every 0.07 s", centre + 0.5 * reach * square
+    yield "nothing moves", np.repeat(centre[None], count, axis=0)
+    rng = np.random.default_rng(0)
+    yield "white noise", centre + reach * rng.uniform(-0.5, 0.5, inputs.shape)
+    gaps = inputs.copy()
+    gaps[count // 3 : count // 3 + 5] = np.nan
+    gaps[count // 2 : count // 2 + 60] = np.nan
+    yield "gaps of 0.05 s and 0.6 s", gaps
+
+
+def _time_invariant(subject: _Subject) -> Iterator[str]:
+    """Rest before the start only delays what follows. On a force axis rest is no equilibrium: a load moves it."""
+    if subject.effect.stage == "force":
+        return
+    inputs = subject.inputs(_RICH)
+    later = 37
+    waiting = np.vstack([np.repeat(inputs[:1], later, axis=0), inputs])
+    for form in subject.effect.forms:
+        values = typical_values(subject.effect, form)
+        one, other = np.diff(subject.run(values, _RICH), axis=0), np.diff(subject.driven(values, waiting), axis=0)
+        yield from _differ(f"in its increments after {later} samples of rest", other[later:], one, ROUNDING)
+
+
+def _memoryless(subject: _Subject) -> Iterator[str]:
+    """Without memory the order of inputs does not matter: increments (of a drive) or rows are permuted alike."""
+    effect = subject.effect
+    if effect.memory(1.0 / RATE_HZ) > 0 or effect.stage == "force":
+        return
+    inputs = subject.inputs(_RICH)
+    order = np.random.default_rng(1).permutation(len(inputs))
+    for form in effect.forms:
+        values = typical_values(effect, form)
+        one, other = subject.run(values, _RICH), subject.driven(values, inputs[order])
+        if effect.stage == "command":
+            kept = order[:-1] < len(inputs) - 1
+            one, other = np.diff(one, axis=0)[order[:-1][kept]], np.diff(other, axis=0)[kept]
+        else:
+            one = one[order]
+        yield from _differ("after its inputs were put into another order", other, one, ROUNDING)
+
+
+def _rate_independent(subject: _Subject) -> Iterator[str]:
+    """The same path run through three times more slowly gives the same outputs on it."""
+    if subject.effect.name not in _RATE_INDEPENDENT or (subject.place.stage == "drive" and subject.effect.stage == "joint"):
+        return
+    slow = np.repeat(subject.inputs(_RICH), 3, axis=0)
+    for form in subject.effect.forms:
+        values = typical_values(subject.effect, form)
+        one, other = subject.run(values, _RICH), subject.driven(values, slow)
+        if subject.place.stage == "drive":
+            one, other = np.diff(one, axis=0), np.diff(other, axis=0)
+        one = np.repeat(one, 3, axis=0)[: len(other)]
+        other = other[: len(one)]
+        yield from _differ("on the same path at a third of the pace", other, one, ROUNDING)
+
+
+def _shifts(subject: _Subject) -> Iterator[str]:
+    """A delay of whole samples is a shift in time."""
+    if subject.effect.name != "input_delay":
+        return
+    without = subject.run(None, _RICH)
+    for samples in (1, 13):
+        late = subject.run({"delay": samples / RATE_HZ}, _RICH)
+        yield from _differ(f"from a shift by {samples} samples", late[samples:], without[: len(without) - samples], ROUNDING)
+
+
+def _differ(what: str, one: Array, other: Array, rounding: float) -> Iterator[str]:
+    """Figures where two results differ by more than rounding allows."""
+    if one.shape != other.shape:
+        yield f"{what}: shapes {one.shape} and {other.shape}"
+        return
+    size = float(np.nanmax(np.abs(other), initial=0.0)) or 1.0
+    unlike = np.isnan(one) != np.isnan(other)
+    distance = np.where(unlike, np.inf, np.nan_to_num(np.abs(one - other)))
+    if distance.size and distance.max() > rounding * size:
+        at = int(np.argmax(distance.max(axis=1)))
+        yield f"differs {what} by {distance.max():.3g} at sample {at} (largest value {size:.3g})"
+
+
+def _text(values: Values) -> str:
+    return ", ".join(f"{key} = {value}" for key, value in values.items())
+
+
+#: The promises, in the order in which they are looked at.
+PROPERTIES: dict[str, Callable[[_Subject], Iterator[str]]] = {
+    "neutral": _neutral,
+    "acts": _acts,
+    "causal": _causal,
+    "deterministic": _deterministic,
+    "reset": _reset,
+    "finite": _finite,
+    "time_invariant": _time_invariant,
+    "memoryless": _memoryless,
+    "rate_independent": _rate_independent,
+    "shift": _shifts,
+}

@@ -1,0 +1,211 @@
+"""A small machine with one axis of every kind, and inputs that excite it: what effects are checked on."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+import pandas as pd
+
+from sysid.datasets.recording import Recording
+from sysid.effects import Effect
+from sysid.machine import KnownEffect, Machine, machine_from_files
+from sysid.plant import Model, Plant, compile_plant, nominal_plant
+from sysid.plant.model import measured_joints, measured_point
+from sysid.signals import axis_signal, point_signals
+
+Array = npt.NDArray[np.float64]
+Values = Mapping[str, float | list[float]]
+#: Parameters (None: without the effect) and a recording → the output of the effect's stage, (n, d).
+Run = Callable[[Values | None, Recording], Array]
+
+RATE_HZ = 100.0
+#: Measured outputs are there for this many samples only: they fix the start and nothing else.
+KNOWN = 20
+
+_URDF = """<robot name="probe">
+  <link name="base"/><link name="column"/><link name="arm"/><link name="slide"/><link name="hand"/><link name="tip"/>
+  <link name="tool"/>
+  <joint name="slew_joint" type="revolute"><parent link="base"/><child link="column"/>
+    <origin xyz="0 0 0.3"/><axis xyz="0 0 1"/><limit lower="-1000" upper="1000"/></joint>
+  <joint name="boom_joint" type="revolute"><parent link="column"/><child link="arm"/>
+    <origin xyz="0.05 0 0"/><axis xyz="0 -1 0"/><limit lower="-0.5" upper="1.2"/></joint>
+  <joint name="slide_joint" type="prismatic"><parent link="arm"/><child link="slide"/>
+    <origin xyz="0.6 0 0"/><axis xyz="1 0 0"/><limit lower="-1e9" upper="1e9"/></joint>
+  <joint name="wrist_joint" type="revolute"><parent link="slide"/><child link="hand"/>
+    <origin xyz="0.3 0 0"/><axis xyz="0 -1 0"/><limit lower="-3" upper="3"/></joint>
+  <joint name="grip" type="fixed"><parent link="hand"/><child link="tip"/><origin xyz="0.2 0 0.02"/></joint>
+  <joint name="hang" type="fixed"><parent link="tip"/><child link="tool"/><origin xyz="0 0 0"/></joint>
+</robot>
+"""
+
+_MACHINE = """
+schema = 1
+name = "probe"
+rate_hz = 100.0
+urdf = "probe.urdf"
+tip = "tip"
+tool = "tool"
+[[axes]]
+name = "slew"
+joint = "slew_joint"
+actuation = "velocity"
+drives = "joint"
+gain = 0.5
+[[axes]]
+name = "boom"
+joint = "boom_joint"
+actuation = "velocity"
+drives = "cylinder"
+gain = 0.008
+stroke = [0.0, 0.11]
+linkage = {kind = "triangle", a = 0.12, b = 0.20, offset = 0.9, retracted = 0.15, sense = 1}
+[[axes]]
+name = "slide"
+joint = "slide_joint"
+actuation = "force"
+drives = "joint"
+inertia = 2.0
+[[axes]]
+name = "wrist"
+joint = "wrist_joint"
+actuation = "position"
+drives = "joint"
+"""
+
+#: Largest command of each axis in the probe's inputs; newtons for the slide, radians for the wrist.
+AMPLITUDES = {"slew": 1.0, "boom": 1.0, "slide": 4.0, "wrist": 1.0}
+
+
+@dataclass(frozen=True)
+class Place:
+    """Where an effect can sit in the probe machine.
+
+    Args:
+        stage: whose output is looked at: ``drive``, ``joint``, ``tip`` or ``tool``.
+        inputs: the signals that drive this stage.
+    """
+
+    target: str
+    side: str | None
+    stage: str
+    inputs: tuple[str, ...]
+
+    def __str__(self) -> str:
+        return f"{self.target}{f', {self.side}' if self.side else ''} ({self.stage})"
+
+
+@functools.cache
+def probe_machine() -> Machine:
+    """Velocity axes that drive a joint (slew) and a cylinder (boom), a force axis (slide), a position axis (wrist), a tool."""
+    return machine_from_files({"machine.toml": _MACHINE, "probe.urdf": _URDF}, "probe")
+
+
+def probe_recording(seconds: float = 6.0, seed: int = 0) -> Recording:
+    """Steps and sines at every input; half a second of rest first. Outputs are known in the first 0.2 s only."""
+    rng = np.random.default_rng(seed)
+    count = round(seconds * RATE_HZ)
+    time = np.arange(count) / RATE_HZ
+    machine = probe_machine()
+    columns: dict[str, Array] = {"time": time}
+    moving = np.arange(count) >= min(50, count // 4)
+    for name, amplitude in AMPLITUDES.items():
+        levels = rng.uniform(-1.0, 1.0, count // 40 + 1).repeat(40)[:count]
+        wave = np.sin(2 * np.pi * rng.uniform(0.3, 0.9) * time + rng.uniform(0, 6.28))
+        columns[axis_signal(name, "command")] = np.where(moving, amplitude * np.clip(0.6 * levels + 0.6 * wave, -1, 1), 0.0)
+    columns["boom.cylinder"] = 0.055 + 0.04 * _path(time, moving, rng)
+    joints = {"slew": 1.2, "boom": 0.4, "slide": 0.2, "wrist": 0.8}
+    columns |= {axis_signal(name, "joint"): size * _path(time, moving, rng) for name, size in joints.items()}
+    joint_values = np.column_stack([columns[axis_signal(name, "joint")] for name in machine.axis_names])
+    kinematics = machine.kinematics()
+    assert kinematics is not None
+    tip = kinematics.tip_position(joint_values)
+    columns |= {signal: tip[:, k] for k, signal in enumerate(point_signals("ee"))}
+    columns |= {signal: np.full(count, np.nan) for signal in point_signals("tool")}
+    return Recording("probe", pd.DataFrame(columns), RATE_HZ)
+
+
+def _path(time: Array, moving: npt.NDArray[np.bool_], rng: np.random.Generator) -> Array:
+    """A smooth path in [−1, 1] that begins at rest at zero."""
+    begin = float(time[np.argmax(moving)])
+    t = np.where(moving, time - begin, 0.0)
+    total = sum(np.sin(2 * np.pi * f * rng.uniform(0.8, 1.2) * t) * rng.choice([-1.0, 1.0]) for f in (0.25, 0.6, 1.1))
+    return np.asarray(total / 3.0)
+
+
+def with_inputs(recording: Recording, inputs: Sequence[str], values: Array) -> Recording:
+    """The recording with ``values`` (n, len(inputs)) at these inputs; it may be longer or shorter than before."""
+    count = len(values)
+    rows = np.minimum(np.arange(count), len(recording) - 1)
+    table = recording.table.iloc[rows].reset_index(drop=True)
+    table["time"] = np.arange(count) / recording.rate_hz
+    return replace(recording, table=table.assign(**{name: values[:, k] for k, name in enumerate(inputs)}))
+
+
+def places_of(effect: Effect) -> tuple[Place, ...]:
+    """Every kind of place the effect may have, on the probe machine."""
+    machine = probe_machine()
+    joints = tuple(axis_signal(name, "joint") for name in machine.axis_names)
+    if effect.target == "tool":
+        return (Place("tool", None, "tool", point_signals("ee")),)
+    if effect.target == "base":
+        return (Place("base", None, "tip", joints),)
+    found = []
+    for axis in machine.axes:
+        if axis.actuation not in effect.actuations:
+            continue
+        command = (axis_signal(axis.name, "command"),)
+        if effect.stage in ("command", "force"):
+            found.append(Place(axis.name, None, "drive", command))
+        elif effect.stage == "end_effector":
+            found.append(Place(axis.name, None, "tip", joints))
+        for side in effect.sides:
+            if side == "structure":
+                found.append(Place(axis.name, side, "tip", joints))
+            elif axis.drives == "joint":
+                found.append(Place(axis.name, side, "drive", command))
+            else:
+                found.append(Place(axis.name, side, "joint", (axis_signal(axis.name, "cylinder"),)))
+    return tuple(found)
+
+
+@functools.cache
+def _nominal() -> tuple[Plant, Model]:
+    plant = nominal_plant(probe_machine())
+    return plant, compile_plant(plant)
+
+
+def plant_run(effect: Effect, place: Place) -> Run:
+    """The compiled plant with the effect at ``place`` and nothing else."""
+    plant, model = _nominal()
+
+    def run(values: Values | None, recording: Recording) -> Array:
+        at = plant
+        if values is not None:
+            side = place.side
+            at = plant.with_effect(KnownEffect(effect.name, place.target, dict(values), side))  # type: ignore[arg-type]
+        theta = at.vector()[None]
+        if place.stage == "drive":
+            known = _starting(recording, model.machine.axis(place.target).driven)
+            return np.asarray(model.drive(theta, known, place.target)[1].T)
+        if place.stage == "joint":
+            cylinder = recording.values(axis_signal(place.target, "cylinder"))
+            unknown = np.full(len(recording), np.nan)
+            return np.asarray(model.joint(theta, cylinder, unknown, place.target, RATE_HZ).T)
+        if place.stage == "tip":
+            return np.asarray(model.tip(theta, measured_joints(recording, model.machine))[0])
+        ee, hanging = measured_point(recording, "ee"), measured_point(recording, "tool")
+        return np.asarray(model.tool(theta, ee, hanging, RATE_HZ)[0])
+
+    return run
+
+
+def _starting(recording: Recording, signal: str) -> Recording:
+    """The recording with the driven signal at rest for the first samples and unknown afterwards."""
+    values = np.full(len(recording), np.nan)
+    first = recording.values(signal)
+    values[:KNOWN] = first[0] if len(first) and np.isfinite(first[0]) else 0.0
+    return replace(recording, table=recording.table.assign(**{signal: values}))

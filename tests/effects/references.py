@@ -1,0 +1,139 @@
+"""Slow reference integrations, written in plain Python and SciPy from the contract's definitions and nothing else.
+
+Commands are held over a step. Velocity axes are integrated in ``PARTS`` sub-steps; forces and pendulum by an adaptive solver.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+
+import numpy as np
+import numpy.typing as npt
+from scipy.integrate import solve_ivp
+from scipy.interpolate import CubicSpline
+
+Array = npt.NDArray[np.float64]
+PARTS = 100
+GRAVITY = 9.80665
+
+
+def velocity_axis(command: Array, dt: float, gain: float, begin: float, **effects: Sequence[float]) -> Array:
+    """Position of a velocity axis at the samples; effects by name with their parameters in the contract's order."""
+    h = dt / PARTS
+    delay = effects.get("input_delay", (0.0,))[0]
+    play = effects.get("valve_hysteresis", (0.0,))[0]
+    dead = effects.get("valve_deadband", (0.0, 0.0))
+    exponent = effects.get("gain_curve", (1.0,))[0]
+    limit = effects.get("flow_saturation", (math.inf,))[0]
+    rate = effects.get("command_rate_limit", (math.inf,))[0]
+    lag = effects.get("first_order_lag", (0.0,))[0]
+    ratio = effects.get("gain_error", (1.0,))[0]
+    negative = effects.get("asymmetric_gain", (1.0,))[0]
+    leakage = effects.get("internal_leakage", (0.0,))[0]
+    breakaway, release = effects.get("stiction", (0.0, 0.0))
+    spool = ramp = slow = float(command[0])
+    moving = False
+    x = begin
+    out = np.empty(len(command))
+    for k in range(len(command)):
+        out[k] = x
+        for part in range(PARTS):
+            t = k * dt + (part + 0.5) * h - delay
+            u = float(command[min(max(math.floor(t / dt), 0), len(command) - 1)])
+            if u - spool > play / 2:
+                spool = u - play / 2
+            elif spool - u > play / 2:
+                spool = u + play / 2
+            u = spool
+            u = max(u - dead[0], 0.0) + min(u + dead[1], 0.0)
+            u = (1.0 if u > 0 else -1.0 if u < 0 else 0.0) * abs(u) ** exponent
+            u = limit if u > limit else -limit if u < -limit else u
+            room = rate * h
+            ramp = u if abs(u - ramp) <= room else ramp + (room if u > ramp else -room)
+            slow = ramp + (slow - ramp) * math.exp(-h / lag) if lag > 0 else ramp
+            v = slow * ratio * (negative if slow < 0 else 1.0)
+            moving = abs(v) >= release if moving else abs(v) > breakaway
+            x += h * ((gain * v if moving else 0.0) - leakage)
+    return out
+
+
+def servo_axis(command: Array, dt: float, delay: float = 0.0, rate: float = math.inf, lag: float = 0.0) -> Array:
+    """Mean position of a position axis over each step (the command is held)."""
+    h = dt / PARTS
+    ramp = slow = float(command[0])
+    out = np.empty(len(command))
+    for k in range(len(command)):
+        total = 0.0
+        for part in range(PARTS):
+            t = k * dt + (part + 0.5) * h - delay
+            u = float(command[min(max(math.floor(t / dt), 0), len(command) - 1)])
+            room = rate * h
+            ramp = u if abs(u - ramp) <= room else ramp + (room if u > ramp else -room)
+            slow = ramp + (slow - ramp) * math.exp(-h / lag) if lag > 0 else ramp
+            total += slow
+        out[k] = total / PARTS
+    return out
+
+
+def force_axis(
+    force: Array,
+    dt: float,
+    mass: float,
+    coulomb: tuple[float, float] = (0.0, 0.0),
+    viscous: tuple[float, float] = (0.0, 0.0),
+    load: float = 0.0,
+    slope: float = 1e-5,
+) -> Array:
+    """Position of a mass from rest, (n,), by a stiff solver; Coulomb friction regularised over ``slope`` [m/s]."""
+
+    def rates(t: float, state: Array, u: float) -> list[float]:
+        v = state[1]
+        side = 0 if v > 0 else 1
+        friction = coulomb[side] * math.tanh(v / slope) + viscous[side] * v
+        return [v, (u - friction - load) / mass]
+
+    state = np.zeros(2)
+    out = np.empty(len(force))
+    for k, u in enumerate(force):
+        out[k] = state[0]
+        done = solve_ivp(rates, (0.0, dt), state, method="Radau", args=(float(u),), rtol=1e-7, atol=1e-10)
+        state = done.y[:, -1]
+    return out
+
+
+def play(position: Array, width: float, begin: float) -> Array:
+    """A follower pushed by two walls that are ``width`` apart."""
+    follower = begin
+    out = []
+    for wall in position:
+        lower, upper = wall - width / 2, wall + width / 2
+        if follower < lower:
+            follower = lower
+        if follower > upper:
+            follower = upper
+        out.append(follower)
+    return np.array(out)
+
+
+def pendulum(pivot: Array, dt: float, length: float, damping_ratio: float, longest_step: float = 0.2) -> Array:
+    """Bob (n, 3) of a spherical pendulum below a moving pivot (n, 3), hanging at rest at the start.
+
+    Newton's law in Cartesian coordinates with the tension that keeps ``|r| = length`` (r from pivot to bob):
+    ``r̈ = g − a − c·ṙ − λ·r`` with ``λ = (r·(g − a − c·ṙ) + |ṙ|²)/L²``, ``c = 2ζ·√(g/L)`` (friction of the joints it hangs on).
+    """
+    time = np.arange(len(pivot)) * dt
+    spline = CubicSpline(time, pivot, axis=0)
+    acceleration: Callable[[float], Array] = spline.derivative(2)
+    gravity = np.array([0.0, 0.0, -GRAVITY])
+    drag = 2.0 * damping_ratio * math.sqrt(GRAVITY / length)
+
+    def rates(t: float, state: Array) -> Array:
+        r, v = state[:3], state[3:]
+        free = gravity - acceleration(t) - drag * v
+        tension = (r @ free + v @ v) / length**2
+        return np.concatenate([v, free - tension * r])
+
+    start = np.array([0.0, 0.0, -length, 0.0, 0.0, 0.0])
+    done = solve_ivp(rates, (0.0, time[-1]), start, t_eval=time, method="DOP853", rtol=1e-9, atol=1e-11, max_step=longest_step)
+    return np.asarray(pivot + done.y[:3].T)

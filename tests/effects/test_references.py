@@ -1,0 +1,247 @@
+"""The compiled effects against slow integrations of their definitions."""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import replace
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+import references
+from scipy.spatial.transform import Rotation
+
+from sysid.datasets.recording import Recording
+from sysid.effects import BY_NAME, CATALOGUE
+from sysid.machine import machine_from_files
+from sysid.plant import chain
+from sysid.plant.model import measured_joints, measured_point
+from sysid.testing import Place, places_of, plant_run, probe_machine, probe_recording
+
+Array = npt.NDArray[np.float64]
+DT = 0.01
+RECORDING = probe_recording(4.0, seed=3)
+
+
+def place(effect: str, target: str, side: str | None = None) -> Place:
+    return next(p for p in places_of(BY_NAME[effect]) if p.target == target and p.side == side)
+
+
+def run(effect: str, target: str, values: dict[str, float | list[float]], side: str | None = None) -> Array:
+    return plant_run(BY_NAME[effect], place(effect, target, side))(values, RECORDING)
+
+
+VELOCITY = [
+    ("input_delay", {"delay": 0.0}),
+    ("input_delay", {"delay": 0.05}),
+    ("input_delay", {"delay": 0.0234}),
+    ("first_order_lag", {"time_constant": 0.003}),
+    ("first_order_lag", {"time_constant": 0.15}),
+    ("valve_deadband", {"positive": 0.2, "negative": 0.11}),
+    ("valve_hysteresis", {"width": 0.15}),
+    ("gain_error", {"ratio": 1.37}),
+    ("asymmetric_gain", {"ratio": 0.7}),
+    ("gain_curve", {"exponent": 1.8}),
+    ("flow_saturation", {"limit": 0.45}),
+    ("command_rate_limit", {"rate": 2.5}),
+    ("command_rate_limit", {"rate": 60.0}),
+    ("internal_leakage", {"rate": 0.002}),
+    ("stiction", {"breakaway": 0.3, "release": 0.12}),
+]
+
+
+@pytest.mark.parametrize(("effect", "values"), VELOCITY, ids=[f"{e}-{'-'.join(map(str, v.values()))}" for e, v in VELOCITY])
+def test_velocity_axis(effect: str, values: dict[str, float]) -> None:
+    command = RECORDING.values("slew.command")
+    expected = references.velocity_axis(command, DT, 0.5, 0.0, **{effect: tuple(values.values())})
+    out = run(effect, "slew", dict(values))[:, 0]
+    # The reference resolves an edge of a ramp or a delay to a hundredth of a step.
+    assert np.abs((out - out[0]) - expected).max() < 2e-4 * np.ptp(expected)
+
+
+def test_all_velocity_effects_together() -> None:
+    """Order of the command stage. Blending a fraction of a step before a bend is exact to first order only."""
+    from sysid.machine import KnownEffect
+    from sysid.plant import compile_plant, nominal_plant
+
+    values: dict[str, dict[str, float]] = {
+        "input_delay": {"delay": 0.04},
+        "valve_hysteresis": {"width": 0.04},
+        "valve_deadband": {"positive": 0.1, "negative": 0.07},
+        "gain_curve": {"exponent": 1.3},
+        "flow_saturation": {"limit": 0.6},
+        "command_rate_limit": {"rate": 6.0},
+        "first_order_lag": {"time_constant": 0.06},
+        "gain_error": {"ratio": 1.2},
+        "asymmetric_gain": {"ratio": 0.8},
+        "internal_leakage": {"rate": 0.001},
+        "stiction": {"breakaway": 0.1, "release": 0.05},
+    }
+    plant = nominal_plant(probe_machine())
+    for name, parameters in values.items():
+        plant = plant.with_effect(KnownEffect(name, "slew", dict(parameters)))
+    model = compile_plant(plant)
+    known = replace(RECORDING, table=RECORDING.table.assign(**{"slew.joint": np.where(np.arange(400) < 1, 0.0, np.nan)}))
+    out = model.drive(model.theta[None], known, "slew")[0][0]
+    expected = references.velocity_axis(
+        RECORDING.values("slew.command"), DT, 0.5, 0.0, **{name: tuple(p.values()) for name, p in values.items()}
+    )
+    assert np.abs((out - out[0]) - expected).max() < 1e-2 * np.ptp(expected)
+
+
+@pytest.mark.parametrize(
+    ("effect", "values", "keyword"),
+    [
+        ("input_delay", {"delay": 0.037}, "delay"),
+        ("command_rate_limit", {"rate": 3.0}, "rate"),
+        ("first_order_lag", {"time_constant": 0.08}, "lag"),
+    ],
+)
+def test_position_axis(effect: str, values: dict[str, float], keyword: str) -> None:
+    command = RECORDING.values("wrist.command")
+    expected = references.servo_axis(command, DT, **{keyword: next(iter(values.values()))})
+    assert np.abs(run(effect, "wrist", dict(values))[:, 0] - expected).max() < 2e-3 * np.ptp(expected)
+
+
+FORCE = [
+    ("coulomb_friction", {"force": 1.5}, {"coulomb": (1.5, 1.5)}),
+    ("coulomb_friction", {"positive": 1.0, "negative": 2.0}, {"coulomb": (1.0, 2.0)}),
+    ("viscous_friction", {"coefficient": 3.0}, {"viscous": (3.0, 3.0)}),
+    ("viscous_friction", {"positive": 2.0, "negative": 6.0}, {"viscous": (2.0, 6.0)}),
+    ("inertia_error", {"ratio": 1.7}, {"mass": 3.4}),
+    ("load_bias", {"force": -0.7}, {"load": -0.7}),
+]
+
+
+@pytest.mark.parametrize(("effect", "values", "physics"), FORCE, ids=[f"{e}-{len(v)}" for e, v, _ in FORCE])
+def test_force_axis(effect: str, values: dict[str, float], physics: dict[str, float | tuple[float, float]]) -> None:
+    expected = references.force_axis(RECORDING.values("slide.command"), DT, **{"mass": 2.0, **physics})  # type: ignore[arg-type]
+    out = run(effect, "slide", dict(values))[:, 0]
+    # The plant steps at the sample rate, to first order in friction: about a hundredth of the travel after 4 s.
+    assert np.abs((out - out[0]) - expected).max() < 2e-2 * np.ptp(expected)
+
+
+@pytest.mark.parametrize("width", [0.01, 0.1])
+def test_play_between_drive_and_sensor(width: float) -> None:
+    drive = references.velocity_axis(RECORDING.values("slew.command"), DT, 0.5, 0.0)
+    out = run("backlash", "slew", {"width": width}, "drive")[:, 0]
+    begin = out[0]
+    candidates = [references.play(drive + begin + side * width / 2, width, begin) for side in (-1.0, 0.0, 1.0)]
+    assert min(np.abs(out - expected).max() for expected in candidates) < 1e-6
+
+
+def test_play_behind_a_cylinder() -> None:
+    linkage = probe_machine().axis("boom").linkage
+    assert linkage is not None
+    from sysid.machine import TriangleLinkage
+
+    angle = TriangleLinkage(linkage).joint(RECORDING.values("boom.cylinder"))
+    out = run("backlash", "boom", {"width": 0.02}, "drive")[:, 0]
+    # The plant tabulates the linkage.
+    assert np.abs(out - references.play(angle, 0.02, angle[0])).max() < 2e-6
+
+
+def test_play_in_the_structure() -> None:
+    joints = measured_joints(RECORDING, probe_machine()).copy()
+    joints[:, 1] = references.play(joints[:, 1], 0.05, joints[0, 1])
+    kinematics = probe_machine().kinematics()
+    assert kinematics is not None
+    out = run("backlash", "boom", {"width": 0.05}, "structure")
+    assert np.abs(out - kinematics.tip_position(joints)).max() < 1e-12
+
+
+@pytest.mark.parametrize("axis", ["slew", "boom", "slide", "wrist"])
+def test_joint_offset_moves_the_joint(axis: str) -> None:
+    joints = measured_joints(RECORDING, probe_machine()).copy()
+    joints[:, probe_machine().axis_names.index(axis)] += 0.013
+    kinematics = probe_machine().kinematics()
+    assert kinematics is not None
+    assert np.abs(run("joint_offset", axis, {"offset": 0.013}) - kinematics.tip_position(joints)).max() < 1e-12
+
+
+#: Text of the URDF, and the same with the link 0.02 m longer.
+LONGER = {
+    "slew": ('xyz="0.05 0 0"', 'xyz="0.07 0 0"'),
+    "boom": ('xyz="0.6 0 0"', 'xyz="0.62 0 0"'),
+    "slide": ('xyz="0.3 0 0"', 'xyz="0.32 0 0"'),
+    "wrist": (
+        'xyz="0.2 0 0.02"',
+        f'xyz="{0.2 * (1 + 0.02 / np.hypot(0.2, 0.02))} 0 {0.02 * (1 + 0.02 / np.hypot(0.2, 0.02))}"',
+    ),
+}
+
+
+@pytest.mark.parametrize("axis", LONGER)
+def test_link_length_is_that_of_a_longer_urdf(axis: str) -> None:
+    files = probe_machine().files()
+    before, after = LONGER[axis]
+    assert files["probe.urdf"].count(before) == 1
+    longer = machine_from_files({**files, "probe.urdf": files["probe.urdf"].replace(before, after)}, "longer").kinematics()
+    assert longer is not None
+    out = run("link_length_error", axis, {"error": 0.02})
+    assert np.abs(out - longer.tip_position(measured_joints(RECORDING, probe_machine()))).max() < 1e-12
+
+
+def test_base_misalignment_is_a_rigid_motion() -> None:
+    translation, rotation = [0.1, -0.2, 0.05], [0.02, -0.3, 0.1]
+    kinematics = probe_machine().kinematics()
+    assert kinematics is not None
+    tip = kinematics.tip_position(measured_joints(RECORDING, probe_machine()))
+    out = run("base_misalignment", "base", {"translation": translation, "rotation": rotation})
+    assert np.abs(out - (Rotation.from_rotvec(rotation).apply(tip) + translation)).max() < 1e-12
+
+
+@pytest.mark.parametrize(("rate_hz", "tolerance"), [(100.0, 0.02), (1000.0, 0.002)])
+@pytest.mark.parametrize(("length", "damping"), [(0.22, 0.03), (0.6, 0.1)])
+def test_sway_is_a_spherical_pendulum(length: float, damping: float, rate_hz: float, tolerance: float) -> None:
+    """Swings by 0.4 of the length, in both directions, with the pivot moving up and down as well; first order in the step."""
+    time = np.arange(round(8.0 * rate_hz)) / rate_hz
+    moving = np.clip(time - 0.3, 0.0, 4.7)
+    begin_and_end_at_rest = np.sin(np.pi * moving / 4.7) ** 2
+    waves = np.column_stack([np.sin(4.6 * moving), np.sin(5.3 * moving), 0.5 * np.sin(4.0 * moving)])
+    pivot = 0.15 * length * waves * begin_and_end_at_rest[:, None] + [0.0, 0.0, 1.0]
+    unknown = np.full_like(pivot, np.nan)
+    out = np.empty_like(pivot)
+    chain.tool(np.array([length, damping]), 0, pivot, unknown, 20, 1.0 / rate_hz, out)
+    expected = references.pendulum(pivot, 1.0 / rate_hz, length, damping, longest_step=0.2)
+    swing = np.abs(expected[:, :2] - pivot[:, :2]).max()
+    assert 0.35 * length < swing < 0.5 * length
+    assert np.abs(out - expected).max() < tolerance * swing
+
+
+def test_sway_hangs_at_its_length_and_rings_at_its_frequency() -> None:
+    """A push of the pivot, then rest: distance to the pivot stays the length; zero crossings come at √(g/L)."""
+    time = np.arange(1500) * DT
+    pivot = np.column_stack([np.where(time > 0.5, 0.01, 0.0), np.zeros(1500), np.ones(1500)])
+    table = probe_recording(15.0).table.assign(**{f"ee.{c}": pivot[:, k] for k, c in enumerate("xyz")})
+    recording = Recording("push", table, 100.0)
+    run_sway = plant_run(BY_NAME["gripper_sway"], place("gripper_sway", "tool"))
+    out = run_sway({"length": 0.25, "damping_ratio": 0.02}, recording)
+    after = out[100:, 0] - 0.01
+    assert np.allclose(np.linalg.norm(out - measured_point(recording, "ee"), axis=1), 0.25, atol=1e-9)
+    crossings = np.flatnonzero(np.diff(np.sign(after)))
+    period = 2.0 * DT * np.mean(np.diff(crossings))
+    rate = np.sqrt(9.80665 / 0.25)
+    assert period == pytest.approx(2 * np.pi / (rate * np.sqrt(1 - 0.02**2)), rel=5e-3)
+    peaks = [np.abs(after[a:b]).max() for a, b in itertools.pairwise(crossings)]
+    decrement = np.log(peaks[0] / peaks[-1]) / (len(peaks) - 1)
+    assert decrement == pytest.approx(np.pi * 0.02 / np.sqrt(1 - 0.02**2), rel=0.05)
+
+
+def test_a_tip_that_jumps_leaves_the_swing_finite() -> None:
+    """Motion capture that takes another body for the tip for a moment (also by more than the length of the string)."""
+    for jump in (0.05, 0.3, 3.0):
+        ee = np.tile([0.0, 0.0, 1.0], (600, 1))
+        ee[200:206, 0] += jump
+        table = probe_recording(6.0).table.assign(**{f"ee.{c}": ee[:, k] for k, c in enumerate("xyz")})
+        sway = plant_run(BY_NAME["gripper_sway"], place("gripper_sway", "tool"))
+        out = sway({"length": 0.22, "damping_ratio": 0.05}, Recording("jump", table, 100.0))
+        assert np.isfinite(out).all()
+        assert np.abs(out[-50:] - ee[-50:]).max() <= 0.22 + 1e-9
+
+
+def test_every_effect_has_a_reference() -> None:
+    """A new effect brings its own."""
+    compared = {name for name, *_ in (*VELOCITY, *FORCE)}
+    compared |= {"backlash", "joint_offset", "link_length_error", "base_misalignment", "gripper_sway"}
+    assert compared == {effect.name for effect in CATALOGUE}
