@@ -11,6 +11,7 @@ import numpy.typing as npt
 
 from sysid.datasets.recording import Dataset, Recording, Role
 from sysid.effects.effect import Stage
+from sysid.gap.drift import BIN
 from sysid.machine import Axis
 from sysid.plant import Model
 from sysid.plant.force import ForceInputs, force_inputs
@@ -56,6 +57,10 @@ class Problem(Protocol):
         """Rows of :meth:`measured` a second."""
         ...
 
+    def rows(self, recording: Recording) -> npt.NDArray[np.int64]:
+        """The recording's row of each row of :meth:`measured`."""
+        ...
+
 
 @dataclass(frozen=True)
 class DriveProblem:
@@ -87,6 +92,9 @@ class DriveProblem:
 
     def rate(self, recording: Recording) -> float:
         return recording.rate_hz
+
+    def rows(self, recording: Recording) -> npt.NDArray[np.int64]:
+        return np.arange(len(recording))
 
     def in_short_runs(self, seconds: float) -> DriveProblem:
         """The same problem restarted from the measurement every few seconds: a drift cannot trap a fit there."""
@@ -122,8 +130,10 @@ class ForceProblem:
         return self._inputs(recording).force[:, None]
 
     def rate(self, recording: Recording) -> float:
-        rows = self.inputs[recording.name][1].rows
-        return recording.rate_hz / float(np.median(np.diff(rows)))
+        return recording.rate_hz / float(np.median(np.diff(self.rows(recording))))
+
+    def rows(self, recording: Recording) -> npt.NDArray[np.int64]:
+        return self.inputs[recording.name][1].rows
 
     def _inputs(self, recording: Recording) -> ForceInputs:
         """The filtered recording; a changed copy of a known one (with noise added) is filtered afresh on the same rows."""
@@ -162,6 +172,9 @@ class JointProblem:
     def rate(self, recording: Recording) -> float:
         return recording.rate_hz
 
+    def rows(self, recording: Recording) -> npt.NDArray[np.int64]:
+        return np.arange(len(recording))
+
 
 @dataclass(frozen=True)
 class TipProblem:
@@ -184,7 +197,10 @@ class TipProblem:
         return measured_point(recording, "ee")
 
     def rate(self, recording: Recording) -> float:
-        return recording.rate_hz
+        return recording.rate_hz if recording.kind == "motion" else 1.0 / BIN  # poses are independent: one bin each
+
+    def rows(self, recording: Recording) -> npt.NDArray[np.int64]:
+        return np.arange(len(recording))
 
 
 @dataclass(frozen=True)
@@ -206,6 +222,9 @@ class ToolProblem:
 
     def rate(self, recording: Recording) -> float:
         return recording.rate_hz
+
+    def rows(self, recording: Recording) -> npt.NDArray[np.int64]:
+        return np.arange(len(recording))
 
 
 @dataclass(frozen=True)

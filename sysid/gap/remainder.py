@@ -35,15 +35,17 @@ def describe_remainder(problem: Problem, fit: Fit, recordings: Sequence[Recordin
         targets = []
         total = []
         for recording in recordings:
-            if problem.rate(recording) != recording.rate_hz:
+            if recording.kind != "motion":
                 continue
+            rate_hz = problem.rate(recording)
             r = (problem.measured(recording) - problem.predict(fit.theta[None], recording)[0])[:, k : k + 1]
             total.append(r[:, 0])
-            series = to_bins(r, recording.rate_hz, BIN)[:, 0]
+            series = to_bins(r, rate_hz, BIN)[:, 0]
             rate = isinstance(problem, DriveProblem)
             targets.append(np.diff(series) / BIN if rate else series[1:])
             for name, values in _probes(recording, machine).items():
-                probes.setdefault(name, []).append(to_bins(values[:, None], recording.rate_hz, BIN)[1:, 0])
+                at_rows = values[problem.rows(recording), None]
+                probes.setdefault(name, []).append(to_bins(at_rows, rate_hz, BIN)[1:, 0])
         if not targets:
             continue
         name, correlation, slope = _best(np.concatenate(targets), {n: np.concatenate(p) for n, p in probes.items()})
