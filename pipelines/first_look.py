@@ -14,7 +14,7 @@ from sysid.cli.output import Printer, Stations, rerun_command, write_json
 from sysid.cli.tables import show_errors, show_gap, show_repair
 from sysid.datasets import ingest
 from sysid.gap import find_gap
-from sysid.networks import PAPER_MAX, NetworkRecipe, fit_actuator, fit_forward
+from sysid.networks import PAPER_MAX, Model, NetworkRecipe, fit_actuator, fit_forward
 from sysid.reports import write_report
 from sysid.validate import ValidationReport, validate_model
 from sysid.view import write_rerun
@@ -36,9 +36,10 @@ def main(workspace: Path, logs: Path = AUTOLOG, recipe: NetworkRecipe | None = N
         actuator = fit_actuator(dataset, recipe, progress)
     with station("fit forward") as progress:
         forward = fit_forward(dataset, recipe, progress)
+    networks: tuple[Model, ...] = (actuator, forward)
     with station("validate"):
-        reports = [validate_model(network, dataset, recipe=recipe) for network in (actuator, forward)]
-        versions = [place.add_network(dataset, n, recipe, r) for n, r in zip((actuator, forward), reports, strict=True)]
+        reports = [validate_model(network, dataset, recipe=recipe) for network in networks]
+        versions = [place.add_network(dataset, n, recipe, report) for n, report in zip(networks, reports, strict=True)]
     with station("simulate"):
         plant = place.plant(dataset)  # machine.toml, its URDF, and the actuator networks as linkages
     with station("gap") as progress:
