@@ -1,0 +1,97 @@
+"""What one run of the workflow is about: the dataset, the questioned plant, and the stages it is made of."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from sysid.datasets.recording import Dataset
+from sysid.errors import ExcitationError
+from sysid.gap.candidates import Candidate, candidates_at
+from sysid.gap.excitation import excitation_of
+from sysid.gap.floor import problem_floor
+from sysid.gap.noise import noise_levels
+from sysid.gap.problem import ForceProblem, Problem, Split, TipProblem, pose_split, problems_of, split_of
+from sysid.gap.result import Excitation
+from sysid.gap.search import Finding
+from sysid.plant import Plant, compile_plant
+
+Array = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Case:
+    """A dataset against a plant; ``theta`` is the plant's vector, ``noise`` the standard deviation by signal."""
+
+    dataset: Dataset
+    plant: Plant
+    theta: Array
+    noise: Mapping[str, float]
+    split: Split
+    seed: int
+
+
+@dataclass(frozen=True)
+class Stage:
+    """One problem of the case: its recordings, its noise floor by signal (d,), and in the end what was found."""
+
+    problem: Problem
+    split: Split
+    sigma: Array
+    finding: Finding | None = None
+
+    @property
+    def label(self) -> str:
+        return f"{self.problem.stage} stage of {self.problem.target}"
+
+    @property
+    def found(self) -> Finding:
+        """The finding of a stage that was searched."""
+        assert self.finding is not None
+        return self.finding
+
+
+def open_case(dataset: Dataset, plant: Plant, seed: int) -> tuple[Case, list[Stage]]:
+    """The case and its stages, not searched yet.
+
+    Raises:
+        ExcitationError: no stage is measured at both ends, or there is nothing to fit, to select or to hold out.
+    """
+    model = compile_plant(plant)
+    split = split_of(dataset)
+    problems = problems_of(model, dataset)
+    if not problems:
+        raise ExcitationError(dataset.reference, "no stage is measured at both its ends", "commands and the motion they cause")
+    if not split.fit or not split.select or not split.held_out:
+        raise ExcitationError(dataset.reference, "too few recordings", "some to fit, to select and to hold out")
+    case = Case(dataset, plant, model.theta, noise_levels(dataset), split, seed)
+    return case, [_stage(case, problem) for problem in problems]
+
+
+def _stage(case: Case, problem: Problem) -> Stage:
+    split = case.split
+    if isinstance(problem, TipProblem):  # static poses show kinematics best
+        poses = pose_split(case.dataset)
+        split = Split((*split.fit, *poses.fit), (*split.select, *poses.select), (*split.held_out, *poses.held_out))
+    sigma = problem_floor(problem, case.theta, split.fit, case.noise, case.seed)
+    return Stage(problem, split, np.maximum(sigma, 1e-12))
+
+
+def stage_candidates(case: Case, stage: Stage) -> list[Candidate]:
+    """Every effect that may be missing at the stage, whether the recordings show it or not."""
+    force = 1.0
+    if isinstance(stage.problem, ForceProblem):
+        force = float(np.median(np.abs(np.concatenate([stage.problem.measured(r)[:, 0] for r in stage.split.fit]))))
+    return candidates_at(case.plant, case.theta, stage.problem.stage, stage.problem.targets, force)
+
+
+def excitation(case: Case, stages: list[Stage]) -> tuple[Excitation, ...]:
+    """For every candidate, whether the recordings that may be seen contain what it needs."""
+    found = {}
+    for stage in stages:
+        for candidate in stage_candidates(case, stage):
+            found[candidate.key] = excitation_of(candidate, stage.split.seen, case.plant.machine)
+    return tuple(found.values())

@@ -1,0 +1,131 @@
+"""The proof: what was found at each stage is judged once, on recordings that nothing has touched."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from sysid.gap.candidates import Candidate
+from sysid.gap.case import Case, Stage
+from sysid.gap.fit import Data, Fit, fit_candidates
+from sysid.gap.floor import problem_floor
+from sysid.gap.intervals import intervals
+from sysid.gap.localise import stage_rmse
+from sysid.gap.remainder import describe_remainder
+from sysid.gap.result import Alternative, Gap, NamedEffect, Unnamed, Value
+from sysid.gap.search import Kept
+from sysid.plant import Plant
+
+Array = npt.NDArray[np.float64]
+
+#: What was found has to bring the held-out error of its stage below this multiple of what it was.
+BETTER = 0.98
+#: A stage that stays above this multiple of its noise floor has structure that nothing explains.
+UNEXPLAINED = 1.5
+
+
+@dataclass
+class Outcome:
+    """What the stages together come to."""
+
+    repaired: Plant
+    named: list[NamedEffect] = field(default_factory=list)
+    ties: list[tuple[tuple[str, str], ...]] = field(default_factory=list)
+    unnamed: list[Unnamed] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
+
+
+def judge(case: Case, stages: Sequence[Stage]) -> Outcome:
+    """Put what was found and proven into the plant, and say of the rest what it is."""
+    outcome = Outcome(case.plant)
+    for stage in stages:
+        finding = stage.found
+        proven = not finding.fit.candidates or _score(stage, finding.fit.theta) < BETTER * _score(stage, case.theta)
+        if proven:
+            _accept(case, stage, outcome)
+        elif finding.named:
+            outcome.notes.append(f"{stage.label}: what was found did not help on held-out recordings")
+        if (finding.final_rmse if proven else finding.nominal_rmse) > UNEXPLAINED:
+            fit = finding.fit if proven else Fit((), (), np.empty(0), case.theta, (), 0.0, True)
+            outcome.unnamed += describe_remainder(stage.problem, fit, stage.split.seen, case.plant.machine)
+    return outcome
+
+
+def _accept(case: Case, stage: Stage, outcome: Outcome) -> None:
+    finding = stage.found
+    limits = intervals(Data(stage.problem, stage.split.seen, stage.sigma), case.theta, finding.fit)
+    for kept in finding.named:
+        instance = kept.candidate.instance(finding.fit.values_of(kept.candidate))
+        outcome.repaired = outcome.repaired.with_effect(instance)
+        if kept.ties:
+            tie = tuple((c.effect.name, c.target) for c in (kept.candidate, *kept.ties))
+            outcome.ties.append(tie)
+            shown = ", ".join(f"{key} = {value}" for key, value in instance.parameters.items())
+            outcome.notes.append(f"{instance.name} on {instance.target} stands in the plant for {len(tie)} that tie: {shown}")
+        else:
+            outcome.named.append(_named(case, stage, kept, limits))
+    for candidate in finding.adjusted:
+        values = finding.fit.values_of(candidate)
+        outcome.repaired = outcome.repaired.with_effect(candidate.instance(values))
+        shown = ", ".join(f"{u.key} = {v:.4g}" for u, v in zip(candidate.unknowns, values, strict=True))
+        what = f"{candidate.effect.name} on {candidate.target}"
+        outcome.notes.append(f"{what} adjusted, too small or too poorly shown for a name: {shown}")
+
+
+def _named(case: Case, stage: Stage, kept: Kept, limits: Array) -> NamedEffect:
+    candidate, fit = kept.candidate, stage.found.fit
+    begin = next(k for k, u in enumerate(fit.unknowns) if u is candidate.unknowns[0])
+    parameters: dict[str, Value] = {}
+    interval: dict[str, tuple[Any, Any]] = {}
+    for parameter in candidate.form.parameters:
+        here = slice(begin, begin + len(parameter.components))
+        value, low, high = (tuple(map(float, column)) for column in (fit.values[here], limits[here, 0], limits[here, 1]))
+        single = len(value) == 1
+        parameters[parameter.name] = value[0] if single else value
+        interval[parameter.name] = (low[0], high[0]) if single else (low, high)
+        begin = here.stop
+    return NamedEffect(
+        candidate.effect.name,
+        candidate.target,
+        parameters,
+        interval,
+        _share(case, stage, candidate),
+        tuple(Alternative(c.effect.name, c.target, why) for c, why in kept.rejected),
+        side=candidate.side,
+    )
+
+
+def _share(case: Case, stage: Stage, candidate: Candidate) -> float:
+    """Closed share of the held-out stage gap that is lost when the effect is dropped and the rest refitted."""
+    fit = stage.found.fit
+    rest = tuple(c for c in fit.candidates if c is not candidate)
+    start = np.concatenate([fit.values_of(c) for c in rest]) if rest else np.empty(0)
+    dropped = fit_candidates(Data(stage.problem, stage.split.seen, stage.sigma), case.theta, rest, [start])
+    closable = _score(stage, case.theta) - 1.0
+    lost = _score(stage, dropped.theta) - _score(stage, fit.theta)
+    return float(np.clip(lost / closable, 0.0, 1.0)) if closable > 0 else 0.0
+
+
+def _score(stage: Stage, theta: Array) -> float:
+    """Held-out RMSE of the stage in noise floors."""
+    return float(np.sqrt(np.nanmean((stage_rmse(stage.problem, theta, stage.split.held_out) / stage.sigma) ** 2)))
+
+
+def stage_gap(case: Case, stages: Sequence[Stage], repaired: Array) -> Gap:
+    """RMSE of every stage driven by its measured input, on held-out recordings."""
+    before: dict[str, float] = {}
+    after: dict[str, float] = {}
+    floor: dict[str, float] = {}
+    for stage in stages:
+        held_out = stage.split.held_out
+        for values, scores in (
+            (before, stage_rmse(stage.problem, case.theta, held_out)),
+            (after, stage_rmse(stage.problem, repaired, held_out)),
+            (floor, problem_floor(stage.problem, repaired, held_out, case.noise, case.seed)),
+        ):
+            values.update(zip(stage.problem.signals, map(float, scores), strict=True))
+    return Gap(before, after, floor)
