@@ -2,54 +2,32 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
-
 import numpy as np
-import numpy.typing as npt
 
-from sysid.datasets.recording import Dataset, Recording
+from sysid.datasets.quality import noise_of
+from sysid.datasets.recording import Dataset
 from sysid.signals import split_signal
-
-Array = npt.NDArray[np.float64]
 
 
 def noise_levels(dataset: Dataset) -> dict[str, float]:
-    """Signal → standard deviation, for every measured signal that is not a command."""
-    recordings = dataset.recordings
-    measured = {s for r in recordings for s in r.signals if split_signal(s)[1] != "command"}
-    levels: Mapping[str, float] = dataset.machine.noise
-    return {s: levels[s] if s in levels else estimate_noise(s, recordings) for s in sorted(measured)}
+    """Signal → standard deviation, for every measured signal that is not a command.
 
-
-def estimate_noise(signal: str, recordings: Iterable[Recording]) -> float:
-    """Standard deviation of what cannot be motion: scatter about a line through neighbours, in the quietest stretches.
-
-    The third difference removes any motion that is smooth over four samples; a signal on a grid that is finer than its
-    sensor is thinned until neighbouring values differ. The median over stretches of a second keeps fast motion out.
+    Without a data sheet: what ingest found in the sensor's own samples, else in the recordings' tables.
     """
-    scatters = []
-    for recording in recordings:
-        values = recording.values(signal)
-        stride = _stride(values)
-        values = values[::stride]
-        length = max(12, round(recording.rate_hz / stride))
-        third = np.diff(values, 3)
-        for k in range(0, len(third) - length + 1, length):
-            part = third[k : k + length]
-            if not np.isnan(part).any():
-                scatters.append(float(np.sqrt(np.mean(part**2) / 20.0)))  # 1 + 9 + 9 + 1
-    scatters = [s for s in scatters if s > 0.0]
-    if scatters:
-        return float(np.median(scatters))
-    span = [float(np.nanmax(v) - np.nanmin(v)) for v in (r.values(signal) for r in recordings) if not np.isnan(v).all()]
-    return 1e-6 * max(span, default=1.0) or 1e-12
+    measured = {s for r in dataset.recordings for s in r.signals if split_signal(s)[1] != "command"}
+    sheet = dataset.machine.noise
+    return {s: sheet[s] if s in sheet else _from_data(dataset, s) for s in sorted(measured)}
 
 
-def _stride(values: Array) -> int:
-    """Samples between independent readings of a signal that was interpolated to a finer grid (1 where it was not)."""
-    second = np.abs(np.diff(values, 2))
-    second = second[~np.isnan(second)]
-    if len(second) < 50:
-        return 1
-    straight = float(np.mean(second < 1e-9 * max(float(np.nanmax(np.abs(values))), 1e-12)))
-    return 1 if straight < 0.3 else round(1.0 / max(1.0 - straight, 0.1))
+def _from_data(dataset: Dataset, signal: str) -> float:
+    quality = dataset.quality.get("recordings", {})
+    found = [quality.get(r.name, {}).get("signals", {}).get(signal, {}).get("noise") for r in dataset.recordings]
+    levels = [level for level in found if level is not None and np.isfinite(level) and level > 0.0]
+    if not levels:
+        levels = [noise_of(r.values(signal), r.rate_hz) for r in dataset.recordings if r.kind == "motion"]
+        levels = [level for level in levels if np.isfinite(level) and level > 0.0]
+    if levels:
+        return float(np.median(levels))
+    values = np.concatenate([r.values(signal) for r in dataset.recordings])
+    span = float(np.nanmax(values) - np.nanmin(values)) if not np.isnan(values).all() else 1.0
+    return max(1e-6 * span, 1e-12)  # a signal without any scatter: simulated, or recorded in steps coarser than its motion
