@@ -1,0 +1,65 @@
+"""Every effect at every kind of place it can have, with parameters a machine might have."""
+
+from __future__ import annotations
+
+from plant_data import slide
+
+from sysid.machine import KnownEffect
+from sysid.plant import Plant
+
+#: What the simulation knows beforehand: a lag and a dead time on each axis, since no real axis is without.
+KNOWN = (
+    KnownEffect("first_order_lag", "slew", {"time_constant": 0.05}),
+    KnownEffect("first_order_lag", "boom", {"time_constant": 0.05}),
+    KnownEffect("first_order_lag", "wrist", {"time_constant": 0.06}),
+    KnownEffect("input_delay", "slew", {"delay": 0.03}),
+    KnownEffect("input_delay", "boom", {"delay": 0.03}),
+)
+
+
+def base(effect: KnownEffect) -> Plant:
+    """The simulation that lacks ``effect``."""
+    from plant_data import nominal
+
+    if effect.target == "slide":
+        return nominal(machine=slide())
+    return nominal(*(known for known in KNOWN if known.name != effect.name or known.target != effect.target))
+
+
+CASES: tuple[KnownEffect, ...] = (
+    KnownEffect("input_delay", "slew", {"delay": 0.083}),
+    KnownEffect("input_delay", "wrist", {"delay": 0.06}),
+    KnownEffect("valve_hysteresis", "boom", {"width": 0.06}),
+    KnownEffect("valve_deadband", "boom", {"positive": 0.11, "negative": 0.08}),
+    KnownEffect("valve_deadband", "slew", {"positive": 0.05, "negative": 0.12}),
+    KnownEffect("gain_curve", "boom", {"exponent": 1.5}),
+    KnownEffect("flow_saturation", "slew", {"limit": 0.6}),
+    KnownEffect("command_rate_limit", "boom", {"rate": 2.0}),
+    KnownEffect("command_rate_limit", "wrist", {"rate": 1.2}),
+    KnownEffect("first_order_lag", "boom", {"time_constant": 0.12}),
+    KnownEffect("first_order_lag", "wrist", {"time_constant": 0.09}),
+    KnownEffect("gain_error", "slew", {"ratio": 0.86}),
+    KnownEffect("asymmetric_gain", "boom", {"ratio": 1.3}),
+    KnownEffect("internal_leakage", "boom", {"rate": 2e-4}),
+    KnownEffect("stiction", "boom", {"breakaway": 0.2, "release": 0.1}),
+    KnownEffect("backlash", "slew", {"width": 0.012}, "drive"),
+    KnownEffect("backlash", "boom", {"width": 0.01}, "drive"),
+    KnownEffect("backlash", "slew", {"width": 0.015}, "structure"),
+    KnownEffect("joint_offset", "boom", {"offset": 0.01}),
+    KnownEffect("link_length_error", "boom", {"error": -0.008}),
+    KnownEffect("base_misalignment", "base", {"translation": [0.012, -0.02, 0.008], "rotation": [0.015, -0.01, 0.0]}),
+    KnownEffect("gripper_sway", "tool", {"length": 0.22, "damping_ratio": 0.04}),
+    KnownEffect("coulomb_friction", "slide", {"force": 18.0}),
+    KnownEffect("coulomb_friction", "slide", {"positive": 14.0, "negative": 22.0}),
+    KnownEffect("viscous_friction", "slide", {"coefficient": 35.0}),
+    KnownEffect("viscous_friction", "slide", {"positive": 25.0, "negative": 45.0}),
+    KnownEffect("inertia_error", "slide", {"ratio": 1.25}),
+    KnownEffect("load_bias", "slide", {"force": -4.0}),
+)
+
+
+def label(effect: KnownEffect) -> str:
+    """For test names and tables."""
+    side = f"-{effect.side}" if effect.side else ""
+    form = "-two" if effect.name.endswith("friction") and len(effect.parameters) == 2 else ""
+    return f"{effect.name}-{effect.target}{side}{form}"

@@ -1,0 +1,35 @@
+"""Each effect hidden in turn: the workflow names it, and nothing else."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from cases import CASES, base, label
+from plant_data import dataset_of
+
+from sysid.gap import GapResult, find_gap
+from sysid.machine import KnownEffect
+
+#: One effect of each stage for the fast tier.
+FAST = ("valve_deadband-slew", "backlash-boom-drive", "joint_offset-boom", "gripper_sway-tool", "load_bias-slide")
+
+
+def named_alone(truth: KnownEffect) -> GapResult:
+    plant = base(truth)
+    result = find_gap(dataset_of(plant.with_effect(truth), 30.0, seed=4), plant)
+    assert [(e.name, e.target, e.side) for e in result.effects] == [(truth.name, truth.target, truth.side)], result.verdict
+    return result
+
+
+@pytest.mark.parametrize("truth", [c for c in CASES if label(c) in FAST], ids=label)
+def test_named_alone(truth: KnownEffect) -> None:
+    result = named_alone(truth)
+    for key, value in truth.parameters.items():
+        found = result.effects[0].parameters[key]
+        assert np.allclose(found, value, rtol=0.0, atol=0.05 * np.max(np.abs(value))), f"{key}: {found} for {value}"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("truth", [c for c in CASES if label(c) not in FAST], ids=label)
+def test_named_alone_in_full(truth: KnownEffect) -> None:
+    named_alone(truth)

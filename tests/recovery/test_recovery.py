@@ -1,0 +1,84 @@
+"""True parameters come back from data that the plant made itself; without an effect nothing is named."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from cases import CASES, KNOWN, base, label
+from plant_data import arm, dataset_of, nominal, slide
+
+from sysid.datasets.recording import Dataset
+from sysid.effects import CATALOGUE
+from sysid.gap import find_gap
+from sysid.gap.candidates import candidates_at
+from sysid.gap.fit import Data, fit_candidates
+from sysid.gap.floor import problem_floor
+from sysid.gap.noise import noise_levels
+from sysid.gap.problem import ForceProblem, Problem, problems_of, split_of
+from sysid.gap.search import starting_values
+from sysid.machine import KnownEffect
+from sysid.plant import Plant, compile_plant
+
+#: Share by which a parameter may miss the truth. Stiction is known to the nearest command that was given: ramps pass its
+#: thresholds between two samples, so nothing pulls a fit to the exact value.
+TOLERANCE = {"gripper_sway": {"damping_ratio": 0.05}, "stiction": {"breakaway": 0.05, "release": 0.05}}
+
+
+def fitted(truth: KnownEffect, plant: Plant, dataset: Dataset) -> KnownEffect:
+    """The effect as :func:`fit_candidates` finds it, every other parameter as the plant has it."""
+    model = compile_plant(plant)
+    split = split_of(dataset)
+    for problem in problems_of(model, dataset):
+        force = typical_force(problem, split.fit)
+        for candidate in candidates_at(plant, model.theta, problem.stage, problem.targets, force):
+            same = (candidate.effect.name, candidate.target, candidate.side) == (truth.name, truth.target, truth.side)
+            if same and set(candidate.form.names) == set(truth.parameters):
+                sigma = problem_floor(problem, model.theta, split.fit, noise_levels(dataset), 0)
+                data = Data(problem, split.fit, np.maximum(sigma, 1e-12))
+                fit = fit_candidates(data, model.theta, [candidate], starting_values([candidate], (), 0))
+                return candidate.instance(fit.values)
+    raise AssertionError(f"{label(truth)} is no candidate at any stage that is measured")
+
+
+def typical_force(problem: Problem, recordings: tuple) -> float:  # type: ignore[type-arg]
+    if not isinstance(problem, ForceProblem):
+        return 1.0
+    return float(np.median(np.abs(np.concatenate([problem.measured(r)[:, 0] for r in recordings]))))
+
+
+@pytest.mark.parametrize("truth", CASES, ids=label)
+def test_parameters_come_back(truth: KnownEffect) -> None:
+    plant = base(truth)
+    found = fitted(truth, plant, dataset_of(plant.with_effect(truth), 20.0, noise=0.2))
+    for key, value in truth.parameters.items():
+        true = np.atleast_1d(np.asarray(value, dtype=float))
+        share = TOLERANCE.get(truth.name, {}).get(key, 0.01)
+        room = share * np.max(np.abs(true))  # a vector is judged as a whole: some of its components may be zero
+        assert np.allclose(found.parameters[key], true, rtol=0.0, atol=room), f"{key}: {found.parameters[key]} for {value}"
+
+
+def test_play_driven_by_a_noisy_input_is_found_a_little_too_wide() -> None:
+    """The noise of the measured cylinder crosses the play by itself; the excess falls with the noise."""
+    truth = next(c for c in CASES if c.name == "backlash" and c.target == "boom")
+    excess = []
+    for noise in (0.2, 3.0):
+        found = fitted(truth, base(truth), dataset_of(base(truth).with_effect(truth), 20.0, noise=noise))
+        excess.append(float(found.parameters["width"]) / float(truth.parameters["width"]) - 1.0)  # type: ignore[arg-type]
+    assert abs(excess[0]) < 0.01
+    assert excess[0] < excess[1] < 0.2
+
+
+@pytest.mark.parametrize(
+    "plant", [nominal(*KNOWN), nominal(machine=arm()), nominal(machine=slide())], ids=["lags", "bare", "slide"]
+)
+@pytest.mark.parametrize("seed", [1, 2])
+def test_nothing_is_named_where_nothing_is_missing(plant: Plant, seed: int) -> None:
+    result = find_gap(dataset_of(plant, 25.0, seed), plant)
+    assert result.effects == ()
+    assert result.verdict == "no_gap"
+    for signal, before in result.gap.before.items():
+        assert before < 1.15 * result.gap.noise_floor[signal], signal
+
+
+def test_every_effect_has_a_case() -> None:
+    assert {case.name for case in CASES} == {effect.name for effect in CATALOGUE}
