@@ -48,7 +48,7 @@ class Printer:
 
         table = Table(box=box.SIMPLE_HEAD, pad_edge=False, header_style="bold")
         for number, name in enumerate(header):
-            table.add_column(name, justify="right" if number in right else "left", overflow="fold")
+            table.add_column(Text(name), justify="right" if number in right else "left", overflow="fold")
         for row in rows:
             table.add_row(*(Text(str(cell)) for cell in row))
         self.console.print(table)
