@@ -76,8 +76,11 @@ def test_nothing_is_named_where_nothing_is_missing(plant: Plant, seed: int) -> N
     result = find_gap(dataset_of(plant, 25.0, seed), plant)
     assert result.effects == ()
     assert result.verdict == "no_gap"
-    for signal, before in result.gap.before.items():
-        assert before < 1.15 * result.gap.noise_floor[signal], signal
+    # A frictionless slide drifts by whatever its integrator rounds: it is judged by its force.
+    gap = result.stage_gap if plant.machine.name == "slide" else result.gap
+    assert gap.before
+    for signal, before in gap.before.items():
+        assert before < 1.15 * gap.noise_floor[signal], signal
 
 
 def test_every_effect_has_a_case() -> None:
