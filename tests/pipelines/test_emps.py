@@ -1,0 +1,55 @@
+"""EMPS, measured: what the rigid and the viscous-only simulation lack, beside the published figures."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import pytest
+
+RAW = Path(__file__).parents[2] / "../shared/data/emps"
+VISCOUS, COULOMB = 203.50, 20.394
+
+
+@pytest.fixture(scope="module")
+def result(tmp_path_factory: pytest.TempPathFactory, pipeline: Callable[[str], ModuleType]) -> dict[str, Any]:
+    if not RAW.is_dir():
+        pytest.skip("the measured data (../shared/data/emps) are not here")
+    path = pipeline("emps").main(RAW, tmp_path_factory.mktemp("emps"))
+    read: dict[str, Any] = json.loads(path.read_text("utf-8"))
+    return read
+
+
+def effects(run: dict[str, Any]) -> dict[str, dict[str, float]]:
+    return {effect["name"]: effect["parameters"] for effect in run["gap"]["effects"]}
+
+
+def test_least_squares_under_our_filter_repeat_the_published_parameters(result: dict[str, Any]) -> None:
+    for structure, fit in result["least_squares"].items():
+        for name, value in result["published"][structure]["parameters"].items():
+            assert fit["parameters"][name] == pytest.approx(value, rel=0.03), f"{structure}: {name}"
+
+
+@pytest.mark.parametrize("start", ["rigid", "viscous only"])
+def test_one_value_an_effect(result: dict[str, Any], start: str) -> None:
+    run = result["runs"][f"{start}, simple forms"]
+    found = effects(run)
+    assert found["coulomb_friction"]["force"] == pytest.approx(COULOMB, rel=0.1)
+    if start == "rigid":
+        assert found["viscous_friction"]["coefficient"] == pytest.approx(VISCOUS, rel=0.1)
+    assert run["error"]["after"]["pulses"] < 0.25 * run["error"]["before"]["pulses"]
+
+
+@pytest.mark.parametrize("start", ["rigid", "viscous only"])
+def test_friction_by_direction_predicts_unseen_force_as_well_as_least_squares(result: dict[str, Any], start: str) -> None:
+    run = result["runs"][f"{start}, all forms"]
+    found = effects(run)
+    assert found["viscous_friction"]["positive"] == pytest.approx(166.7, rel=0.1)
+    assert found["viscous_friction"]["negative"] == pytest.approx(240.4, rel=0.1)
+    assert set(found) <= {"viscous_friction", "coulomb_friction", "load_bias"}
+    best = result["least_squares"]["by direction"]["error"]["pulses"]
+    assert run["error"]["after"]["pulses"] < 1.2 * best
+    assert run["error"]["after"]["pulses"] < result["published"]["one value each"]["error"]["pulses"]

@@ -1,0 +1,48 @@
+"""RC excavator, measured: dead-bands from a joystick log; speed and delay proved on the step files."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+import pytest
+
+RAW = Path(__file__).parents[2] / "../shared/data/rc_excavator"
+
+pytestmark = pytest.mark.slow
+
+
+@pytest.fixture(scope="module")
+def result(tmp_path_factory: pytest.TempPathFactory, pipeline: Callable[[str], ModuleType]) -> dict[str, Any]:
+    if not RAW.is_dir():
+        pytest.skip("the measured data (../shared/data/rc_excavator) are not here")
+    path = pipeline("rc_excavator").main(RAW, tmp_path_factory.mktemp("rc_excavator"))
+    read: dict[str, Any] = json.loads(path.read_text("utf-8"))
+    return read
+
+
+def test_dead_bands_with_unequal_sides_are_named(result: dict[str, Any]) -> None:
+    bands = {e["target"]: e["parameters"] for e in result["gap"]["effects"] if e["name"] == "valve_deadband"}
+    assert "boom" in bands
+    for sides in bands.values():
+        assert sides["positive"] != pytest.approx(sides["negative"], rel=0.02)
+        assert min(sides.values()) > 0.2
+
+
+def test_the_last_third_of_the_manual_log_is_predicted_better(result: dict[str, Any]) -> None:
+    before, after = result["manual"]["boom"]
+    assert after < 0.5 * before
+    assert all(after < 1.02 * before for before, after in result["manual"].values())
+
+
+def test_steps_show_the_delay_that_the_simulation_lacked(result: dict[str, Any]) -> None:
+    steps = [step for step in result["steps"] if step["axis"] == "boom"]
+    assert len(steps) == 6
+    for key in ("speed", "delay"):
+        measured, before, after = np.array([step[key] for step in steps]).T
+        assert np.abs(after - measured).mean() < np.abs(before - measured).mean(), key
+    assert np.array([step["delay"] for step in result["steps"]])[:, 0] == pytest.approx(0.18, abs=0.08)
