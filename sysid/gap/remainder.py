@@ -54,6 +54,9 @@ def describe_remainder(problem: Problem, fit: Fit, recordings: Sequence[Recordin
         what = "rate of the residual" if isinstance(problem, DriveProblem) else "residual"
         if abs(correlation) < LEAST:
             name, form = "nothing that was measured", f"{what}: no linear dependence above |ρ| = {LEAST} on any probe"
+            if isinstance(problem, DriveProblem):
+                share = _share_of_speed(np.concatenate(targets), np.concatenate(probes[f"speed of {problem.target}"]))
+                form += f"; it looks like a random disturbance of about {100.0 * share:.1f} % of the speed"
         else:
             form = f"{what} of {signal} ≈ {slope:.3g} · {name} (ρ = {correlation:.2f})"
         found.append(Unnamed(problem.stage, problem.target, rmse, name, form))
@@ -73,10 +76,18 @@ def _probes(recording: Recording, machine: Machine) -> dict[str, Array]:
         if not np.isnan(x).all():
             probes[axis.driven] = x
             speed = np.gradient(x, dt)
+            probes[f"speed of {axis.name}"] = speed
             probes[f"sign(speed of {axis.name})"] = np.sign(
                 np.where(np.abs(speed) > 0.02 * np.nanmax(np.abs(speed)), speed, 0.0)
             )
     return probes
+
+
+def _share_of_speed(rate: Array, speed: Array) -> float:
+    """RMS of the residual's rate over RMS of the speed, while moving."""
+    there = ~np.isnan(rate) & ~np.isnan(speed)
+    moving = there & (np.abs(speed) > 0.1 * np.nanmax(np.abs(speed)))
+    return float(np.sqrt(np.mean(rate[moving] ** 2) / np.mean(speed[moving] ** 2))) if moving.any() else 0.0
 
 
 def _best(target: Array, probes: dict[str, Array]) -> tuple[str, float, float]:
