@@ -66,6 +66,9 @@ def _ingest(
     report: Progress,
 ) -> Dataset:
     roots = [Path(path) for path in ([paths] if isinstance(paths, str | Path) else paths)]
+    for root in roots:
+        if not root.exists():
+            raise InputError(root, "no such file or folder", "a folder of recordings or a log file", "Check the path.")
     recipe_path = _recipe_path(recipe, roots)
     rules = load_recipe(recipe_path) if recipe_path is not None else None
     description = load_machine(_machine_path(machine, rules, recipe_path, roots))
