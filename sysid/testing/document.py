@@ -1,0 +1,222 @@
+"""``docs/effects`` from the code: one page and one picture an effect. ``python -m sysid.testing.document docs/effects``."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+import pandas as pd
+
+from sysid.datasets.recording import Recording
+from sysid.effects import BY_NAME, CATALOGUE, Effect, Form
+from sysid.effects.separators import separator
+from sysid.signals import point_signals
+from sysid.testing.check import typical_values
+from sysid.testing.picture import Line, svg
+from sysid.testing.probe import RATE_HZ, Place, Values, places_of, plant_run, probe_recording, with_inputs
+
+Array = npt.NDArray[np.float64]
+GREY, BLUE, ORANGE = "#9aa1a8", "#1f6fb4", "#d9822b"
+
+#: Values that show well in a picture, where the first start is too small or too large for it.
+_SHOWN: dict[str, dict[str, float | list[float]]] = {
+    "input_delay": {"delay": 0.15},
+    "valve_hysteresis": {"width": 0.15},
+    "valve_deadband": {"positive": 0.25, "negative": 0.15},
+    "first_order_lag": {"time_constant": 0.15},
+    "command_rate_limit": {"rate": 2.0},
+    "flow_saturation": {"limit": 0.5},
+    "gain_curve": {"exponent": 2.0},
+    "internal_leakage": {"rate": 0.05},
+    "stiction": {"breakaway": 0.35, "release": 0.12},
+    "coulomb_friction": {"force": 1.5},
+    "viscous_friction": {"coefficient": 4.0},
+    "backlash": {"width": 0.1},
+    "joint_offset": {"offset": 0.1},
+    "link_length_error": {"error": 0.08},
+    "base_misalignment": {"translation": [0.05, 0.0, 0.04], "rotation": [0.0, 0.06, 0.0]},
+    "gripper_sway": {"length": 0.25, "damping_ratio": 0.05},
+}
+_STAGES = {
+    "command": "command → speed of the drive",
+    "force": "force → motion",
+    "joint": "cylinder (or drive) → joint",
+    "end_effector": "joints → end effector",
+    "tool": "end effector → hanging tool",
+}
+_NOTICE = "<!-- Written by python -m sysid.testing.document docs/effects: change the code instead. -->\n"
+
+
+def documents() -> dict[str, str]:
+    """File name → text, for the whole catalogue."""
+    files = {"README.md": _index()}
+    for effect in CATALOGUE:
+        files[f"{effect.name}.md"] = _page(effect)
+        files[f"{effect.name}.svg"] = _picture(effect)
+    return files
+
+
+def write_documents(folder: Path) -> None:
+    """Write :func:`documents` into ``folder``."""
+    folder.mkdir(parents=True, exist_ok=True)
+    for name, text in documents().items():
+        (folder / name).write_text(text, "utf-8")
+
+
+def _index() -> str:
+    rows = [f"| [`{e.name}`]({e.name}.md) | {_target(e)} | `{e.equation}` | {e.excited_by} |" for e in CATALOGUE]
+    return "\n".join(
+        [
+            _NOTICE,
+            "# Effects\n",
+            "What a machine can do that its simulation does not know, in the order in which the chain applies it.",
+            "Every effect keeps the promises that `sysid.testing.check_effect` checks: absent at its neutral value, causal,",
+            "repeatable, finite on any input, without memory of earlier runs.\n",
+            "| effect | of | computes | shows in |",
+            "| --- | --- | --- | --- |",
+            *rows,
+            "",
+        ]
+    )
+
+
+def _page(effect: Effect) -> str:
+    neutral = {slot.name: slot.neutral for slot in effect.slots}
+    rows = []
+    for form in effect.forms:
+        for p in form.parameters:
+            size = f" [{len(p.components)}]" if len(p.components) > 1 else ""
+            low, high = p.bounds
+            rows.append(
+                f"| `{p.name}`{size} | {_unit(p.unit)} | {low:g} … {high:g} | {neutral[p.components[0][0]]:g} | {p.about} |"
+            )
+    about = _about(effect)
+    lines = [
+        _NOTICE,
+        f"# `{effect.name}`\n",
+        f"{about}\n",
+        f"![with and without the effect]({effect.name}.svg)\n",
+        f"    {effect.equation}\n",
+        f"- **Stage**: {_STAGES[effect.stage]}",
+        f"- **Target**: {_target(effect)}",
+    ]
+    if effect.sides:
+        lines.append(f"- **Side**: {' or '.join(f'`{side}`' for side in effect.sides)}, the first where none is given")
+    lines += [
+        f"- **Shows in**: {effect.excited_by}",
+        f"- **Source**: {effect.source}\n",
+        "| parameter | unit | bounds | absent at | meaning |",
+        "| --- | --- | --- | --- | --- |",
+        *rows,
+        "",
+    ]
+    if len(effect.forms) > 1:
+        forms = " or ".join("{" + ", ".join(f"`{name}`" for name in form.names) + "}" for form in effect.forms)
+        lines.append(f"Written as {forms}, the first being the simplest.\n")
+    lines += ["## What looks like it\n", "| effect | what separates them |", "| --- | --- |"]
+    lines += [f"| {_link(other)} | {separator(effect.name, other)} |" for other in effect.confused_with]
+    return "\n".join([*lines, ""])
+
+
+def _about(effect: Effect) -> str:
+    """The first line of the module that defines the effect, without its name."""
+    module = sys.modules[f"sysid.effects.{effect.name}"]
+    text = (module.__doc__ or "").strip().split("\n")[0].partition(": ")[2]
+    return text[:1].upper() + text[1:]
+
+
+def _target(effect: Effect) -> str:
+    if effect.target != "axis":
+        return f"`{effect.target}`"
+    return f"an axis ({', '.join(effect.actuations)})"
+
+
+def _unit(unit: str) -> str:
+    return unit.replace("drive", "m or rad")
+
+
+def _link(name: str) -> str:
+    return f"[`{name}`]({name}.md)" if name in BY_NAME else f"`{name}` (not in the catalogue yet)"
+
+
+# -- pictures -------------------------------------------------------------------------------------------------------
+
+
+def _picture(effect: Effect) -> str:
+    place = places_of(effect)[0]
+    form = effect.forms[0]
+    values = _SHOWN.get(effect.name) or typical_values(effect, form)
+    title = f"{effect.name} with {', '.join(f'{key} = {value}' for key, value in values.items())}"
+    if effect.stage == "end_effector":
+        return _tip_picture(effect, place, values, title)
+    if effect.stage == "tool":
+        return _tool_picture(effect, place, values, title)
+    if effect.stage == "joint":
+        return _joint_picture(effect, values, title)
+    return _drive_picture(effect, place, form, values, title)
+
+
+def _drive_picture(effect: Effect, place: Place, form: Form, values: Values, title: str) -> str:
+    time = np.arange(700) / RATE_HZ
+    u = np.select(
+        [time < 0.5, time < 2.5, time < 3.0, time < 4.0, time < 4.7],
+        [0.0, 0.45 * (time - 0.5), 0.0, 0.8, 0.0],
+        np.where(time < 6.3, -0.9 * np.sin(2 * np.pi * (time - 4.7) / 1.6), 0.0),
+    )
+    scale = 4.0 if effect.stage == "force" else 1.0
+    recording = with_inputs(probe_recording(7.0), place.inputs, scale * u[:, None])
+    run = plant_run(effect, place)
+    gain = 1.0 if effect.stage == "force" else 0.5
+    speeds = [np.append(np.diff(run(v, recording)[:, 0]), np.nan) * RATE_HZ / gain for v in (None, values)]
+    label = "speed [m/s]" if effect.stage == "force" else "speed / speed at command 1"
+    lines = [Line("without", time, speeds[0], GREY), Line("with", time, speeds[1], BLUE)]
+    if effect.stage == "force":
+        lines.insert(0, Line("force / 4 N", time, u, ORANGE, dashed=True))
+    return svg(title, "time [s]", label, lines)
+
+
+def _joint_picture(effect: Effect, values: Values, title: str) -> str:
+    """Play on the axis whose cylinder is measured: joint over time."""
+    place = next(p for p in places_of(effect) if p.stage == "joint")
+    time = np.arange(700) / RATE_HZ
+    cylinder = 0.055 + 0.012 * np.sin(1.8 * time) + 0.006 * np.sin(4.1 * time)
+    recording = with_inputs(probe_recording(7.0), place.inputs, cylinder[:, None])
+    run = plant_run(effect, place)
+    return svg(
+        title,
+        "time [s]",
+        "joint [rad]",
+        [
+            Line("without", time, run(None, recording)[:, 0], GREY),
+            Line("with", time, run(values, recording)[:, 0], BLUE),
+        ],
+    )
+
+
+def _tip_picture(effect: Effect, place: Place, values: Values, title: str) -> str:
+    """A loop of the arm seen from the side."""
+    place = next((p for p in places_of(effect) if p.target == "boom"), place)
+    angle = np.linspace(0.0, 2 * np.pi, 200)
+    joints = np.column_stack([0.0 * angle, 0.5 + 0.3 * np.sin(angle), 0.15 * np.cos(angle), 0.3 - 0.8 * np.sin(angle + 0.6)])
+    recording = with_inputs(probe_recording(2.0), place.inputs, joints)
+    run = plant_run(effect, place)
+    one, other = run(None, recording), run(values, recording)
+    lines = [Line("without", one[:, 0], one[:, 2], GREY), Line("with", other[:, 0], other[:, 2], BLUE)]
+    return svg(title, "x of the end effector [m]", "z [m]", lines, equal=True)
+
+
+def _tool_picture(effect: Effect, place: Place, values: Values, title: str) -> str:
+    time = np.arange(900) / RATE_HZ
+    s = np.clip((time - 0.5) / 0.8, 0.0, 1.0)
+    ee = np.column_stack([0.2 * (10 * s**3 - 15 * s**4 + 6 * s**5), np.zeros(900), np.ones(900)])
+    table = {"time": time, **{name: ee[:, k] for k, name in enumerate(point_signals("ee"))}}
+    recording = Recording("push", pd.DataFrame(table), RATE_HZ)
+    run = plant_run(effect, place)
+    lines = [Line("without", time, run(None, recording)[:, 0], GREY), Line("with", time, run(values, recording)[:, 0], BLUE)]
+    return svg(title, "time [s]", "x of the tool [m]", lines)
+
+
+if __name__ == "__main__":
+    write_documents(Path(sys.argv[1] if len(sys.argv) > 1 else "docs/effects"))

@@ -1,0 +1,63 @@
+"""The committed pages are what the code says."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from xml.etree import ElementTree as ET
+
+import numpy as np
+import pytest
+
+from sysid.effects import CATALOGUE
+from sysid.effects.separators import SEPARATORS, separator
+from sysid.testing import CONTRACT_NAMES
+from sysid.testing.document import documents
+
+FOLDER = Path(__file__).parents[2] / "docs" / "effects"
+NUMBER = re.compile(r"-?\d+\.\d+")
+
+
+@pytest.fixture(scope="module")
+def made() -> dict[str, str]:
+    return documents()
+
+
+def test_the_folder_holds_these_pages_and_no_others(made: dict[str, str]) -> None:
+    assert {path.name for path in FOLDER.iterdir()} == set(made)
+
+
+def test_pages_are_up_to_date(made: dict[str, str]) -> None:
+    stale = [n for n, text in made.items() if n.endswith(".md") and (FOLDER / n).read_text("utf-8") != text]
+    assert not stale, "run: python -m sysid.testing.document docs/effects"
+
+
+@pytest.mark.parametrize("name", [effect.name for effect in CATALOGUE])
+def test_pictures_are_up_to_date(made: dict[str, str], name: str) -> None:
+    """Up to what another processor rounds differently: a fifth of a pixel."""
+    fresh, kept = made[f"{name}.svg"], (FOLDER / f"{name}.svg").read_text("utf-8")
+    assert NUMBER.sub("#", fresh) == NUMBER.sub("#", kept), "run: python -m sysid.testing.document docs/effects"
+    numbers = [np.array([float(x) for x in NUMBER.findall(text)]) for text in (fresh, kept)]
+    assert np.allclose(*numbers, atol=0.21)
+
+
+@pytest.mark.parametrize("effect", CATALOGUE, ids=lambda effect: effect.name)
+def test_pictures_show_a_difference(made: dict[str, str], effect: object) -> None:
+    root = ET.fromstring(made[f"{effect.name}.svg"])  # type: ignore[attr-defined]
+    curves = [element.get("points") for element in root.iter("{http://www.w3.org/2000/svg}polyline")]
+    assert len(curves) >= 2
+    with_effect, without = (
+        np.array([[float(v) for v in p.split(",")] for p in (points or "").split()]) for points in (curves[-1], curves[-2])
+    )
+    assert np.abs(with_effect - without).max() > 5.0, "pixels"
+
+
+def test_every_pair_that_is_confused_has_a_separator() -> None:
+    missing = [(e.name, other) for e in CATALOGUE for other in e.confused_with if not separator(e.name, other)]
+    assert missing == []
+    assert all(pair <= CONTRACT_NAMES for pair in SEPARATORS)
+
+
+def test_every_separator_is_printed(made: dict[str, str]) -> None:
+    pages = "".join(text for name, text in made.items() if name.endswith(".md"))
+    assert [text for text in SEPARATORS.values() if text not in pages] == []
