@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import json
-import math
 import os
 import shutil
 import sys
@@ -16,6 +14,7 @@ from typing import Any
 import click
 
 from sysid.errors import SettingsError
+from sysid.files import json_text, written_whole
 from sysid.progress import Progress
 
 json_option = click.option(
@@ -114,28 +113,12 @@ def write_json(json_file: str | Path | None, value: Mapping[str, Any]) -> None:
     """
     if json_file is None:
         return
-    text = json.dumps(plain(value), indent=2, ensure_ascii=False, allow_nan=False) + "\n"
+    text = json_text(value)
     if json_file == "-":
         click.echo(text, nl=False)
         return
     path = Path(json_file)
     if not path.parent.is_dir():
         raise SettingsError(f"--json {path}", f"no folder {path.parent}", "a file in an existing folder")
-    half = path.with_name(f".{path.name}.{os.getpid()}.part")
-    half.write_text(text, "utf-8")
-    half.replace(path)
-
-
-def plain(value: Any) -> Any:
-    """``value`` in the types of JSON: NumPy scalars and arrays, paths, tuples and mappings resolved."""
-    if isinstance(value, Mapping):
-        return {str(key): plain(item) for key, item in value.items()}
-    if isinstance(value, (list, tuple, set, frozenset)):
-        return [plain(item) for item in value]
-    if isinstance(value, (bool, int, str)) or value is None:
-        return value
-    if isinstance(value, float):
-        return value if math.isfinite(value) else None
-    if hasattr(value, "tolist"):
-        return plain(value.tolist())
-    return str(value)
+    with written_whole(path) as half:
+        half.write_text(text, "utf-8")

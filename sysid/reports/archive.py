@@ -4,15 +4,14 @@ from __future__ import annotations
 
 import json
 import math
-import os
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pandas as pd
 from pydantic import TypeAdapter
 
 from sysid.errors import StoreError
+from sysid.files import json_text, written_whole
 from sysid.gap.result import (
     Candidate,
     Excitation,
@@ -38,11 +37,12 @@ def save_gap(folder: Path, result: GapResult) -> Path:
     ]
     traces = folder / TRACES
     if frames:
-        _replace(traces, lambda half: pd.concat(frames, ignore_index=True).to_parquet(half, index=False))
+        with written_whole(traces) as half:
+            pd.concat(frames, ignore_index=True).to_parquet(half, index=False)
     else:
         traces.unlink(missing_ok=True)
-    text = json.dumps(_finite(result.to_json()), indent=1, ensure_ascii=False, allow_nan=False)
-    _replace(folder / RESULT, lambda half: half.write_text(text, "utf-8"))
+    with written_whole(folder / RESULT) as half:
+        half.write_text(json_text(result.to_json()), "utf-8")
     return folder / RESULT
 
 
@@ -109,27 +109,10 @@ def _traces(path: Path) -> tuple[Traces, ...]:
     return tuple(found)
 
 
-def _finite(value: Any) -> Any:
-    """JSON has no NaN and no infinity: both become null."""
-    if isinstance(value, dict):
-        return {key: _finite(item) for key, item in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [_finite(item) for item in value]
-    if isinstance(value, np.generic):
-        return _finite(value.item())
-    return None if isinstance(value, float) and not math.isfinite(value) else value
-
-
 def _numbers(value: Any) -> Any:
-    """And back: where a number is missing, it was not finite."""
+    """JSON has no NaN: where a number is missing, it was not finite."""
     if isinstance(value, dict):
         return {key: _numbers(item) for key, item in value.items()}
     if isinstance(value, list):
         return [_numbers(item) for item in value]
     return math.nan if value is None else value
-
-
-def _replace(path: Path, write: Any) -> None:
-    half = path.with_name(f".{path.name}.{os.getpid()}.part")
-    write(half)
-    half.replace(path)

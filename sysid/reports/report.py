@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import functools
-import os
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,6 +11,7 @@ from typing import Any
 import jinja2
 from markupsafe import Markup
 
+from sysid.files import written_whole
 from sysid.reports import display, words
 from sysid.reports.inputs import ReportInputs
 from sysid.reports.sections import evidence, experiments, networks, parameters, quality, summary, traces, versions, where
@@ -65,9 +65,8 @@ def write_report(path: Path, inputs: ReportInputs) -> Path:
     """Write the page to ``path``, whole or not at all; folders are made as needed."""
     text = build_report(inputs)
     path.parent.mkdir(parents=True, exist_ok=True)
-    half = path.with_name(f".{path.name}.{os.getpid()}.part")
-    half.write_text(text, "utf-8")
-    half.replace(path)
+    with written_whole(path) as half:
+        half.write_text(text, "utf-8")
     return path
 
 

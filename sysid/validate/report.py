@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from typing import Any, Literal
@@ -11,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sysid.datasets.recording import Kind, Role
+from sysid.files import plain
 from sysid.networks.actuator import RoundTrip
 from sysid.validate.error_analysis import Profile, Spike
 from sysid.validate.metrics import ErrorMetrics
@@ -126,15 +126,5 @@ class ValidationReport:
             ],
             "round_trips": {axis: asdict(trip) for axis, trip in self.round_trips.items()},
         }
-        cleaned: dict[str, Any] = _without_nan(values)
+        cleaned: dict[str, Any] = plain(values)
         return cleaned
-
-
-def _without_nan(value: Any) -> Any:
-    if isinstance(value, float):
-        return value if math.isfinite(value) else None
-    if isinstance(value, dict):
-        return {key: _without_nan(entry) for key, entry in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [_without_nan(entry) for entry in value]
-    return value

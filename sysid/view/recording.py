@@ -14,6 +14,7 @@ import pandas as pd
 from scipy.spatial.transform import Rotation
 
 from sysid.datasets.recording import Dataset, Recording
+from sysid.files import written_whole
 from sysid.machine import Kinematics, Machine
 from sysid.signals import axis_signal, point_signals
 from sysid.view.layout import blueprint
@@ -62,22 +63,21 @@ def write_rerun(path: Path, dataset: Dataset, recording: str, predictions: Mappi
     tables = {"measured": source.table, **predictions}
     rr = _rerun()
     path.parent.mkdir(parents=True, exist_ok=True)
-    half = path.with_name(f".{path.name}.{os.getpid()}.part")
-    # The same dataset version and recording are the same recording for the viewer, however often they are written.
-    stream = rr.RecordingStream("sysid", recording_id=f"{dataset.reference}/{recording}/{dataset.digest[:16]}")
-    stream.save(str(half), default_blueprint=blueprint(dataset, source, tables, TIMELINE))
-    stream.send_recording_name(f"{dataset.reference} {recording}")
-    styles = dict(zip(tables, _styles(tables), strict=True))
-    kinematics = dataset.machine.kinematics()
-    if kinematics is not None:
-        rr.log("machine", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True, recording=stream)
-        for name, table in tables.items():
-            _log_machine(stream, f"machine/{name}", dataset.machine, kinematics, table, styles[name])
-            _log_points(stream, f"machine/{name}", dataset.machine, table, styles[name])
-    _log_signals(stream, dataset, source, tables, styles)
-    stream.flush()
-    stream.disconnect()
-    half.replace(path)
+    with written_whole(path) as half:
+        # The same dataset version and recording are the same recording for the viewer, however often they are written.
+        stream = rr.RecordingStream("sysid", recording_id=f"{dataset.reference}/{recording}/{dataset.digest[:16]}")
+        stream.save(str(half), default_blueprint=blueprint(dataset, source, tables, TIMELINE))
+        stream.send_recording_name(f"{dataset.reference} {recording}")
+        styles = dict(zip(tables, _styles(tables), strict=True))
+        kinematics = dataset.machine.kinematics()
+        if kinematics is not None:
+            rr.log("machine", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True, recording=stream)
+            for name, table in tables.items():
+                _log_machine(stream, f"machine/{name}", dataset.machine, kinematics, table, styles[name])
+                _log_points(stream, f"machine/{name}", dataset.machine, table, styles[name])
+        _log_signals(stream, dataset, source, tables, styles)
+        stream.flush()
+        stream.disconnect()
     return path
 
 

@@ -112,6 +112,17 @@ def test_datasets_lists_and_shows(site: Path, capsys: pytest.CaptureFixture[str]
     assert "'lift'?" in capsys.readouterr().err
 
 
+def test_gap_add_shows_the_change_and_how_to_undo_it(answered: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run("--workspace", answered / "ws", "gap", "lift", "--add") == 0
+    text = capsys.readouterr().out
+    assert "lift@2 = lift@1 with these changes of its machine.toml" in text, "the same repair is the same version"
+    assert '  + [[effects]]\n  + name = "valve_deadband"\n  + target = "boom"\n' in text
+    assert "Use it:  --plant lift@2" in text
+    assert "Undo it: nothing was overwritten. lift@1 stays as it was" in text
+    row = next(line.split() for line in text.splitlines() if line.lstrip().startswith("boom.cylinder"))
+    assert row[2:7:2] == ["mm", "mm", "mm"], "before, after and noise floor of every signal, in millimetres"
+
+
 def test_gap_names_what_is_hidden(answered: Path) -> None:
     result = json.loads((answered / "g.json").read_text())
     assert result["verdict"] == "named"

@@ -16,12 +16,12 @@ PACKAGE = ROOT / "sysid"
 #: From the ground floor up. A part may import itself and what stands on a lower floor, never a neighbour or a higher one.
 FLOORS: tuple[tuple[str, ...], ...] = (
     ("errors",),
-    ("units", "config", "signals", "progress"),
+    ("units", "config", "signals", "progress", "files"),
     ("logs", "machine"),
     ("datasets",),
     ("networks", "effects"),
     ("plant",),
-    ("registry", "validate", "testing"),
+    ("registry", "validate", "testing", "world"),
     ("gap",),
     ("reports", "view"),
     ("workspace",),

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import importlib.util
+import json
 import sys
 from collections.abc import Callable
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 
 import pytest
 
-PIPELINES = Path(__file__).parents[2] / "pipelines"
+ROOT = Path(__file__).parents[2]
 
 
 @pytest.fixture(scope="session")
@@ -18,7 +20,7 @@ def pipeline() -> Callable[[str], ModuleType]:
     """``pipeline("first_look")`` is the module in ``pipelines/first_look.py``."""
 
     def load(name: str) -> ModuleType:
-        spec = importlib.util.spec_from_file_location(name, PIPELINES / f"{name}.py")
+        spec = importlib.util.spec_from_file_location(name, ROOT / "pipelines" / f"{name}.py")
         assert spec is not None
         assert spec.loader is not None
         module = importlib.util.module_from_spec(spec)
@@ -27,3 +29,20 @@ def pipeline() -> Callable[[str], ModuleType]:
         return module
 
     return load
+
+
+@pytest.fixture(scope="module")
+def result_on_measured(
+    pipeline: Callable[[str], ModuleType], tmp_path_factory: pytest.TempPathFactory
+) -> Callable[[str], dict[str, Any]]:
+    """``result_on_measured("emps")`` runs that pipeline on the measured files of that name; skips where they are absent."""
+
+    def run(name: str) -> dict[str, Any]:
+        raw = ROOT / "../shared/data" / name
+        if not raw.is_dir():
+            pytest.skip(f"the measured data (../shared/data/{name}) are not here")
+        path: Path = pipeline(name).main(raw, tmp_path_factory.mktemp(name))
+        result: dict[str, Any] = json.loads(path.read_text("utf-8"))
+        return result
+
+    return run

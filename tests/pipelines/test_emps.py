@@ -2,25 +2,17 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable
-from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 import pytest
 
-RAW = Path(__file__).parents[2] / "../shared/data/emps"
 VISCOUS, COULOMB = 203.50, 20.394
 
 
 @pytest.fixture(scope="module")
-def result(tmp_path_factory: pytest.TempPathFactory, pipeline: Callable[[str], ModuleType]) -> dict[str, Any]:
-    if not RAW.is_dir():
-        pytest.skip("the measured data (../shared/data/emps) are not here")
-    path = pipeline("emps").main(RAW, tmp_path_factory.mktemp("emps"))
-    read: dict[str, Any] = json.loads(path.read_text("utf-8"))
-    return read
+def result(result_on_measured: Callable[[str], dict[str, Any]]) -> dict[str, Any]:
+    return result_on_measured("emps")
 
 
 def effects(run: dict[str, Any]) -> dict[str, dict[str, float]]:

@@ -2,27 +2,18 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable
-from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 import numpy as np
 import pytest
 
-RAW = Path(__file__).parents[2] / "../shared/data/rc_excavator"
-
 pytestmark = pytest.mark.slow
 
 
 @pytest.fixture(scope="module")
-def result(tmp_path_factory: pytest.TempPathFactory, pipeline: Callable[[str], ModuleType]) -> dict[str, Any]:
-    if not RAW.is_dir():
-        pytest.skip("the measured data (../shared/data/rc_excavator) are not here")
-    path = pipeline("rc_excavator").main(RAW, tmp_path_factory.mktemp("rc_excavator"))
-    read: dict[str, Any] = json.loads(path.read_text("utf-8"))
-    return read
+def result(result_on_measured: Callable[[str], dict[str, Any]]) -> dict[str, Any]:
+    return result_on_measured("rc_excavator")
 
 
 def test_dead_bands_with_unequal_sides_are_named(result: dict[str, Any]) -> None:
