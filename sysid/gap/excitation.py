@@ -29,6 +29,13 @@ def advice(item: Excitation) -> str:
     return f"{item.name} on {item.target}: {_have(item)}. {_ADVICE[item.name].format(axis=item.target)}"
 
 
+def advice_on_tie(tie: Sequence[tuple[str, str]]) -> str:
+    """What to record so that effects that fit equally well come apart: what shows the first, and what shows each rival."""
+    names = " or ".join(f"{name} on {target}" for name, target in tie)
+    wanted = dict.fromkeys(_ADVICE[name].format(axis=target) for name, target in tie)
+    return f"{names} cannot be told apart. {' '.join(wanted)}"
+
+
 def _have(item: Excitation) -> str:
     return f"{item.have:.0f} {item.unit}, about {item.need:.0f} needed"
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from sysid.gap.candidates import as_nuisance
 from sysid.gap.case import Case, Stage, excitation, open_case, stage_candidates
-from sysid.gap.excitation import advice, excitation_of
+from sysid.gap.excitation import advice, advice_on_tie, excitation_of
 from sysid.gap.floor import run_floor
 from sysid.gap.localise import localise, run_rmse
 from sysid.gap.prove import Outcome, judge, stage_gap
@@ -78,7 +78,7 @@ def find_gap(
         effects=tuple(outcome.named),
         unnamed=tuple(outcome.unnamed),
         ambiguous=tuple(outcome.ties),
-        next_experiment=() if verdict == "no_gap" else tuple(advice(e) for e in shown if not e.sufficient),
+        next_experiment=() if verdict == "no_gap" else _next_experiment(outcome, shown),
         gap=gap,
         stage_gap=stage_gap(case, stages, compile_plant(outcome.repaired).theta),
         excitation=shown,
@@ -131,6 +131,10 @@ def _rows(stage: Stage, finding: Finding) -> list[Candidate]:
     return [
         Candidate(*where, t.effects, t.parameters, t.fit_rmse, t.selection_rmse, t.delta_bic, t.verdict) for t in finding.trials
     ]
+
+
+def _next_experiment(outcome: Outcome, shown: Sequence[Excitation]) -> tuple[str, ...]:
+    return (*(advice_on_tie(tie) for tie in outcome.ties), *(advice(e) for e in shown if not e.sufficient))
 
 
 def _verdict(
