@@ -17,7 +17,7 @@ import numpy.typing as npt
 
 from sysid.bench.crane import link_poses
 from sysid.bench.machine import Truth
-from sysid.bench.recipe import AXES, BodySettings, Recipe, RecordingSettings
+from sysid.bench.recipe import BodySettings, Recipe, RecordingSettings
 
 Array = npt.NDArray[np.float64]
 
@@ -87,7 +87,7 @@ def capture(recipe: Recipe, recording: RecordingSettings, truth: Truth, rng: np.
     # A frame is stamped late by the latency: what it shows is older than what the machine's clock says.
     shown = machine_time - settings.latency
     joints, tool, ee = truth.at(shown, truth.joint), truth.at(shown, truth.tool), truth.at(shown, truth.ee)
-    parked = np.array([[recipe.axis(name).park for name in AXES]])
+    parked = truth.joint[:1]
     hanging = np.array([[0.0, 0.0, -recipe.gripper.length]])
     poses = link_poses(recipe.geometry, joints, tool - ee)
     created = link_poses(recipe.geometry, parked, hanging)

@@ -1,20 +1,41 @@
-"""The machine: valves, drives, play, linkages, crane and gripper in one loop at the step of the simulation (1 kHz)."""
+"""The machine: valves, drives, play, linkages, crane and gripper in one loop at the step of the simulation (1 kHz).
+
+An axis is moved by its simple valve model or by the hydraulic circuit (:mod:`sysid.bench.circuit`), which feels the weight and
+the motion of all booms. Play and elastic joints come behind either.
+"""
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
+from sysid.bench.circuit import (
+    FRICTION,
+    PRESSURE_A,
+    PRESSURE_B,
+    SUB_STEP,
+    Circuit,
+    Supply,
+    advance,
+    at_rest,
+    circuit_of,
+    supply_of,
+)
 from sysid.bench.compiled import compiled
 from sysid.bench.crane import tip_position
 from sysid.bench.cylinder import Drive, against_stops, drive_of, joint_of, position_of
 from sysid.bench.drivetrain import follow_with_play
+from sysid.bench.elastic_joint import flex_step
 from sysid.bench.gripper import swing
-from sysid.bench.operator import draw_strokes, stroke_command
+from sysid.bench.oil import viscosity
+from sysid.bench.operator import stroke_command
 from sysid.bench.poses import approach_command, draw_targets
+from sysid.bench.programs import strokes_of
 from sysid.bench.recipe import AXES, Recipe, RecordingSettings
+from sysid.bench.rigid_body import Bodies, bodies_of, equations, rod_force
 from sysid.bench.valve import Valve, delayed, drive_speed, flow_fluctuation, opening, spool_step, valve_of
 
 Array = npt.NDArray[np.float64]
@@ -34,6 +55,8 @@ class Truth:
         joint: the structure's joint values after the play, (n, 4) [rad, rad, rad, m].
         ee, tool: boom tip and tool point in the base frame, (n, 3) [m].
         still: (start, end) [s] of the phases in which the calibration routine holds a pose, (m, 2); empty by hand.
+        pressure: of the chambers A and B of each axis, then of the supply, (n, 9) [Pa]; zeros where nothing is hydraulic.
+        friction: seal friction of each axis, (n, 4) [N or N·m].
     """
 
     time: Array
@@ -43,6 +66,8 @@ class Truth:
     ee: Array
     tool: Array
     still: Array
+    pressure: Array
+    friction: Array
 
     def at(self, times: Array, values: Array) -> Array:
         """Columns of ``values`` (n, m) interpolated at ``times`` (k,), the ends held: (k, m)."""
@@ -63,7 +88,7 @@ def run_machine(recipe: Recipe, recording: RecordingSettings, rng: np.random.Gen
         keep = cycle_steps
     else:
         targets = np.zeros((0, len(AXES)))
-        strokes = draw_strokes(recipe.operator, recording.seconds, rng)
+        strokes = strokes_of(recipe, recording, rng)
         longest = recording.seconds
         keep = 1
     steps = round(longest / recipe.step)
@@ -79,6 +104,11 @@ def run_machine(recipe: Recipe, recording: RecordingSettings, rng: np.random.Gen
         plays * rng.uniform(-0.5, 0.5, len(axes)),
         np.array([axis.park for axis in axes]),
         (recipe.geometry.height, recipe.geometry.boom, recipe.geometry.stick),
+        tuple(circuit_of(axis, recipe.supply) for axis in axes),
+        bodies_of(recipe.masses, recipe.geometry.boom, recipe.geometry.stick, recipe.gripper.length),
+        supply_of(recipe.supply, recipe.oil),
+        (recipe.oil.start, recipe.oil.end, recipe.oil.warm_up, recipe.oil.reference, recipe.oil.thinning),
+        np.array([(axis.stiffness, axis.flex_damping) for axis in axes]),
         (recipe.gripper.length, recipe.gripper.damping_ratio),
         fluctuation,
         strokes,
@@ -92,7 +122,8 @@ def run_machine(recipe: Recipe, recording: RecordingSettings, rng: np.random.Gen
     states = states[:kept]
     time = np.arange(kept, dtype=np.float64) * (keep * recipe.step)
     held = np.minimum(np.arange(kept) * keep // cycle_steps, len(commands[0]) - 1)
-    return Truth(time, commands.T[held], states[:, 0:4], states[:, 4:8], states[:, 8:11], states[:, 11:14], still)
+    parts = (states[:, 0:4], states[:, 4:8], states[:, 8:11], states[:, 11:14])
+    return Truth(time, commands.T[held], *parts, still, states[:, 14:23], states[:, 23:27])
 
 
 @compiled
@@ -103,6 +134,11 @@ def _loop(
     in_play: Array,
     park: Array,
     geometry: tuple[float, float, float],
+    circuits: tuple[Circuit, ...],
+    bodies: Bodies,
+    supply: Supply,
+    oil: tuple[float, float, float, float, float],
+    flex: Array,
     gripper: tuple[float, float],
     fluctuation: Array,
     strokes: Array,
@@ -118,7 +154,7 @@ def _loop(
     height, boom_length, stick_length = geometry
     length, damping_ratio = gripper
     cycle = cycle_steps * step
-    states = np.empty(((steps - 1) // keep + 1, 14))
+    states = np.empty(((steps - 1) // keep + 1, 27))
     commands = np.zeros((n, (steps - 1) // cycle_steps + 1))
     still = np.zeros((len(targets), 2))
     hand = np.zeros((n, 3))
@@ -130,6 +166,38 @@ def _loop(
     for i in range(n):
         structure[i] = position_of(park[i], drives[i])
         position[i] = against_stops(structure[i] + in_play[i], drives[i].low, drives[i].high)
+    powered = False
+    elastic = False
+    for i in range(n):
+        powered |= circuits[i].enabled != 0.0
+        elastic |= math.isfinite(flex[i, 0])
+    substeps = max(round(step / SUB_STEP), 1)
+    moved = joint.copy()
+    rate = np.zeros(n)
+    prescribed = np.zeros(n)
+    received = np.zeros(n)
+    stops = np.empty((n, 2))
+    for i in range(n):
+        ends = joint_of(drives[i].low, drives[i]), joint_of(drives[i].high, drives[i])
+        stops[i, 0], stops[i, 1] = min(ends), max(ends)
+        moved[i] = joint_of(position[i], drives[i])
+    hydraulic = at_rest(moved, circuits, drives, bodies)
+    line = np.full(1, supply.pressure)
+    deflection = np.zeros(n)
+    deflecting = np.zeros(n)
+    stiff = joint.copy()
+    stiff_rate = np.zeros(n)
+    mass = np.empty((3, 3))
+    bias = np.empty(3)
+    weight = np.empty(3)
+    if elastic:
+        # It was parked long ago: sagged and still.
+        for _ in range(50):
+            equations(joint + deflection, rate, bodies, mass, bias, weight)
+            for i in range(1, n):
+                if math.isfinite(flex[i, 0]):
+                    deflection[i] = -weight[i - 1] / flex[i, 0]
+        joint += deflection
     pivot = np.empty(3)
     next_pivot = np.empty(3)
     tool = np.empty(3)
@@ -147,6 +215,11 @@ def _loop(
             row[4:8] = joint
             row[8:11] = pivot
             row[11:14] = tool
+            for i in range(n):
+                row[14 + 2 * i] = hydraulic[i, PRESSURE_A]
+                row[15 + 2 * i] = hydraulic[i, PRESSURE_B]
+                row[23 + i] = hydraulic[i, FRICTION]
+            row[22] = line[0] if powered else 0.0
         if k % cycle_steps == 0:
             now = k // cycle_steps
             if len(targets) == 0:
@@ -178,15 +251,79 @@ def _loop(
         for i in range(n):
             valve = valves[i]
             command = delayed(commands[i, : now + 1], cycle, time, step, valve.delay)
+            received[i] = command
+            if circuits[i].enabled != 0.0:
+                continue
             target = opening(command, valve.positive, valve.negative, valve.saturation)
             spool[i], mean = spool_step(spool[i], target, step, valve.time_constant)
             speed = drive_speed(mean, valve.gain, valve.ratio, fluctuation[i, min(k, fluctuation.shape[1] - 1)])
             position[i] = against_stops(position[i] + speed * step, drives[i].low, drives[i].high)
+            if powered:
+                there_now = joint_of(position[i], drives[i])
+                prescribed[i] = ((there_now - moved[i]) / step - rate[i]) / step
+                rate[i] = (there_now - moved[i]) / step
+                moved[i] = there_now
+        if powered:
+            thick = viscosity(time, oil[0], oil[1], oil[2], oil[3], oil[4])
+            pull = rod_force(tool, pivot, bodies.hanging) if length > 0.0 else (0.0, 0.0)
+            advance(
+                moved,
+                rate,
+                prescribed,
+                received,
+                hydraulic,
+                line,
+                circuits,
+                valves,
+                drives,
+                bodies,
+                supply,
+                stops,
+                pull,
+                thick,
+                step,
+                substeps,
+            )
+        for i in range(n):
+            if circuits[i].enabled != 0.0:
+                position[i] = against_stops(position_of(moved[i], drives[i]), drives[i].low, drives[i].high)
             structure[i] = follow_with_play(structure[i], position[i], plays[i])
             joint[i] = joint_of(structure[i], drives[i])
+        if elastic:
+            _flex(joint, stiff, stiff_rate, deflection, deflecting, bodies, flex, step)
         next_pivot[0], next_pivot[1], next_pivot[2] = tip_position(
             joint[0], joint[1], joint[2], joint[3], height, boom_length, stick_length
         )
         swing(tool, velocity, pivot, next_pivot, length, damping_ratio, step)
         pivot[:] = next_pivot
     return (steps - 1) // keep + 1, states, commands, still
+
+
+@compiled
+def _flex(
+    joint: Array,
+    stiff: Array,
+    stiff_rate: Array,
+    deflection: Array,
+    deflecting: Array,
+    bodies: Bodies,
+    flex: Array,
+    step: float,
+) -> None:
+    """Add the elastic deflection to ``joint`` (4,); ``stiff`` and its rate are where a rigid structure was a step ago."""
+    mass = np.empty((3, 3))
+    bias = np.empty(3)
+    weight = np.empty(3)
+    around, _ = equations(joint + deflection, np.zeros(len(joint)), bodies, mass, bias, weight)
+    for i in range(len(joint)):
+        now = (joint[i] - stiff[i]) / step
+        jump = now - stiff_rate[i]
+        stiff[i] = joint[i]
+        stiff_rate[i] = now
+        if math.isfinite(flex[i, 0]):
+            moment = weight[i - 1] if i > 0 else 0.0
+            inertia = mass[i - 1, i - 1] if i > 0 else around
+            deflection[i], deflecting[i] = flex_step(
+                deflection[i], deflecting[i], jump, moment, inertia, flex[i, 0], flex[i, 1], step
+            )
+            joint[i] += deflection[i]

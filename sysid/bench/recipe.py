@@ -11,6 +11,7 @@ import math
 from dataclasses import dataclass, field
 from typing import Literal
 
+from sysid.bench.hydraulic_recipe import HydraulicSettings, MassSettings, OilSettings, SupplySettings
 from sysid.config import STRICT
 from sysid.errors import SettingsError, nearest
 
@@ -65,7 +66,15 @@ class CylinderSettings:
 
 @dataclass(frozen=True)
 class AxisSettings:
-    """One axis: its valve, its cylinder (none = the joint is driven directly), its play, its range [rad or m]."""
+    """One axis.
+
+    Args:
+        limits, park: range of the joint and where it is parked [rad or m].
+        cylinder: None = the joint is driven directly.
+        backlash: full width of the play between drive and structure [rad or m].
+        drive: the simple model of the valve alone, or the hydraulic circuit with the booms' dynamics (needs ``hydraulics``).
+        stiffness: of the structure at the joint [N·m/rad]; it sags under its weight and swings with ``flex_damping`` (ratio).
+    """
 
     __pydantic_config__ = STRICT
 
@@ -74,6 +83,10 @@ class AxisSettings:
     park: float
     cylinder: CylinderSettings | None = None
     backlash: float = 0.0
+    drive: Literal["valve", "hydraulic"] = "valve"
+    hydraulics: HydraulicSettings | None = None
+    stiffness: float = math.inf
+    flex_damping: float = 0.05
 
 
 @dataclass(frozen=True)
@@ -207,8 +220,24 @@ class CaptureSettings:
 
 
 @dataclass(frozen=True)
+class StrokeSettings:
+    """One push of the lever of ``axis``: start [s], duration [s], level [command], and its smooth edges [s]."""
+
+    __pydantic_config__ = STRICT
+
+    axis: Literal["slew", "boom", "stick", "telescope"]
+    start: float
+    duration: float
+    level: float
+    edge: float = 0.1
+
+
+@dataclass(frozen=True)
 class RecordingSettings:
-    """One recording: an operator's ``seconds`` at the joysticks, or ``poses`` static poses of the calibration routine."""
+    """One recording: ``seconds`` of a ``program`` (an operator by default), or ``poses`` poses of the calibration routine.
+
+    ``strokes`` are those of the program ``script``.
+    """
 
     __pydantic_config__ = STRICT
 
@@ -216,6 +245,8 @@ class RecordingSettings:
     seed: int
     seconds: float = 0.0
     poses: int = 0
+    program: Literal["operator", "reversals", "stairs", "steps", "together", "rest", "script"] = "operator"
+    strokes: tuple[StrokeSettings, ...] = ()
 
     @property
     def is_calibration(self) -> bool:
@@ -278,6 +309,9 @@ class Recipe:
     recordings: tuple[RecordingSettings, ...]
     step: float = 0.001
     gripper: GripperSettings = field(default_factory=GripperSettings)
+    masses: MassSettings = field(default_factory=MassSettings)
+    supply: SupplySettings = field(default_factory=SupplySettings)
+    oil: OilSettings = field(default_factory=OilSettings)
     draw_wire: WireSettings = field(default_factory=WireSettings)
     slew_sensor: SlewSensorSettings = field(default_factory=SlewSensorSettings)
     controller: ControllerSettings = field(default_factory=ControllerSettings)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from pathlib import Path
 
+from sysid.bench.programs import check_script
 from sysid.bench.recipe import AXES, AxisSettings, CylinderSettings, Recipe
 from sysid.config import load_settings
 from sysid.errors import SettingsError, nearest
@@ -42,6 +43,9 @@ def check_recipe(recipe: Recipe, where: object) -> None:
             raise SettingsError(place, "name is taken", "a name of its own for every recording")
         if (recording.seconds > 0) == (recording.poses > 0):
             raise SettingsError(place, f"seconds = {recording.seconds}, poses = {recording.poses}", "one of them above zero")
+        wrong = check_script(recording)
+        if wrong is not None:
+            raise SettingsError(place, wrong, "strokes of one axis one after the other, edges up to half of each")
     _check_swaps(recipe, where)
 
 
@@ -55,11 +59,33 @@ def _check_axis(axis: AxisSettings, where: str) -> None:
             raise SettingsError(f"{where}.valve.{key}", f"{getattr(valve, key)}", "more than zero")
     if axis.backlash < 0.0:
         raise SettingsError(f"{where}.backlash", f"{axis.backlash}", "zero or more")
+    if not axis.stiffness > 0.0:
+        raise SettingsError(f"{where}.stiffness", f"{axis.stiffness}", "more than zero")
+    if not 0.0 <= axis.flex_damping < 1.0:
+        raise SettingsError(f"{where}.flex_damping", f"{axis.flex_damping}", "a damping ratio from 0 to below 1")
+    _check_hydraulics(axis, where)
     low, high = axis.limits
     if not low < axis.park < high:
         raise SettingsError(f"{where}.park", f"{axis.park}", f"a value inside the limits [{low}, {high}]")
     if axis.cylinder is not None:
         _check_cylinder(axis.cylinder, axis.limits, where)
+
+
+def _check_hydraulics(axis: AxisSettings, where: str) -> None:
+    settings = axis.hydraulics
+    if settings is None:
+        if axis.drive == "hydraulic":
+            raise SettingsError(f"{where}.drive", "hydraulic without [hydraulics]", "at least area and area_rod of its pistons")
+        return
+    positive = ("area", "area_rod", "dead_volume", "spool_frequency", "spool_damping", "stribeck_velocity", "bristle", "relief")
+    for key in positive:
+        if not getattr(settings, key) > 0.0:
+            raise SettingsError(f"{where}.hydraulics.{key}", f"{getattr(settings, key)}", "more than zero")
+    for key in ("flow_force", "hysteresis", "meter_out_lap", "leakage", "spool_leakage", "coulomb", "static", "viscous"):
+        if not getattr(settings, key) >= 0.0:
+            raise SettingsError(f"{where}.hydraulics.{key}", f"{getattr(settings, key)}", "zero or more")
+    if settings.spool_frequency > 500.0:
+        raise SettingsError(f"{where}.hydraulics.spool_frequency", f"{settings.spool_frequency} Hz", "at most 500 Hz")
 
 
 def _check_cylinder(cylinder: CylinderSettings, limits: tuple[float, float], where: str) -> None:

@@ -1,0 +1,113 @@
+"""Settings of the hydraulic drive model: what lies between a valve's spool and the motion of the booms.
+
+An axis with ``drive = "hydraulic"`` keeps ``gain``, ``delay``, ``deadband_*`` (as overlap of the lands) and ``saturation`` of
+its valve; spool, flow, pressures and friction are set here. The default of every feature is its absence.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from sysid.config import STRICT
+
+
+@dataclass(frozen=True)
+class HydraulicSettings:
+    """Valve and cylinder (or rotary drive) of one axis.
+
+    Units are those of a cylinder; a drive that turns has m³/rad for areas, N·m for forces and rad for lengths.
+
+    Args:
+        area, area_rod: piston areas that push towards positive and negative motion [m²].
+        dead_volume: hose and port volume on either side [m³].
+        spool_frequency, spool_damping: own frequency [Hz] and damping ratio of the spool.
+        flow_force: how far a pressure drop of the supply's size pushes the open spool back (share of its opening).
+        hysteresis: widest of the plays that the spool's friction makes of the command (full width, command).
+        meter_out_lap: how much later the edges towards the tank open than those from the pump [command].
+        retraction: speed at opening −1 without load; None = the same opening as in the positive direction.
+        leakage: across the piston [m³/(s·Pa)]; ``spool_leakage``: from either chamber past the spool to the tank.
+        coulomb, static: seal friction when sliding and at break-away [N]; static 0 = as sliding.
+        stribeck_velocity: speed over which it falls from one to the other [m/s]; viscous: [N·s/m] at reference temperature.
+        bristle: elastic deflection of the seals before they slide [m].
+        relief: pressure at which a chamber opens to the tank [Pa].
+    """
+
+    __pydantic_config__ = STRICT
+
+    area: float
+    area_rod: float
+    dead_volume: float = 2e-5
+    spool_frequency: float = 6.0
+    spool_damping: float = 0.9
+    flow_force: float = 0.0
+    hysteresis: float = 0.0
+    meter_out_lap: float = 0.0
+    retraction: float | None = None
+    leakage: float = 0.0
+    spool_leakage: float = 0.0
+    coulomb: float = 0.0
+    static: float = 0.0
+    stribeck_velocity: float = 5e-3
+    viscous: float = 0.0
+    bristle: float = 2e-5
+    relief: float = math.inf
+
+
+@dataclass(frozen=True)
+class SupplySettings:
+    """The pump of all axes: it holds ``pressure`` [Pa] as long as less than ``flow_limit`` [m³/s] is drawn.
+
+    ``volume`` [m³] is that of the pressure line, ``droop`` [Pa] the pressure lost between no flow and the full flow.
+    """
+
+    __pydantic_config__ = STRICT
+
+    pressure: float = 80e5
+    flow_limit: float = math.inf
+    volume: float = 1e-4
+    droop: float = 2e5
+
+
+@dataclass(frozen=True)
+class OilSettings:
+    """The oil and its temperature ``end + (start − end)·e^(−t/warm_up)`` [°C, s].
+
+    Args:
+        bulk_modulus: effective, with hoses and air [Pa].
+        transition: pressure drop around which an orifice goes from laminar to turbulent at ``reference`` [Pa].
+        thinning: relative loss of viscosity per kelvin [1/K].
+    """
+
+    __pydantic_config__ = STRICT
+
+    bulk_modulus: float = 5e8
+    transition: float = 2e4
+    reference: float = 40.0
+    start: float = 40.0
+    end: float = 40.0
+    warm_up: float = 600.0
+    thinning: float = 0.035
+
+
+@dataclass(frozen=True)
+class MassSettings:
+    """Masses [kg], their centres along the link [m] and moments of inertia about them [kg·m²].
+
+    The telescope's centre is counted from the boom tip (negative = behind it). The gripper hangs below the tip.
+    """
+
+    __pydantic_config__ = STRICT
+
+    column_inertia: float = 0.011
+    boom: float = 4.0
+    boom_centre: float = 0.288
+    boom_inertia: float = 0.112
+    stick: float = 3.0
+    stick_centre: float = 0.2
+    stick_inertia: float = 0.041
+    telescope: float = 1.5
+    telescope_centre: float = -0.18
+    telescope_inertia: float = 0.0165
+    gripper: float = 3.0
+    payload: float = 0.0
