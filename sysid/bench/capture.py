@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sysid.bench.crane import link_poses
-from sysid.bench.machine import Truth
+from sysid.bench.machine import Truth, zeros_of
 from sysid.bench.recipe import BodySettings, Recipe, RecordingSettings
 
 Array = npt.NDArray[np.float64]
@@ -89,8 +89,9 @@ def capture(recipe: Recipe, recording: RecordingSettings, truth: Truth, rng: np.
     joints, tool, ee = truth.at(shown, truth.joint), truth.at(shown, truth.tool), truth.at(shown, truth.ee)
     parked = truth.joint[:1]
     hanging = np.array([[0.0, 0.0, -recipe.gripper.length]])
-    poses = link_poses(recipe.geometry, joints, tool - ee)
-    created = link_poses(recipe.geometry, parked, hanging)
+    zeros = zeros_of(recipe)
+    poses = link_poses(recipe.built, joints + zeros, tool - ee)
+    created = link_poses(recipe.built, parked + zeros, hanging)
     dropouts = _draw_dropouts(recipe, float(time[-1]), rng)
     tracks = []
     for body in settings.bodies:
@@ -124,9 +125,21 @@ def frame_rotation(rpy: tuple[float, float, float]) -> Array:
     )
 
 
+def turn_about(vector: tuple[float, float, float]) -> Array:
+    """Rotation matrix (3, 3) of a rotation vector [rad]."""
+    angle = float(np.linalg.norm(vector))
+    if angle == 0.0:
+        return np.eye(3)
+    x, y, z = np.array(vector) / angle
+    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    return np.asarray(np.eye(3) + math.sin(angle) * cross + (1.0 - math.cos(angle)) * cross @ cross)
+
+
 def _in_capture_frame(recipe: Recipe, points: Array) -> Array:
     """Base frame → capture frame, (…, 3) [m]."""
     settings = recipe.capture
+    if any(settings.tilt) or any(settings.shift):
+        points = points @ turn_about(settings.tilt).T + np.array(settings.shift)
     return np.asarray((points - np.array(settings.translation)) @ frame_rotation(settings.rpy))
 
 

@@ -52,7 +52,7 @@ class Truth:
         time: (n,) [s] since the recording's start.
         command: held command of each axis, (n, 4).
         drive: position of what the valve moves, (n, 4) [m for cylinders and telescope, rad for the slewing drive].
-        joint: the structure's joint values after the play, (n, 4) [rad, rad, rad, m].
+        joint: the structure's joint values, from their stated zeros, after play and sag, (n, 4) [rad, rad, rad, m].
         ee, tool: boom tip and tool point in the base frame, (n, 3) [m].
         still: (start, end) [s] of the phases in which the calibration routine holds a pose, (m, 2); empty by hand.
         pressure: of the chambers A and B of each axis, then of the supply, (n, 9) [Pa]; zeros where nothing is hydraulic.
@@ -103,9 +103,10 @@ def run_machine(recipe: Recipe, recording: RecordingSettings, rng: np.random.Gen
         # Where the drive stands inside its play when the machine is parked is anyone's guess.
         plays * rng.uniform(-0.5, 0.5, len(axes)),
         np.array([axis.park for axis in axes]),
-        (recipe.geometry.height, recipe.geometry.boom, recipe.geometry.stick),
+        (recipe.built.height, recipe.built.boom, recipe.built.stick),
+        zeros_of(recipe),
         tuple(circuit_of(axis, recipe.supply) for axis in axes),
-        bodies_of(recipe.masses, recipe.geometry.boom, recipe.geometry.stick, recipe.gripper.length),
+        bodies_of(recipe.masses, recipe.built.boom, recipe.built.stick, recipe.gripper.length),
         supply_of(recipe.supply, recipe.oil),
         (recipe.oil.start, recipe.oil.end, recipe.oil.warm_up, recipe.oil.reference, recipe.oil.thinning),
         np.array([(axis.stiffness, axis.flex_damping) for axis in axes]),
@@ -126,6 +127,11 @@ def run_machine(recipe: Recipe, recording: RecordingSettings, rng: np.random.Gen
     return Truth(time, commands.T[held], *parts, still, states[:, 14:23], states[:, 23:27])
 
 
+def zeros_of(recipe: Recipe) -> Array:
+    """True joints less those that the stated zeros give, (4,) [rad, rad, rad, m]."""
+    return np.array([recipe.build.joint_offset.get(name, 0.0) for name in AXES])
+
+
 @compiled
 def _loop(
     valves: tuple[Valve, ...],
@@ -134,6 +140,7 @@ def _loop(
     in_play: Array,
     park: Array,
     geometry: tuple[float, float, float],
+    zeros: Array,
     circuits: tuple[Circuit, ...],
     bodies: Bodies,
     supply: Supply,
@@ -202,7 +209,8 @@ def _loop(
     next_pivot = np.empty(3)
     tool = np.empty(3)
     velocity = np.zeros(3)
-    pivot[0], pivot[1], pivot[2] = tip_position(joint[0], joint[1], joint[2], joint[3], height, boom_length, stick_length)
+    true = joint + zeros
+    pivot[0], pivot[1], pivot[2] = tip_position(true[0], true[1], true[2], true[3], height, boom_length, stick_length)
     tool[:] = pivot
     tool[2] -= length
     pose = 0
@@ -291,8 +299,10 @@ def _loop(
             joint[i] = joint_of(structure[i], drives[i])
         if elastic:
             _flex(joint, stiff, stiff_rate, deflection, deflecting, bodies, flex, step)
+        for i in range(n):
+            true[i] = joint[i] + zeros[i]
         next_pivot[0], next_pivot[1], next_pivot[2] = tip_position(
-            joint[0], joint[1], joint[2], joint[3], height, boom_length, stick_length
+            true[0], true[1], true[2], true[3], height, boom_length, stick_length
         )
         swing(tool, velocity, pivot, next_pivot, length, damping_ratio, step)
         pivot[:] = next_pivot

@@ -101,6 +101,34 @@ class GeometrySettings:
 
 
 @dataclass(frozen=True)
+class BuildSettings:
+    """How the machine was built, as against its drawing (``geometry``) and the zero of its joints.
+
+    Args:
+        boom, stick: length errors of the links [m].
+        joint_offset: true joint less what a perfect sensor with the stated zero shows [rad or m], by axis.
+    """
+
+    __pydantic_config__ = STRICT
+
+    boom: float = 0.0
+    stick: float = 0.0
+    joint_offset: dict[Literal["slew", "boom", "stick", "telescope"], float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class SensorSettings:
+    """A sensor of the machine's computer that reads ``scale``·true + ``bias`` in whole ``quantum`` (SI), beside its data sheet."""
+
+    __pydantic_config__ = STRICT
+
+    signal: Literal["slew.joint", "boom.cylinder", "stick.cylinder", "telescope.joint"]
+    bias: float = 0.0
+    scale: float = 1.0
+    quantum: float = 0.0
+
+
+@dataclass(frozen=True)
 class GripperSettings:
     """A tool on two passive crossed joints below the boom tip; ``length`` 0 = rigidly at the tip."""
 
@@ -198,7 +226,8 @@ class CaptureSettings:
         latency: frames are stamped this much late [s].
         dropouts_per_minute: occlusions of one body each, lasting ``dropout_seconds`` (range, [s]).
         bodies, swaps, exported_markers: what is tracked, when markers are confused, whose markers are exported.
-        translation, rpy: pose of the capture frame in the base frame [m, rad] (fixed-axis roll, pitch, yaw).
+        translation, rpy: surveyed pose of the capture frame in the base frame [m, rad] (fixed-axis roll, pitch, yaw).
+        shift, tilt: how the machine really stands in the surveyed base frame: seen = R(tilt)·true + shift [m, rotation vector rad].
     """
 
     __pydantic_config__ = STRICT
@@ -214,6 +243,8 @@ class CaptureSettings:
     dropout_seconds: tuple[float, float] = (0.1, 1.0)
     translation: tuple[float, float, float] = (0.0, 0.0, 0.0)
     rpy: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    shift: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    tilt: tuple[float, float, float] = (0.0, 0.0, 0.0)
     bodies: tuple[BodySettings, ...] = ()
     swaps: tuple[SwapSettings, ...] = ()
     exported_markers: tuple[MarkerExport, ...] = ()
@@ -308,17 +339,29 @@ class Recipe:
     axes: dict[str, AxisSettings]
     recordings: tuple[RecordingSettings, ...]
     step: float = 0.001
+    build: BuildSettings = field(default_factory=BuildSettings)
     gripper: GripperSettings = field(default_factory=GripperSettings)
     masses: MassSettings = field(default_factory=MassSettings)
     supply: SupplySettings = field(default_factory=SupplySettings)
     oil: OilSettings = field(default_factory=OilSettings)
     draw_wire: WireSettings = field(default_factory=WireSettings)
+    sensors: tuple[SensorSettings, ...] = ()
     slew_sensor: SlewSensorSettings = field(default_factory=SlewSensorSettings)
     controller: ControllerSettings = field(default_factory=ControllerSettings)
     capture: CaptureSettings = field(default_factory=CaptureSettings)
     operator: OperatorSettings = field(default_factory=OperatorSettings)
     routine: RoutineSettings = field(default_factory=RoutineSettings)
     hidden: tuple[HiddenSettings, ...] = ()
+
+    @property
+    def built(self) -> GeometrySettings:
+        """The links as they are."""
+        return GeometrySettings(
+            self.geometry.height, self.geometry.boom + self.build.boom, self.geometry.stick + self.build.stick
+        )
+
+    def sensor(self, signal: str) -> SensorSettings | None:
+        return next((sensor for sensor in self.sensors if sensor.signal == signal), None)
 
     def axis(self, name: str) -> AxisSettings:
         return self.axes[name]

@@ -10,7 +10,7 @@ import numpy.typing as npt
 from sysid.bench.capture import Capture, capture
 from sysid.bench.machine import Truth, run_machine
 from sysid.bench.recipe import AXES, Recipe, RecordingSettings
-from sysid.bench.sensors import read_slew, read_wires
+from sysid.bench.sensors import read_slew, read_wires, through
 
 Array = npt.NDArray[np.float64]
 
@@ -84,6 +84,10 @@ def _read_machine(
         thinned = ticks[:: max(round(controller.rate / recipe.routine.log_rate), 1)]
         ticks = thinned[np.searchsorted(truth.still.ravel(), truth.time[thinned]) % 2 == 1]
     columns = [AXES.index(name) for name in WIRED]
+    wires = read_wires(truth.drive[ticks][:, columns], recipe.draw_wire, sensors)
+    slew = read_slew(truth.joint[ticks, 0], recipe.slew_sensor, sensors)
+    signals = [f"{name}.{'cylinder' if recipe.axis(name).cylinder is not None else 'joint'}" for name in WIRED]
+    wires = np.stack([through(wires[:, k], recipe.sensor(signal)) for k, signal in enumerate(signals)], axis=1)
     stamps = start_ns + np.round(truth.time[ticks] * 1e9).astype(np.int64)
     shape = (len(ticks), 3)
     published = controller.publish_delay + controller.jitter * network.exponential(size=shape)
@@ -93,6 +97,6 @@ def _read_machine(
         published=stamps[:, None] + np.round(published * 1e9).astype(np.int64),
         logged=stamps[:, None] + np.round(arrived * 1e9).astype(np.int64),
         command=truth.command[ticks],
-        wires=read_wires(truth.drive[ticks][:, columns], recipe.draw_wire, sensors),
-        slew=read_slew(truth.joint[ticks, 0], recipe.slew_sensor, sensors),
+        wires=wires,
+        slew=through(slew, recipe.sensor("slew.joint")),
     )

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from sysid.bench.recipe import SlewSensorSettings, WireSettings
+from sysid.bench.recipe import SensorSettings, SlewSensorSettings, WireSettings
 
 Array = npt.NDArray[np.float64]
 
@@ -13,6 +13,11 @@ Array = npt.NDArray[np.float64]
 def converted(values: Array, quantum: float) -> Array:
     """``values`` as a converter gives them, in whole quanta; 0 = as they are."""
     return np.round(values / quantum) * quantum if quantum > 0.0 else values
+
+
+def through(values: Array, sensor: SensorSettings | None) -> Array:
+    """Readings of a sensor that is off, from those of its data sheet."""
+    return values if sensor is None else converted(sensor.scale * values + sensor.bias, sensor.quantum)
 
 
 def read_wires(lengths: Array, settings: WireSettings, rng: np.random.Generator) -> Array:
