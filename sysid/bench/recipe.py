@@ -113,12 +113,12 @@ class BuildSettings:
 
     boom: float = 0.0
     stick: float = 0.0
-    joint_offset: dict[Literal["slew", "boom", "stick", "telescope"], float] = field(default_factory=dict)
+    joint_offset: dict[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
 class SensorSettings:
-    """A sensor of the machine's computer that reads ``scale``·true + ``bias`` in whole ``quantum`` (SI), beside its data sheet."""
+    """A sensor that reads ``scale``·value + ``bias`` in whole ``quantum`` (SI) where its data sheet says value."""
 
     __pydantic_config__ = STRICT
 
@@ -227,7 +227,7 @@ class CaptureSettings:
         dropouts_per_minute: occlusions of one body each, lasting ``dropout_seconds`` (range, [s]).
         bodies, swaps, exported_markers: what is tracked, when markers are confused, whose markers are exported.
         translation, rpy: surveyed pose of the capture frame in the base frame [m, rad] (fixed-axis roll, pitch, yaw).
-        shift, tilt: how the machine really stands in the surveyed base frame: seen = R(tilt)·true + shift [m, rotation vector rad].
+        shift, tilt: how the machine really stands in the surveyed frame: seen = R(tilt)·true + shift [m, rotation vector rad].
     """
 
     __pydantic_config__ = STRICT

@@ -36,6 +36,9 @@ def check_recipe(recipe: Recipe, where: object) -> None:
         )
     for name, axis in recipe.axes.items():
         _check_axis(axis, f"{where}: axes.{name}")
+    for name in recipe.build.joint_offset:
+        if name not in AXES:
+            raise SettingsError(f"{where}: build.joint_offset", f"unknown axis {name!r}", nearest(name, AXES))
     names = [recording.name for recording in recipe.recordings]
     for recording in recipe.recordings:
         place = f"{where}: recording {recording.name!r}"

@@ -85,7 +85,7 @@ def test_program_stays_inside_the_stops_and_repeats(recipe: Recipe, program: str
     assert not truth.command[parked].any()
     for column, name in enumerate(AXES):
         drive = drive_of(recipe.axis(name))
-        assert drive.low < truth.drive[:, column].min() < truth.drive[:, column].max() < drive.high
+        assert drive.low < truth.drive[:, column].min() <= truth.drive[:, column].max() < drive.high
     moving = (truth.command[::10] != 0.0).sum(axis=1)
     if program == "together":
         assert np.mean(moving == 4) > 0.2
@@ -114,6 +114,12 @@ def test_script_is_carried_out(recipe: Recipe, tmp_path: Path) -> None:
     at = np.searchsorted(truth.time, [0.9, 1.5, 2.5, 3.5, 4.5])
     assert truth.command[at, 2] == pytest.approx([0.0, 0.5, 0.0, -0.5, 0.0])
     assert not truth.command[:, [0, 1, 3]].any()
+
+
+def test_offset_of_no_axis_is_refused(recipe: Recipe) -> None:
+    wrong = replace(recipe, build=BuildSettings(joint_offset={"bom": 0.1}))
+    with pytest.raises(SettingsError, match=r"build\.joint_offset: unknown axis 'bom'; expected 'boom'"):
+        check_recipe(wrong, "bench.toml")
 
 
 @pytest.mark.parametrize(
