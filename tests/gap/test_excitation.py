@@ -1,0 +1,122 @@
+"""What a dataset has of what an effect needs, counted by hand."""
+
+from __future__ import annotations
+
+import numpy as np
+import pandas as pd
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from plant_data import KnownEffect, arm, dataset_of, nominal
+
+from sysid.datasets.recording import Recording
+from sysid.effects import CATALOGUE
+from sysid.gap import find_gap
+from sysid.gap.candidates import Candidate, candidates_at
+from sysid.gap.excitation import advice, excitation_of, turning_points
+from sysid.plant import Plant
+
+
+def candidate(name: str, target: str) -> Candidate:
+    plant: Plant = nominal()
+    stages = ("command", "force", "joint", "end_effector", "tool")
+    found = [c for stage in stages for c in candidates_at(plant, plant.vector(), stage, (target,)) if c.effect.name == name]
+    return found[0]
+
+
+def recording(**columns: object) -> Recording:
+    values = {name.replace("_", "."): np.asarray(v, dtype=float) for name, v in columns.items()}
+    count = max(v.size for v in values.values())
+    table = {"time": np.arange(count) / 100.0} | {k: np.broadcast_to(v, count) for k, v in values.items()}
+    return Recording("made", pd.DataFrame(table), 100.0)
+
+
+def have(name: str, target: str, made: Recording) -> float:
+    return excitation_of(candidate(name, target), [made], arm()).have
+
+
+def test_reversals() -> None:
+    """Six strokes have five reversals; a tremor of half a percent of the travel has none."""
+    strokes = np.concatenate([np.linspace(0, 1, 100), np.linspace(1, 0, 100)] * 3)
+    tremor = 0.005 * np.sin(np.arange(600))
+    assert have("backlash", "slew", recording(slew_joint=strokes)) == 5
+    assert have("backlash", "slew", recording(slew_joint=strokes + tremor)) == 5
+
+
+@given(st.lists(st.floats(0.2, 1.0), min_size=2, max_size=12))
+def test_turning_points_of_a_zigzag(strokes: list[float]) -> None:
+    corners = np.concatenate([[0.0], np.cumsum([s * (-1) ** k for k, s in enumerate(strokes)])])
+    path = np.interp(np.arange(0, len(strokes), 0.05), np.arange(len(corners)), corners)
+    path = np.append(path, corners[-1])
+    assert turning_points(path, 0.1) == len(strokes) - 1
+
+
+def test_nothing_moves_nothing_turns() -> None:
+    assert turning_points(np.ones(10), 0.0) == 0
+
+
+def test_small_commands_on_the_poorer_side() -> None:
+    command = np.concatenate([np.full(300, 0.2), np.full(100, -0.2), np.full(500, -0.9), np.zeros(200)])
+    assert have("valve_deadband", "slew", recording(slew_command=command)) == pytest.approx(1.0)
+
+
+def test_changes_of_the_command() -> None:
+    command = np.concatenate([np.zeros(50), np.full(50, 0.5), np.full(50, -0.5), np.full(50, 0.004), np.full(50, 0.3)])
+    assert have("input_delay", "slew", recording(slew_command=command)) == 4, "start, reversal, stop, start"
+
+
+def test_seconds_of_motion_and_rest() -> None:
+    command = np.concatenate([np.zeros(400), np.full(300, 0.5), np.full(100, -0.5)])
+    made = recording(boom_command=command)
+    assert have("internal_leakage", "boom", made) == pytest.approx(4.0)
+    assert have("gain_error", "boom", made) == pytest.approx(4.0)
+    assert have("asymmetric_gain", "boom", made) == pytest.approx(1.0)
+
+
+def test_coverage_of_the_joint_range() -> None:
+    made = recording(slew_joint=np.linspace(-1.3, 1.3, 50), boom_joint=np.linspace(0, 0.183, 50), wrist_joint=0.0)
+    assert have("joint_offset", "slew", made) == pytest.approx(50.0)
+    assert have("link_length_error", "boom", made) == pytest.approx(10.0)
+    assert have("base_misalignment", "base", made) == pytest.approx(0.0), "the axis that moved least"
+
+
+def test_motion_of_the_tip() -> None:
+    x = np.concatenate([np.zeros(300), np.linspace(0.0, 0.5, 200), np.full(300, 0.5)])
+    assert have("gripper_sway", "tool", recording(ee_x=x, ee_y=0.0, ee_z=0.0)) == pytest.approx(2.2, abs=0.25)
+
+
+def test_a_missing_signal_counts_as_nothing() -> None:
+    empty = recording(slew_joint=np.full(100, np.nan))
+    for effect in CATALOGUE:
+        target = {"axis": "slew", "base": "base", "tool": "tool"}[effect.target]
+        if effect.stage != "force":
+            item = excitation_of(candidate(effect.name, target), [empty], arm())
+            assert item.have <= 1.0, "rest is all that a still machine shows"
+            assert not item.sufficient
+
+
+def test_advice_says_what_there_is_and_what_to_record() -> None:
+    item = excitation_of(candidate("backlash", "slew"), [recording(slew_joint=np.linspace(0, 1, 100))], arm())
+    assert advice(item) == (
+        "backlash on slew: 0 reversals, about 8 needed. "
+        "Record 20 slow reversals of slew, with at least 5 % of its range between them."
+    )
+
+
+@pytest.mark.slow
+def test_an_effect_that_nothing_excites_is_not_tried_but_reported() -> None:
+    """The slew only turns one way: play cannot show, and is said to lack reversals."""
+    truth = nominal(KnownEffect("gain_error", "slew", {"ratio": 0.8}))
+    dataset = dataset_of(truth, 10.0)
+    one_way = []
+    for r in dataset.recordings:
+        turned = 0.05 * np.arange(len(r)) / 100.0
+        columns = {"slew.command": np.full(len(r), 0.05 / (0.8 * 0.436)), "slew.joint": turned}
+        noise = np.random.default_rng(0).normal(0, 2e-4, len(r))
+        table = r.table[["time"]].assign(**columns)
+        one_way.append(Recording(r.name, table.assign(**{"slew.joint": turned + noise}), 100.0))
+    result = find_gap(type(dataset)("arm", 1, "0" * 64, arm(), tuple(one_way), {}, dataset.splits), nominal())
+    lacking = {(e.name, e.target) for e in result.excitation if not e.sufficient}
+    assert {("backlash", "slew"), ("valve_deadband", "slew"), ("asymmetric_gain", "slew")} <= lacking
+    assert not {(e.name, e.target) for e in result.effects} & lacking
+    assert any(text.startswith("backlash on slew: 0 reversals") for text in result.next_experiment)
