@@ -10,6 +10,7 @@ import importlib.metadata
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass
+from datetime import datetime
 from functools import cached_property
 from pathlib import Path
 
@@ -155,8 +156,8 @@ class Workspace:
                 return {"before": trace.before, "after": trace.after} if result and result.effects else {"before": trace.before}
         return {"before": free_run(self.plant(dataset), source)}
 
-    def report_inputs(self, dataset: Dataset, created: str = "") -> ReportInputs:
-        """Everything that is known about a dataset version, for :func:`sysid.reports.build_report`."""
+    def report_inputs(self, dataset: Dataset) -> ReportInputs:
+        """Everything that is known about a dataset version, for :func:`sysid.reports.build_report`; dated now."""
         versions = [self.network_version(dataset, kind) for kind in ("actuator", "forward")]
         validations = []
         for version in versions:
@@ -171,7 +172,7 @@ class Workspace:
             gap=self.gap(dataset),
             validations=tuple(validations),
             versions=self._notes(dataset, [version for version in versions if version is not None]),
-            created=created,
+            created=f"{datetime.now().astimezone():%d %B %Y, %H:%M}".lstrip("0"),
             software={"sysid": __version__, **{name: importlib.metadata.version(name) for name in SOFTWARE}},
         )
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from datetime import datetime
 from pathlib import Path
 
 import click
@@ -22,8 +21,7 @@ def report(workspace: str, reference: str | None, path: Path | None, json_file: 
 
     place = open_workspace(workspace)
     dataset = place.dataset(reference)
-    created = f"{datetime.now().astimezone():%d %B %Y, %H:%M}".lstrip("0")
-    inputs = place.report_inputs(dataset, created)
+    inputs = place.report_inputs(dataset)
     path = path or place.results(dataset) / "report.html"
     write_report(path, inputs)
     out = Printer(json_file)
