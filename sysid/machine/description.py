@@ -183,6 +183,9 @@ def _build(values: dict[str, Any], text: str, urdf_text: str | None, where: obje
     machine = parse_settings({**values, "text": text, "urdf_text": urdf_text}, Machine, where)
     _check_axes(machine, where)
     if machine.urdf is not None:
+        for axis in machine.axes:  # before the kinematics are built, which need every name
+            if axis.joint is None:
+                raise SettingsError(f"{where}: axis {axis.name!r}", "no joint", 'joint = "<URDF joint>" where a urdf is given')
         machine = replace(machine, axes=tuple(_with_urdf_limits(machine, axis, where) for axis in machine.axes))
     for signal in machine.noise:
         if signal not in machine.signals:
@@ -215,10 +218,9 @@ def _with_urdf_limits(machine: Machine, axis: Axis, where: object) -> Axis:
     """The axis with the limits of its URDF joint where the description gives none."""
     if machine.tip is None:
         raise SettingsError(where, "a urdf but no tip", 'tip = "<link>", the link whose origin is the end effector')
-    if axis.joint is None:
-        raise SettingsError(f"{where}: axis {axis.name!r}", "no joint", 'joint = "<URDF joint>" where a urdf is given')
     kinematics = machine.kinematics()
     assert kinematics is not None
+    assert axis.joint is not None
     limits = axis.limits or kinematics.limits(axis.joint)
     return replace(axis, limits=limits)
 

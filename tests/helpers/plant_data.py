@@ -15,7 +15,7 @@ from sysid.plant import Plant, free_run, nominal_plant
 Array = npt.NDArray[np.float64]
 ROLES: tuple[Role, ...] = ("fit", "fit", "select", "held_out")
 
-_URDF = """<robot name="arm">
+URDF = """<robot name="arm">
   <link name="base"/><link name="column"/><link name="boom"/><link name="hand"/><link name="tip"/><link name="grip"/>
   <joint name="slew_joint" type="revolute"><parent link="base"/><child link="column"/>
     <origin xyz="0 0 0.3"/><axis xyz="0 0 1"/><limit lower="-2.6" upper="2.6"/></joint>
@@ -84,7 +84,7 @@ limits = [-100.0, 100.0]
 
 def arm() -> Machine:
     """A slewing column (velocity, joint), a boom (velocity, cylinder), a wrist (position), a tool that hangs below the tip."""
-    return machine_from_files({"machine.toml": _ARM, "arm.urdf": _URDF}, "arm")
+    return machine_from_files({"machine.toml": _ARM, "arm.urdf": URDF}, "arm")
 
 
 def slide() -> Machine:
