@@ -186,6 +186,11 @@ class Stepper:
         in_parallel(stretch, workers, 1 << 30)
         return self._state()
 
+    @property
+    def swing(self) -> Array:
+        """Place (x, y) and speed (x, y) of the tool of each lane, (lanes, 4); NaN where it hangs on nothing."""
+        return self._swing[:, :4].copy()
+
     def _observe(self, first: int, last: int) -> None:
         """Everything behind the drive, for lanes ``first … last``."""
         out, model = self._out, self.model

@@ -1,0 +1,237 @@
+"""The machine's URDF as the world loads it: lengths of the plant, unlimited driven joints, a tool that hangs as identified."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Literal
+from xml.etree.ElementTree import Element, SubElement, tostring
+
+import numpy as np
+import numpy.typing as npt
+
+from sysid.effects.gripper_sway import GRAVITY
+from sysid.errors import SettingsError
+from sysid.machine import Kinematics
+from sysid.machine.kinematics import Joint
+from sysid.plant import Plant
+from sysid.world.urdf import (
+    MASS,
+    complete_inertia,
+    drop_meshes,
+    effort_limit,
+    inertial_of,
+    joint_element,
+    link_element,
+    links_below,
+    make_touchable,
+    mass_of,
+    numbers,
+    offset,
+    parsed,
+    path_to,
+    pose_of,
+    remove_below,
+    rotation,
+    scale_origin,
+    set_inertia,
+    unlimit,
+)
+
+Array = npt.NDArray[np.float64]
+Gripper = Literal["rigid", "point"]
+
+#: Mass [kg] of a tool for which the URDF gives none; a free swing does not depend on it.
+_TOOL_MASS = 1.0
+#: Mass and inertia [kg, kg·m²] of driven links without any: heavy beside a tool, whose reaction then moves no joint.
+_STRUCTURE_MASS = 10.0
+#: A shorter pendulum [m] is none, as in the compiled step.
+_SHORTEST = 1e-3
+
+
+@dataclass(frozen=True)
+class Hanging:
+    """The two crossed passive joints below the tip.
+
+    Args:
+        joints: from the tip downwards.
+        reach: pivot → tool in the frame of the last of them, (3,) [m].
+        damping: of each joint [N·m·s/rad].
+    """
+
+    joints: tuple[Joint, Joint]
+    reach: Array
+    damping: tuple[float, float]
+
+
+@dataclass(frozen=True)
+class Bodies:
+    """A URDF for the world. ``effort`` limits the driven joints [N or N·m] where the machine's own URDF does."""
+
+    urdf: str
+    effort: tuple[float, ...]
+    hanging: Hanging | None
+    ground: float
+
+
+def build_bodies(plant: Plant, gripper: Gripper = "rigid") -> Bodies:
+    """Rebuild the URDF of the plant's machine.
+
+    Args:
+        gripper: ``rigid`` keeps masses and inertias of the URDF below the tip; ``point`` puts all of that mass into the
+            tool's origin, as the equation of ``gripper_sway`` has it.
+
+    Raises:
+        SettingsError: the machine has no URDF.
+    """
+    from defusedxml.ElementTree import fromstring
+
+    machine = plant.machine
+    kinematics = machine.kinematics()
+    if kinematics is None or machine.urdf_text is None:
+        found = f"machine {machine.name} has no URDF"
+        raise SettingsError("PyBullet world", found, "urdf and tip in machine.toml", "The compiled plant runs without one.")
+    root: Element = fromstring(machine.urdf_text, forbid_dtd=True)
+    effort = tuple(effort_limit(root, name) for name in kinematics.actuated)
+    drop_meshes(root)
+    _stretch(root, plant, kinematics)
+    for name in kinematics.actuated:
+        unlimit(joint_element(root, name))
+    sway = plant.effect("gripper_sway", "tool") if machine.tool is not None else None
+    hanging = None
+    if machine.tool is not None and machine.tool != machine.tip:
+        path = path_to(kinematics, machine.tool)
+        values = {key: float(np.asarray(value)) for key, value in (sway.parameters if sway is not None else {}).items()}
+        if values.get("length", 0.0) >= _SHORTEST:
+            hanging = _hang(root, kinematics, path, values["length"], values["damping_ratio"], gripper)
+        elif any(joint.kind != "fixed" for joint in path):
+            # A plant that does not know how the tool hangs predicts it at the tip: nothing is drawn below.
+            remove_below(root, kinematics.tip)
+    for link in root.findall("link"):
+        complete_inertia(link, _STRUCTURE_MASS, _STRUCTURE_MASS)
+    return Bodies(tostring(root, encoding="unicode"), effort, hanging, _lowest(root, kinematics))
+
+
+def _hang(
+    root: Element, kinematics: Kinematics, path: tuple[Joint, ...], length: float, ratio: float, gripper: Gripper
+) -> Hanging:
+    """Make the tool hang on two crossed joints at the tip, ``length`` below them."""
+    tool = path[-1].child
+    movable = [joint for joint in path if joint.kind != "fixed"]
+    if not _crossed(path, movable):
+        _insert_joints(root, path, length)
+        path = path_to(parsed(root), tool, kinematics.tip)
+        movable = list(path[:2])
+    last = path.index(movable[1])
+    reach = offset(path[last + 1 :])
+    scale = length / float(np.linalg.norm(reach))
+    for joint in path[last + 1 :]:
+        scale_origin(joint_element(root, joint.name).find("origin"), scale)
+    for joint in movable:
+        unlimit(joint_element(root, joint.name))
+    below = links_below(root, kinematics.tip)
+    for link in below:
+        element = link_element(root, link)
+        if link != tool and scale != 1.0:
+            for origin in (*element.findall("inertial/origin"), *element.findall("visual/origin")):
+                scale_origin(origin, scale)
+        make_touchable(element)
+        complete_inertia(element, _TOOL_MASS if link == tool else MASS)
+    if gripper == "point":
+        total = sum(mass_of(link_element(root, link)) for link in below)
+        for link in below:
+            mass = total if link == tool else 1e-6 * total
+            set_inertia(link_element(root, link), mass, 1e-7 * mass * length**2)
+    reach = scale * reach
+    joints = (movable[0], movable[1])
+    return Hanging(joints, reach, _damping(root, kinematics.tip, joints, reach, ratio))
+
+
+def _damping(root: Element, tip: str, joints: tuple[Joint, Joint], reach: Array, ratio: float) -> tuple[float, float]:
+    """Joint damping ``c = 2ζω₀J`` of the physical pendulum about each axis, with ``ω₀² = m·g·d/J``."""
+    down = reach / np.linalg.norm(reach)
+    every = parsed(root)
+    found = []
+    for joint in joints:
+        axis = joint.axis if joint is joints[1] else joints[1].origin[:3, :3].T @ joint.axis
+        inertia = moment = 0.0
+        for link in links_below(root, joints[1].parent):
+            pose = pose_of(every, link, joints[1].child)
+            mass, centre, tensor = inertial_of(link_element(root, link))
+            centre = pose[:3, :3] @ centre + pose[:3, 3]
+            turned = pose[:3, :3] @ tensor @ pose[:3, :3].T
+            inertia += float(axis @ turned @ axis + mass * (centre @ centre - (axis @ centre) ** 2))
+            moment += mass * float(centre @ down)
+        found.append(2.0 * ratio * float(np.sqrt(max(GRAVITY * moment, 0.0) * inertia)))
+    return found[0], found[1]
+
+
+def _crossed(path: tuple[Joint, ...], movable: list[Joint]) -> bool:
+    """Whether the URDF's own joints are what the equation means: two axes that cross at the tip, the tool away from them."""
+    if len(movable) != 2 or any(joint.prismatic for joint in movable):
+        return False
+    last = path.index(movable[1])
+    to_pivot = np.linalg.norm(offset(path[: last + 1]))
+    second_in_first = rotation(path[path.index(movable[0]) + 1 : last + 1]) @ movable[1].axis
+    parallel = abs(float(movable[0].axis @ second_in_first))
+    return bool(to_pivot < 1e-6 and last == 1 and parallel < 0.1 and np.linalg.norm(offset(path[2:])) > 1e-3)
+
+
+def _insert_joints(root: Element, path: tuple[Joint, ...], length: float) -> None:
+    """Replace the way from tip to tool by two joints about y and x of the tip and a rod."""
+    tip, tool = path[0].parent, path[-1].child
+    for joint in path:
+        root.remove(joint_element(root, joint.name))
+    for joint in path[:-1]:
+        remove_below(root, joint.child)
+        root.remove(link_element(root, joint.child))
+    names = ("sway_pitch", "sway_roll", "sway_rod")
+    links = (tip, "sway_hook", "sway_hanger", tool)
+    for k, (name, kind, axis) in enumerate(
+        zip(names, ("continuous", "continuous", "fixed"), ("0 1 0", "1 0 0", "0 0 1"), strict=True)
+    ):
+        if k < 2:
+            SubElement(root, "link", name=links[k + 1])
+        element = SubElement(root, "joint", name=name, type=kind)
+        SubElement(element, "parent", link=links[k])
+        SubElement(element, "child", link=links[k + 1])
+        SubElement(element, "origin", xyz=f"0 0 {-length if k == 2 else 0.0!r}")
+        SubElement(element, "axis", xyz=axis)
+
+
+def _stretch(root: Element, plant: Plant, kinematics: Kinematics) -> None:
+    """``link_length_error``: the way from each driven joint to the next (or the tip) longer by the error."""
+    errors = {
+        plant.machine.axis(item.target).joint: float(np.asarray(item.parameters["error"]))
+        for item in plant.effects
+        if item.name == "link_length_error"
+    }
+    stretch: list[Joint] = []
+    after: str | None = None
+    for joint in (*kinematics.chain, None):
+        if joint is not None:
+            stretch.append(joint)
+        if joint is None or joint.name in kinematics.actuated:
+            length = float(np.linalg.norm(offset(stretch)))
+            if errors.get(after) and length > 1e-9:
+                for part in stretch:
+                    scale_origin(joint_element(root, part.name).find("origin"), 1.0 + errors[after] / length)
+            stretch, after = [], joint.name if joint is not None else None
+
+
+def _lowest(root: Element, kinematics: Kinematics) -> float:
+    """Where the ground is: the lowest point of the first link's shapes, or zero."""
+    first = kinematics.chain[0].parent if kinematics.chain else kinematics.tip
+    heights = list(_bottoms(link_element(root, first)))
+    return min(heights, default=0.0)
+
+
+def _bottoms(link: Element) -> Iterator[float]:
+    for visual in link.findall("visual"):
+        origin = visual.find("origin")
+        z = numbers(origin.get("xyz", "0 0 0"))[2] if origin is not None else 0.0
+        box, cylinder = visual.find("geometry/box"), visual.find("geometry/cylinder")
+        if box is not None:
+            yield z - 0.5 * numbers(box.get("size", ""))[2]
+        elif cylinder is not None:
+            yield z - 0.5 * float(cylinder.get("length", "0"))

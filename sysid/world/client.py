@@ -1,0 +1,72 @@
+"""PyBullet itself: found or not, loaded quietly, one client a world."""
+
+from __future__ import annotations
+
+import importlib
+import os
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+from sysid.errors import SettingsError
+
+
+def pybullet() -> Any:
+    """The module, imported late.
+
+    Raises:
+        SettingsError: it is not installed.
+    """
+    if "pybullet" in sys.modules and sys.modules["pybullet"] is not None:
+        return sys.modules["pybullet"]
+    try:
+        with _quiet():
+            return importlib.import_module("pybullet")
+    except ImportError:
+        version = ".".join(str(n) for n in sys.version_info[:2])
+        remedy = "It has no builds for Python 3.12 and later: use Python 3.11, or step the compiled plant without a world."
+        raise SettingsError(
+            "PyBullet world", f"pybullet is not installed (Python {version})", "pybullet 3.2.7", remedy
+        ) from None
+
+
+def connect(window: bool) -> int:
+    """A new client of its own.
+
+    Raises:
+        SettingsError: a window is wanted where there is no display, or no further client can be had.
+    """
+    p = pybullet()
+    if window and sys.platform == "linux" and not os.environ.get("DISPLAY"):
+        # Asked for a window without one, PyBullet ends the whole process.
+        raise SettingsError("PyBullet world", "no display for a window", "DISPLAY", "Leave `window` out and take pictures.")
+    client = int(p.connect(p.GUI if window else p.DIRECT))
+    if client < 0:
+        raise SettingsError("PyBullet world", "no further client", "worlds that are closed", "Use `with World(…) as world:`.")
+    return client
+
+
+def disconnect(client: int) -> None:
+    """End a client; again is no harm."""
+    p = pybullet()
+    if p.isConnected(client):
+        p.disconnect(client)
+
+
+@contextmanager
+def _quiet() -> Iterator[None]:
+    """PyBullet greets on the C level when it is loaded: keep that out of what a program prints."""
+    sys.stdout.flush()
+    sys.stderr.flush()
+    kept = [os.dup(1), os.dup(2)]
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    try:
+        os.dup2(nowhere, 1)
+        os.dup2(nowhere, 2)
+        yield
+    finally:
+        os.dup2(kept[0], 1)
+        os.dup2(kept[1], 2)
+        for number in (nowhere, *kept):
+            os.close(number)

@@ -1,0 +1,325 @@
+"""A plant version as a PyBullet simulation: the compiled chain moves the driven joints, rigid bodies do the rest."""
+
+from __future__ import annotations
+
+import tempfile
+import weakref
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import Literal, Self
+
+import numpy as np
+import numpy.typing as npt
+import pandas as pd
+
+from sysid.datasets.recording import Recording
+from sysid.effects.gripper_sway import GRAVITY
+from sysid.errors import SettingsError, nearest
+from sysid.plant import Plant, free_run
+from sysid.plant.layout import base_place
+from sysid.plant.stepper import LaneState, Stepper, held_commands, step_commands
+from sysid.signals import axis_signal, point_signals
+from sysid.world.bodies import Gripper, build_bodies
+from sysid.world.client import connect, disconnect, pybullet
+from sysid.world.hanging import passive_joints
+from sysid.world.scene import Log, add_ground, add_log
+
+Array = npt.NDArray[np.float64]
+Mode = Literal["kinematic", "dynamic"]
+
+#: Force of a drive that nothing stops [N or N·m].
+_UNLIMITED = 1e9
+
+
+@dataclass(frozen=True)
+class WorldState:
+    """The machine at one sample.
+
+    Args:
+        drive: what the commands move, cylinder [m] or joint [rad or m], (axes,), from the compiled chain.
+        joints: as the joint sensors would read them, from the bodies, (axes,).
+        ee, tool: from the bodies, (3,) [m].
+    """
+
+    drive: Array
+    joints: Array
+    ee: Array
+    tool: Array
+
+
+class World:
+    """One machine in a world of its own. Close it, or use it in a ``with`` statement.
+
+    Args:
+        plant: any plant version whose machine has a URDF and whose axes all have a linkage or drive their joint.
+        rate_hz: steps a second; by default the machine's.
+        substeps: of the rigid bodies in a step.
+        mode: ``kinematic``: the driven joints do exactly what the chain says, whatever is in their way;
+            ``dynamic``: they are held to it by no more than the effort limits of the URDF.
+        gripper: ``rigid`` with the URDF's masses and inertias, ``point`` with all mass in the tool's origin.
+        logs: loose bodies that lie around.
+        ground: height of the ground in the machine's frame [m]; by default under the first link.
+        window: show PyBullet's own window.
+
+    Raises:
+        SettingsError: PyBullet is missing, the machine has no URDF, a linkage is missing, an unknown mode.
+    """
+
+    def __init__(
+        self,
+        plant: Plant,
+        rate_hz: float | None = None,
+        *,
+        substeps: int = 4,
+        mode: Mode = "kinematic",
+        gripper: Gripper = "rigid",
+        logs: tuple[Log, ...] = (),
+        ground: float | None = None,
+        window: bool = False,
+    ) -> None:
+        for name, value, valid in (("mode", mode, ("kinematic", "dynamic")), ("gripper", gripper, ("rigid", "point"))):
+            if value not in valid:
+                raise SettingsError("PyBullet world", f"{name} = {value!r}", nearest(value, valid))
+        if substeps < 1:
+            raise SettingsError("PyBullet world", f"substeps = {substeps}", "at least 1")
+        self.plant, self.rate_hz, self.substeps, self.mode, self.logs = (
+            plant,
+            rate_hz or plant.machine.rate_hz,
+            substeps,
+            mode,
+            logs,
+        )
+        self._bodies = build_bodies(plant, gripper)
+        for axis in plant.machine.axes:
+            if axis.drives == "cylinder" and axis.name not in plant.linkages:
+                found = f"axis {axis.name} has no linkage"
+                raise SettingsError("PyBullet world", found, "geometry in machine.toml or a fitted actuator network")
+        self._stepper = Stepper(plant, self.rate_hz)
+        self._ground = self._bodies.ground if ground is None else ground
+        self._p = pybullet()
+        self._client = connect(window)
+        self._folder = tempfile.TemporaryDirectory(prefix="sysid-world-")
+        self._finish = weakref.finalize(self, _close, self._client, self._folder)
+        (Path(self._folder.name) / "machine.urdf").write_text(self._bodies.urdf, "utf-8")
+        self._begun = False
+        self._target = np.zeros(len(plant.machine.axes))
+        self._load()
+
+    # -- life ---------------------------------------------------------------------------------------------------
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Give PyBullet's client back; again is no harm."""
+        self._finish()
+
+    @property
+    def closed(self) -> bool:
+        return not self._finish.alive
+
+    # -- motion -------------------------------------------------------------------------------------------------
+
+    def reset(self, joints: npt.ArrayLike, commands: npt.ArrayLike | None = None) -> WorldState:
+        """At rest with these joint values (axes,); logs are back in their places. ``commands`` were held before, else zero."""
+        self._check_open()
+        return self._place(self._stepper.reset(joints, commands=commands))
+
+    def step(self, commands: npt.ArrayLike) -> WorldState:
+        """Hold ``commands`` (axes,) for one step.
+
+        Raises:
+            SettingsError: closed, never reset, or another number of commands.
+        """
+        self._check_open()
+        if not self._begun:
+            raise SettingsError("PyBullet world", "was never reset", "reset(joints) before the first step")
+        state = self._stepper.step(commands)
+        self._drive_to(state.structure[0])
+        return self._read(state)
+
+    def rollout(self, recording: Recording) -> pd.DataFrame:
+        """The recorded commands in the world.
+
+        Starts and restarts where :func:`sysid.plant.free_run` does; rows in which any axis has no command are NaN.
+
+        Returns:
+            The columns of the free run on the recording's rows.
+        """
+        self._check_open()
+        if recording.rate_hz != self.rate_hz:
+            raise SettingsError(f"recording {recording.name}", f"{recording.rate_hz} Hz", f"{self.rate_hz} Hz, as the world")
+        machine, run = self.plant.machine, free_run(self.plant, recording)
+        commands = held_commands(machine, recording)
+        steps = step_commands(machine, commands)
+        known = ~np.isnan(commands.sum(axis=1))
+        values = np.full((len(recording), 2 * len(machine.axes) + 6), np.nan)
+        for k in np.flatnonzero(known):
+            if k == 0 or not known[k - 1]:
+                state = self._place(self._stepper.begin(recording, run, int(k)))
+            else:
+                state = self.step(steps[k - 1])
+            values[k] = np.concatenate([state.drive, state.joints, state.ee, state.tool])
+        joints = [axis_signal(name, "joint") for name in machine.axis_names]
+        names = [*(axis.driven for axis in machine.axes), *joints, *point_signals("ee"), *point_signals("tool")]
+        table = dict(zip(names, values.T, strict=True))  # where the drive is the joint, the joint of the bodies is kept
+        return pd.DataFrame({"time": recording.values("time"), **{name: table[name] for name in run.columns if name != "time"}})
+
+    # -- pictures -----------------------------------------------------------------------------------------------
+
+    def picture(
+        self,
+        width: int = 640,
+        height: int = 480,
+        *,
+        target: tuple[float, float, float] | None = None,
+        distance: float | None = None,
+        yaw: float = 0.7,
+        pitch: float = -0.45,
+    ) -> npt.NDArray[np.uint8]:
+        """A camera picture, RGB (height, width, 3).
+
+        Args:
+            target: point that the camera looks at; else halfway between foot and tip.
+            distance: from there [m]; else so that the machine fits.
+            yaw, pitch: from where, about the vertical and from above [rad].
+        """
+        self._check_open()
+        p = self._p
+        ee = self._link(self._tip)[0]
+        at = target if target is not None else tuple(0.5 * (self._base[0] + ee))
+        away = distance if distance is not None else 1.25 * self._size
+        view = p.computeViewMatrixFromYawPitchRoll(list(at), away, float(np.degrees(yaw)), float(np.degrees(pitch)), 0.0, 2)
+        lens = p.computeProjectionMatrixFOV(45.0, width / height, 0.02 * away, 20.0 * away)
+        pixels = p.getCameraImage(
+            width, height, view, lens, renderer=p.ER_TINY_RENDERER, lightDirection=[1.0, -1.5, 3.0], shadow=0,
+            physicsClientId=self._client,
+        )[2]  # fmt: skip
+        return np.array(np.reshape(pixels, (height, width, 4))[:, :, :3], dtype=np.uint8)
+
+    def log_positions(self) -> Array:
+        """Centres of the loose logs, (logs, 3) [m]."""
+        self._check_open()
+        found = [self._p.getBasePositionAndOrientation(log, physicsClientId=self._client)[0] for log in self._loose]
+        return np.array(found, dtype=np.float64).reshape(-1, 3)
+
+    def contacts(self) -> int:
+        """Points at which the machine touches something."""
+        self._check_open()
+        return len(self._p.getContactPoints(bodyA=self._machine, physicsClientId=self._client))
+
+    # -- inside -------------------------------------------------------------------------------------------------
+
+    def _load(self) -> None:
+        """Everything anew, so that two runs from the same start are the same to the last bit."""
+        p, client, machine = self._p, self._client, self.plant.machine
+        p.resetSimulation(physicsClientId=client)
+        p.setGravity(0.0, 0.0, -GRAVITY, physicsClientId=client)
+        p.setPhysicsEngineParameter(
+            fixedTimeStep=1.0 / (self.rate_hz * self.substeps), numSolverIterations=100, solverResidualThreshold=0.0,
+            deterministicOverlappingPairs=1, physicsClientId=client,
+        )  # fmt: skip
+        self._base = self._base_pose()
+        flags = p.URDF_USE_INERTIA_FROM_FILE
+        self._machine: int = p.loadURDF(
+            str(Path(self._folder.name) / "machine.urdf"), list(self._base[0]), list(self._base[1]), useFixedBase=True,
+            flags=flags, physicsClientId=client,
+        )  # fmt: skip
+        self._ground_body = add_ground(p, client, self._ground)
+        self._loose = [add_log(p, client, log) for log in self.logs]
+        joint_of, link_of = {}, {}
+        for k in range(p.getNumJoints(self._machine, physicsClientId=client)):
+            info = p.getJointInfo(self._machine, k, physicsClientId=client)
+            joint_of[info[1].decode()], link_of[info[12].decode()] = k, k
+            # Bullet damps all bodies a little unless told otherwise.
+            p.changeDynamics(
+                self._machine, k, linearDamping=0.0, angularDamping=0.0, jointDamping=0.0, lateralFriction=0.7,
+                maxJointVelocity=1e4, physicsClientId=client,
+            )  # fmt: skip
+        self._driven = [joint_of[axis.joint or ""] for axis in machine.axes]
+        self._tip = link_of[machine.tip or ""]
+        self._force = [_UNLIMITED if self.mode == "kinematic" else min(e, _UNLIMITED) for e in self._bodies.effort]
+        self._passive: list[int] = []
+        self._tool: int | None = None
+        if self._bodies.hanging is not None:
+            self._tool = link_of[machine.tool or ""]
+            for joint, damping in zip(self._bodies.hanging.joints, self._bodies.hanging.damping, strict=True):
+                self._passive.append(joint_of[joint.name])
+                p.changeDynamics(self._machine, joint_of[joint.name], jointDamping=damping, physicsClientId=client)
+                p.setJointMotorControl2(
+                    self._machine, joint_of[joint.name], p.VELOCITY_CONTROL, force=0.0, physicsClientId=client
+                )
+        kinematics = machine.kinematics()
+        assert kinematics is not None
+        self._size = 1.0 + sum(float(np.linalg.norm(joint.origin[:3, 3])) for joint in kinematics.chain)
+
+    def _base_pose(self) -> tuple[Array, Array]:
+        """Place and orientation (x, y, z, w) of the machine in the frame in which tip and tool are measured."""
+        base = base_place(len(self.plant.machine.axes))
+        shift, turn = np.split(self.plant.vector()[base : base + 6], 2)
+        angle = float(np.linalg.norm(turn))
+        axis = turn / angle if angle > 0.0 else turn
+        return shift, np.array([*(np.sin(0.5 * angle) * axis), np.cos(0.5 * angle)])
+
+    def _place(self, state: LaneState) -> WorldState:
+        """Put the bodies where a fresh state of the chain has them."""
+        p, client, machine = self._p, self._client, self._machine
+        if not np.isfinite(state.structure).all():
+            raise SettingsError("PyBullet world", "a joint value is missing at the start", "a number for each joint")
+        self._load()
+        self._target = state.structure[0]
+        for joint, value in zip(self._driven, self._target, strict=True):
+            p.resetJointState(self._machine, joint, float(value), 0.0, physicsClientId=client)
+        if self._bodies.hanging is not None:
+            place, turn = self._link(self._tip)
+            x, y, vx, vy = self._stepper.swing[0]
+            rotation = np.array(p.getMatrixFromQuaternion(turn)).reshape(3, 3)
+            flat = np.array([x, y]) - place[:2]
+            angles, rates = passive_joints(self._bodies.hanging, rotation, flat, np.array([vx, vy]))
+            for joint, angle, rate in zip(self._passive, angles, rates, strict=True):
+                p.resetJointState(machine, joint, float(angle), float(rate), physicsClientId=client)
+        self._begun = True
+        return self._read(state)
+
+    def _drive_to(self, target: Array) -> None:
+        """Advance by one step while the driven joints move evenly to ``target``."""
+        p, client, machine = self._p, self._client, self._machine
+        begin, parts = self._target, self.substeps
+        slope = (target - begin) * self.rate_hz
+        for part in range(parts):
+            # Wanted speed, plus what brings the joint back to where it should be now.
+            p.setJointMotorControlArray(
+                machine, self._driven, p.POSITION_CONTROL, targetPositions=list(begin + (target - begin) * part / parts),
+                targetVelocities=list(slope), forces=self._force, positionGains=[1.0] * len(slope),
+                velocityGains=[1.0] * len(slope), physicsClientId=client,
+            )  # fmt: skip
+            p.stepSimulation(physicsClientId=client)
+        if self.mode == "kinematic":
+            for joint, value, speed in zip(self._driven, target, slope, strict=True):
+                p.resetJointState(machine, joint, float(value), float(speed), physicsClientId=client)
+        self._target = target
+
+    def _read(self, state: LaneState) -> WorldState:
+        angles = self._p.getJointStates(self._machine, self._driven, physicsClientId=self._client)
+        missed = np.array([angle[0] for angle in angles]) - self._target
+        ee = self._link(self._tip)[0]
+        tool = self._link(self._tool)[0] if self._tool is not None else ee.copy()
+        return WorldState(state.drive[0], state.joints[0] + missed, ee, tool)
+
+    def _link(self, link: int) -> tuple[Array, tuple[float, ...]]:
+        """Place (3,) and orientation (x, y, z, w) of a link's frame."""
+        found = self._p.getLinkState(self._machine, link, computeForwardKinematics=1, physicsClientId=self._client)
+        return np.array(found[4]), found[5]
+
+    def _check_open(self) -> None:
+        if self.closed:
+            raise SettingsError("PyBullet world", "is closed", "an open world", "Make a new one.")
+
+
+def _close(client: int, folder: tempfile.TemporaryDirectory[str]) -> None:
+    disconnect(client)
+    folder.cleanup()
