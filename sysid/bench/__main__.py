@@ -1,4 +1,7 @@
-"""``python -m sysid.bench RECIPE.toml OUT``: simulate the recordings of a bench recipe and write their logs."""
+"""``python -m sysid.bench RECIPE.toml OUT``: simulate the recordings of a bench recipe and write their logs.
+
+``python -m sysid.bench case CASE.toml OUT``: a sealed case, what a site hands over in ``OUT/site``, the truth in ``OUT/truth``.
+"""
 
 from __future__ import annotations
 
@@ -6,6 +9,7 @@ import argparse
 import sys
 from pathlib import Path
 
+from sysid.bench.case import load_case, write_case
 from sysid.bench.recipe_file import load_recipe
 from sysid.bench.write import write_all
 from sysid.errors import SysidError
@@ -13,10 +17,13 @@ from sysid.errors import SysidError
 
 def main(arguments: list[str] | None = None) -> int:
     """Exit status: 0 when every log was written, 2 on a mistake in the recipe."""
+    given = sys.argv[1:] if arguments is None else arguments
+    if given[:1] == ["case"]:
+        return _case(given[1:])
     parser = argparse.ArgumentParser(prog="python -m sysid.bench", description="Logs of the stand-in machine.")
     parser.add_argument("recipe", type=Path, help="bench recipe (TOML)")
     parser.add_argument("out", type=Path, help="folder to write the recordings into")
-    options = parser.parse_args(arguments)
+    options = parser.parse_args(given)
     try:
         written = write_all(load_recipe(options.recipe), options.out)
     except SysidError as error:
@@ -24,6 +31,20 @@ def main(arguments: list[str] | None = None) -> int:
         return 2
     for path in written:
         sys.stdout.write(f"{path}\t{path.stat().st_size}\n")
+    return 0
+
+
+def _case(arguments: list[str]) -> int:
+    parser = argparse.ArgumentParser(prog="python -m sysid.bench case", description="A sealed case of the stand-in machine.")
+    parser.add_argument("case", type=Path, help="case (TOML)")
+    parser.add_argument("out", type=Path, help="folder to write site/ and truth/ into")
+    options = parser.parse_args(arguments)
+    try:
+        write_case(load_case(options.case), options.out)
+    except SysidError as error:
+        sys.stderr.write(f"{error}\n")
+        return 2
+    sys.stdout.write(f"{options.out / 'site'}\n{options.out / 'truth'}\n")
     return 0
 
 
