@@ -14,10 +14,19 @@ from sysid.cli.output import Printer, json_option, rerun_command, write_json
 @click.option("--recording", default=None, help="Which one; else the first held-out recording.")
 @click.option("--plant", default=None, metavar="PLANT[@VERSION]", help="Simulate with this plant; else before and after.")
 @click.option("--out", "path", type=click.Path(dir_okay=False, path_type=Path), default=None, metavar="FILE.rrd")
+@click.option(
+    "--live", is_flag=True, help="Move the plant in its PyBullet world and show it meanwhile; with --out into a file."
+)
 @json_option
 @click.pass_obj
 def view(
-    workspace: str, reference: str, recording: str | None, plant: str | None, path: Path | None, json_file: str | None
+    workspace: str,
+    reference: str,
+    recording: str | None,
+    plant: str | None,
+    path: Path | None,
+    live: bool,
+    json_file: str | None,
 ) -> None:
     """Write a Rerun recording: machine, trails and signals, measured and simulated."""
     from sysid.errors import StoreError
@@ -31,6 +40,17 @@ def view(
         if not shown:
             raise StoreError(dataset.reference, "no recording of motion", "at least one")
         recording = shown[0].name
+    if live:
+        from sysid.view.live import show_live
+
+        moving = place.plant(dataset, plant)
+        states = show_live(dataset, recording, moving, path)
+        out = Printer(json_file)
+        out.line(f"{path or 'viewer'}  ({states} states of {moving.reference or 'the nominal plant'}, {recording})")
+        write_json(
+            json_file, {"schema": 1, "file": path, "dataset": dataset.reference, "recording": recording, "states": states}
+        )
+        return
     predictions = place.predictions(dataset, recording, plant)
     path = path or place.results(dataset) / f"{recording.replace('#', '-')}.rrd"
     write_rerun(path, dataset, recording, predictions)

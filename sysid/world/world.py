@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import tempfile
 import weakref
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
@@ -16,6 +17,7 @@ import pandas as pd
 from sysid.datasets.recording import Recording
 from sysid.effects.gripper_sway import GRAVITY
 from sysid.errors import SettingsError, nearest
+from sysid.machine import Machine
 from sysid.plant import Plant, free_run
 from sysid.plant.layout import base_place
 from sysid.plant.stepper import LaneState, Stepper, held_commands, step_commands
@@ -150,24 +152,30 @@ class World:
         Returns:
             The columns of the free run on the recording's rows.
         """
+        machine = self.plant.machine
+        values = np.full((len(recording), 2 * len(machine.axes) + 6), np.nan)
+        for row, state in self.play(recording):
+            values[row] = np.concatenate([state.drive, state.joints, state.ee, state.tool])
+        joints = [axis_signal(name, "joint") for name in machine.axis_names]
+        points = [*point_signals("ee"), *point_signals("tool")]
+        names = [*(axis.driven for axis in machine.axes), *joints, *points]
+        table = dict(zip(names, values.T, strict=True))  # where the drive is the joint, the joint of the bodies is kept
+        return pd.DataFrame({"time": recording.values("time"), **{name: table[name] for name in _in_order(machine)}})
+
+    def play(self, recording: Recording) -> Iterator[tuple[int, WorldState]]:
+        """The recorded commands in the world, one state at a time: row of the recording and state."""
         self._check_open()
         if recording.rate_hz != self.rate_hz:
             raise SettingsError(f"recording {recording.name}", f"{recording.rate_hz} Hz", f"{self.rate_hz} Hz, as the world")
-        machine, run = self.plant.machine, free_run(self.plant, recording)
-        commands = held_commands(machine, recording)
-        steps = step_commands(machine, commands)
+        run = free_run(self.plant, recording)
+        commands = held_commands(self.plant.machine, recording)
+        steps = step_commands(self.plant.machine, commands)
         known = ~np.isnan(commands.sum(axis=1))
-        values = np.full((len(recording), 2 * len(machine.axes) + 6), np.nan)
-        for k in np.flatnonzero(known):
+        for k in map(int, np.flatnonzero(known)):
             if k == 0 or not known[k - 1]:
-                state = self._place(self._stepper.begin(recording, run, int(k)))
+                yield k, self._place(self._stepper.begin(recording, run, k))
             else:
-                state = self.step(steps[k - 1])
-            values[k] = np.concatenate([state.drive, state.joints, state.ee, state.tool])
-        joints = [axis_signal(name, "joint") for name in machine.axis_names]
-        names = [*(axis.driven for axis in machine.axes), *joints, *point_signals("ee"), *point_signals("tool")]
-        table = dict(zip(names, values.T, strict=True))  # where the drive is the joint, the joint of the bodies is kept
-        return pd.DataFrame({"time": recording.values("time"), **{name: table[name] for name in run.columns if name != "time"}})
+                yield k, self.step(steps[k - 1])
 
     # -- pictures -----------------------------------------------------------------------------------------------
 
@@ -201,6 +209,15 @@ class World:
         )[2]  # fmt: skip
         return np.array(np.reshape(pixels, (height, width, 4))[:, :, :3], dtype=np.uint8)
 
+    def link_poses(self) -> dict[str, tuple[Array, Array]]:
+        """Place (3,) [m] and orientation (x, y, z, w) of every link of the machine, by name."""
+        self._check_open()
+        found = {self._root: self._base}
+        for name, link in self._links.items():
+            place, turn = self._link(link)
+            found[name] = (place, np.array(turn))
+        return found
+
     def log_positions(self) -> Array:
         """Centres of the loose logs, (logs, 3) [m]."""
         self._check_open()
@@ -220,7 +237,7 @@ class World:
         p.resetSimulation(physicsClientId=client)
         p.setGravity(0.0, 0.0, -GRAVITY, physicsClientId=client)
         p.setPhysicsEngineParameter(
-            fixedTimeStep=1.0 / (self.rate_hz * self.substeps), numSolverIterations=100, solverResidualThreshold=0.0,
+            fixedTimeStep=1.0 / (self.rate_hz * self.substeps), numSolverIterations=50, solverResidualThreshold=0.0,
             deterministicOverlappingPairs=1, physicsClientId=client,
         )  # fmt: skip
         self._base = self._base_pose()
@@ -242,6 +259,8 @@ class World:
             )  # fmt: skip
         self._driven = [joint_of[axis.joint or ""] for axis in machine.axes]
         self._tip = link_of[machine.tip or ""]
+        self._links = link_of
+        self._root: str = p.getBodyInfo(self._machine, physicsClientId=client)[0].decode()
         self._force = [_UNLIMITED if self.mode == "kinematic" else min(e, _UNLIMITED) for e in self._bodies.effort]
         self._passive: list[int] = []
         self._tool: int | None = None
@@ -318,6 +337,14 @@ class World:
     def _check_open(self) -> None:
         if self.closed:
             raise SettingsError("PyBullet world", "is closed", "an open world", "Make a new one.")
+
+
+def _in_order(machine: Machine) -> list[str]:
+    """Signals of a run in the order of :func:`sysid.plant.free_run`."""
+    names: list[str] = []
+    for axis in machine.axes:
+        names += dict.fromkeys((axis.driven, axis_signal(axis.name, "joint")))
+    return [*names, *point_signals("ee"), *(point_signals("tool") if machine.tool is not None else ())]
 
 
 def _close(client: int, folder: tempfile.TemporaryDirectory[str]) -> None:

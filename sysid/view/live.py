@@ -1,0 +1,135 @@
+"""A plant in its PyBullet world, shown in Rerun while it moves."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from sysid.datasets.recording import Dataset, Recording
+from sysid.errors import SettingsError
+from sysid.machine import Machine
+from sysid.plant import Plant
+from sysid.signals import axis_signal, point_signals
+from sysid.view.layout import blueprint
+from sysid.view.recording import SHOWN, STYLES, TIMELINE, _drawn, _rerun
+from sysid.view.visuals import link_shapes
+from sysid.world import World, WorldState
+
+#: Pictures of the world's camera a second of the machine's time, and their size.
+CAMERA_HZ, CAMERA = 5.0, (320, 240)
+#: States shown a second of the machine's time.
+SHOWN_HZ = 50.0
+
+
+def show_live(dataset: Dataset, recording: str, plant: Plant, path: Path | None = None, speed: float = 1.0) -> int:
+    """Step the world through the commands of a recording and show each state as it comes.
+
+    Args:
+        plant: what moves; its machine needs a URDF.
+        path: write an ``.rrd`` file instead of opening the viewer, as fast as it goes.
+        speed: how much faster than the machine it shall run in the viewer.
+
+    Returns:
+        The number of states shown.
+
+    Raises:
+        StoreError: the dataset has no such recording.
+        SettingsError: PyBullet is missing, the machine has no URDF, a speed that is not positive.
+    """
+    if not speed > 0.0:
+        raise SettingsError("live view", f"speed = {speed}", "a positive factor")
+    source = dataset.recording(recording)
+    rr = _rerun()
+    with World(plant, source.rate_hz) as world:
+        stream = rr.RecordingStream(
+            "sysid", recording_id=f"{dataset.reference}/{recording}/live/{os.getpid()}/{time.time_ns()}"
+        )
+        layout = blueprint(dataset, source, {"measured": source.table, "world": source.table}, TIMELINE)
+        half = None
+        if path is None:
+            stream.spawn(default_blueprint=layout)
+        else:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            half = path.with_name(f".{path.name}.{os.getpid()}.part")
+            stream.save(str(half), default_blueprint=layout)
+        stream.send_recording_name(f"{dataset.reference} {recording}, {plant.reference or 'nominal plant'} in PyBullet")
+        shown = _play(stream, world, source, dataset.units, 0.0 if path is not None else 1.0 / speed)
+        stream.flush()
+        stream.disconnect()
+    if half is not None and path is not None:
+        half.replace(path)
+    return shown
+
+
+def _play(stream: Any, world: World, source: Recording, units: Mapping[str, str], pace: float) -> int:
+    """Show the run; ``pace`` is seconds of waiting a second of the machine, zero for none."""
+    rr = _rerun()
+    machine = world.plant.machine
+    kinematics = machine.kinematics()
+    assert kinematics is not None  # the world has checked it
+    rr.log("machine", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True, recording=stream)
+    shapes_of = link_shapes(machine.urdf_text or "", kinematics)
+    factors = {}
+    for signal in source.signals:
+        unit = units.get(signal, "1")
+        factors[signal], shown_as = SHOWN.get(unit, (1.0, unit))
+        for name, style in (("measured", STYLES["measured"]), ("world", STYLES["after"])):
+            label = name if shown_as in ("", "1") else f"{name} [{shown_as}]"
+            look = rr.SeriesLines(colors=[style.colour], names=[label])
+            rr.log(f"signals/{signal}/{name}", look, static=True, recording=stream)
+    for link, shapes in shapes_of.items():
+        for number, shape in enumerate(shapes):
+            rr.log(f"machine/world/{link}/shape-{number}", *_drawn(shape, STYLES["measured"]), static=True, recording=stream)
+    every = max(1, round(source.rate_hz / SHOWN_HZ))
+    picture_every = every * max(1, round(source.rate_hz / CAMERA_HZ / every))
+    begin, first, shown = time.monotonic(), None, 0
+    times = source.values("time")
+    for row, state in world.play(source):
+        if row % every:
+            continue
+        first = float(times[row]) if first is None else first
+        late = begin + pace * (float(times[row]) - first) - time.monotonic()
+        if pace and late > 0.0:
+            time.sleep(late)
+        stream.set_time(TIMELINE, duration=float(times[row]))
+        _log_bodies(stream, world, state, shapes_of)
+        _log_signals(stream, machine, source, row, state, factors)
+        if row % picture_every == 0:
+            rr.log("camera", rr.Image(world.picture(*CAMERA)).compress(), recording=stream)
+        shown += 1
+    return shown
+
+
+def _log_bodies(stream: Any, world: World, state: WorldState, links: Iterable[str]) -> None:
+    rr = _rerun()
+    poses = world.link_poses()
+    for link in links:
+        place, turn = poses[link]
+        rr.log(
+            f"machine/world/{link}", rr.Transform3D(translation=place, quaternion=rr.Quaternion(xyzw=turn)), recording=stream
+        )
+    colour = STYLES["after"].colour
+    for point, place in (("ee", state.ee), ("tool", state.tool)):
+        rr.log(f"machine/world/{point}", rr.Points3D([place], radii=[0.008], colors=[colour]), recording=stream)
+    cable = rr.LineStrips3D([[state.ee, state.tool]], radii=[0.003], colors=[colour])
+    rr.log("machine/world/cable", cable, recording=stream)
+
+
+def _log_signals(
+    stream: Any, machine: Machine, source: Recording, row: int, state: WorldState, factors: Mapping[str, float]
+) -> None:
+    rr = _rerun()
+    simulated = {axis.driven: value for axis, value in zip(machine.axes, state.drive, strict=True)}
+    simulated |= {axis_signal(name, "joint"): value for name, value in zip(machine.axis_names, state.joints, strict=True)}
+    for point, place in (("ee", state.ee), ("tool", state.tool)):
+        simulated |= dict(zip(point_signals(point), place, strict=True))
+    for signal in source.signals:
+        measured = source.values(signal)[row]
+        for name, value in (("measured", measured), ("world", simulated.get(signal, np.nan))):
+            if np.isfinite(value):
+                rr.log(f"signals/{signal}/{name}", rr.Scalars(factors[signal] * float(value)), recording=stream)

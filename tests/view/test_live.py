@@ -1,0 +1,73 @@
+"""The world shown in Rerun while it moves: every state arrives, and as many as were promised."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+from crane_data import LINKAGES, dataset, motion
+
+from sysid.datasets.recording import Dataset, Recording
+from sysid.errors import SettingsError, StoreError
+from sysid.plant import Plant, free_run, nominal_plant
+from sysid.view.live import CAMERA_HZ, SHOWN_HZ, show_live
+
+pytest.importorskip("pybullet", reason="PyBullet has no build for this Python")
+
+
+def steered(seconds: float = 2.0) -> Recording:
+    source = motion("run-1", seconds, 1)
+    time = source.values("time")
+    commands = {f"{axis}.command": 0.3 * np.sin(2.0 * time) for axis in ("slew", "boom", "stick", "telescope")}
+    return replace(source, table=source.table.assign(**commands))
+
+
+@pytest.fixture
+def crane() -> tuple[Dataset, Plant]:
+    data = replace(dataset((steered(),), {}), units={"boom.joint": "rad", "slew.joint": "rad"})
+    return data, nominal_plant(data.machine, LINKAGES)
+
+
+def test_states_arrive_in_the_file(crane: tuple[Dataset, Plant], tmp_path: Path) -> None:
+    path = tmp_path / "deep" / "live.rrd"
+    shown = show_live(crane[0], "run-1", crane[1], path)
+    assert shown == 2.0 * SHOWN_HZ
+    assert [file.name for file in path.parent.iterdir()] == ["live.rrd"]
+    entities = read(path)
+    expected = free_run(crane[1], crane[0].recordings[0])
+    for signal in ("boom.joint", "slew.joint"):
+        time, values = entities[f"/signals/{signal}/world"]
+        rows = np.rint(time * 100.0).astype(int)
+        assert len(rows) == shown
+        np.testing.assert_allclose(values, np.degrees(expected[signal].to_numpy()[rows]), atol=1e-6)
+    assert {"/machine/world/boom", "/machine/world/tool", "/signals/boom.cylinder/measured"} <= set(entities)
+    assert len(entities["/camera"][0]) == 2.0 * CAMERA_HZ
+
+
+def read(path: Path) -> dict[str, tuple[npt.NDArray[np.float64], list[Any]]]:
+    """Entity → times [s], and the values where they are scalars."""
+    from rerun.chunk import RrdReader
+
+    found: dict[str, tuple[list[float], list[Any]]] = {}
+    for chunk in RrdReader(str(path)).stream().to_chunks():
+        batch = chunk.to_record_batch()
+        if "time" not in batch.schema.names:
+            continue
+        times, values = found.setdefault(chunk.entity_path, ([], []))
+        times += list(batch.column("time").cast("int64").to_numpy() * 1e-9)
+        for name in batch.schema.names:
+            if name.endswith("Scalars:scalars"):
+                values += [entry[0] for entry in batch.column(name).to_pylist()]
+    return {entity: (np.array(times), values) for entity, (times, values) in found.items()}
+
+
+def test_mistakes(crane: tuple[Dataset, Plant], tmp_path: Path) -> None:
+    with pytest.raises(SettingsError, match=r"live view: speed = 0\.0; expected a positive factor"):
+        show_live(crane[0], "run-1", crane[1], tmp_path / "x.rrd", speed=0.0)
+    with pytest.raises(StoreError, match="run-2"):
+        show_live(crane[0], "run-2", crane[1], tmp_path / "x.rrd")
+    assert not list(tmp_path.iterdir())
