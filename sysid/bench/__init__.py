@@ -2,10 +2,16 @@
 
 It is independent of the library that identifies machines: it shares no code with ``sysid.effects``, ``sysid.plant`` or
 ``sysid.gap``, and none of them imports it. Reading order: ``recipe``, then the physical parts in the order of the signal
-(``operator`` or ``poses``, ``valve``, ``cylinder``, ``drivetrain``, ``crane``, ``gripper``, joined in ``machine``), then what
-sees them (``sensors``, ``capture``), then the files (``mcap_log``, ``motive_export``, ``truth``, ``write``).
+(``operator``, ``programs`` or ``poses``, ``valve``, ``cylinder``, ``drivetrain``, ``elastic_joint``, ``crane``, ``gripper``,
+joined in ``machine``), then what sees them (``sensors``, ``capture``), then the files (``mcap_log``, ``motive_export``,
+``truth``, ``write``).
 
-``python -m sysid.bench RECIPE.toml OUT`` writes all recordings of a recipe.
+An axis may be hydraulic instead of a simple valve: ``circuit`` joins ``spool``, ``oil``, ``seal`` and ``rigid_body``. Machines
+that are moved joint by joint, a servo arm and a slide, start in ``joint_machines``. ``case`` seals a machine that hides
+something: ``nominal`` fits what its owner would know, with the formulas of ``contract_chain``.
+
+``python -m sysid.bench RECIPE.toml OUT`` writes all recordings of a recipe,
+``python -m sysid.bench case CASE.toml OUT`` a sealed case.
 """
 
 from sysid.bench.recipe import AXES, Recipe, RecordingSettings

@@ -10,8 +10,10 @@ import sys
 from pathlib import Path
 
 from sysid.bench.case import load_case, write_case
+from sysid.bench.joint_machines import load_joint_machine, write_joint_machine
 from sysid.bench.recipe_file import load_recipe
 from sysid.bench.write import write_all
+from sysid.config import read_toml
 from sysid.errors import SysidError
 
 
@@ -25,7 +27,10 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("out", type=Path, help="folder to write the recordings into")
     options = parser.parse_args(given)
     try:
-        written = write_all(load_recipe(options.recipe), options.out)
+        if "kind" in read_toml(options.recipe):
+            written = write_joint_machine(load_joint_machine(options.recipe), options.out)
+        else:
+            written = write_all(load_recipe(options.recipe), options.out)
     except SysidError as error:
         sys.stderr.write(f"{error}\n")
         return 2

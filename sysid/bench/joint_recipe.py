@@ -1,0 +1,95 @@
+"""Settings of the machines that are moved joint by joint: an arm of servo axes, and a slide pushed by a force."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Literal
+
+from sysid.config import STRICT
+
+#: Step of the simulation [s].
+STEP = 1e-3
+
+
+@dataclass(frozen=True)
+class ServoAxis:
+    """One position-controlled joint of the arm; every feature is absent by default.
+
+    Args:
+        limits: range [rad]. length, mass: of its link, a slender rod [m, kg].
+        delay, rate_limit, time_constant: of the servo [s, rad/s, s].
+        standing_error: the drive stops this far before its target, from either side (friction over stiffness) [rad].
+        backlash: full width of the play behind the drive [rad].
+        compliance: sag per gravity moment [rad/(N·m)].
+    """
+
+    __pydantic_config__ = STRICT
+
+    name: str
+    limits: tuple[float, float]
+    length: float
+    mass: float
+    delay: float = 0.0
+    rate_limit: float = math.inf
+    time_constant: float = 0.0
+    standing_error: float = 0.0
+    backlash: float = 0.0
+    compliance: float = 0.0
+
+
+@dataclass(frozen=True)
+class Take:
+    """One recording [s]."""
+
+    __pydantic_config__ = STRICT
+
+    name: str
+    seed: int
+    seconds: float
+
+
+@dataclass(frozen=True)
+class ServoArm:
+    """The arm; ``noise`` is that of every joint sensor [rad], ``rate`` of the log [Hz]."""
+
+    __pydantic_config__ = STRICT
+
+    kind: Literal["servo_arm"]
+    name: str
+    seed: int
+    axes: tuple[ServoAxis, ...]
+    recordings: tuple[Take, ...]
+    rate: float = 100.0
+    noise: float = 0.0
+
+
+@dataclass(frozen=True)
+class Slide:
+    """A carriage pushed by a force; M·a = u − friction(v) − offset.
+
+    Args:
+        mass [kg], coulomb [N], viscous [N·s/m], static: break-away force [N], 0 = as sliding; stribeck: [m/s].
+        offset: constant force against positive motion [N].
+        stiffness, damping: of the controller that moves it [N/m, N·s/m].
+        stroke: half of its travel [m]; noise, force_noise: of the sensors [m, N].
+    """
+
+    __pydantic_config__ = STRICT
+
+    kind: Literal["slide"]
+    name: str
+    seed: int
+    mass: float
+    recordings: tuple[Take, ...]
+    coulomb: float = 0.0
+    viscous: float = 0.0
+    static: float = 0.0
+    stribeck: float = 0.01
+    offset: float = 0.0
+    stiffness: float = 3e4
+    damping: float = 1.5e3
+    stroke: float = 0.2
+    rate: float = 1000.0
+    noise: float = 0.0
+    force_noise: float = 0.0

@@ -1,0 +1,55 @@
+"""A slide pushed by the force of a position controller; its friction dips with speed (Stribeck), and it sticks.
+
+Source of the procedure: Janot, Gautier, Brunot, Data Set and Reference Models of EMPS (2019).
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import numpy.typing as npt
+
+from sysid.bench.compiled import compiled
+from sysid.bench.excursions import draw_path
+from sysid.bench.joint_recipe import STEP, Slide, Take
+
+Array = npt.NDArray[np.float64]
+
+
+def run_slide(slide: Slide, take: Take) -> tuple[Array, Array, Array]:
+    """Time (n,) [s], force of the controller [N] and position [m] (n,) at the log's rate, without noise."""
+    rng = np.random.default_rng([slide.seed, take.seed])
+    steps = round(take.seconds / STEP)
+    path = slide.stroke * draw_path((-1.0, 1.0), steps, STEP, rng)
+    force, position = np.empty(steps), np.empty(steps)
+    numbers = (slide.mass, slide.coulomb, max(slide.static, slide.coulomb), slide.stribeck, slide.viscous, slide.offset)
+    _slide(path, numbers, slide.stiffness, slide.damping, force, position)
+    every = round(1.0 / (STEP * slide.rate))
+    return np.arange(0, steps, every, dtype=np.float64) * STEP, force[::every], position[::every]
+
+
+@compiled
+def _slide(
+    path: Array,
+    numbers: tuple[float, float, float, float, float, float],
+    stiffness: float,
+    damping: float,
+    force: Array,
+    position: Array,
+) -> None:
+    """Closed loop in sub-steps; dry friction is applied as an impulse that may stop the carriage but not turn it round."""
+    mass, coulomb, static, stribeck, viscous, offset = numbers
+    x, v = path[0], 0.0
+    substeps = 10
+    h = STEP / substeps
+    for k in range(len(path)):
+        speed = (path[min(k + 1, len(path) - 1)] - path[k]) / STEP
+        u = stiffness * (path[k] - x) + damping * (speed - v)
+        force[k] = u
+        position[k] = x
+        for _ in range(substeps):
+            free = v + h / mass * (u - offset - viscous * v)
+            grip = h / mass * (coulomb + (static - coulomb) * math.exp(-((v / stribeck) ** 2)))
+            v = free - grip if free > grip else free + grip if free < -grip else 0.0
+            x += h * v
