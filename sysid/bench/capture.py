@@ -15,9 +15,10 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from sysid.bench.capture_recipe import BodySettings
 from sysid.bench.crane import link_poses
 from sysid.bench.machine import Truth, zeros_of
-from sysid.bench.recipe import BodySettings, Recipe, RecordingSettings
+from sysid.bench.recipe import Recipe, RecordingSettings
 
 Array = npt.NDArray[np.float64]
 

@@ -14,6 +14,8 @@
 The nominal plant is fitted to step tests of the visible machine without noise, so that a case that hides nothing has (almost)
 no gap. The truth of a hidden effect of the command stage is the named effect's best fit to what the machine really did; what
 that fit leaves is stored as ``model_error``. Geometry, play, swing and sensors are known exactly.
+A hidden part that changes several things (a hydraulic drive has a spool of its own as well as a load) names all of them in
+``effects``: they are fitted together.
 """
 
 from __future__ import annotations

@@ -11,6 +11,7 @@ import math
 from dataclasses import dataclass, field
 from typing import Literal
 
+from sysid.bench.capture_recipe import CaptureSettings
 from sysid.bench.hydraulic_recipe import HydraulicSettings, MassSettings, OilSettings, SupplySettings
 from sysid.config import STRICT
 from sysid.errors import SettingsError, nearest
@@ -174,80 +175,6 @@ class ControllerSettings:
     publish_delay: float = 0.0
     transport_delay: float = 0.0
     jitter: float = 0.0
-
-
-@dataclass(frozen=True)
-class BodySettings:
-    """A rigid body of the capture system on ``link``; ``pivot`` is its origin in that link [m], None = centre of its markers.
-
-    ``markers`` are marker positions in the link frame [m].
-    """
-
-    __pydantic_config__ = STRICT
-
-    name: str
-    link: Literal["column", "boom", "stick", "tip", "gripper"]
-    markers: tuple[tuple[float, float, float], ...]
-    pivot: tuple[float, float, float] | None = None
-
-
-@dataclass(frozen=True)
-class SwapSettings:
-    """Two markers of a body change places in ``recording`` from ``at`` for ``duration`` [s on the capture clock]."""
-
-    __pydantic_config__ = STRICT
-
-    recording: str
-    body: str
-    markers: tuple[int, int]
-    at: float
-    duration: float
-
-
-@dataclass(frozen=True)
-class MarkerExport:
-    """The markers of ``body`` are exported as well in the take of ``recording``."""
-
-    __pydantic_config__ = STRICT
-
-    recording: str
-    body: str
-
-
-@dataclass(frozen=True)
-class CaptureSettings:
-    """The motion capture system.
-
-    Args:
-        rate: exported frames per second [Hz]; ``capture_rate`` is what the cameras ran at.
-        noise: white noise of every marker coordinate [m].
-        offset: range [s] from which the start of the capture after the start of the recording is drawn.
-        skew: rate error of the capture clock [ppm]: ``t_machine = t_capture·(1 + 1e-6·skew) + offset``.
-        latency: frames are stamped this much late [s].
-        dropouts_per_minute: occlusions of one body each, lasting ``dropout_seconds`` (range, [s]).
-        bodies, swaps, exported_markers: what is tracked, when markers are confused, whose markers are exported.
-        translation, rpy: surveyed pose of the capture frame in the base frame [m, rad] (fixed-axis roll, pitch, yaw).
-        shift, tilt: how the machine really stands in the surveyed frame: seen = R(tilt)·true + shift [m, rotation vector rad].
-    """
-
-    __pydantic_config__ = STRICT
-
-    rate: float = 60.0
-    capture_rate: float = 240.0
-    pose_rate: float = 10.0
-    noise: float = 0.0
-    offset: tuple[float, float] = (0.0, 0.0)
-    skew: float = 0.0
-    latency: float = 0.0
-    dropouts_per_minute: float = 0.0
-    dropout_seconds: tuple[float, float] = (0.1, 1.0)
-    translation: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    rpy: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    shift: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    tilt: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    bodies: tuple[BodySettings, ...] = ()
-    swaps: tuple[SwapSettings, ...] = ()
-    exported_markers: tuple[MarkerExport, ...] = ()
 
 
 @dataclass(frozen=True)

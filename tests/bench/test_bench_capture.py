@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from sysid.bench import Recipe, RecordingSettings, Run, simulate
 from sysid.bench.capture import BodyTrack, frame_rotation, quaternions
-from sysid.bench.recipe import CaptureSettings, SwapSettings
+from sysid.bench.capture_recipe import CaptureSettings, SwapSettings
 from sysid.bench.sensors import slew_error
 
 Array = npt.NDArray[np.float64]
