@@ -29,6 +29,7 @@ class Parameter:
         bounds: what a fit may search, (low, high).
         starts: values from which a fit starts.
         negligible: a departure from the neutral (or nominal) value that is not worth a name.
+        stepwise: a small change may change nothing at all (a threshold between two samples of a command): a fit searches it.
         sets: for each component of the parameter, the slots that take its value; by default the slot of the same name.
     """
 
@@ -39,6 +40,7 @@ class Parameter:
     negligible: float
     about: str
     sets: tuple[tuple[str, ...], ...] = ()
+    stepwise: bool = False
 
     @property
     def components(self) -> tuple[tuple[str, ...], ...]:

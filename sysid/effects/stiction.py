@@ -15,8 +15,24 @@ EFFECT = Effect(
     forms=(
         Form(
             (
-                Parameter("breakaway", "1", (0.0, 0.95), (0.05, 0.15, 0.3), 0.004, "effective command at which motion begins"),
-                Parameter("release", "1", (0.0, 0.95), (0.02, 0.05, 0.15), 0.004, "effective command below which it ends"),
+                Parameter(
+                    "breakaway",
+                    "1",
+                    (0.0, 0.95),
+                    (0.05, 0.15, 0.3),
+                    0.004,
+                    "effective command at which motion begins",
+                    stepwise=True,
+                ),
+                Parameter(
+                    "release",
+                    "1",
+                    (0.0, 0.95),
+                    (0.02, 0.05, 0.15),
+                    0.004,
+                    "effective command below which it ends",
+                    stepwise=True,
+                ),
             )
         ),
     ),

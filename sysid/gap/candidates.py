@@ -26,6 +26,7 @@ class Unknown:
         scale: a change that is just worth noticing; steps and tolerances derive from it.
         nominal: its value in the plant that is being questioned.
         negligible: a departure from nominal that is not worth a name.
+        stepwise: slopes say nothing about it; a fit searches it on a grid as well.
     """
 
     key: str
@@ -34,6 +35,7 @@ class Unknown:
     scale: float
     nominal: float
     negligible: float
+    stepwise: bool = False
 
 
 @dataclass(frozen=True)
@@ -41,7 +43,8 @@ class Candidate:
     """One effect in one form at one place.
 
     A ``nuisance`` is free in every fit, since other effects would absorb it otherwise; its label ends in ``~``. It is named
-    like any other effect where it departs from nominal by more than is negligible.
+    like any other effect where it departs from nominal by more than is negligible. An effect that the plant has already is
+    ``known``: what may be missing is another value of it, or a richer form.
     """
 
     effect: Effect
@@ -51,6 +54,7 @@ class Candidate:
     unknowns: tuple[Unknown, ...]
     starts: tuple[tuple[float, ...], ...]
     nuisance: bool = False
+    known: bool = False
 
     @property
     def key(self) -> tuple[str, str, str | None]:
@@ -142,11 +146,12 @@ def _candidate(
             key = parameter.name if len(places) == 1 else f"{parameter.name}[{k}]"
             nominal = float(theta[group[0]])
             scale, negligible = _scale(parameter, force_scale)
-            unknowns.append(Unknown(key, tuple(group), parameter.bounds, scale, nominal, negligible))
+            unknowns.append(Unknown(key, tuple(group), parameter.bounds, scale, nominal, negligible, parameter.stepwise))
             starts.append(tuple(s * (force_scale if scale != parameter.negligible else 1.0) for s in parameter.starts))
     count = max(len(s) for s in starts)
     rows = tuple(tuple(s[min(i, len(s) - 1)] for s in starts) for i in range(count))
-    return Candidate(effect, form, target, side, tuple(unknowns), rows)
+    known = plant.effect(effect.name, target, side) is not None
+    return Candidate(effect, form, target, side, tuple(unknowns), rows, known=known)
 
 
 def _scale(parameter: Parameter, force_scale: float) -> tuple[float, float]:

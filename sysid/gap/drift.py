@@ -5,6 +5,9 @@ A free run integrates every disturbance, so even the true model's residual wande
 wandering: ``r_k = level_k + s·ε_k``, ``level_{k+1} = level_k + s·√(calm + moving·activity_k)·η_k``. Its one-step
 prediction errors are white; fits and comparisons are made on them. Without drift they are the residual itself; with much drift
 they are its increments. A residual that only *looks* better because a parameter follows the wandering gains nothing.
+
+Only a stage that integrates its input wanders without end. Elsewhere the level forgets (``memory`` < 1 per bin): a constant
+that lasts is then no wandering but an offset that wants explaining.
 """
 
 from __future__ import annotations
@@ -34,11 +37,13 @@ class Drift:
         calm: variance that the level gains in each bin, relative to the noise of a bin.
         moving: the same per unit of activity (mean activity is 1).
         noise: standard deviation of a whitened residual.
+        memory: share of the level that is left a bin later.
     """
 
     calm: float = 0.0
     moving: float = 0.0
     noise: float = 1.0
+    memory: float = 1.0
 
     @property
     def present(self) -> bool:
@@ -46,7 +51,7 @@ class Drift:
 
 
 @njit(nogil=True, cache=True)
-def _filter(residual: Array, activity: Array, calm: float, moving: float, error: Array, variance: Array) -> None:
+def _filter(residual: Array, activity: Array, calm: float, moving: float, memory: float, error: Array, variance: Array) -> None:
     """Prediction errors of the local level model and their variances, relative to the noise of a bin; NaN where missing."""
     level = 0.0
     spread = 1.0  # the start of a run is known about as well as one bin is measured
@@ -60,13 +65,29 @@ def _filter(residual: Array, activity: Array, calm: float, moving: float, error:
             gain = spread / variance[k]
             level += gain * error[k]
             spread *= 1.0 - gain
-        spread += calm + moving * activity[k]
+        level *= memory
+        spread = memory * memory * spread + calm + moving * activity[k]
+
+
+@njit(nogil=True, cache=True)
+def _filter_lanes(
+    residuals: Array, activity: Array, calm: float, moving: float, memory: float, errors: Array, variances: Array
+) -> None:
+    for lane in range(len(residuals)):
+        _filter(residuals[lane], activity, calm, moving, memory, errors[lane], variances[lane])
+
+
+def whiten_lanes(residuals: Array, activity: Array, drift: Drift) -> Array:
+    """error/√variance of many series at once, (lanes, m)."""
+    errors, variances = np.empty(residuals.shape), np.empty(residuals.shape)
+    _filter_lanes(np.ascontiguousarray(residuals), activity, drift.calm, drift.moving, drift.memory, errors, variances)
+    return errors / np.sqrt(variances)
 
 
 def whiten(residual: Array, activity: Array, drift: Drift) -> tuple[Array, Array]:
     """(error/√variance, log variance), each (m,), for one series of bins."""
     error, variance = np.empty(len(residual)), np.empty(len(residual))
-    _filter(np.ascontiguousarray(residual), activity, drift.calm, drift.moving, error, variance)
+    _filter(np.ascontiguousarray(residual), activity, drift.calm, drift.moving, drift.memory, error, variance)
     return error / np.sqrt(variance), np.log(variance)
 
 
@@ -84,19 +105,20 @@ def _normal(standard: Array) -> Array:
     return np.asarray(-0.5 * np.clip(standard, -CLIP, CLIP) ** 2)
 
 
-def estimate_drift(series: Sequence[Array], activities: Sequence[Array]) -> tuple[Drift, float]:
+def estimate_drift(series: Sequence[Array], activities: Sequence[Array], memory: float = 1.0) -> tuple[Drift, float]:
     """Maximum likelihood over a grid, refined once; returns the drift and the log-likelihood (up to a constant).
 
     Args:
         series, activities: one array of bins for each recording.
+        memory: share of the level that is left a bin later; 1 for a stage that integrates.
     """
-    best = (Drift(), -np.inf)
+    best = (Drift(memory=memory), -np.inf)
     calm: Sequence[float] = _STRENGTHS
     moving: Sequence[float] = _STRENGTHS if any(np.ptp(a) > 0 for a in activities) else (0.0,)
     for _ in range(2):
         for c in calm:
             for m in moving:
-                candidate = _likelihood(series, activities, c, m)
+                candidate = _likelihood(series, activities, c, m, memory)
                 if candidate[1] > best[1]:
                     best = candidate
         calm, moving = _around(best[0].calm), _around(best[0].moving) if len(moving) > 1 else (0.0,)
@@ -107,20 +129,22 @@ def _around(value: float) -> tuple[float, ...]:
     return (0.0,) if value == 0.0 else tuple(value * f for f in (0.3, 0.5, 0.7, 1.0, 1.5, 2.0, 3.0))
 
 
-def _likelihood(series: Sequence[Array], activities: Sequence[Array], calm: float, moving: float) -> tuple[Drift, float]:
+def _likelihood(
+    series: Sequence[Array], activities: Sequence[Array], calm: float, moving: float, memory: float
+) -> tuple[Drift, float]:
     errors, logs = [], []
     for residual, activity in zip(series, activities, strict=True):
-        error, log_variance = whiten(residual, activity, Drift(calm, moving))
+        error, log_variance = whiten(residual, activity, Drift(calm, moving, memory=memory))
         there = ~np.isnan(error)
         errors.append(error[there])
         logs.append(log_variance[there])
     joined = np.concatenate(errors)
     count = len(joined)
     if count == 0:
-        return Drift(), -np.inf
+        return Drift(memory=memory), -np.inf
     noise = robust_scale(joined)
     total = float(_normal(joined / noise).sum()) - 0.5 * float(np.concatenate(logs).sum()) - count * np.log(noise)
-    return Drift(calm, moving, noise), float(total)
+    return Drift(calm, moving, noise, memory), float(total)
 
 
 def robust_scale(values: Array) -> float:

@@ -24,11 +24,13 @@ class Comparison:
         delta_bic: BIC(smaller) − BIC(larger) on the fitted recordings; above 10 is strong evidence for the larger.
         gain: log predictive density gained on unseen recordings (natural log).
         p_value: share of block-bootstrap samples in which the larger one does not predict unseen recordings better.
+        ratio: RMSE on unseen recordings, smaller / larger.
     """
 
     delta_bic: float
     gain: float
     p_value: float
+    ratio: float
 
 
 def gain_p_value(gain: Array, seed: int, draws: int = 1000) -> float:
@@ -38,7 +40,7 @@ def gain_p_value(gain: Array, seed: int, draws: int = 1000) -> float:
     if len(gain) < 20 or not np.any(gain != 0.0):
         return 1.0
     length = float(np.nan_to_num(optimal_block_length(gain)["stationary"].iloc[0], nan=1.0))
-    block = int(np.clip(round(length), 5, max(5, len(gain) // 4)))
+    block = int(np.clip(round(length), 5, max(5, len(gain) // 10)))
     bootstrap = StationaryBootstrap(block, gain, seed=np.random.default_rng(seed))
     means = bootstrap.apply(lambda x: np.mean(x, axis=0), draws)
     return float((np.sum(means <= 0.0) + 1) / (draws + 1))

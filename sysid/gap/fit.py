@@ -15,7 +15,7 @@ from scipy.optimize import least_squares
 
 from sysid.datasets.recording import Recording
 from sysid.gap.candidates import Candidate, Unknown
-from sysid.gap.drift import Drift, estimate_drift, to_bins, whiten
+from sysid.gap.drift import Drift, estimate_drift, to_bins, whiten_lanes
 from sysid.gap.problem import DriveProblem, Problem
 
 Array = npt.NDArray[np.float64]
@@ -24,6 +24,10 @@ Array = npt.NDArray[np.float64]
 FORGIVE = 4.0
 #: Short runs from which a drive fit takes its starting values [s].
 SHORT_RUN = 5.0
+#: What is left of a wandering 0.1 s later at a stage that does not integrate: it forgets within about a second.
+FORGETS = 0.9
+#: Half widths of the grids on which stepwise parameters are searched, in their unit.
+GRID = (0.08, 0.03, 0.01, 0.004, 0.0015, 0.0005)
 #: Starts from which a fit descends.
 DESCENTS = 2
 
@@ -93,16 +97,17 @@ class Data:
             for k, drift in enumerate(drifts):
                 series = part[:, :, k]
                 if drift.present:
-                    series = np.array([whiten(lane, activity, drift)[0] for lane in series])
+                    series = whiten_lanes(series, activity, drift)
                 lanes.append(series / drift.noise)
         return np.nan_to_num(np.concatenate(lanes, axis=1))
 
     def drifts(self, theta: Array) -> tuple[tuple[Drift, ...], float]:
         """Drift of every signal under one parameter vector, and the log-likelihood."""
         bins = self.bins(theta[None])
+        memory = 1.0 if isinstance(self.problem, DriveProblem) else FORGETS
         found, total = [], 0.0
         for k in range(len(self.sigma)):
-            drift, log_likelihood = estimate_drift([part[0, :, k] for part in bins], self.activities)
+            drift, log_likelihood = estimate_drift([part[0, :, k] for part in bins], self.activities, memory)
             found.append(drift)
             total += log_likelihood
         return tuple(found), total
@@ -185,9 +190,14 @@ def _descend(
     if isinstance(data.problem, DriveProblem):  # a drift cannot trap a fit in short runs
         x, _ = _least_squares(data, theta, unknowns, x, low, high, scale, plain, data.problem.in_short_runs(SHORT_RUN))
     x, done = _least_squares(data, theta, unknowns, x, low, high, scale, plain, data.problem)
+    if any(u.stepwise for u in unknowns):
+        for reach in GRID:
+            x = _search_grid(data, theta, unknowns, x, low, high, reach)
+            x, done = _least_squares(data, theta, unknowns, x, low, high, scale, plain, data.problem)
     drifts, log_likelihood = data.drifts(place(theta, unknowns, x[None])[0])
     for _ in range(2):
-        if not any(drift.present for drift in drifts):
+        # Where nothing integrates, plain least squares is not misled by wandering, and is what published figures are.
+        if not isinstance(data.problem, DriveProblem) or not any(drift.present for drift in drifts):
             break
         moved, ended = _least_squares(data, theta, unknowns, x, low, high, scale, drifts, data.problem)
         renewed, better = data.drifts(place(theta, unknowns, moved[None])[0])
@@ -211,19 +221,44 @@ def _least_squares(
     drifts: Sequence[Drift],
     problem: Problem,
 ) -> tuple[Array, bool]:
-    def errors(x: Array) -> Array:
-        error: Array = data.whitened(place(theta, unknowns, x[None]), drifts, problem)[0]
+    smooth = np.array([not u.stepwise for u in unknowns])
+    x = np.clip(start, low + 1e-9 * (high - low), high - 1e-9 * (high - low))
+    if not smooth.any():
+        return x, True
+
+    def whole(part: Array) -> Array:
+        full = x.copy()
+        full[smooth] = part
+        return full
+
+    def errors(part: Array) -> Array:
+        error: Array = data.whitened(place(theta, unknowns, whole(part)[None]), drifts, problem)[0]
         return error
 
-    def slopes(x: Array) -> Array:
-        return jacobian(data, theta, unknowns, x, drifts, high, problem)[1]
+    def slopes(part: Array) -> Array:
+        slope: Array = jacobian(data, theta, unknowns, whole(part), drifts, high, problem)[1][:, smooth]
+        return slope
 
-    x = np.clip(start, low + 1e-9 * (high - low), high - 1e-9 * (high - low))
     solution = least_squares(
-        errors, x, slopes, (low, high), x_scale=scale, loss="soft_l1", f_scale=forgiveness(errors(x)),
-        ftol=1e-7, xtol=1e-7, max_nfev=40,
+        errors, x[smooth], slopes, (low[smooth], high[smooth]), x_scale=scale[smooth], loss="soft_l1",
+        f_scale=forgiveness(errors(x[smooth])), ftol=1e-7, xtol=1e-7, max_nfev=40,
     )  # fmt: skip
-    return solution.x, solution.status > 0
+    return whole(solution.x), solution.status > 0
+
+
+def _search_grid(
+    data: Data, theta: Array, unknowns: Sequence[Unknown], x: Array, low: Array, high: Array, reach: float
+) -> Array:
+    """Parameters whose slopes say nothing, searched together around ``x`` on a grid; the others stay."""
+    searched = [k for k, u in enumerate(unknowns) if u.stepwise]
+    plain = (Drift(),) * len(data.sigma)
+    steps = np.linspace(-reach, reach, 9 if len(searched) < 3 else 3)
+    lanes = np.repeat(x[None], len(steps) ** len(searched), axis=0)
+    lanes[:, searched] += np.stack(np.meshgrid(*[steps] * len(searched)), axis=-1).reshape(-1, len(searched))
+    lanes = np.clip(lanes, low, high)
+    costs = np.mean(np.abs(data.whitened(place(theta, unknowns, lanes), plain)), axis=1)
+    best: Array = lanes[int(np.argmin(costs))]
+    return best
 
 
 def jacobian(
@@ -236,7 +271,7 @@ def jacobian(
     problem: Problem | None = None,
 ) -> tuple[Array, Array]:
     """Whitened residuals (n,) and their derivatives (n, k) at ``x``, all perturbations in one batch."""
-    step = np.array([0.05 * u.scale for u in unknowns])
+    step = np.array([(0.5 if u.stepwise else 0.05) * u.scale for u in unknowns])
     if high is not None:
         step = np.where(x + step > high, -step, step)
     r = data.whitened(place(theta, unknowns, np.vstack([x, x + np.diag(step)])), drifts, problem)

@@ -24,20 +24,19 @@ def problem_floor(
 ) -> Array:
     """RMSE of the stage's outputs if ``theta`` were the truth, (d,).
 
-    The model is run on the recordings and on copies with fresh noise on every measured signal: their difference is what noise
-    in the inputs and in the start state does; the sensor's own noise on the output is added.
+    The residual is taken on the recordings and on copies with fresh noise on every measured signal: their difference is what
+    noise in the output, in the inputs and in the start state does, under whatever filter the stage applies.
     """
-    own = np.array([noise.get(signal, 0.0) for signal in problem.signals])
-    totals, count = np.zeros(len(own)), 0
+    totals, count = np.zeros(len(problem.signals)), 0
     for recording in recordings:
-        clean = problem.predict(theta[None], recording)[0]
+        clean = problem.measured(recording) - problem.predict(theta[None], recording)[0]
         for draw in range(DRAWS):
             noisy = with_noise(recording, noise, np.random.default_rng([seed, draw]))
-            difference = problem.predict(theta[None], noisy)[0] - clean
+            difference = problem.measured(noisy) - problem.predict(theta[None], noisy)[0] - clean
             there = ~np.isnan(difference).any(axis=1)
             totals += (difference[there] ** 2).sum(axis=0)
             count += int(there.sum())
-    return np.asarray(np.sqrt(own**2 + totals / max(count, 1)))
+    return np.asarray(np.sqrt(totals / max(count, 1)))
 
 
 def run_floor(predict: Predict, recordings: Sequence[Recording], noise: Mapping[str, float], seed: int) -> dict[str, float]:

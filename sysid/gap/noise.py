@@ -10,13 +10,14 @@ from sysid.signals import split_signal
 
 
 def noise_levels(dataset: Dataset) -> dict[str, float]:
-    """Signal → standard deviation, for every measured signal that is not a command.
+    """Signal → standard deviation, for every measured signal; a command has none unless the data sheet says so (a force).
 
     Without a data sheet: what ingest found in the sensor's own samples, else in the recordings' tables.
     """
-    measured = {s for r in dataset.recordings for s in r.signals if split_signal(s)[1] != "command"}
     sheet = dataset.machine.noise
-    return {s: sheet[s] if s in sheet else _from_data(dataset, s) for s in sorted(measured)}
+    signals = sorted({s for r in dataset.recordings for s in r.signals})
+    measured = [s for s in signals if s in sheet or split_signal(s)[1] != "command"]
+    return {s: sheet[s] if s in sheet else _from_data(dataset, s) for s in measured}
 
 
 def _from_data(dataset: Dataset, signal: str) -> float:

@@ -14,7 +14,7 @@ from sysid.effects.effect import Stage
 from sysid.gap.drift import BIN
 from sysid.machine import Axis
 from sysid.plant import Model
-from sysid.plant.force import ForceInputs, force_inputs
+from sysid.plant.force import ForceInputs, force_inputs, hold_of
 from sysid.plant.model import measured_joints, measured_point
 from sysid.signals import axis_signal, point_signals
 
@@ -138,7 +138,7 @@ class ForceProblem:
     def _inputs(self, recording: Recording) -> ForceInputs:
         """The filtered recording; a changed copy of a known one (with noise added) is filtered afresh on the same rows."""
         original, inputs = self.inputs[recording.name]
-        return inputs if recording is original else force_inputs(recording, self.axis, rows=inputs.rows)
+        return inputs if recording is original else force_inputs(recording, self.axis, rows=inputs.rows, hold=inputs.hold)
 
 
 @dataclass(frozen=True)
@@ -272,7 +272,8 @@ def problems_of(model: Model, dataset: Dataset) -> list[Problem]:
         if not _measured(motion, axis_signal(axis.name, "command"), axis.driven):
             continue
         if axis.actuation == "force":
-            inputs = {r.name: (r, force_inputs(r, axis)) for r in motion}
+            hold = hold_of(split.seen, axis)
+            inputs = {r.name: (r, force_inputs(r, axis, hold=hold)) for r in motion}
             problems.append(ForceProblem(model, axis, inputs))
         else:
             nuisances = ("gain_error", "input_delay") if axis.actuation == "velocity" else ("input_delay",)

@@ -34,7 +34,8 @@ class Strictness:
         gap: a stage whose error is below this multiple of its noise floor is explained.
         forward: least gain in log evidence that adds an effect for the time being.
         delta_bic, p_value: what an effect needs to stay, and what a rival needs to be beaten.
-        likely: p-value that is enough where the unseen recordings gain more than ``delta_bic`` nats (few strokes, each clear).
+        likely, ratio: on short logs a few strokes decide and no block bootstrap can be sure; where the unseen recordings gain
+            more than ``delta_bic`` nats this p-value is enough, or this ratio of unseen RMSE without to with the effect.
         sensitivity: least share of an effect's influence that no other fitted parameter can imitate.
         most: largest number of effects at one stage.
         crossed: with less than this much to select on [s], fitting and selecting recordings change places as well.
@@ -45,6 +46,7 @@ class Strictness:
     delta_bic: float = 10.0
     p_value: float = 0.01
     likely: float = 0.15
+    ratio: float = 1.3
     sensitivity: float = 0.02
     most: int = 6
     crossed: float = 90.0
@@ -215,7 +217,7 @@ class Search:
 
     def _lasts(self, c: Comparison) -> bool:
         sure = c.p_value < self.strict.p_value
-        likely = c.p_value < self.strict.likely and c.gain > self.strict.delta_bic
+        likely = c.gain > self.strict.delta_bic and (c.p_value < self.strict.likely or c.ratio > self.strict.ratio)
         return c.delta_bic > self.strict.delta_bic and (sure or likely)
 
     def _ordinary(self, model: Fit) -> list[Candidate]:
@@ -230,7 +232,7 @@ class Search:
             first = candidate.form is candidate.effect.forms[0]
             if present is None or present.nuisance:
                 wider = present is None or present.unknowns != candidate.unknowns
-                if first and wider:
+                if (first or candidate.known) and wider:
                     free.append(candidate)
             elif len(candidate.unknowns) > len(present.unknowns):
                 free.append(candidate)
@@ -313,7 +315,8 @@ class Search:
     def _compare(self, smaller: Fit, larger: Fit) -> Comparison:
         gain = self._log_densities(larger) - self._log_densities(smaller)
         p_value = gain_p_value(gain, self.seed)
-        return Comparison(self._delta_bic(smaller, larger), float(gain.sum()), p_value)
+        ratio = self._rmse(smaller) / max(self._rmse(larger), 1e-12)
+        return Comparison(self._delta_bic(smaller, larger), float(gain.sum()), p_value, ratio)
 
     def _delta_bic(self, one: Fit, other: Fit) -> float:
         """BIC(one) − BIC(other) on the fitted recordings: above zero speaks for the other."""

@@ -69,6 +69,7 @@ def find_gap(
     shown = excitation(case, stages)
     verdict = _verdict(outcome, located, shown, strict, localise_only)
     gap, traces = _free_gap(case, outcome.repaired)
+    by_stage = stage_gap(case, stages, compile_plant(outcome.repaired).theta)
     tell(1.0, "done")
     return GapResult(
         dataset=dataset.reference,
@@ -79,8 +80,8 @@ def find_gap(
         unnamed=tuple(outcome.unnamed),
         ambiguous=tuple(outcome.ties),
         next_experiment=() if verdict == "no_gap" else _next_experiment(outcome, shown),
-        gap=gap,
-        stage_gap=stage_gap(case, stages, compile_plant(outcome.repaired).theta),
+        gap=_with_forces(gap, by_stage),
+        stage_gap=by_stage,
         excitation=shown,
         held_out_recordings=tuple(r.name for r in case.split.held_out),
         seconds=time.perf_counter() - begin,
@@ -124,6 +125,13 @@ def _free_gap(case: Case, repaired: Plant) -> tuple[Gap, tuple[Traces, ...]]:
     shared = [signal for signal in scores[0] if all(signal in score for score in scores)]
     gap = Gap(*({signal: score[signal] for signal in shared} for score in scores))
     return gap, tuple(Traces(r.name, r.table, b, a) for r, b, a in zip(held_out, before, after, strict=True))
+
+
+def _with_forces(gap: Gap, by_stage: Gap) -> Gap:
+    """The force of a force axis has no free run: what the model needs at measured motion stands in the gap as well."""
+    forces = [signal for signal in by_stage.before if signal.endswith(".command")]
+    parts = ((getattr(gap, part), getattr(by_stage, part)) for part in ("before", "after", "noise_floor"))
+    return Gap(*({**free, **{s: stage[s] for s in forces}} for free, stage in parts))
 
 
 def _rows(stage: Stage, finding: Finding) -> list[Candidate]:

@@ -7,6 +7,7 @@ runs over the measured and the model force, which are then decimated so that the
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -52,6 +53,7 @@ class ForceInputs:
     force: Array
     low_pass: Array
     inertia: float
+    hold: float
 
     def model_force(self, model: Model, thetas: Array, axis: str) -> Array:
         """Force that the model needs for the measured motion, (lanes, m)."""
@@ -65,9 +67,17 @@ class ForceInputs:
 
 
 def force_inputs(
-    recording: Recording, axis: Axis, settings: ForceFilter | None = None, rows: npt.NDArray[np.int64] | None = None
+    recording: Recording,
+    axis: Axis,
+    settings: ForceFilter | None = None,
+    rows: npt.NDArray[np.int64] | None = None,
+    hold: float = 0.0,
 ) -> ForceInputs:
-    """Filter one recording for the force comparison; ``rows`` fixes which samples survive.
+    """Filter one recording for the force comparison.
+
+    Args:
+        rows: fixes which samples survive.
+        hold: delay of the force against the motion [samples], see :func:`hold_of`.
 
     Raises:
         ExcitationError: the axis is not measured throughout or hardly moves.
@@ -83,13 +93,14 @@ def force_inputs(
     force = np.interp(np.arange(len(force)), there, force[there])
     smooth = signal.butter(settings.order, min(settings.position_hz, 0.4 * rate), fs=rate, output="sos")
     low_pass = signal.butter(settings.order, min(settings.force_hz, 0.4 * rate), fs=rate, output="sos")
+    force = (1.0 - hold) * force + hold * np.concatenate([force[:1], force[:-1]])
     position = signal.sosfiltfilt(smooth, position)
     speed = np.gradient(position, 1.0 / rate)
     acceleration = np.gradient(speed, 1.0 / rate)
     filtered = signal.sosfiltfilt(low_pass, force)
     inertia = float(axis.inertia or 0.0)
     if rows is not None:
-        return ForceInputs(rows, speed, acceleration, filtered[rows], low_pass, inertia)
+        return ForceInputs(rows, speed, acceleration, filtered[rows], low_pass, inertia, hold)
     still = settings.still * float(np.percentile(np.abs(speed), 95))
     stride = max(1, int(rate / (2.5 * settings.force_hz)))
     edge = 5 * stride
@@ -101,4 +112,23 @@ def force_inputs(
     rows = rows[~slow[rows] & measured]
     if len(rows) < 30:
         raise ExcitationError(f"{recording.name}: {axis.name}", "the axis hardly moves", "motion in both directions")
-    return ForceInputs(rows, speed, acceleration, filtered[rows], low_pass, inertia)
+    return ForceInputs(rows, speed, acceleration, filtered[rows], low_pass, inertia, hold)
+
+
+def hold_of(recordings: Sequence[Recording], axis: Axis) -> float:
+    """Half a sample where the force was held over each step, none where it was sampled with the motion.
+
+    A log does not say which; half a sample passes for viscous friction. Taken is what leaves less of the force unexplained by
+    acceleration, speed in each direction, its sign and a constant (no effect is named from this fit).
+    """
+    left = []
+    for hold in (0.0, 0.5):
+        total = 0.0
+        for recording in recordings:
+            inputs = force_inputs(recording, axis, hold=hold)
+            v = inputs.speed
+            terms = np.column_stack([inputs.acceleration, np.maximum(v, 0.0), np.minimum(v, 0.0), np.sign(v), np.ones_like(v)])
+            terms = signal.sosfiltfilt(inputs.low_pass, terms, axis=0)[inputs.rows]
+            total += float(np.sum((inputs.force - terms @ np.linalg.lstsq(terms, inputs.force, rcond=None)[0]) ** 2))
+        left.append(total)
+    return 0.0 if left[0] <= left[1] else 0.5
