@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from typing import Literal
+
 import click
 
 from sysid.cli.output import Printer, json_option, progress_bar, write_json
 from sysid.cli.tables import show_gap, show_localised, show_repair
+
+Forms = Literal["all", "simple"]  # as sysid.gap.workflow has it; importing that would load the compiler
 
 
 @click.command()
@@ -13,9 +17,17 @@ from sysid.cli.tables import show_gap, show_localised, show_repair
 @click.option("--plant", default=None, metavar="PLANT[@VERSION]", help="The simulation to question; else the nominal one.")
 @click.option("--localise", is_flag=True, help="Only say where they disagree.")
 @click.option("--add", is_flag=True, help="Store the repaired simulation as a new plant version.")
+@click.option(
+    "--forms",
+    type=click.Choice(["all", "simple"]),
+    default="all",
+    help="simple: every effect in its simplest form only (one friction for both directions).",
+)
 @json_option
 @click.pass_obj
-def gap(workspace: str, reference: str, plant: str | None, localise: bool, add: bool, json_file: str | None) -> None:
+def gap(
+    workspace: str, reference: str, plant: str | None, localise: bool, add: bool, forms: Forms, json_file: str | None
+) -> None:
     """Name the effects that the simulation lacks, and prove it on recordings that no fit has seen."""
     from sysid.gap import find_gap
     from sysid.workspace import open_workspace
@@ -28,7 +40,9 @@ def gap(workspace: str, reference: str, plant: str | None, localise: bool, add: 
         if axis.drives == "cylinder" and axis.name not in questioned.linkages and f"{axis.name}.joint" in dataset.units:
             out.line(f"{axis.name}: no linkage, so its joint is not simulated; sysid fit actuator {dataset.name} makes one.")
     with progress_bar("gap") as progress:
-        result = find_gap(dataset, questioned, registry=place.models, add=add, localise_only=localise, progress=progress)
+        result = find_gap(
+            dataset, questioned, registry=place.models, add=add, localise_only=localise, forms=forms, progress=progress
+        )
     if localise:
         show_localised(out, result, dataset)
     else:

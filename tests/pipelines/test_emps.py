@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-VISCOUS, COULOMB = 203.50, 20.394
+VISCOUS, COULOMB, BIAS = 203.50, 20.394, -3.165
 
 
 @pytest.fixture(scope="module")
@@ -30,6 +30,7 @@ def test_one_value_an_effect(result: dict[str, Any], start: str) -> None:
     run = result["runs"][f"{start}, simple forms"]
     found = effects(run)
     assert found["coulomb_friction"]["force"] == pytest.approx(COULOMB, rel=0.1)
+    assert found["load_bias"]["force"] == pytest.approx(BIAS, rel=0.1)
     if start == "rigid":
         assert found["viscous_friction"]["coefficient"] == pytest.approx(VISCOUS, rel=0.1)
     assert run["error"]["after"]["pulses"] < 0.25 * run["error"]["before"]["pulses"]
