@@ -14,7 +14,7 @@ from sysid.gap.candidates import Candidate, candidates_at
 from sysid.gap.excitation import excitation_of
 from sysid.gap.floor import problem_floor
 from sysid.gap.noise import noise_levels
-from sysid.gap.problem import ForceProblem, Problem, Split, TipProblem, pose_split, problems_of, split_of
+from sysid.gap.problem import Problem, Split, pose_split, problems_of, split_of
 from sysid.gap.result import Excitation
 from sysid.gap.search import Finding
 from sysid.plant import Plant, compile_plant
@@ -73,7 +73,7 @@ def open_case(dataset: Dataset, plant: Plant, seed: int) -> tuple[Case, list[Sta
 
 def _stage(case: Case, problem: Problem) -> Stage:
     split = case.split
-    if isinstance(problem, TipProblem):  # static poses show kinematics best
+    if problem.poses:  # static poses show kinematics best
         poses = pose_split(case.dataset)
         split = Split((*split.fit, *poses.fit), (*split.select, *poses.select), (*split.held_out, *poses.held_out))
     sigma = problem_floor(problem, case.theta, split.fit, case.noise, case.seed)
@@ -83,7 +83,7 @@ def _stage(case: Case, problem: Problem) -> Stage:
 def stage_candidates(case: Case, stage: Stage) -> list[Candidate]:
     """Every effect that may be missing at the stage, whether the recordings show it or not."""
     force = 1.0
-    if isinstance(stage.problem, ForceProblem):
+    if stage.problem.stage == "force":
         force = float(np.median(np.abs(np.concatenate([stage.problem.measured(r)[:, 0] for r in stage.split.fit]))))
     return candidates_at(case.plant, case.theta, stage.problem.stage, stage.problem.targets, force)
 

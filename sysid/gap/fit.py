@@ -16,14 +16,12 @@ from scipy.optimize import least_squares
 from sysid.datasets.recording import Recording
 from sysid.gap.candidates import Candidate, Unknown
 from sysid.gap.drift import Drift, estimate_drift, to_bins, whiten_lanes
-from sysid.gap.problem import DriveProblem, Problem
+from sysid.gap.problem import Problem
 
 Array = npt.NDArray[np.float64]
 
 #: Residuals are winsorised softly beyond this many robust standard deviations.
 FORGIVE = 4.0
-#: Short runs from which a drive fit takes its starting values [s].
-SHORT_RUN = 5.0
 #: What is left of a wandering 0.1 s later at a stage that does not integrate: it forgets within about a second.
 FORGETS = 0.9
 #: Half widths of the grids on which stepwise parameters are searched, in their unit.
@@ -104,7 +102,7 @@ class Data:
     def drifts(self, theta: Array) -> tuple[tuple[Drift, ...], float]:
         """Drift of every signal under one parameter vector, and the log-likelihood."""
         bins = self.bins(theta[None])
-        memory = 1.0 if isinstance(self.problem, DriveProblem) else FORGETS
+        memory = 1.0 if self.problem.integrates else FORGETS
         found, total = [], 0.0
         for k in range(len(self.sigma)):
             drift, log_likelihood = estimate_drift([part[0, :, k] for part in bins], self.activities, memory)
@@ -119,7 +117,7 @@ def activity_of(problem: Problem, recording: Recording) -> Array:
     Flow disturbances grow with flow, so a drive drifts while it moves and hardly at rest.
     """
     measured = to_bins(problem.measured(recording), problem.rate(recording))
-    if not isinstance(problem, DriveProblem) or len(measured) < 3:
+    if not problem.integrates or len(measured) < 3:
         return np.ones(len(measured))
     rows = np.arange(len(measured))
     there = ~np.isnan(measured[:, 0])
@@ -166,9 +164,7 @@ def _promising(data: Data, theta: Array, unknowns: Sequence[Unknown], starts: li
     unique: Array = np.unique(np.round(np.array(starts), 12), axis=0)
     if len(unique) <= DESCENTS:
         return list(unique)
-    problem: Problem = data.problem
-    if isinstance(problem, DriveProblem):
-        problem = problem.in_short_runs(SHORT_RUN)
+    problem = data.problem.short or data.problem
     plain = (Drift(),) * len(data.sigma)
     costs = np.mean(np.abs(data.whitened(place(theta, unknowns, unique), plain, problem)), axis=1)
     return [unique[k] for k in np.argsort(costs)[:DESCENTS]]
@@ -187,8 +183,8 @@ def _descend(
     plain = (Drift(),) * len(data.sigma)
     x = start
     done = False
-    if isinstance(data.problem, DriveProblem):  # a drift cannot trap a fit in short runs
-        x, _ = _least_squares(data, theta, unknowns, x, low, high, scale, plain, data.problem.in_short_runs(SHORT_RUN))
+    if data.problem.short is not None:  # a drift cannot trap a fit in short runs
+        x, _ = _least_squares(data, theta, unknowns, x, low, high, scale, plain, data.problem.short)
     x, done = _least_squares(data, theta, unknowns, x, low, high, scale, plain, data.problem)
     if any(u.stepwise for u in unknowns):
         for reach in GRID:
@@ -197,7 +193,7 @@ def _descend(
     drifts, log_likelihood = data.drifts(place(theta, unknowns, x[None])[0])
     for _ in range(2):
         # Where nothing integrates, plain least squares is not misled by wandering, and is what published figures are.
-        if not isinstance(data.problem, DriveProblem) or not any(drift.present for drift in drifts):
+        if not data.problem.integrates or not any(drift.present for drift in drifts):
             break
         moved, ended = _least_squares(data, theta, unknowns, x, low, high, scale, drifts, data.problem)
         renewed, better = data.drifts(place(theta, unknowns, moved[None])[0])

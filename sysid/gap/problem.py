@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -19,212 +18,134 @@ from sysid.plant.model import measured_joints, measured_point
 from sysid.signals import axis_signal, point_signals
 
 Array = npt.NDArray[np.float64]
+Rows = npt.NDArray[np.int64]
+
+#: Length of the short runs from which a drive fit takes its starting values [s].
+SHORT_RUN = 5.0
 
 
-class Problem(Protocol):
+@dataclass(frozen=True)
+class Problem:
     """A stage driven by its measured input.
 
-    Attributes:
+    Args:
         stage, target: where it sits; ``targets`` are the effect targets that belong to it.
-        signals: names of the outputs, in the order of the last dimension of ``predict``.
-        nuisances: effects whose parameters are free in every fit, since they would otherwise be absorbed by others.
+        signals: names of the d outputs.
+        predict: (lanes, N) parameters and a recording → (lanes, n, d).
+        measured: recording → (n, d), NaN where missing.
+        rows: recording → its row of each of the n measured ones.
+        nuisances: effects whose parameters are free in every fit, since others would absorb them otherwise.
+        integrates: the output is an integral of the input, so that every disturbance stays in it.
+        short: the same problem restarted from the measurement every few seconds, where a drift could trap a fit.
+        poses: static poses show it too, each a measurement of its own.
     """
 
-    @property
-    def stage(self) -> Stage: ...
-
-    @property
-    def target(self) -> str: ...
-
-    @property
-    def targets(self) -> tuple[str, ...]: ...
-
-    @property
-    def signals(self) -> tuple[str, ...]: ...
-
-    @property
-    def nuisances(self) -> tuple[str, ...]: ...
-
-    def predict(self, thetas: Array, recording: Recording) -> Array:
-        """(lanes, N) → (lanes, n, len(signals))."""
-        ...
-
-    def measured(self, recording: Recording) -> Array:
-        """(n, len(signals)), NaN where missing."""
-        ...
+    stage: Stage
+    target: str
+    targets: tuple[str, ...]
+    signals: tuple[str, ...]
+    predict: Callable[[Array, Recording], Array]
+    measured: Callable[[Recording], Array]
+    rows: Callable[[Recording], Rows]
+    nuisances: tuple[str, ...] = ()
+    integrates: bool = False
+    short: Problem | None = None
+    poses: bool = False
 
     def rate(self, recording: Recording) -> float:
-        """Rows of :meth:`measured` a second."""
-        ...
+        """Measured rows a second; static poses are independent, so that each gets a bin of its own."""
+        if recording.kind == "poses":
+            return 1.0 / BIN
+        rows = self.rows(recording)
+        return recording.rate_hz / float(np.median(np.diff(rows))) if len(rows) > 1 else recording.rate_hz
 
-    def rows(self, recording: Recording) -> npt.NDArray[np.int64]:
-        """The recording's row of each row of :meth:`measured`."""
-        ...
 
-
-@dataclass(frozen=True)
-class DriveProblem:
+def drive_problem(model: Model, axis: Axis, restart_every: float | None = None) -> Problem:
     """Command → what it drives, free-running over whole recordings."""
 
-    model: Model
-    axis: Axis
-    stage: Stage = "command"
-    nuisances: tuple[str, ...] = ("gain_error",)
-    restart_every: float | None = None
+    def predict(thetas: Array, recording: Recording) -> Array:
+        return model.drive(thetas, recording, axis.name, restart_every)[1][:, :, None]
 
-    @property
-    def target(self) -> str:
-        return self.axis.name
-
-    @property
-    def targets(self) -> tuple[str, ...]:
-        return (self.axis.name,)
-
-    @property
-    def signals(self) -> tuple[str, ...]:
-        return (self.axis.driven,)
-
-    def predict(self, thetas: Array, recording: Recording) -> Array:
-        return self.model.drive(thetas, recording, self.axis.name, self.restart_every)[1][:, :, None]
-
-    def measured(self, recording: Recording) -> Array:
-        return recording.values(self.axis.driven)[:, None]
-
-    def rate(self, recording: Recording) -> float:
-        return recording.rate_hz
-
-    def rows(self, recording: Recording) -> npt.NDArray[np.int64]:
-        return np.arange(len(recording))
-
-    def in_short_runs(self, seconds: float) -> DriveProblem:
-        """The same problem restarted from the measurement every few seconds: a drift cannot trap a fit there."""
-        return replace(self, restart_every=seconds)
+    return Problem(
+        "command",
+        axis.name,
+        (axis.name,),
+        (axis.driven,),
+        predict,
+        lambda recording: recording.values(axis.driven)[:, None],
+        _every_row,
+        nuisances=("gain_error", "input_delay") if axis.actuation == "velocity" else ("input_delay",),
+        integrates=True,
+        short=drive_problem(model, axis, SHORT_RUN) if restart_every is None else None,
+    )
 
 
-@dataclass(frozen=True)
-class ForceProblem:
-    """Measured motion → force, on a force axis; ``inputs`` are the filtered recordings by name."""
+def force_problem(model: Model, axis: Axis, recordings: Sequence[Recording], hold: float) -> Problem:
+    """Measured motion → force on a force axis, on the filtered rows of each of ``recordings``."""
+    known = {r.name: (r, force_inputs(r, axis, hold=hold)) for r in recordings}
 
-    model: Model
-    axis: Axis
-    inputs: dict[str, tuple[Recording, ForceInputs]]
-    stage: Stage = "force"
-    nuisances: tuple[str, ...] = ()
+    def inputs_of(recording: Recording) -> ForceInputs:
+        """A changed copy of a known recording (with noise added) is filtered afresh on the same rows."""
+        original, inputs = known[recording.name]
+        return inputs if recording is original else force_inputs(recording, axis, rows=inputs.rows, hold=hold)
 
-    @property
-    def target(self) -> str:
-        return self.axis.name
-
-    @property
-    def targets(self) -> tuple[str, ...]:
-        return (self.axis.name,)
-
-    @property
-    def signals(self) -> tuple[str, ...]:
-        return (axis_signal(self.axis.name, "command"),)
-
-    def predict(self, thetas: Array, recording: Recording) -> Array:
-        return self._inputs(recording).model_force(self.model, thetas, self.axis.name)[:, :, None]
-
-    def measured(self, recording: Recording) -> Array:
-        return self._inputs(recording).force[:, None]
-
-    def rate(self, recording: Recording) -> float:
-        return recording.rate_hz / float(np.median(np.diff(self.rows(recording))))
-
-    def rows(self, recording: Recording) -> npt.NDArray[np.int64]:
-        return self.inputs[recording.name][1].rows
-
-    def _inputs(self, recording: Recording) -> ForceInputs:
-        """The filtered recording; a changed copy of a known one (with noise added) is filtered afresh on the same rows."""
-        original, inputs = self.inputs[recording.name]
-        return inputs if recording is original else force_inputs(recording, self.axis, rows=inputs.rows, hold=inputs.hold)
+    return Problem(
+        "force",
+        axis.name,
+        (axis.name,),
+        (axis_signal(axis.name, "command"),),
+        lambda thetas, recording: inputs_of(recording).model_force(model, thetas, axis.name)[:, :, None],
+        lambda recording: inputs_of(recording).force[:, None],
+        lambda recording: known[recording.name][1].rows,
+    )
 
 
-@dataclass(frozen=True)
-class JointProblem:
+def joint_problem(model: Model, axis: Axis) -> Problem:
     """Cylinder → joint through the linkage."""
+    cylinder, joint = axis_signal(axis.name, "cylinder"), axis_signal(axis.name, "joint")
 
-    model: Model
-    axis: Axis
-    stage: Stage = "joint"
-    nuisances: tuple[str, ...] = ()
+    def predict(thetas: Array, recording: Recording) -> Array:
+        source, begin = recording.values(cylinder), recording.values(joint)
+        return model.joint(thetas, source, begin, axis.name, recording.rate_hz)[:, :, None]
 
-    @property
-    def target(self) -> str:
-        return self.axis.name
-
-    @property
-    def targets(self) -> tuple[str, ...]:
-        return (self.axis.name,)
-
-    @property
-    def signals(self) -> tuple[str, ...]:
-        return (axis_signal(self.axis.name, "joint"),)
-
-    def predict(self, thetas: Array, recording: Recording) -> Array:
-        cylinder = recording.values(axis_signal(self.axis.name, "cylinder"))
-        return self.model.joint(thetas, cylinder, self.measured(recording)[:, 0], self.axis.name, recording.rate_hz)[:, :, None]
-
-    def measured(self, recording: Recording) -> Array:
-        return recording.values(axis_signal(self.axis.name, "joint"))[:, None]
-
-    def rate(self, recording: Recording) -> float:
-        return recording.rate_hz
-
-    def rows(self, recording: Recording) -> npt.NDArray[np.int64]:
-        return np.arange(len(recording))
+    return Problem(
+        "joint", axis.name, (axis.name,), (joint,), predict, lambda recording: recording.values(joint)[:, None], _every_row
+    )
 
 
-@dataclass(frozen=True)
-class TipProblem:
+def tip_problem(model: Model) -> Problem:
     """Joints → end effector through the kinematics."""
-
-    model: Model
-    stage: Stage = "end_effector"
-    target: str = "ee"
-    signals: tuple[str, ...] = point_signals("ee")
-    nuisances: tuple[str, ...] = ()
-
-    @property
-    def targets(self) -> tuple[str, ...]:
-        return (*self.model.machine.axis_names, "base")
-
-    def predict(self, thetas: Array, recording: Recording) -> Array:
-        return self.model.tip(thetas, measured_joints(recording, self.model.machine))
-
-    def measured(self, recording: Recording) -> Array:
-        return measured_point(recording, "ee")
-
-    def rate(self, recording: Recording) -> float:
-        return recording.rate_hz if recording.kind == "motion" else 1.0 / BIN  # poses are independent: one bin each
-
-    def rows(self, recording: Recording) -> npt.NDArray[np.int64]:
-        return np.arange(len(recording))
+    return Problem(
+        "end_effector",
+        "ee",
+        (*model.machine.axis_names, "base"),
+        point_signals("ee"),
+        lambda thetas, recording: model.tip(thetas, measured_joints(recording, model.machine)),
+        lambda recording: measured_point(recording, "ee"),
+        _every_row,
+        poses=True,
+    )
 
 
-@dataclass(frozen=True)
-class ToolProblem:
+def tool_problem(model: Model) -> Problem:
     """End effector → hanging tool."""
 
-    model: Model
-    stage: Stage = "tool"
-    target: str = "tool"
-    targets: tuple[str, ...] = ("tool",)
-    signals: tuple[str, ...] = point_signals("tool")
-    nuisances: tuple[str, ...] = ()
+    def predict(thetas: Array, recording: Recording) -> Array:
+        return model.tool(thetas, measured_point(recording, "ee"), measured_point(recording, "tool"), recording.rate_hz)
 
-    def predict(self, thetas: Array, recording: Recording) -> Array:
-        return self.model.tool(thetas, measured_point(recording, "ee"), self.measured(recording), recording.rate_hz)
+    return Problem(
+        "tool",
+        "tool",
+        ("tool",),
+        point_signals("tool"),
+        predict,
+        lambda recording: measured_point(recording, "tool"),
+        _every_row,
+    )
 
-    def measured(self, recording: Recording) -> Array:
-        return measured_point(recording, "tool")
 
-    def rate(self, recording: Recording) -> float:
-        return recording.rate_hz
-
-    def rows(self, recording: Recording) -> npt.NDArray[np.int64]:
-        return np.arange(len(recording))
+def _every_row(recording: Recording) -> Rows:
+    return np.arange(len(recording))
 
 
 @dataclass(frozen=True)
@@ -272,24 +193,18 @@ def problems_of(model: Model, dataset: Dataset) -> list[Problem]:
         if not _measured(motion, axis_signal(axis.name, "command"), axis.driven):
             continue
         if axis.actuation == "force":
-            hold = hold_of(split.seen, axis)
-            inputs = {r.name: (r, force_inputs(r, axis, hold=hold)) for r in motion}
-            problems.append(ForceProblem(model, axis, inputs))
+            problems.append(force_problem(model, axis, motion, hold_of(split.seen, axis)))
         else:
-            nuisances = ("gain_error", "input_delay") if axis.actuation == "velocity" else ("input_delay",)
-            problems.append(DriveProblem(model, axis, nuisances=nuisances))
+            problems.append(drive_problem(model, axis))
     for axis in model.machine.axes:
-        if (
-            axis.drives == "cylinder"
-            and axis.name in model.tables
-            and _measured(motion, axis.driven, axis_signal(axis.name, "joint"))
-        ):
-            problems.append(JointProblem(model, axis))
+        joint = axis_signal(axis.name, "joint")
+        if axis.drives == "cylinder" and axis.name in model.tables and _measured(motion, axis.driven, joint):
+            problems.append(joint_problem(model, axis))
     joints = [axis_signal(name, "joint") for name in model.machine.axis_names]
     if model.chain is not None and _measured((*motion, *dataset.of_kind("poses")), *joints, *point_signals("ee")):
-        problems.append(TipProblem(model))
+        problems.append(tip_problem(model))
     if model.machine.tool is not None and _measured(motion, *point_signals("ee"), *point_signals("tool")):
-        problems.append(ToolProblem(model))
+        problems.append(tool_problem(model))
     return problems
 
 

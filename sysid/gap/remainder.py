@@ -10,7 +10,7 @@ import numpy.typing as npt
 from sysid.datasets.recording import Recording
 from sysid.gap.drift import to_bins
 from sysid.gap.fit import Fit
-from sysid.gap.problem import DriveProblem, Problem
+from sysid.gap.problem import Problem
 from sysid.gap.result import Unnamed
 from sysid.machine import Machine
 from sysid.signals import axis_signal
@@ -41,7 +41,7 @@ def describe_remainder(problem: Problem, fit: Fit, recordings: Sequence[Recordin
             r = (problem.measured(recording) - problem.predict(fit.theta[None], recording)[0])[:, k : k + 1]
             total.append(r[:, 0])
             series = to_bins(r, rate_hz, BIN)[:, 0]
-            rate = isinstance(problem, DriveProblem)
+            rate = problem.integrates
             targets.append(np.diff(series) / BIN if rate else series[1:])
             for name, values in _probes(recording, machine).items():
                 at_rows = values[problem.rows(recording), None]
@@ -51,10 +51,10 @@ def describe_remainder(problem: Problem, fit: Fit, recordings: Sequence[Recordin
         name, correlation, slope = _best(np.concatenate(targets), {n: np.concatenate(p) for n, p in probes.items()})
         joined = np.concatenate(total)
         rmse = float(np.sqrt(np.nanmean(joined**2)))
-        what = "rate of the residual" if isinstance(problem, DriveProblem) else "residual"
+        what = "rate of the residual" if problem.integrates else "residual"
         if abs(correlation) < LEAST:
             name, form = "nothing that was measured", f"{what}: no linear dependence above |ρ| = {LEAST} on any probe"
-            if isinstance(problem, DriveProblem):
+            if problem.integrates:
                 share = _share_of_speed(np.concatenate(targets), np.concatenate(probes[f"speed of {problem.target}"]))
                 form += f"; it looks like a random disturbance of about {100.0 * share:.1f} % of the speed"
         else:

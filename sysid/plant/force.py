@@ -53,7 +53,6 @@ class ForceInputs:
     force: Array
     low_pass: Array
     inertia: float
-    hold: float
 
     def model_force(self, model: Model, thetas: Array, axis: str) -> Array:
         """Force that the model needs for the measured motion, (lanes, m)."""
@@ -100,7 +99,7 @@ def force_inputs(
     filtered = signal.sosfiltfilt(low_pass, force)
     inertia = float(axis.inertia or 0.0)
     if rows is not None:
-        return ForceInputs(rows, speed, acceleration, filtered[rows], low_pass, inertia, hold)
+        return ForceInputs(rows, speed, acceleration, filtered[rows], low_pass, inertia)
     still = settings.still * float(np.percentile(np.abs(speed), 95))
     stride = max(1, int(rate / (2.5 * settings.force_hz)))
     edge = 5 * stride
@@ -112,7 +111,7 @@ def force_inputs(
     rows = rows[~slow[rows] & measured]
     if len(rows) < 30:
         raise ExcitationError(f"{recording.name}: {axis.name}", "the axis hardly moves", "motion in both directions")
-    return ForceInputs(rows, speed, acceleration, filtered[rows], low_pass, inertia, hold)
+    return ForceInputs(rows, speed, acceleration, filtered[rows], low_pass, inertia)
 
 
 def hold_of(recordings: Sequence[Recording], axis: Axis) -> float:

@@ -14,7 +14,7 @@ from sysid.gap.candidates import candidates_at
 from sysid.gap.fit import Data, fit_candidates
 from sysid.gap.floor import problem_floor
 from sysid.gap.noise import noise_levels
-from sysid.gap.problem import ForceProblem, Problem, problems_of, split_of
+from sysid.gap.problem import Problem, problems_of, split_of
 from sysid.gap.search import starting_values
 from sysid.machine import KnownEffect
 from sysid.plant import Plant, compile_plant
@@ -41,7 +41,7 @@ def fitted(truth: KnownEffect, plant: Plant, dataset: Dataset) -> KnownEffect:
 
 
 def typical_force(problem: Problem, recordings: tuple) -> float:  # type: ignore[type-arg]
-    if not isinstance(problem, ForceProblem):
+    if problem.stage != "force":
         return 1.0
     return float(np.median(np.abs(np.concatenate([problem.measured(r)[:, 0] for r in recordings]))))
 
