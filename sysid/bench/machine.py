@@ -239,7 +239,10 @@ def _loop(
                 moving = False
                 for i in range(n):
                     if there[i] == 0.0:
-                        command = approach_command(position[i], targets[pose, i], drives[i].low, drives[i].high, valves[i].gain)
+                        overlap = max(valves[i].positive, valves[i].negative)
+                        command = approach_command(
+                            position[i], targets[pose, i], drives[i].low, drives[i].high, valves[i].gain, overlap
+                        )
                         commands[i, now] = command
                         if command == 0.0:
                             there[i] = 1.0

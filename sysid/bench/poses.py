@@ -14,8 +14,9 @@ Array = npt.NDArray[np.float64]
 #: Columns of the routine's state: pose being taken, 0 = driving or the moment of arrival [s].
 POSE, ARRIVED = range(2)
 
-#: Smallest lever that surely overcomes the overlap of every valve, share of speed per remaining distance [1/s].
+#: Smallest lever, and by how much it exceeds a wider overlap; share of speed per remaining distance [1/s].
 KICK = 0.26
+BEYOND_OVERLAP = 0.06
 APPROACH = 2.5
 #: An axis has arrived within this share of its range; the pose need not be exact, only still.
 TOLERANCE = 0.004
@@ -35,10 +36,10 @@ def draw_targets(recipe: Recipe, count: int, rng: np.random.Generator) -> Array:
 
 
 @compiled
-def approach_command(position: float, target: float, low: float, high: float, speed: float) -> float:
-    """Lever that brings a drive to ``target`` and is zero once it is there."""
+def approach_command(position: float, target: float, low: float, high: float, speed: float, overlap: float) -> float:
+    """Lever that brings a drive to ``target``, past the ``overlap`` of its valve, and is zero once it is there."""
     error = target - position
     if abs(error) < TOLERANCE * (high - low):
         return 0.0
-    size = min(KICK + APPROACH * abs(error) / speed, 1.0)
+    size = min(max(KICK, overlap + BEYOND_OVERLAP) + APPROACH * abs(error) / speed, 1.0)
     return size if error > 0.0 else -size

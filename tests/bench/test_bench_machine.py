@@ -174,6 +174,13 @@ def test_routine_takes_still_poses_over_the_whole_range(recipe: Recipe) -> None:
         assert distance < 1.95 / math.sqrt(300) + recipe.routine.inset
 
 
+def test_routine_gets_past_a_wide_overlap(recipe: Recipe) -> None:
+    telescope = recipe.axes["telescope"]
+    valve = replace(telescope.valve, deadband_positive=0.4, deadband_negative=0.35)
+    wide = replace(recipe, axes={**recipe.axes, "telescope": replace(telescope, valve=valve)})
+    assert len(simulate(wide, RecordingSettings("poses", seed=7, poses=20)).truth.still) == 20
+
+
 def test_routine_logs_only_still_phases(recipe: Recipe, routine: Run) -> None:
     times = (routine.log.stamps - routine.start_ns) / 1e9
     inside = [(times >= start) & (times <= end) for start, end in routine.truth.still]
