@@ -7,13 +7,16 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from sysid.effects import CATALOGUE, Effect, Form, Parameter
+from sysid.effects import CATALOGUE, Effect, Form
 from sysid.effects.effect import Stage
 from sysid.machine import KnownEffect, Machine
 from sysid.plant import Plant
 from sysid.plant.layout import parameter_indices
 
 Array = npt.NDArray[np.float64]
+
+#: A departure of a force that is not worth a name, as a share of the typical force.
+FORCE_SHARE = 1e-2
 
 
 @dataclass(frozen=True)
@@ -23,16 +26,14 @@ class Unknown:
     Args:
         key: public parameter name, with ``[i]`` for a component of a vector.
         places: indices into ``theta`` that take its value.
-        scale: a change that is just worth noticing; steps and tolerances derive from it.
         nominal: its value in the plant that is being questioned.
-        negligible: a departure from nominal that is not worth a name.
+        negligible: a departure from nominal that is not worth a name; steps and tolerances of fits derive from it.
         stepwise: slopes say nothing about it; a fit searches it on a grid as well.
     """
 
     key: str
     places: tuple[int, ...]
     bounds: tuple[float, float]
-    scale: float
     nominal: float
     negligible: float
     stepwise: bool = False
@@ -86,7 +87,6 @@ def candidates_at(
     stage: Stage,
     targets: tuple[str, ...],
     force_scale: float = 1.0,
-    only: frozenset[str] | None = None,
 ) -> list[Candidate]:
     """All candidates of a stage.
 
@@ -94,12 +94,9 @@ def candidates_at(
         theta: the questioned plant's vector; its values are the nominal ones.
         targets: axes (and ``base`` or ``tool``) that belong to the stage's problem.
         force_scale: typical force [N or N·m], the scale of parameters that are forces.
-        only: names to keep; all without it.
     """
     found = []
     for effect in CATALOGUE:
-        if only is not None and effect.name not in only:
-            continue
         for target in targets:
             if not _fits(effect, target, stage, plant.machine):
                 continue
@@ -118,7 +115,7 @@ def _fits(effect: Effect, target: str, stage: Stage, machine: Machine) -> bool:
         return False
     if effect.target == "axis" and machine.axis(target).actuation not in effect.actuations:
         return False
-    if effect.name == "backlash":
+    if effect.sides:
         return bool(_sides(effect, stage, target, machine))
     return effect.stage == stage
 
@@ -145,17 +142,11 @@ def _candidate(
         for k, group in enumerate(places):
             key = parameter.name if len(places) == 1 else f"{parameter.name}[{k}]"
             nominal = float(theta[group[0]])
-            scale, negligible = _scale(parameter, force_scale)
-            unknowns.append(Unknown(key, tuple(group), parameter.bounds, scale, nominal, negligible, parameter.stepwise))
-            starts.append(tuple(s * (force_scale if scale != parameter.negligible else 1.0) for s in parameter.starts))
+            unit = 1.0 if parameter.negligible > 0.0 else force_scale  # a force has no size before the data are seen
+            negligible = parameter.negligible or FORCE_SHARE * force_scale
+            unknowns.append(Unknown(key, tuple(group), parameter.bounds, nominal, negligible, parameter.stepwise))
+            starts.append(tuple(s * unit for s in parameter.starts))
     count = max(len(s) for s in starts)
     rows = tuple(tuple(s[min(i, len(s) - 1)] for s in starts) for i in range(count))
     known = plant.effect(effect.name, target, side) is not None
     return Candidate(effect, form, target, side, tuple(unknowns), rows, known=known)
-
-
-def _scale(parameter: Parameter, force_scale: float) -> tuple[float, float]:
-    """(scale, negligible); parameters that are forces have neither in the catalogue and take them from the data."""
-    if parameter.negligible > 0.0:
-        return parameter.negligible, parameter.negligible
-    return 1e-2 * force_scale, 1e-2 * force_scale

@@ -179,7 +179,7 @@ def _descend(
     low: Array,
     high: Array,
 ) -> Fit:
-    scale = np.array([u.scale for u in unknowns])
+    scale = np.array([u.negligible for u in unknowns])
     plain = (Drift(),) * len(data.sigma)
     x = start
     done = False
@@ -267,7 +267,7 @@ def jacobian(
     problem: Problem | None = None,
 ) -> tuple[Array, Array]:
     """Whitened residuals (n,) and their derivatives (n, k) at ``x``, all perturbations in one batch."""
-    step = np.array([(0.5 if u.stepwise else 0.05) * u.scale for u in unknowns])
+    step = np.array([(0.5 if u.stepwise else 0.05) * u.negligible for u in unknowns])
     if high is not None:
         step = np.where(x + step > high, -step, step)
     r = data.whitened(place(theta, unknowns, np.vstack([x, x + np.diag(step)])), drifts, problem)

@@ -24,7 +24,7 @@ LEAST = 0.25
 
 
 def describe_remainder(problem: Problem, fit: Fit, recordings: Sequence[Recording], machine: Machine) -> list[Unnamed]:
-    """One entry a signal of the stage: the probe that the residual follows best, and a linear form in it.
+    """The worst signal of the stage: the probe that its residual follows best, and a linear form in it.
 
     The residual of a stage that integrates its command is compared as a rate (its change over a bin), since an error of speed
     shows there at once.
@@ -60,7 +60,7 @@ def describe_remainder(problem: Problem, fit: Fit, recordings: Sequence[Recordin
         else:
             form = f"{what} of {signal} ≈ {slope:.3g} · {name} (ρ = {correlation:.2f})"
         found.append(Unnamed(problem.stage, problem.target, rmse, name, form))
-    return found[:1] if len(found) == 1 else sorted(found, key=lambda u: -u.rmse)[:1]
+    return sorted(found, key=lambda u: -u.rmse)[:1]
 
 
 def _probes(recording: Recording, machine: Machine) -> dict[str, Array]:
