@@ -27,7 +27,7 @@ from sysid.bench.recipe import AxisSettings
 from sysid.bench.rigid_body import Bodies, equations, solve3
 from sysid.bench.seal import seal_step
 from sysid.bench.spool import PLAYS, edges, flow_force, spool_motion, with_friction
-from sysid.bench.valve import Valve
+from sysid.bench.valve import Valve, metered
 
 Array = npt.NDArray[np.float64]
 
@@ -80,7 +80,7 @@ def circuit_of(axis: AxisSettings, supply: SupplySettings) -> Circuit:
     settings = axis.hydraulics
     if axis.drive != "hydraulic" or settings is None:
         return Circuit(*([0.0] * len(Circuit._fields)))
-    positive, negative = _conductances(axis.valve.gain, settings, supply.pressure)
+    positive, negative = _conductances(axis.valve.gain, settings, supply.rated or supply.pressure)
     return Circuit(
         1.0,
         settings.area,
@@ -203,6 +203,7 @@ def advance(
             inlet, outlet = edges(
                 row[SPOOL], valves[i].positive, valves[i].negative, circuit.meter_out_lap, valves[i].saturation
             )
+            inlet, outlet = metered(inlet, valves[i].notch), metered(outlet, valves[i].notch)
             if inlet >= 0.0:
                 k = circuit.conductance_positive
                 # A load check in the valve: oil does not flow back to the pump.
@@ -218,7 +219,7 @@ def advance(
                 drop = line[0] - b
             push = flow_force(inlet, drop, supply.pressure, circuit.flow_force)
             row[SPOOL], row[SPOOL_SPEED] = spool_motion(
-                row[SPOOL], row[SPOOL_SPEED], wish[i], push, circuit.omega, circuit.damping, h
+                row[SPOOL], row[SPOOL_SPEED], wish[i], push, circuit.omega, circuit.damping, valves[i].spool_speed, h
             )
             row[FLOW_A], row[FLOW_B] = into_a, into_b
             across = circuit.leakage / viscosity * (a - b)

@@ -59,11 +59,13 @@ class SupplySettings:
     """The pump of all axes: it holds ``pressure`` [Pa] as long as less than ``flow_limit`` [m³/s] is drawn.
 
     ``volume`` [m³] is that of the pressure line, ``droop`` [Pa] the pressure lost between no flow and the full flow.
+    ``rated`` [Pa] is the pressure at which the valves' gains are stated; None = what the pump holds.
     """
 
     __pydantic_config__ = STRICT
 
     pressure: float = 80e5
+    rated: float | None = None
     flow_limit: float = math.inf
     volume: float = 1e-4
     droop: float = 2e5
@@ -95,6 +97,7 @@ class MassSettings:
     """Masses [kg], their centres along the link [m] and moments of inertia about them [kg·m²].
 
     The telescope's centre is counted from the boom tip (negative = behind it). The gripper hangs below the tip.
+    ``balanced`` is the share of all weights that springs or counterweights carry.
     """
 
     __pydantic_config__ = STRICT
@@ -111,3 +114,4 @@ class MassSettings:
     telescope_inertia: float = 0.0165
     gripper: float = 3.0
     payload: float = 0.0
+    balanced: float = 0.0

@@ -41,6 +41,8 @@ def load_joint_machine(path: Path) -> ServoArm | Slide:
         slide = parse_settings(values, Slide, path)
         if min(slide.mass, slide.stiffness, slide.stribeck, slide.stroke) <= 0.0:
             raise SettingsError(path, "a mass, stiffness, stribeck speed or stroke of zero or less", "more than zero")
+        if slide.bristle < 0.0:
+            raise SettingsError(f"{path}: bristle", f"{slide.bristle}", "zero or more")
         _check_rate(slide.rate, path)
         return slide
     raise SettingsError(f"{path}: kind", repr(kind), "'servo_arm' or 'slide'")

@@ -70,6 +70,7 @@ class Slide:
 
     Args:
         mass [kg], coulomb [N], viscous [N·s/m], static: break-away force [N], 0 = as sliding; stribeck: [m/s].
+        bristle: elastic deflection of the seals before they slide [m]; 0 = none, they hold rigidly.
         offset: constant force against positive motion [N].
         stiffness, damping: of the controller that moves it [N/m, N·s/m].
         stroke: half of its travel [m]; noise, force_noise: of the sensors [m, N].
@@ -86,6 +87,7 @@ class Slide:
     viscous: float = 0.0
     static: float = 0.0
     stribeck: float = 0.01
+    bristle: float = 0.0
     offset: float = 0.0
     stiffness: float = 3e4
     damping: float = 1.5e3

@@ -36,7 +36,7 @@ from sysid.bench.poses import approach_command, draw_targets
 from sysid.bench.programs import strokes_of
 from sysid.bench.recipe import AXES, Recipe, RecordingSettings
 from sysid.bench.rigid_body import Bodies, bodies_of, equations, rod_force
-from sysid.bench.valve import Valve, delayed, drive_speed, flow_fluctuation, opening, spool_step, valve_of
+from sysid.bench.valve import Valve, delayed, drive_speed, flow_fluctuation, metered, opening, piloted_step, valve_of
 
 Array = npt.NDArray[np.float64]
 
@@ -266,8 +266,10 @@ def _loop(
             if circuits[i].enabled != 0.0:
                 continue
             target = opening(command, valve.positive, valve.negative, valve.saturation)
-            spool[i], mean = spool_step(spool[i], target, step, valve.time_constant)
-            speed = drive_speed(mean, valve.gain, valve.ratio, fluctuation[i, min(k, fluctuation.shape[1] - 1)])
+            spool[i], mean = piloted_step(spool[i], target, step, valve.time_constant, valve.spool_speed)
+            speed = drive_speed(
+                metered(mean, valve.notch), valve.gain, valve.ratio, fluctuation[i, min(k, fluctuation.shape[1] - 1)]
+            )
             position[i] = against_stops(position[i] + speed * step, drives[i].low, drives[i].high)
             if powered:
                 there_now = joint_of(position[i], drives[i])

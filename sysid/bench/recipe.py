@@ -31,6 +31,8 @@ class ValveSettings:
         deadband_positive, deadband_negative: overlap of the spool on either side [command], both ≥ 0.
         saturation: opening beyond which the flow no longer rises [command].
         direction_ratio: speed at −1 over speed at +1 (area ratio of a cylinder).
+        notch: share of the full opening over which V-notches meter before the land's whole edge does; 0 = a plain land.
+        spool_speed: fastest that pilot oil or the driver's ramp lets the spool travel [command/s].
         disturbance: standard deviation of a slow relative flow fluctuation [1].
         disturbance_time: its correlation time [s].
     """
@@ -44,6 +46,8 @@ class ValveSettings:
     deadband_negative: float = 0.0
     saturation: float = math.inf
     direction_ratio: float = 1.0
+    notch: float = 0.0
+    spool_speed: float = math.inf
     disturbance: float = 0.0
     disturbance_time: float = 1.0
 
@@ -119,7 +123,11 @@ class BuildSettings:
 
 @dataclass(frozen=True)
 class SensorSettings:
-    """A sensor that reads ``scale``·value + ``bias`` in whole ``quantum`` (SI) where its data sheet says value."""
+    """A sensor that reads ``scale``·value + ``bias`` in whole ``quantum`` (SI) where its data sheet says value.
+
+    A draw wire may be hooked up ``aside`` of the line it measures, ``standoff`` ahead of its drum at zero [m]: it then reads
+    how much longer it gets, ``√((standoff + value)² + aside²) − √(standoff² + aside²)``.
+    """
 
     __pydantic_config__ = STRICT
 
@@ -127,6 +135,8 @@ class SensorSettings:
     bias: float = 0.0
     scale: float = 1.0
     quantum: float = 0.0
+    aside: float = 0.0
+    standoff: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -151,13 +161,17 @@ class WireSettings:
 
 @dataclass(frozen=True)
 class SlewSensorSettings:
-    """An inductive angle sensor: smooth systematic error (bound), white noise, the quantum of its converter [rad]."""
+    """An inductive angle sensor: smooth systematic error (bound), white noise, the quantum of its converter [rad].
+
+    ``mount``: whether it turns with the structure or with the drive, before any play.
+    """
 
     __pydantic_config__ = STRICT
 
     error: float = 0.0
     noise: float = 0.0
     quantum: float = 0.0
+    mount: Literal["structure", "drive"] = "structure"
 
 
 @dataclass(frozen=True)

@@ -36,6 +36,10 @@ def check_recipe(recipe: Recipe, where: object) -> None:
         )
     for name, axis in recipe.axes.items():
         _check_axis(axis, f"{where}: axes.{name}")
+    if not 0.0 <= recipe.masses.balanced <= 1.0:
+        raise SettingsError(f"{where}: masses.balanced", f"{recipe.masses.balanced}", "a share from 0 to 1 of the weights")
+    if recipe.supply.rated is not None and not recipe.supply.rated > 0.0:
+        raise SettingsError(f"{where}: supply.rated", f"{recipe.supply.rated}", "more than zero")
     for name in recipe.build.joint_offset:
         if name not in AXES:
             raise SettingsError(f"{where}: build.joint_offset", f"unknown axis {name!r}", nearest(name, AXES))
@@ -57,9 +61,11 @@ def _check_axis(axis: AxisSettings, where: str) -> None:
     for key in ("delay", "time_constant", "deadband_positive", "deadband_negative", "disturbance"):
         if not getattr(valve, key) >= 0.0:
             raise SettingsError(f"{where}.valve.{key}", f"{getattr(valve, key)}", "zero or more")
-    for key in ("gain", "saturation", "direction_ratio", "disturbance_time"):
+    for key in ("gain", "saturation", "direction_ratio", "disturbance_time", "spool_speed"):
         if not getattr(valve, key) > 0.0:
             raise SettingsError(f"{where}.valve.{key}", f"{getattr(valve, key)}", "more than zero")
+    if not 0.0 <= valve.notch <= 1.0:
+        raise SettingsError(f"{where}.valve.notch", f"{valve.notch}", "a share from 0 to 1 of the full opening")
     if axis.backlash < 0.0:
         raise SettingsError(f"{where}.backlash", f"{axis.backlash}", "zero or more")
     if not axis.stiffness > 0.0:

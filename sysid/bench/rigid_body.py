@@ -41,6 +41,7 @@ class Bodies(NamedTuple):
     swings: float
     boom_length: float
     stick_length: float
+    gravity: float
 
 
 def bodies_of(masses: MassSettings, boom_length: float, stick_length: float, rod: float) -> Bodies:
@@ -59,6 +60,7 @@ def bodies_of(masses: MassSettings, boom_length: float, stick_length: float, rod
         1.0 if rod > 0.0 else 0.0,
         boom_length,
         stick_length,
+        GRAVITY * (1.0 - masses.balanced),
     )
 
 
@@ -109,9 +111,9 @@ def equations(joint: Array, speed: Array, bodies: Bodies, mass: Array, bias: Arr
         bias[0] += mr * r1 * ar + m * z1 * az
         bias[1] += mr * r2 * ar + m * z2 * az
         bias[2] += mr * r3 * ar + m * z3 * az
-        weight[0] += m * GRAVITY * z1
-        weight[1] += m * GRAVITY * z2
-        weight[2] += m * GRAVITY * z3
+        weight[0] += m * bodies.gravity * z1
+        weight[1] += m * bodies.gravity * z2
+        weight[2] += m * bodies.gravity * z3
         around += mr * reach * reach
         rate += 2.0 * mr * reach * (r1 * w1 + r2 * speed[2] + r3 * out)
     outer = bodies.stick_inertia + bodies.telescope_inertia
@@ -165,4 +167,4 @@ def energy(joint: Array, speed: Array, bodies: Bodies) -> tuple[float, float]:
     lifted += bodies.stick * (bodies.boom_length * s1 + bodies.stick_centre * s2)
     lifted += bodies.telescope * (bodies.boom_length * s1 + (far + bodies.telescope_centre) * s2)
     lifted += bodies.hanging * (bodies.boom_length * s1 + far * s2)
-    return 0.5 * moving, GRAVITY * lifted
+    return 0.5 * moving, bodies.gravity * lifted

@@ -85,7 +85,8 @@ def _read_machine(
         ticks = thinned[np.searchsorted(truth.still.ravel(), truth.time[thinned]) % 2 == 1]
     columns = [AXES.index(name) for name in WIRED]
     wires = read_wires(truth.drive[ticks][:, columns], recipe.draw_wire, sensors)
-    slew = read_slew(truth.joint[ticks, 0], recipe.slew_sensor, sensors)
+    turned = truth.drive if recipe.slew_sensor.mount == "drive" else truth.joint
+    slew = read_slew(turned[ticks, 0], recipe.slew_sensor, sensors)
     signals = [f"{name}.{'cylinder' if recipe.axis(name).cylinder is not None else 'joint'}" for name in WIRED]
     wires = np.stack([through(wires[:, k], recipe.sensor(signal)) for k, signal in enumerate(signals)], axis=1)
     stamps = start_ns + np.round(truth.time[ticks] * 1e9).astype(np.int64)

@@ -17,7 +17,11 @@ def converted(values: Array, quantum: float) -> Array:
 
 def through(values: Array, sensor: SensorSettings | None) -> Array:
     """Readings of a sensor that is off, from those of its data sheet."""
-    return values if sensor is None else converted(sensor.scale * values + sensor.bias, sensor.quantum)
+    if sensor is None:
+        return values
+    if sensor.aside != 0.0:
+        values = np.hypot(sensor.standoff + values, sensor.aside) - np.hypot(sensor.standoff, sensor.aside)
+    return converted(sensor.scale * values + sensor.bias, sensor.quantum)
 
 
 def read_wires(lengths: Array, settings: WireSettings, rng: np.random.Generator) -> Array:

@@ -1,5 +1,7 @@
 """A slide pushed by the force of a position controller; its friction dips with speed (Stribeck), and it sticks.
 
+It sticks rigidly, or on elastic bristles (:mod:`sysid.bench.seal`) that give way before they slide.
+
 Source of the procedure: Janot, Gautier, Brunot, Data Set and Reference Models of EMPS (2019).
 """
 
@@ -13,6 +15,7 @@ import numpy.typing as npt
 from sysid.bench.compiled import compiled
 from sysid.bench.excursions import draw_path
 from sysid.bench.joint_recipe import STEP, Slide, Take
+from sysid.bench.seal import seal_step
 
 Array = npt.NDArray[np.float64]
 
@@ -23,7 +26,15 @@ def run_slide(slide: Slide, take: Take) -> tuple[Array, Array, Array]:
     steps = round(take.seconds / STEP)
     path = slide.stroke * draw_path((-1.0, 1.0), steps, STEP, rng)
     force, position = np.empty(steps), np.empty(steps)
-    numbers = (slide.mass, slide.coulomb, max(slide.static, slide.coulomb), slide.stribeck, slide.viscous, slide.offset)
+    numbers = (
+        slide.mass,
+        slide.coulomb,
+        max(slide.static, slide.coulomb),
+        slide.stribeck,
+        slide.viscous,
+        slide.offset,
+        slide.bristle,
+    )
     _slide(path, numbers, slide.stiffness, slide.damping, force, position)
     every = round(1.0 / (STEP * slide.rate))
     return np.arange(0, steps, every, dtype=np.float64) * STEP, force[::every], position[::every]
@@ -32,15 +43,15 @@ def run_slide(slide: Slide, take: Take) -> tuple[Array, Array, Array]:
 @compiled
 def _slide(
     path: Array,
-    numbers: tuple[float, float, float, float, float, float],
+    numbers: tuple[float, float, float, float, float, float, float],
     stiffness: float,
     damping: float,
     force: Array,
     position: Array,
 ) -> None:
     """Closed loop in sub-steps; dry friction is applied as an impulse that may stop the carriage but not turn it round."""
-    mass, coulomb, static, stribeck, viscous, offset = numbers
-    x, v = path[0], 0.0
+    mass, coulomb, static, stribeck, viscous, offset, bristle = numbers
+    x, v, deflection = path[0], 0.0, 0.0
     substeps = 10
     h = STEP / substeps
     for k in range(len(path)):
@@ -49,6 +60,11 @@ def _slide(
         force[k] = u
         position[k] = x
         for _ in range(substeps):
+            if bristle > 0.0 and coulomb > 0.0:
+                deflection, friction = seal_step(deflection, v, coulomb, static, stribeck, viscous, coulomb / bristle, h)
+                v += h / mass * (u - offset - friction)
+                x += h * v
+                continue
             free = v + h / mass * (u - offset - viscous * v)
             grip = h / mass * (coulomb + (static - coulomb) * math.exp(-((v / stribeck) ** 2)))
             v = free - grip if free > grip else free + grip if free < -grip else 0.0

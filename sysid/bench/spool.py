@@ -30,10 +30,14 @@ def with_friction(command: float, plays: Array, widest: float) -> float:
 
 @compiled
 def spool_motion(
-    position: float, speed: float, wish: float, push: float, omega: float, damping: float, step: float
+    position: float, speed: float, wish: float, push: float, omega: float, damping: float, fastest: float, step: float
 ) -> tuple[float, float]:
-    """Position and speed after ``step`` (semi-implicit); ``push`` is the flow force as a displacement [command]."""
+    """Position and speed after ``step`` (semi-implicit); ``push`` is the flow force as a displacement [command].
+
+    The pilot oil lets the spool travel no faster than ``fastest`` [command/s].
+    """
     speed += step * (omega * omega * (wish - push - position) - 2.0 * damping * omega * speed)
+    speed = min(max(speed, -fastest), fastest)
     position += step * speed
     if position > 1.0 or position < -1.0:
         position = min(max(position, -1.0), 1.0)

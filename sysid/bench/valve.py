@@ -1,7 +1,8 @@
 """A proportional valve: from the command to the speed of the drive it feeds.
 
-Order: delay → overlap (dead-band) → saturation → first-order lag of the spool → gain → direction ratio. The spool is
-integrated exactly over a step, so that the step of the simulation leaves no trace in speed or displacement.
+Order: delay → overlap (dead-band) → saturation → first-order lag of the spool, no faster than its pilot → notches → gain →
+direction ratio. The spool is integrated exactly over a step, so that the step of the simulation leaves no trace in speed or
+displacement.
 """
 
 from __future__ import annotations
@@ -28,6 +29,8 @@ class Valve(NamedTuple):
     negative: float
     saturation: float
     ratio: float
+    notch: float
+    spool_speed: float
 
 
 def valve_of(settings: ValveSettings) -> Valve:
@@ -39,6 +42,8 @@ def valve_of(settings: ValveSettings) -> Valve:
         settings.deadband_negative,
         settings.saturation,
         settings.direction_ratio,
+        settings.notch,
+        settings.spool_speed,
     )
 
 
@@ -81,6 +86,42 @@ def spool_step(position: float, target: float, step: float, time_constant: float
     after = target + (position - target) * decay
     mean = target + (position - target) * (1.0 - decay) * time_constant / step
     return after, mean
+
+
+@compiled
+def piloted_step(position: float, target: float, step: float, time_constant: float, fastest: float) -> tuple[float, float]:
+    """:func:`spool_step` of a spool whose pilot stage gives way no faster than ``fastest`` [command/s].
+
+    Far from its target the spool travels at that speed, from ``fastest·time_constant`` on it closes in exponentially.
+    """
+    if fastest == math.inf:
+        return spool_step(position, target, step, time_constant)
+    away = target - position
+    ahead = abs(away) - fastest * max(time_constant, 0.0)
+    if ahead <= 0.0:
+        return spool_step(position, target, step, time_constant)
+    sign = math.copysign(1.0, away)
+    travelling = min(ahead / fastest, step)
+    there = position + sign * fastest * travelling
+    area = 0.5 * (position + there) * travelling
+    left = step - travelling
+    if left <= 0.0:
+        return there, area / step
+    after, mean = spool_step(there, target, left, time_constant)
+    return after, (area + mean * left) / step
+
+
+@compiled
+def metered(opening: float, notch: float) -> float:
+    """Metering area over that of the full opening, of a land with V-notches that reach over the share ``notch`` of it.
+
+    The width of a V grows with its depth, so the area grows with the square; beyond the notches the whole edge opens.
+    """
+    if notch <= 0.0:
+        return opening
+    size = abs(opening)
+    area = 0.5 * size * size / notch if size < notch else size - 0.5 * notch
+    return math.copysign(area / (1.0 - 0.5 * notch), opening)
 
 
 @compiled

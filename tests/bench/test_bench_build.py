@@ -75,6 +75,25 @@ def test_sensors_that_are_off(recipe: Recipe) -> None:
     assert run.log.slew / 0.002 == pytest.approx(np.round(run.log.slew / 0.002), abs=1e-9)
 
 
+def test_wire_that_runs_aside_reads_less(recipe: Recipe) -> None:
+    recording = replace(recipe.recording("manual-04"), seconds=10.0)
+    plain = simulate(quiet(recipe), recording).log.wires[:, 0]
+    oblique = replace(quiet(recipe), sensors=(SensorSettings("boom.cylinder", aside=0.04, standoff=0.16),))
+    seen = simulate(oblique, recording).log.wires[:, 0]
+    start, length = math.hypot(0.16, 0.04), np.sqrt((0.16 + plain) ** 2 + 0.04**2)
+    assert seen == pytest.approx(length - start, abs=1e-12)
+    assert np.ptp(seen) < 0.99 * np.ptp(plain)
+
+
+def test_slew_sensor_on_the_drive_does_not_see_the_play(recipe: Recipe) -> None:
+    recording = replace(recipe.recording("manual-04"), seconds=10.0)
+    on_drive = simulate(replace(quiet(recipe), slew_sensor=SlewSensorSettings(mount="drive")), recording)
+    assert on_drive.log.slew == pytest.approx(on_drive.truth.drive[::10, 0], abs=1e-12)
+    on_structure = simulate(quiet(recipe), recording)
+    lost = np.ptp(on_drive.log.slew - on_structure.log.slew)
+    assert lost == pytest.approx(recipe.axis("slew").backlash, rel=1e-3)
+
+
 @pytest.mark.parametrize("program", PROGRAMS)
 def test_program_stays_inside_the_stops_and_repeats(recipe: Recipe, program: str) -> None:
     recording = RecordingSettings("excite", seed=3, seconds=120.0, program=program)  # type: ignore[arg-type]

@@ -91,7 +91,7 @@ def test_friction_of_the_spool_is_a_rate_independent_loop() -> None:
 def test_spool_is_of_second_order() -> None:
     position, speed, path = 0.0, 0.0, []
     for _ in range(20_000):
-        position, speed = spool_motion(position, speed, 0.5, 0.0, 40.0, 0.3, 1e-4)
+        position, speed = spool_motion(position, speed, 0.5, 0.0, 40.0, 0.3, math.inf, 1e-4)
         path.append(position)
     overshoot = max(path) / 0.5 - 1.0
     assert path[-1] == pytest.approx(0.5, abs=1e-6)
@@ -274,3 +274,43 @@ def test_circuit_that_cannot_be_is_refused(recipe: Recipe, change: dict[str, obj
     wrong = replace(recipe, axes={**recipe.axes, "boom": replace(recipe.axis("boom"), **change)})
     with pytest.raises(SettingsError, match=message):
         check_recipe(wrong, "bench.toml")
+
+
+def boom_speeds(recipe: Recipe) -> tuple[float, float]:
+    """Mean speeds of the boom's cylinder up and down, at half opening."""
+    up = pushed(recipe, StrokeSettings("boom", 0.5, 2.0, 0.5, 0.05))
+    down = pushed(recipe, StrokeSettings("boom", 0.5, 2.0, -0.5, 0.05))
+    return push_speed(up, 1, 1.0, 2.0), -push_speed(down, 1, 1.0, 2.0)
+
+
+def test_weight_that_springs_carry_slows_nothing(recipe: Recipe) -> None:
+    even = at_pose(hydraulic(recipe, "boom", retraction=recipe.axis("boom").valve.gain), boom=0.5)
+    up, down = boom_speeds(even)
+    assert up < 0.9 * down
+    carried = replace(even, masses=replace(even.masses, balanced=1.0))
+    up, down = boom_speeds(carried)
+    assert up == pytest.approx(down, rel=0.02)
+    assert up == pytest.approx(0.5 * recipe.axis("boom").valve.gain, rel=0.05)
+
+
+def test_pump_below_its_rating_is_slower_by_the_root_of_the_pressure(recipe: Recipe) -> None:
+    light = hydraulic(recipe, "boom")
+    light = replace(light, masses=replace(light.masses, balanced=1.0))
+    worn = replace(light, supply=replace(light.supply, pressure=60e5, rated=80e5))
+    assert boom_speeds(worn)[0] / boom_speeds(light)[0] == pytest.approx(math.sqrt(60.0 / 80.0), rel=0.02)
+
+
+def test_pilot_oil_and_notches_act_on_hydraulic_drives_too(recipe: Recipe) -> None:
+    light = hydraulic(recipe, "boom")
+    light = replace(light, masses=replace(light.masses, balanced=1.0))
+
+    def with_valve(**features: float) -> Recipe:
+        boom = light.axes["boom"]
+        return replace(light, axes={**light.axes, "boom": replace(boom, valve=replace(boom.valve, **features))})
+
+    plain = boom_speeds(light)[0]
+    assert boom_speeds(with_valve(notch=1.0))[0] == pytest.approx(0.5 * plain, rel=0.03)
+    slow = pushed(with_valve(spool_speed=0.5), StrokeSettings("boom", 0.5, 2.0, 0.5, 0.05))
+    early = push_speed(slow, 1, 0.5, 1.0)
+    assert early < 0.6 * plain
+    assert push_speed(slow, 1, 1.8, 2.3) == pytest.approx(plain, rel=0.02)

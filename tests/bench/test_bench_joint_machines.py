@@ -74,6 +74,17 @@ def test_slide_obeys_newton_and_sticks() -> None:
     assert np.abs(position).max() < 0.25
 
 
+def test_slide_on_bristles_gives_way_before_it_slides() -> None:
+    """Held by bristles it creeps by their deflection under a force below break-away; rigid friction does not move at all."""
+    soft = replace(SLIDE, bristle=2e-4)
+    rigid, elastic = run_slide(SLIDE, TAKE), run_slide(soft, TAKE)
+    assert not np.array_equal(rigid[2], elastic[2])
+    assert np.abs(rigid[2] - elastic[2]).max() < 2e-3
+    resting = np.abs(np.gradient(rigid[2], 1e-3)) < 1e-9
+    assert np.abs(np.gradient(elastic[2], 1e-3)[resting]).max() > 1e-6
+    assert np.abs(elastic[1]).max() == pytest.approx(np.abs(rigid[1]).max(), rel=0.05)
+
+
 def test_frictionless_slide_follows_its_path_closer() -> None:
     free = replace(SLIDE, coulomb=0.0, static=0.0, viscous=0.0, offset=0.0)
     _, force, _ = run_slide(free, TAKE)

@@ -17,6 +17,10 @@ AUTOLOG = Path(__file__).parents[2] / "datasets" / "autolog"
     [
         ("backlash = 0.0105", "backlsh = 0.0105", r"unknown key 'axes\.slew\.backlsh'; expected 'backlash'\?"),
         ("backlash = 0.0105", "backlash = -0.1", r"axes\.slew\.backlash: -0\.1; expected zero or more"),
+        ("[gripper]", "[masses]\nbalanced = 1.2\n[gripper]", r"masses\.balanced: 1\.2; expected a share from 0 to 1"),
+        ("[gripper]", "[supply]\nrated = 0.0\n[gripper]", r"supply\.rated: 0\.0; expected more than zero"),
+        ("gain = 0.025,", "gain = 0.025, notch = 1.5,", r"axes\.boom\.valve\.notch: 1\.5; expected a share from 0 to 1"),
+        ("gain = 0.025,", "gain = 0.025, spool_speed = 0.0,", r"valve\.spool_speed: 0\.0; expected more than zero"),
         (
             "deadband_positive = 0.17",
             "deadband_positive = -0.17",

@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from sysid.bench.recipe import ValveSettings
-from sysid.bench.valve import delayed, drive_speed, flow_fluctuation, opening, spool_step
+from sysid.bench.valve import delayed, drive_speed, flow_fluctuation, metered, opening, piloted_step, spool_step
 
 commands = st.floats(-1.0, 1.0)
 overlaps = st.floats(0.0, 0.4)
@@ -52,6 +52,34 @@ def test_spool_is_integrated_exactly(start: float, target: float, time_constant:
 
 def test_spool_without_lag_is_at_its_target() -> None:
     assert spool_step(0.3, -0.7, 0.001, 0.0) == (-0.7, -0.7)
+
+
+@given(st.floats(-1.0, 1.0), st.floats(-1.0, 1.0), st.floats(0.0, 0.3), st.floats(0.2, 20.0))
+def test_pilot_bounds_the_spool_and_is_integrated_exactly(start: float, target: float, lag: float, fastest: float) -> None:
+    whole, mean = piloted_step(start, target, 0.01, lag, fastest)
+    position, area = start, 0.0
+    for _ in range(10):
+        before = position
+        position, part = piloted_step(position, target, 0.001, lag, fastest)
+        area += part * 0.001
+        assert abs(position - before) <= fastest * 0.001 + 1e-12
+    assert position == pytest.approx(whole, abs=1e-12)
+    assert area == pytest.approx(mean * 0.01, abs=1e-12)
+    free = spool_step(start, target, 0.01, lag)
+    assert abs(whole - start) <= abs(free[0] - start) + 1e-12
+    assert piloted_step(start, target, 0.01, lag, math.inf) == free
+
+
+@given(st.floats(-1.0, 1.0), st.floats(0.01, 1.0))
+def test_notches_open_with_the_square_and_then_the_whole_edge(spool: float, notch: float) -> None:
+    area = metered(spool, notch)
+    assert metered(-spool, notch) == -area
+    assert abs(area) <= abs(spool) + 1e-12
+    assert metered(1.0, notch) == pytest.approx(1.0)
+    assert metered(0.5 * notch, notch) == pytest.approx(metered(notch, notch) / 4.0)
+    slope = (metered(1.0, notch) - metered(1.0 - 1e-6, notch)) / 1e-6
+    assert slope == pytest.approx(1.0 / (1.0 - 0.5 * notch), rel=1e-4)
+    assert metered(spool, 0.0) == spool
 
 
 def test_direction_ratio_scales_the_negative_side_only() -> None:
