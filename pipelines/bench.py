@@ -1,6 +1,7 @@
 """Side by side with neighbouring tools, on the same logs, alternating: `make bench` writes reports/bench/result.json.
 
-The figures are ratios of times measured in turn on one machine (above 1: ours is faster); absolute times depend on the machine.
+The figures are ratios of times measured in turn on one machine (above 1: ours is better); absolute times depend on the machine.
+Reading of logs and the command line are here, the plant beside PyBullet and MuJoCo in benchmarks/.
 """
 
 from __future__ import annotations
@@ -9,10 +10,8 @@ import importlib.metadata
 import json
 import os
 import platform
-import statistics
 import subprocess
 import sys
-import time
 from collections.abc import Callable
 from datetime import UTC, datetime
 from pathlib import Path
@@ -21,41 +20,24 @@ from typing import Any
 from mcap_ros2.reader import read_ros2_messages
 from rosbags.highlevel import AnyReader
 
+from benchmarks.plant import plant_rows
+from benchmarks.rows import against_limit, in_turns, row, seconds
 from sysid.logs import ReadOptions, reader_for
 
 ROOT = Path(__file__).resolve().parents[1]
 LOGS = sorted((ROOT / "datasets" / "autolog" / "logs").glob("manual-*/machine.mcap"))
 RESULT = ROOT / "reports" / "bench" / "result.json"
-PACKAGES = ("sysid", "mcap-ros2-support", "rosbags", "numpy", "click")
+PACKAGES = ("sysid", "mcap-ros2-support", "rosbags", "numpy", "numba", "pandas", "click", "mujoco-core", "pybullet")
 #: `sysid --help` has to answer within this time [s].
 HELP_LIMIT = 0.5
-
-
-def seconds(work: Callable[[], object]) -> float:
-    begin = time.perf_counter()
-    work()
-    return time.perf_counter() - begin
 
 
 def side_by_side(
     work: str, peer: str, ours: Callable[[], object], theirs: Callable[[], object], repeats: int
 ) -> dict[str, Any]:
-    """One row of the result: the two take turns, after one run of each that does not count."""
-    ours(), theirs()
-    pairs = [(seconds(ours), seconds(theirs)) for _ in range(repeats)]
-    return row(work, peer, [mine for mine, _ in pairs], [other for _, other in pairs])
-
-
-def row(work: str, peer: str, ours: list[float], theirs: list[float]) -> dict[str, Any]:
-    ratios = [other / mine for mine, other in zip(ours, theirs, strict=True)]
-    return {
-        "work": work,
-        "peer": peer,
-        "ratio": {"min": min(ratios), "median": statistics.median(ratios), "max": max(ratios)},
-        "ours": statistics.median(ours),
-        "theirs": statistics.median(theirs),
-        "unit": "s",
-    }
+    """One row of the result: the two take turns."""
+    taken = in_turns({"ours": ours, "theirs": theirs}, repeats)
+    return row(work, peer, taken["ours"], taken["theirs"])
 
 
 def ours_read() -> int:
@@ -110,7 +92,8 @@ def main() -> Path:
     rows = [
         side_by_side("ingest_ros2_mcap", "mcap-ros2-support", ours_read, mcap_ros2_read, 3),
         side_by_side("ingest_ros2_mcap", "rosbags", ours_read, rosbags_read, 3),
-        row("cli_help", f"limit of {HELP_LIMIT} s", helps, [HELP_LIMIT] * len(helps)),
+        against_limit("cli_help", helps, HELP_LIMIT, "s"),
+        *plant_rows(),
     ]
     result = {
         "command": "make bench",
@@ -125,8 +108,8 @@ def main() -> Path:
     RESULT.write_text(json.dumps(result, indent=2) + "\n", "utf-8")
     for entry in rows:
         ratio = entry["ratio"]
-        against = f"{entry['ours']:.3f} s against {entry['theirs']:.3f} s of {entry['peer']}"
-        print(f"{entry['work']:18s} {against}: {ratio['median']:.1f} × ({ratio['min']:.1f} to {ratio['max']:.1f})")
+        against = f"{entry['ours']:.4g} {entry['unit']} against {entry['theirs']:.4g} of {entry['peer']}"
+        print(f"{entry['work']:22s} {against}: {ratio['median']:.2f} × ({ratio['min']:.2f} to {ratio['max']:.2f})")
     print(RESULT.relative_to(ROOT))
     return RESULT
 
