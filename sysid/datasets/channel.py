@@ -59,7 +59,8 @@ def convert(stream: Stream, mapping: SignalMap, signal: str, machine: Machine) -
     """
     where = f"{stream.source}: {signal}"
     if mapping.field not in stream.columns:
-        raise InputError(where, f"no field {mapping.field!r} in {stream.name!r}", nearest(mapping.field, stream.columns))
+        known = stream.fields or stream.columns
+        raise InputError(where, f"no field {mapping.field!r} in {stream.name!r}", nearest(mapping.field, known))
     stated = stream.units.get(mapping.field)
     rescaled = mapping.scale != 1.0 or mapping.span != 1.0
     if stated and mapping.unit and not rescaled and si_factor(stated, where) != si_factor(mapping.unit, where):

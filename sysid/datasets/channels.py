@@ -120,8 +120,13 @@ def _read(path: Path, mapping: StreamMap | None) -> tuple[Stream, ...]:
     reader = reader_named(mapping.reader, path) if mapping.reader is not None else reader_for(path)
     wanted = {signal.topic for signal in mapping.signals.values() if signal.topic is not None}
     wanted |= {*mapping.bodies, *(point.body for point in mapping.points.values())}
+    fields: dict[str, set[str]] = {}
+    for signal in mapping.signals.values():
+        if signal.topic is not None:
+            fields.setdefault(signal.topic, set()).add(signal.field)
     options = ReadOptions(
         streams=frozenset(wanted) if wanted else None,
+        fields={topic: frozenset(own) for topic, own in fields.items()} if fields else None,
         time=mapping.time,
         time_unit=mapping.time_unit,
         length_unit=mapping.length_unit,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
@@ -15,6 +16,8 @@ class ReadOptions:
 
     Args:
         streams: read these streams (topics) alone; None reads all.
+        fields: topic → fields to read of it (bags); None reads all. Memory is that of the fields read.
+        preview: for a look into a bag: all stamps, but values of the first messages of a topic alone.
         time: column or variable that holds the stamps (CSV, Parquet, MATLAB).
         time_unit: unit of that column.
         length_unit: unit of positions where the file does not state one (Motive).
@@ -22,6 +25,8 @@ class ReadOptions:
     """
 
     streams: frozenset[str] | None = None
+    fields: Mapping[str, frozenset[str]] | None = None
+    preview: bool = False
     time: str | None = None
     time_unit: str = "s"
     length_unit: str | None = None

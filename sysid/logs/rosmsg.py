@@ -1,14 +1,14 @@
-"""ROS 2 message definitions as text (``ros2msg``), as they stand in an MCAP schema.
+"""ROS 2 message definitions as text (``ros2msg`` or ``ros2idl``), as they stand in an MCAP schema.
 
 Source: ROS 2 documentation, "About interfaces"; the schema of a message is followed by those it contains, each after a line
-of ``=`` and ``MSG: package/Name``.
+of ``=`` and ``MSG: package/Name``. IDL is translated to that form by the ``rosbags`` library.
 """
 
 from __future__ import annotations
 
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from sysid.errors import InputError
 
@@ -35,6 +35,42 @@ class Definition:
 
     root: str
     types: Mapping[str, tuple[Field, ...]]
+    _sizes: dict[tuple[str, int], int | None] = field(default_factory=dict, compare=False, repr=False)
+
+    def stamp_fields(self) -> frozenset[str]:
+        """The two fields of the stamp that a message of this type carries, in its header or by itself; else none."""
+        for prefix in (("header", "stamp"), ("stamp",), ("timestamp",)):
+            kind: str | None = self.root
+            for name in prefix:
+                kind = next((f.kind for f in self.types.get(kind or "", ()) if f.name == name and f.length is None), None)
+            if kind == "builtin_interfaces/Time":
+                path = ".".join(prefix)
+                return frozenset({f"{path}.sec", f"{path}.nanosec"})
+        return frozenset()
+
+    def fixed_size(self, kind: str, phase: int) -> int | None:
+        """Bytes of a ``kind`` that starts ``phase`` (0 to 7) behind a multiple of eight, None where they are not fixed."""
+        key = (kind, phase)
+        if key not in self._sizes:
+            self._sizes[key] = self._measure(kind, phase)
+        return self._sizes[key]
+
+    def _measure(self, kind: str, phase: int) -> int | None:
+        position = phase
+        for member in self.types[kind]:
+            if member.length == -1 or member.kind in ("string", "wstring"):
+                return None
+            if member.kind in PRIMITIVES:
+                size = int(PRIMITIVES[member.kind][1])
+                count = 1 if member.length is None else member.length
+                position += (-position % size + count * size) if count else 0
+                continue
+            for _ in range(min(1 if member.length is None else member.length, 64)):
+                size_of_member = self.fixed_size(member.kind, position % 8)
+                if size_of_member is None or (member.length or 0) > 64:
+                    return None
+                position += size_of_member
+        return position - phase or None
 
 
 _TIME = (Field("sec", "int32"), Field("nanosec", "uint32"))
@@ -61,10 +97,50 @@ def parse_definition(name: str, text: str, where: object) -> Definition:
         types[current] = tuple(_members(lines, current, where))
     root = _short(name)
     for owner, fields in types.items():
-        for field in fields:
-            if field.kind not in PRIMITIVES and field.kind not in ("string", "wstring") and field.kind not in types:
-                raise InputError(f"{where}: schema {name}", f"type {field.kind!r} of {owner}.{field.name} is not defined")
+        for member in fields:
+            if member.kind not in PRIMITIVES and member.kind not in ("string", "wstring") and member.kind not in types:
+                raise InputError(f"{where}: schema {name}", f"type {member.kind!r} of {owner}.{member.name} is not defined")
+    _check_depth(root, types, (), f"{where}: schema {name}", {})
     return Definition(root, types)
+
+
+def parse_idl(name: str, text: str, where: object) -> Definition:
+    """Parse a schema of message type ``name`` in IDL (``ros2idl``).
+
+    Raises:
+        InputError: the text is no IDL, or does not define the type.
+    """
+    from rosbags.typesys import Stores, TypesysError, get_types_from_idl, get_typestore
+
+    store = get_typestore(Stores.EMPTY)
+    place = f"{where}: schema {name}"
+    try:
+        for part in re.split(r"^={3,}\s*$", text, flags=re.MULTILINE):
+            body = re.sub(r"\A\s*IDL:[^\n]*\n", "", part)
+            if body.strip():
+                store.register(get_types_from_idl(body))
+        message, _ = store.generate_msgdef(name, ros_version=2)
+    except (TypesysError, KeyError, RecursionError, ValueError) as error:
+        raise InputError(place, f"IDL that cannot be read ({error})", "a definition as ROS 2 writes it") from None
+    return parse_definition(name, message, where)
+
+
+#: Messages inside of messages; deeper ones are not signals but traps.
+MAX_DEPTH = 20
+
+
+def _check_depth(
+    kind: str, types: Mapping[str, tuple[Field, ...]], above: tuple[str, ...], where: str, known: dict[str, int]
+) -> int:
+    """Levels of messages below ``kind``; raises where a type contains itself or the levels are too many."""
+    if kind in above or len(above) > MAX_DEPTH:
+        raise InputError(where, f"type {kind!r} contains itself or is too deep", f"at most {MAX_DEPTH} levels of messages")
+    if kind not in known:
+        inner = {member.kind for member in types.get(kind, ()) if member.kind in types}
+        known[kind] = 1 + max((_check_depth(k, types, (*above, kind), where, known) for k in sorted(inner)), default=0)
+    if len(above) + known[kind] > MAX_DEPTH:
+        raise InputError(where, f"type {kind!r} is nested too deep", f"at most {MAX_DEPTH} levels of messages")
+    return known[kind]
 
 
 def _members(lines: list[str], owner: str, where: object) -> list[Field]:
@@ -79,6 +155,8 @@ def _members(lines: list[str], owner: str, where: object) -> list[Field]:
         if match["rest"].startswith("="):
             continue  # a constant takes no room in the message
         array = match["array"]
+        if array is not None and len(array) > 12:
+            raise InputError(f"{where}: schema {owner}", f"line {line[:80]!r}", "an array of fewer than 10 billion elements")
         length = None if array is None else -1 if array == "[]" or "<" in array else int(array[1:-1])
         members.append(Field(match["name"], _resolve(match["kind"], owner), length))
     return members

@@ -21,6 +21,8 @@ class Stream:
         columns: field name → float64 values (n,), NaN where the file has none.
         units: field name → unit as the file states it; a field without an entry has none stated.
         losses: what could not be read, in words for the quality report.
+        fields: every field the file has, where only the wanted ones were read; empty where all were.
+        kind: message type, where the file names one.
     """
 
     name: str
@@ -29,6 +31,8 @@ class Stream:
     columns: Mapping[str, npt.NDArray[np.float64]]
     units: Mapping[str, str] = field(default_factory=dict)
     losses: tuple[str, ...] = ()
+    fields: tuple[str, ...] = ()
+    kind: str = ""
 
     def __len__(self) -> int:
         return len(next(iter(self.stamps.values())))

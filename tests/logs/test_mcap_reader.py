@@ -18,7 +18,8 @@ from mcap_ros2.writer import Writer
 
 from sysid.errors import InputError
 from sysid.logs import ReadOptions, Stream
-from sysid.logs.cdr import ColumnDecoder, learn_layout
+from sysid.logs.cdr import ColumnDecoder
+from sysid.logs.layout import learn_layout
 from sysid.logs.mcap import McapReader
 from sysid.logs.rosmsg import parse_definition
 
@@ -147,10 +148,10 @@ def test_big_endian_and_little_endian_messages_may_mix() -> None:
     definition = parse_definition("p/msg/M", "uint8 a\nfloat64 b\nint32[] c", "test")
     little = b"\x00\x01\x00\x00" + struct.pack("<B7xdIi", 1, 2.5, 1, -3)
     big = b"\x00\x00\x00\x00" + struct.pack(">B7xdIi", 4, -0.5, 1, 9)
-    decoder = ColumnDecoder(definition, "test")
+    decoder = ColumnDecoder(definition)
     buffer = np.frombuffer(little + big, np.uint8)
     decoder.add(buffer, np.array([0, len(little)]), np.array([len(little), len(big)]))
-    columns = decoder.columns()
+    columns = decoder.pieces.columns()
     np.testing.assert_array_equal(columns["b"], [2.5, -0.5])
     np.testing.assert_array_equal(columns["c[0]"], [-3.0, 9.0])
 
@@ -169,7 +170,7 @@ def test_messages_that_do_not_follow_their_schema_are_left_out_and_reported(tmp_
     (stream,) = McapReader().read(path, ReadOptions())
     np.testing.assert_array_equal(stream.stamps["log"], [0, 2])
     np.testing.assert_array_equal(stream.columns["x"], [7.0, 7.0])
-    assert stream.losses == ("log.mcap: /m: 3 messages do not follow their schema",)
+    assert stream.losses == ("log.mcap: /m: 3 messages do not follow their schema (the first: the message ends after 9 bytes)",)
 
 
 def test_a_file_without_chunks_and_index_is_read(tmp_path: Path) -> None:

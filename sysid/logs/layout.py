@@ -1,0 +1,229 @@
+"""Where the numbers of one CDR message lie: its *layout*, learnt by walking the message once.
+
+Where a value lies in a CDR message depends only on the length words (of sequences and strings) before it and on the byte
+order. A layout therefore remembers the bytes that decide on it; every message that has the same bytes there, has it too.
+With wanted fields the walk ends at the last of them: what comes later (images, clouds, texts) is not even looked at.
+
+Source: OMG Common Data Representation (plain XCDR1), DDS-RTPS encapsulation header.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+import numpy.typing as npt
+
+from sysid.logs.rosmsg import PRIMITIVES, Definition
+
+#: Sibling arrays of equal length are addressed by the entries of a string array with one of these names.
+NAME_FIELDS = ("name", "names", "joint_names")
+#: Longer arrays (images, scans, point clouds) are skipped: they are no signals.
+MAX_ELEMENTS = 512
+#: A message with more values than this outside of arrays is not read.
+MAX_STEPS = 1_000_000
+
+Bytes = npt.NDArray[np.uint8]
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Where the numbers of a message lie.
+
+    Args:
+        size: bytes of the message, or of its beginning up to the last wanted field.
+        whole: whether all of the message was walked; then only messages of the same size have this layout.
+        numbers: field path → (NumPy type code with byte order, position).
+        aliases: further path of a number → its path (``position[boom]`` → ``position[2]``).
+        fixed: positions whose bytes decide on the layout, (k,).
+        template: the bytes there, (k,).
+    """
+
+    size: int
+    whole: bool
+    numbers: Mapping[str, tuple[str, int]]
+    aliases: Mapping[str, str]
+    fixed: npt.NDArray[np.intp]
+    template: Bytes
+
+    def records(self, messages: Bytes) -> npt.NDArray[np.void]:
+        """``messages`` (n, size) as records with one named entry a number."""
+        kinds = np.dtype(
+            {
+                "names": list(self.numbers),
+                "formats": [code for code, _ in self.numbers.values()],
+                "offsets": [position for _, position in self.numbers.values()],
+                "itemsize": self.size,
+            }
+        )
+        return np.ascontiguousarray(messages).view(kinds).reshape(len(messages))
+
+
+def learn_layout(data: bytes, definition: Definition, wanted: frozenset[str] | None = None) -> Layout:
+    """Walk one message, to its end or until all ``wanted`` fields are found.
+
+    Raises:
+        IndexError: the message does not follow its schema (too short, an encapsulation other than plain CDR).
+    """
+    if len(data) < 4 or data[0] != 0 or data[1] not in (0, 1):
+        raise IndexError(f"encapsulation {data[:2].hex() or 'missing'} instead of plain CDR")
+    missing = None if wanted is None else set(wanted)
+    walk = _Walk(data, definition, "<" if data[1] == 1 else ">", wanted, missing, fixed=[(0, 2)])
+    walk.message(definition.root, "")
+    positions = np.concatenate([np.arange(start, start + length) for start, length in walk.fixed]).astype(np.intp)
+    template = np.frombuffer(data, np.uint8)[positions]
+    return Layout(walk.position if walk.enough else len(data), not walk.enough, walk.numbers, walk.aliases, positions, template)
+
+
+@dataclass
+class _Walk:
+    data: bytes
+    definition: Definition
+    order: str
+    wanted: frozenset[str] | None
+    missing: set[str] | None
+    position: int = 4
+    steps: int = 0
+    mute: int = 0
+    numbers: dict[str, tuple[str, int]] = field(default_factory=dict)
+    aliases: dict[str, str] = field(default_factory=dict)
+    fixed: list[tuple[int, int]] = field(default_factory=list)
+
+    @property
+    def enough(self) -> bool:
+        return self.missing is not None and not self.missing
+
+    def align(self, size: int) -> None:
+        self.position += -(self.position - 4) % size
+
+    def take(self, size: int) -> int:
+        start = self.position
+        self.position += size
+        if self.position > len(self.data):
+            raise IndexError(f"the message ends after {len(self.data)} bytes")
+        return start
+
+    def length_word(self) -> int:
+        self.align(4)
+        start = self.take(4)
+        self.fixed.append((start, 4))
+        return int.from_bytes(self.data[start : start + 4], "little" if self.order == "<" else "big")
+
+    def text(self, kind: str, keep: bool) -> str:
+        if kind == "wstring":
+            raise IndexError("wide strings are not supported")
+        length = self.length_word()
+        start = self.take(length)
+        if not keep:
+            return ""
+        self.fixed.append((start, length))
+        return self.data[start : start + max(length - 1, 0)].decode("utf-8", errors="replace")
+
+    def found(self, path: str, kind: str, start: int) -> None:
+        if not self.mute:
+            self.numbers[path] = (self.order + kind, start)
+            if self.missing is not None:
+                self.missing.discard(path)
+
+    def message(self, kind: str, prefix: str) -> None:
+        names: list[str] = []
+        arrays: list[tuple[str, int]] = []
+        fields = self.definition.types[kind]
+        if not fields:
+            self.take(1)  # an empty message carries one byte
+        for member in fields:
+            path = prefix + member.name
+            if member.length is None:
+                self.single(member.kind, path)
+            else:
+                count = self.length_word() if member.length < 0 else member.length
+                if member.kind in ("string", "wstring"):
+                    keep = member.name in NAME_FIELDS and count <= MAX_ELEMENTS and not self.mute
+                    texts = self.texts(member.kind, count, keep)
+                    names = texts if keep else names
+                elif member.kind in PRIMITIVES:
+                    self.array(member.kind, path, count)
+                    arrays.append((path, count))
+                else:
+                    self.messages(member.kind, path, count)
+                if names:
+                    arrays = self.name_elements(arrays, names)
+            if self.enough:
+                return
+
+    def name_elements(self, arrays: list[tuple[str, int]], names: list[str]) -> list[tuple[str, int]]:
+        """Give the elements of arrays as long as ``names`` their second path; returns the arrays that are of another length."""
+        left = []
+        for path, count in arrays:
+            if count != len(names):
+                left.append((path, count))
+                continue
+            for index, name in enumerate(names):
+                alias, element = f"{path}[{name}]", f"{path}[{index}]"
+                if element in self.numbers:
+                    self.aliases[alias] = element
+                    if self.missing is not None:
+                        self.missing.discard(alias)
+        return left
+
+    def texts(self, kind: str, count: int, keep: bool) -> list[str]:
+        if count > len(self.data):
+            raise IndexError(f"{count} texts in a message of {len(self.data)} bytes")
+        self.step(count)
+        return [self.text(kind, keep) for _ in range(count)]
+
+    def step(self, count: int = 1) -> None:
+        self.steps += count
+        if self.steps > MAX_STEPS:
+            raise IndexError(f"more than {MAX_STEPS} values outside of arrays")
+
+    def single(self, kind: str, path: str) -> None:
+        self.step()
+        if kind in ("string", "wstring"):
+            self.text(kind, False)
+        elif kind in PRIMITIVES:
+            code = PRIMITIVES[kind]
+            size = int(code[1])
+            self.align(size)
+            self.found(path, code, self.take(size))
+        else:
+            self.message(kind, path + ".")
+
+    def array(self, kind: str, path: str, count: int) -> None:
+        code = PRIMITIVES[kind]
+        size = int(code[1])
+        if not count:
+            return  # an empty sequence is not aligned to its elements
+        self.align(size)
+        start = self.take(size * count)
+        if count <= MAX_ELEMENTS:
+            for index in range(count):
+                self.found(f"{path}[{index}]", code, start + index * size)
+        elif self.missing:
+            for wanted in [w for w in self.missing if w.startswith(f"{path}[") and w[len(path) + 1 : -1].isdecimal()]:
+                index = int(wanted[len(path) + 1 : -1])
+                if index < count:
+                    self.found(wanted, code, start + index * size)
+
+    def messages(self, kind: str, path: str, count: int) -> None:
+        """Elements of a sequence of messages; those beyond :data:`MAX_ELEMENTS` are passed over."""
+        if count > len(self.data):
+            raise IndexError(f"{count} elements in a message of {len(self.data)} bytes")
+        for index in range(min(count, MAX_ELEMENTS)):
+            self.step()
+            self.message(kind, f"{path}[{index}].")
+            if self.enough:
+                return
+        rest = count - MAX_ELEMENTS
+        if rest <= 0:
+            return
+        if all(self.definition.fixed_size(kind, phase) is not None for phase in range(8)):
+            for _ in range(rest):
+                self.take(self.definition.fixed_size(kind, (self.position - 4) % 8) or 0)
+            return
+        self.mute += 1
+        for _ in range(rest):
+            self.step()
+            self.message(kind, "")
+        self.mute -= 1

@@ -1,0 +1,189 @@
+"""Messages decoded one by one → columns: JSON and protobuf, whose layout is another in every message."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from sysid.errors import InputError
+from sysid.logs.layout import MAX_ELEMENTS, NAME_FIELDS, Bytes
+from sysid.logs.pieces import STAMP_FIELDS, Pieces
+
+#: Objects inside of objects; deeper ones are not signals but traps.
+MAX_DEPTH = 32
+
+#: The bytes of a message → nested dictionaries, lists, numbers; raises ValueError for a message that cannot be read.
+Parse = Callable[[bytes], Any]
+
+
+@dataclass
+class RowDecoder:
+    """Turns the messages of one topic into columns. Arguments as of :class:`sysid.logs.cdr.ColumnDecoder`."""
+
+    parse: Parse
+    wanted: frozenset[str] | None = None
+    preview: int | None = None
+    pieces: Pieces = field(init=False)
+    reason: str = ""
+
+    def __post_init__(self) -> None:
+        self.pieces = Pieces(self.wanted)
+
+    def add(self, buffer: Bytes, starts: npt.NDArray[np.int64], sizes: npt.NDArray[np.int64]) -> None:
+        """Take messages ``buffer[start : start + size]``."""
+        first = self.pieces.total
+        self.pieces.total += len(starts)
+        stamps_only = self.preview is not None and first >= self.preview
+        rows: dict[str, list[int]] = {}
+        values: dict[str, list[float]] = {}
+        for offset, (start, size) in enumerate(zip(starts.tolist(), sizes.tolist(), strict=True)):
+            flat: dict[str, float] = {}
+            try:
+                flatten(self.parse(buffer[start : start + size].tobytes()), "", flat)
+            except (ValueError, RecursionError) as error:
+                self.pieces.bad.append(first + offset)
+                self.reason = self.reason or str(error).splitlines()[0][:200]
+                continue
+            for path, value in flat.items():
+                if not stamps_only or path in _STAMPS:
+                    rows.setdefault(path, []).append(first + offset)
+                    values.setdefault(path, []).append(value)
+        for path, column in values.items():
+            self.pieces.put(path, np.array(rows[path], dtype=np.intp), _numbers(column))
+
+
+_STAMPS = frozenset(path for pair in STAMP_FIELDS for path in pair)
+
+
+def _numbers(values: list[float]) -> npt.NDArray[Any]:
+    """Whole numbers stay whole: a stamp in nanoseconds does not fit a float."""
+    if all(isinstance(value, int) and -(2**63) <= value < 2**63 for value in values):
+        return np.array(values, dtype=np.int64)
+    return np.array([float(value) if abs(value) < 1e300 else math.inf for value in values])
+
+
+def flatten(value: Any, path: str, into: dict[str, float], depth: int = 0) -> None:
+    """Numbers of nested dictionaries and lists by their path: ``pose.position.x``, ``position[2]``, ``position[boom]``."""
+    if depth > MAX_DEPTH:
+        raise ValueError(f"more than {MAX_DEPTH} levels of objects")
+    if isinstance(value, bool | int | float):
+        if path:
+            into[path] = int(value) if isinstance(value, bool) else value
+    elif isinstance(value, dict):
+        for name, inner in value.items():
+            flatten(inner, f"{path}.{name}" if path else str(name), into, depth + 1)
+        _name_elements(value, path, into)
+    elif isinstance(value, list) and len(value) <= MAX_ELEMENTS:
+        for index, inner in enumerate(value):
+            flatten(inner, f"{path}[{index}]", into, depth + 1)
+
+
+def _name_elements(value: dict[str, Any], path: str, into: dict[str, float]) -> None:
+    names = next((value[key] for key in NAME_FIELDS if _is_names(value.get(key))), None)
+    if names is None:
+        return
+    prefix = f"{path}." if path else ""
+    for key, array in value.items():
+        if isinstance(array, list) and len(array) == len(names) <= MAX_ELEMENTS:
+            for name, element in zip(names, array, strict=True):
+                if isinstance(element, int | float):
+                    into[f"{prefix}{key}[{name}]"] = element
+
+
+def _is_names(value: object) -> bool:
+    return isinstance(value, list) and bool(value) and all(isinstance(name, str) for name in value)
+
+
+def parse_json(data: bytes) -> Any:
+    """One JSON message.
+
+    Raises:
+        ValueError: no JSON, or no object.
+    """
+    value = json.loads(data)
+    if not isinstance(value, dict):
+        raise ValueError(f"JSON of type {type(value).__name__} instead of an object")
+    return value
+
+
+def protobuf_parser(name: str, schema: bytes, where: object) -> Parse:
+    """A parser of messages of type ``name``; ``schema`` is a serialised ``FileDescriptorSet``.
+
+    Raises:
+        InputError: the schema is damaged or does not define the type.
+    """
+    from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
+    from google.protobuf.message import DecodeError
+
+    place = f"{where}: schema {name}"
+    pool = descriptor_pool.DescriptorPool()
+    try:
+        files = {file.name: file for file in descriptor_pb2.FileDescriptorSet.FromString(schema).file}
+        for file in _in_order(_with_well_known(files)):
+            pool.Add(file)
+        kind = message_factory.GetMessageClass(pool.FindMessageTypeByName(name))
+    except (DecodeError, TypeError, KeyError, ValueError) as error:
+        expected = "a FileDescriptorSet with all the files that the type needs"
+        raise InputError(
+            place, f"a protobuf schema that cannot be read ({str(error).strip() or 'damaged'})", expected
+        ) from None
+
+    def parse(data: bytes) -> Any:
+        message = kind()
+        try:
+            message.ParseFromString(data)
+        except DecodeError as error:
+            raise ValueError(str(error)) from None
+        return _fields(message, 0)
+
+    return parse
+
+
+def _with_well_known(files: dict[str, Any]) -> dict[str, Any]:
+    """``files`` and Google's own ones (timestamp, duration) that some writers leave out."""
+    from google.protobuf import descriptor_pb2, duration_pb2, timestamp_pb2
+
+    for module in (duration_pb2, timestamp_pb2):
+        name = module.DESCRIPTOR.name
+        if name not in files and any(name in file.dependency for file in files.values()):
+            files[name] = descriptor_pb2.FileDescriptorProto.FromString(module.DESCRIPTOR.serialized_pb)
+    return files
+
+
+def _in_order(files: Mapping[str, Any]) -> list[Any]:
+    """Descriptor files, each after those it imports; files that import each other in a circle are left for the library."""
+    done: dict[str, Any] = {}
+    left = dict(files)
+    while left:
+        ready = [name for name, file in left.items() if all(d in done or d not in files for d in file.dependency)]
+        for name in ready or list(left):
+            done[name] = left.pop(name)
+    return list(done.values())
+
+
+def _fields(message: Any, depth: int) -> dict[str, Any]:
+    """A protobuf message as nested dictionaries, with the fields that are at their default."""
+    if depth > MAX_DEPTH:
+        raise ValueError(f"more than {MAX_DEPTH} levels of messages")
+    result: dict[str, Any] = {}
+    for descriptor in message.DESCRIPTOR.fields:
+        name = descriptor.name
+        is_message = descriptor.message_type is not None
+        if is_message and descriptor.message_type.GetOptions().map_entry:
+            continue
+        if descriptor.is_repeated:
+            values = getattr(message, name)
+            if len(values) <= MAX_ELEMENTS:
+                result[name] = [_fields(value, depth + 1) if is_message else value for value in values]
+        elif is_message:
+            if message.HasField(name):
+                result[name] = _fields(getattr(message, name), depth + 1)
+        else:
+            result[name] = getattr(message, name)
+    return result

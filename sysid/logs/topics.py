@@ -1,0 +1,125 @@
+"""Topics of a bag: what MCAP, rosbag2 and ROS 1 readers share. Messages of a topic → a stream with its clocks."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+from sysid.errors import InputError, nearest
+from sysid.logs.cdr import ColumnDecoder
+from sysid.logs.layout import Bytes
+from sysid.logs.pieces import Pieces
+from sysid.logs.reader import ReadOptions
+from sysid.logs.rosmsg import parse_definition, parse_idl
+from sysid.logs.rows import RowDecoder, parse_json, protobuf_parser
+from sysid.logs.stream import Stream
+
+#: With ``preview`` the values of so many messages a topic are read, and only the stamps of those after them.
+PREVIEW = 20_000
+
+
+class Decoder(Protocol):
+    """Messages of one topic → columns."""
+
+    @property
+    def pieces(self) -> Pieces: ...
+
+    @property
+    def reason(self) -> str:
+        """Why the first unreadable message is so."""
+        ...
+
+    def add(self, buffer: Bytes, starts: npt.NDArray[np.int64], sizes: npt.NDArray[np.int64]) -> None: ...
+
+
+def make_decoder(
+    topic: str, kind: str, message_encoding: str, schema_encoding: str, schema: bytes, options: ReadOptions, where: str
+) -> Decoder:
+    """A decoder for messages of type ``kind``.
+
+    Raises:
+        InputError: an encoding that is not supported, or a schema that cannot be read.
+    """
+    wanted = None if options.fields is None else frozenset(options.fields.get(topic, ()))
+    preview = PREVIEW if options.preview else None
+    match message_encoding, schema_encoding:
+        case "cdr", "ros2msg":
+            text = schema.decode("utf-8", errors="replace")
+            return ColumnDecoder(parse_definition(kind, text, where), wanted, preview)
+        case "cdr", "ros2idl" | "omgidl":
+            text = schema.decode("utf-8", errors="replace")
+            return ColumnDecoder(parse_idl(kind, text, where), wanted, preview)
+        case "json", "jsonschema" | "":
+            return RowDecoder(parse_json, wanted, preview)
+        case "protobuf", "protobuf":
+            return RowDecoder(protobuf_parser(kind, schema, where), wanted, preview)
+    raise InputError(
+        where,
+        f"messages in {message_encoding!r} with a schema in {schema_encoding!r}",
+        "'cdr' with 'ros2msg' or 'ros2idl' (ROS 2), 'json', or 'protobuf'",
+    )
+
+
+@dataclass
+class Topic:
+    """One topic while it is read."""
+
+    name: str
+    kind: str
+    decoder: Decoder
+    log: list[npt.NDArray[np.int64]] = field(default_factory=list)
+    publish: list[npt.NDArray[np.int64]] = field(default_factory=list)
+
+    def stream(self, path: Path, losses: Iterable[str]) -> Stream:
+        """What was read. Clocks: ``header`` where the messages carry a stamp, ``log``, ``publish`` where the file has it."""
+        pieces = self.decoder.pieces
+        stamps: dict[str, npt.NDArray[np.int64]] = {}
+        header = pieces.header_stamps()
+        if header is not None:
+            stamps["header"] = header
+        stamps["log"] = np.concatenate(self.log)
+        if self.publish:
+            stamps["publish"] = np.concatenate(self.publish)
+        columns = pieces.columns()
+        losses = list(losses)
+        if pieces.bad:
+            readable = pieces.readable()
+            stamps = {clock: values[readable] for clock, values in stamps.items()}
+            columns = {name: values[readable] for name, values in columns.items()}
+            count = len(pieces.bad)
+            losses.append(
+                f"{path.name}: {self.name}: {count} messages do not follow their schema (the first: {self.decoder.reason})"
+            )
+        if pieces.crowded:
+            losses.append(f"{path.name}: {self.name}: has too many fields to read them all; {len(columns)} have been read")
+        return Stream(self.name, path, stamps, columns, {}, tuple(losses), tuple(pieces.fields), self.kind)
+
+
+def finished(
+    topics: Iterable[Topic], known: Iterable[str], options: ReadOptions, path: Path, losses: list[str]
+) -> tuple[Stream, ...]:
+    """The streams of a bag that has been read.
+
+    Raises:
+        InputError: a wanted topic is not there, or no message could be read.
+    """
+    check_topics(options, known, path, losses)
+    streams = tuple(topic.stream(path, losses) for topic in topics if topic.decoder.pieces.total)
+    if not any(len(stream) for stream in streams):
+        lost = [loss for stream in streams for loss in stream.losses] + losses
+        raise InputError(path, lost[0] if lost else "no messages", "at least one readable message", "Record the log again.")
+    return streams
+
+
+def check_topics(options: ReadOptions, known: Iterable[str], path: Path, losses: Iterable[str] = ()) -> None:
+    """Raise where a wanted topic is not among the known ones."""
+    names = set(known)
+    for topic in sorted(options.streams or ()):
+        if topic not in names:
+            lost = next((f" ({loss})" for loss in losses), "")
+            raise InputError(path, f"no topic {topic!r}{lost}", nearest(topic, names), "Correct `topic` in the recipe.")
