@@ -1,4 +1,4 @@
-"""CDR messages of one type → columns, many messages at once.
+"""Messages of one type → columns, many messages at once: CDR (ROS 2) and packed (ROS 1).
 
 One message is walked to learn its layout (:mod:`sysid.logs.layout`); every other message whose length words, byte order and
 naming strings are the same, byte for byte, has the same layout, and its columns are cut out by NumPy. What does not match is
@@ -30,11 +30,13 @@ class ColumnDecoder:
         definition: their type.
         wanted: fields to read besides the stamps; None for all.
         preview: read all fields of the first so many messages, and only the stamps of those after them.
+        packed: as ROS 1 writes them.
     """
 
     definition: Definition
     wanted: frozenset[str] | None = None
     preview: int | None = None
+    packed: bool = False
     pieces: Pieces = field(init=False)
     reason: str = ""
     _layouts: dict[int, list[Layout]] = field(default_factory=dict)
@@ -78,7 +80,7 @@ class ColumnDecoder:
         """Walk message ``row`` and take all that are like it; returns those that are not."""
         message = buffer[starts[row] : starts[row] + sizes[row]].tobytes()
         try:
-            layout = learn_layout(message, self.definition, self.wanted)
+            layout = learn_layout(message, self.definition, self.wanted, self.packed)
         except IndexError as error:
             self.pieces.bad.append(first + row)
             self.reason = self.reason or str(error)
@@ -142,5 +144,7 @@ class ColumnDecoder:
 
 def gather(buffer: Bytes, starts: npt.NDArray[np.int64], size: int) -> Bytes:
     """Rows of ``size`` bytes from any positions, (n, size): one memory copy a row."""
+    if size == 0:
+        return np.zeros((len(starts), 0), np.uint8)
     windows = np.ndarray((len(buffer) - size + 1,), dtype=f"V{size}", buffer=buffer, strides=(1,))
     return np.ascontiguousarray(windows[starts]).view(np.uint8).reshape(len(starts), size)

@@ -1,10 +1,11 @@
-"""Where the numbers of one CDR message lie: its *layout*, learnt by walking the message once.
+"""Where the numbers of one message lie: its *layout*, learnt by walking the message once. CDR (ROS 2) and packed (ROS 1).
 
-Where a value lies in a CDR message depends only on the length words (of sequences and strings) before it and on the byte
+Where a value lies in such a message depends only on the length words (of sequences and strings) before it and on the byte
 order. A layout therefore remembers the bytes that decide on it; every message that has the same bytes there, has it too.
 With wanted fields the walk ends at the last of them: what comes later (images, clouds, texts) is not even looked at.
 
-Source: OMG Common Data Representation (plain XCDR1), DDS-RTPS encapsulation header.
+Source: OMG Common Data Representation (plain XCDR1), DDS-RTPS encapsulation header. ROS 1 writes the same without that
+header, without padding, always little-endian, and texts without the closing zero (roscpp, "Messages Serialization").
 """
 
 from __future__ import annotations
@@ -60,18 +61,21 @@ class Layout:
         return np.ascontiguousarray(messages).view(kinds).reshape(len(messages))
 
 
-def learn_layout(data: bytes, definition: Definition, wanted: frozenset[str] | None = None) -> Layout:
-    """Walk one message, to its end or until all ``wanted`` fields are found.
+def learn_layout(data: bytes, definition: Definition, wanted: frozenset[str] | None = None, packed: bool = False) -> Layout:
+    """Walk one message, to its end or until all ``wanted`` fields are found; ``packed`` is how ROS 1 writes.
 
     Raises:
         IndexError: the message does not follow its schema (too short, an encapsulation other than plain CDR).
     """
-    if len(data) < 4 or data[0] != 0 or data[1] not in (0, 1):
-        raise IndexError(f"encapsulation {data[:2].hex() or 'missing'} instead of plain CDR")
     missing = None if wanted is None else set(wanted)
-    walk = _Walk(data, definition, "<" if data[1] == 1 else ">", wanted, missing, fixed=[(0, 2)])
+    if packed:
+        walk = _Walk(data, definition, "<", True, missing, 0)
+    else:
+        if len(data) < 4 or data[0] != 0 or data[1] not in (0, 1):
+            raise IndexError(f"encapsulation {data[:2].hex() or 'missing'} instead of plain CDR")
+        walk = _Walk(data, definition, "<" if data[1] == 1 else ">", False, missing, 4, fixed=[(0, 2)])
     walk.message(definition.root, "")
-    positions = np.concatenate([np.arange(start, start + length) for start, length in walk.fixed]).astype(np.intp)
+    positions = np.array([at for start, length in walk.fixed for at in range(start, start + length)], dtype=np.intp)
     template = np.frombuffer(data, np.uint8)[positions]
     return Layout(walk.position if walk.enough else len(data), not walk.enough, walk.numbers, walk.aliases, positions, template)
 
@@ -81,9 +85,9 @@ class _Walk:
     data: bytes
     definition: Definition
     order: str
-    wanted: frozenset[str] | None
+    packed: bool
     missing: set[str] | None
-    position: int = 4
+    position: int
     steps: int = 0
     mute: int = 0
     numbers: dict[str, tuple[str, int]] = field(default_factory=dict)
@@ -95,7 +99,8 @@ class _Walk:
         return self.missing is not None and not self.missing
 
     def align(self, size: int) -> None:
-        self.position += -(self.position - 4) % size
+        if not self.packed:
+            self.position += -(self.position - 4) % size
 
     def take(self, size: int) -> int:
         start = self.position
@@ -118,7 +123,8 @@ class _Walk:
         if not keep:
             return ""
         self.fixed.append((start, length))
-        return self.data[start : start + max(length - 1, 0)].decode("utf-8", errors="replace")
+        end = start + length if self.packed else start + max(length - 1, 0)
+        return self.data[start:end].decode("utf-8", errors="replace")
 
     def found(self, path: str, kind: str, start: int) -> None:
         if not self.mute:
@@ -130,7 +136,7 @@ class _Walk:
         names: list[str] = []
         arrays: list[tuple[str, int]] = []
         fields = self.definition.types[kind]
-        if not fields:
+        if not fields and not self.packed:
             self.take(1)  # an empty message carries one byte
         for member in fields:
             path = prefix + member.name
@@ -218,9 +224,11 @@ class _Walk:
         rest = count - MAX_ELEMENTS
         if rest <= 0:
             return
-        if all(self.definition.fixed_size(kind, phase) is not None for phase in range(8)):
+        phases: list[int | None] = [None] if self.packed else list(range(8))
+        sizes = {phase: self.definition.fixed_size(kind, phase) for phase in phases}
+        if all(sizes.values()):
             for _ in range(rest):
-                self.take(self.definition.fixed_size(kind, (self.position - 4) % 8) or 0)
+                self.take(sizes[None if self.packed else (self.position - 4) % 8] or 0)
             return
         self.mute += 1
         for _ in range(rest):

@@ -11,8 +11,17 @@ from sysid.logs.mcap import McapReader
 from sysid.logs.motive import MotiveReader
 from sysid.logs.parquet import ParquetReader
 from sysid.logs.reader import LogReader
+from sysid.logs.rosbag import Ros1Reader, Rosbag2Reader
 
-READERS: tuple[LogReader, ...] = (McapReader(), CsvReader(), MotiveReader(), ParquetReader(), MatReader())
+READERS: tuple[LogReader, ...] = (
+    McapReader(),
+    Ros1Reader(),
+    Rosbag2Reader(),
+    CsvReader(),
+    MotiveReader(),
+    ParquetReader(),
+    MatReader(),
+)
 
 
 def reader_named(name: str, where: object) -> LogReader:

@@ -1,4 +1,4 @@
-"""ROS 2 message definitions as text (``ros2msg`` or ``ros2idl``), as they stand in an MCAP schema.
+"""ROS 2 message definitions as text (``ros2msg``, ROS 1, or ``ros2idl``), as they stand in a bag.
 
 Source: ROS 2 documentation, "About interfaces"; the schema of a message is followed by those it contains, each after a line
 of ``=`` and ``MSG: package/Name``. IDL is translated to that form by the ``rosbags`` library.
@@ -35,7 +35,7 @@ class Definition:
 
     root: str
     types: Mapping[str, tuple[Field, ...]]
-    _sizes: dict[tuple[str, int], int | None] = field(default_factory=dict, compare=False, repr=False)
+    _sizes: dict[tuple[str, int | None], int | None] = field(default_factory=dict, compare=False, repr=False)
 
     def stamp_fields(self) -> frozenset[str]:
         """The two fields of the stamp that a message of this type carries, in its header or by itself; else none."""
@@ -48,29 +48,33 @@ class Definition:
                 return frozenset({f"{path}.sec", f"{path}.nanosec"})
         return frozenset()
 
-    def fixed_size(self, kind: str, phase: int) -> int | None:
-        """Bytes of a ``kind`` that starts ``phase`` (0 to 7) behind a multiple of eight, None where they are not fixed."""
+    def fixed_size(self, kind: str, phase: int | None) -> int | None:
+        """Bytes of a ``kind``, None where they are not fixed.
+
+        In CDR they depend on where it starts: ``phase`` (0 to 7) behind a multiple of eight; None: without padding (ROS 1).
+        """
         key = (kind, phase)
         if key not in self._sizes:
             self._sizes[key] = self._measure(kind, phase)
         return self._sizes[key]
 
-    def _measure(self, kind: str, phase: int) -> int | None:
-        position = phase
+    def _measure(self, kind: str, phase: int | None) -> int | None:
+        position = phase or 0
         for member in self.types[kind]:
             if member.length == -1 or member.kind in ("string", "wstring"):
                 return None
             if member.kind in PRIMITIVES:
                 size = int(PRIMITIVES[member.kind][1])
                 count = 1 if member.length is None else member.length
-                position += (-position % size + count * size) if count else 0
+                padding = 0 if phase is None or not count else -position % size
+                position += padding + count * size
                 continue
             for _ in range(min(1 if member.length is None else member.length, 64)):
-                size_of_member = self.fixed_size(member.kind, position % 8)
+                size_of_member = self.fixed_size(member.kind, None if phase is None else position % 8)
                 if size_of_member is None or (member.length or 0) > 64:
                     return None
                 position += size_of_member
-        return position - phase or None
+        return position - (phase or 0) or None
 
 
 _TIME = (Field("sec", "int32"), Field("nanosec", "uint32"))
@@ -167,6 +171,8 @@ def _resolve(kind: str, owner: str) -> str:
         return kind
     if kind in ("time", "duration"):
         return "builtin_interfaces/Time"
+    if kind == "Header":
+        return "std_msgs/Header"  # ROS 1 leaves its package out
     return _short(kind) if "/" in kind else f"{owner.split('/')[0]}/{kind}"
 
 

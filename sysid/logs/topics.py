@@ -48,6 +48,9 @@ def make_decoder(
     wanted = None if options.fields is None else frozenset(options.fields.get(topic, ()))
     preview = PREVIEW if options.preview else None
     match message_encoding, schema_encoding:
+        case "ros1", "ros1msg":
+            text = schema.decode("utf-8", errors="replace")
+            return ColumnDecoder(parse_definition(kind, text, where), wanted, preview, packed=True)
         case "cdr", "ros2msg":
             text = schema.decode("utf-8", errors="replace")
             return ColumnDecoder(parse_definition(kind, text, where), wanted, preview)
@@ -61,7 +64,7 @@ def make_decoder(
     raise InputError(
         where,
         f"messages in {message_encoding!r} with a schema in {schema_encoding!r}",
-        "'cdr' with 'ros2msg' or 'ros2idl' (ROS 2), 'json', or 'protobuf'",
+        "'cdr' with 'ros2msg' or 'ros2idl' (ROS 2), 'ros1' with 'ros1msg', 'json', or 'protobuf'",
     )
 
 

@@ -1,0 +1,224 @@
+"""ROS bags other than MCAP: ROS 1 ``.bag`` and rosbag2 in sqlite, ``.db3``. Clocks: ``header`` (when measured) and ``log``.
+
+The ``rosbags`` library takes the containers apart; the messages go through the decoder that MCAP uses.
+"""
+
+from __future__ import annotations
+
+import bz2
+import struct
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from sysid.errors import InputError
+from sysid.logs.limits import MAX_CHUNK, unpack
+from sysid.logs.reader import ReadOptions
+from sysid.logs.stream import Stream
+from sysid.logs.table import check_not_empty
+from sysid.logs.topics import Topic, check_topics, finished, make_decoder
+
+_ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
+#: Messages are handed on in batches of this size.
+_BATCH = 4 * 2**20
+
+
+@dataclass(frozen=True)
+class Ros1Reader:
+    """ROS 1 bags of format 2.0."""
+
+    name: str = "rosbag1"
+    suffixes: tuple[str, ...] = (".bag",)
+    clocks: tuple[str, ...] = ("header", "log")
+
+    def read(self, path: Path, options: ReadOptions) -> tuple[Stream, ...]:
+        from lz4.frame import LZ4FrameDecompressor  # type: ignore[import-untyped]
+        from rosbags.rosbag1 import Reader, ReaderError
+        from rosbags.rosbag1.reader import decompressors
+
+        check_not_empty(path, "a ROS 1 bag")
+        with path.open("rb") as file:
+            magic = file.readline(64)
+        if not magic.startswith(b"#ROSBAG V2.0"):
+            found = f"starts with {magic[:13]!r}"
+            raise InputError(path, found, "'#ROSBAG V2.0'", "Older bags: convert them with `rosbag fix`.")
+        bag = _Bag(path, options, "ros1", "ros1msg")
+        reader = Reader(path)
+        # The library checks a bag by assertions and by what its own parsing runs into: all of it means a damaged bag.
+        damage = (ReaderError, AssertionError, struct.error, ValueError, KeyError, IndexError, OverflowError, EOFError, OSError)
+        try:
+            reader.open()
+        except damage as error:
+            remedy = "Run `rosbag reindex` on it." if "index" in str(error).lower() else "Record the log again."
+            raise InputError(path, f"not readable as a ROS 1 bag ({_short(error)})", "a whole bag", remedy) from None
+        try:
+            unpackers = {decompressors["bz2"]: bz2.BZ2Decompressor, decompressors["lz4"]: LZ4FrameDecompressor}
+            for position, chunk in reader.chunks.items():
+                if chunk.decompressor in unpackers:
+                    reader.chunks[position] = chunk._replace(decompressor=_limited(unpackers[chunk.decompressor]))
+            connections = bag.define(reader.connections, lambda connection: connection.msgdef.data)
+            bag.take((c, stamp, data) for c, stamp, data in reader.messages(connections) if connections)
+        except damage as error:
+            bag.lose(f"damaged ({_short(error)}); what lies before has been read")
+        finally:
+            reader.close()
+        return bag.streams()
+
+
+@dataclass(frozen=True)
+class Rosbag2Reader:
+    """rosbag2 in sqlite (``.db3``), each file by itself: what ``metadata.yaml`` says, the file says too."""
+
+    name: str = "rosbag2"
+    suffixes: tuple[str, ...] = (".db3", ".zstd")
+    clocks: tuple[str, ...] = ("header", "log")
+
+    def read(self, path: Path, options: ReadOptions) -> tuple[Stream, ...]:
+        import apsw
+        from rosbags.rosbag2 import Reader, ReaderError
+
+        check_not_empty(path, "a rosbag2 file")
+        if path.suffix.lower() == ".zstd":
+            raise InputError(path, "a file compressed as a whole", "the file itself", f"Unpack it: `zstd -d {path.name}`.")
+        bag = _Bag(path, options, "cdr", "ros2msg")
+        try:
+            reader = Reader(path)
+            reader.open()
+        except (ReaderError, apsw.Error, ValueError, KeyError, TypeError, AttributeError) as error:
+            raise InputError(path, f"not readable as rosbag2 ({_short(error)})", "an sqlite file that rosbag2 wrote") from None
+        try:
+            connections = bag.define(reader.connections, _ros2_definition)
+            bag.take((c, stamp, _unpacked(data)) for c, stamp, data in reader.messages(connections) if connections)
+        except (ReaderError, apsw.Error, ValueError, KeyError, TypeError) as error:
+            bag.lose(f"damaged ({_short(error)}); what lies before has been read")
+        finally:
+            reader.close()
+        return bag.streams()
+
+
+@dataclass
+class _Bag:
+    """What has been read of a bag so far."""
+
+    path: Path
+    options: ReadOptions
+    encoding: str
+    schema_encoding: str
+    losses: list[str] = field(default_factory=list)
+    topics: dict[tuple[str, str], Topic] = field(default_factory=dict)
+    names: list[str] = field(default_factory=list)
+
+    def lose(self, text: str) -> None:
+        self.losses.append(f"{self.path.name}: {text}")
+
+    def define(self, connections: Iterable[Any], definition: Any) -> list[Any]:
+        """Decoders for the wanted topics; returns the connections that can be read."""
+        readable = []
+        connections = list(connections)
+        self.names = [connection.topic for connection in connections]
+        check_topics(self.options, self.names, self.path)
+        for connection in connections:
+            topic, kind = connection.topic, connection.msgtype
+            if self.options.streams is not None and topic not in self.options.streams:
+                continue
+            where = f"{self.path}: {topic}"
+            try:
+                if (topic, kind) not in self.topics:
+                    text = definition(connection)
+                    encoding = self.schema_encoding
+                    if text.lstrip("=\n ").startswith("IDL:"):
+                        encoding = "ros2idl"
+                    if not text:
+                        expected = "a definition in the file, or a message type of ROS 2 itself"
+                        raise InputError(where, f"messages of type {kind!r} without definition", expected)
+                    decoder = make_decoder(topic, kind, self.encoding, encoding, text.encode(), self.options, where)
+                    self.topics[topic, kind] = Topic(topic, kind, decoder)
+            except InputError as error:
+                if self.options.streams is not None:
+                    raise
+                self.losses.append(str(error))
+                continue
+            readable.append(connection)
+        return readable
+
+    def take(self, messages: Iterable[tuple[Any, int, bytes]]) -> None:
+        """Hand messages to their topics in batches; those that came before an error are handed on, too."""
+        batches: dict[tuple[str, str], _Batch] = {}
+        try:
+            for connection, stamp, data in messages:
+                key = (connection.topic, connection.msgtype)
+                batch = batches.setdefault(key, _Batch(self.topics[key]))
+                batch.add(stamp, data)
+        finally:
+            for batch in batches.values():
+                batch.flush()
+
+    def streams(self) -> tuple[Stream, ...]:
+        return finished(self.topics.values(), self.names, self.options, self.path, self.losses)
+
+
+@dataclass
+class _Batch:
+    topic: Topic
+    stamps: list[int] = field(default_factory=list)
+    messages: list[bytes] = field(default_factory=list)
+    size: int = 0
+
+    def add(self, stamp: int, data: bytes) -> None:
+        self.stamps.append(stamp)
+        self.messages.append(data)
+        self.size += len(data) + 64
+        if self.size > _BATCH:
+            self.flush()
+
+    def flush(self) -> None:
+        if not self.messages:
+            return
+        sizes = np.array([len(message) for message in self.messages], dtype=np.int64)
+        starts = np.concatenate([[0], np.cumsum(sizes)[:-1]]).astype(np.int64)
+        self.topic.log.append(np.array(self.stamps, dtype=np.int64))
+        self.topic.decoder.add(np.frombuffer(b"".join(self.messages), np.uint8), starts, sizes)
+        self.stamps, self.messages, self.size = [], [], 0
+
+
+def _limited(maker: Any) -> Any:
+    """A decompressor that stops at the limit of a chunk."""
+
+    def decompress(packed: bytes) -> bytes:
+        try:
+            data: bytes = maker().decompress(packed, max_length=MAX_CHUNK + 1)
+        except RuntimeError as error:  # what the lz4 library raises for damage
+            raise ValueError(str(error)) from None
+        if len(data) > MAX_CHUNK:
+            raise ValueError(f"a chunk unpacks to more than {MAX_CHUNK / 2**20:.0f} MiB")
+        return data
+
+    return decompress
+
+
+def _unpacked(data: bytes) -> bytes:
+    """A message, unpacked where the bag compresses each by itself (CDR never starts with these bytes)."""
+    if not data.startswith(_ZSTD_MAGIC):
+        return data
+    import zstandard
+
+    return unpack(data, "zstd", zstandard.frame_content_size(data))
+
+
+def _ros2_definition(connection: Any) -> str:
+    """The definition in the file; of types that ROS 2 brings along the well-known one, where older files have none."""
+    from rosbags.typesys import Stores, get_typestore
+
+    if connection.msgdef.data:
+        return str(connection.msgdef.data)
+    store = get_typestore(Stores.LATEST)
+    if connection.msgtype not in store.fielddefs:
+        return ""
+    return str(store.generate_msgdef(connection.msgtype, ros_version=2)[0])
+
+
+def _short(error: Exception) -> str:
+    return (str(error).splitlines() or [""])[0][:160] or type(error).__name__
