@@ -1,6 +1,6 @@
 """Named effects: what a machine can do that its nominal simulation does not know. One effect a file."""
 
 from sysid.effects.catalogue import BY_NAME, CATALOGUE, effect_named, form_for
-from sysid.effects.effect import Effect, Form, Parameter, Slot
+from sysid.effects.effect import Effect, Form, Need, Parameter, Slot
 
-__all__ = ["BY_NAME", "CATALOGUE", "Effect", "Form", "Parameter", "Slot", "effect_named", "form_for"]
+__all__ = ["BY_NAME", "CATALOGUE", "Effect", "Form", "Need", "Parameter", "Slot", "effect_named", "form_for"]

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from numba import njit
-
-from sysid.effects.effect import Effect, Form, Parameter, Slot
+from sysid.effects.compiled import inlined
+from sysid.effects.effect import Effect, Form, Need, Parameter, Slot
 
 EFFECT = Effect(
     name="asymmetric_gain",
@@ -16,10 +15,11 @@ EFFECT = Effect(
     source="Jelali & Kroll, Hydraulic Servo-systems, 2003, §4.2; area ratios 1.46–1.64 (machine facts)",
     excited_by="motion in both directions",
     confused_with=("load_dependent_flow", "valve_deadband", "gain_error"),
+    need=Need("motion_both_ways", 3, "Record {axis} at 30, 60 and 100 % in both directions, 5 s each."),
     actuations=("velocity",),
 )
 
 
-@njit(inline="always")
+@inlined
 def step(x, p, i):
     return x * p[i] if x < 0.0 else x

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
-from sysid.effects.effect import Effect, Form, Parameter, Slot
+from sysid.effects.compiled import inlined
+from sysid.effects.effect import Effect, Form, Need, Parameter, Slot
 
 EFFECT = Effect(
     name="backlash",
@@ -17,13 +17,14 @@ EFFECT = Effect(
     source="Nordin & Gutman, Automatica 38 (2002); pins 0.05–0.3°, slewing rack 0.2–0.8° (machine facts)",
     excited_by="reversals of the axis, slow ones above all",
     confused_with=("valve_deadband", "stiction", "valve_hysteresis"),
+    need=Need("reversals", 8, "Record 20 slow reversals of {axis}, with at least 5 % of its range between them."),
     actuations=("velocity", "position", "force"),
     memory=lambda dt: 1,
     sides=("drive", "structure"),
 )
 
 
-@njit(inline="always")
+@inlined
 def step(x, p, i, s, j):
     """``s[j]`` is the output; set it before the first step to start anywhere inside the play, NaN starts in its middle."""
     half = 0.5 * p[i]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from sysid.effects.effect import Effect, Form, Parameter, Slot
+from sysid.effects.effect import Effect, Form, Need, Parameter, Slot
 
 _T = ("translation_x", "translation_y", "translation_z")
 _R = ("rotation_x", "rotation_y", "rotation_z")
@@ -24,4 +24,5 @@ EFFECT = Effect(
     source="Hollerbach & Wampler, The calibration index, IJRR 15 (1996)",
     excited_by="poses spread over the work space",
     confused_with=("joint_offset", "link_length_error"),
+    need=Need("joint_coverage", 10, "Record poses over the whole work space."),
 )

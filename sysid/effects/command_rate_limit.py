@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
-from sysid.effects.effect import Effect, Form, Parameter, Slot
+from sysid.effects.compiled import inlined
+from sysid.effects.effect import Effect, Form, Need, Parameter, Slot
 
 #: Faster than any log can tell: the effect is absent.
 ABSENT = 1e4
@@ -20,12 +20,13 @@ EFFECT = Effect(
     source="data sheets of proportional valve amplifiers (ramp time)",
     excited_by="large sudden changes of the command",
     confused_with=("first_order_lag", "flow_saturation"),
+    need=Need("command_changes", 10, "Record 10 sudden full commands of {axis}."),
     actuations=("velocity", "position"),
     memory=lambda dt: 1,
 )
 
 
-@njit(inline="always")
+@inlined
 def step(u, p, i, s, j, dt):
     """Mean of the ramp over the step; ``s[j]`` is where it ends."""
     if np.isnan(s[j]):

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from numba import njit
+from sysid.effects.compiled import inlined
+from sysid.effects.effect import Effect, Form, Need, Parameter, Slot
 
-from sysid.effects.effect import Effect, Form, Parameter, Slot
-
-_BOUNDS = (0.0, 1e6)
+_BOUNDS, _FORCE = (0.0, 1e6), "N or N·m"
 
 EFFECT = Effect(
     name="coulomb_friction",
@@ -14,11 +13,29 @@ EFFECT = Effect(
     target="axis",
     slots=(Slot("positive"), Slot("negative")),
     forms=(
-        Form((Parameter("force", "N or N·m", _BOUNDS, (1.0,), 0.0, "magnitude", sets=(("positive", "negative"),)),)),
+        Form(
+            (Parameter("force", _FORCE, _BOUNDS, (1.0,), 0.01, "magnitude", scale="force", sets=(("positive", "negative"),)),)
+        ),
         Form(
             (
-                Parameter("positive", "N or N·m", _BOUNDS, (1.0,), 0.0, "magnitude while moving in the positive direction"),
-                Parameter("negative", "N or N·m", _BOUNDS, (1.0,), 0.0, "magnitude while moving in the negative direction"),
+                Parameter(
+                    "positive",
+                    "N or N·m",
+                    _BOUNDS,
+                    (1.0,),
+                    0.01,
+                    "in the positive direction",
+                    scale="force",
+                ),
+                Parameter(
+                    "negative",
+                    "N or N·m",
+                    _BOUNDS,
+                    (1.0,),
+                    0.01,
+                    "in the negative direction",
+                    scale="force",
+                ),
             )
         ),
     ),
@@ -26,17 +43,18 @@ EFFECT = Effect(
     source="Armstrong-Hélouvry, Dupont, Canudas de Wit, Automatica 30 (1994)",
     excited_by="motion in both directions with slow changes of sign",
     confused_with=("stribeck_friction", "load_bias", "viscous_friction"),
+    need=Need("force_both_ways", 1, "Record {axis} moving slowly in both directions, with several stops, 20 s."),
     actuations=("force",),
 )
 
 
-@njit(inline="always")
+@inlined
 def force(v, p, i):
     """Force against the motion at speed ``v`` [N or N·m]."""
     return p[i] if v > 0.0 else -p[i + 1] if v < 0.0 else 0.0
 
 
-@njit(inline="always")
+@inlined
 def limit(v, p, i):
     """Largest magnitude that friction can oppose to a motion of the sign of ``v``."""
     return p[i] if v >= 0.0 else p[i + 1]

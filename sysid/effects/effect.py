@@ -6,8 +6,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal
 
-Stage = Literal["command", "force", "joint", "end_effector", "tool"]
-TargetKind = Literal["axis", "base", "tool"]
+Stage = Literal["command", "force", "joint", "end_effector", "tool", "sensor"]
+TargetKind = Literal["axis", "machine", "base", "tool", "signal", "stream"]
 Actuation = Literal["velocity", "position", "force"]
 
 
@@ -25,10 +25,12 @@ class Parameter:
 
     Args:
         name: as in the contract.
-        unit: SI; ``drive`` stands for m or rad, whichever the target moves in.
+        unit: SI; ``drive`` or ``signal`` stands for m or rad, whichever the target moves in or reads.
         bounds: what a fit may search, (low, high).
         starts: values from which a fit starts.
         negligible: a departure from the neutral (or nominal) value that is not worth a name.
+        scale: ``starts`` and ``negligible`` are multiples of the typical force, or of one over the typical gravity load, that
+            the data show; "" where they are the values themselves.
         stepwise: a small change may change nothing at all (a threshold between two samples of a command): a fit searches it.
         sets: for each component of the parameter, the slots that take its value; by default the slot of the same name.
     """
@@ -41,6 +43,7 @@ class Parameter:
     about: str
     sets: tuple[tuple[str, ...], ...] = ()
     stepwise: bool = False
+    scale: Literal["", "force", "1/load"] = ""
 
     @property
     def components(self) -> tuple[tuple[str, ...], ...]:
@@ -59,6 +62,21 @@ class Form:
 
 
 @dataclass(frozen=True)
+class Need:
+    """What recordings must contain before the effect can be seen.
+
+    Args:
+        count: which quantity of :mod:`sysid.gap.excitation` is counted.
+        least: how much of it, in its unit.
+        advice: what to record where it is missing; ``{axis}`` stands for the target.
+    """
+
+    count: str
+    least: float
+    advice: str
+
+
+@dataclass(frozen=True)
 class Effect:
     """A named departure of a machine from its nominal simulation.
 
@@ -71,7 +89,8 @@ class Effect:
         equation: what it computes, in one line.
         source: paper, book or data sheet.
         excited_by: what a recording must contain to show it.
-        confused_with: effects that look alike, with what separates them in the catalogue.
+        confused_with: effects that look alike; :mod:`sysid.effects.separators` says what separates them.
+        need: the same as ``excited_by``, to be counted.
         actuations: the kinds of axis that can have it (empty: not an axis effect).
         memory: step time [s] → number of state values the step keeps.
         sides: admissible places where the contract leaves two open.
@@ -85,6 +104,7 @@ class Effect:
     equation: str
     source: str
     excited_by: str
+    need: Need
     confused_with: tuple[str, ...] = ()
     actuations: tuple[Actuation, ...] = ()
     memory: Callable[[float], int] = lambda dt: 0

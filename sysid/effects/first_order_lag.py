@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
-from sysid.effects.effect import Effect, Form, Parameter, Slot
+from sysid.effects.compiled import inlined
+from sysid.effects.effect import Effect, Form, Need, Parameter, Slot
 
 EFFECT = Effect(
     name="first_order_lag",
@@ -19,21 +19,24 @@ EFFECT = Effect(
     source="Merritt, Hydraulic Control Systems, 1967, ch. 7; 20–80 ms on small proportional valves (machine facts)",
     excited_by="starts, stops and reversals of the command",
     confused_with=("input_delay", "valve_hysteresis", "command_rate_limit"),
+    need=Need("command_changes", 10, "Record 20 sharp starts and stops of {axis}."),
     actuations=("velocity", "position"),
-    memory=lambda dt: 1,
+    memory=lambda dt: 2,
 )
 
 
-@njit(inline="always")
+@inlined
 def step(u, p, i, s, j, dt):
-    """Mean of x over the step, so that integrating it gives the exact displacement."""
+    """Mean of x over the step, so that integrating it gives the exact displacement; ``s[j+1]`` keeps what is left after it."""
     if np.isnan(s[j]):
         s[j] = u
     constant = p[i]
     if constant < 1e-6:
         s[j] = u
         return u
-    decay = math.exp(-dt / constant)
+    if np.isnan(s[j + 1]):
+        s[j + 1] = math.exp(-dt / constant)
+    decay = s[j + 1]
     mean = u + (s[j] - u) * (1.0 - decay) * constant / dt
     s[j] = u + (s[j] - u) * decay
     return mean

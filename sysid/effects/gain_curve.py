@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import math
 
-from numba import njit
-
-from sysid.effects.effect import Effect, Form, Parameter, Slot
+from sysid.effects.compiled import inlined
+from sysid.effects.effect import Effect, Form, Need, Parameter, Slot
 
 EFFECT = Effect(
     name="gain_curve",
@@ -18,11 +17,12 @@ EFFECT = Effect(
     source="Jelali & Kroll 2003, §3.2 (progressive spools)",
     excited_by="commands of many magnitudes on both sides",
     confused_with=("valve_deadband", "flow_saturation"),
+    need=Need("small_commands", 2, "Record {axis} at 10, 20, 40, 70 and 100 % in both directions, 5 s each."),
     actuations=("velocity",),
 )
 
 
-@njit(inline="always")
+@inlined
 def step(u, p, i):
     if p[i] == 1.0 or u == 0.0:
         return u

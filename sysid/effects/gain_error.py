@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from numba import njit
-
-from sysid.effects.effect import Effect, Form, Parameter, Slot
+from sysid.effects.compiled import inlined
+from sysid.effects.effect import Effect, Form, Need, Parameter, Slot
 
 EFFECT = Effect(
     name="gain_error",
@@ -16,10 +15,11 @@ EFFECT = Effect(
     source="definition",
     excited_by="any motion",
     confused_with=("asymmetric_gain", "temperature_drift", "sensor_scale"),
+    need=Need("motion", 5, "Record {axis} moving over half of its range, 20 s."),
     actuations=("velocity",),
 )
 
 
-@njit(inline="always")
+@inlined
 def step(x, p, i):
     return x * p[i]

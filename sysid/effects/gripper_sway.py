@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
-from sysid.effects.effect import Effect, Form, Parameter, Slot
+from sysid.effects.compiled import inlined
+from sysid.effects.effect import Effect, Form, Need, Parameter, Slot
 
 GRAVITY = 9.80665
 #: State: bob x, y, its velocity x, y, last pivot x, y, z, last pivot velocity x, y, z.
@@ -30,11 +30,12 @@ EFFECT = Effect(
     source="Goldstein, Classical Mechanics, §1.4; L 0.20–0.30 m, ζ 0.01–0.08 at 1:5 (machine facts)",
     excited_by="starts and stops of the boom tip, and seconds of rest after them",
     confused_with=("oil_compressibility",),
+    need=Need("tip_stops", 5, "Move the boom tip briskly, stop, and let the tool swing for 5 s; ten times."),
     memory=lambda dt: MEMORY,
 )
 
 
-@njit(inline="always")
+@inlined
 def _pull(dx, dy, vx, vy, length, rate, damping, h):
     """Acceleration of the bob for a horizontal deflection (dx, dy) and a velocity relative to the pivot, in a sub-step ``h``.
 
@@ -50,7 +51,7 @@ def _pull(dx, dy, vx, vy, length, rate, damping, h):
     return -tension * dx - 2.0 * damping * rate * vx, -tension * dy - 2.0 * damping * rate * vy
 
 
-@njit(inline="always")
+@inlined
 def step(x, y, z, p, i, s, j, dt, out):
     """Advance by ``dt`` with the pivot moving evenly from its last place to (x, y, z); writes the tool into ``out``.
 

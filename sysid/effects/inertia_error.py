@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from sysid.effects.effect import Effect, Form, Parameter, Slot
+from sysid.effects.effect import Effect, Form, Need, Parameter, Slot
 
 EFFECT = Effect(
     name="inertia_error",
@@ -14,5 +14,6 @@ EFFECT = Effect(
     source="definition",
     excited_by="acceleration that is large against friction",
     confused_with=("viscous_friction",),
+    need=Need("force_changes", 6, "Record {axis} with quick starts and stops, 20 s."),
     actuations=("force",),
 )

@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
-from sysid.effects.effect import Effect, Form, Parameter, Slot
+from sysid.effects.compiled import inlined
+from sysid.effects.effect import Effect, Form, Need, Parameter, Slot
 
 #: The longest delay a plant can hold [s]; 0.7 s is reported for a full-size walking excavator (machine facts).
 LONGEST = 0.8
@@ -27,12 +27,13 @@ EFFECT = Effect(
     source="Ljung, System Identification, 2nd ed., §4.2",
     excited_by="command changes that are short against the recording",
     confused_with=("first_order_lag", "clock_offset", "valve_hysteresis"),
+    need=Need("command_changes", 10, "Record 20 sharp starts and stops of {axis}."),
     actuations=("velocity", "position"),
     memory=_memory,
 )
 
 
-@njit(inline="always")
+@inlined
 def step(u, p, i, s, j, size, dt):
     """Ring buffer at ``s[j+1 : j+size]``, its head in ``s[j]``.
 

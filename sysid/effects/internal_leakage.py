@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from numba import njit
-
-from sysid.effects.effect import Effect, Form, Parameter, Slot
+from sysid.effects.compiled import inlined
+from sysid.effects.effect import Effect, Form, Need, Parameter, Slot
 
 EFFECT = Effect(
     name="internal_leakage",
@@ -16,11 +15,12 @@ EFFECT = Effect(
     source="Merritt 1967, §5.3; 0.01–0.2 mm/s (machine facts)",
     excited_by="rest under load for tens of seconds",
     confused_with=("sensor_bias", "load_dependent_flow"),
+    need=Need("rest", 10, "Leave {axis} at rest under load for 60 s."),
     actuations=("velocity",),
 )
 
 
-@njit(inline="always")
+@inlined
 def step(v, p, i):
     """``v`` is the speed in units of the drive."""
     return v - p[i]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from sysid.effects.effect import Effect, Form, Parameter, Slot
+from sysid.effects.effect import Effect, Form, Need, Parameter, Slot
 
 EFFECT = Effect(
     name="joint_offset",
@@ -14,5 +14,6 @@ EFFECT = Effect(
     source="Khalil & Dombre, Modeling, Identification and Control of Robots, 2002, ch. 11",
     excited_by="poses spread over the work space",
     confused_with=("link_length_error", "base_misalignment", "joint_compliance"),
+    need=Need("joint_coverage", 10, "Record poses over the whole range of {axis}."),
     actuations=("velocity", "position", "force"),
 )

@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
-from sysid.effects.effect import Effect, Form, Parameter, Slot
+from sysid.effects.effect import Effect, Form, Need, Parameter, Slot
 
 EFFECT = Effect(
     name="load_bias",
     stage="force",
     target="axis",
     slots=(Slot("force"),),
-    forms=(Form((Parameter("force", "N or N·m", (-1e6, 1e6), (0.0,), 0.0, "load: M·a = force − friction − load_bias"),)),),
+    forms=(
+        Form(
+            (Parameter("force", "N or N·m", (-1e6, 1e6), (0.0,), 0.01, "constant load against positive motion", scale="force"),)
+        ),
+    ),
     equation="M·a = F − friction − force",
     source="Janot, Gautier, Brunot, Data set and reference models of EMPS, 2019",
     excited_by="motion in both directions",
     confused_with=("coulomb_friction", "joint_offset"),
+    need=Need("force_both_ways", 1, "Record {axis} moving evenly in both directions, 20 s."),
     actuations=("force",),
 )

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
-from sysid.effects.effect import Effect, Form, Parameter, Slot
+from sysid.effects.compiled import inlined
+from sysid.effects.effect import Effect, Form, Need, Parameter, Slot
 
 EFFECT = Effect(
     name="stiction",
@@ -40,20 +40,21 @@ EFFECT = Effect(
     source="Karnopp, J. Dyn. Syst. Meas. Control 107 (1985)",
     excited_by="slow starts from rest and slow stops on both sides",
     confused_with=("valve_deadband", "backlash"),
+    need=Need("command_changes", 10, "Record 20 slow starts from rest and slow stops of {axis} on both sides."),
     actuations=("velocity",),
     memory=lambda dt: 1,
 )
 
 
-@njit(inline="always")
-def step(x, p, i, s, j):
-    """``s[j]`` is 1 while moving. The release is at most the break-away."""
+@inlined
+def step(v, p, i, s, j, gain):
+    """Speed ``v`` is ``gain``·effective command; ``s[j]`` is 1 while moving. The release is at most the break-away."""
     if np.isnan(s[j]):
         s[j] = 0.0
-    size = abs(x)
+    size = abs(v)
     if s[j] == 0.0:
-        if size > p[i]:
+        if size > p[i] * gain:
             s[j] = 1.0
-    elif size < min(p[i + 1], p[i]):
+    elif size < min(p[i + 1], p[i]) * gain:
         s[j] = 0.0
-    return x if s[j] == 1.0 else 0.0
+    return v if s[j] == 1.0 else 0.0

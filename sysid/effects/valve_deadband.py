@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from numba import njit
-
-from sysid.effects.effect import Effect, Form, Parameter, Slot
+from sysid.effects.compiled import inlined
+from sysid.effects.effect import Effect, Form, Need, Parameter, Slot
 
 _STARTS = (0.03, 0.12, 0.25, 0.5)
 
@@ -25,11 +24,12 @@ EFFECT = Effect(
     source="Merritt 1967, §5.5; 11–22 % in PVG32 data, 43–67 % of half the span on a 1:14 excavator (machine facts)",
     excited_by="slow small commands on both sides of zero",
     confused_with=("stiction", "gain_curve", "backlash"),
+    need=Need("small_commands", 2, "Record {axis} with slow commands from 0 to 30 % and back on both sides, 30 s."),
     actuations=("velocity",),
 )
 
 
-@njit(inline="always")
+@inlined
 def step(u, p, i):
     if u > p[i]:
         return u - p[i]

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
-from sysid.effects.effect import Effect, Form, Parameter, Slot
+from sysid.effects.compiled import inlined
+from sysid.effects.effect import Effect, Form, Need, Parameter, Slot
 
 EFFECT = Effect(
     name="valve_hysteresis",
@@ -17,12 +17,13 @@ EFFECT = Effect(
     source="Jelali & Kroll 2003, §3.4; 1–6 % on proportional valves (machine facts)",
     excited_by="command reversals at any rate, small ones included",
     confused_with=("first_order_lag", "input_delay", "backlash"),
+    need=Need("command_changes", 10, "Record 20 slow reversals of the command of {axis} around three openings."),
     actuations=("velocity",),
     memory=lambda dt: 1,
 )
 
 
-@njit(inline="always")
+@inlined
 def step(u, p, i, s, j):
     """``s[j]`` is the output; it begins in the middle of its play."""
     half = 0.5 * p[i]

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from numba import njit
+from sysid.effects.compiled import inlined
+from sysid.effects.effect import Effect, Form, Need, Parameter, Slot
 
-from sysid.effects.effect import Effect, Form, Parameter, Slot
-
-_BOUNDS = (0.0, 1e7)
+_BOUNDS, _SLOPE = (0.0, 1e7), "N·s/m or N·m·s"
 
 EFFECT = Effect(
     name="viscous_friction",
@@ -14,11 +13,24 @@ EFFECT = Effect(
     target="axis",
     slots=(Slot("positive"), Slot("negative")),
     forms=(
-        Form((Parameter("coefficient", "N·s/m or N·m·s", _BOUNDS, (1.0,), 0.0, "slope", sets=(("positive", "negative"),)),)),
         Form(
             (
-                Parameter("positive", "N·s/m or N·m·s", _BOUNDS, (1.0,), 0.0, "slope in the positive direction"),
-                Parameter("negative", "N·s/m or N·m·s", _BOUNDS, (1.0,), 0.0, "slope in the negative direction"),
+                Parameter(
+                    "coefficient",
+                    "N·s/m or N·m·s",
+                    _BOUNDS,
+                    (1.0,),
+                    0.01,
+                    "slope",
+                    scale="force",
+                    sets=(("positive", "negative"),),
+                ),
+            )
+        ),
+        Form(
+            (
+                Parameter("positive", _SLOPE, _BOUNDS, (1.0,), 0.01, "slope in the positive direction", scale="force"),
+                Parameter("negative", _SLOPE, _BOUNDS, (1.0,), 0.01, "slope in the negative direction", scale="force"),
             )
         ),
     ),
@@ -26,11 +38,12 @@ EFFECT = Effect(
     source="Armstrong-Hélouvry et al., Automatica 30 (1994)",
     excited_by="motion at several speeds",
     confused_with=("coulomb_friction", "stribeck_friction"),
+    need=Need("force_both_ways", 1, "Record {axis} at three speeds in both directions, 20 s."),
     actuations=("force",),
 )
 
 
-@njit(inline="always")
+@inlined
 def force(v, p, i):
     """Force against the motion at speed ``v`` [N or N·m]."""
     return p[i] * v if v > 0.0 else p[i + 1] * v

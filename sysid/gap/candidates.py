@@ -2,21 +2,19 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import numpy.typing as npt
 
-from sysid.effects import CATALOGUE, Effect, Form
+from sysid.effects import CATALOGUE, Effect, Form, Parameter
 from sysid.effects.effect import Stage
 from sysid.machine import KnownEffect, Machine
 from sysid.plant import Plant
 from sysid.plant.layout import parameter_indices
 
 Array = npt.NDArray[np.float64]
-
-#: A departure of a force that is not worth a name, as a share of the typical force.
-FORCE_SHARE = 1e-2
 
 
 @dataclass(frozen=True)
@@ -81,28 +79,46 @@ class Candidate:
         return KnownEffect(self.effect.name, self.target, parameters, self.side)  # type: ignore[arg-type]
 
 
+@dataclass(frozen=True)
+class Scales:
+    """Typical sizes that the data show: force [N or N·m], and gravity load on each axis [N·m or N], zero for none."""
+
+    force: float = 1.0
+    loads: Mapping[str, float] = field(default_factory=dict)
+
+    def unit(self, parameter: Parameter, target: str) -> float:
+        """What the parameter's starts and sizes are multiples of."""
+        if parameter.scale == "force":
+            return self.force
+        return 1.0 / self.loads[target] if parameter.scale == "1/load" else 1.0
+
+
 def candidates_at(
     plant: Plant,
     theta: Array,
     stage: Stage,
     targets: tuple[str, ...],
-    force_scale: float = 1.0,
+    scales: Scales | None = None,
 ) -> list[Candidate]:
     """All candidates of a stage.
 
     Args:
         theta: the questioned plant's vector; its values are the nominal ones.
-        targets: axes (and ``base`` or ``tool``) that belong to the stage's problem.
-        force_scale: typical force [N or N·m], the scale of parameters that are forces.
+        targets: axes, ``machine``, ``base``, ``tool`` or signals that belong to the stage's problem.
     """
     found = []
+    scales = scales or Scales()
     for effect in CATALOGUE:
         for target in targets:
-            if not _fits(effect, target, stage, plant.machine):
+            if not _fits(effect, target, stage, plant.machine) or (_needs_load(effect) and not scales.loads.get(target)):
                 continue
             for side in _sides(effect, stage, target, plant.machine):
-                found += [_candidate(plant, theta, effect, form, target, side, force_scale) for form in effect.forms]
+                found += [_candidate(plant, theta, effect, form, target, side, scales) for form in effect.forms]
     return found
+
+
+def _needs_load(effect: Effect) -> bool:
+    return any(parameter.scale == "1/load" for form in effect.forms for parameter in form.parameters)
 
 
 def as_nuisance(candidate: Candidate) -> Candidate:
@@ -111,13 +127,18 @@ def as_nuisance(candidate: Candidate) -> Candidate:
 
 
 def _fits(effect: Effect, target: str, stage: Stage, machine: Machine) -> bool:
-    if effect.target != ("axis" if target in machine.axis_names else target):
+    if effect.target != _kind(target, machine):
         return False
     if effect.target == "axis" and machine.axis(target).actuation not in effect.actuations:
         return False
     if effect.sides:
         return bool(_sides(effect, stage, target, machine))
-    return effect.stage == stage
+    return effect.stage == stage or effect.stage == "sensor"
+
+
+def _kind(target: str, machine: Machine) -> str:
+    """What kind of target a name is."""
+    return "axis" if target in machine.axis_names else "signal" if "." in target else target
 
 
 def _sides(effect: Effect, stage: Stage, target: str, machine: Machine) -> tuple[str | None, ...]:
@@ -133,17 +154,17 @@ def _sides(effect: Effect, stage: Stage, target: str, machine: Machine) -> tuple
 
 
 def _candidate(
-    plant: Plant, theta: Array, effect: Effect, form: Form, target: str, side: str | None, force_scale: float
+    plant: Plant, theta: Array, effect: Effect, form: Form, target: str, side: str | None, scales: Scales
 ) -> Candidate:
     unknowns: list[Unknown] = []
     starts: list[tuple[float, ...]] = []
     for parameter in form.parameters:
-        places = parameter_indices(plant.machine.axis_names, effect.name, target, side, parameter.name)
+        places = parameter_indices(plant.machine.axis_names, effect.name, target, side, parameter.name, plant.streams)
+        unit = scales.unit(parameter, target)
         for k, group in enumerate(places):
             key = parameter.name if len(places) == 1 else f"{parameter.name}[{k}]"
             nominal = float(theta[group[0]])
-            unit = 1.0 if parameter.negligible > 0.0 else force_scale  # a force has no size before the data are seen
-            negligible = parameter.negligible or FORCE_SHARE * force_scale
+            negligible = parameter.negligible * unit
             unknowns.append(Unknown(key, tuple(group), parameter.bounds, nominal, negligible, parameter.stepwise))
             starts.append(tuple(s * unit for s in parameter.starts))
     count = max(len(s) for s in starts)

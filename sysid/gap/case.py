@@ -10,14 +10,14 @@ import numpy.typing as npt
 
 from sysid.datasets.recording import Dataset
 from sysid.errors import ExcitationError
-from sysid.gap.candidates import Candidate, candidates_at
+from sysid.gap.candidates import Candidate, Scales, candidates_at
 from sysid.gap.excitation import excitation_of
 from sysid.gap.floor import problem_floor
 from sysid.gap.noise import noise_levels
 from sysid.gap.problem import Problem, Split, pose_split, problems_of, split_of
 from sysid.gap.result import Excitation
 from sysid.gap.search import Finding
-from sysid.plant import Plant, compile_plant
+from sysid.plant import Plant, compile_plant, gravity_load
 
 Array = npt.NDArray[np.float64]
 
@@ -82,10 +82,18 @@ def _stage(case: Case, problem: Problem) -> Stage:
 
 def stage_candidates(case: Case, stage: Stage) -> list[Candidate]:
     """Every effect that may be missing at the stage, whether the recordings show it or not."""
+    return candidates_at(case.plant, case.theta, stage.problem.stage, stage.problem.targets, scales_of(case.plant, stage))
+
+
+def scales_of(plant: Plant, stage: Stage) -> Scales:
+    """Median force and gravity loads in the recordings to fit; a load that is a thousandth of the largest one is none."""
     force = 1.0
     if stage.problem.stage == "force":
         force = float(np.median(np.abs(np.concatenate([stage.problem.measured(r)[:, 0] for r in stage.split.fit]))))
-    return candidates_at(case.plant, case.theta, stage.problem.stage, stage.problem.targets, force)
+    loads = np.nan_to_num(np.concatenate([gravity_load(plant.machine, r) for r in stage.split.fit]))
+    typical = np.median(np.abs(loads), axis=0)
+    typical[typical < 1e-3 * typical.max()] = 0.0
+    return Scales(force, dict(zip(plant.machine.axis_names, map(float, typical), strict=True)))
 
 
 def excitation(case: Case, stages: list[Stage]) -> tuple[Excitation, ...]:

@@ -8,9 +8,11 @@ import numpy as np
 import numpy.typing as npt
 
 from sysid.datasets.recording import Recording
+from sysid.effects import effect_named
 from sysid.gap.candidates import Candidate
 from sysid.gap.result import Excitation
 from sysid.machine import Machine
+from sysid.plant import gravity_load
 from sysid.signals import axis_signal, point_signals
 
 Array = npt.NDArray[np.float64]
@@ -19,21 +21,26 @@ Count = Callable[[Sequence[Recording], Machine, str], float]
 
 def excitation_of(candidate: Candidate, recordings: Sequence[Recording], machine: Machine) -> Excitation:
     """What the recordings have of what the candidate needs."""
-    count, need, unit = _NEEDS[candidate.effect.name]
+    need = candidate.effect.need
+    count, unit = COUNTS[need.count]
     have = count(recordings, machine, candidate.target)
-    return Excitation(candidate.effect.name, candidate.target, have >= need, float(have), float(need), unit)
+    return Excitation(candidate.effect.name, candidate.target, have >= need.least, float(have), float(need.least), unit)
 
 
 def advice(item: Excitation) -> str:
     """What to record so that the effect can be seen."""
-    return f"{item.name} on {item.target}: {_have(item)}. {_ADVICE[item.name].format(axis=item.target)}"
+    return f"{item.name} on {item.target}: {_have(item)}. {_wanted(item.name, item.target)}"
 
 
 def advice_on_tie(tie: Sequence[tuple[str, str]]) -> str:
     """What to record so that effects that fit equally well come apart: what shows the first, and what shows each rival."""
     names = " or ".join(f"{name} on {target}" for name, target in tie)
-    wanted = dict.fromkeys(_ADVICE[name].format(axis=target) for name, target in tie)
+    wanted = dict.fromkeys(_wanted(name, target) for name, target in tie)
     return f"{names} cannot be told apart. {' '.join(wanted)}"
+
+
+def _wanted(name: str, target: str) -> str:
+    return effect_named(name).need.advice.format(axis=target)
 
 
 def _have(item: Excitation) -> str:
@@ -102,6 +109,57 @@ def motion(recordings: Sequence[Recording], machine: Machine, axis: str) -> floa
     return sum(float(np.sum(_level(r, axis) != 0)) / r.rate_hz for r in recordings)
 
 
+def longest_motion(recordings: Sequence[Recording], machine: Machine, axis: str) -> float:
+    """Seconds of command in the recording that has most of it."""
+    return max((motion((r,), machine, axis) for r in recordings), default=0.0)
+
+
+def any_motion(recordings: Sequence[Recording], machine: Machine, target: str) -> float:
+    """Seconds in which any axis is commanded."""
+    return sum(_moving(r, machine) for r in recordings)
+
+
+def longest_any_motion(recordings: Sequence[Recording], machine: Machine, target: str) -> float:
+    """Seconds in which any axis is commanded, in the recording that has most of it."""
+    return max((_moving(r, machine) for r in recordings), default=0.0)
+
+
+def together(recordings: Sequence[Recording], machine: Machine, target: str) -> float:
+    """Seconds in which at least two axes are commanded beyond a third of their largest command."""
+    total = 0.0
+    for recording in recordings:
+        levels = [np.abs(np.nan_to_num(recording.values(axis_signal(a.name, "command")))) for a in machine.axes]
+        high = [level > 0.33 * max(float(np.max(level, initial=0.0)), 1e-12) for level in levels]
+        total += float(np.sum(np.sum(high, axis=0) >= 2)) / recording.rate_hz
+    return total
+
+
+def load_change(recordings: Sequence[Recording], machine: Machine, axis: str) -> float:
+    """How far the gravity load of the axis changes, 5th to 95th percentile, in percent of its largest."""
+    i = machine.axis_names.index(axis)
+    values = np.concatenate([gravity_load(machine, r)[:, i] for r in recordings])
+    values = values[~np.isnan(values)]
+    largest = float(np.max(np.abs(values), initial=0.0))
+    if largest == 0.0:
+        return 0.0
+    low, high = np.percentile(values, (5.0, 95.0))
+    return 100.0 * float(high - low) / largest
+
+
+def signal_travel(recordings: Sequence[Recording], machine: Machine, signal: str) -> float:
+    """Seconds in which the signal is measured and its machine moves."""
+    total = 0.0
+    for recording in recordings:
+        there = ~np.isnan(recording.values(signal))
+        moving = np.any([_level(recording, a.name) != 0 for a in machine.axes], axis=0)
+        total += float(np.sum(there & moving)) / recording.rate_hz
+    return total
+
+
+def _moving(recording: Recording, machine: Machine) -> float:
+    return float(np.sum(np.any([_level(recording, a.name) != 0 for a in machine.axes], axis=0))) / recording.rate_hz
+
+
 def rest(recordings: Sequence[Recording], machine: Machine, axis: str) -> float:
     """Seconds with the command at zero."""
     return sum(float(np.sum(_level(r, axis) == 0)) / r.rate_hz for r in recordings)
@@ -137,48 +195,22 @@ def _level(recording: Recording, axis: str) -> Array:
     return np.where(np.abs(u) > 0.02 * max(float(np.max(np.abs(u), initial=0.0)), 1e-12), np.sign(u), 0.0)
 
 
-_NEEDS: dict[str, tuple[Count, float, str]] = {
-    "input_delay": (command_changes, 10, "command changes"),
-    "first_order_lag": (command_changes, 10, "command changes"),
-    "valve_deadband": (small_commands, 2, "s of small commands on each side"),
-    "valve_hysteresis": (command_changes, 10, "command changes"),
-    "gain_curve": (small_commands, 2, "s of small commands on each side"),
-    "flow_saturation": (motion, 5, "s of motion"),
-    "command_rate_limit": (command_changes, 10, "command changes"),
-    "internal_leakage": (rest, 10, "s at rest"),
-    "stiction": (command_changes, 10, "command changes"),
-    "gain_error": (motion, 5, "s of motion"),
-    "asymmetric_gain": (motion_both_ways, 3, "s of motion in each direction"),
-    "coulomb_friction": (motion_both_ways, 1, "s of force in each direction"),
-    "viscous_friction": (motion_both_ways, 1, "s of force in each direction"),
-    "inertia_error": (command_changes, 6, "force changes"),
-    "load_bias": (motion_both_ways, 1, "s of force in each direction"),
-    "backlash": (reversals, 8, "reversals"),
-    "joint_offset": (joint_coverage, 10, "% of the joint range"),
-    "link_length_error": (joint_coverage, 10, "% of the joint range"),
-    "base_misalignment": (joint_coverage, 10, "% of every joint's range"),
-    "gripper_sway": (tip_stops, 5, "s of boom tip motion"),
-}
-
-_ADVICE: dict[str, str] = {
-    "input_delay": "Record 20 sharp starts and stops of {axis}.",
-    "first_order_lag": "Record 20 sharp starts and stops of {axis}.",
-    "valve_deadband": "Record {axis} with slow commands from 0 to 30 % and back on both sides, 30 s.",
-    "valve_hysteresis": "Record 20 slow reversals of the command of {axis} around three openings.",
-    "gain_curve": "Record {axis} at 10, 20, 40, 70 and 100 % in both directions, 5 s each.",
-    "flow_saturation": "Record {axis} alone at 60, 80 and 100 %, 5 s each.",
-    "command_rate_limit": "Record 10 sudden full commands of {axis}.",
-    "internal_leakage": "Leave {axis} at rest under load for 60 s.",
-    "stiction": "Record 20 slow starts from rest and slow stops of {axis} on both sides.",
-    "gain_error": "Record {axis} moving over half of its range, 20 s.",
-    "asymmetric_gain": "Record {axis} at 30, 60 and 100 % in both directions, 5 s each.",
-    "coulomb_friction": "Record {axis} moving slowly in both directions, with several stops, 20 s.",
-    "viscous_friction": "Record {axis} at three speeds in both directions, 20 s.",
-    "inertia_error": "Record {axis} with quick starts and stops, 20 s.",
-    "load_bias": "Record {axis} moving evenly in both directions, 20 s.",
-    "backlash": "Record 20 slow reversals of {axis}, with at least 5 % of its range between them.",
-    "joint_offset": "Record poses over the whole range of {axis}.",
-    "link_length_error": "Record poses over the whole range of {axis}.",
-    "base_misalignment": "Record poses over the whole work space.",
-    "gripper_sway": "Move the boom tip briskly, stop, and let the tool swing for 5 s; ten times.",
+#: What an effect may need (:class:`sysid.effects.Need`): how it is counted, and in what.
+COUNTS: dict[str, tuple[Count, str]] = {
+    "command_changes": (command_changes, "command changes"),
+    "force_changes": (command_changes, "force changes"),
+    "small_commands": (small_commands, "s of small commands on each side"),
+    "motion": (motion, "s of motion"),
+    "longest_motion": (longest_motion, "s of motion in one recording"),
+    "any_motion": (any_motion, "s of motion of any axis"),
+    "longest_any_motion": (longest_any_motion, "s of motion of any axis in one recording"),
+    "motion_both_ways": (motion_both_ways, "s of motion in each direction"),
+    "force_both_ways": (motion_both_ways, "s of force in each direction"),
+    "together": (together, "s of two axes at large commands"),
+    "rest": (rest, "s at rest"),
+    "reversals": (reversals, "reversals"),
+    "load_change": (load_change, "% change of the gravity load"),
+    "joint_coverage": (joint_coverage, "% of the joint range"),
+    "signal_travel": (signal_travel, "s of motion while it is measured"),
+    "tip_stops": (tip_stops, "s of boom tip motion"),
 }

@@ -24,8 +24,8 @@ Array = npt.NDArray[np.float64]
 FORGIVE = 4.0
 #: What is left of a wandering 0.1 s later at a stage that does not integrate: it forgets within about a second.
 FORGETS = 0.9
-#: Half widths of the grids on which stepwise parameters are searched, in their unit.
-GRID = (0.08, 0.03, 0.01, 0.004, 0.0015, 0.0005)
+#: Half widths of the grids on which stepwise parameters are searched, in what is negligible of each.
+GRID = (20.0, 7.5, 2.5, 1.0, 0.375, 0.125)
 #: Starts from which a fit descends.
 DESCENTS = 2
 
@@ -250,7 +250,8 @@ def _search_grid(
     plain = (Drift(),) * len(data.sigma)
     steps = np.linspace(-reach, reach, 9 if len(searched) < 3 else 3)
     lanes = np.repeat(x[None], len(steps) ** len(searched), axis=0)
-    lanes[:, searched] += np.stack(np.meshgrid(*[steps] * len(searched)), axis=-1).reshape(-1, len(searched))
+    sizes = np.array([unknowns[k].negligible for k in searched])
+    lanes[:, searched] += sizes * np.stack(np.meshgrid(*[steps] * len(searched)), axis=-1).reshape(-1, len(searched))
     lanes = np.clip(lanes, low, high)
     costs = np.mean(np.abs(data.whitened(place(theta, unknowns, lanes), plain)), axis=1)
     best: Array = lanes[int(np.argmin(costs))]

@@ -14,8 +14,8 @@ from sysid.gap.drift import BIN
 from sysid.machine import Axis
 from sysid.plant import Model
 from sysid.plant.force import ForceInputs, force_inputs, hold_of
-from sysid.plant.model import measured_joints, measured_point
-from sysid.signals import axis_signal, point_signals
+from sysid.plant.model import measured_point
+from sysid.signals import axis_signal, point_signals, split_signal
 
 Array = npt.NDArray[np.float64]
 Rows = npt.NDArray[np.int64]
@@ -64,12 +64,12 @@ def drive_problem(model: Model, axis: Axis, restart_every: float | None = None) 
     """Command → what it drives, free-running over whole recordings."""
 
     def predict(thetas: Array, recording: Recording) -> Array:
-        return model.drive(thetas, recording, axis.name, restart_every)[1][:, :, None]
+        return model.drive(thetas, recording, axis.name, restart_every)[:, :, None]
 
     return Problem(
         "command",
         axis.name,
-        (axis.name,),
+        (axis.name, "machine") if _shares_pump(model, axis) else (axis.name,),
         (axis.driven,),
         predict,
         lambda recording: recording.values(axis.driven)[:, None],
@@ -102,25 +102,31 @@ def force_problem(model: Model, axis: Axis, recordings: Sequence[Recording], hol
 
 def joint_problem(model: Model, axis: Axis) -> Problem:
     """Cylinder → joint through the linkage."""
-    cylinder, joint = axis_signal(axis.name, "cylinder"), axis_signal(axis.name, "joint")
+    joint = axis_signal(axis.name, "joint")
 
     def predict(thetas: Array, recording: Recording) -> Array:
-        source, begin = recording.values(cylinder), recording.values(joint)
-        return model.joint(thetas, source, begin, axis.name, recording.rate_hz)[:, :, None]
+        return model.joint(thetas, recording, axis.name)[:, :, None]
 
+    targets = (
+        axis.name,
+        axis_signal(axis.name, "cylinder"),
+        joint,
+        *other_clocks(model, axis_signal(axis.name, "cylinder"), joint),
+    )
     return Problem(
-        "joint", axis.name, (axis.name,), (joint,), predict, lambda recording: recording.values(joint)[:, None], _every_row
+        "joint", axis.name, targets, (joint,), predict, lambda recording: recording.values(joint)[:, None], _every_row
     )
 
 
 def tip_problem(model: Model) -> Problem:
     """Joints → end effector through the kinematics."""
+    joints = [axis_signal(name, "joint") for name in model.machine.axis_names]
     return Problem(
         "end_effector",
         "ee",
-        (*model.machine.axis_names, "base"),
+        (*model.machine.axis_names, "base", *other_clocks(model, *joints, *point_signals("ee"))),
         point_signals("ee"),
-        lambda thetas, recording: model.tip(thetas, measured_joints(recording, model.machine)),
+        model.tip,
         lambda recording: measured_point(recording, "ee"),
         _every_row,
         poses=True,
@@ -130,18 +136,33 @@ def tip_problem(model: Model) -> Problem:
 def tool_problem(model: Model) -> Problem:
     """End effector → hanging tool."""
 
-    def predict(thetas: Array, recording: Recording) -> Array:
-        return model.tool(thetas, measured_point(recording, "ee"), measured_point(recording, "tool"), recording.rate_hz)
-
     return Problem(
         "tool",
         "tool",
         ("tool",),
         point_signals("tool"),
-        predict,
+        model.tool,
         lambda recording: measured_point(recording, "tool"),
         _every_row,
     )
+
+
+def _shares_pump(model: Model, axis: Axis) -> bool:
+    """Whether another axis takes from the same pump."""
+    return axis.actuation == "velocity" and sum(a.actuation == "velocity" for a in model.machine.axes) > 1
+
+
+def other_clocks(model: Model, *signals: str) -> tuple[str, ...]:
+    """Streams that carry some of these signals and not all: with one clock for all of them its error would not show.
+
+    The stream of the commands is what the others are compared with.
+    """
+    found = []
+    for stream, carried in model.streams.items():
+        commands = any(split_signal(signal)[1] == "command" for signal in carried)
+        if not commands and 0 < sum(signal in carried for signal in signals) < len(signals):
+            found.append(stream)
+    return tuple(found)
 
 
 def _every_row(recording: Recording) -> Rows:
@@ -198,10 +219,10 @@ def problems_of(model: Model, dataset: Dataset) -> list[Problem]:
             problems.append(drive_problem(model, axis))
     for axis in model.machine.axes:
         joint = axis_signal(axis.name, "joint")
-        if axis.drives == "cylinder" and axis.name in model.tables and _measured(motion, axis.driven, joint):
+        if axis.drives == "cylinder" and axis.name in model.linked and _measured(motion, axis.driven, joint):
             problems.append(joint_problem(model, axis))
     joints = [axis_signal(name, "joint") for name in model.machine.axis_names]
-    if model.chain is not None and _measured((*motion, *dataset.of_kind("poses")), *joints, *point_signals("ee")):
+    if model.posed and _measured((*motion, *dataset.of_kind("poses")), *joints, *point_signals("ee")):
         problems.append(tip_problem(model))
     if model.machine.tool is not None and _measured(motion, *point_signals("ee"), *point_signals("tool")):
         problems.append(tool_problem(model))

@@ -94,7 +94,8 @@ def find_gap(
 
 
 def _localise(case: Case, stages: Sequence[Stage]) -> tuple[Localised, ...]:
-    free = run_rmse([(r, free_run(case.plant, r)) for r in case.split.seen])
+    model = compile_plant(case.plant)
+    free = run_rmse([(r, free_run(model, r)) for r in case.split.seen])
     recordings = {k: stage.split.seen for k, stage in enumerate(stages)}
     floors = {k: stage.sigma for k, stage in enumerate(stages)}
     return localise([stage.problem for stage in stages], case.theta, recordings, floors, free)
@@ -118,10 +119,11 @@ def _search(case: Case, stage: Stage, strict: Strictness, forms: Forms, tell: Pr
 def _free_gap(case: Case, repaired: Plant) -> tuple[Gap, tuple[Traces, ...]]:
     """The whole chain, free-running on held-out recordings, before and after."""
     held_out = case.split.held_out
-    before = [free_run(case.plant, r) for r in held_out]
-    after = [free_run(repaired, r) for r in held_out]
+    nominal, better = compile_plant(case.plant), compile_plant(repaired)
+    before = [free_run(nominal, r) for r in held_out]
+    after = [free_run(better, r) for r in held_out]
     scores = [run_rmse(list(zip(held_out, runs, strict=True))) for runs in (before, after)]
-    scores.append(run_floor(lambda r: free_run(repaired, r), held_out, case.noise, case.seed))
+    scores.append(run_floor(lambda r: free_run(better, r), held_out, case.noise, case.seed))
     shared = [signal for signal in scores[0] if all(signal in score for score in scores)]
     gap = Gap(*({signal: score[signal] for signal in shared} for score in scores))
     return gap, tuple(Traces(r.name, r.table, b, a) for r, b, a in zip(held_out, before, after, strict=True))

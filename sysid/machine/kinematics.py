@@ -5,6 +5,7 @@ Source: URDF specification (ROS wiki, ``urdf/XML/joint``); Craig, Introduction t
 
 from __future__ import annotations
 
+import functools
 import math
 from dataclasses import dataclass
 from xml.etree.ElementTree import Element
@@ -55,6 +56,7 @@ class Kinematics:
     tool: str | None = None
 
     @staticmethod
+    @functools.lru_cache(maxsize=64)
     def from_urdf(text: str, joints: tuple[str, ...], tip: str, tool: str | None = None) -> Kinematics:
         """Parse a URDF and follow it from ``tip`` to the root.
 

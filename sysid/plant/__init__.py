@@ -1,7 +1,8 @@
 """The plant: the chain of effects in physical order, compiled; free and stage-wise runs."""
 
+from sysid.plant.gravity import gravity_load
 from sysid.plant.model import Model, compile_plant
 from sysid.plant.plant import Plant, effects_toml, nominal_plant, plant_from_files
 from sysid.plant.rollout import free_run
 
-__all__ = ["Model", "Plant", "compile_plant", "effects_toml", "free_run", "nominal_plant", "plant_from_files"]
+__all__ = ["Model", "Plant", "compile_plant", "effects_toml", "free_run", "gravity_load", "nominal_plant", "plant_from_files"]

@@ -18,7 +18,7 @@ from scipy import signal
 from sysid.datasets.recording import Recording
 from sysid.errors import ExcitationError
 from sysid.machine import Axis
-from sysid.plant import chain, layout
+from sysid.plant import axis_run
 from sysid.signals import axis_signal
 
 if TYPE_CHECKING:
@@ -52,15 +52,14 @@ class ForceInputs:
     acceleration: Array
     force: Array
     low_pass: Array
-    inertia: float
 
     def model_force(self, model: Model, thetas: Array, axis: str) -> Array:
         """Force that the model needs for the measured motion, (lanes, m)."""
-        begin = model.machine.axis_names.index(axis) * layout.AXIS_WIDTH
+        i = model.axis_index(axis)
         out = np.empty((len(thetas), len(self.rows)))
         full = np.empty(len(self.speed))
         for i, theta in enumerate(thetas):
-            chain.force_at_motion(theta, begin, self.inertia, self.speed, self.acceleration, full)
+            axis_run.force_axis(theta, model.rig, i, self.speed, self.acceleration, full)
             out[i] = signal.sosfiltfilt(self.low_pass, full)[self.rows]
         return out
 
@@ -97,9 +96,8 @@ def force_inputs(
     speed = np.gradient(position, 1.0 / rate)
     acceleration = np.gradient(speed, 1.0 / rate)
     filtered = signal.sosfiltfilt(low_pass, force)
-    inertia = float(axis.inertia or 0.0)
     if rows is not None:
-        return ForceInputs(rows, speed, acceleration, filtered[rows], low_pass, inertia)
+        return ForceInputs(rows, speed, acceleration, filtered[rows], low_pass)
     still = settings.still * float(np.percentile(np.abs(speed), 95))
     stride = max(1, int(rate / (2.5 * settings.force_hz)))
     edge = 5 * stride
@@ -111,7 +109,7 @@ def force_inputs(
     rows = rows[~slow[rows] & measured]
     if len(rows) < 30:
         raise ExcitationError(f"{recording.name}: {axis.name}", "the axis hardly moves", "motion in both directions")
-    return ForceInputs(rows, speed, acceleration, filtered[rows], low_pass, inertia)
+    return ForceInputs(rows, speed, acceleration, filtered[rows], low_pass)
 
 
 def hold_of(recordings: Sequence[Recording], axis: Axis) -> float:

@@ -1,75 +1,143 @@
-"""The flat parameter vector of a compiled plant: which number stands where.
+"""The flat vectors of a compiled plant: which number stands where.
 
-``theta = [axis 0 | axis 1 | … | base | tool]``; every axis has the same block of slots, neutral values mean "absent".
-An effect that may sit on two sides has one set of slots for each.
+``theta = [axis 0 | axis 1 | … | machine | base | tool | signal 0 | signal 1 | …]``; every axis and every signal has the same
+block of slots, neutral values mean "absent". An effect that may sit on two sides has one set of slots for each. The state of
+an axis is one flat row as well, in which NaN means "not begun".
+
+Compiled code takes places from ``AT`` (inside a block of ``theta``) and ``STATE`` (inside the state of an axis): named tuples
+of numbers that the compiler sees as constants. An effect on one side of two is ``<name>_<side>`` there.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections import namedtuple
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from sysid.effects import CATALOGUE, Effect, effect_named
+from sysid.effects.effect import TargetKind
 from sysid.errors import SettingsError, nearest
+from sysid.plant import cache
+from sysid.signals import axis_signal, point_signals
+
+assert cache.CACHE_FOLDER is not None  # chosen before anything compiles
 
 Array = npt.NDArray[np.float64]
 Key = tuple[str, str | None, str]
+#: Stream (file stem) → the signals that it carries: what a clock effect acts on.
+Streams = Mapping[str, tuple[str, ...]]
 
 
-def _block(target: str) -> dict[Key, tuple[int, float]]:
+def _block(*kinds: TargetKind) -> dict[Key, tuple[int, float]]:
     """(effect, side, slot) → (place in the block, neutral value)."""
     block: dict[Key, tuple[int, float]] = {}
     for effect in CATALOGUE:
-        if effect.target == target:
+        if effect.target in kinds:
             for side in effect.sides or (None,):
                 for slot in effect.slots:
                     block[effect.name, side, slot.name] = (len(block), slot.neutral)
     return block
 
 
-_AXIS, _BASE, _TOOL = _block("axis"), _block("base"), _block("tool")
-AXIS_WIDTH = len(_AXIS)
+_AXIS, _MACHINE, _BASE, _TOOL = _block("axis"), _block("machine"), _block("base"), _block("tool")
+_SIGNAL = _block("signal", "stream")
+AXIS_WIDTH, SIGNAL_WIDTH = len(_AXIS), len(_SIGNAL)
 
 
-def axis_place(effect: str, side: str | None = None) -> int:
-    """Place of the effect's first slot inside an axis block (a constant for the compiled chain)."""
-    return min(place for (name, at, _), (place, _) in _AXIS.items() if name == effect and at == side)
+def _label(effect: str, side: str | None) -> str:
+    return effect if side is None else f"{effect}_{side}"
 
 
-def base_place(axes: int) -> int:
+def _places() -> dict[str, int]:
+    found: dict[str, int] = {}
+    for block in (_AXIS, _MACHINE, _BASE, _TOOL, _SIGNAL):
+        for (effect, side, _), (place, _) in block.items():
+            found.setdefault(_label(effect, side), place)
+    return found
+
+
+def _states() -> dict[str, int]:
+    """Position and speed, then what each effect of an axis keeps; the ring of the delay, whose length varies, is last."""
+    found, count = {"position": 0, "speed": 1}, 2
+    for effect in CATALOGUE:
+        if effect.target == "axis" and effect.name != "input_delay":
+            for side in effect.sides or (None,):
+                if effect.memory(1.0):
+                    found[_label(effect.name, side)] = count
+                    count += effect.memory(1.0)
+    return {**found, "input_delay": count}
+
+
+AT: Any = namedtuple("AT", _places())(**_places())
+STATE: Any = namedtuple("STATE", _states())(**_states())
+
+
+def axis_memory(dt: float) -> int:
+    """State values of one axis."""
+    return int(STATE.input_delay) + effect_named("input_delay").memory(dt)
+
+
+def signals_of(axis_names: Sequence[str]) -> tuple[str, ...]:
+    """The signals that a sensor can read, in the order of their blocks."""
+    axes = (axis_signal(name, kind) for name in axis_names for kind in ("cylinder", "joint"))
+    return (*axes, *point_signals("ee"), *point_signals("tool"))
+
+
+def machine_place(axes: int) -> int:
     return axes * AXIS_WIDTH
 
 
+def base_place(axes: int) -> int:
+    return machine_place(axes) + len(_MACHINE)
+
+
 def tool_place(axes: int) -> int:
-    return axes * AXIS_WIDTH + len(_BASE)
+    return base_place(axes) + len(_BASE)
+
+
+def signal_place(axis_names: Sequence[str], signal: str) -> int:
+    """Where the block of a signal begins."""
+    return tool_place(len(axis_names)) + len(_TOOL) + signals_of(axis_names).index(signal) * SIGNAL_WIDTH
 
 
 def neutral_vector(axes: int) -> Array:
     """``theta`` of a plant without any effect."""
-    axis = [neutral for _, neutral in _AXIS.values()]
-    rest = [neutral for _, neutral in (*_BASE.values(), *_TOOL.values())]
-    return np.array(axis * axes + rest)
+    axis, signal = ([neutral for _, neutral in block.values()] for block in (_AXIS, _SIGNAL))
+    rest = [neutral for block in (_MACHINE, _BASE, _TOOL) for _, neutral in block.values()]
+    return np.array(axis * axes + rest + signal * (2 * axes + 6))
 
 
-def slot_index(axis_names: Sequence[str], effect: Effect, target: str, side: str | None, slot: str) -> int:
-    """Index into ``theta``.
+def slot_indices(
+    axis_names: Sequence[str], effect: Effect, target: str, side: str | None, slot: str, streams: Streams | None = None
+) -> list[int]:
+    """Where a slot stands in ``theta``: one place, or one for each signal of a stream.
 
     Raises:
         SettingsError: the target does not exist, or the side does not fit the effect.
     """
     where = f"effect {effect.name}"
     side = side_of(effect, side)
-    if effect.target == "axis":
-        if target not in axis_names:
-            raise SettingsError(where, f"unknown target {target!r}", nearest(target, axis_names))
-        return list(axis_names).index(target) * AXIS_WIDTH + _AXIS[effect.name, side, slot][0]
-    if target != effect.target:
+    if effect.target in ("axis", "signal", "stream"):
+        valid = {"axis": axis_names, "signal": signals_of(axis_names), "stream": tuple(streams or ())}[effect.target]
+        if target not in valid:
+            raise SettingsError(where, f"unknown target {target!r}", nearest(target, valid) if valid else "no stream is known")
+    elif target != effect.target:
         raise SettingsError(where, f"target {target!r}", repr(effect.target))
+    axes = len(axis_names)
+    if effect.target == "axis":
+        return [list(axis_names).index(target) * AXIS_WIDTH + _AXIS[effect.name, side, slot][0]]
+    if effect.target == "machine":
+        return [machine_place(axes) + _MACHINE[effect.name, side, slot][0]]
     if effect.target == "base":
-        return base_place(len(axis_names)) + _BASE[effect.name, side, slot][0]
-    return tool_place(len(axis_names)) + _TOOL[effect.name, side, slot][0]
+        return [base_place(axes) + _BASE[effect.name, side, slot][0]]
+    if effect.target == "tool":
+        return [tool_place(axes) + _TOOL[effect.name, side, slot][0]]
+    read = signals_of(axis_names)
+    carried = (target,) if effect.target == "signal" else [s for s in (streams or {})[target] if s in read]
+    return [signal_place(axis_names, signal) + _SIGNAL[effect.name, side, slot][0] for signal in carried]
 
 
 def side_of(effect: Effect, side: str | None) -> str | None:
@@ -86,13 +154,21 @@ def side_of(effect: Effect, side: str | None) -> str | None:
 
 
 def parameter_indices(
-    axis_names: Sequence[str], effect_name: str, target: str, side: str | None, parameter: str
+    axis_names: Sequence[str],
+    effect_name: str,
+    target: str,
+    side: str | None,
+    parameter: str,
+    streams: Streams | None = None,
 ) -> list[list[int]]:
     """For each component of a public parameter, the places in ``theta`` that take its value."""
     effect = effect_named(effect_name)
     for form in effect.forms:
         for candidate in form.parameters:
             if candidate.name == parameter:
-                return [[slot_index(axis_names, effect, target, side, s) for s in group] for group in candidate.components]
+                return [
+                    [place for slot in group for place in slot_indices(axis_names, effect, target, side, slot, streams)]
+                    for group in candidate.components
+                ]
     valid = [name for form in effect.forms for name in form.names]
     raise SettingsError(f"effect {effect_name}", f"unknown parameter {parameter!r}", nearest(parameter, valid))

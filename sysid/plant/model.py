@@ -1,7 +1,8 @@
-"""A plant made ready for the compiled kernels: constant arrays beside the parameter vector, and lanes over all cores."""
+"""A plant made ready for the compiled kernels: stages of recordings for many parameter vectors at once, over all cores."""
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
@@ -12,12 +13,16 @@ import numpy.typing as npt
 
 from sysid.datasets.recording import Recording
 from sysid.errors import SettingsError
-from sysid.machine import Kinematics, Machine
-from sysid.plant import chain, layout
+from sysid.machine import Machine
+from sysid.plant import axis_run, layout, sensing, stage_tip, swing
+from sysid.plant.gravity import gravity_load
+from sysid.plant.layout import AT, SIGNAL_WIDTH, neutral_vector
 from sysid.plant.plant import Plant
+from sysid.plant.rig import KIND, VELOCITY, Rig, rig_of
 from sysid.signals import axis_signal, point_signals
 
 Array = npt.NDArray[np.float64]
+Segments = npt.NDArray[np.int64]
 
 #: A free run starts from the median of this stretch [s] (contract).
 START_WINDOW = 0.2
@@ -26,143 +31,202 @@ SETTLE_WINDOW = 10.0
 #: A command may be missing this long [s] before the free run restarts.
 COMMAND_GAP = 0.1
 
-_KINDS = {"velocity": chain.VELOCITY, "position": chain.POSITION, "force": chain.FORCE}
-
-
-@dataclass(frozen=True)
-class Chain:
-    """Kinematic constants in chain order, fixed joints merged (see :func:`sysid.plant.chain.tip`)."""
-
-    origins: Array
-    axes: Array
-    prismatic: npt.NDArray[np.bool_]
-    order: npt.NDArray[np.int64]
-    end: Array
-
 
 @dataclass(frozen=True)
 class Model:
-    """What the kernels need of a plant; ``theta`` (N,) may be replaced by lanes of other values."""
+    """What the kernels need of a plant; ``theta`` (N,) may be replaced by lanes of other values, ``thetas`` (lanes, N)."""
 
     machine: Machine
     theta: Array
-    tables: dict[str, tuple[Array, float, float]]
-    chain: Chain | None
-    commands: dict[tuple[int, str], tuple[Recording, Array, npt.NDArray[np.int64]]] = field(
-        default_factory=dict, repr=False, compare=False
-    )
+    rig: Rig
+    linked: frozenset[str]
+    streams: layout.Streams = field(default_factory=dict)
+    _commands: dict[tuple[int, str], tuple[Recording, Array, Segments]] = field(default_factory=dict, repr=False, compare=False)
+    _loads: dict[int, tuple[Recording, Array]] = field(default_factory=dict, repr=False, compare=False)
 
     @property
     def axes(self) -> int:
         return len(self.machine.axes)
 
-    def drive(self, thetas: Array, recording: Recording, axis: str, restart_every: float | None = None) -> tuple[Array, Array]:
-        """Free run of one axis from its command: (position of the drive, behind the play if it lies there), each (lanes, n).
+    @property
+    def posed(self) -> bool:
+        """Whether the machine has kinematics."""
+        return self.rig.posed
 
-        ``restart_every`` [s] restarts it from the measurement again and again, for starting values of a fit.
+    def axis_index(self, axis: str) -> int:
+        return self.machine.axis_names.index(axis)
+
+    # -- stages ----------------------------------------------------------------------------------------------------
+
+    def drive(self, thetas: Array, recording: Recording, axis: str, restart_every: float | None = None) -> Array:
+        """Command → the signal that it drives, free-running: (lanes, n).
+
+        Load and pump share are those at the measured joints and at the other axes' commands. ``restart_every`` [s] restarts
+        the run from the measurement again and again, for starting values of a fit.
         """
-        column = self.machine.axis_names.index(axis)
-        about = self.machine.axes[column]
-        dt = 1.0 / recording.rate_hz
-        command, segments = self._held(recording, axis)
-        measured = recording.values(about.driven)
+        i, about, dt = self.axis_index(axis), self.machine.axis(axis), 1.0 / recording.rate_hz
+        command, segments = self.held(recording, axis)
         if restart_every is not None:
             segments = _shorter(segments, max(2, round(restart_every / dt)))
-        kind = _KINDS[about.actuation]
-        gain = float(about.inertia or 0.0) if about.actuation == "force" else about.gain
-        low, high = about.range
-        size = chain.axis_memory(dt)
-        outs = np.full((2, len(thetas), len(command)), np.nan)
+        measured = self.believed(thetas, recording, about.driven)
+        load, share = self.load(recording)[:, i].copy(), self.share(thetas, recording)
+        size, window, settle = layout.axis_memory(dt), self.window(recording), round(SETTLE_WINDOW / dt)
+        position, behind = np.full((2, len(thetas), len(command)), np.nan)
 
-        def lane(i: int) -> None:
-            chain.drive_axis(
-                thetas[i], column * layout.AXIS_WIDTH, command, measured, segments, kind, gain, low, high, dt,
-                max(3, round(START_WINDOW / dt)), round(SETTLE_WINDOW / dt), about.drives == "joint", size,
-                outs[0, i], outs[1, i],
+        def lane(k: int) -> None:
+            axis_run.drive_axis(
+                thetas[k], self.rig, i, command, measured[k], load, share[k], segments, dt, window, settle, size, position[k],
+                behind[k],
             )  # fmt: skip
 
         in_parallel(lane, len(thetas), len(command))
-        return outs[0], outs[1]
+        return self.sensed(thetas, about.driven, behind, dt)
 
-    def _held(self, recording: Recording, axis: str) -> tuple[Array, npt.NDArray[np.int64]]:
-        """:func:`held` of a command, remembered: a fit asks for it thousands of times."""
-        known = self.commands.get((id(recording), axis))
-        if known is None or known[0] is not recording:
-            known = (recording, *held(recording.values(axis_signal(axis, "command")), recording.rate_hz))
-            self.commands[id(recording), axis] = known
-        return known[1], known[2]
-
-    def joint(self, thetas: Array, cylinder: Array, measured: Array, axis: str, rate_hz: float) -> Array:
-        """Cylinder (n,) or (lanes, n) → joint (lanes, n) through linkage and play."""
-        if axis not in self.tables:
+    def joint(self, thetas: Array, recording: Recording, axis: str) -> Array:
+        """Measured cylinder → joint through linkage, play and sag: (lanes, n)."""
+        if axis not in self.linked:
             raise SettingsError(f"axis {axis}", "no linkage", "geometry in machine.toml or a fitted actuator network")
-        table, low, step = self.tables[axis]
-        begin = self.machine.axis_names.index(axis) * layout.AXIS_WIDTH
-        window = max(3, round(START_WINDOW * rate_hz))
-        source = np.broadcast_to(cylinder, (len(thetas), cylinder.shape[-1]))
-        out = np.empty(source.shape)
+        i, signal = self.axis_index(axis), axis_signal(axis, "joint")
+        cylinder = self.believed(thetas, recording, axis_signal(axis, "cylinder"))
+        measured, load = self.believed(thetas, recording, signal), self.load(recording)[:, i].copy()
+        window, out = self.window(recording), np.empty((len(thetas), len(recording)))
 
-        def lane(i: int) -> None:
-            chain.joint_axis(thetas[i], begin, source[i], measured, table, low, step, window, out[i])
+        def lane(k: int) -> None:
+            axis_run.joint_axis(thetas[k], self.rig, i, cylinder[k], measured[k], load, window, out[k])
 
-        in_parallel(lane, len(thetas), source.shape[-1])
-        return out
+        in_parallel(lane, len(thetas), len(recording))
+        return self.sensed(thetas, signal, out, 1.0 / recording.rate_hz)
 
-    def tip(self, thetas: Array, joints: Array) -> Array:
-        """Joints (n, A) or (lanes, n, A) → end effector (lanes, n, 3)."""
-        if self.chain is None:
+    def tip(self, thetas: Array, recording: Recording) -> Array:
+        """Measured joints → end effector: (lanes, n, 3)."""
+        if not self.posed:
             raise SettingsError(f"machine {self.machine.name}", "no URDF", "urdf and tip in machine.toml")
-        c = self.chain
-        source = np.broadcast_to(joints, (len(thetas), *joints.shape[-2:]))
-        out = np.empty((len(thetas), source.shape[-2], 3))
-        base = layout.base_place(self.axes)
+        names = [axis_signal(name, "joint") for name in self.machine.axis_names]
+        believed = [self.believed(thetas, recording, name) for name in names]
+        alike = all(part.strides[0] == 0 for part in believed)
+        joints = np.stack([part[0] if alike else part for part in believed], axis=-1)
+        out = np.empty((len(thetas), len(recording), 3))
 
-        def lane(i: int) -> None:
-            chain.tip(thetas[i], base, source[i], c.origins, c.axes, c.prismatic, c.order, c.end, out[i])
+        def lane(k: int) -> None:
+            stage_tip.tip(thetas[k], self.rig, joints if alike else joints[k], out[k])
 
-        in_parallel(lane, len(thetas), source.shape[-2])
-        return out
+        in_parallel(lane, len(thetas), len(recording))
+        return self._sensed_point(thetas, "ee", out, 1.0 / recording.rate_hz)
 
-    def tool(self, thetas: Array, ee: Array, measured: Array, rate_hz: float) -> Array:
-        """End effector (n, 3) or (lanes, n, 3) → tool (lanes, n, 3); ``measured`` tool (n, 3) starts the swing."""
-        source = np.broadcast_to(ee, (len(thetas), *ee.shape[-2:]))
-        out = np.empty(source.shape)
-        at = layout.tool_place(self.axes)
+    def tool(self, thetas: Array, recording: Recording) -> Array:
+        """Measured end effector → hanging tool: (lanes, n, 3); the measured tool starts the swing."""
+        pivot = self._believed_point(thetas, recording, "ee")
+        measured = self._believed_point(thetas, recording, "tool")
+        return self._sensed_point(
+            thetas, "tool", self.hang(thetas, pivot, measured, recording.rate_hz), 1.0 / recording.rate_hz
+        )
+
+    def hang(self, thetas: Array, pivot: Array, measured: Array, rate_hz: float) -> Array:
+        """True end effector (lanes, n, 3) → true tool; ``measured`` tool (lanes, n, 3) starts the swing."""
+        out, pivot, measured = np.empty(pivot.shape), frozen(pivot), frozen(measured)
         window = max(5, round(START_WINDOW * rate_hz))
 
-        def lane(i: int) -> None:
-            chain.tool(thetas[i], at, source[i], measured, window, 1.0 / rate_hz, out[i])
+        def lane(k: int) -> None:
+            swing.swing(thetas[k], self.rig.tool, pivot[k], measured[k], window, 1.0 / rate_hz, out[k])
 
-        in_parallel(lane, len(thetas), source.shape[-2])
+        in_parallel(lane, len(thetas), pivot.shape[1])
         return out
+
+    # -- what stages take from elsewhere ---------------------------------------------------------------------------------
+
+    def held(self, recording: Recording, axis: str) -> tuple[Array, Segments]:
+        """:func:`held` of a command, remembered: a fit asks for it thousands of times."""
+        known = self._commands.get((id(recording), axis))
+        if known is None or known[0] is not recording:
+            known = (recording, *held(recording.values(axis_signal(axis, "command")), recording.rate_hz))
+            self._commands[id(recording), axis] = known
+        return known[1], known[2]
+
+    def window(self, recording: Recording) -> int:
+        """Samples from which a run starts."""
+        return max(3, round(START_WINDOW * recording.rate_hz))
+
+    def load(self, recording: Recording) -> Array:
+        """:func:`sysid.plant.gravity.gravity_load`, remembered."""
+        known = self._loads.get(id(recording))
+        if known is None or known[0] is not recording:
+            known = (recording, gravity_load(self.machine, recording))
+            self._loads[id(recording)] = known
+        return known[1]
+
+    def share(self, thetas: Array, recording: Recording, seconds: float = math.inf) -> Array:
+        """What the pump feeds of the velocity axes' demand, (lanes, n); within the first ``seconds`` of each stretch."""
+        place = self.rig.machine + AT.pump_flow_limit
+        neutral = neutral_vector(self.axes)[place]
+        if (thetas[:, place] >= neutral).all():
+            return np.broadcast_to(np.ones(len(recording)), (len(thetas), len(recording)))
+        dt = 1.0 / recording.rate_hz
+        total = np.zeros((len(thetas), len(recording)))
+        load, size = self.load(recording), layout.axis_memory(dt)
+        moved = [name for i, name in enumerate(self.machine.axis_names) if self.rig.axes[i, KIND] == VELOCITY]
+        inputs = []
+        for name in moved:
+            i, (command, segments) = self.axis_index(name), self.held(recording, name)
+            if seconds < math.inf:
+                segments = np.column_stack([segments[:, 0], np.minimum(segments[:, 1], segments[:, 0] + round(seconds / dt))])
+            inputs.append((i, command, segments, load[:, i].copy()))
+
+        def lane(k: int) -> None:
+            for i, command, segments, weight in inputs:
+                axis_run.add_demand(thetas[k], self.rig, i, command, weight, segments, dt, size, total[k])
+
+        in_parallel(lane, len(thetas), len(recording) * len(moved))
+        return frozen(np.minimum(1.0, thetas[:, place, None] / np.maximum(total, 1e-12)))
+
+    # -- sensors -----------------------------------------------------------------------------------------------------
+
+    def sensed(self, thetas: Array, signal: str, true: Array, dt: float) -> Array:
+        """True values (lanes, n) → what the signal's sensor says; the same array where all sensors read the truth."""
+        place = self._sensor(thetas, signal)
+        if place is None:
+            return true
+        out = np.empty(true.shape)
+        for k in range(len(thetas)):
+            sensing.sensed(thetas[k], place, np.ascontiguousarray(true[k]), dt, out[k])
+        return out
+
+    def believed(self, thetas: Array, recording: Recording, signal: str) -> Array:
+        """What must be true while the signal's sensor says what was recorded, (lanes, n)."""
+        values, place = recording.values(signal), self._sensor(thetas, signal)
+        if place is None:
+            return np.broadcast_to(values, (len(thetas), len(values)))
+        out = np.empty((len(thetas), len(values)))
+        for k in range(len(thetas)):
+            sensing.believed(thetas[k], place, values, 1.0 / recording.rate_hz, out[k])
+        return frozen(out)
+
+    def _sensor(self, thetas: Array, signal: str) -> int | None:
+        """Where the signal's sensor stands in ``theta``; None where it reads the truth in all lanes."""
+        place = layout.signal_place(self.machine.axis_names, signal)
+        neutral = neutral_vector(self.axes)[place : place + SIGNAL_WIDTH]
+        return None if (thetas[:, place : place + SIGNAL_WIDTH] == neutral).all() else place
+
+    def _sensed_point(self, thetas: Array, point: str, true: Array, dt: float) -> Array:
+        for c, signal in enumerate(point_signals(point)):
+            said = self.sensed(thetas, signal, true[:, :, c], dt)
+            if said.base is not true:
+                true[:, :, c] = said
+        return true
+
+    def _believed_point(self, thetas: Array, recording: Recording, point: str) -> Array:
+        parts = [self.believed(thetas, recording, signal) for signal in point_signals(point)]
+        if all(part.strides[0] == 0 for part in parts):
+            values = whole_rows(np.stack([part[0] for part in parts], axis=-1))
+            return np.broadcast_to(values, (len(thetas), *values.shape))
+        return whole_rows(np.stack(parts, axis=-1))
 
 
 def compile_plant(plant: Plant) -> Model:
     """The arrays of a plant."""
-    tables = {}
-    for axis, linkage in plant.linkages.items():
-        low, high = float(linkage.displacements[0]), float(linkage.displacements[-1])
-        grid = np.linspace(low, high, 2048)
-        tables[axis] = (linkage.joint(grid), low, (high - low) / 2047.0)
-    kinematics = plant.machine.kinematics()
-    return Model(plant.machine, plant.vector(), tables, None if kinematics is None else _chain(kinematics))
+    return Model(plant.machine, plant.vector(), rig_of(plant), frozenset(plant.linkages), plant.streams)
 
 
-def _chain(kinematics: Kinematics) -> Chain:
-    origins, axes, prismatic, order = [], [], [], []
-    frame = np.eye(4)
-    for joint in kinematics.chain:
-        frame = frame @ joint.origin
-        if joint.name in kinematics.actuated:
-            origins.append(frame)
-            axes.append(joint.axis)
-            prismatic.append(joint.prismatic)
-            order.append(kinematics.actuated.index(joint.name))
-            frame = np.eye(4)
-    return Chain(np.array(origins), np.array(axes), np.array(prismatic), np.array(order, dtype=np.int64), frame)
-
-
-def held(command: Array, rate_hz: float) -> tuple[Array, npt.NDArray[np.int64]]:
+def held(command: Array, rate_hz: float) -> tuple[Array, Segments]:
     """The command with short gaps held, and the stretches (first, last+1) between longer ones."""
     there = ~np.isnan(command)
     if not there.any():
@@ -176,25 +240,32 @@ def held(command: Array, rate_hz: float) -> tuple[Array, npt.NDArray[np.int64]]:
     return filled, edges.reshape(-1, 2).astype(np.int64)
 
 
-def _shorter(segments: npt.NDArray[np.int64], length: int) -> npt.NDArray[np.int64]:
+def _shorter(segments: Segments, length: int) -> Segments:
     """Every stretch cut into pieces of at most ``length`` samples."""
     cut = [(k, min(k + length, last)) for first, last in segments for k in range(first, last, length)]
     return np.array(cut, dtype=np.int64).reshape(-1, 2)
 
 
-def measured_point(recording: Recording, point: str) -> Array:
-    """``ee`` or ``tool`` as (n, 3); a row with any coordinate missing is all NaN."""
-    values = np.column_stack([recording.values(signal) for signal in point_signals(point)])
-    values[np.isnan(values).any(axis=1)] = np.nan
+def frozen(values: Array) -> Array:
+    """A read-only view: kernels compile once where recorded and computed inputs are of one type."""
+    view = values.view()
+    view.setflags(write=False)
+    return view
+
+
+def whole_rows(values: Array) -> Array:
+    """Rows (…, 3) with any coordinate missing are all NaN."""
+    values[np.isnan(values).any(axis=-1)] = np.nan
     return values
 
 
-def measured_joints(recording: Recording, machine: Machine) -> Array:
-    """All joints (n, A)."""
-    return np.column_stack([recording.values(axis_signal(name, "joint")) for name in machine.axis_names])
+def measured_point(recording: Recording, point: str) -> Array:
+    """``ee`` or ``tool`` as (n, 3); a row with any coordinate missing is all NaN."""
+    return whole_rows(np.column_stack([recording.values(signal) for signal in point_signals(point)]))
 
 
-_WORKERS = max(1, len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else (os.cpu_count() or 1))
+#: Cores that lanes are spread over.
+WORKERS = max(1, len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else (os.cpu_count() or 1))
 _pool: ThreadPoolExecutor | None = None
 #: Fewer steps than this run faster on one core than handed to several.
 SERIAL = 20_000
@@ -206,13 +277,13 @@ def in_parallel(lane: Callable[[int], None], count: int, samples: int) -> None:
     The kernels release the interpreter lock; every worker takes a stretch of lanes.
     """
     global _pool
-    workers = min(_WORKERS, count)
+    workers = min(WORKERS, count)
     if workers == 1 or count * samples < SERIAL:
         for i in range(count):
             lane(i)
         return
     if _pool is None:
-        _pool = ThreadPoolExecutor(_WORKERS, thread_name_prefix="sysid-lane")
+        _pool = ThreadPoolExecutor(WORKERS, thread_name_prefix="sysid-lane")
 
     def stretch(worker: int) -> None:
         for i in range(worker, count, workers):

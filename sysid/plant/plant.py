@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 from sysid.config import parse_settings
 from sysid.effects import effect_named, form_for
-from sysid.errors import SettingsError, StoreError
+from sysid.errors import SettingsError, StoreError, nearest
 from sysid.machine import (
     CylinderJointMap,
     KnownEffect,
@@ -23,7 +23,8 @@ from sysid.machine import (
     machine_from_files,
     tabulate,
 )
-from sysid.plant.layout import neutral_vector, parameter_indices, side_of
+from sysid.plant.layout import Streams, neutral_vector, parameter_indices, side_of
+from sysid.signals import axis_signal, point_signals
 
 Array = npt.NDArray[np.float64]
 Value = float | Sequence[float]
@@ -36,6 +37,7 @@ class Plant:
     Args:
         linkages: axis → cylinder ↔ joint table, for axes that drive a cylinder.
         effects: what is known; one instance per (name, target, side).
+        streams: stream (file stem) → the signals that it carries, for the effects of clocks.
         origin: where it came from, for the lineage (dataset and plant versions, linkage models, evidence).
         reference: ``name@version`` once registered.
     """
@@ -43,6 +45,7 @@ class Plant:
     machine: Machine
     linkages: Mapping[str, TabulatedLinkage]
     effects: tuple[KnownEffect, ...]
+    streams: Streams = field(default_factory=dict)
     origin: Mapping[str, Any] = field(default_factory=dict)
     reference: str = ""
 
@@ -53,14 +56,14 @@ class Plant:
             if key in seen:
                 raise SettingsError(f"plant of {self.machine.name}", f"{item.name} on {item.target} twice", "one instance")
             seen.add(key)
-            check_effect(self.machine, item)
+            check_effect(self.machine, item, self.streams)
 
     def vector(self) -> Array:
         """The flat parameter vector of the compiled chain."""
         theta = neutral_vector(len(self.machine.axes))
         for item in self.effects:
             for name, value in item.parameters.items():
-                places = parameter_indices(self.machine.axis_names, item.name, item.target, item.side, name)
+                places = parameter_indices(self.machine.axis_names, item.name, item.target, item.side, name, self.streams)
                 for group, component in zip(places, np.atleast_1d(np.asarray(value, dtype=np.float64)), strict=True):
                     theta[group] = component
         return theta
@@ -99,6 +102,7 @@ class Plant:
                 for e in sorted(self.effects, key=lambda e: (e.target, e.name, e.side or ""))
             ],
             "machine_files": self.machine.files(),
+            "streams": {stream: list(signals) for stream, signals in self.streams.items()},
             "origin": dict(self.origin),
         }
         files = {"plant.json": json.dumps(content, indent=1, sort_keys=True).encode()}
@@ -127,14 +131,21 @@ def plant_from_files(files: Mapping[str, bytes], reference: str = "") -> Plant:
     axes = {key.rpartition(".")[0] for key in tables}
     linkages = {a: TabulatedLinkage(tables[f"{a}.displacements"], tables[f"{a}.joints"]) for a in sorted(axes)}
     effects = tuple(parse_settings(entry, KnownEffect, reference) for entry in content["effects"])
-    return Plant(machine, linkages, effects, content["origin"], reference)
+    streams = {stream: tuple(signals) for stream, signals in content.get("streams", {}).items()}
+    return Plant(machine, linkages, effects, streams, content["origin"], reference)
 
 
-def nominal_plant(machine: Machine, linkages: Mapping[str, CylinderJointMap] | None = None, **origin: Any) -> Plant:
+def nominal_plant(
+    machine: Machine,
+    linkages: Mapping[str, CylinderJointMap] | None = None,
+    streams: Streams | None = None,
+    **origin: Any,
+) -> Plant:
     """The simulation that ``machine.toml`` describes.
 
     Args:
         linkages: fitted actuator networks by axis, for axes whose description has no linkage geometry.
+        streams: what each stream of a dataset carries (``dataset.streams``), for effects of its clock.
     """
     tables: dict[str, TabulatedLinkage] = {}
     for axis in machine.axes:
@@ -144,7 +155,7 @@ def nominal_plant(machine: Machine, linkages: Mapping[str, CylinderJointMap] | N
             tables[axis.name] = tabulate(TriangleLinkage(axis.linkage), axis.stroke)
         elif linkages is not None and axis.name in linkages:
             tables[axis.name] = tabulate(linkages[axis.name], axis.stroke)
-    return Plant(machine, tables, machine.effects, origin)
+    return Plant(machine, tables, machine.effects, streams or {}, origin)
 
 
 def effect_key(item: KnownEffect) -> tuple[str, str, str | None]:
@@ -152,8 +163,8 @@ def effect_key(item: KnownEffect) -> tuple[str, str, str | None]:
     return item.name, item.target, side_of(effect_named(item.name), item.side)
 
 
-def check_effect(machine: Machine, item: KnownEffect) -> None:
-    """Name, target, side and parameters of one instance against the catalogue and the machine.
+def check_effect(machine: Machine, item: KnownEffect, streams: Streams | None = None) -> None:
+    """Name, target, side and parameters of one instance against the catalogue, the machine and its streams.
 
     Raises:
         SettingsError: any of them does not exist or does not fit.
@@ -176,7 +187,17 @@ def check_effect(machine: Machine, item: KnownEffect) -> None:
                 f"{parameter.name} = {item.parameters[parameter.name]}",
                 f"{len(parameter.components)} number(s) in [{low}, {high}] {parameter.unit}",
             )
-        parameter_indices(machine.axis_names, item.name, item.target, item.side, parameter.name)
+        if effect.target == "signal" and item.target not in predicted_signals(machine):
+            found, valid = f"target {item.target!r}", predicted_signals(machine)
+            raise SettingsError(f"{where} {item.name}", found, nearest(item.target, valid))
+        parameter_indices(machine.axis_names, item.name, item.target, item.side, parameter.name, streams)
+
+
+def predicted_signals(machine: Machine) -> tuple[str, ...]:
+    """The signals that a plant of this machine may predict, and a sensor of it read."""
+    drives = (axis.driven for axis in machine.axes)
+    joints = (axis_signal(name, "joint") for name in machine.axis_names)
+    return tuple(dict.fromkeys((*drives, *joints, *point_signals("ee"), *point_signals("tool"))))
 
 
 def effects_toml(effects: Sequence[KnownEffect]) -> str:

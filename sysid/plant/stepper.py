@@ -11,25 +11,27 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-import pandas as pd
-from numba import njit
 
 from sysid.datasets.recording import Recording
-from sysid.effects import backlash, gripper_sway
+from sysid.effects import gripper_sway
+from sysid.effects.compiled import kernel
 from sysid.errors import SettingsError
 from sysid.machine import Machine
-from sysid.plant import chain, layout
-from sysid.plant.model import _KINDS, _WORKERS, START_WINDOW, compile_plant, held, in_parallel, measured_point
+from sysid.plant import axis_run, chain, layout
+from sysid.plant.layout import AT, AXIS_WIDTH, STATE
+from sysid.plant.machine_run import advance, observe
+from sysid.plant.model import START_WINDOW, WORKERS, compile_plant, frozen, held, in_parallel, measured_point
 from sysid.plant.plant import Plant
-from sysid.signals import axis_signal, point_signals
+from sysid.plant.pose import SCRATCH, loads
+from sysid.plant.rig import FORCE, HIGH, KIND, LOW, POSITION
+from sysid.plant.rollout import true_run
+from sysid.plant.swing import find_swing
+from sysid.signals import axis_signal
 
 Array = npt.NDArray[np.float64]
 
 #: Lanes that one core steps faster than a second core can be woken for.
 _SERIAL_LANES = 512
-_POSITION, _SPEED, _PLAY = chain._S_POSITION, chain._S_SPEED, chain._S_PLAY
-_PLAY_DRIVE, _PLAY_STRUCTURE = layout.axis_place("backlash", "drive"), layout.axis_place("backlash", "structure")
-_OFFSET = layout.axis_place("joint_offset")
 
 
 @dataclass(frozen=True)
@@ -72,24 +74,9 @@ class Stepper:
         self.model = model = compile_plant(plant)
         self.axes = axes = model.axes
         self.dt = 1.0 / rate_hz
-        about = plant.machine.axes
-        self._kinds = np.array([_KINDS[axis.actuation] for axis in about])
-        self._gains = np.array([float(a.inertia or 0.0) if a.actuation == "force" else a.gain for a in about])
-        self._low, self._high = np.array([axis.range for axis in about]).T.copy()
-        self._by_cylinder = np.array([axis.drives == "cylinder" for axis in about])
-        points = max((len(table) for table, _, _ in model.tables.values()), default=2)
-        self._tables = np.full((axes, points), np.nan)
-        self._grid = np.tile([0.0, 1.0], (axes, 1))
-        for name, (table, low, step) in model.tables.items():
-            row = plant.machine.axis_names.index(name)
-            self._tables[row], self._grid[row] = table, (low, step)
         self.thetas = _checked_thetas(model.theta, thetas, lanes, where)
-        self._alike = thetas is None
-        # The play between sensor and structure is stepped here, before the tip, which sees none.
-        self._tip_thetas = self.thetas.copy()
-        self._tip_thetas[:, np.arange(axes) * layout.AXIS_WIDTH + _PLAY_STRUCTURE] = 0.0
-        self._memory = np.full((lanes, axes, chain.axis_memory(self.dt)), np.nan)
-        self._plays = np.full((lanes, axes), np.nan)
+        self._memory = np.full((lanes, axes * layout.axis_memory(self.dt)), np.nan)
+        self._load = np.zeros((lanes, axes))
         self._swing = np.full((lanes, gripper_sway.MEMORY), np.nan)
         self._out = LaneState(*(np.full((lanes, n), np.nan) for n in (axes, axes, axes, 3, 3)))
         self._ready = np.zeros(lanes, dtype=np.bool_)
@@ -120,49 +107,41 @@ class Stepper:
             SettingsError: a shape does not fit, or a joint cannot be turned into a cylinder position.
         """
         lanes = np.arange(self.lanes) if which is None else np.arange(self.lanes)[np.asarray(which)]
-        rows, n = len(lanes), self.axes
+        rows, n, rig = len(lanes), self.axes, self.model.rig
         read = self._rows("joints", joints, rows, n)
-        begin = self._drive_of(read) if drive is None else self._rows("drive", drive, rows, n)
-        begin = np.clip(begin, self._low, self._high)
+        straight = self._straight(read, self.thetas[lanes])
+        begin = self._drive_of(straight) if drive is None else self._rows("drive", drive, rows, n)
+        begin = np.clip(begin, rig.axes[:, LOW], rig.axes[:, HIGH])
         command = self._rows("commands", 0.0 if commands is None else commands, rows, n)
-        command = np.where(self._kinds == chain.POSITION, begin, command)
+        command = np.where(rig.axes[:, KIND] == POSITION, begin, command)
         start = self._rows("speed", 0.0 if speed is None else speed, rows, n)
-        self._memory[lanes] = np.nan
-        self._plays[lanes] = np.nan
         self._swing[lanes] = np.nan
         if swing is not None:
             self._swing[lanes, :4] = self._rows("swing", swing, rows, 4)
         for row, lane in enumerate(lanes):
             _begin_lane(
-                self.thetas[lane], self._memory[lane], command[row], begin[row], start[row], read[row],
-                self._kinds, self._gains, self._low, self._high, self.dt,
-            )  # fmt: skip
-            self._observe(int(lane), int(lane) + 1)
+                self.thetas[lane], rig, self._memory[lane], command[row], begin[row], start[row], straight[row], self.dt
+            )
+            self._load[lane] = 0.0
+            self._observe(int(lane), int(lane) + 1)  # the load of the place ...
+            _forget_structure(self._memory[lane], n)
+            self._observe(int(lane), int(lane) + 1)  # ... and how it sags there
         self._ready[lanes] = True
         return self._state()
 
-    def begin(self, recording: Recording, run: pd.DataFrame, row: int) -> LaneState:
-        """Reset all lanes to where the free run ``run`` of ``recording`` begins a stretch at ``row``."""
+    def begin(self, recording: Recording, row: int) -> LaneState:
+        """Reset all lanes to where the free run of ``recording`` stands at ``row``, where a stretch begins."""
         machine, rest = self.plant.machine, slice(row, None)
-        forced = [axis.actuation == "force" for axis in machine.axes]
+        drive, joints, tip = true_run(self.model, recording)
         speed = [
-            start_speed(recording.values(axis.driven)[rest], self.rate_hz) if moved else 0.0
-            for axis, moved in zip(machine.axes, forced, strict=True)
+            start_speed(recording.values(axis.driven)[rest], self.rate_hz) if axis.actuation == "force" else 0.0
+            for axis in machine.axes
         ]
-        joints = [run[name].iloc[row] if (name := axis_signal(axis.name, "joint")) in run else np.nan for axis in machine.axes]
         swing = None
-        if "tool.x" in run:
-            ee = run[list(point_signals("ee"))].to_numpy(np.float64)[rest]
-            swing = swing_start(self.plant, ee, measured_point(recording, "tool")[rest], self.rate_hz)
-        # The drive stands before its play, the run shows what is behind it.
-        drives = [self.model.drive(self.model.theta[None], recording, name)[0][0, row] for name in machine.axis_names]
-        return self.reset(
-            joints,
-            drive=drives,
-            speed=speed,
-            commands=held_commands(machine, recording)[row],
-            swing=swing,
-        )
+        if machine.tool is not None and not np.isnan(tip[row]).any():
+            swing = swing_start(self.plant, tip[rest], measured_point(recording, "tool")[rest], self.rate_hz)
+        commands = held_commands(machine, recording)[row]
+        return self.reset(joints[row], drive=drive[row], speed=speed, commands=commands, swing=swing)
 
     def step(self, commands: npt.ArrayLike) -> LaneState:
         """Hold ``commands``, (lanes, axes) or (axes,), for one step and return the state after it.
@@ -177,12 +156,10 @@ class Stepper:
 
         def stretch(worker: int) -> None:
             first, last = worker * self.lanes // workers, (worker + 1) * self.lanes // workers
-            _advance_lanes(
-                first, last, self.thetas, self._memory, command, self._kinds, self._gains, self._low, self._high, self.dt
-            )
+            _advance_lanes(first, last, self.thetas, self.model.rig, self._memory, self._load, command, self.dt)
             self._observe(first, last)
 
-        workers = min(_WORKERS, 1 + self.lanes // _SERIAL_LANES)
+        workers = min(WORKERS, 1 + self.lanes // _SERIAL_LANES)
         in_parallel(stretch, workers, 1 << 30)
         return self._state()
 
@@ -192,19 +169,21 @@ class Stepper:
         return self._swing[:, :4].copy()
 
     def _observe(self, first: int, last: int) -> None:
-        """Everything behind the drive, for lanes ``first … last``."""
-        out, model = self._out, self.model
-        _joint_lanes(
-            first, last, self.thetas, self._memory, self._plays, self._by_cylinder, self._tables, self._grid,
-            out.drive, out.joints, out.structure,
+        """What the state of lanes ``first … last`` looks like."""
+        out = self._out
+        _observe_lanes(
+            first, last, self.thetas, self.model.rig, self._memory, self._load, self._swing, self.dt, out.drive, out.joints,
+            out.structure, out.ee, out.tool,
         )  # fmt: skip
-        if model.chain is None:
-            return
-        c, base, at = model.chain, layout.base_place(self.axes), layout.tool_place(self.axes)
-        _tip_lanes(
-            first, last, self._tip_thetas, self.thetas, self._alike, base, at, out.structure, c.origins, c.axes, c.prismatic,
-            c.order, c.end, self._swing, self.dt, out.ee, out.tool,
-        )  # fmt: skip
+
+    def _straight(self, joints: Array, thetas: Array) -> Array:
+        """Joints before they sag, from those that the sensors read, (rows, axes)."""
+        places = [i * AXIS_WIDTH + AT.joint_compliance_drive for i in range(self.axes)]
+        if not self.model.posed or not thetas[:, places].any():
+            return joints
+        load = np.empty(joints.shape)
+        loads(self.model.theta, self.model.rig.links, self.model.rig.base, joints, load)
+        return joints + thetas[:, places] * np.nan_to_num(load)
 
     def _state(self) -> LaneState:
         out = self._out
@@ -257,7 +236,7 @@ def step_commands(machine: Machine, commands: Array) -> Array:
 
 def start_speed(measured: Array, rate_hz: float) -> float:
     """Speed from which a free run of a force axis starts: slope of the first samples (n,)."""
-    return float(_start_speed(np.ascontiguousarray(measured), min(_window(rate_hz, 3), len(measured)), 1.0 / rate_hz))
+    return float(_slope(np.array(measured), min(_window(rate_hz, 3), len(measured)), 1.0 / rate_hz))
 
 
 def swing_start(plant: Plant, ee: Array, tool: Array, rate_hz: float) -> Array:
@@ -265,7 +244,9 @@ def swing_start(plant: Plant, ee: Array, tool: Array, rate_hz: float) -> Array:
     start = np.empty(4)
     last = min(_window(rate_hz, 5), int(np.argmax(np.append(np.isnan(ee[:, 0]), True))))
     at = layout.tool_place(len(plant.machine.axes))
-    _swing_start(plant.vector(), at, ee[:last].copy(), tool[:last].copy(), 1.0 / rate_hz, start)
+    find_swing(
+        plant.vector(), at, frozen(ee[:last].copy()), frozen(tool[:last].copy()), 1.0 / rate_hz, start, np.empty((last, 3))
+    )
     return start
 
 
@@ -273,88 +254,42 @@ def _window(rate_hz: float, least: int) -> int:
     return max(least, round(START_WINDOW * rate_hz))
 
 
-@njit(cache=True, nogil=True)
-def _start_speed(measured, last, dt):
-    return chain._slope(measured, 0, last, dt)
+@kernel
+def _slope(measured, last, dt):
+    return axis_run.slope(measured, 0, last, dt)
 
 
-@njit(cache=True, nogil=True)
-def _swing_start(p, at, pivot, measured, dt, start):
-    """The same corrections as at the beginning of :func:`sysid.plant.chain.tool`."""
-    s = np.empty(gripper_sway.MEMORY)
-    out = np.empty(pivot.shape)
-    start[0] = pivot[0, 0]
-    start[1] = pivot[0, 1]
-    start[2] = 0.0
-    start[3] = 0.0
-    for _ in range(3):
-        chain._begin(s, start)
-        for i in range(len(pivot)):
-            gripper_sway.step(pivot[i, 0], pivot[i, 1], pivot[i, 2], p, at, s, 0, dt, out[i])
-        chain._correct_start(p, at, measured, out, 0, len(pivot), dt, start)
+@kernel
+def _begin_lane(p, rig, s, command, drive, speed, joint, dt):
+    """Fill the memory ``s`` (A · size,) of a lane as if the command had been held for long, then put the axes in place."""
+    size = len(s) // len(rig.axes)
+    for i in range(len(rig.axes)):
+        m = i * size
+        axis_run.begin(s, m, size, drive[i], 0.0, joint[i], p, i * AXIS_WIDTH, 0, dt)
+        if rig.axes[i, KIND] != FORCE:
+            chain.ask(command[i], p, s, m, size, rig.axes, i, 0.0, dt)
+        s[m + STATE.speed] = speed[i]
+        s[m + STATE.temperature_drift] = np.nan
 
 
-@njit(cache=True, nogil=True)
-def _begin_lane(p, memory, command, drive, speed, joints, kinds, gains, low, high, dt):
-    """Fill the memories of one lane as if the command had been held for long, then put the axes in their places."""
-    for i in range(len(kinds)):
-        s = memory[i]
-        s[_POSITION] = drive[i]
-        s[_SPEED] = 0.0
-        if kinds[i] != chain.FORCE:
-            chain.advance(command[i], p, i * layout.AXIS_WIDTH, s, 0, len(s), kinds[i], gains[i], low[i], high[i], dt)
-        s[_POSITION] = drive[i]
-        s[_SPEED] = speed[i]
-        s[_PLAY] = joints[i]
+@kernel
+def _forget_structure(s, axes):
+    size = len(s) // axes
+    for i in range(axes):
+        s[i * size + STATE.backlash_structure] = np.nan
 
 
-@njit(cache=True, nogil=True)
-def _advance_lanes(first, last, thetas, memory, command, kinds, gains, low, high, dt):
-    size = memory.shape[2]
+@kernel
+def _advance_lanes(first, last, thetas, rig, memory, load, command, dt):
+    wanted = np.empty(len(rig.axes))
     for lane in range(first, last):
-        for i in range(len(kinds)):
-            b = i * layout.AXIS_WIDTH
-            chain.advance(command[lane, i], thetas[lane], b, memory[lane, i], 0, size, kinds[i], gains[i], low[i], high[i], dt)
+        advance(thetas[lane], rig, memory[lane], load[lane], wanted, command[lane], dt)
 
 
-@njit(cache=True, nogil=True)
-def _joint_lanes(first, last, thetas, memory, plays, by_cylinder, tables, grid, drive, joints, structure):
-    """Drive → joint sensors → structure. Without a linkage the table is NaN, and so are the joints."""
+@kernel
+def _observe_lanes(first, last, thetas, rig, memory, load, swing, dt, drive, joints, structure, ee, tool):
+    scratch = np.empty((len(rig.links), SCRATCH))
     for lane in range(first, last):
         p = thetas[lane]
-        for i in range(len(by_cylinder)):
-            b = i * layout.AXIS_WIDTH
-            s = memory[lane, i]
-            x = s[_POSITION]
-            drive[lane, i] = x
-            if by_cylinder[i]:
-                x = chain.look_up(x, tables[i], grid[i, 0], grid[i, 1])
-            if np.isnan(x):
-                joints[lane, i] = np.nan
-                structure[lane, i] = np.nan
-                continue
-            x = backlash.step(x, p, b + _PLAY_DRIVE, s, _PLAY)
-            joints[lane, i] = x
-            structure[lane, i] = backlash.step(x, p, b + _PLAY_STRUCTURE, plays[lane], i) + p[b + _OFFSET]
-
-
-@njit(cache=True, nogil=True)
-def _tip_lanes(
-    first, last, tip_thetas, thetas, alike, base, at, structure, origins, axes, prismatic, order, end, swing, dt, ee, tool
-):
-    """Structure → tip → tool. The tip adds the joint offsets itself, so they are taken out before.
-
-    Lanes that are ``alike`` go through the kinematics together, as the rows of one run.
-    """
-    rows = np.empty((last - first, structure.shape[1]))
-    for lane in range(first, last):
-        for i in range(structure.shape[1]):
-            rows[lane - first, i] = structure[lane, i] - tip_thetas[lane, i * layout.AXIS_WIDTH + _OFFSET]
-    if alike:
-        chain.tip(tip_thetas[first], base, rows, origins, axes, prismatic, order, end, ee[first:last])
-    else:
-        for lane in range(first, last):
-            row = rows[lane - first : lane - first + 1]
-            chain.tip(tip_thetas[lane], base, row, origins, axes, prismatic, order, end, ee[lane : lane + 1])
-    for lane in range(first, last):
-        gripper_sway.step(ee[lane, 0], ee[lane, 1], ee[lane, 2], thetas[lane], at, swing[lane], 0, dt, tool[lane])
+        observe(p, rig, memory[lane], load[lane], scratch, drive[lane], joints[lane], structure[lane], ee[lane])
+        gripper_sway.step(ee[lane, 0], ee[lane, 1], ee[lane, 2], p, rig.tool, swing[lane], 0, dt, tool[lane])

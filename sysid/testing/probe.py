@@ -14,7 +14,6 @@ from sysid.datasets.recording import Recording
 from sysid.effects import Effect
 from sysid.machine import KnownEffect, Machine, machine_from_files
 from sysid.plant import Model, Plant, compile_plant, nominal_plant
-from sysid.plant.model import measured_joints, measured_point
 from sysid.signals import axis_signal, point_signals
 
 Array = npt.NDArray[np.float64]
@@ -153,9 +152,16 @@ def places_of(effect: Effect) -> tuple[Place, ...]:
         return (Place("tool", None, "tool", point_signals("ee")),)
     if effect.target == "base":
         return (Place("base", None, "tip", joints),)
+    if effect.target == "machine":
+        return (Place("machine", None, "drive", tuple(axis_signal(a.name, "command") for a in machine.axes[:2])),)
+    if effect.target == "signal":
+        return (Place("boom.joint", None, "joint", ("boom.cylinder",)), Place("tool.x", None, "tool", point_signals("ee")))
+    if effect.target == "stream":
+        return (Place("capture", None, "joint", ("boom.cylinder",)), Place("capture", None, "tool", point_signals("ee")))
     found = []
+    loaded = any(parameter.scale == "1/load" for form in effect.forms for parameter in form.parameters)
     for axis in machine.axes:
-        if axis.actuation not in effect.actuations:
+        if axis.actuation not in effect.actuations or (loaded and axis.name == "slew"):  # nothing hangs on an upright axis
             continue
         command = (axis_signal(axis.name, "command"),)
         if effect.stage in ("command", "force"):
@@ -174,7 +180,7 @@ def places_of(effect: Effect) -> tuple[Place, ...]:
 
 @functools.cache
 def _nominal() -> tuple[Plant, Model]:
-    plant = nominal_plant(probe_machine())
+    plant = nominal_plant(probe_machine(), streams={"capture": ("boom.joint", *point_signals("tool"))})
     return plant, compile_plant(plant)
 
 
@@ -189,18 +195,21 @@ def plant_run(effect: Effect, place: Place) -> Run:
             at = plant.with_effect(KnownEffect(effect.name, place.target, dict(values), side))  # type: ignore[arg-type]
         theta = at.vector()[None]
         if place.stage == "drive":
-            known = _starting(recording, model.machine.axis(place.target).driven)
-            return np.asarray(model.drive(theta, known, place.target)[1].T)
+            axis = "slew" if place.target == "machine" else place.target
+            return np.asarray(model.drive(theta, _starting(recording, model.machine.axis(axis).driven), axis).T)
         if place.stage == "joint":
-            cylinder = recording.values(axis_signal(place.target, "cylinder"))
-            unknown = np.full(len(recording), np.nan)
-            return np.asarray(model.joint(theta, cylinder, unknown, place.target, RATE_HZ).T)
-        if place.stage == "tip":
-            return np.asarray(model.tip(theta, measured_joints(recording, model.machine))[0])
-        ee, hanging = measured_point(recording, "ee"), measured_point(recording, "tool")
-        return np.asarray(model.tool(theta, ee, hanging, RATE_HZ)[0])
+            axis = "boom" if place.target in ("boom.joint", "capture") else place.target
+            return np.asarray(model.joint(theta, _straight(recording, model, axis), axis).T)
+        return np.asarray((model.tip if place.stage == "tip" else model.tool)(theta, recording)[0])
 
     return run
+
+
+def _straight(recording: Recording, model: Model, axis: str) -> Recording:
+    """The recording with the joint where its linkage has it: a play starts in its middle, and the gravity load is known."""
+    signal, nominal = axis_signal(axis, "joint"), model.theta[None]
+    unknown = replace(recording, table=recording.table.assign(**{signal: np.nan}))
+    return replace(recording, table=recording.table.assign(**{signal: model.joint(nominal, unknown, axis)[0]}))
 
 
 def _starting(recording: Recording, signal: str) -> Recording:

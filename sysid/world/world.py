@@ -18,7 +18,7 @@ from sysid.datasets.recording import Recording
 from sysid.effects.gripper_sway import GRAVITY
 from sysid.errors import SettingsError, nearest
 from sysid.machine import Machine
-from sysid.plant import Plant, free_run
+from sysid.plant import Plant
 from sysid.plant.layout import base_place
 from sysid.plant.stepper import LaneState, Stepper, held_commands, step_commands
 from sysid.signals import axis_signal, point_signals
@@ -167,13 +167,12 @@ class World:
         self._check_open()
         if recording.rate_hz != self.rate_hz:
             raise SettingsError(f"recording {recording.name}", f"{recording.rate_hz} Hz", f"{self.rate_hz} Hz, as the world")
-        run = free_run(self.plant, recording)
         commands = held_commands(self.plant.machine, recording)
         steps = step_commands(self.plant.machine, commands)
         known = ~np.isnan(commands.sum(axis=1))
         for k in map(int, np.flatnonzero(known)):
             if k == 0 or not known[k - 1]:
-                yield k, self._place(self._stepper.begin(recording, run, k))
+                yield k, self._place(self._stepper.begin(recording, k))
             else:
                 yield k, self.step(steps[k - 1])
 

@@ -1,0 +1,31 @@
+"""``clock_skew``: a stream's clock runs too fast or too slow."""
+
+from __future__ import annotations
+
+from sysid.effects.compiled import inlined
+from sysid.effects.effect import Effect, Form, Need, Parameter, Slot
+
+EFFECT = Effect(
+    name="clock_skew",
+    stage="sensor",
+    target="stream",
+    slots=(Slot("skew"),),
+    forms=(Form((Parameter("skew", "ppm", (-5000.0, 5000.0), (-200.0, 200.0), 20.0, "machine clock against stream clock"),)),),
+    equation="t_machine = t_stream·(1 + 10⁻⁶·skew), t from the start of the recording",
+    source="definition; 10–200 ppm between unsynchronised clocks (machine facts)",
+    excited_by="minutes of motion that both clocks see",
+    confused_with=("clock_offset", "input_delay"),
+    need=Need("longest_any_motion", 60, "Record motion that both devices see for five minutes or more in one piece."),
+)
+
+
+@inlined
+def machine_time(t, p, i):
+    """Machine time of a stamp ``t`` of the stream [s]."""
+    return t * (1.0 + 1e-6 * p[i])
+
+
+@inlined
+def stream_time(t, p, i):
+    """The stamp that the stream gives to machine time ``t`` [s]."""
+    return t / (1.0 + 1e-6 * p[i])

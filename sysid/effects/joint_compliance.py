@@ -1,0 +1,41 @@
+"""``joint_compliance``: structure and oil give way under the weight, and the arm sags."""
+
+from __future__ import annotations
+
+from sysid.effects.compiled import inlined
+from sysid.effects.effect import Effect, Form, Need, Parameter, Slot
+
+EFFECT = Effect(
+    name="joint_compliance",
+    stage="joint",
+    target="axis",
+    slots=(Slot("compliance"),),
+    forms=(
+        Form(
+            (
+                Parameter(
+                    "compliance",
+                    "rad/(N·m)",
+                    (0.0, 0.1),
+                    (1e-3, 5e-3),
+                    2e-4,
+                    "deflection under the gravity moment (m/N on a prismatic joint)",
+                    scale="1/load",
+                ),
+            )
+        ),
+    ),
+    equation="q = q₀ − compliance·L, L the gravity moment about the joint, L > 0 where it opposes positive motion",
+    source="Siciliano et al., Robotics, 2009, §6.6; 0.25° for 2e4 N·m/rad (machine facts)",
+    excited_by="poses with the arm stretched out and drawn in",
+    confused_with=("joint_offset", "link_length_error", "backlash"),
+    need=Need("load_change", 25, "Record {axis} at the same angles with the arm stretched out and drawn in."),
+    actuations=("velocity", "position", "force"),
+    sides=("drive", "structure"),
+)
+
+
+@inlined
+def step(q, p, i, load):
+    """``load``: gravity moment [N·m] or force [N] about or along the joint."""
+    return q - p[i] * load

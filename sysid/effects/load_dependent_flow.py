@@ -1,0 +1,42 @@
+"""``load_dependent_flow``: the pressure that the load takes is missing at the valve, so it lifts slower than it lowers."""
+
+from __future__ import annotations
+
+from sysid.effects.compiled import inlined
+from sysid.effects.effect import Effect, Form, Need, Parameter, Slot
+
+EFFECT = Effect(
+    name="load_dependent_flow",
+    stage="command",
+    target="axis",
+    slots=(Slot("coefficient"),),
+    forms=(
+        Form(
+            (
+                Parameter(
+                    "coefficient",
+                    "1/(N·m)",
+                    (-0.5, 0.5),
+                    (0.05, 0.2),
+                    0.01,
+                    "relative loss of speed per N·m of gravity moment (or N of load) against the motion",
+                    scale="1/load",
+                ),
+            )
+        ),
+    ),
+    equation="v = x·(1 − coefficient·L·sign(x)), L > 0 where gravity opposes positive motion of the drive",
+    source="Q = Cd·w·x·√(2Δp/ρ), Merritt 1967, ch. 5, linear in Δp; ×0.80–0.89 up, ×1.16–1.23 down (machine facts)",
+    excited_by="motion both ways at several reaches",
+    confused_with=("asymmetric_gain", "internal_leakage", "temperature_drift"),
+    need=Need("load_change", 25, "Record {axis} up and down with the arm stretched out and drawn in, 20 s each."),
+    actuations=("velocity",),
+)
+
+
+@inlined
+def step(x, p, i, load):
+    """``load`` on the drive [N·m or N]; a load that would turn the motion round stops it."""
+    if x > 0.0:
+        return x * max(1.0 - p[i] * load, 0.0)
+    return x * max(1.0 + p[i] * load, 0.0)

@@ -1,0 +1,30 @@
+"""``pump_flow_limit``: several axes together ask for more than the pump delivers, and all slow down by one factor."""
+
+from __future__ import annotations
+
+from sysid.effects.compiled import inlined
+from sysid.effects.effect import Effect, Form, Need, Parameter, Slot
+
+#: More than any number of axes asks for: the effect is absent.
+ABSENT = 100.0
+
+EFFECT = Effect(
+    name="pump_flow_limit",
+    stage="command",
+    target="machine",
+    slots=(Slot("limit", ABSENT),),
+    forms=(
+        Form((Parameter("limit", "1", (0.2, ABSENT), (0.8, 1.3, 2.0), 0.02, "sum of |speed|/gain that the pump can feed"),)),
+    ),
+    equation="all speeds · min(1, limit / Σ |speed|/gain)",
+    source="flow balance of a pump at its displacement; 50–70 % of the summed demand (machine facts)",
+    excited_by="several axes at large commands at the same time, and each alone",
+    confused_with=("flow_saturation", "gain_error"),
+    need=Need("together", 5, "Record pairs of axes at full command together, and each of them alone, 5 s each."),
+)
+
+
+@inlined
+def share(demand, p, i):
+    """Factor on every speed for a summed ``demand``."""
+    return p[i] / demand if demand > p[i] else 1.0

@@ -1,0 +1,30 @@
+"""``sensor_bias``: a sensor reads the same amount too much everywhere."""
+
+from __future__ import annotations
+
+from sysid.effects.compiled import inlined
+from sysid.effects.effect import Effect, Form, Need, Parameter, Slot
+
+EFFECT = Effect(
+    name="sensor_bias",
+    stage="sensor",
+    target="signal",
+    slots=(Slot("bias"),),
+    forms=(Form((Parameter("bias", "signal", (-0.5, 0.5), (-0.01, 0.01), 2e-4, "measured − true"),)),),
+    equation="measured = true + bias",
+    source="definition; Everett, Sensors for Mobile Robots, 1995, ch. 1",
+    excited_by="comparison with a second sensor of the same motion",
+    confused_with=("joint_offset", "base_misalignment", "internal_leakage", "sensor_scale"),
+    need=Need("signal_travel", 10, "Record {axis} over its whole range together with the sensors before and behind it."),
+)
+
+
+@inlined
+def step(x, p, i):
+    return x + p[i]
+
+
+@inlined
+def undo(y, p, i):
+    """The true value behind a measured one."""
+    return y - p[i]

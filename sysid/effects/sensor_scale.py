@@ -1,0 +1,30 @@
+"""``sensor_scale``: a sensor reads in proportion too much (a wrong drum radius, a wrong factor)."""
+
+from __future__ import annotations
+
+from sysid.effects.compiled import inlined
+from sysid.effects.effect import Effect, Form, Need, Parameter, Slot
+
+EFFECT = Effect(
+    name="sensor_scale",
+    stage="sensor",
+    target="signal",
+    slots=(Slot("scale", 1.0),),
+    forms=(Form((Parameter("scale", "1", (0.2, 5.0), (0.97, 1.03), 2e-3, "measured / true"),)),),
+    equation="measured = scale·true",
+    source="definition; draw-wire sensors 0.02–0.1 % of full scale (machine facts)",
+    excited_by="motion over the range, compared with a second sensor of the same motion",
+    confused_with=("gain_error", "link_length_error", "sensor_bias"),
+    need=Need("signal_travel", 10, "Record {axis} over its whole range together with the sensors before and behind it."),
+)
+
+
+@inlined
+def step(x, p, i):
+    return x * p[i]
+
+
+@inlined
+def undo(y, p, i):
+    """The true value behind a measured one."""
+    return y / p[i]

@@ -1,0 +1,46 @@
+"""``temperature_drift``: the oil warms up and the gain creeps from its cold to its warm value."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from sysid.effects.compiled import inlined
+from sysid.effects.effect import Effect, Form, Need, Parameter, Slot
+
+EFFECT = Effect(
+    name="temperature_drift",
+    stage="command",
+    target="axis",
+    slots=(Slot("fraction"), Slot("time_constant", 600.0)),
+    forms=(
+        Form(
+            (
+                Parameter("fraction", "1", (-0.6, 0.6), (-0.1, 0.1), 0.01, "gain gained when warm, as a share of the cold one"),
+                Parameter("time_constant", "s", (5.0, 7200.0), (60.0, 300.0), 1200.0, "of warming up, from the first sample"),
+            )
+        ),
+    ),
+    equation="v = gain·x·(1 + fraction·(1 − e^(−t/time_constant))), t from the start of the recording",
+    source="viscosity of hydraulic oil over temperature: Jelali & Kroll 2003, §3.3; 5–20 % (machine facts)",
+    excited_by="the same motion early and late in a recording of minutes",
+    confused_with=("gain_error", "load_dependent_flow"),
+    need=Need("longest_motion", 60, "Record {axis} moving evenly to and fro for ten minutes from a cold start."),
+    actuations=("velocity",),
+    memory=lambda dt: 2,
+)
+
+
+@inlined
+def step(x, p, i, s, j, dt):
+    """``s[j]`` is e^(−t/T), ``s[j+1]`` its factor in a step; set ``s[j]`` before the first step to begin later."""
+    if p[i] == 0.0:
+        return x
+    if np.isnan(s[j]):
+        s[j] = 1.0
+    if np.isnan(s[j + 1]):
+        s[j + 1] = math.exp(-dt / p[i + 1])
+    y = x * (1.0 + p[i] * (1.0 - s[j]))
+    s[j] *= s[j + 1]
+    return y

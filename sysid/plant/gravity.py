@@ -1,0 +1,41 @@
+"""Gravity loads along a recording: what every axis has to carry at the measured joints."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from sysid.datasets.recording import Recording
+from sysid.machine import Machine
+from sysid.plant.layout import base_place, neutral_vector
+from sysid.plant.pose import loads
+from sysid.plant.rig import links_of
+from sysid.signals import axis_signal
+
+Array = npt.NDArray[np.float64]
+
+
+def gravity_load(machine: Machine, recording: Recording) -> Array:
+    """Gravity moment about every joint [N·m] or force along it [N], (n, A); above zero where it opposes positive motion.
+
+    From the URDF's masses; of one kilogram at the tip where it has none. Zero without a URDF and where a joint is not measured
+    at all; gaps of a motion are bridged linearly. The nominal kinematics are used: what a joint offset changes is second order.
+    """
+    joints = measured_joints(recording, machine)
+    out = np.zeros(joints.shape)
+    links = links_of(machine.kinematics())
+    if len(links) < 2 or np.isnan(joints).all(axis=0).any():
+        return out
+    if recording.kind == "motion":
+        rows = np.arange(len(joints))
+        for column in joints.T:
+            there = ~np.isnan(column)
+            column[:] = np.interp(rows, rows[there], column[there])
+    axes = len(machine.axes)
+    loads(neutral_vector(axes), links, base_place(axes), joints, out)
+    return out
+
+
+def measured_joints(recording: Recording, machine: Machine) -> Array:
+    """All joints (n, A)."""
+    return np.column_stack([recording.values(axis_signal(name, "joint")) for name in machine.axis_names])

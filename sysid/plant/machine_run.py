@@ -1,0 +1,110 @@
+"""The whole machine step by step, compiled: all axes at once, since they share a pump and hang on each other's weight.
+
+:func:`observe` reads what stands at a sample, :func:`advance` leads to the next one. The free run of a recording and the
+lanes of :class:`sysid.plant.stepper.Stepper` are loops around these two.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from sysid.effects import pump_flow_limit
+from sysid.effects.compiled import inlined, kernel, loop
+from sysid.plant import chain
+from sysid.plant.axis_run import begin
+from sysid.plant.layout import AT, AXIS_WIDTH, STATE
+from sysid.plant.pose import SCRATCH, pose
+from sysid.plant.rig import CYLINDER, GAIN, KIND, POSITION, TABLE_LOW, TABLE_STEP, VELOCITY
+
+
+@inlined
+def observe(p, rig, s, load, scratch, drive, joints, structure, tip):
+    """State ``s`` (A · size,) → drive, joint sensors, structure, each (A,), end effector (3,), and the ``load`` (A,) there.
+
+    Sag is taken from the load that ``load`` holds when this is called, that of the sample before. An axis without a position is
+    NaN, and then so is the tip.
+    """
+    missing = len(rig.links) < 2
+    size = len(s) // len(rig.axes)
+    for i in range(len(rig.axes)):
+        b, m = i * AXIS_WIDTH, i * size
+        x = s[m + STATE.position]
+        drive[i] = x
+        if rig.axes[i, CYLINDER] != 0.0 and not np.isnan(x):
+            x = chain.look_up(x, rig.tables, i, rig.axes[i, TABLE_LOW], rig.axes[i, TABLE_STEP])
+        if np.isnan(x):
+            joints[i] = np.nan
+            structure[i] = np.nan
+            missing = True
+            continue
+        joints[i] = chain.joint_stage(x, p, b, s, m, load[i])
+        structure[i] = chain.structure_stage(joints[i], p, b, s, m, load[i])
+    if missing:
+        tip[0] = np.nan
+        tip[1] = np.nan
+        tip[2] = np.nan
+    else:
+        pose(structure, p, rig.links, rig.base, scratch, tip, load)
+
+
+@inlined
+def advance(p, rig, s, load, wanted, command, dt):
+    """One step of all axes with ``command`` (A,); axes without a position stay as they are. ``wanted`` (A,) is used inside."""
+    size = len(s) // len(rig.axes)
+    demand = 0.0
+    for i in range(len(rig.axes)):
+        if np.isnan(s[i * size + STATE.position]):
+            continue
+        wanted[i] = chain.ask(command[i], p, s, i * size, size, rig.axes, i, load[i], dt)
+        if rig.axes[i, KIND] == VELOCITY:
+            demand += abs(wanted[i]) / rig.axes[i, GAIN]
+    share = pump_flow_limit.share(demand, p, rig.machine + AT.pump_flow_limit)
+    for i in range(len(rig.axes)):
+        if not np.isnan(s[i * size + STATE.position]):
+            part = share if rig.axes[i, KIND] == VELOCITY else 1.0
+            chain.move(part * wanted[i], s, i * size, rig.axes, i, dt)
+
+
+@loop
+def _run(p, rig, commands, edges, starts, dt, size, drive, joints, tip, s, load, wanted, structure, row, scratch, at):
+    count, axes = commands.shape
+    for k in range(count):
+        fresh = False
+        for i in range(axes):
+            if at[i] < edges.shape[1] and k == edges[i, at[i], 1]:
+                s[i * size + STATE.position] = np.nan
+                at[i] += 1
+            if at[i] < edges.shape[1] and k == edges[i, at[i], 0]:
+                fresh = True
+                b = i * AXIS_WIDTH
+                start = starts[i, at[i]]
+                begin(s, i * size, size, start[0], start[1], start[2], p, b, k, dt)
+                if rig.axes[i, KIND] == POSITION:
+                    where = chain.ask(commands[k, i], p, s, i * size, size, rig.axes, i, 0.0, dt)
+                    s[i * size + STATE.position] = where
+        observe(p, rig, s, load, scratch, drive[k], joints[k], structure, tip[k])
+        if fresh:  # once more, now that the load is known
+            observe(p, rig, s, load, scratch, drive[k], joints[k], structure, tip[k])
+        for i in range(axes):
+            row[i] = commands[k, i]
+            if rig.axes[i, KIND] == POSITION and k + 1 < count:
+                row[i] = commands[k + 1, i]
+        advance(p, rig, s, load, wanted, row, dt)
+
+
+@kernel
+def run_machine(p, rig, commands, edges, starts, dt, size, drive, joints, tip):
+    """Free run of all axes from their commands.
+
+    Args:
+        commands: (n, A), held where they are missing inside a stretch.
+        edges: (A, m, 2) first and last+1 sample of each axis' stretches, in order; beyond the last one n.
+        starts: (A, m, 3) as :func:`sysid.plant.axis_run.find_starts` gives them.
+        drive, joints: out, (n, A), NaN outside of the stretches; ``tip`` (n, 3), NaN where any joint is.
+    """
+    axes = commands.shape[1]
+    s = np.full(axes * size, np.nan)
+    load, wanted, structure, row = np.zeros(axes), np.zeros(axes), np.zeros(axes), np.zeros(axes)
+    scratch = np.empty((len(rig.links), SCRATCH))
+    at = np.zeros(axes, dtype=np.int64)
+    _run(p, rig, commands, edges, starts, dt, size, drive, joints, tip, s, load, wanted, structure, row, scratch, at)

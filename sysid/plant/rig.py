@@ -1,0 +1,130 @@
+"""What the compiled kernels need of a machine beside its parameters: constant arrays, one tuple."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from sysid.machine import Kinematics
+from sysid.plant import layout
+from sysid.plant.plant import Plant
+
+Array = npt.NDArray[np.float64]
+
+VELOCITY, POSITION, FORCE = 0, 1, 2
+KINDS = {"velocity": VELOCITY, "position": POSITION, "force": FORCE}
+#: Points of a linkage table.
+_POINTS = 2048
+#: Mass at the tip of a machine whose URDF has none [kg]: a load is then the gravity moment of one kilogram (contract).
+UNIT_MASS = 1.0
+
+# Columns of ``Rig.axes``.
+KIND, GAIN, LOW, HIGH, CYLINDER, SENSE, TABLE_LOW, TABLE_STEP = range(8)
+# Columns of ``Rig.links``: rotation (9, row by row) and translation (3) of the joint's frame in the frame that the joint before
+# it moves, its axis (3), and so on; the last row leads on to the tip.
+ROTATION, SHIFT, AXIS, ALIGNED, TURNED, PRISMATIC, ORDER, MASS, CENTRE, LENGTH = 0, 9, 12, 15, 16, 17, 18, 19, 20, 23
+
+
+class Rig(NamedTuple):
+    """Constant arrays of a machine with A axes and J joints in its chain (J = 0 without a URDF).
+
+    Few arrays with many columns, since the compiled code counts references to each of them.
+
+    Args:
+        axes: (A, 8): kind of actuation; gain, or inertia of a force axis; low and high end stop of what the command drives;
+            whether that is a cylinder; +1 where the joint rises with it, −1 where it falls; low end and step of its table.
+        tables: joint over an even grid of the cylinder, (A, points), NaN without a linkage.
+        links: (J + 1, 24): frame and axis of each joint; ``ALIGNED`` 1, 2, 3 for an axis along +x, +y, +z, negative for −,
+            else 0; whether the frame is turned at all; whether the joint is prismatic; which axis moves it; mass and centre
+            of all that moves with it and no further joint; length of the translation.
+        machine, base, tool: where their blocks begin in ``theta``.
+    """
+
+    axes: Array
+    tables: Array
+    links: Array
+    machine: int
+    base: int
+    tool: int
+
+    @property
+    def posed(self) -> bool:
+        """Whether the machine has kinematics."""
+        return len(self.links) > 1
+
+
+def rig_of(plant: Plant) -> Rig:
+    """The arrays of a plant."""
+    machine = plant.machine
+    count = len(machine.axes)
+    axes, tables = np.zeros((count, 8)), np.full((count, _POINTS), np.nan)
+    axes[:, KIND] = [KINDS[axis.actuation] for axis in machine.axes]
+    axes[:, GAIN] = [float(a.inertia or 0.0) if a.actuation == "force" else a.gain for a in machine.axes]
+    axes[:, [LOW, HIGH]] = [axis.range for axis in machine.axes]
+    axes[:, CYLINDER] = [axis.drives == "cylinder" for axis in machine.axes]
+    axes[:, [SENSE, TABLE_LOW, TABLE_STEP]] = 1.0, 0.0, 1.0
+    for name, linkage in plant.linkages.items():
+        row = machine.axis_names.index(name)
+        first, last = float(linkage.displacements[0]), float(linkage.displacements[-1])
+        tables[row] = linkage.joint(np.linspace(first, last, _POINTS))
+        axes[row, [SENSE, TABLE_LOW, TABLE_STEP]] = (
+            np.sign(tables[row, -1] - tables[row, 0]),
+            first,
+            (last - first) / (_POINTS - 1),
+        )
+    places = layout.machine_place(count), layout.base_place(count), layout.tool_place(count)
+    return Rig(axes, tables, links_of(machine.kinematics()), *places)
+
+
+def links_of(kinematics: Kinematics | None) -> Array:
+    """``Rig.links`` of a kinematic chain, fixed joints merged."""
+    if kinematics is None:
+        return np.zeros((1, LENGTH + 1))
+    rows: list[Array] = []
+    groups: list[list[tuple[float, Array]]] = []
+    frame = np.eye(4)
+    for joint in kinematics.chain:
+        frame = frame @ joint.origin
+        if joint.name in kinematics.actuated:
+            row = _row(frame)
+            row[AXIS : AXIS + 3], row[ALIGNED] = joint.axis, _aligned(joint.axis)
+            row[PRISMATIC], row[ORDER] = joint.prismatic, kinematics.actuated.index(joint.name)
+            rows.append(row)
+            groups.append([])
+            frame = np.eye(4)
+        if groups:  # what does not move weighs on no axis
+            groups[-1] += _bodies(kinematics, joint.child, frame)
+    if groups and not any(mass for group in groups for mass, _ in group):
+        groups[-1].append((UNIT_MASS, frame[:3, 3]))
+    for row, group in zip(rows, groups, strict=True):
+        row[MASS] = sum(mass for mass, _ in group)
+        if row[MASS] > 0.0:
+            row[CENTRE : CENTRE + 3] = sum((mass * at for mass, at in group), np.zeros(3)) / row[MASS]
+    return np.array([*rows, _row(frame)])
+
+
+def _row(frame: Array) -> Array:
+    row = np.zeros(LENGTH + 1)
+    row[ROTATION : ROTATION + 9], row[SHIFT : SHIFT + 3] = frame[:3, :3].ravel(), frame[:3, 3]
+    row[TURNED], row[LENGTH] = not np.array_equal(frame[:3, :3], np.eye(3)), np.linalg.norm(frame[:3, 3])
+    return row
+
+
+def _bodies(kinematics: Kinematics, link: str, frame: Array) -> list[tuple[float, Array]]:
+    """(mass, centre in the moved frame) of a link and of all that hangs on it beside the chain, with its joints at zero."""
+    found = []
+    if link in kinematics.masses:
+        mass, centre = kinematics.masses[link]
+        found.append((mass, (frame @ np.array([*centre, 1.0]))[:3]))
+    on_chain = {joint.name for joint in kinematics.chain}
+    for joint in kinematics.joints.values():
+        if joint.parent == link and joint.name not in on_chain:
+            found += _bodies(kinematics, joint.child, frame @ joint.origin)
+    return found
+
+
+def _aligned(axis: Array) -> int:
+    k = int(np.argmax(np.abs(axis)))
+    return int(np.sign(axis[k])) * (k + 1) if abs(axis[k]) == 1.0 else 0
