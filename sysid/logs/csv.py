@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv as csv_module
+import warnings
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -10,9 +11,10 @@ import numpy as np
 import pandas as pd
 
 from sysid.errors import InputError
+from sysid.logs.limits import check_whole
 from sysid.logs.reader import ReadOptions
 from sysid.logs.stream import Stream
-from sysid.logs.table import check_not_empty, table_stream
+from sysid.logs.table import table_stream
 
 
 @dataclass(frozen=True)
@@ -24,15 +26,24 @@ class CsvReader:
     clocks: tuple[str, ...] = ("time",)
 
     def read(self, path: Path, options: ReadOptions) -> tuple[Stream, ...]:
-        check_not_empty(path, "a CSV file with one header row")
+        check_whole(path, "a CSV file with one header row")
         headers, separator, skipped = _header(path)
         try:
-            table = pd.read_csv(
-                path, sep=separator, skiprows=skipped, header=None, names=list(range(len(headers))), index_col=False,
-                skipinitialspace=True, na_values=["", "NaN", "nan", "None"], encoding="utf-8-sig", low_memory=False,
-            )  # fmt: skip
-        except (pd.errors.ParserError, pd.errors.ParserWarning, UnicodeDecodeError) as error:
-            raise InputError(path, f"not readable as CSV ({error})", "rows with as many cells as the header has") from None
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore", pd.errors.ParserWarning)  # longer rows are looked for below
+                # One column more than the header has: it is empty in every row that fits.
+                table = pd.read_csv(
+                    path, sep=separator, skiprows=skipped, header=None, names=list(range(len(headers) + 1)), index_col=False,
+                    skipinitialspace=True, na_values=["", "NaN", "nan", "None"], encoding="utf-8-sig", low_memory=False,
+                )  # fmt: skip
+        except (pd.errors.ParserError, UnicodeDecodeError) as error:
+            raise InputError(
+                path, f"not readable as CSV ({' '.join(str(error).split())})", "rows with as many cells as the header has"
+            ) from None
+        longer = np.flatnonzero(table[len(headers)].notna().to_numpy())
+        if len(longer):
+            where = f"{path}: row {int(longer[0]) + 1} below the header"
+            raise InputError(where, f"more than {len(headers)} cells", "as many cells as the header has", "Repair the row.")
         columns = []
         losses = []
         for index, header in enumerate(headers):

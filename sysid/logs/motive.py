@@ -1,36 +1,40 @@
-"""OptiTrack Motive CSV exports: rigid bodies (and named markers) → streams on the capture clock.
+"""OptiTrack Motive CSV exports: rigid bodies, bones and markers → streams on the capture clock.
 
-A first line of ``key,value`` pairs, five head rows (type, name, id, channel, axis; some versions add a parent), then one row
-a frame; a body that was not seen has empty cells. Rigid body columns: ``x y z`` [m], unit quaternion ``qx qy qz qw`` (active,
-body to capture frame), ``error`` [m] where exported. Marker columns: ``x y z`` [m].
-Source: exports of versions 1.21, 1.22 and 1.23; OptiTrack documentation, "Data Export: CSV".
+A first line of ``key,value`` pairs, head rows (type, name, id, parent, channel, axis; not every version has them all, some
+say in their second cell which is which), then one row a frame; a body that was not seen has empty cells. Body columns:
+``x y z`` [m], unit quaternion ``qx qy qz qw`` (active, body to capture frame), ``error`` [m] where exported. Marker columns:
+``x y z`` [m], ``quality`` where exported. Version 1.1 is another format: :mod:`sysid.logs.motive_records`.
+Source: exports of versions 1.2 to 1.25; OptiTrack documentation, "Data Export: CSV".
 """
 
 from __future__ import annotations
 
 import csv
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
-import pandas as pd
 
-from sysid.errors import InputError, nearest
+from sysid.errors import InputError
+from sysid.logs.capture import Array, check_streams, euler_order, from_euler, length_factor, number_rows, quaternion_columns
+from sysid.logs.limits import check_whole
+from sysid.logs.motive_records import RECORD_TYPES, read_records
 from sysid.logs.reader import ReadOptions
 from sysid.logs.stream import Stream
-from sysid.logs.table import check_not_empty, to_ns
-from sysid.units import si_factor
+from sysid.logs.table import to_ns
 
-VERSIONS = ("1.21", "1.22", "1.23")
-_UNITS = {"meters": "m", "millimeters": "mm", "centimeters": "cm", "inches": "inch", "feet": "foot"}
-_MARKERS = ("Marker", "Rigid Body Marker")
-
-Array = npt.NDArray[np.float64]
+#: Of the table format; 1.1 wrote records.
+VERSIONS = ("1.2", "1.20", "1.21", "1.22", "1.23", "1.24", "1.25")
+_BODIES = ("Rigid Body", "Bone")
+_MARKERS = ("Marker", "Rigid Body Marker", "Bone Marker")
+_KEYS = ("Format Version", "Rotation Type", "Length Units", "Coordinate Space")
+_ROWS = ("Type", "Name", "ID", "Parent")
 
 
 @dataclass(frozen=True)
 class _Column:
+    index: int
     kind: str
     name: str
     channel: str
@@ -39,58 +43,79 @@ class _Column:
 
 @dataclass(frozen=True)
 class MotiveReader:
-    """The file says neither its suffix nor much else: name it in the recipe with ``reader = "motive"``."""
+    """Streams are called as the rigid body, bone or marker in Motive."""
 
     name: str = "motive"
     suffixes: tuple[str, ...] = ()
     clocks: tuple[str, ...] = ("capture",)
 
     def read(self, path: Path, options: ReadOptions) -> tuple[Stream, ...]:
-        check_not_empty(path, "a Motive CSV export")
-        header, columns, rows = _head(path)
-        factor = _length_factor(path, header, options)
-        rotation = options.rotation or header.get("Rotation Type")
+        check_whole(path, "a Motive CSV export")
+        if _first_cell(path).lower() in RECORD_TYPES:
+            return read_records(path, options)
+        header, columns, time, rows = _head(path)
+        factor = length_factor(path, header.get("Length Units", ""), options)
         space = header.get("Coordinate Space", "Global")
-        if space != "Global":
+        if space not in ("Global", ""):
             raise InputError(path, f"coordinate space {space!r}", "'Global'", "Export again with world coordinates.")
-        table, losses = _numbers(path, len(columns), rows)
-        stamps = {"capture": to_ns(table[:, 1], 1.0, f"{path}: Time")}
+        names = list(dict.fromkeys(column.name for column in columns))
+        check_streams(path, options, names, "rigid body or marker")
+        width = 1 + max([time, *(column.index for column in columns)])
+        table, losses = number_rows(path, width, rows, ",")
+        if not len(table):
+            raise InputError(path, "a header but no frames", "at least one frame", "Export the take again.")
+        stamps = {"capture": to_ns(table[:, time], 1.0, f"{path}: Time")}
         streams = []
-        names = dict.fromkeys(column.name for column in columns if column.kind in ("Rigid Body", *_MARKERS))
-        for wanted in sorted(options.streams or ()):
-            if wanted not in names:
-                raise InputError(path, f"no rigid body {wanted!r}", nearest(wanted, names), "Correct the recipe.")
         for name in names:
-            own = [(index, column) for index, column in enumerate(columns) if column.name == name]
-            if name.startswith("Unlabeled") or (options.streams is not None and name not in options.streams):
+            if options.streams is not None and name not in options.streams:
                 continue
-            values = _channels(path, table, own, factor, rotation)
-            units = dict.fromkeys((key for key in values if not key.startswith("q")), "m")
-            streams.append(Stream(name, path, stamps, values, units, losses))
+            own = [column for column in columns if column.name == name]
+            values = _values(path, table, own, factor, options.rotation or header.get("Rotation Type"))
+            units = {key: "m" for key in values if key in ("x", "y", "z", "error")}
+            streams.append(Stream(name, path, stamps, values, units, losses, kind=own[0].kind))
         return tuple(streams)
 
 
-def _head(path: Path) -> tuple[dict[str, str], list[_Column], int]:
-    """Key-value pairs of the first line, the columns from the third on (index 0 = column 2), number of head lines."""
+def unstated(path: Path) -> dict[str, str]:
+    """What a recipe has to state because the export does not, with a common value: ``length_unit``, ``rotation``."""
+    if _first_cell(path).lower() in RECORD_TYPES:
+        return {"length_unit": "m"}
+    header, columns, _, _ = _head(path)
+    result = {} if header.get("Length Units") else {"length_unit": "m"}
+    angles = {column.axis for column in columns if column.channel == "Rotation"}
+    if angles and "W" not in angles and euler_order(header.get("Rotation Type")) is None:
+        result["rotation"] = "XYZ"
+    return result
+
+
+def _first_cell(path: Path) -> str:
+    with path.open("rb") as file:
+        return file.read(64).decode("utf-8-sig", errors="replace").partition(",")[0].strip().strip('"')
+
+
+def _head(path: Path) -> tuple[dict[str, str], list[_Column], int, int]:
+    """What the first line states, the columns with data, which column is the time, and how many head lines there are."""
     try:
         with path.open(encoding="utf-8-sig", newline="") as file:
             lines = csv.reader(file)
-            first = next(lines, [])
+            first = [cell.strip() for cell in next(lines, [])]
             if not first or first[0] != "Format Version":
                 found = f"first cell {first[0] if first else ''!r}"
                 raise InputError(path, found, "'Format Version'", "Export the take as CSV from Motive, with the header on.")
-            header = dict(zip(first[0::2], first[1::2], strict=False))
-            version = header["Format Version"]
+            # By name, not in pairs: notes and take names may hold commas.
+            header = {key: first[first.index(key) + 1] for key in _KEYS if key in first[:-1]}
+            version = header.get("Format Version", "")
             if version not in VERSIONS:
-                raise InputError(
-                    path, f"format version {version!r}", f"one of {', '.join(VERSIONS)}", "Export the take with one of these."
-                )
+                expected = f"1.1 or one of {', '.join(VERSIONS)}"
+                raise InputError(path, f"format version {version!r}", expected, "Export the take with one of these.")
             head: list[list[str]] = []
             for row in lines:
-                if row and row[0] == "Frame":
-                    return header, _columns(path, head, row), lines.line_num
-                if any(row):
-                    head.append(row)
+                cells = [cell.strip() for cell in row]
+                if cells and cells[0] == "Frame":
+                    columns, time = _columns(path, head, cells)
+                    return header, columns, time, lines.line_num
+                if any(cells):
+                    head.append(cells)
                 if len(head) > 8:
                     break
     except (UnicodeDecodeError, csv.Error) as error:
@@ -98,109 +123,54 @@ def _head(path: Path) -> tuple[dict[str, str], list[_Column], int]:
     raise InputError(path, "no row that starts with 'Frame'", "the head of a Motive CSV export")
 
 
-def _columns(path: Path, head: list[list[str]], axes: list[str]) -> list[_Column]:
-    if len(head) < 4:
-        raise InputError(path, f"{len(head)} head rows", "type, name, id and channel", "Export again with all headers on.")
-    kinds, names, channels = head[0], head[1], head[-1]
-    width = len(axes)
-    rows = [row + [""] * (width - len(row)) for row in (kinds, names, channels)]
-    kinds, names, channels = rows
-    return [_Column(kinds[i].strip(), names[i].strip(), channels[i].strip(), axes[i].strip()) for i in range(2, width)]
+def _columns(path: Path, head: list[list[str]], axes: list[str]) -> tuple[list[_Column], int]:
+    if len(head) < 3:
+        raise InputError(path, f"{len(head)} head rows", "type, name and channel", "Export again with all headers on.")
+    labelled = {row[1]: row for row in head if len(row) > 1 and row[1] in _ROWS}
+    kinds, names, channels = labelled.get("Type", head[0]), labelled.get("Name", head[1]), head[-1]
+    time = next((i for i, axis in enumerate(axes) if axis.lower().startswith("time") and "code" not in axis.lower()), None)
+    if time is None:
+        raise InputError(path, "no column 'Time'", "frame and time in front", "Export again with all headers on.")
+
+    def at(row: list[str], index: int) -> str:
+        return row[index] if index < len(row) else ""
+
+    columns = [
+        _Column(index, at(kinds, index), at(names, index), at(channels, index), axes[index])
+        for index in range(time + 1, len(axes))
+        if at(kinds, index) in (*_BODIES, *_MARKERS) and at(names, index)
+    ]
+    if not columns:
+        found = ", ".join(sorted({kind for kind in kinds[time + 1 :] if kind})) or "no columns"
+        raise InputError(path, f"only {found}", f"one of: {', '.join((*_BODIES, *_MARKERS))}", "Export these, too.")
+    return columns, time
 
 
-def _length_factor(path: Path, header: dict[str, str], options: ReadOptions) -> float:
-    stated = header.get("Length Units", "").strip()
-    if not stated and options.length_unit is None:
-        raise InputError(
-            path,
-            "the header states no length unit",
-            "'Length Units'",
-            'State it in the recipe: `length_unit = "m"` (or "mm", "cm").',
-        )
-    unit = _UNITS.get(stated.lower(), stated) if stated else str(options.length_unit)
-    if stated and options.length_unit is not None and si_factor(unit, path) != si_factor(options.length_unit, path):
-        raise InputError(
-            path, f"the header states {stated}", f"[{options.length_unit}] as the recipe says", "Correct the recipe."
-        )
-    factor, si = si_factor(unit, path)
-    if si != "m":
-        raise InputError(path, f"a length unit of [{si}]", "a unit of length such as m or mm")
-    return factor
-
-
-def _numbers(path: Path, width: int, rows: int) -> tuple[Array, tuple[str, ...]]:
-    """All cells as numbers (n, width + 2); a last row without a line end may be cut and is left out."""
-    try:
-        table = pd.read_csv(
-            path, header=None, skiprows=rows, names=list(range(width + 2)), index_col=False, encoding="utf-8-sig"
-        )
-    except (pd.errors.ParserError, pd.errors.ParserWarning, pd.errors.EmptyDataError) as error:
-        raise InputError(path, f"rows that do not fit the head ({error})", f"{width + 2} cells a row") from None
-    numbers = table.apply(pd.to_numeric, errors="coerce").to_numpy(dtype=np.float64)
-    losses: tuple[str, ...] = ()
-    with path.open("rb") as file:
-        file.seek(-1, 2)
-        if file.read(1) != b"\n" and len(numbers):
-            numbers = numbers[:-1]
-            losses = (f"{path.name}: the last row has no line end and may be cut: left out",)
-    if not len(numbers):
-        raise InputError(path, "a header but no frames", "at least one frame", "Export the take again.")
-    return numbers, losses
-
-
-def _channels(
-    path: Path, table: Array, columns: list[tuple[int, _Column]], factor: float, rotation: str | None
-) -> dict[str, Array]:
+def _values(path: Path, table: Array, columns: list[_Column], factor: float, rotation: str | None) -> dict[str, Array]:
     position: dict[str, Array] = {}
     angles: dict[str, Array] = {}
     values: dict[str, Array] = {}
-    for index, column in columns:
-        cells = table[:, index + 2]
+    for column in columns:
+        cells = table[:, column.index]
         if column.channel == "Position" and column.axis in ("X", "Y", "Z"):
             position.setdefault(column.axis.lower(), cells * factor)
         elif column.channel == "Rotation" and column.axis in ("X", "Y", "Z", "W"):
             angles.setdefault(column.axis, cells)
         elif column.channel in ("Mean Marker Error", "Error Per Marker"):
             values["error"] = cells * factor
-    quaternion = _quaternion(path, columns[0][1].name, angles, rotation)
-    return {**position, **quaternion, **values}
+        elif column.channel == "Marker Quality":
+            values["quality"] = cells
+    return {**position, **_rotation(f"{path}: {columns[0].name}", angles, rotation), **values}
 
 
-def _quaternion(path: Path, body: str, angles: dict[str, Array], rotation: str | None) -> dict[str, Array]:
+def _rotation(where: str, angles: Mapping[str, Array], rotation: str | None) -> dict[str, Array]:
     if not angles:
         return {}
     if "W" in angles:
-        stacked = np.column_stack([angles[axis] for axis in "XYZW"])
-    else:
-        order = (rotation or "").upper().replace("EULER", "").strip()
-        if sorted(order) != ["X", "Y", "Z"]:
-            raise InputError(
-                f"{path}: {body}",
-                f"Euler angles, rotation type {rotation!r}" if rotation else "Euler angles without a stated order",
-                "an order such as XYZ",
-                'State it in the recipe: `rotation = "XYZ"`, or export quaternions.',
-            )
-        stacked = _from_euler(np.column_stack([angles[axis] for axis in order]), order)
-    with np.errstate(invalid="ignore"):
-        norm = np.linalg.norm(stacked, axis=1)
-        stacked = np.where((np.abs(norm - 1.0) < 0.05)[:, None], stacked / norm[:, None], np.nan)
-    return {f"q{axis}": stacked[:, i] for i, axis in enumerate("xyzw")}
-
-
-def _from_euler(degrees: Array, order: str) -> Array:
-    """Rotations about the body's own axes in ``order``, (n, 3) [deg] → quaternions x y z w (n, 4)."""
-    result = np.tile([0.0, 0.0, 0.0, 1.0], (len(degrees), 1))
-    for column, axis in enumerate(order):
-        half = np.deg2rad(degrees[:, column]) / 2.0
-        turn = np.zeros((len(degrees), 4))
-        turn[:, "XYZ".index(axis)] = np.sin(half)
-        turn[:, 3] = np.cos(half)
-        result = multiply(result, turn)
-    return result
-
-
-def multiply(a: Array, b: Array) -> Array:
-    """Quaternion product (x, y, z, w), (n, 4) each: first ``b``, then ``a``."""
-    vector = a[:, 3:] * b[:, :3] + b[:, 3:] * a[:, :3] + np.cross(a[:, :3], b[:, :3])
-    scalar = a[:, 3] * b[:, 3] - np.sum(a[:, :3] * b[:, :3], axis=1)
-    return np.column_stack([vector, scalar])
+        return quaternion_columns(np.column_stack([angles[axis] for axis in "XYZW"]))
+    order = euler_order(rotation)
+    if order is None:
+        found = f"Euler angles, rotation type {rotation!r}" if rotation else "Euler angles without a stated order"
+        remedy = 'State it in the recipe: `rotation = "XYZ"`, or export quaternions.'
+        raise InputError(where, found, "an order such as XYZ", remedy)
+    return quaternion_columns(from_euler(np.column_stack([angles[axis] for axis in order]), order))

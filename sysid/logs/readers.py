@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 from sysid.errors import InputError, SettingsError, nearest
@@ -10,8 +11,11 @@ from sysid.logs.mat import MatReader
 from sysid.logs.mcap import McapReader
 from sysid.logs.motive import MotiveReader
 from sysid.logs.parquet import ParquetReader
+from sysid.logs.qualisys import QualisysReader
 from sysid.logs.reader import LogReader
 from sysid.logs.rosbag import Ros1Reader, Rosbag2Reader
+from sysid.logs.trc import TrcReader
+from sysid.logs.vicon import SECTIONS, ViconReader
 
 READERS: tuple[LogReader, ...] = (
     McapReader(),
@@ -19,8 +23,24 @@ READERS: tuple[LogReader, ...] = (
     Rosbag2Reader(),
     CsvReader(),
     MotiveReader(),
+    TrcReader(),
+    ViconReader(),
+    QualisysReader(),
     ParquetReader(),
     MatReader(),
+)
+
+#: What a file begins with (after a byte order mark) → its reader, where the suffix says too little.
+SIGNATURES: tuple[tuple[re.Pattern[bytes], str], ...] = (
+    (re.compile(rb"\x89MCAP"), "mcap"),
+    (re.compile(rb"#ROSBAG"), "rosbag1"),
+    (re.compile(rb"SQLite format 3\0"), "rosbag2"),
+    (re.compile(rb'"?Format Version"?,'), "motive"),
+    (re.compile(rb"(comment|info|righthanded|lefthanded)\b(.*\n)?info,version,", re.IGNORECASE | re.DOTALL), "motive"),
+    (re.compile(rb"info,version,", re.IGNORECASE), "motive"),
+    (re.compile(rb"PathFileType\b"), "trc"),
+    (re.compile(rb"(NO_OF_FRAMES|FILE_VERSION)\t"), "qualisys"),
+    (re.compile(rb'"?(' + "|".join((*SECTIONS, "Events")).encode() + rb')"?[,;\t ]*\r?\n'), "vicon"),
 )
 
 
@@ -33,12 +53,27 @@ def reader_named(name: str, where: object) -> LogReader:
 
 
 def reader_for(path: Path) -> LogReader:
-    """The first reader that takes the suffix of ``path``; raises :class:`InputError` where none does."""
-    for reader in READERS:
-        if path.suffix.lower() in reader.suffixes:
-            return reader
-    suffixes = sorted({suffix for reader in READERS for suffix in reader.suffixes})
-    raise InputError(path, f"no reader for {path.suffix or 'a file without suffix'!r}", f"one of {', '.join(suffixes)}")
+    """The reader that what ``path`` begins with calls for, else the first that takes its suffix.
+
+    Raises:
+        InputError: no reader takes the suffix.
+    """
+    takes = [reader for reader in READERS if path.suffix.lower() in reader.suffixes]
+    if not takes:
+        suffixes = sorted({suffix for reader in READERS for suffix in reader.suffixes})
+        raise InputError(path, f"no reader for {path.suffix or 'a file without suffix'!r}", f"one of {', '.join(suffixes)}")
+    name = _by_content(path)
+    by_content = [reader for reader in READERS if reader.name == name]
+    others = [reader for reader in takes if reader.name not in {name for _, name in SIGNATURES}]
+    return (by_content or others or takes)[0]
+
+
+def _by_content(path: Path) -> str | None:
+    if not path.is_file():
+        return None
+    with path.open("rb") as file:
+        head = file.read(4096).removeprefix(b"\xef\xbb\xbf")
+    return next((name for pattern, name in SIGNATURES if pattern.match(head)), None)
 
 
 def is_log(path: Path) -> bool:

@@ -1,0 +1,178 @@
+"""Shared by text exports of motion capture: numbers below a head, length units, rotations as unit quaternions."""
+
+from __future__ import annotations
+
+import re
+import warnings
+from collections.abc import Iterator
+from itertools import islice
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+import pandas as pd
+
+from sysid.errors import InputError, nearest
+from sysid.logs.reader import ReadOptions
+from sysid.units import si_factor
+
+_UNITS = {"meters": "m", "millimeters": "mm", "centimeters": "cm", "inches": "inch", "feet": "foot"}
+
+Array = npt.NDArray[np.float64]
+
+
+def text_lines(path: Path, what: str) -> Iterator[str]:
+    """Lines of a text file without their ends.
+
+    Raises:
+        InputError: the file is not UTF-8 (or Latin-1 in a comment: then it is no export of this kind).
+    """
+    try:
+        with path.open(encoding="utf-8-sig", newline="") as file:
+            for line in file:
+                yield line.rstrip("\r\n")
+    except UnicodeDecodeError as error:
+        raise InputError(path, f"not UTF-8 text ({error.reason})", what) from None
+
+
+def number_rows(
+    path: Path,
+    width: int,
+    first: int,
+    separator: str,
+    count: int | None = None,
+    whole: bool = True,
+    ragged: bool = False,
+) -> tuple[Array, tuple[str, ...]]:
+    """Rows of numbers from physical line ``first`` (0 is the first line) on: (n, width), NaN in empty cells, and what was lost.
+
+    Args:
+        count: of physical lines; None to the end of the file.
+        whole: the rows end with the file: a last one without a line end may be cut and is left out.
+        ragged: rows may be longer than the head; what lies beyond is reported as lost.
+
+    Raises:
+        InputError: a row that is longer than the head, where that is not expected.
+    """
+    cells = width + 1  # one more than the head has: it is empty in every row that fits
+    if ragged:
+        cells = max(cells, *(line.count(separator) + 1 for line in islice(text_lines(path, "text"), first, None)), 0)
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", pd.errors.ParserWarning)  # longer rows are looked for below
+            table = pd.read_csv(
+                path, sep=separator, header=None, skiprows=first, names=list(range(cells)), index_col=False,
+                encoding="utf-8-sig", skip_blank_lines=count is None, low_memory=False, nrows=count,
+            )  # fmt: skip
+    except pd.errors.EmptyDataError:
+        return np.zeros((0, width)), ()
+    except (pd.errors.ParserError, UnicodeDecodeError) as error:
+        raise InputError(
+            path, f"rows that do not fit the head ({' '.join(str(error).split())})", f"{width} cells a row"
+        ) from None
+    losses: list[str] = []
+    longer = np.flatnonzero(table[list(range(width, cells))].notna().any(axis=1).to_numpy())
+    if len(longer) and not ragged:
+        where = f"{path}: row {int(longer[0]) + 1} below the head"
+        raise InputError(where, f"more than {width} cells", f"{width} cells a row", "Repair the row, or export the take again.")
+    if len(longer):
+        losses.append(f"{path.name}: {len(longer)} rows are longer than the head; what has no name has been left out")
+    numbers = table[list(range(width))].apply(pd.to_numeric, errors="coerce").to_numpy(dtype=np.float64)
+    if whole and len(numbers) and _without_line_end(path):
+        numbers = numbers[:-1]
+        losses.append(f"{path.name}: the last row has no line end and may be cut: left out")
+    return numbers, tuple(losses)
+
+
+def _without_line_end(path: Path) -> bool:
+    with path.open("rb") as file:
+        file.seek(-1, 2)
+        return file.read(1) not in (b"\n", b"\r")
+
+
+def length_factor(path: Path, stated: str, options: ReadOptions, default: str | None = None) -> float:
+    """Metres in a unit of length: the one the file states, else the recipe's, else ``default``.
+
+    Raises:
+        InputError: nothing is stated, the recipe contradicts the file, or it is no unit of length.
+    """
+    if not stated and options.length_unit is None and default is None:
+        raise InputError(
+            path,
+            "the header states no length unit",
+            "'Length Units'",
+            'State it in the recipe: `length_unit = "m"` (or "mm", "cm").',
+        )
+    unit = _UNITS.get(stated.lower(), stated) if stated else str(options.length_unit or default)
+    if stated and options.length_unit is not None and si_factor(unit, path) != si_factor(options.length_unit, path):
+        raise InputError(
+            path, f"the header states {stated}", f"[{options.length_unit}] as the recipe says", "Correct the recipe."
+        )
+    factor, si = si_factor(unit, path)
+    if si != "m":
+        raise InputError(path, f"a length unit of [{si}]", "a unit of length such as m or mm")
+    return factor
+
+
+def check_streams(path: Path, options: ReadOptions, names: list[str], what: str) -> None:
+    """Raise where a wanted body or marker is not in the file."""
+    known = set(names)
+    for wanted in sorted(options.streams or ()):
+        if wanted not in known:
+            raise InputError(path, f"no {what} {wanted!r}", nearest(wanted, known), "Correct the recipe.")
+
+
+def unique_names(names: list[str]) -> list[str]:
+    """``names`` with a number behind those that come again."""
+    seen: dict[str, int] = {}
+    result = []
+    for name in names:
+        seen[name] = seen.get(name, 0) + 1
+        result.append(name if seen[name] == 1 else f"{name}#{seen[name]}")
+    return result
+
+
+def euler_order(rotation: str | None) -> str | None:
+    """``XYZ`` … ``ZYX`` from what a header or a recipe says (``Euler XYZ``); None where it names no order."""
+    match = re.search(r"\b([XYZ]{3})\b", (rotation or "").upper())
+    return match[1] if match is not None and sorted(match[1]) == ["X", "Y", "Z"] else None
+
+
+def from_euler(degrees: Array, order: str) -> Array:
+    """Rotations about the body's own axes in ``order``, (n, 3) [deg] → quaternions x y z w (n, 4)."""
+    result = np.tile([0.0, 0.0, 0.0, 1.0], (len(degrees), 1))
+    for column, axis in enumerate(order):
+        half = np.deg2rad(degrees[:, column]) / 2.0
+        turn = np.zeros((len(degrees), 4))
+        turn[:, "XYZ".index(axis)] = np.sin(half)
+        turn[:, 3] = np.cos(half)
+        result = multiply(result, turn)
+    return result
+
+
+def from_matrices(matrices: Array) -> Array:
+    """Rotation matrices (n, 3, 3) → quaternions x y z w (n, 4); NaN where a matrix is no rotation (2 % of an entry)."""
+    result = np.full((len(matrices), 4), np.nan)
+    with np.errstate(invalid="ignore"):
+        residual = np.abs(np.einsum("nij,nkj->nik", matrices, matrices) - np.eye(3)).max(axis=(1, 2))
+        good = (residual < 0.02) & (np.linalg.det(np.nan_to_num(matrices)) > 0.0)
+    if good.any():
+        from scipy.spatial.transform import Rotation
+
+        result[good] = Rotation.from_matrix(matrices[good]).as_quat()
+    return result
+
+
+def quaternion_columns(quaternions: Array) -> dict[str, Array]:
+    """``qx`` … ``qw`` of quaternions x y z w (n, 4), brought to length one; NaN where they are no rotation."""
+    with np.errstate(invalid="ignore"):
+        norm = np.linalg.norm(quaternions, axis=1)
+        unit = np.where((np.abs(norm - 1.0) < 0.05)[:, None], quaternions / norm[:, None], np.nan)
+    return {f"q{axis}": unit[:, i] for i, axis in enumerate("xyzw")}
+
+
+def multiply(a: Array, b: Array) -> Array:
+    """Quaternion product (x, y, z, w), (n, 4) each: first ``b``, then ``a``."""
+    vector = a[:, 3:] * b[:, :3] + b[:, 3:] * a[:, :3] + np.cross(a[:, :3], b[:, :3])
+    scalar = a[:, 3] * b[:, 3] - np.sum(a[:, :3] * b[:, :3], axis=1)
+    return np.column_stack([vector, scalar])

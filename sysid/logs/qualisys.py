@@ -1,0 +1,118 @@
+"""Qualisys TSV exports: markers (3D) and rigid bodies (6D) → streams on the capture clock.
+
+Head lines ``NAME<tab>values``, perhaps a line of column names, then one row a frame; frame and time columns are optional.
+Markers: ``x y z``. Bodies: position, three angles, residual, and the rotation matrix column by column (``Rot[0] … Rot[8]``),
+which alone is used: the angles follow settings that the file does not state. Millimetres. What was not seen is empty or zero.
+Source: Qualisys Track Manager documentation, "Motion data (.tsv)" and "6DOF data (.tsv)".
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from sysid.errors import InputError
+from sysid.logs.capture import (
+    Array,
+    check_streams,
+    from_matrices,
+    length_factor,
+    number_rows,
+    quaternion_columns,
+    text_lines,
+    unique_names,
+)
+from sysid.logs.limits import check_whole
+from sysid.logs.reader import ReadOptions
+from sysid.logs.stream import Stream
+from sysid.logs.table import to_ns
+
+_WHAT = "a Qualisys TSV export"
+_NAMES = {"3D": "MARKER_NAMES", "6D": "BODY_NAMES"}
+_CELLS = {"3D": 3, "6D": 16}
+
+
+@dataclass(frozen=True)
+class QualisysReader:
+    """Streams are called as the marker or body in Qualisys Track Manager."""
+
+    name: str = "qualisys"
+    suffixes: tuple[str, ...] = ()
+    clocks: tuple[str, ...] = ("capture",)
+
+    def read(self, path: Path, options: ReadOptions) -> tuple[Stream, ...]:
+        check_whole(path, _WHAT)
+        head, width, first = _head(path)
+        kind = next(iter(head.get("DATA_INCLUDED", [])), "")
+        if kind not in _NAMES:
+            raise InputError(path, f"DATA_INCLUDED {kind!r}", "'3D' or '6D'", "Export again with the header on.")
+        names = unique_names([name for name in head.get(_NAMES[kind], []) if name])
+        check_streams(path, options, names, "marker or body")
+        cells = _CELLS[kind]
+        before = width - cells * len(names)
+        if not names or before not in (0, 1, 2):
+            expected = f"{cells} for each of {len(names)} names, frame and time"
+            raise InputError(f"{path}: line {first + 1}", f"{width} columns", expected, "Export it again.")
+        table, losses = number_rows(path, width, first, "\t")
+        if not len(table):
+            raise InputError(path, "a header but no frames", "at least one frame", "Export it again.")
+        stamps = {"capture": to_ns(_seconds(path, table, before, head), 1.0, f"{path}: time")}
+        factor = length_factor(path, "", options, "mm")
+        streams = []
+        for number, name in enumerate(names):
+            if options.streams is None or name in options.streams:
+                own = table[:, before + number * cells : before + (number + 1) * cells]
+                values = _marker(own, factor) if kind == "3D" else _body(own, factor)
+                units = {key: "m" for key in values if key in ("x", "y", "z", "error")}
+                what = "Marker" if kind == "3D" else "Rigid Body"
+                streams.append(Stream(name, path, stamps, values, units, losses, kind=what))
+        return tuple(streams)
+
+
+def _head(path: Path) -> tuple[dict[str, list[str]], int, int]:
+    """Name → values of the head, columns of the data, and the number of head lines."""
+    head: dict[str, list[str]] = {}
+    for number, line in enumerate(text_lines(path, _WHAT)):
+        cells = [cell.strip() for cell in line.split("\t")]
+        if number == 0 and cells[0] not in ("NO_OF_FRAMES", "FILE_VERSION"):
+            raise InputError(
+                path, f"first cell {cells[0][:40]!r}", "'NO_OF_FRAMES' or 'FILE_VERSION'", "Export with the header."
+            )
+        if number > 10_000:
+            break
+        if not any(cells) or cells[0] in ("Frame", "Time") or " X" in line or "\tX\t" in line:
+            continue
+        if (cells[0].isupper() and "_" in cells[0]) or cells[0] in ("FREQUENCY", "DESCRIPTION", "EVENT"):
+            if cells[0] != "EVENT":
+                head.setdefault(cells[0], cells[1:])
+            continue
+        return head, len(line.rstrip("\t ").split("\t")) if line.endswith("\t") else len(cells), number
+    raise InputError(path, "a header but no frames", "at least one frame", "Export it again.")
+
+
+def _seconds(path: Path, table: Array, before: int, head: dict[str, list[str]]) -> Array:
+    if before == 2:
+        return table[:, 1]
+    rate = next(iter(head.get("FREQUENCY", [])), "")
+    try:
+        period = 1.0 / float(rate)
+    except (ValueError, ZeroDivisionError):
+        expected = "a rate in Hz, or a time column"
+        raise InputError(f"{path}: FREQUENCY", repr(rate), expected, "Export again with the time column.") from None
+    frames = table[:, 0] - 1.0 if before == 1 else np.arange(len(table), dtype=np.float64)
+    return np.asarray(frames * period)
+
+
+def _marker(cells: Array, factor: float) -> dict[str, Array]:
+    seen = ~np.all(np.nan_to_num(cells) == 0.0, axis=1)
+    return {axis: np.where(seen, cells[:, i] * factor, np.nan) for i, axis in enumerate("xyz")}
+
+
+def _body(cells: Array, factor: float) -> dict[str, Array]:
+    # Column by column: Rot[1] is the second row of the first column.
+    quaternions = from_matrices(np.swapaxes(cells[:, 7:16].reshape(-1, 3, 3), 1, 2))
+    seen = np.isfinite(quaternions[:, 0])
+    position = {axis: np.where(seen, cells[:, i] * factor, np.nan) for i, axis in enumerate("xyz")}
+    return {**position, **quaternion_columns(quaternions), "error": np.where(seen, cells[:, 6] * factor, np.nan)}

@@ -1,0 +1,70 @@
+"""TRC files of motion capture (Motion Analysis, OpenSim): markers → streams ``x y z`` [m] on the capture clock.
+
+Three head lines (file type; names and values of the settings), the markers' names over three columns each, the axes, an empty
+line; then frame, time and positions, nothing or ``nan`` where a marker was not seen. Tabs, or commas from a spreadsheet.
+Source: OpenSim documentation, "Marker (.trc) Files".
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import islice
+from pathlib import Path
+
+import numpy as np
+
+from sysid.errors import InputError
+from sysid.logs.capture import check_streams, length_factor, number_rows, text_lines, unique_names
+from sysid.logs.limits import check_whole
+from sysid.logs.reader import ReadOptions
+from sysid.logs.stream import Stream
+from sysid.logs.table import to_ns
+
+_WHAT = "a TRC file of motion capture"
+
+
+@dataclass(frozen=True)
+class TrcReader:
+    """The CAN logs that have the same suffix begin with a semicolon; they are read by ``can``."""
+
+    name: str = "trc"
+    suffixes: tuple[str, ...] = (".trc",)
+    clocks: tuple[str, ...] = ("capture",)
+
+    def read(self, path: Path, options: ReadOptions) -> tuple[Stream, ...]:
+        check_whole(path, _WHAT)
+        head = list(islice(text_lines(path, _WHAT), 5))
+        if not head or not head[0].startswith("PathFileType"):
+            raise InputError(path, f"first line {head[0][:40] if head else ''!r}", "'PathFileType' as a TRC file begins")
+        if len(head) < 5:
+            raise InputError(path, f"{len(head)} lines", "five head lines and frames", "Export it again.")
+        separator = "\t" if "\t" in head[0] else ","
+        rows = [[cell.strip() for cell in line.split(separator)] for line in head]
+        settings = dict(zip(rows[1], rows[2], strict=False))
+        factor = length_factor(path, settings.get("Units", ""), options)
+        markers = unique_names([name for name in rows[3][2:] if name])
+        if not markers:
+            raise InputError(path, "no names of markers", "names over the columns", "Export it again.")
+        check_streams(path, options, markers, "marker")
+        table, losses = number_rows(path, 2 + 3 * len(markers), 5, separator, ragged=True)
+        table = table[~np.isnan(table[:, 1])]
+        if not len(table):
+            raise InputError(path, "a header but no frames", "at least one frame", "Export it again.")
+        for key, count, what in (("NumFrames", len(table), "frames"), ("NumMarkers", len(markers), "names of markers")):
+            stated = settings.get(key, "")
+            if stated.isdecimal() and int(stated) != count:
+                losses = (*losses, f"{path.name}: {count} {what} instead of the {stated} that the head states")
+        stamps = {"capture": to_ns(table[:, 1], 1.0, f"{path}: Time")}
+        return tuple(
+            Stream(
+                name,
+                path,
+                stamps,
+                {axis: table[:, 2 + 3 * number + i] * factor for i, axis in enumerate("xyz")},
+                dict.fromkeys("xyz", "m"),
+                losses,
+                kind="Marker",
+            )
+            for number, name in enumerate(markers)
+            if options.streams is None or name in options.streams
+        )
