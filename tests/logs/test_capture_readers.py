@@ -130,9 +130,9 @@ def test_motive_1_1_records(tmp_path: Path) -> None:
     path = write(tmp_path / "cut.csv", *RECORDS, "frame,3,0.03,1,7,1,2")
     assert read(path, length_unit="m")["boom"].losses == ("cut.csv: line 11 is cut or damaged and has been left out",)
     for lines, message in (
-        (("lefthanded",), "left-handed coordinates; expected right-handed ones"),
+        (("lefthanded", "info,version,1.1"), "left-handed coordinates; expected right-handed ones"),
         (("info,version,1.0",), "format version '1.0'; expected 1.1 for a file of records"),
-        (("comment,x",), "no frames"),
+        (("comment,x", "info,version,1.1"), "no frames"),
     ):
         with pytest.raises(InputError, match=message):
             read(write(tmp_path / "bad.csv", *lines), length_unit="m")
