@@ -10,6 +10,7 @@ Source: exports of versions 1.2 to 1.25; OptiTrack documentation, "Data Export: 
 from __future__ import annotations
 
 import csv
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -90,7 +91,7 @@ def unstated(path: Path) -> dict[str, str]:
 
 def _first_cell(path: Path) -> str:
     with path.open("rb") as file:
-        return file.read(64).decode("utf-8-sig", errors="replace").partition(",")[0].strip().strip('"')
+        return re.split(r"[,\r\n]", file.read(64).decode("utf-8-sig", errors="replace"))[0].strip().strip('"')
 
 
 def _head(path: Path) -> tuple[dict[str, str], list[_Column], int, int]:

@@ -39,6 +39,7 @@ SIGNATURES: tuple[tuple[re.Pattern[bytes], str], ...] = (
     (re.compile(rb"(comment|info|righthanded|lefthanded)\b(.*\n)?info,version,", re.IGNORECASE | re.DOTALL), "motive"),
     (re.compile(rb"info,version,", re.IGNORECASE), "motive"),
     (re.compile(rb"PathFileType\b"), "trc"),
+    (re.compile(rb";(\$FILEVERSION=|#{20})"), "can"),  # PEAK traces share the suffix of TRC
     (re.compile(rb"(NO_OF_FRAMES|FILE_VERSION)\t"), "qualisys"),
     (re.compile(rb'"?(' + "|".join((*SECTIONS, "Events")).encode() + rb')"?[,;\t ]*\r?\n'), "vicon"),
 )
