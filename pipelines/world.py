@@ -45,17 +45,29 @@ EFFECTS = (
     KnownEffect("first_order_lag", "boom", {"time_constant": 0.15}),
     KnownEffect("gain_error", "boom", {"ratio": 0.85}),
     KnownEffect("asymmetric_gain", "boom", {"ratio": 1.2}),
+    KnownEffect("temperature_drift", "boom", {"fraction": 0.15, "time_constant": 40.0}),
+    KnownEffect("load_dependent_flow", "boom", {"coefficient": 0.003}),
     KnownEffect("internal_leakage", "boom", {"rate": 1e-4}),
     KnownEffect("stiction", "boom", {"breakaway": 0.2, "release": 0.05}),
+    KnownEffect("oil_compressibility", "boom", {"frequency": 7.0, "damping_ratio": 0.1}),
+    KnownEffect("pump_flow_limit", "machine", {"limit": 0.9}),
     KnownEffect("coulomb_friction", "slew", {"force": 0.6}),
     KnownEffect("viscous_friction", "slew", {"coefficient": 9.0}),
+    KnownEffect("stribeck_friction", "slew", {"static_force": 0.8, "coulomb_force": 0.5, "stribeck_velocity": 0.02}),
     KnownEffect("inertia_error", "slew", {"ratio": 1.5}),
     KnownEffect("load_bias", "slew", {"force": 0.2}),
     KnownEffect("backlash", "slew", {"width": 0.0105}, "drive"),
     KnownEffect("backlash", "slew", {"width": 0.0105}, "structure"),
+    KnownEffect("joint_compliance", "boom", {"compliance": 5e-5}, "drive"),
+    KnownEffect("joint_compliance", "stick", {"compliance": 1e-4}, "structure"),
     KnownEffect("joint_offset", "stick", {"offset": 0.017}),
     KnownEffect("link_length_error", "boom", {"error": 0.003}),
     KnownEffect("base_misalignment", "base", {"translation": [0.002, -0.003, 0.001], "rotation": [0.01, -0.01, 0.02]}),
+    KnownEffect("sensor_scale", "ee.z", {"scale": 1.01}),
+    KnownEffect("sensor_bias", "ee.x", {"bias": 0.005}),
+    KnownEffect("sensor_quantisation", "tool.x", {"step": 0.002}),
+    KnownEffect("clock_skew", "mocap", {"skew": 150.0}),
+    KnownEffect("clock_offset", "mocap", {"offset": -0.015}),
 )
 #: Torque [N·m] at command 1 of the slew where it is turned by force, its inertia [kg·m²] and viscous friction [N·m·s/rad].
 TORQUE, INERTIA, VISCOUS = 3.0, 2.0, 6.0
@@ -212,7 +224,7 @@ def photograph(plant: Plant, path: Path) -> None:
 
 def crane(dataset: Dataset) -> Plant:
     """The nominal plant with the actuator networks as linkages."""
-    return nominal_plant(dataset.machine, fit_actuator(dataset, NetworkRecipe()))
+    return nominal_plant(dataset.machine, fit_actuator(dataset, NetworkRecipe()), dataset.streams)
 
 
 def main() -> None:

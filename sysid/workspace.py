@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from datetime import datetime
 from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 import pandas as pd
 
@@ -118,8 +119,8 @@ class Workspace:
         """
         if reference is None:
             version = self.network_version(dataset, "actuator")
-            origin = {"networks": version.reference} if version is not None else {}
-            return nominal_plant(dataset.machine, self.linkages(dataset), **origin)
+            origin: dict[str, Any] = {"networks": version.reference} if version is not None else {}
+            return nominal_plant(dataset.machine, self.linkages(dataset), dataset.streams, **origin)
         version = self.models.load(reference)
         if version.kind != "plant":
             raise StoreError(f"model {reference}", f"is of kind {version.kind!r}", "a plant")

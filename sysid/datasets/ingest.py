@@ -120,6 +120,7 @@ def _ingest(
         sources=tuple(replace(source, losses=losses.get(source.path, ())) for source in sources),
         clocks=clocks,
         quality=describe(parts, readings, clocks, description),
+        streams=_streams(clocked, parts),
     )
     report(0.95, "storing")
     saved = store.save(dataset, channels, rules.text if rules is not None else "")
@@ -199,6 +200,17 @@ def _recording(recording: Clocked, records: Mapping[str, ClockRecord], machine: 
     for name, channel in signals.items():
         columns[name] = resample(channel, times[name], at, machine.rate_hz, rules.hold_s)
     return Recording(recording.name, pd.DataFrame(columns), machine.rate_hz, "motion", start)
+
+
+def _streams(recordings: Sequence[Clocked], tables: Sequence[Recording]) -> dict[str, tuple[str, ...]]:
+    """File stem → the signals in the tables that came from it."""
+    kept = {signal for table in tables for signal in table.signals}
+    found: dict[str, dict[str, None]] = {}
+    for recording in recordings:
+        for name, parts in joined(recording.channels, f"recording {recording.name}").items():
+            if name in kept:
+                found.setdefault(Path(parts[0].source).stem, {})[name] = None
+    return {stream: tuple(signals) for stream, signals in sorted(found.items())}
 
 
 def _slack(record: ClockRecord) -> float:

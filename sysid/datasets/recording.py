@@ -93,7 +93,11 @@ class ClockRecord:
 
 @dataclass(frozen=True)
 class Dataset:
-    """An immutable dataset version. ``version`` counts from 1 in its workspace; ``digest`` is its content address."""
+    """An immutable dataset version.
+
+    ``version`` counts from 1 in its workspace; ``digest`` is its content address; ``streams`` says which signals came from
+    which stream (file stem).
+    """
 
     name: str
     version: int
@@ -105,6 +109,7 @@ class Dataset:
     sources: tuple[Source, ...] = ()
     clocks: tuple[ClockRecord, ...] = ()
     quality: Mapping[str, Any] = field(default_factory=dict)
+    streams: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 
     @property
     def reference(self) -> str:

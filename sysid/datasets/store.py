@@ -84,6 +84,7 @@ class Store:
             splits=manifest["splits"],
             sources=tuple(Source(**{**item, "losses": tuple(item["losses"])}) for item in manifest["sources"]),
             clocks=tuple(_clock(item) for item in manifest["clocks"]),
+            streams={stream: tuple(signals) for stream, signals in manifest.get("streams", {}).items()},
             quality=manifest["quality"],
         )
 
@@ -227,6 +228,7 @@ def _to_manifest(dataset: Dataset, version: int, folder: str, recipe: str) -> di
         "units": dict(dataset.units),
         "splits": dict(dataset.splits),
         "sources": [dataclasses.asdict(source) for source in dataset.sources],
+        "streams": {stream: list(signals) for stream, signals in dataset.streams.items()},
         "clocks": [_plain(dataclasses.asdict(clock)) for clock in dataset.clocks],
         "quality": _plain(dataset.quality),
     }

@@ -110,7 +110,7 @@ def candidates_at(
     scales = scales or Scales()
     for effect in CATALOGUE:
         for target in targets:
-            if not _fits(effect, target, stage, plant.machine) or (_needs_load(effect) and not scales.loads.get(target)):
+            if not _fits(effect, target, stage, plant) or (_needs_load(effect) and not scales.loads.get(target)):
                 continue
             for side in _sides(effect, stage, target, plant.machine):
                 found += [_candidate(plant, theta, effect, form, target, side, scales) for form in effect.forms]
@@ -126,8 +126,9 @@ def as_nuisance(candidate: Candidate) -> Candidate:
     return replace(candidate, nuisance=True)
 
 
-def _fits(effect: Effect, target: str, stage: Stage, machine: Machine) -> bool:
-    if effect.target != _kind(target, machine):
+def _fits(effect: Effect, target: str, stage: Stage, plant: Plant) -> bool:
+    machine = plant.machine
+    if effect.target != _kind(target, plant):
         return False
     if effect.target == "axis" and machine.axis(target).actuation not in effect.actuations:
         return False
@@ -136,9 +137,13 @@ def _fits(effect: Effect, target: str, stage: Stage, machine: Machine) -> bool:
     return effect.stage == stage or effect.stage == "sensor"
 
 
-def _kind(target: str, machine: Machine) -> str:
+def _kind(target: str, plant: Plant) -> str:
     """What kind of target a name is."""
-    return "axis" if target in machine.axis_names else "signal" if "." in target else target
+    if target in ("machine", "base", "tool"):
+        return target
+    if target in plant.machine.axis_names:
+        return "axis"
+    return "stream" if target in plant.streams else "signal"
 
 
 def _sides(effect: Effect, stage: Stage, target: str, machine: Machine) -> tuple[str | None, ...]:

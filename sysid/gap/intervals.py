@@ -21,10 +21,10 @@ Array = npt.NDArray[np.float64]
 BLOCK = 4.0
 
 
-def intervals(data: Data, theta: Array, fit: Fit) -> Array:
-    """(k, 2) lower and upper ends for the unknowns of ``fit``, clipped to their bounds."""
+def covariance_of(data: Data, theta: Array, fit: Fit) -> tuple[Array, int]:
+    """Covariance of the unknowns of ``fit`` (k, k), and the number of blocks that it was taken from."""
     if not fit.unknowns:
-        return np.empty((0, 2))
+        return np.empty((0, 0)), 0
     blocks, bread = [], np.zeros((len(fit.unknowns), len(fit.unknowns)))
     for recording in data.recordings:
         r, slopes = jacobian(replace(data, recordings=[recording]), theta, fit.unknowns, fit.values, fit.drifts)
@@ -36,7 +36,12 @@ def intervals(data: Data, theta: Array, fit: Fit) -> Array:
     score = np.concatenate(blocks)
     count = len(score)
     inverse = np.linalg.pinv(bread, rcond=1e-12)
-    covariance = inverse @ (score.T @ score) @ inverse * count / max(count - len(fit.unknowns), 1)
+    covariance: Array = inverse @ (score.T @ score) @ inverse * count / max(count - len(fit.unknowns), 1)
+    return 0.5 * (covariance + covariance.T), count
+
+
+def intervals(fit: Fit, covariance: Array, count: int) -> Array:
+    """(k, 2) lower and upper ends for the unknowns of ``fit``, clipped to their bounds."""
     reach = stats.t.ppf(0.975, max(count - len(fit.unknowns), 1)) * np.sqrt(np.maximum(np.diag(covariance), 0.0))
     low = np.array([u.bounds[0] for u in fit.unknowns])
     high = np.array([u.bounds[1] for u in fit.unknowns])

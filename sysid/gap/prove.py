@@ -13,12 +13,12 @@ from sysid.gap.candidates import Candidate
 from sysid.gap.case import Case, Stage
 from sysid.gap.fit import Data, Fit, fit_candidates
 from sysid.gap.floor import problem_floor
-from sysid.gap.intervals import intervals
+from sysid.gap.intervals import covariance_of, intervals
 from sysid.gap.localise import stage_rmse
 from sysid.gap.remainder import describe_remainder
 from sysid.gap.result import Alternative, Gap, NamedEffect, Unnamed, Value
 from sysid.gap.search import Kept
-from sysid.plant import Plant
+from sysid.plant import Place, Plant, Uncertainty
 
 Array = npt.NDArray[np.float64]
 
@@ -57,7 +57,8 @@ def judge(case: Case, stages: Sequence[Stage]) -> Outcome:
 
 def _accept(case: Case, stage: Stage, outcome: Outcome) -> None:
     finding = stage.found
-    limits = intervals(Data(stage.problem, stage.split.seen, stage.sigma), case.theta, finding.fit)
+    covariance, count = covariance_of(Data(stage.problem, stage.split.seen, stage.sigma), case.theta, finding.fit)
+    limits = intervals(finding.fit, covariance, count)
     for kept in finding.named:
         instance = kept.candidate.instance(finding.fit.values_of(kept.candidate))
         outcome.repaired = outcome.repaired.with_effect(instance)
@@ -74,6 +75,18 @@ def _accept(case: Case, stage: Stage, outcome: Outcome) -> None:
         shown = ", ".join(f"{u.key} = {v:.4g}" for u, v in zip(candidate.unknowns, values, strict=True))
         what = f"{candidate.effect.name} on {candidate.target}"
         outcome.notes.append(f"{what} adjusted, too small or too poorly shown for a name: {shown}")
+    if finding.fit.candidates:
+        outcome.repaired = outcome.repaired.with_uncertainty(_uncertainty(finding.fit, covariance))
+
+
+def _uncertainty(fit: Fit, covariance: Array) -> Uncertainty:
+    """What the fit of a stage says of the plant's parameters."""
+    places = []
+    for candidate in fit.candidates:
+        name, target, side = candidate.key
+        for parameter in candidate.form.parameters:
+            places += [Place(name, target, side, parameter.name, k) for k in range(len(parameter.components))]  # type: ignore[arg-type]
+    return Uncertainty(tuple(places), covariance)
 
 
 def _named(case: Case, stage: Stage, kept: Kept, limits: Array) -> NamedEffect:

@@ -4,5 +4,17 @@ from sysid.plant.gravity import gravity_load
 from sysid.plant.model import Model, compile_plant
 from sysid.plant.plant import Plant, effects_toml, nominal_plant, plant_from_files
 from sysid.plant.rollout import free_run
+from sysid.plant.uncertainty import Place, Uncertainty
 
-__all__ = ["Model", "Plant", "compile_plant", "effects_toml", "free_run", "gravity_load", "nominal_plant", "plant_from_files"]
+__all__ = [
+    "Model",
+    "Place",
+    "Plant",
+    "Uncertainty",
+    "compile_plant",
+    "effects_toml",
+    "free_run",
+    "gravity_load",
+    "nominal_plant",
+    "plant_from_files",
+]

@@ -83,7 +83,10 @@ def _run(p, rig, commands, edges, starts, dt, size, drive, joints, tip, s, load,
                     where = chain.ask(commands[k, i], p, s, i * size, size, rig.axes, i, 0.0, dt)
                     s[i * size + STATE.position] = where
         observe(p, rig, s, load, scratch, drive[k], joints[k], structure, tip[k])
-        if fresh:  # once more, now that the load is known
+        if fresh:  # once more, now that the load is known; where the structure began does not hold without it
+            for i in range(axes):
+                if at[i] < edges.shape[1] and k == edges[i, at[i], 0]:
+                    s[i * size + STATE.backlash_structure] = np.nan
             observe(p, rig, s, load, scratch, drive[k], joints[k], structure, tip[k])
         for i in range(axes):
             row[i] = commands[k, i]

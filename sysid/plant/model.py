@@ -115,8 +115,8 @@ class Model:
 
     def tool(self, thetas: Array, recording: Recording) -> Array:
         """Measured end effector → hanging tool: (lanes, n, 3); the measured tool starts the swing."""
-        pivot = self._believed_point(thetas, recording, "ee")
-        measured = self._believed_point(thetas, recording, "tool")
+        pivot = self.believed_point(thetas, recording, "ee")
+        measured = self.believed_point(thetas, recording, "tool")
         return self._sensed_point(
             thetas, "tool", self.hang(thetas, pivot, measured, recording.rate_hz), 1.0 / recording.rate_hz
         )
@@ -213,7 +213,8 @@ class Model:
                 true[:, :, c] = said
         return true
 
-    def _believed_point(self, thetas: Array, recording: Recording, point: str) -> Array:
+    def believed_point(self, thetas: Array, recording: Recording, point: str) -> Array:
+        """:meth:`believed` of ``ee`` or ``tool``, (lanes, n, 3); a row with any coordinate missing is all NaN."""
         parts = [self.believed(thetas, recording, signal) for signal in point_signals(point)]
         if all(part.strides[0] == 0 for part in parts):
             values = whole_rows(np.stack([part[0] for part in parts], axis=-1))

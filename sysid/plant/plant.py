@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sysid.config import parse_settings
-from sysid.effects import effect_named, form_for
+from sysid.effects import Parameter, effect_named, form_for
 from sysid.errors import SettingsError, StoreError, nearest
 from sysid.machine import (
     CylinderJointMap,
@@ -24,6 +24,7 @@ from sysid.machine import (
     tabulate,
 )
 from sysid.plant.layout import Streams, neutral_vector, parameter_indices, side_of
+from sysid.plant.uncertainty import NONE, Place, Uncertainty, uncertainty_from
 from sysid.signals import axis_signal, point_signals
 
 Array = npt.NDArray[np.float64]
@@ -38,6 +39,7 @@ class Plant:
         linkages: axis → cylinder ↔ joint table, for axes that drive a cylinder.
         effects: what is known; one instance per (name, target, side).
         streams: stream (file stem) → the signals that it carries, for the effects of clocks.
+        uncertainty: how well its parameters are known.
         origin: where it came from, for the lineage (dataset and plant versions, linkage models, evidence).
         reference: ``name@version`` once registered.
     """
@@ -46,6 +48,7 @@ class Plant:
     linkages: Mapping[str, TabulatedLinkage]
     effects: tuple[KnownEffect, ...]
     streams: Streams = field(default_factory=dict)
+    uncertainty: Uncertainty = NONE
     origin: Mapping[str, Any] = field(default_factory=dict)
     reference: str = ""
 
@@ -79,12 +82,49 @@ class Plant:
     def with_effect(self, item: KnownEffect) -> Plant:
         """A plant with ``item`` added, or put in the place of the instance it already had."""
         rest = tuple(known for known in self.effects if effect_key(known) != effect_key(item))
-        return replace(self, effects=(*rest, item), reference="")
+        known = self.uncertainty.without({effect_key(item)})
+        return replace(self, effects=(*rest, item), uncertainty=known, reference="")
+
+    def with_uncertainty(self, uncertainty: Uncertainty) -> Plant:
+        """A plant of which is known how well these parameters are known; what was known of others stays.
+
+        Raises:
+            SettingsError: a parameter that the plant does not have.
+        """
+        for place in uncertainty.places:
+            self._value(place)
+        return replace(self, uncertainty=self.uncertainty.joined(uncertainty), reference="")
+
+    def sample(self, count: int, seed: int) -> Array:
+        """Parameter vectors of ``count`` plants as likely as the data allow, (count, N); all the same where nothing is known.
+
+        For :class:`sysid.plant.stepper.Stepper` (``thetas``), a lane each.
+        """
+        places = self.uncertainty.places
+        thetas = np.tile(self.vector(), (count, 1))
+        if not places:
+            return thetas
+        bounds = [_parameter(place).bounds for place in places]
+        drawn = self.uncertainty.draw(np.array([self._value(place) for place in places]), bounds, count, seed)
+        names = self.machine.axis_names
+        for place, values in zip(places, drawn.T, strict=True):
+            groups = parameter_indices(names, place.effect, place.target, place.side, place.parameter, self.streams)
+            for at in groups[place.component]:
+                thetas[:, at] = values
+        return thetas
+
+    def _value(self, place: Place) -> float:
+        item = self.effect(place.effect, place.target, place.side)
+        if item is None or place.parameter not in item.parameters:
+            found = f"uncertainty of {place.effect} on {place.target}: {place.parameter}"
+            raise SettingsError(f"plant of {self.machine.name}", found, "a parameter that the plant has")
+        return float(np.atleast_1d(np.asarray(item.parameters[place.parameter], dtype=np.float64))[place.component])
 
     def without_effect(self, name: str, target: str, side: str | None = None) -> Plant:
         """A plant without that instance."""
         key = (name, target, side_of(effect_named(name), side))
-        return replace(self, effects=tuple(known for known in self.effects if effect_key(known) != key), reference="")
+        rest = tuple(known for known in self.effects if effect_key(known) != key)
+        return replace(self, effects=rest, uncertainty=self.uncertainty.without({key}), reference="")
 
     def to_files(self) -> dict[str, bytes]:
         """What a registry stores: JSON, the machine's own files, the linkage tables."""
@@ -103,6 +143,7 @@ class Plant:
             ],
             "machine_files": self.machine.files(),
             "streams": {stream: list(signals) for stream, signals in self.streams.items()},
+            "uncertainty": self.uncertainty.plain(),
             "origin": dict(self.origin),
         }
         files = {"plant.json": json.dumps(content, indent=1, sort_keys=True).encode()}
@@ -132,7 +173,8 @@ def plant_from_files(files: Mapping[str, bytes], reference: str = "") -> Plant:
     linkages = {a: TabulatedLinkage(tables[f"{a}.displacements"], tables[f"{a}.joints"]) for a in sorted(axes)}
     effects = tuple(parse_settings(entry, KnownEffect, reference) for entry in content["effects"])
     streams = {stream: tuple(signals) for stream, signals in content.get("streams", {}).items()}
-    return Plant(machine, linkages, effects, streams, content["origin"], reference)
+    known = uncertainty_from(content["uncertainty"]) if "uncertainty" in content else NONE
+    return Plant(machine, linkages, effects, streams, known, content["origin"], reference)
 
 
 def nominal_plant(
@@ -155,7 +197,12 @@ def nominal_plant(
             tables[axis.name] = tabulate(TriangleLinkage(axis.linkage), axis.stroke)
         elif linkages is not None and axis.name in linkages:
             tables[axis.name] = tabulate(linkages[axis.name], axis.stroke)
-    return Plant(machine, tables, machine.effects, streams or {}, origin)
+    return Plant(machine, tables, machine.effects, streams or {}, NONE, origin)
+
+
+def _parameter(place: Place) -> Parameter:
+    forms = effect_named(place.effect).forms
+    return next(p for form in forms for p in form.parameters if p.name == place.parameter)
 
 
 def effect_key(item: KnownEffect) -> tuple[str, str, str | None]:

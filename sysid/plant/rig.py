@@ -113,7 +113,10 @@ def _row(frame: Array) -> Array:
 
 
 def _bodies(kinematics: Kinematics, link: str, frame: Array) -> list[tuple[float, Array]]:
-    """(mass, centre in the moved frame) of a link and of all that hangs on it beside the chain, with its joints at zero."""
+    """(mass, centre in the moved frame) of a link and of all that is attached to it beside the chain.
+
+    What turns there freely (a gripper) hangs, whatever the arm does: its weight pulls at its joint.
+    """
     found = []
     if link in kinematics.masses:
         mass, centre = kinematics.masses[link]
@@ -121,7 +124,10 @@ def _bodies(kinematics: Kinematics, link: str, frame: Array) -> list[tuple[float
     on_chain = {joint.name for joint in kinematics.chain}
     for joint in kinematics.joints.values():
         if joint.parent == link and joint.name not in on_chain:
-            found += _bodies(kinematics, joint.child, frame @ joint.origin)
+            at = frame @ joint.origin
+            attached = _bodies(kinematics, joint.child, at)
+            hangs = joint.kind in ("revolute", "continuous")
+            found += [(mass, at[:3, 3]) for mass, _ in attached] if hangs else attached
     return found
 
 

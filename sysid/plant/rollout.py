@@ -9,7 +9,7 @@ import pandas as pd
 from sysid.datasets.recording import Recording
 from sysid.plant import axis_run, layout
 from sysid.plant.machine_run import run_machine
-from sysid.plant.model import SETTLE_WINDOW, Model, compile_plant, whole_rows
+from sysid.plant.model import SETTLE_WINDOW, Model, compile_plant
 from sysid.plant.plant import Plant
 from sysid.signals import axis_signal, point_signals
 
@@ -35,8 +35,8 @@ def free_run(plant: Plant | Model, recording: Recording) -> pd.DataFrame:
     if not np.isnan(tip).all():
         points = {"ee": tip}
         if model.machine.tool is not None:
-            measured = np.stack([model.believed(theta, recording, s)[0] for s in point_signals("tool")], axis=-1)
-            points["tool"] = model.hang(theta, tip[None], whole_rows(measured)[None], recording.rate_hz)[0]
+            measured = model.believed_point(theta, recording, "tool")
+            points["tool"] = model.hang(theta, tip[None], measured, recording.rate_hz)[0]
         for point, values in points.items():
             for c, signal in enumerate(point_signals(point)):
                 columns[signal] = model.sensed(theta, signal, values[None, :, c], dt)[0]

@@ -7,6 +7,7 @@ command of *that* sample wants it, so the step to sample k + 1 takes its command
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -20,7 +21,7 @@ from sysid.machine import Machine
 from sysid.plant import axis_run, chain, layout
 from sysid.plant.layout import AT, AXIS_WIDTH, STATE
 from sysid.plant.machine_run import advance, observe
-from sysid.plant.model import START_WINDOW, WORKERS, compile_plant, frozen, held, in_parallel, measured_point
+from sysid.plant.model import START_WINDOW, WORKERS, compile_plant, frozen, held, in_parallel
 from sysid.plant.plant import Plant
 from sysid.plant.pose import SCRATCH, loads
 from sysid.plant.rig import FORCE, HIGH, KIND, LOW, POSITION
@@ -90,6 +91,7 @@ class Stepper:
         commands: npt.ArrayLike | None = None,
         swing: npt.ArrayLike | None = None,
         which: npt.ArrayLike | None = None,
+        seconds: float = 0.0,
     ) -> LaneState:
         """Put lanes at rest and return the state of all of them.
 
@@ -102,6 +104,7 @@ class Stepper:
             commands: held since long before; else zero. A position axis was commanded to where it is.
             swing: place (x, y) and speed (x, y) of the tool, (4,) or (rows, 4); else it hangs at rest.
             which: indices of the lanes to reset, or a mask; else all.
+            seconds: for how long the machine has been warming up.
 
         Raises:
             SettingsError: a shape does not fit, or a joint cannot be turned into a cylinder position.
@@ -119,13 +122,13 @@ class Stepper:
         if swing is not None:
             self._swing[lanes, :4] = self._rows("swing", swing, rows, 4)
         for row, lane in enumerate(lanes):
-            _begin_lane(
-                self.thetas[lane], rig, self._memory[lane], command[row], begin[row], start[row], straight[row], self.dt
-            )
-            self._load[lane] = 0.0
+            p, s, load = self.thetas[lane], self._memory[lane], self._load[lane]
+            _begin_lane(p, rig, s, begin[row], start[row], straight[row], self.dt)
+            load[:] = 0.0
             self._observe(int(lane), int(lane) + 1)  # the load of the place ...
-            _forget_structure(self._memory[lane], n)
-            self._observe(int(lane), int(lane) + 1)  # ... and how it sags there
+            _forget_structure(s, n)
+            self._observe(int(lane), int(lane) + 1)  # ... how it sags there ...
+            _hold_command(p, rig, s, load, command[row], seconds, self.dt)  # ... and what the valves make of it
         self._ready[lanes] = True
         return self._state()
 
@@ -133,15 +136,21 @@ class Stepper:
         """Reset all lanes to where the free run of ``recording`` stands at ``row``, where a stretch begins."""
         machine, rest = self.plant.machine, slice(row, None)
         drive, joints, tip = true_run(self.model, recording)
+        theta = self.model.theta[None]
         speed = [
-            start_speed(recording.values(axis.driven)[rest], self.rate_hz) if axis.actuation == "force" else 0.0
+            start_speed(self.model.believed(theta, recording, axis.driven)[0][rest], self.rate_hz)
+            if axis.actuation == "force"
+            else 0.0
             for axis in machine.axes
         ]
         swing = None
         if machine.tool is not None and not np.isnan(tip[row]).any():
-            swing = swing_start(self.plant, tip[rest], measured_point(recording, "tool")[rest], self.rate_hz)
+            tool = self.model.believed_point(theta, recording, "tool")[0]
+            swing = swing_start(self.plant, tip[rest], tool[rest], self.rate_hz)
         commands = held_commands(machine, recording)[row]
-        return self.reset(joints[row], drive=drive[row], speed=speed, commands=commands, swing=swing)
+        return self.reset(
+            joints[row], drive=drive[row], speed=speed, commands=commands, swing=swing, seconds=row / self.rate_hz
+        )
 
     def step(self, commands: npt.ArrayLike) -> LaneState:
         """Hold ``commands``, (lanes, axes) or (axes,), for one step and return the state after it.
@@ -260,16 +269,24 @@ def _slope(measured, last, dt):
 
 
 @kernel
-def _begin_lane(p, rig, s, command, drive, speed, joint, dt):
-    """Fill the memory ``s`` (A · size,) of a lane as if the command had been held for long, then put the axes in place."""
+def _begin_lane(p, rig, s, drive, speed, joint, dt):
+    """Put the axes in place, in the memory ``s`` (A · size,) of a lane."""
     size = len(s) // len(rig.axes)
     for i in range(len(rig.axes)):
-        m = i * size
-        axis_run.begin(s, m, size, drive[i], 0.0, joint[i], p, i * AXIS_WIDTH, 0, dt)
+        axis_run.begin(s, i * size, size, drive[i], speed[i], joint[i], p, i * AXIS_WIDTH, 0, dt)
+
+
+@kernel
+def _hold_command(p, rig, s, load, command, seconds, dt):
+    """Fill the memory ``s`` of a lane as if the command had been held for long under its ``load``, warm for ``seconds``."""
+    size = len(s) // len(rig.axes)
+    for i in range(len(rig.axes)):
+        b, m = i * AXIS_WIDTH, i * size
+        warm = math.exp(-seconds / p[b + AT.temperature_drift + 1])
+        s[m + STATE.temperature_drift] = warm
         if rig.axes[i, KIND] != FORCE:
-            chain.ask(command[i], p, s, m, size, rig.axes, i, 0.0, dt)
-        s[m + STATE.speed] = speed[i]
-        s[m + STATE.temperature_drift] = np.nan
+            chain.ask(command[i], p, s, m, size, rig.axes, i, load[i], dt)
+        s[m + STATE.temperature_drift] = warm
 
 
 @kernel

@@ -150,7 +150,7 @@ class World:
         Starts and restarts where :func:`sysid.plant.free_run` does; rows in which any axis has no command are NaN.
 
         Returns:
-            The columns of the free run on the recording's rows.
+            The columns of the free run on the recording's rows, as the plant's sensors read them.
         """
         machine = self.plant.machine
         values = np.full((len(recording), 2 * len(machine.axes) + 6), np.nan)
@@ -160,7 +160,9 @@ class World:
         points = [*point_signals("ee"), *point_signals("tool")]
         names = [*(axis.driven for axis in machine.axes), *joints, *points]
         table = dict(zip(names, values.T, strict=True))  # where the drive is the joint, the joint of the bodies is kept
-        return pd.DataFrame({"time": recording.values("time"), **{name: table[name] for name in _in_order(machine)}})
+        model, dt = self._stepper.model, 1.0 / self.rate_hz
+        said = {name: model.sensed(model.theta[None], name, table[name][None], dt)[0] for name in _in_order(machine)}
+        return pd.DataFrame({"time": recording.values("time"), **said})
 
     def play(self, recording: Recording) -> Iterator[tuple[int, WorldState]]:
         """The recorded commands in the world, one state at a time: row of the recording and state."""
