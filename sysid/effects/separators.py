@@ -50,6 +50,81 @@ _PAIRS: tuple[tuple[str, str, str], ...] = (
         "a dead-band starts and stops at one command; stiction starts higher than it stops, and jumps",
     ),
     ("stribeck_friction", "viscous_friction", "a force that falls and then rises with speed, or only rises"),
+    (
+        "clock_offset",
+        "clock_skew",
+        "constant over a recording, or growing with it: motion early and late",
+    ),
+    (
+        "clock_offset",
+        "first_order_lag",
+        "an offset shifts without smoothing, and channels without a command too",
+    ),
+    (
+        "clock_skew",
+        "input_delay",
+        "grows over the recording; a delay stays",
+    ),
+    (
+        "joint_compliance",
+        "link_length_error",
+        "sag follows the gravity moment, downwards; a length error follows the link",
+    ),
+    (
+        "backlash",
+        "joint_compliance",
+        "play turns with the direction of motion; sag with the load, at rest too",
+    ),
+    (
+        "load_dependent_flow",
+        "temperature_drift",
+        "follows the pose, or the time of the session: the same motion early and late",
+    ),
+    (
+        "first_order_lag",
+        "oil_compressibility",
+        "a lag never overshoots; oil rings, and moves on after the command stops",
+    ),
+    (
+        "input_delay",
+        "oil_compressibility",
+        "a delay never overshoots; oil rings at its own frequency",
+    ),
+    (
+        "gain_error",
+        "pump_flow_limit",
+        "slower at all times, or only while other axes move",
+    ),
+    (
+        "joint_offset",
+        "sensor_bias",
+        "a biased joint sensor also disagrees with the cylinder through the linkage; an offset with the structure alone",
+    ),
+    (
+        "base_misalignment",
+        "sensor_bias",
+        "a shift of a measured point cannot be told from one of the base: it is reported as the base's",
+    ),
+    (
+        "sensor_bias",
+        "sensor_scale",
+        "the same everywhere, or growing with the reading",
+    ),
+    (
+        "sensor_quantisation",
+        "stiction",
+        "the reading stands still while every other sensor moves on; stiction stops the motion itself",
+    ),
+    (
+        "backlash",
+        "sensor_quantisation",
+        "steps at fixed readings, or a wait at each reversal",
+    ),
+    (
+        "link_length_error",
+        "sensor_scale",
+        "in proportion to a reading, or fixed along a link",
+    ),
 )
 
 SEPARATORS: dict[frozenset[str], str] = {frozenset(pair[:2]): pair[2] for pair in _PAIRS}

@@ -15,7 +15,7 @@ from sysid.effects.separators import separator
 from sysid.signals import point_signals
 from sysid.testing.check import typical_values
 from sysid.testing.picture import Line, svg
-from sysid.testing.probe import RATE_HZ, Place, Values, places_of, plant_run, probe_recording, with_inputs
+from sysid.testing.probe import RATE_HZ, Place, Values, places_of, plant_run, probe_machine, probe_recording, with_inputs
 
 Array = npt.NDArray[np.float64]
 GREY, BLUE, ORANGE = "#9aa1a8", "#1f6fb4", "#d9822b"
@@ -29,15 +29,26 @@ _SHOWN: dict[str, dict[str, float | list[float]]] = {
     "command_rate_limit": {"rate": 2.0},
     "flow_saturation": {"limit": 0.5},
     "gain_curve": {"exponent": 2.0},
+    "temperature_drift": {"fraction": 0.3, "time_constant": 5.0},
+    "load_dependent_flow": {"coefficient": 0.04},
+    "oil_compressibility": {"frequency": 5.0, "damping_ratio": 0.1},
+    "pump_flow_limit": {"limit": 1.0},
     "internal_leakage": {"rate": 0.05},
     "stiction": {"breakaway": 0.35, "release": 0.12},
     "coulomb_friction": {"force": 1.5},
     "viscous_friction": {"coefficient": 4.0},
+    "stribeck_friction": {"static_force": 2.0, "coulomb_force": 0.8, "stribeck_velocity": 0.2},
+    "joint_compliance": {"compliance": 0.01},
     "backlash": {"width": 0.1},
     "joint_offset": {"offset": 0.1},
     "link_length_error": {"error": 0.08},
     "base_misalignment": {"translation": [0.05, 0.0, 0.04], "rotation": [0.0, 0.06, 0.0]},
     "gripper_sway": {"length": 0.25, "damping_ratio": 0.05},
+    "sensor_scale": {"scale": 1.1},
+    "sensor_bias": {"bias": 0.05},
+    "sensor_quantisation": {"step": 0.05},
+    "clock_offset": {"offset": -0.3},
+    "clock_skew": {"skew": -5000.0},
 }
 _STAGES = {
     "command": "command → speed of the drive",
@@ -45,6 +56,7 @@ _STAGES = {
     "joint": "cylinder (or drive) → joint",
     "end_effector": "joints → end effector",
     "tool": "end effector → hanging tool",
+    "sensor": "true signal → what its sensor says",
 }
 _NOTICE = "<!-- Written by python -m sysid.testing.document docs/effects: change the code instead. -->\n"
 
@@ -129,13 +141,15 @@ def _about(effect: Effect) -> str:
 
 
 def _target(effect: Effect) -> str:
+    if effect.target in ("signal", "stream"):
+        return {"signal": "a signal, e.g. `boom.joint`", "stream": "a stream (the stem of its file)"}[effect.target]
     if effect.target != "axis":
         return f"`{effect.target}`"
     return f"an axis ({', '.join(effect.actuations)})"
 
 
 def _unit(unit: str) -> str:
-    return unit.replace("drive", "m or rad")
+    return unit.replace("drive", "m or rad").replace("signal", "m or rad")
 
 
 def _link(name: str) -> str:
@@ -154,7 +168,7 @@ def _picture(effect: Effect) -> str:
         return _tip_picture(effect, place, values, title)
     if effect.stage == "tool":
         return _tool_picture(effect, place, values, title)
-    if effect.stage == "joint":
+    if effect.stage in ("joint", "sensor"):
         return _joint_picture(effect, values, title)
     return _drive_picture(effect, place, form, values, title)
 
@@ -167,9 +181,9 @@ def _drive_picture(effect: Effect, place: Place, form: Form, values: Values, tit
         np.where(time < 6.3, -0.9 * np.sin(2 * np.pi * (time - 4.7) / 1.6), 0.0),
     )
     scale = 4.0 if effect.stage == "force" else 1.0
-    recording = with_inputs(probe_recording(7.0), place.inputs, scale * u[:, None])
+    recording = with_inputs(probe_recording(7.0), place.inputs, scale * np.tile(u[:, None], len(place.inputs)))
     run = plant_run(effect, place)
-    gain = 1.0 if effect.stage == "force" else 0.5
+    gain = 1.0 if effect.stage == "force" else probe_machine().axis("slew" if effect.target == "machine" else place.target).gain
     speeds = [np.append(np.diff(run(v, recording)[:, 0]), np.nan) * RATE_HZ / gain for v in (None, values)]
     label = "speed [m/s]" if effect.stage == "force" else "speed / speed at command 1"
     lines = [Line("without", time, speeds[0], GREY), Line("with", time, speeds[1], BLUE)]
@@ -179,7 +193,7 @@ def _drive_picture(effect: Effect, place: Place, form: Form, values: Values, tit
 
 
 def _joint_picture(effect: Effect, values: Values, title: str) -> str:
-    """Play on the axis whose cylinder is measured: joint over time."""
+    """The axis whose cylinder is measured: joint over time."""
     place = next(p for p in places_of(effect) if p.stage == "joint")
     time = np.arange(700) / RATE_HZ
     cylinder = 0.055 + 0.012 * np.sin(1.8 * time) + 0.006 * np.sin(4.1 * time)
