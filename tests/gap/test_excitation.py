@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -10,17 +12,21 @@ from hypothesis import strategies as st
 from plant_data import KnownEffect, arm, dataset_of, nominal
 
 from sysid.datasets.recording import Recording
-from sysid.effects import CATALOGUE
+from sysid.effects import CATALOGUE, effect_named
+from sysid.effects.effect import Stage
 from sysid.gap import find_gap
-from sysid.gap.candidates import Candidate, candidates_at
+from sysid.gap.candidates import Candidate, Scales, candidates_at
 from sysid.gap.excitation import advice, excitation_of, turning_points
 from sysid.plant import Plant
 
 
 def candidate(name: str, target: str) -> Candidate:
     plant: Plant = nominal()
-    stages = ("command", "force", "joint", "end_effector", "tool")
-    found = [c for stage in stages for c in candidates_at(plant, plant.vector(), stage, (target,)) if c.effect.name == name]
+    if effect_named(name).target == "stream":
+        plant = replace(plant, streams={target: ("boom.joint",)})
+    scales = Scales(loads=dict.fromkeys(arm().axis_names, 1.0))
+    stages: tuple[Stage, ...] = ("command", "force", "joint", "end_effector", "tool")
+    found = [c for s in stages for c in candidates_at(plant, plant.vector(), s, (target,), scales) if c.effect.name == name]
     return found[0]
 
 
@@ -88,7 +94,7 @@ def test_motion_of_the_tip() -> None:
 def test_a_missing_signal_counts_as_nothing() -> None:
     empty = recording(slew_joint=np.full(100, np.nan))
     for effect in CATALOGUE:
-        target = {"axis": "slew", "base": "base", "tool": "tool"}[effect.target]
+        target = {"axis": "boom", "signal": "boom.joint", "stream": "capture"}.get(effect.target, effect.target)
         if effect.stage != "force":
             item = excitation_of(candidate(effect.name, target), [empty], arm())
             assert item.have <= 1.0, "rest is all that a still machine shows"

@@ -9,42 +9,75 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from plant_data import arm, nominal, slide
+from plant_data import arm, nominal, slide, slide_inputs
 
-from sysid.effects import CATALOGUE, Effect
+from sysid.effects import BY_NAME, CATALOGUE, Effect
 from sysid.errors import SettingsError, StoreError
 from sysid.machine import KnownEffect, machine_from_files
 from sysid.plant import Plant, compile_plant, effects_toml, layout, nominal_plant, plant_from_files
 from sysid.plant.plant import effect_key
+from sysid.signals import point_signals
 from sysid.testing import places_of, probe_machine
 
 # -- layout ---------------------------------------------------------------------------------------------------------
 
 
-def test_every_slot_has_a_place_of_its_own() -> None:
+#: What the probe's motion capture carries, for the effects of its clock.
+STREAMS = {"capture": ("boom.joint", *point_signals("tool"))}
+
+
+def targets_of(effect: Effect) -> tuple[str, ...]:
     machine = probe_machine()
+    everywhere = {"axis": machine.axis_names, "signal": layout.signals_of(machine.axis_names), "stream": tuple(STREAMS)}
+    return everywhere.get(effect.target, (effect.target,))
+
+
+def test_every_slot_has_a_place_of_its_own() -> None:
+    """One stream with all signals covers the clock of each."""
+    machine = probe_machine()
+    everything = {"capture": layout.signals_of(machine.axis_names)}
     places = []
     for effect in CATALOGUE:
-        targets = machine.axis_names if effect.target == "axis" else (effect.target,)
-        for target in targets:
+        for target in targets_of(effect):
             for side in effect.sides or (None,):
-                places += [layout.slot_index(machine.axis_names, effect, target, side, slot.name) for slot in effect.slots]
+                for slot in effect.slots:
+                    places += layout.slot_indices(machine.axis_names, effect, target, side, slot.name, everything)
     assert sorted(places) == list(range(len(layout.neutral_vector(len(machine.axes)))))
+
+
+def test_a_clock_has_a_place_at_each_signal_of_its_stream() -> None:
+    axes = probe_machine().axis_names
+    for name in ("clock_offset", "clock_skew"):
+        (slot,) = BY_NAME[name].slots
+        places = layout.slot_indices(axes, BY_NAME[name], "capture", None, slot.name, STREAMS)
+        alone = [
+            layout.slot_indices(axes, BY_NAME[name], "one", None, slot.name, {"one": (signal,)})[0]
+            for signal in STREAMS["capture"]
+        ]
+        assert places == alone
+        assert len(set(places)) == 4
+
+
+def test_commands_of_a_stream_have_no_sensor() -> None:
+    """A stream that carries commands as well: nothing reads them, so its clock has no place there."""
+    axes = probe_machine().axis_names
+    streams = {"machine": ("slew.command", "slew.joint", "time")}
+    assert len(layout.slot_indices(axes, BY_NAME["clock_offset"], "machine", None, "offset", streams)) == 1
 
 
 def test_neutral_values_stand_in_their_places() -> None:
     machine = probe_machine()
     theta = layout.neutral_vector(len(machine.axes))
     for effect in CATALOGUE:
-        target = machine.axis_names[-1] if effect.target == "axis" else effect.target
         for slot in effect.slots:
-            assert theta[layout.slot_index(machine.axis_names, effect, target, None, slot.name)] == slot.neutral
+            places = layout.slot_indices(machine.axis_names, effect, targets_of(effect)[-1], None, slot.name, STREAMS)
+            assert (theta[places] == slot.neutral).all()
 
 
 @st.composite
 def plants(draw: st.DrawFn) -> Plant:
     """Plants of the probe machine with any set of effects."""
-    plant = nominal_plant(probe_machine())
+    plant = nominal_plant(probe_machine(), streams=STREAMS)
     for effect in draw(st.lists(st.sampled_from(CATALOGUE), max_size=8)):
         plant = plant.with_effect(draw(instances(effect)))
     return plant
@@ -66,7 +99,7 @@ def test_vector_holds_every_parameter(plant: Plant) -> None:
     untouched = np.ones(len(theta), dtype=bool)
     for item in plant.effects:
         for name, value in item.parameters.items():
-            groups = layout.parameter_indices(plant.machine.axis_names, item.name, item.target, item.side, name)
+            groups = layout.parameter_indices(plant.machine.axis_names, item.name, item.target, item.side, name, STREAMS)
             for group, component in zip(groups, np.atleast_1d(value), strict=True):
                 assert (theta[group] == component).all()
                 untouched[group] = False
@@ -80,6 +113,7 @@ def test_files_give_back_the_plant(plant: Plant) -> None:
     assert np.array_equal(again.vector(), plant.vector())
     assert {effect_key(e) for e in again.effects} == {effect_key(e) for e in plant.effects}
     assert again.machine == plant.machine
+    assert again.streams == plant.streams
     for axis, table in plant.linkages.items():
         assert np.array_equal(again.linkages[axis].joints, table.joints)
     assert again.to_files() == plant.to_files(), "the same content is the same version"
@@ -143,6 +177,10 @@ def test_both_sides_of_a_play_are_two_effects() -> None:
         (KnownEffect("backlash", "boom", {"width": 0.01}, "strukture"), "side 'strukture'; expected 'structure'?"),  # type: ignore[arg-type]
         (KnownEffect("gripper_sway", "boom", {"length": 0.2, "damping_ratio": 0.1}), "target 'boom'; expected 'tool'"),
         (KnownEffect("base_misalignment", "tool", {"translation": [0, 0, 0], "rotation": [0, 0, 0]}), "expected 'base'"),
+        (KnownEffect("sensor_bias", "boom.joynt", {"bias": 0.01}), "target 'boom.joynt'; expected 'boom.joint'?"),
+        (KnownEffect("sensor_bias", "slew.cylinder", {"bias": 0.01}), "target 'slew.cylinder'; expected"),
+        (KnownEffect("clock_offset", "mocap", {"offset": 0.01}), "unknown target 'mocap'; expected no stream is known"),
+        (KnownEffect("pump_flow_limit", "boom", {"limit": 1.0}), "target 'boom'; expected 'machine'"),
         (KnownEffect("base_misalignment", "base", {"translation": 0.1, "rotation": [0, 0, 0]}), "expected 3 number(s)"),
     ],
     ids=lambda value: "" if isinstance(value, str) else value.name,
@@ -150,6 +188,11 @@ def test_both_sides_of_a_play_are_two_effects() -> None:
 def test_mistakes_say_what_is_valid(effect: KnownEffect, message: str) -> None:
     with pytest.raises(SettingsError, match=re.escape(message)):
         nominal(effect)
+
+
+def test_an_unknown_stream_suggests_the_nearest() -> None:
+    with pytest.raises(SettingsError, match=r"effect clock_offset: unknown target 'captur'; expected 'capture'\?"):
+        nominal_plant(probe_machine(), streams=STREAMS).with_effect(KnownEffect("clock_offset", "captur", {"offset": 0.01}))
 
 
 def test_the_same_effect_twice() -> None:
@@ -166,6 +209,6 @@ def test_unknown_parameter_of_a_fit() -> None:
 def test_a_machine_without_geometry_says_so() -> None:
     model = compile_plant(nominal_plant(slide()))
     with pytest.raises(SettingsError, match=r"machine slide: no URDF; expected urdf and tip in machine\.toml"):
-        model.tip(model.theta[None], np.zeros((1, 1)))
+        model.tip(model.theta[None], slide_inputs("run", 1.0, 0))
     with pytest.raises(SettingsError, match="axis slide: no linkage"):
-        model.joint(model.theta[None], np.zeros(3), np.zeros(3), "slide", 500.0)
+        model.joint(model.theta[None], slide_inputs("run", 1.0, 0), "slide")

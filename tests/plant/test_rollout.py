@@ -35,9 +35,9 @@ def recording(rate_hz: float = 100.0, **columns: Array | float) -> Recording:
 
 
 def drive(made: Recording, axis: str, *effects: KnownEffect) -> Array:
-    """Behind the play, (n,)."""
+    """What the command drives, as its sensor reads it, (n,)."""
     model = compile_plant(nominal(*effects, machine=slide() if axis == "slide" else arm()))
-    return model.drive(model.theta[None], made, axis)[1][0]
+    return model.drive(model.theta[None], made, axis)[0]
 
 
 # -- start ----------------------------------------------------------------------------------------------------------
@@ -184,9 +184,9 @@ def test_lanes_equal_single_runs() -> None:
         [nominal(KnownEffect("gain_error", "slew", {"ratio": ratio})).vector() for ratio in np.linspace(0.5, 1.5, 12)]
     )
     assert len(thetas) * len(made) > SERIAL, "so that the lanes run in parallel"
-    together = model.drive(thetas, made, "slew")[1]
+    together = model.drive(thetas, made, "slew")
     for k in range(len(thetas)):
-        assert np.array_equal(together[k], model.drive(thetas[k : k + 1], made, "slew")[1][0])
+        assert np.array_equal(together[k], model.drive(thetas[k : k + 1], made, "slew")[0])
 
 
 @settings(deadline=None)  # the first call compiles
@@ -197,14 +197,14 @@ def test_tip_is_the_kinematics_of_the_machine(poses: list[tuple[float, ...]]) ->
     assert kinematics is not None
     model = compile_plant(nominal_plant(machine))
     joints = np.array(poses)
-    assert np.allclose(model.tip(model.theta[None], joints)[0], kinematics.tip_position(joints), atol=1e-12)
+    made = recording(**{f"{name}_joint": joints[:, i] for i, name in enumerate(machine.axis_names)})
+    assert np.allclose(model.tip(model.theta[None], made)[0], kinematics.tip_position(joints), atol=1e-12)
 
 
 def test_a_missing_joint_leaves_the_tip_out() -> None:
     model = compile_plant(nominal())
-    joints = np.zeros((3, 3))
-    joints[1, 2] = np.nan
-    assert np.isnan(model.tip(model.theta[None], joints)[0]).all(axis=1).tolist() == [False, True, False]
+    made = recording(slew_joint=np.zeros(3), boom_joint=np.zeros(3), wrist_joint=np.array([0.0, np.nan, 0.0]))
+    assert np.isnan(model.tip(model.theta[None], made)[0]).all(axis=1).tolist() == [False, True, False]
 
 
 def test_free_run_has_every_signal_and_no_noise() -> None:
