@@ -27,7 +27,7 @@ from sysid.bench.recipe import AxisSettings
 from sysid.bench.rigid_body import Bodies, equations, solve3
 from sysid.bench.seal import seal_step
 from sysid.bench.spool import PLAYS, edges, flow_force, spool_motion, with_friction
-from sysid.bench.valve import Valve, metered
+from sysid.bench.valve import Valve, freed, metered
 
 Array = npt.NDArray[np.float64]
 
@@ -36,8 +36,6 @@ SUB_STEP = 1e-4
 #: Columns of the state of one axis, then the plays of its spool.
 SPOOL, SPOOL_SPEED, PRESSURE_A, PRESSURE_B, BRISTLE, FLOW_A, FLOW_B, FRICTION = range(8)
 AXIS_STATE = 8 + PLAYS
-#: Pressure that the return side of a parked cylinder keeps [Pa].
-BACK_PRESSURE = 2e5
 
 
 class Circuit(NamedTuple):
@@ -71,6 +69,7 @@ class Supply(NamedTuple):
     flow_limit: float
     volume: float
     droop: float
+    parked: float
     bulk_modulus: float
     transition: float
 
@@ -105,7 +104,9 @@ def circuit_of(axis: AxisSettings, supply: SupplySettings) -> Circuit:
 
 
 def supply_of(supply: SupplySettings, oil: OilSettings) -> Supply:
-    return Supply(supply.pressure, supply.flow_limit, supply.volume, supply.droop, oil.bulk_modulus, oil.transition)
+    return Supply(
+        supply.pressure, supply.flow_limit, supply.volume, supply.droop, supply.parked, oil.bulk_modulus, oil.transition
+    )
 
 
 def _conductances(gain: float, settings: HydraulicSettings, pressure: float) -> tuple[float, float]:
@@ -126,8 +127,8 @@ def lever(joint: float, position: float, drive: Drive) -> float:
 
 
 @compiled
-def at_rest(joint: Array, circuits: tuple[Circuit, ...], drives: tuple[Drive, ...], bodies: Bodies) -> Array:
-    """State (axes, AXIS_STATE) in which closed valves carry the booms at ``joint`` (axes,)."""
+def at_rest(joint: Array, circuits: tuple[Circuit, ...], drives: tuple[Drive, ...], bodies: Bodies, parked: float) -> Array:
+    """State (axes, AXIS_STATE) in which closed valves carry the booms at ``joint`` (axes,); other sides: ``parked`` [Pa]."""
     state = np.zeros((len(joint), AXIS_STATE))
     mass = np.empty((3, 3))
     bias = np.empty(3)
@@ -140,7 +141,7 @@ def at_rest(joint: Array, circuits: tuple[Circuit, ...], drives: tuple[Drive, ..
         load = 0.0
         if i > 0:
             load = weight[i - 1] / lever(joint[i], position_of(joint[i], drives[i]), drives[i])
-        back = BACK_PRESSURE * min(circuit.area, circuit.area_rod)
+        back = parked * min(circuit.area, circuit.area_rod)
         state[i, PRESSURE_A] = (back + max(load, 0.0)) / circuit.area
         state[i, PRESSURE_B] = (back + max(-load, 0.0)) / circuit.area_rod
     return state
@@ -187,7 +188,7 @@ def advance(
     force = np.zeros(n)
     wish = np.empty(n)
     for i in range(n):
-        wish[i] = with_friction(command[i], state[i, 8:], circuits[i].hysteresis)
+        wish[i] = with_friction(freed(command[i], state[i, SPOOL], valves[i].silt), state[i, 8:], circuits[i].hysteresis)
     for _ in range(substeps):
         drawn = 0.0
         for i in range(n):

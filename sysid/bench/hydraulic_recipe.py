@@ -59,6 +59,7 @@ class SupplySettings:
     """The pump of all axes: it holds ``pressure`` [Pa] as long as less than ``flow_limit`` [m³/s] is drawn.
 
     ``volume`` [m³] is that of the pressure line, ``droop`` [Pa] the pressure lost between no flow and the full flow.
+    ``parked`` [Pa] is what closed valves keep on the unloaded side of a drive that has not been moved for long.
     ``rated`` [Pa] is the pressure at which the valves' gains are stated; None = what the pump holds.
     """
 
@@ -66,6 +67,7 @@ class SupplySettings:
 
     pressure: float = 80e5
     rated: float | None = None
+    parked: float = 2e5
     flow_limit: float = math.inf
     volume: float = 1e-4
     droop: float = 2e5

@@ -73,17 +73,20 @@ def write_joint_machine(machine: ServoArm | Slide, out: Path) -> list[Path]:
         path.parent.mkdir(parents=True, exist_ok=True)
         np.savetxt(path, table, fmt="%.9g", delimiter=",", header=",".join(["time", *names]), comments="")
         written.append(path)
-    description = out / "machine.toml"
+    for name, text in description_of(machine).items():
+        (out / name).write_text(text, "utf-8")
+        written.append(out / name)
+    return written
+
+
+def description_of(machine: ServoArm | Slide) -> dict[str, str]:
+    """``machine.toml`` and, for the arm, its URDF: file name → text. Features are not described."""
     if isinstance(machine, ServoArm):
-        description.write_text(_arm_toml(machine), "utf-8")
-        (out / f"{machine.name}.urdf").write_text(_arm_urdf(machine.name, machine.axes), "utf-8")
-        return [*written, description, out / f"{machine.name}.urdf"]
-    description.write_text(
-        f'schema = 1\nname = "{machine.name}"\nrate_hz = {machine.rate}\n\n[[axes]]\nname = "carriage"\nactuation = "force"\n'
-        f'drives = "joint"\ninertia = {machine.mass}\nlimits = [{-machine.stroke}, {machine.stroke}]\n',
-        "utf-8",
-    )
-    return [*written, description]
+        return {"machine.toml": _arm_toml(machine), f"{machine.name}.urdf": _arm_urdf(machine.name, machine.axes)}
+    return {
+        "machine.toml": f'schema = 1\nname = "{machine.name}"\nrate_hz = {machine.rate}\n\n[[axes]]\nname = "carriage"\n'
+        f'actuation = "force"\ndrives = "joint"\ninertia = {machine.mass}\nlimits = [{-machine.stroke}, {machine.stroke}]\n'
+    }
 
 
 def _arm_toml(arm: ServoArm) -> str:

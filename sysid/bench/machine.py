@@ -36,7 +36,7 @@ from sysid.bench.poses import approach_command, draw_targets
 from sysid.bench.programs import strokes_of
 from sysid.bench.recipe import AXES, Recipe, RecordingSettings
 from sysid.bench.rigid_body import Bodies, bodies_of, equations, rod_force
-from sysid.bench.valve import Valve, delayed, drive_speed, flow_fluctuation, metered, opening, piloted_step, valve_of
+from sysid.bench.valve import Valve, delayed, drive_speed, flow_fluctuation, freed, metered, opening, piloted_step, valve_of
 
 Array = npt.NDArray[np.float64]
 
@@ -188,7 +188,7 @@ def _loop(
         ends = joint_of(drives[i].low, drives[i]), joint_of(drives[i].high, drives[i])
         stops[i, 0], stops[i, 1] = min(ends), max(ends)
         moved[i] = joint_of(position[i], drives[i])
-    hydraulic = at_rest(moved, circuits, drives, bodies)
+    hydraulic = at_rest(moved, circuits, drives, bodies, supply.parked)
     line = np.full(1, supply.pressure)
     deflection = np.zeros(n)
     deflecting = np.zeros(n)
@@ -265,7 +265,7 @@ def _loop(
             received[i] = command
             if circuits[i].enabled != 0.0:
                 continue
-            target = opening(command, valve.positive, valve.negative, valve.saturation)
+            target = opening(freed(command, spool[i], valve.silt), valve.positive, valve.negative, valve.saturation)
             spool[i], mean = piloted_step(spool[i], target, step, valve.time_constant, valve.spool_speed)
             speed = drive_speed(
                 metered(mean, valve.notch), valve.gain, valve.ratio, fluctuation[i, min(k, fluctuation.shape[1] - 1)]

@@ -40,6 +40,8 @@ def check_recipe(recipe: Recipe, where: object) -> None:
         raise SettingsError(f"{where}: masses.balanced", f"{recipe.masses.balanced}", "a share from 0 to 1 of the weights")
     if recipe.supply.rated is not None and not recipe.supply.rated > 0.0:
         raise SettingsError(f"{where}: supply.rated", f"{recipe.supply.rated}", "more than zero")
+    if recipe.supply.parked < 0.0:
+        raise SettingsError(f"{where}: supply.parked", f"{recipe.supply.parked}", "zero or more")
     for name in recipe.build.joint_offset:
         if name not in AXES:
             raise SettingsError(f"{where}: build.joint_offset", f"unknown axis {name!r}", nearest(name, AXES))
@@ -58,7 +60,7 @@ def check_recipe(recipe: Recipe, where: object) -> None:
 
 def _check_axis(axis: AxisSettings, where: str) -> None:
     valve = axis.valve
-    for key in ("delay", "time_constant", "deadband_positive", "deadband_negative", "disturbance"):
+    for key in ("delay", "time_constant", "deadband_positive", "deadband_negative", "silt", "disturbance"):
         if not getattr(valve, key) >= 0.0:
             raise SettingsError(f"{where}.valve.{key}", f"{getattr(valve, key)}", "zero or more")
     for key in ("gain", "saturation", "direction_ratio", "disturbance_time", "spool_speed"):

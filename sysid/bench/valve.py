@@ -1,8 +1,8 @@
 """A proportional valve: from the command to the speed of the drive it feeds.
 
-Order: delay → overlap (dead-band) → saturation → first-order lag of the spool, no faster than its pilot → notches → gain →
-direction ratio. The spool is integrated exactly over a step, so that the step of the simulation leaves no trace in speed or
-displacement.
+Order: delay → silt → overlap (dead-band) → saturation → first-order lag of the spool, no faster than its pilot → notches →
+gain → direction ratio. The spool is integrated exactly over a step, so that the step of the simulation leaves no trace in
+speed or displacement.
 """
 
 from __future__ import annotations
@@ -18,6 +18,9 @@ from sysid.bench.recipe import ValveSettings
 
 Array = npt.NDArray[np.float64]
 
+#: A spool this close to closed is at rest [command].
+AT_REST = 0.005
+
 
 class Valve(NamedTuple):
     """The settings of one valve as numbers the compiled loop can take."""
@@ -30,6 +33,7 @@ class Valve(NamedTuple):
     saturation: float
     ratio: float
     notch: float
+    silt: float
     spool_speed: float
 
 
@@ -43,6 +47,7 @@ def valve_of(settings: ValveSettings) -> Valve:
         settings.saturation,
         settings.direction_ratio,
         settings.notch,
+        settings.silt,
         settings.spool_speed,
     )
 
@@ -109,6 +114,12 @@ def piloted_step(position: float, target: float, step: float, time_constant: flo
         return there, area / step
     after, mean = spool_step(there, target, left, time_constant)
     return after, (area + mean * left) / step
+
+
+@compiled
+def freed(command: float, spool: float, silt: float) -> float:
+    """The command that reaches the spool: none while silt locks it where it rests, closer to its centre than ``AT_REST``."""
+    return 0.0 if abs(spool) < AT_REST and abs(command) < silt else command
 
 
 @compiled

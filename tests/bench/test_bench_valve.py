@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from sysid.bench.recipe import ValveSettings
-from sysid.bench.valve import delayed, drive_speed, flow_fluctuation, metered, opening, piloted_step, spool_step
+from sysid.bench.valve import delayed, drive_speed, flow_fluctuation, freed, metered, opening, piloted_step, spool_step
 
 commands = st.floats(-1.0, 1.0)
 overlaps = st.floats(0.0, 0.4)
@@ -80,6 +80,14 @@ def test_notches_open_with_the_square_and_then_the_whole_edge(spool: float, notc
     slope = (metered(1.0, notch) - metered(1.0 - 1e-6, notch)) / 1e-6
     assert slope == pytest.approx(1.0 / (1.0 - 0.5 * notch), rel=1e-4)
     assert metered(spool, 0.0) == spool
+
+
+def test_silt_locks_a_spool_at_rest_and_no_other() -> None:
+    assert freed(0.2, 0.0, 0.25) == 0.0
+    assert freed(-0.2, 0.0, 0.25) == 0.0
+    assert freed(0.3, 0.0, 0.25) == 0.3
+    assert freed(0.2, 0.1, 0.25) == 0.2
+    assert freed(0.2, 0.0, 0.0) == 0.2
 
 
 def test_direction_ratio_scales_the_negative_side_only() -> None:
