@@ -9,6 +9,7 @@ import click
 
 from sysid.cli.output import Printer, json_option, progress_bar, write_json
 from sysid.cli.tables import show_dataset
+from sysid.errors import SettingsError
 
 
 @click.command()
@@ -16,15 +17,33 @@ from sysid.cli.tables import show_dataset
 @click.option("--machine", type=click.Path(path_type=Path), default=None, metavar="machine.toml", help="The machine.")
 @click.option("--recipe", type=click.Path(path_type=Path), default=None, metavar="R.toml", help="Which field is which signal.")
 @click.option("--name", default=None, help="Name of the dataset; else the recipe's, else the machine's.")
+@click.option("--inspect", is_flag=True, help="Only show what is in the files, and draft a recipe for them.")
+@click.option(
+    "--draft", type=click.Path(path_type=Path), default=None, metavar="R.toml", help="With --inspect: write the draft."
+)
 @json_option
 @click.pass_obj
 def ingest(
-    workspace: str, paths: tuple[Path, ...], machine: Path | None, recipe: Path | None, name: str | None, json_file: str | None
+    workspace: str,
+    paths: tuple[Path, ...],
+    machine: Path | None,
+    recipe: Path | None,
+    name: str | None,
+    inspect: bool,
+    draft: Path | None,
+    json_file: str | None,
 ) -> None:
     """Turn raw logs into a new dataset version.
 
     PATH is a folder DIR with DIR/<recording>/<log files>, or a log file. The same files again give the same version.
     """
+    if inspect:
+        from sysid.cli.ingest_inspect import inspect_paths
+
+        inspect_paths(paths, machine, draft, json_file)
+        return
+    if draft is not None:
+        raise SettingsError("--draft", "given without --inspect", "both, or neither", "Add --inspect.")
     from sysid import datasets
     from sysid.cli.datasets import describe
 

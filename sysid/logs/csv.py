@@ -14,7 +14,7 @@ from sysid.errors import InputError
 from sysid.logs.limits import check_whole
 from sysid.logs.reader import ReadOptions
 from sysid.logs.stream import Stream
-from sysid.logs.table import table_stream
+from sysid.logs.table import Columns, table_stream
 
 
 @dataclass(frozen=True)
@@ -26,6 +26,11 @@ class CsvReader:
     clocks: tuple[str, ...] = ("time",)
 
     def read(self, path: Path, options: ReadOptions) -> tuple[Stream, ...]:
+        columns, losses = self.columns(path)
+        return (table_stream(path, columns, options, losses),)
+
+    def columns(self, path: Path) -> tuple[Columns, tuple[str, ...]]:
+        """Header → numbers, in the order of the file, and what was lost."""
         check_whole(path, "a CSV file with one header row")
         headers, separator, skipped = _header(path)
         try:
@@ -54,7 +59,7 @@ class CsvReader:
             if text:
                 losses.append(f"{path.name}: column {header!r}: {text} cells are not numbers")
             columns.append((header, numbers))
-        return (table_stream(path, columns, options, tuple(losses)),)
+        return columns, tuple(losses)
 
 
 def _header(path: Path) -> tuple[list[str], str, int]:

@@ -5,17 +5,22 @@ Fields of structures are reached by dots (``log.position``), columns of a matrix
 
 from __future__ import annotations
 
+import zlib
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
 
 from sysid.errors import InputError
+from sysid.logs.limits import FREE, MAX_RATIO, MAX_TEXT, check_whole
 from sysid.logs.reader import ReadOptions
 from sysid.logs.stream import Stream
-from sysid.logs.table import TIME_NAMES, check_not_empty, table_stream
+from sysid.logs.table import TIME_NAMES, Columns, table_stream
+
+#: MAT-file type of an element that is packed with zlib ("MAT-File Format", MathWorks).
+_PACKED = 15
 
 
 @dataclass(frozen=True)
@@ -27,10 +32,29 @@ class MatReader:
     clocks: tuple[str, ...] = ("time",)
 
     def read(self, path: Path, options: ReadOptions) -> tuple[Stream, ...]:
+        columns = list(_columns(self._arrays(path), options).items())
+        return (table_stream(path, columns, options, units_in_headers=False),)
+
+    def columns(self, path: Path) -> tuple[Columns, tuple[str, ...]]:
+        """Variable → numbers: the vectors of the length that most have, and what is left out for another length."""
+        vectors = {name: array for name, array in self._arrays(path).items() if array.ndim == 1}
+        lengths = [len(array) for array in vectors.values()]
+        usual = max(lengths, key=lambda length: (lengths.count(length), length), default=0)
+        others = [name for name, array in vectors.items() if len(array) != usual]
+        losses = (f"{path.name}: of another length: {', '.join(others)}",) if others else ()
+        return [(name, array.astype(np.float64)) for name, array in vectors.items() if len(array) == usual], losses
+
+    def _arrays(self, path: Path) -> dict[str, npt.NDArray[Any]]:
+        """Every numeric array of the file by its path.
+
+        Raises:
+            InputError: not a MATLAB file of these versions, or variables that unpack to more than is read.
+        """
         from scipy.io import loadmat
         from scipy.io.matlab import MatReadError
 
-        check_not_empty(path, "a MATLAB file")
+        check_whole(path, "a MATLAB file")
+        _check_unpacked(path)
         try:
             variables = loadmat(path, simplify_cells=True)
         except NotImplementedError:
@@ -43,8 +67,34 @@ class MatReader:
         for name, value in variables.items():
             if not name.startswith("__"):
                 _flatten(name, value, arrays)
-        columns = list(_columns(arrays, options).items())
-        return (table_stream(path, columns, options, units_in_headers=False),)
+        return arrays
+
+
+def _check_unpacked(path: Path) -> None:
+    """Refuse packed variables that unpack to more than is read, before they are unpacked into memory."""
+    with path.open("rb") as file:
+        head = file.read(128)
+        if len(head) < 128 or head[126:128] not in (b"IM", b"MI") or head[124:126] not in (b"\x00\x01", b"\x01\x00"):
+            return  # version 4, or no MATLAB file: nothing is packed
+        order: Literal["little", "big"] = "little" if head[126:128] == b"IM" else "big"
+        total = 0
+        while len(tag := file.read(8)) == 8:
+            kind, size = int.from_bytes(tag[:4], order), int.from_bytes(tag[4:], order)
+            if kind != _PACKED:
+                file.seek(size, 1)
+                continue
+            unpacker, left = zlib.decompressobj(), size
+            while left > 0 and (packed := file.read(min(left, 2**16))):
+                left -= len(packed)
+                while packed:
+                    try:
+                        total += len(unpacker.decompress(packed, 2**20))
+                    except zlib.error:
+                        return  # the reader says what is wrong with it
+                    packed = unpacker.unconsumed_tail
+                    if total > min(MAX_TEXT, max(FREE, path.stat().st_size * MAX_RATIO)):
+                        found = f"variables that unpack to more than {total / 2**20:.0f} MiB"
+                        raise InputError(path, found, f"at most {MAX_RATIO} times the file's {path.stat().st_size} bytes")
 
 
 def _flatten(name: str, value: Any, into: dict[str, npt.NDArray[Any]]) -> None:

@@ -8,9 +8,10 @@ from pathlib import Path
 import numpy as np
 
 from sysid.errors import InputError
+from sysid.logs.limits import MAX_CELLS
 from sysid.logs.reader import ReadOptions
 from sysid.logs.stream import Stream
-from sysid.logs.table import check_not_empty, table_stream
+from sysid.logs.table import Columns, check_not_empty, table_stream
 
 
 @dataclass(frozen=True)
@@ -22,11 +23,20 @@ class ParquetReader:
     clocks: tuple[str, ...] = ("time",)
 
     def read(self, path: Path, options: ReadOptions) -> tuple[Stream, ...]:
+        columns, losses = self.columns(path)
+        return (table_stream(path, columns, options, losses),)
+
+    def columns(self, path: Path) -> tuple[Columns, tuple[str, ...]]:
+        """Name → numbers of the numeric columns, in the order of the file."""
         import pyarrow as pa
         import pyarrow.parquet as pq
 
         check_not_empty(path, "a Parquet file")
         try:
+            with pq.ParquetFile(path) as file:
+                cells = file.metadata.num_rows * file.metadata.num_columns
+                if cells > MAX_CELLS:  # a few bytes can say so
+                    raise InputError(path, f"{cells} cells", f"at most {MAX_CELLS}", "Export it in parts.")
             table = pq.read_table(path)
         except (pa.ArrowInvalid, OSError) as error:
             raise InputError(path, f"not readable as Parquet ({error})", "a Parquet file") from None
@@ -35,4 +45,4 @@ class ParquetReader:
             kind = table.schema.field(name).type
             if pa.types.is_floating(kind) or pa.types.is_integer(kind) or pa.types.is_boolean(kind):
                 columns.append((name, table.column(name).cast(pa.float64()).to_numpy().astype(np.float64)))
-        return (table_stream(path, columns, options),)
+        return columns, ()

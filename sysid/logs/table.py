@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import TypeAlias
 
 import numpy as np
 import numpy.typing as npt
@@ -16,6 +17,9 @@ from sysid.units import si_factor, split_header
 #: Names under which a time column is found without a recipe, in this order.
 TIME_NAMES = ("time", "t", "Time", "timestamp")
 
+#: Header and values of each column.
+Columns: TypeAlias = Sequence[tuple[str, npt.NDArray[np.float64]]]
+
 
 def check_not_empty(path: Path, what: str) -> None:
     """Raise where ``path`` is missing or has no bytes."""
@@ -27,7 +31,7 @@ def check_not_empty(path: Path, what: str) -> None:
 
 def table_stream(
     path: Path,
-    columns: Sequence[tuple[str, npt.NDArray[np.float64]]],
+    columns: Columns,
     options: ReadOptions,
     losses: tuple[str, ...] = (),
     units_in_headers: bool = True,
@@ -56,6 +60,30 @@ def table_stream(
     return Stream(path.stem, path, {"time": stamps}, values, units, losses)
 
 
+def guess_time(columns: Columns) -> tuple[str, str] | None:
+    """Which column is the time, and its unit: one that is called so, else the first that rises; None where none does."""
+    rising = {}
+    for header, values in columns:
+        name, unit = split_header(header)
+        steps = np.diff(values)
+        if len(values) > 1 and np.all(np.isfinite(values)) and np.all(steps >= 0.0) and np.any(steps > 0.0):
+            rising[name] = (values, unit)
+    for name in (*TIME_NAMES, *(name for name in rising if "time" in name.lower() or "stamp" in name.lower()), *rising):
+        if name in rising:
+            values, unit = rising[name]
+            return name, unit or _time_unit(name, values)
+    return None
+
+
+def _time_unit(name: str, values: npt.NDArray[np.float64]) -> str:
+    """Unix time since 2001 says its unit by its size, other times by their name; seconds otherwise."""
+    size = float(np.median(np.abs(values)))
+    for limit, unit in ((1e18, "ns"), (1e15, "us"), (1e12, "ms")):
+        if size > limit:
+            return unit
+    return next((unit for unit in ("ns", "us", "ms") if name.lower().endswith(f"_{unit}")), "s")
+
+
 def to_ns(seconds: npt.NDArray[np.float64], factor: float, where: str) -> npt.NDArray[np.int64]:
     """Stamps in units of ``factor`` seconds as int64 nanoseconds.
 
@@ -66,7 +94,12 @@ def to_ns(seconds: npt.NDArray[np.float64], factor: float, where: str) -> npt.ND
         raise InputError(where, f"no time in row {bad + 1}", "a number in every row", "Remove the row or repair the export.")
     whole = np.floor(seconds)
     scale = factor * 1e9
-    return np.rint(whole * scale).astype(np.int64) + np.rint((seconds - whole) * scale).astype(np.int64)
+    largest = float(np.max(np.abs(seconds), initial=0.0)) * scale
+    if largest > 9.2e18:  # 292 years
+        expected = "times that fit into 64 bits of nanoseconds"
+        raise InputError(where, f"a time of {largest * 1e-9:.3g} s", expected, "State the right unit of the time column.")
+    units = whole.astype(np.int64) * int(scale) if scale == int(scale) else np.rint(whole * scale).astype(np.int64)
+    return np.asarray(units + np.rint((seconds - whole) * scale).astype(np.int64))
 
 
 def _time_name(path: Path, names: tuple[str, ...], options: ReadOptions) -> str:

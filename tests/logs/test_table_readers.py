@@ -104,8 +104,36 @@ def test_stamps_in_seconds_keep_the_precision_of_a_float(stamps: list[int]) -> N
     assert np.all(error <= 2.0 * np.spacing(seconds) * 1e9 + 1)
 
 
+def test_whole_units_are_converted_without_rounding() -> None:
+    milliseconds = np.array([1_700_000_000_001.0, 1_700_000_000_002.5])
+    np.testing.assert_array_equal(to_ns(milliseconds, 1e-3, "test"), [1_700_000_000_001_000_000, 1_700_000_000_002_500_000])
+    with pytest.raises(InputError, match=r"test: a time of 1\.7e\+18 s; expected times that fit into 64 bits"):
+        to_ns(np.array([1.7e18]), 1.0, "test")
+
+
+def test_a_row_longer_than_the_header_is_named(tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    path.write_text("time,x\n0,1\n1,2,3\n")
+    with pytest.raises(InputError, match="row 2 below the header: more than 2 cells; expected as many cells as the header has"):
+        read(path)
+
+
+def test_tables_that_unpack_without_measure_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    bomb = tmp_path / "a.mat"
+    savemat(bomb, {"t": np.zeros(4_000_000)}, do_compression=True)
+    assert bomb.stat().st_size < 100_000
+    with pytest.raises(InputError, match=r"a\.mat: variables that unpack to more than 1[67] MiB; expected at most 100 times"):
+        monkeypatch.setattr("sysid.logs.mat.MAX_RATIO", 100)
+        read(bomb)
+    wide = tmp_path / "a.parquet"
+    pd.DataFrame({"time": np.zeros(10_000), "x": np.zeros(10_000)}).to_parquet(wide)
+    monkeypatch.setattr("sysid.logs.parquet.MAX_CELLS", 10_000)
+    with pytest.raises(InputError, match=r"a\.parquet: 20000 cells; expected at most 10000"):
+        read(wide)
+
+
 def test_unknown_formats_and_readers() -> None:
-    with pytest.raises(InputError, match=r"no reader for '\.xlsx'; expected one of \.bag, .*\.csv"):
+    with pytest.raises(InputError, match=r"no reader for '\.xlsx'; expected one of \.\w+, .*\.csv, "):
         reader_for(Path("a.xlsx"))
     with pytest.raises(SettingsError, match=r"unknown reader 'mcp'; expected 'mcap'\?"):
         reader_named("mcp", "recipe.toml")

@@ -1,0 +1,152 @@
+"""``sysid ingest --inspect PATH…``: what is in log files, and a recipe drafted for them. Nothing is stored."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from sysid.cli.output import Printer, progress_bar, write_json
+from sysid.errors import InputError, SettingsError
+from sysid.files import written_whole
+
+if TYPE_CHECKING:
+    from sysid.logs.inspection import ClockSummary, FieldSummary, FileSummary, StreamSummary
+
+#: More streams or fields than this are counted, not listed; --json has them all.
+MAX_STREAMS, MAX_FIELDS = 40, 24
+#: Stamps from 1990 on are taken for Unix time.
+_UNIX = 631_152_000 * 10**9
+
+
+def inspect_paths(paths: Sequence[Path], machine: Path | None, draft: Path | None, json_file: str | None) -> None:
+    """Show every log file below ``paths``, print the drafted recipe, and write it to ``draft`` where that is given.
+
+    Raises:
+        InputError: a path without log files.
+        SettingsError: ``draft`` exists already, or the machine description is wrong.
+    """
+    from dataclasses import asdict
+
+    from sysid.datasets.draft import default_machine, draft_recipe
+    from sysid.logs.inspection import inspect_file
+    from sysid.machine import load_machine
+
+    if draft is not None and draft.exists():
+        raise SettingsError(f"--draft {draft}", "the file exists already", "a new file", "Choose another name.")
+    files = _log_files(paths)
+    machine_path = machine if machine is not None else default_machine(paths)
+    description = load_machine(machine_path) if machine_path is not None else None
+    summaries = []
+    with progress_bar("inspect") as progress:
+        for number, path in enumerate(files):
+            progress(number / len(files), path.name)
+            summaries.append(inspect_file(path))
+    out = Printer(json_file)
+    for summary in summaries:
+        _show(out, summary)
+    text = draft_recipe(summaries, description, _machine_entry(machine_path, draft))
+    if draft is not None:
+        with written_whole(draft) as half:
+            half.write_text(text, "utf-8")
+        out.line(f"drafted {draft}: fill in what stands in <…>, then sysid ingest PATH --recipe {draft}")
+    else:
+        out.line("A recipe to fill in (--draft R.toml writes it to a file):")
+        out.line()
+        out.line(text.rstrip())
+    write_json(json_file, {"schema": 1, "files": [asdict(summary) for summary in summaries], "recipe": text})
+
+
+def _machine_entry(machine: Path | None, draft: Path | None) -> str:
+    """The machine as the drafted recipe names it: relative to the recipe."""
+    if machine is None:
+        return "machine.toml"
+    return Path(os.path.relpath(machine, draft.parent if draft is not None else machine.parent)).as_posix()
+
+
+def _log_files(paths: Sequence[Path]) -> list[Path]:
+    from sysid.logs.readers import is_log
+
+    found: list[Path] = []
+    for path in paths:
+        if not path.exists():
+            raise InputError(path, "no such file or folder", "a log file or a folder of them", "Check the path.")
+        if path.is_file():
+            found.append(path)
+            continue
+        below = [entry for pattern in ("*", "*/*") for entry in path.glob(pattern) if is_log(entry)]
+        if not below:
+            raise InputError(path, "no log files", "log files in it or one folder below", "Name the file itself.")
+        found += sorted(below)
+    return list(dict.fromkeys(found))
+
+
+def _show(out: Printer, file: FileSummary) -> None:
+    out.line(f"{file.path}: {file.reader}, {_size(file.size)}, {_count(len(file.streams), 'stream')}")
+    if file.refusal:
+        out.line(f"cannot be ingested as it is: {file.refusal}")
+    for loss in file.losses:
+        out.line(f"lost: {loss}")
+    for key, value in file.stated.items():
+        out.line(f"the recipe has to state {key}; shown here with {value!r}")
+    timed = [stream for stream in file.streams if stream.clocks]
+    if timed:
+        header = ("stream", "type", "samples", "seconds", "rate [Hz]", "jitter [ms]", "gaps", "clocks")
+        out.table(header, [_stream_row(stream) for stream in timed[:MAX_STREAMS]], right=(2, 3, 4, 5))
+        if len(timed) > MAX_STREAMS:
+            out.line(f"{len(timed) - MAX_STREAMS} more streams")
+    rows = [(stream.name, *_field_row(field)) for stream in file.streams for field in stream.fields]
+    if rows:
+        out.table(("stream", "field", "unit", "lowest", "highest", "missing"), _thinned(rows), right=(3, 4, 5))
+    if len(rows) > MAX_FIELDS:
+        out.line(f"{len(rows) - MAX_FIELDS} more fields (--json FILE lists them all)")
+        out.line()
+
+
+def _thinned(rows: list[tuple[str, ...]]) -> list[tuple[str, ...]]:
+    """The first rows, the name of a stream only where it begins."""
+    shown = rows[:MAX_FIELDS]
+    return [("" if number and shown[number - 1][0] == row[0] else row[0], *row[1:]) for number, row in enumerate(shown)]
+
+
+def _stream_row(stream: StreamSummary) -> tuple[str, ...]:
+    first = stream.clocks[0]
+    gaps = "none" if not first.gaps else f"{first.gaps}, longest {first.longest_gap_s:.3g} s at {first.longest_gap_at_s:.1f} s"
+    if first.backwards:
+        gaps += f"; back in time {first.backwards} times"
+    clocks = "; ".join(_clock(clock) for clock in stream.clocks)
+    numbers = (f"{first.seconds:.1f}", f"{first.rate_hz:.2f}", f"{1e3 * first.jitter_s:.2f}")
+    return (stream.name, stream.kind, str(stream.samples), *numbers, gaps, clocks)
+
+
+def _clock(clock: ClockSummary) -> str:
+    if clock.behind_s is None:
+        begin = datetime.fromtimestamp(clock.first_ns * 1e-9, UTC).isoformat(" ", "seconds") if clock.first_ns > _UNIX else ""
+        return f"{clock.name} from {begin[:19] or f'{clock.first_ns * 1e-9:.6g} s'}"
+    middle, low, high = clock.behind_s
+    if abs(middle) > 3600.0:
+        return f"{clock.name} of another epoch"
+    return f"{clock.name} {1e3 * middle:+.2f} ms ({1e3 * low:+.2f} … {1e3 * high:+.2f})"
+
+
+def _field_row(field: FieldSummary) -> tuple[str, ...]:
+    return (
+        field.name,
+        field.unit or "",
+        f"{field.low:.6g}",
+        f"{field.high:.6g}",
+        f"{100.0 * field.missing:.1f} %" if field.missing else "",
+    )
+
+
+def _size(size: int) -> str:
+    for unit, limit in (("GB", 1e9), ("MB", 1e6), ("kB", 1e3)):
+        if size >= limit:
+            return f"{size / limit:.1f} {unit}"
+    return f"{size} bytes"
+
+
+def _count(number: int, what: str) -> str:
+    return f"{number} {what}{'' if number == 1 else 's'}"

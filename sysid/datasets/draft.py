@@ -1,0 +1,204 @@
+"""A recipe drafted from what is in the logs: what can be told stands there, what only the user knows is a commented line."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Iterator, Sequence
+from itertools import takewhile
+from pathlib import Path
+
+from sysid.logs.inspection import FieldSummary, FileSummary, StreamSummary
+from sysid.logs.readers import READERS
+from sysid.machine import Axis, Machine
+
+#: Words in a topic or column that say what it is.
+_WORDS = {
+    "command": {"cmd", "command", "commands", "setpoint", "duty", "pwm", "reference"},
+    "cylinder": {"cyl", "cylinder", "stroke", "wire", "wires", "displacement", "extension", "length"},
+    "joint": {"joint", "joints", "angle", "encoder"},
+}
+#: Messages of these packages are in SI (ROS REP 103).
+_SI_PACKAGES = ("sensor_msgs/", "geometry_msgs/", "nav_msgs/", "tf2_msgs/")
+#: More fields of one stream than this are summed up in a line.
+MAX_LINES = 80
+_HEAD = """\
+# Drafted from {names}.
+# A line without "#" has been recognised: check it. Of the others take away the "#" where you need them and fill in what stands
+# in <…>; remove the rest. Ranges stand behind each field. docs/recipes.md describes every key.
+schema = 1
+"""
+
+
+def draft_recipe(files: Sequence[FileSummary], machine: Machine | None = None, machine_path: str = "machine.toml") -> str:
+    """TOML of a recipe for ``files``; with ``machine`` its axes are looked for in the names of the fields."""
+    lines = [_HEAD.format(names=", ".join(sorted({_plain(file.path.name) for file in files})[:6]) or "nothing")]
+    lines.append(f"{'' if machine is not None else '# '}machine = {_text(machine_path)}")
+    folders = {file.path.parent for file in files}
+    groups = _groups(files)
+    if len(folders) == 1 and (len(files) == 1 or len(groups) == 1):
+        lines += ["", "[recordings.files]          # each file is a recording of its own"]
+        lines += [f"{_key(file.path.stem)} = {_text(file.path.name)}" for file in files]
+    taken: set[str] = set()
+    for group in groups:
+        lines += ["", *_stream(group, machine, taken)]
+    return "\n".join(lines) + "\n"
+
+
+def _groups(files: Sequence[FileSummary]) -> list[list[FileSummary]]:
+    """Files that one entry of the recipe describes: the same reader and suffix, and streams with the same fields."""
+    groups: dict[tuple[object, ...], list[FileSummary]] = {}
+    for file in files:
+        if file.streams:
+            table = file.reader in ("csv", "parquet", "mat")
+            content = tuple(("" if table else stream.name, tuple(f.name for f in stream.fields)) for stream in file.streams)
+            captured = file.streams[0].clocks and file.streams[0].clocks[0].name == "capture"
+            groups.setdefault((file.reader, file.path.suffix, () if captured else content), []).append(file)
+    return list(groups.values())
+
+
+def _pattern(group: Sequence[FileSummary]) -> str:
+    """A glob for the files of a group: the name itself, or what the names have in common."""
+    names = sorted({file.path.name for file in group})
+    if len(names) == 1:
+        return names[0]
+    same = (len(set(letters)) == 1 for letters in zip(*names, strict=False))
+    front = names[0][: sum(1 for _ in takewhile(bool, same))]
+    return f"{front if len(front) > 2 else ''}*{group[0].path.suffix}"
+
+
+def _stream(group: Sequence[FileSummary], machine: Machine | None, taken: set[str]) -> Iterator[str]:
+    file = group[0]
+    by_suffix = next((r.name for r in READERS if file.path.suffix.lower() in r.suffixes), None)
+    clocks = [clock.name for clock in file.streams[0].clocks]
+    captured = clocks[:1] == ["capture"]
+    yield "[[streams]]"
+    yield f"files = {_text(_pattern(group))}"
+    if by_suffix != file.reader:
+        yield f"reader = {_text(file.reader)}"
+    if clocks:
+        others = f"   # or {', '.join(clocks[1:])}" if len(clocks) > 1 else ""
+        yield f"clock = {_text(clocks[0])}{others}"
+    else:
+        yield '# time = "<column>"          # which column holds the time; time_unit = "ms" where it is not in seconds'
+    yield f'domain = "{"mocap" if captured else "machine"}"   # whose clock that is; for another device any other name'
+    for key, value in file.stated.items():
+        yield f"{key} = {_text(value)}   # not stated in the file: check it"
+    if captured and any(_is_body(stream) for stream in file.streams):
+        yield from _bodies(file, machine)
+    else:
+        yield "[streams.signals]"
+        yield from _signals(file, machine, taken)
+
+
+def _signals(file: FileSummary, machine: Machine | None, taken: set[str]) -> Iterator[str]:
+    tables = len(file.streams) == 1 and not file.streams[0].kind and file.reader in ("csv", "parquet", "mat")
+    for stream in file.streams:
+        moving = [field for field in stream.fields if field.high > field.low and "covariance" not in field.name]
+        if not tables:
+            kind = f" ({_plain(stream.kind)})" if stream.kind else ""
+            yield f"# {_plain(stream.name)}{kind}: {stream.samples} samples"
+        for field in moving[:MAX_LINES]:
+            yield _line("" if tables else stream.name, field, machine, stream.kind, taken)
+        still = len(stream.fields) - len(moving)
+        if still:
+            yield f"# {still} more fields never change or are covariances"
+        if len(moving) > MAX_LINES:
+            yield f"# {len(moving) - MAX_LINES} more fields"
+
+
+def _line(topic: str, field: FieldSummary, machine: Machine | None, kind: str, taken: set[str]) -> str:
+    signal, sure = _signal(topic, field, machine, kind)
+    entry = [f"topic = {_text(topic)}"] if topic else []
+    entry.append(f"field = {_text(field.name)}")
+    note = f"{field.low:.4g} … {field.high:.4g}{f' {_plain(field.unit)}' if field.unit else ''}"
+    outside = signal.endswith(".command") and max(abs(field.low), abs(field.high)) > 1.5
+    if outside and machine is not None and _actuation(signal, machine) == "velocity":
+        entry += ["zero = <neutral>", "span = <from neutral to full>"]
+        sure = False
+    elif field.unit is None and not signal.endswith(".command") and not kind.startswith(_SI_PACKAGES):
+        entry.append('unit = "<unit>"')
+        sure = False
+    sure = sure and signal not in taken
+    if sure:
+        taken.add(signal)
+    return f"{'' if sure else '# '}{_text(signal)} = {{ {', '.join(entry)} }}   # {note}"
+
+
+def _actuation(signal: str, machine: Machine) -> str:
+    return next((axis.actuation for axis in machine.axes if signal.startswith(f"{axis.name}.")), "")
+
+
+def _signal(topic: str, field: FieldSummary, machine: Machine | None, kind: str) -> tuple[str, bool]:
+    """What a field seems to be, and whether both axis and quantity were found in its name."""
+    words = _words(f"{topic} {field.name}")
+    axes: list[Axis] = [axis for axis in machine.axes if _words(axis.name) <= words] if machine is not None else []
+    found = [quantity for quantity, names in _WORDS.items() if names & words]
+    if not found and kind.endswith("JointState") and field.name.startswith("position"):
+        found = ["joint"]
+    axis = axes[0] if len(axes) == 1 else None
+    if axis is not None and axis.drives == "joint" and axis.stroke is None and "cylinder" in found:
+        found = ["joint"]  # a wire along a sliding joint: there is no cylinder of which it could be the length
+    elif axis is not None and "joint" in found and "cylinder" in found:
+        found = [axis.drives]
+    name = axis.name if axis is not None else "<axis>"
+    quantity = found[0] if len(found) == 1 else "<command, cylinder or joint>"
+    return f"{name}.{quantity}", axis is not None and len(found) == 1
+
+
+def _words(text: str) -> set[str]:
+    """``/valves/boomCommand[2]`` → valves, boom, command."""
+    spaced = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", text)
+    return {word.lower() for word in re.findall(r"[A-Za-z]+", spaced)}
+
+
+def _is_body(stream: StreamSummary) -> bool:
+    return any(field.name == "qw" for field in stream.fields)
+
+
+def _bodies(file: FileSummary, machine: Machine | None) -> Iterator[str]:
+    kinematics = machine.kinematics() if machine is not None else None
+    links = [joint.child for joint in kinematics.chain] if kinematics is not None else []
+    bodies = [stream for stream in file.streams if _is_body(stream)]
+    yield "[streams.frame]              # surveyed pose of the capture frame in the machine's base frame"
+    yield "translation = [0.0, 0.0, 0.0]"
+    yield "rpy = [0.0, 0.0, 0.0]        # Motive counts y upwards: [1.5708, 0.0, 0.0] turns it to z"
+    yield f"[streams.bodies]             # rigid body → URDF link{': ' + ', '.join(links) if links else ''}"
+    for stream in bodies:
+        link = [link for link in links if _words(link) <= _words(stream.name)]
+        seen = min((1.0 - field.missing for field in stream.fields), default=0.0)
+        target = link[0] if len(link) == 1 else "<link>"
+        yield f"# {_key(stream.name)} = {_text(target)}   # seen in {100.0 * seen:.0f} % of {stream.samples} frames"
+    yield "[streams.points]             # rigid body, or a surveyed point in its frame, as ee or tool"
+    yield f"# ee = {{ body = {_text(bodies[-1].name)}, at = [0.0, 0.0, 0.0] }}"
+    yield "# [streams.reference]        # needed with bodies: the machine stands still with known joint values"
+    yield "# seconds = [0.2, 1.2]"
+    axes = ", ".join(f"{axis.name} = <value>" for axis in machine.axes) if machine is not None else "<axis> = <value>"
+    yield f"# joints = {{ {axes} }}"
+    markers = len(file.streams) - len(bodies)
+    if markers:
+        yield f"# {markers} markers besides"
+
+
+def _text(value: str) -> str:
+    """A TOML basic string."""
+    return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
+
+
+def _plain(text: str) -> str:
+    """``text`` for a comment: a name in a file must not begin a line of its own."""
+    return "".join(letter if letter.isprintable() else "�" for letter in text)
+
+
+def _key(name: str) -> str:
+    return name if re.fullmatch(r"[A-Za-z0-9_-]+", name) else _text(name)
+
+
+def default_machine(paths: Sequence[Path]) -> Path | None:
+    """``machine.toml`` beside the logs or above them, if there is one."""
+    for path in paths:
+        folder = path if path.is_dir() else path.parent
+        for place in (folder, folder.parent):
+            if (place / "machine.toml").is_file():
+                return place / "machine.toml"
+    return None

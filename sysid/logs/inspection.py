@@ -1,0 +1,194 @@
+"""What is in a log file: streams, fields with their ranges, rates, gaps, and how the clocks of a stream differ."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Protocol, runtime_checkable
+
+import numpy as np
+import numpy.typing as npt
+
+from sysid.errors import InputError
+from sysid.logs.motive import unstated
+from sysid.logs.pieces import STAMP_FIELDS
+from sysid.logs.reader import LogReader, ReadOptions
+from sysid.logs.readers import reader_for, reader_named
+from sysid.logs.stream import Stream
+from sysid.logs.table import TIME_NAMES, Columns, guess_time
+
+#: A step between two stamps that is longer than so many usual ones is a gap.
+GAP = 3.0
+#: Part of every header: they are shown as clocks.
+_HEADER = frozenset({path for pair in STAMP_FIELDS for path in pair} | {"header.seq"})
+
+
+@runtime_checkable
+class _TableReader(Protocol):
+    def columns(self, path: Path) -> tuple[Columns, tuple[str, ...]]: ...
+
+
+@dataclass(frozen=True)
+class FieldSummary:
+    """Range and share of missing values of one field; of a long log those of its beginning."""
+
+    name: str
+    unit: str | None
+    low: float
+    high: float
+    missing: float
+
+
+@dataclass(frozen=True)
+class ClockSummary:
+    """The stamps of one clock of a stream.
+
+    Args:
+        rate_hz: 1 / median step.
+        jitter_s: 95 % of the steps differ from the median step by at most this.
+        gaps: steps longer than :data:`GAP` median steps, the longest of them [s] and when it begins [s from the first stamp].
+        backwards: steps back in time.
+        behind_s: median of these stamps minus those of the stream's first clock, and the 5 % and 95 % quantiles around it.
+    """
+
+    name: str
+    first_ns: int
+    seconds: float
+    rate_hz: float
+    jitter_s: float
+    gaps: int
+    longest_gap_s: float
+    longest_gap_at_s: float
+    backwards: int
+    behind_s: tuple[float, float, float] | None = None
+
+
+@dataclass(frozen=True)
+class StreamSummary:
+    """One topic, rigid body, marker, message or table."""
+
+    name: str
+    kind: str
+    samples: int
+    clocks: tuple[ClockSummary, ...]
+    fields: tuple[FieldSummary, ...]
+    unread_fields: int = 0
+
+
+@dataclass(frozen=True)
+class FileSummary:
+    """One log file. ``stated``: what a recipe has to state for it, as assumed here; ``refusal``: why it is not read."""
+
+    path: Path
+    reader: str
+    size: int
+    streams: tuple[StreamSummary, ...] = ()
+    losses: tuple[str, ...] = ()
+    stated: Mapping[str, str] = field(default_factory=dict)
+    refusal: str = ""
+
+
+def inspect_file(path: Path, reader: str | None = None) -> FileSummary:
+    """Read a file as far as is needed to say what is in it; a file that cannot be read is described by its refusal.
+
+    Raises:
+        InputError: no such file, or no reader for its suffix.
+        SettingsError: no reader is called ``reader``.
+    """
+    if not path.is_file():
+        raise InputError(path, "no such file", "a log file", "Check the path.")
+    chosen = reader_named(reader, path) if reader is not None else reader_for(path)
+    size = path.stat().st_size
+    stated: dict[str, str] = {}
+    try:
+        stated = _unstated(path, chosen)
+        options = ReadOptions(
+            preview=True,
+            time=stated.get("time"),
+            time_unit=stated.get("time_unit", "s"),
+            length_unit=stated.get("length_unit"),
+            rotation=stated.get("rotation"),
+        )
+        streams = chosen.read(path, options)
+    except InputError as error:
+        return FileSummary(path, chosen.name, size, _bare(path, chosen), stated=stated, refusal=str(error))
+    losses = tuple(dict.fromkeys(loss for stream in streams for loss in stream.losses))
+    return FileSummary(path, chosen.name, size, tuple(summarise(stream) for stream in streams), losses, stated)
+
+
+def _bare(path: Path, reader: LogReader) -> tuple[StreamSummary, ...]:
+    """The columns of a table that has no time."""
+    if not isinstance(reader, _TableReader):
+        return ()
+    try:
+        columns, _ = reader.columns(path)
+    except InputError:
+        return ()
+    fields = tuple(_field(name, values, None) for name, values in columns)
+    return (StreamSummary(path.stem, "", len(columns[0][1]), (), fields),) if columns else ()
+
+
+def _unstated(path: Path, reader: LogReader) -> dict[str, str]:
+    """What a recipe will have to say about this file, as it seems to be."""
+    if reader.name == "motive":
+        return unstated(path)
+    if not isinstance(reader, _TableReader):
+        return {}
+    columns, _ = reader.columns(path)
+    guess = guess_time(columns)
+    if guess is None:
+        return {}
+    name, unit = guess
+    stated = {} if name in TIME_NAMES else {"time": name}
+    return {**stated, "time_unit": unit} if unit != "s" else stated
+
+
+def summarise(stream: Stream) -> StreamSummary:
+    """What is in a stream."""
+    first = next(iter(stream.stamps.values()))
+    clocks = tuple(_clock(name, stamps, first) for name, stamps in stream.stamps.items())
+    aliases = {name for name in stream.columns if name.endswith("]") and not name[name.rindex("[") + 1 : -1].isdecimal()}
+    shadowed = {other for name in aliases for other in _same(name, stream.columns)} | set(stream.columns) & _HEADER
+    fields = tuple(
+        _field(name, values, stream.units.get(name)) for name, values in stream.columns.items() if name not in shadowed
+    )
+    return StreamSummary(
+        stream.name, stream.kind, len(stream), clocks, fields, max(0, len(stream.fields) - len(stream.columns))
+    )
+
+
+def _same(alias: str, columns: Mapping[str, npt.NDArray[np.float64]]) -> list[str]:
+    """``position[2]`` beside ``position[boom]``: the elements by number that an alias makes needless."""
+    prefix = alias[: alias.rindex("[") + 1]
+    return [name for name in columns if name.startswith(prefix) and name[len(prefix) : -1].isdecimal()]
+
+
+def _field(name: str, values: npt.NDArray[np.float64], unit: str | None) -> FieldSummary:
+    seen = values[np.isfinite(values)]
+    low, high = (float(seen.min()), float(seen.max())) if len(seen) else (float("nan"), float("nan"))
+    return FieldSummary(name, unit, low, high, 1.0 - len(seen) / max(len(values), 1))
+
+
+def _clock(name: str, stamps: npt.NDArray[np.int64], first: npt.NDArray[np.int64]) -> ClockSummary:
+    steps = np.diff(stamps) * 1e-9
+    forward = steps[steps > 0.0]
+    usual = float(np.median(forward)) if len(forward) else float("nan")
+    long = np.flatnonzero(steps > GAP * usual) if len(forward) else np.zeros(0, np.intp)
+    worst = int(np.argmax(steps)) if len(long) else 0
+    behind = None
+    if stamps is not first:
+        low, middle, high = np.quantile((stamps - first) * 1e-9, [0.05, 0.5, 0.95])
+        behind = (float(middle), float(low), float(high))
+    return ClockSummary(
+        name=name,
+        first_ns=int(stamps[0]),
+        seconds=float(stamps.max() - stamps.min()) * 1e-9,
+        rate_hz=1.0 / usual if usual else float("nan"),
+        jitter_s=float(np.quantile(np.abs(forward - usual), 0.95)) if len(forward) else float("nan"),
+        gaps=len(long),
+        longest_gap_s=float(steps[worst]) if len(long) else 0.0,
+        longest_gap_at_s=float(stamps[worst] - stamps[0]) * 1e-9 if len(long) else 0.0,
+        backwards=int(np.count_nonzero(steps < 0.0)),
+        behind_s=behind,
+    )

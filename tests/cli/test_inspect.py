@@ -1,0 +1,179 @@
+"""``sysid ingest --inspect``: what it says of real and of made files, and that its draft is accepted once it is filled in."""
+
+from __future__ import annotations
+
+import json
+import re
+import tomllib
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from sysid.cli import main
+from sysid.datasets.draft import draft_recipe
+from sysid.datasets.recipe import load_recipe
+from sysid.logs.inspection import ClockSummary, FieldSummary, FileSummary, StreamSummary, inspect_file
+
+
+def run(*args: str | Path) -> int:
+    with pytest.raises(SystemExit) as stop:
+        main([str(arg) for arg in args])
+    assert isinstance(stop.value.code, int)
+    return stop.value.code
+
+
+def inspected(capsys: pytest.CaptureFixture[str], *args: str | Path) -> dict[str, Any]:
+    assert run("ingest", "--inspect", *args, "--json", "-") == 0
+    value: dict[str, Any] = json.loads(capsys.readouterr().out)
+    return value
+
+
+def test_topics_clocks_and_fields_of_a_bag(datasets_folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    folder = datasets_folder / "autolog/logs/manual-01"
+    seen = inspected(capsys, folder / "machine.mcap", "--machine", datasets_folder / "autolog/machine.toml")
+    (file,) = seen["files"]
+    streams = {stream["name"]: stream for stream in file["streams"]}
+    assert set(streams) == {"/valves/command", "/draw_wires", "/slew_sensor"}
+    wires = streams["/draw_wires"]
+    assert wires["kind"] == "sensor_msgs/msg/JointState"
+    assert wires["samples"] == 6000
+    header, log, publish = wires["clocks"]
+    assert (header["name"], log["name"], publish["name"]) == ("header", "log", "publish")
+    assert header["rate_hz"] == pytest.approx(100.0, rel=1e-3)
+    assert header["gaps"] == 0
+    middle, low, high = log["behind_s"]
+    assert 0.0 < low < middle < high < 0.05
+    assert [field["name"] for field in wires["fields"]] == ["position[boom]", "position[stick]", "position[telescope]"]
+    recipe = tomllib.loads(seen["recipe"])
+    signals = recipe["streams"][0]["signals"]
+    assert signals["boom.command"] == {"topic": "/valves/command", "field": "command[boom]"}
+    assert {"boom.cylinder", "stick.cylinder", "telescope.joint", "slew.joint", "slew.command"} < set(signals)
+
+
+def test_a_drafted_recipe_is_ingested_as_it_is_where_all_is_recognised(
+    tmp_path: Path, datasets_folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for name in ("machine.toml", "autolog.urdf"):
+        (tmp_path / name).write_bytes((datasets_folder / "autolog" / name).read_bytes())
+    log = tmp_path / "manual-01.mcap"
+    log.write_bytes((datasets_folder / "autolog/logs/manual-01/machine.mcap").read_bytes())
+    draft = tmp_path / "recipe.toml"
+    assert run("ingest", "--inspect", log, "--draft", draft) == 0
+    assert f"drafted {draft}" in capsys.readouterr().out
+    assert run("--workspace", tmp_path / "ws", "ingest", log, "--recipe", draft, "--name", "x", "--json", "-") == 0
+    made = json.loads(capsys.readouterr().out)
+    signals = {signal for recording in made["recordings"] for signal in recording["signals"]}
+    assert {"boom.command", "boom.cylinder", "telescope.joint", "slew.joint"} <= signals
+    assert run("ingest", "--inspect", log, "--draft", draft) == 2
+    assert "the file exists already; expected a new file" in capsys.readouterr().err
+    assert run("ingest", log, "--draft", tmp_path / "other.toml") == 2
+    assert "given without --inspect" in capsys.readouterr().err
+
+
+def test_rigid_bodies_are_offered_with_their_links(datasets_folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    folder = datasets_folder / "autolog"
+    seen = inspected(capsys, folder / "logs/manual-01/mocap.csv", "--machine", folder / "machine.toml")
+    text = seen["recipe"]
+    assert 'reader = "motive"' in text
+    assert '# boom_body = "boom"   # seen in 99 % of 3517 frames' in text
+    assert '# gripper_body = "<link>"' in text
+    assert "# joints = { slew = <value>, boom = <value>, stick = <value>, telescope = <value> }" in text
+    assert tomllib.loads(text)["streams"][0]["domain"] == "mocap"
+
+
+def test_what_an_export_does_not_state_is_asked_for(shared_data: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = shared_data / "mocap_files/motive_1.22_two_rigid_bodies.csv"
+    assert run("ingest", "--inspect", path) == 0
+    text = capsys.readouterr().out
+    assert "the recipe has to state length_unit; shown here with 'm'" in text
+    assert 'rotation = "XYZ"   # not stated in the file: check it' in text
+
+
+def test_gaps_and_a_time_column_of_another_name_are_found(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    stamps = 1_700_000_000_000 + 10 * np.arange(300)
+    stamps[200:] += 1500
+    table = pd.DataFrame({"note": "x", "down": -np.arange(300.0), "unix": stamps, "boom [mm]": np.arange(300.0)})
+    table.to_csv(tmp_path / "log.csv", index=False)
+    seen = inspected(capsys, tmp_path / "log.csv")
+    (file,) = seen["files"]
+    assert file["stated"] == {"time": "unix", "time_unit": "ms"}
+    (clock,) = file["streams"][0]["clocks"]
+    assert clock["gaps"] == 1
+    assert clock["longest_gap_s"] == pytest.approx(1.51)
+    assert clock["longest_gap_at_s"] == pytest.approx(1.99)
+    assert clock["rate_hz"] == pytest.approx(100.0)
+    assert [field["unit"] for field in file["streams"][0]["fields"]] == [None, "mm"]
+    assert run("ingest", "--inspect", tmp_path / "log.csv") == 0
+    text = capsys.readouterr().out
+    assert "1, longest 1.51 s at 2.0 s" in text
+    assert "time from 2023-11-14 22:13:20" in text
+
+
+def test_a_file_that_cannot_be_read_is_described_by_the_reason(
+    tmp_path: Path, shared_data: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "broken.mcap").write_bytes(b"nothing")
+    assert run("ingest", "--inspect", tmp_path) == 0
+    assert "cannot be ingested as it is" in " ".join(capsys.readouterr().out.split())
+    calibration = inspect_file(shared_data / "tiago_mocap/ur10_calibration.csv")
+    assert "no time column" in calibration.refusal
+    assert len(calibration.streams[0].fields) == 12
+    assert run("ingest", "--inspect", tmp_path / "absent") == 2
+    assert "no such file or folder" in capsys.readouterr().err
+    (tmp_path / "empty").mkdir()
+    assert run("ingest", "--inspect", tmp_path / "empty") == 2
+    assert "no log files" in capsys.readouterr().err
+
+
+def filled_in(text: str) -> str:
+    """The drafted recipe as the excavator's owner fills it in: neutral and span, millimetres, names of the signals."""
+    spans = {"Boom Cmd": (7.4745, 2.536), "Stick Cmd": (6.895, 1.966), "Bucket Cmd": (7.614, 2.416)}
+    lines = []
+    for line in text.splitlines():
+        match = re.search(r'field = "(\w+) (Cmd|Ms)"', line)
+        if match is not None and match[1] != "Swing":
+            axis, what = match[1].lower(), "command" if match[2] == "Cmd" else "cylinder"
+            line = re.sub(r'^# "[^"]*"', f'"{axis}.{what}"', line).replace('unit = "<unit>"', 'unit = "mm"')
+            neutral, span = spans.get(f"{match[1]} {match[2]}", (0.0, 1.0))
+            line = line.replace("<neutral>", str(neutral)).replace("<from neutral to full>", str(span))
+        lines.append(line)
+    return "\n".join(lines) + "\n"
+
+
+def test_the_draft_for_the_excavator_is_accepted_once_filled_in(
+    tmp_path: Path, shared_data: Path, datasets_folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The walk of docs/guide/own-logs.md, and its result beside the recipe that ships."""
+    (tmp_path / "machine.toml").write_bytes((datasets_folder / "rc_excavator/machine.toml").read_bytes())
+    logs = shared_data / "rc_excavator"
+    draft = tmp_path / "recipe.toml"
+    assert run("ingest", "--inspect", logs, "--machine", tmp_path / "machine.toml", "--draft", draft) == 0
+    capsys.readouterr()
+    text = draft.read_text("utf-8")
+    assert text.count(' = "steps_') == 9
+    assert "zero = <neutral>, span = <from neutral to full>" in text
+    draft.write_text(filled_in(text), "utf-8")
+    assert set(load_recipe(draft).streams[0].signals) == {
+        f"{axis}.{what}" for axis in ("boom", "stick", "bucket") for what in ("command", "cylinder")
+    }
+    assert run("--workspace", tmp_path / "ws", "ingest", logs, "--recipe", draft, "--name", "rc", "--json", "-") == 0
+    made = json.loads(capsys.readouterr().out)
+    assert len(made["recordings"]) == 10
+
+
+def test_no_name_breaks_the_draft() -> None:
+    clock = ClockSummary("log", 0, 1.0, 10.0, 0.0, 0, 0.0, 0.0, 0)
+
+    @given(st.text(max_size=8), st.text(max_size=8))
+    def check(topic: str, name: str) -> None:
+        fields = (FieldSummary(name, None, 0.0, 1.0, 0.0),)
+        streams = (StreamSummary(topic, "", 3, (clock,), fields), StreamSummary(name, "p/M", 3, (clock,), fields))
+        text = draft_recipe([FileSummary(Path(f"{'x'}.mcap"), "mcap", 10, streams)])
+        assert tomllib.loads(text)["streams"][0]["files"] == "x.mcap"
+
+    check()
