@@ -76,6 +76,7 @@ def _run(p, rig, commands, edges, starts, dt, size, drive, joints, tip, s, load,
                 at[i] += 1
             if at[i] < edges.shape[1] and k == edges[i, at[i], 0]:
                 fresh = True
+                load[i] = 0.0
                 b = i * AXIS_WIDTH
                 start = starts[i, at[i]]
                 begin(s, i * size, size, start[0], start[1], start[2], p, b, k, dt)

@@ -35,6 +35,10 @@ Array = npt.NDArray[np.float64]
 _SERIAL_LANES = 512
 
 
+#: The load that makes a joint sag changes with the sag: a twentieth of it, in each round.
+_SAG_ROUNDS = 10
+
+
 @dataclass(frozen=True)
 class LaneState:
     """All lanes at one sample; fresh arrays, NaN where the plant has no linkage or no URDF.
@@ -118,15 +122,16 @@ class Stepper:
         command = self._rows("commands", 0.0 if commands is None else commands, rows, n)
         command = np.where(rig.axes[:, KIND] == POSITION, begin, command)
         start = self._rows("speed", 0.0 if speed is None else speed, rows, n)
-        self._swing[lanes] = np.nan
+        hanging = np.full((rows, gripper_sway.MEMORY), np.nan)
         if swing is not None:
-            self._swing[lanes, :4] = self._rows("swing", swing, rows, 4)
+            hanging[:, :4] = self._rows("swing", swing, rows, 4)
         for row, lane in enumerate(lanes):
             p, s, load = self.thetas[lane], self._memory[lane], self._load[lane]
             _begin_lane(p, rig, s, begin[row], start[row], straight[row], self.dt)
             load[:] = 0.0
             self._observe(int(lane), int(lane) + 1)  # the load of the place ...
             _forget_structure(s, n)
+            self._swing[lane] = hanging[row]
             self._observe(int(lane), int(lane) + 1)  # ... how it sags there ...
             _hold_command(p, rig, s, load, command[row], seconds, self.dt)  # ... and what the valves make of it
         self._ready[lanes] = True
@@ -187,12 +192,16 @@ class Stepper:
 
     def _straight(self, joints: Array, thetas: Array) -> Array:
         """Joints before they sag, from those that the sensors read, (rows, axes)."""
-        places = [i * AXIS_WIDTH + AT.joint_compliance_drive for i in range(self.axes)]
-        if not self.model.posed or not thetas[:, places].any():
+        at = np.arange(self.axes) * AXIS_WIDTH
+        compliance, offset = thetas[:, at + AT.joint_compliance_drive], thetas[:, at + AT.joint_offset]
+        if not self.model.posed or not compliance.any():
             return joints
-        load = np.empty(joints.shape)
-        loads(self.model.theta, self.model.rig.links, self.model.rig.base, joints, load)
-        return joints + thetas[:, places] * np.nan_to_num(load)
+        rig, load = self.model.rig, np.zeros(joints.shape)
+        for _ in range(_SAG_ROUNDS):
+            straight = joints + compliance * np.nan_to_num(load)
+            for row, theta in enumerate(thetas):
+                loads(theta, rig.links, rig.base, straight[row : row + 1] + offset[row], load[row : row + 1])
+        return joints + compliance * np.nan_to_num(load)
 
     def _state(self) -> LaneState:
         out = self._out

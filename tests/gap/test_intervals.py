@@ -11,10 +11,10 @@ from plant_data import arm, dataset_of, nominal
 from sysid.gap.candidates import candidates_at
 from sysid.gap.fit import Data, Fit, fit_candidates
 from sysid.gap.floor import problem_floor, run_floor, with_noise
-from sysid.gap.intervals import intervals
+from sysid.gap.intervals import covariance_of, intervals
 from sysid.gap.localise import run_rmse
 from sysid.gap.noise import noise_levels
-from sysid.gap.problem import Problem, problems_of, split_of
+from sysid.gap.problem import Problem, drive_problem, problems_of, split_of
 from sysid.machine import KnownEffect
 from sysid.plant import compile_plant, free_run
 
@@ -29,7 +29,7 @@ def fitted(seed: int) -> tuple[Fit, np.ndarray]:
     (candidate,) = (c for c in candidates_at(plant, model.theta, "command", ("slew",)) if c.effect.name == TRUTH.name)
     data = Data(problem, split.fit, np.array([1e-3]))
     fit = fit_candidates(data, model.theta, [candidate], [np.array([0.1, 0.1])])
-    return fit, intervals(data, model.theta, fit)
+    return fit, intervals(fit, *covariance_of(data, model.theta, fit))
 
 
 def test_intervals_cover_the_truth() -> None:
@@ -47,7 +47,10 @@ def test_intervals_cover_the_truth() -> None:
 
 def test_no_unknowns_no_intervals() -> None:
     nothing = Fit((), (), np.empty(0), nominal().vector(), (), 0.0, True)
-    assert intervals(None, nominal().vector(), nothing).shape == (0, 2)  # type: ignore[arg-type]
+    data = Data(drive_problem(compile_plant(nominal()), arm().axis("slew")), (), np.array([1e-3]))
+    covariance, count = covariance_of(data, nominal().vector(), nothing)
+    assert covariance.shape == (0, 0)
+    assert intervals(nothing, covariance, count).shape == (0, 2)
 
 
 def test_noise_is_estimated_where_the_data_sheet_is_silent() -> None:

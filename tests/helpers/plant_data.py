@@ -87,6 +87,19 @@ def arm() -> Machine:
     return machine_from_files({"machine.toml": _ARM, "arm.urdf": URDF}, "arm")
 
 
+#: Masses of the links [kg] and how far along them their centres lie [m].
+MASSES = {"column": (6.0, "0 0 0.1"), "boom": (4.0, "0.3 0 0.02"), "hand": (1.5, "0.1 0 0"), "grip": (2.5, "0 0 -0.05")}
+
+
+def loaded_arm() -> Machine:
+    """The arm with masses."""
+    urdf = URDF
+    for link, (mass, centre) in MASSES.items():
+        inertial = f'<inertial><origin xyz="{centre}"/><mass value="{mass}"/></inertial>'
+        urdf = urdf.replace(f'<link name="{link}"/>', f'<link name="{link}">{inertial}</link>')
+    return machine_from_files({"machine.toml": _ARM, "arm.urdf": urdf}, "arm")
+
+
 def slide() -> Machine:
     """One axis moved by force."""
     return machine_from_files({"machine.toml": _SLIDE}, "slide")

@@ -8,12 +8,13 @@ import numpy as np
 import numpy.typing as npt
 import pandas as pd
 import pytest
+from plant_data import arm, arm_inputs, loaded_arm, measured
 
 from sysid.datasets.recording import Recording
 from sysid.effects import BY_NAME, CATALOGUE, Effect
 from sysid.errors import SettingsError
-from sysid.machine import KnownEffect, machine_from_files
-from sysid.plant import Plant, free_run, nominal_plant
+from sysid.machine import KnownEffect, Machine, machine_from_files
+from sysid.plant import Plant, compile_plant, free_run, nominal_plant
 from sysid.plant.stepper import LaneState, Stepper, held_commands, step_commands
 from sysid.signals import axis_signal, point_signals
 from sysid.testing import places_of
@@ -46,6 +47,13 @@ def recording() -> Recording:
 
 
 def columns(plant: Plant, states: list[LaneState], lane: int) -> dict[str, Array]:
+    """Signals by name as the sensors of the plant read them: a state itself is the truth."""
+    model = compile_plant(plant)
+    found = true_columns(plant, states, lane)
+    return {name: model.sensed(model.theta[None], name, values[None], 1.0 / RATE_HZ)[0] for name, values in found.items()}
+
+
+def true_columns(plant: Plant, states: list[LaneState], lane: int) -> dict[str, Array]:
     found: dict[str, Array] = {}
     for i, axis in enumerate(plant.machine.axes):
         found[axis.driven] = np.array([state.drive[lane, i] for state in states])
@@ -56,23 +64,149 @@ def columns(plant: Plant, states: list[LaneState], lane: int) -> dict[str, Array
     return found
 
 
-def replay(plant: Plant, source: Recording, run: pd.DataFrame, lanes: int) -> list[LaneState]:
+def replay(plant: Plant, source: Recording, lanes: int, row: int = 0) -> list[LaneState]:
     stepper = Stepper(plant, source.rate_hz, lanes)
-    states = [stepper.begin(source, run, 0)]
-    commands = step_commands(plant.machine, held_commands(plant.machine, source))
+    states = [stepper.begin(source, row)]
+    commands = step_commands(plant.machine, held_commands(plant.machine, source)[row:])
     return [*states, *(stepper.step(command) for command in commands)]
+
+
+def assert_same(plant: Plant, states: list[LaneState], lane: int, run: pd.DataFrame) -> None:
+    """Free run and stepped lane agree in every signal, to rounding."""
+    stepped = columns(plant, states, lane)
+    moved = [str(name) for name in run.columns if name != "time"]
+    assert {*(a.driven for a in plant.machine.axes), "boom.joint", "ee.x", "tool.z"} <= set(moved)
+    for name in moved:
+        np.testing.assert_allclose(stepped[name], run[name], rtol=0.0, atol=1e-11, err_msg=name)
+
+
+def probe_plant(*effects: KnownEffect) -> Plant:
+    plant = nominal_plant(probe_machine(), streams={"capture": ("boom.joint", *point_signals("tool"))})
+    for effect in (SWAY, *effects):
+        plant = plant.with_effect(effect)
+    return plant
 
 
 @pytest.mark.parametrize("item", [item for _, item in PLACED], ids=[name for name, _ in PLACED])
 def test_equals_the_free_run(item: KnownEffect) -> None:
-    plant = nominal_plant(probe_machine()).with_effect(SWAY).with_effect(item)
-    source = recording()
+    plant, source = probe_plant(item), recording()
+    assert_same(plant, replay(plant, source, 3), 2, free_run(plant, source))
+
+
+#: Every effect that a machine may have at once, small enough that all of them act.
+ALL = {
+    "input_delay": {"delay": 0.034},
+    "valve_hysteresis": {"width": 0.03},
+    "valve_deadband": {"positive": 0.06, "negative": 0.04},
+    "gain_curve": {"exponent": 1.2},
+    "flow_saturation": {"limit": 0.8},
+    "command_rate_limit": {"rate": 6.0},
+    "first_order_lag": {"time_constant": 0.05},
+    "gain_error": {"ratio": 1.2},
+    "asymmetric_gain": {"ratio": 0.8},
+    "temperature_drift": {"fraction": 0.3, "time_constant": 5.0},
+    "load_dependent_flow": {"coefficient": 0.02},
+    "internal_leakage": {"rate": 4e-4},
+    "stiction": {"breakaway": 0.05, "release": 0.03},
+    "oil_compressibility": {"frequency": 6.0, "damping_ratio": 0.1},
+    "coulomb_friction": {"force": 0.4},
+    "viscous_friction": {"positive": 1.0, "negative": 1.5},
+    "stribeck_friction": {"static_force": 0.5, "coulomb_force": 0.2, "stribeck_velocity": 0.02},
+    "inertia_error": {"ratio": 1.2},
+    "load_bias": {"force": -0.2},
+    "backlash": {"width": 0.01},
+    "joint_compliance": {"compliance": 1e-3},
+    "joint_offset": {"offset": 0.02},
+    "link_length_error": {"error": 0.01},
+    "base_misalignment": {"translation": [0.1, 0.0, -0.1], "rotation": [0.02, 0.0, 0.1]},
+    "gripper_sway": {"length": 0.25, "damping_ratio": 0.05},
+    "pump_flow_limit": {"limit": 0.9},
+    "sensor_scale": {"scale": 1.01},
+    "sensor_bias": {"bias": 0.005},
+    "sensor_quantisation": {"step": 0.001},
+    "clock_skew": {"skew": 300.0},
+    "clock_offset": {"offset": -0.013},
+}
+
+
+def everything(plant: Plant) -> Plant:
+    """All effects of the catalogue at all axes, on both sides, and at the sensors of a joint and of the tool."""
+    machine = plant.machine
+    for effect in CATALOGUE:
+        targets = {"axis": machine.axis_names, "signal": ("boom.joint", "tool.x"), "stream": tuple(plant.streams)}
+        for target in targets.get(effect.target, (effect.target,)):
+            if effect.target == "axis" and machine.axis(target).actuation not in effect.actuations:
+                continue
+            for side in effect.sides or (None,):
+                plant = plant.with_effect(KnownEffect(effect.name, target, ALL[effect.name], side))  # type: ignore[arg-type]
+    return plant
+
+
+MACHINES = {"probe": probe_machine(), "arm": arm(), "loaded": loaded_arm()}
+
+
+@pytest.mark.parametrize("name", MACHINES)
+def test_equals_the_free_run_with_everything_at_once(name: str) -> None:
+    plant = everything(nominal_plant(MACHINES[name], streams={"capture": ("boom.joint", *point_signals("tool"))}))
+    source = recording() if name == "probe" else measured(plant, arm_inputs("run", 6.0, 2), 0)
     run = free_run(plant, source)
-    stepped = columns(plant, replay(plant, source, run, 3), 2)
-    moved = [name for name in run.columns if name != "time"]
-    assert {"slew.joint", "boom.cylinder", "boom.joint", "slide.joint", "wrist.joint", "ee.x", "tool.z"} <= set(moved)
-    for name in moved:
-        np.testing.assert_allclose(stepped[name], run[name], rtol=0.0, atol=1e-11, err_msg=name)
+    assert_same(plant, replay(plant, source, 2), 1, run)
+    moved = [axis.driven for axis in plant.machine.axes]
+    assert all(run[signal].std() > 1e-3 for signal in moved), "the comparison is of motion"
+
+
+def test_all_effects_are_on_when_everything_is() -> None:
+    assert set(ALL) == set(BY_NAME)
+    on = {effect.name for machine in (probe_machine(), arm()) for effect in everything_of(machine).effects}
+    assert on == set(BY_NAME)
+
+
+def everything_of(machine: Machine) -> Plant:
+    return everything(nominal_plant(machine, streams={"capture": ("boom.joint", *point_signals("tool"))}))
+
+
+@pytest.mark.parametrize("name", MACHINES)
+def test_begins_where_the_free_run_restarts(name: str) -> None:
+    """After a gap in all commands: warm as the free run is by then, and in its place."""
+    plant = everything_of(MACHINES[name])
+    source = recording() if name == "probe" else measured(plant, arm_inputs("run", 6.0, 3), 0)
+    gap = {axis_signal(a.name, "command"): source.values(axis_signal(a.name, "command")).copy() for a in plant.machine.axes}
+    for values in gap.values():
+        values[250:330] = np.nan
+    source = replace(source, table=source.table.assign(**gap))
+    # A clock reads NaN at the end of what is known, which differs between a whole run and a part of it.
+    plant = plant.without_effect("clock_offset", "capture").without_effect("clock_skew", "capture")
+    run = free_run(plant, source).iloc[330:].reset_index(drop=True)
+    assert_same(plant, replay(plant, source, 2, 330), 1, run)
+
+
+def test_lanes_of_different_plants_share_neither_pump_nor_load() -> None:
+    """Each lane is what it is alone: strong and weak pumps, stiff and soft joints, loads that slow the boom or do not."""
+    plants = [
+        probe_plant(
+            KnownEffect("pump_flow_limit", "machine", {"limit": limit}),
+            KnownEffect("load_dependent_flow", "boom", {"coefficient": coefficient}),
+            KnownEffect("joint_compliance", "boom", {"compliance": compliance}, "structure"),
+            KnownEffect("oil_compressibility", "slew", {"frequency": 5.0 + limit, "damping_ratio": 0.1}),
+        )
+        for limit in (0.5, 1.0, 100.0)
+        for coefficient in (0.0, 0.05)
+        for compliance in (0.0, 2e-3)
+    ]
+    together = Stepper(plants[0], RATE_HZ, len(plants), np.array([p.vector() for p in plants]))
+    alone = [Stepper(p, RATE_HZ) for p in plants]
+    together.reset(REST)
+    for stepper in alone:
+        stepper.reset(REST)
+    for k in range(60):
+        command = [np.sin(0.1 * k), np.cos(0.07 * k), 0.5, 0.3]
+        state = together.step(command)
+        for lane, stepper in enumerate(alone):
+            single = stepper.step(command)
+            for name in ("drive", "joints", "structure", "ee", "tool"):
+                np.testing.assert_array_equal(getattr(state, name)[lane], getattr(single, name)[0], err_msg=name)
+    assert len(np.unique(state.drive[:, 1])) == 9, "a compliance moves no cylinder, unless its speed depends on the load"
+    assert len(np.unique(state.ee[:, 2])) == 12
 
 
 def test_lanes_of_different_plants_and_starts_know_nothing_of_each_other() -> None:
