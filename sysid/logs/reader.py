@@ -22,6 +22,7 @@ class ReadOptions:
         time_unit: unit of that column.
         length_unit: unit of positions where the file does not state one (Motive).
         rotation: order of Euler angles where the file does not state it (Motive), e.g. ``XYZ``.
+        dbc: database that says which signals CAN frames carry.
     """
 
     streams: frozenset[str] | None = None
@@ -31,6 +32,7 @@ class ReadOptions:
     time_unit: str = "s"
     length_unit: str | None = None
     rotation: str | None = None
+    dbc: Path | None = None
 
 
 class LogReader(Protocol):

@@ -6,9 +6,12 @@ import re
 from pathlib import Path
 
 from sysid.errors import InputError, SettingsError, nearest
+from sysid.logs.c3d import C3dReader
+from sysid.logs.can import CanReader
 from sysid.logs.csv import CsvReader
 from sysid.logs.mat import MatReader
 from sysid.logs.mcap import McapReader
+from sysid.logs.mf4 import Mf4Reader
 from sysid.logs.motive import MotiveReader
 from sysid.logs.parquet import ParquetReader
 from sysid.logs.qualisys import QualisysReader
@@ -23,9 +26,12 @@ READERS: tuple[LogReader, ...] = (
     Rosbag2Reader(),
     CsvReader(),
     MotiveReader(),
+    C3dReader(),
     TrcReader(),
     ViconReader(),
     QualisysReader(),
+    CanReader(),
+    Mf4Reader(),
     ParquetReader(),
     MatReader(),
 )

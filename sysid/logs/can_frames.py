@@ -1,0 +1,227 @@
+"""CAN log files → frames, grouped by bus and identifier.
+
+Formats: Vector BLF and ASC, PEAK TRC, SocketCAN candump; python-can reads them.
+"""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from sysid.errors import InputError
+from sysid.logs.limits import MAX_CHUNK, check_whole, too_large
+from sysid.logs.table import to_ns
+
+if TYPE_CHECKING:
+    from can import Message
+
+#: Bus, identifier, whether it has 29 bits.
+Address = tuple[str, int, bool]
+#: Headers of a BLF object (signature, header size and version, size, type) and of a container (method, unpacked size).
+_OBJECT, _CONTAINER = struct.Struct("<4sHHLL"), struct.Struct("<H6xL4x")
+_CONTAINER_TYPE, _ZLIB = 10, 2
+_LARGEST_STANDARD = 0x7FF
+#: No frame of a BLF file is smaller than its object header.
+_SMALLEST = 32
+
+
+@dataclass(frozen=True)
+class Frames:
+    """The data frames of one identifier on one bus.
+
+    Args:
+        stamps: when each was logged, int64 nanoseconds (n,).
+        data: payload, padded with zeros to the longest, (n, width) uint8.
+        lengths: bytes of each payload (n,).
+    """
+
+    stamps: npt.NDArray[np.int64]
+    data: npt.NDArray[np.uint8]
+    lengths: npt.NDArray[np.int64]
+
+
+@dataclass
+class FrameLog:
+    """What a file held: data frames by address; how many frames of another kind; what went wrong, in words."""
+
+    frames: dict[Address, Frames] = field(default_factory=dict)
+    errors: int = 0
+    remotes: int = 0
+    losses: list[str] = field(default_factory=list)
+
+
+@dataclass
+class _Collected:
+    seconds: list[float] = field(default_factory=list)
+    payloads: list[bytes] = field(default_factory=list)
+
+    def frames(self, start_ns: int, where: str) -> Frames:
+        lengths = np.fromiter(map(len, self.payloads), np.int64, len(self.payloads))
+        width = int(lengths.max(initial=0))
+        data = np.frombuffer(b"".join(payload.ljust(width, b"\0") for payload in self.payloads), np.uint8)
+        stamps = to_ns(np.array(self.seconds), 1.0, where) + start_ns
+        return Frames(stamps, data.reshape(len(self.payloads), width), lengths)
+
+
+def read_frames(path: Path) -> FrameLog:
+    """All data frames of a BLF, ASC, TRC (PEAK) or candump file. A damaged file gives what comes before the damage.
+
+    Raises:
+        InputError: not such a file, or nothing in it can be read.
+    """
+    suffix = path.suffix.lower()
+    if suffix not in _OPENERS:
+        raise InputError(path, f"suffix {path.suffix!r}", f"a CAN log with one of {', '.join(sorted(_OPENERS))}")
+    check_whole(path, "a CAN log")
+    return _OPENERS[suffix](path)
+
+
+def _read_blf(path: Path) -> FrameLog:
+    from can import BLFReader
+
+    limit = _unpacked_size(path) // _SMALLEST
+    with _opened(path, BLFReader) as reader:
+        # Stamps count from the start of the measurement: added as an integer, they keep their nanoseconds.
+        start_ns = round(reader.start_timestamp * 1e3) * 1_000_000
+        reader.start_timestamp = 0.0
+        return _collect(path, reader, start_ns, limit)
+
+
+def _read_asc(path: Path) -> FrameLog:
+    from can import ASCReader
+
+    with path.open(encoding="utf-8", errors="replace") as file:
+        for _, line in zip(range(20), file, strict=False):
+            words = line.lower().split()
+            if words[:1] == ["base"] and words[-1] == "relative":
+                raise InputError(
+                    path, "stamps relative to the event before", "absolute stamps", "Save the log again: `timestamps absolute`."
+                )
+    # The file's date has no time zone, so stamps are counted from the start of the measurement.
+    with _opened(path, ASCReader, encoding="utf-8", errors="replace") as reader:
+        log = _collect(path, reader)
+        if not log.frames and not log.errors and not log.remotes and reader.date is None:
+            raise InputError(path, "neither a date line nor a frame", "a Vector ASC log")
+        return log
+
+
+def _read_trc(path: Path) -> FrameLog:
+    from can import TRCReader
+
+    with path.open("rb") as file:
+        head = file.read(64).lstrip()
+    if not head.startswith(b";"):
+        raise InputError(path, f"starts with {head[:16].decode('latin-1')!r}", "';' as in a PEAK trace", "Is it a marker file?")
+    with _opened(path, TRCReader, encoding="utf-8", errors="replace") as reader:
+        return _collect(path, reader)
+
+
+def _read_candump(path: Path) -> FrameLog:
+    from can import CanutilsLogReader
+
+    with _opened(path, CanutilsLogReader, encoding="utf-8", errors="replace") as reader:
+        return _collect(path, reader)
+
+
+_OPENERS: dict[str, Callable[[Path], FrameLog]] = {
+    ".blf": _read_blf,
+    ".asc": _read_asc,
+    ".trc": _read_trc,
+    ".log": _read_candump,
+}
+
+
+def _opened(path: Path, reader: Callable[..., Any], **text: str) -> Any:
+    """``reader`` on the opened file; it closes the file when it is left."""
+    file = path.open("r" if text else "rb", **text)  # type: ignore[call-overload]
+    try:
+        return reader(file)
+    except Exception as error:  # the library raises many unrelated types, one even a bare Exception
+        file.close()
+        raise InputError(path, _words(error), f"a {path.suffix[1:].upper()} log") from None
+
+
+def _collect(path: Path, messages: Iterable[Message], start_ns: int = 0, limit: int | None = None) -> FrameLog:
+    """Group ``messages``; more than ``limit`` of them cannot be in a file of that size."""
+    groups: dict[Address, _Collected] = {}
+    log = FrameLog()
+    count = 0
+    iterator = iter(messages)
+    while True:
+        try:
+            message = next(iterator, None)
+        except Exception as error:
+            if not count:
+                raise InputError(path, _words(error), f"a {path.suffix[1:].upper()} log") from None
+            log.losses.append(f"{path.name}: unreadable after {count} frames ({_words(error)})")
+            break
+        if message is None:
+            break
+        count += 1
+        if limit is not None and count > limit:
+            raise InputError(path, f"more than {limit} frames", "no more than fit into the file", "The file is damaged.")
+        if message.is_error_frame:
+            log.errors += 1
+        elif message.is_remote_frame:
+            log.remotes += 1
+        else:
+            identifier = message.arbitration_id
+            address = (str(message.channel), identifier, message.is_extended_id or identifier > _LARGEST_STANDARD)
+            group = groups.get(address)
+            if group is None:
+                group = groups[address] = _Collected()
+            group.seconds.append(message.timestamp)
+            group.payloads.append(bytes(message.data))
+    log.frames = {address: group.frames(start_ns, str(path)) for address, group in groups.items()}
+    return log
+
+
+def _words(error: Exception) -> str:
+    return f"{type(error).__name__}: {error}" if str(error) else type(error).__name__
+
+
+def _unpacked_size(path: Path) -> int:
+    """Bytes of all containers of a BLF file once unpacked.
+
+    Raises:
+        InputError: no BLF file, or a container that unpacks to more than a log may.
+    """
+    total = 0
+    with path.open("rb") as file:
+        head = file.read(8)
+        if head[:4] != b"LOGG" or len(head) < 8:
+            raise InputError(path, f"starts with {head[:4].hex() or 'nothing'}", "the magic bytes 'LOGG' of a BLF log")
+        file.seek(int.from_bytes(head[4:8], "little"))
+        while len(base := file.read(_OBJECT.size)) == _OBJECT.size:
+            signature, _, _, size, kind = _OBJECT.unpack(base)
+            body = file.read(max(size - _OBJECT.size, 0))
+            file.read(size % 4)
+            if signature != b"LOBJ" or kind != _CONTAINER_TYPE or len(body) < _CONTAINER.size:
+                continue
+            method, _ = _CONTAINER.unpack_from(body)
+            packed = body[_CONTAINER.size :]
+            unpacked = len(packed) if method != _ZLIB else _inflated(packed)
+            reason = too_large(len(packed), unpacked)
+            if reason:
+                raise InputError(path, f"a container that {reason}", "a log", "The file is damaged or made to do harm.")
+            total += unpacked
+    return total
+
+
+def _inflated(packed: bytes) -> int:
+    """How many bytes ``packed`` unpacks to, counted piece by piece and not beyond what is allowed."""
+    unpacker, total, left = zlib.decompressobj(), 0, packed
+    try:
+        while left and total <= MAX_CHUNK:
+            total += len(unpacker.decompress(left, 2**20))
+            left = unpacker.unconsumed_tail
+    except zlib.error:
+        return total  # what cannot be unpacked is reported where the frames are read
+    return total

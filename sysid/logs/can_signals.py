@@ -1,0 +1,137 @@
+"""CAN payloads → signals, all frames of a message at once, as its database (DBC) describes them.
+
+A signal is a run of bits: ``value = scale · raw + offset``. Little endian (Intel) counts bits upwards from the least
+significant one, big endian (Motorola) downwards from the most significant one, byte after byte. Signals of up to 64 bits are
+cut out by NumPy; a message with a longer one is decoded frame by frame by cantools.
+Source: Vector, "DBC File Format Documentation"; cantools decodes the same frames in the tests.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+import numpy.typing as npt
+
+from sysid.errors import InputError
+from sysid.logs.can_frames import Frames
+from sysid.logs.limits import check_whole
+
+if TYPE_CHECKING:
+    from cantools.database.can import Database, Message, Signal
+
+Array = npt.NDArray[np.float64]
+_FLOATS: dict[int, tuple[type[np.unsignedinteger], type[np.floating]]] = {
+    16: (np.uint16, np.float16),
+    32: (np.uint32, np.float32),
+    64: (np.uint64, np.float64),
+}  # fmt: skip
+
+
+def load_database(path: Path) -> Database:
+    """Read a DBC file.
+
+    Raises:
+        InputError: missing, empty, no DBC file, or one that contradicts itself.
+    """
+    import cantools
+    from cantools.database.can import Database
+    from cantools.database.errors import Error
+
+    check_whole(path, "a CAN database (DBC)", limit=64 * 2**20)
+    try:
+        database = cantools.database.load_file(path, database_format="dbc", encoding="cp1252", strict=False)
+    except (Error, ValueError, KeyError, IndexError, TypeError, AttributeError) as error:
+        raise InputError(
+            path, f"not readable as a CAN database ({error})", "a DBC file", "Export the database again."
+        ) from None
+    assert isinstance(database, Database)
+    if not database.messages:
+        raise InputError(path, "no messages", "at least one message (BO_) with signals (SG_)", "Is it a DBC file?")
+    return database
+
+
+def decode(message: Message, frames: Frames) -> dict[str, Array]:
+    """Signal → values (n,); NaN in frames too short for it, or in which the multiplexer selects another."""
+    if message.is_container or any(not _is_plain(signal) for signal in message.signals):
+        return _decode_each(message, frames)
+    raws = {signal.name: _raw(signal, frames) for signal in message.signals}
+    return {
+        signal.name: np.where(_present(signal, message, frames, raws), _scaled(signal, raws[signal.name]), np.nan)
+        for signal in message.signals
+    }
+
+
+def _is_plain(signal: Signal) -> bool:
+    return signal.length in _FLOATS if signal.conversion.is_float else 1 <= signal.length <= 64
+
+
+def _span(signal: Signal) -> tuple[int, int, int]:
+    """First and last byte of a signal, and how far its least significant bit lies above the bottom of its byte."""
+    if signal.byte_order == "little_endian":
+        last = signal.start + signal.length - 1
+        return signal.start // 8, last // 8, signal.start % 8
+    first = 8 * (signal.start // 8) + 7 - signal.start % 8
+    last = first + signal.length - 1
+    return first // 8, last // 8, 7 - last % 8
+
+
+def _raw(signal: Signal, frames: Frames) -> npt.NDArray[np.uint64]:
+    """The bits of a signal as unsigned integers (n,); 0 where the payload is too short."""
+    first, last, shift = _span(signal)
+    data = frames.data
+    if last >= data.shape[1]:
+        return np.zeros(len(data), np.uint64)
+    own = data[:, first : last + 1].astype(np.uint64)
+    if signal.byte_order == "big_endian":
+        own = own[:, ::-1]
+    raw = np.zeros(len(data), np.uint64)
+    for place in range(min(own.shape[1], 8)):
+        raw |= own[:, place] << np.uint64(8 * place)
+    raw >>= np.uint64(shift)
+    if own.shape[1] == 9:
+        raw |= own[:, 8] << np.uint64(64 - shift)
+    return raw & np.uint64((1 << signal.length) - 1)
+
+
+def _scaled(signal: Signal, raw: npt.NDArray[np.uint64]) -> Array:
+    conversion = signal.conversion
+    if conversion.is_float:
+        unsigned, floating = _FLOATS[signal.length]
+        values = raw.astype(unsigned).view(floating).astype(np.float64)
+    elif signal.is_signed:
+        unused = 64 - signal.length
+        values = ((raw << np.uint64(unused)).view(np.int64) >> np.int64(unused)).astype(np.float64)
+    else:
+        values = raw.astype(np.float64)
+    return np.asarray(values * float(conversion.scale) + float(conversion.offset))
+
+
+def _present(
+    signal: Signal, message: Message, frames: Frames, raws: dict[str, npt.NDArray[np.uint64]]
+) -> npt.NDArray[np.bool_]:
+    """In which frames the payload holds ``signal``."""
+    there = np.asarray(frames.lengths > _span(signal)[1])
+    if signal.multiplexer_ids and signal.multiplexer_signal is not None:
+        switch = message.get_signal_by_name(signal.multiplexer_signal)
+        selected = np.isin(raws[switch.name], np.array(signal.multiplexer_ids, np.uint64))
+        there = there & selected & _present(switch, message, frames, raws)
+    return there
+
+
+def _decode_each(message: Message, frames: Frames) -> dict[str, Array]:
+    """The same frame by frame, by cantools."""
+    from bitstruct import Error as BitsError
+    from cantools.database.errors import DecodeError
+
+    columns = {signal.name: np.full(len(frames.data), np.nan) for signal in message.signals}
+    for row, (payload, length) in enumerate(zip(frames.data, frames.lengths, strict=True)):
+        try:
+            decoded = message.decode(payload[:length].tobytes(), decode_choices=False, allow_truncated=True)
+        except (DecodeError, BitsError):
+            continue  # a multiplexer value without signals
+        assert isinstance(decoded, dict)
+        for name, value in decoded.items():
+            columns[name][row] = float(value)  # type: ignore[arg-type]
+    return columns

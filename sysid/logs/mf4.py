@@ -1,0 +1,188 @@
+"""ASAM MDF 4 (``.mf4``): every channel group is a stream of its numeric channels; logged CAN frames are decoded like a CAN log.
+
+The library that reads the format is an extra (``pip install sysid[mf4]``): it brings compiled packages that nothing else needs.
+"""
+
+from __future__ import annotations
+
+import traceback
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, BinaryIO
+
+import numpy as np
+import numpy.typing as npt
+
+from sysid.errors import InputError, nearest
+from sysid.logs.can import frame_streams
+from sysid.logs.can_frames import Address, FrameLog, Frames
+from sysid.logs.limits import MAX_CELLS, check_whole
+from sysid.logs.reader import ReadOptions
+from sysid.logs.stream import Stream
+from sysid.logs.table import to_ns
+
+#: Channel of a group in which a bus was logged, and the parts of it that make a frame.
+_BUS = "CAN_DataFrame"
+_TIME = 1
+
+
+@dataclass(frozen=True)
+class Mf4Reader:
+    """Stamps are the time of the group's master channel, from the start of the measurement as the file states it."""
+
+    name: str = "mf4"
+    suffixes: tuple[str, ...] = (".mf4",)
+    clocks: tuple[str, ...] = ("log",)
+
+    def read(self, path: Path, options: ReadOptions) -> tuple[Stream, ...]:
+        check_whole(path, "an MDF 4 file")
+        with path.open("rb") as file:
+            head = file.read(8)
+            if head not in (b"MDF     ", b"UnFinMF "):
+                raise InputError(path, f"starts with {head!r}", "'MDF     ' as in an MDF file")
+            file.seek(0)
+            mdf = _open(path, file)
+            try:
+                return _streams(path, mdf, options)
+            except InputError:
+                raise
+            except Exception as error:  # as when it is opened
+                raise _unreadable(path, error) from None
+            finally:
+                mdf.close()
+
+
+def _open(path: Path, file: BinaryIO) -> Any:
+    try:
+        from asammdf import MDF
+    except ImportError:
+        raise InputError(
+            path, "asammdf is not installed", "the extra that reads MDF files", "pip install 'sysid[mf4]'"
+        ) from None
+    try:
+        return MDF(file)
+    except Exception as error:  # the library raises many unrelated types on a damaged file
+        _abandon(error)
+        raise _unreadable(path, error) from None
+
+
+def _abandon(error: Exception) -> None:
+    """Close what the library had begun to build: left to itself it fails once more, loudly, when it is collected."""
+    for frame, _ in traceback.walk_tb(error.__traceback__):
+        half_built = frame.f_locals.get("self")
+        if type(half_built).__name__ == "MDF4":
+            half_built._tempfile.close()
+            half_built._closed = True
+
+
+def _unreadable(path: Path, error: Exception) -> InputError:
+    return InputError(path, f"not readable as MDF 4 ({type(error).__name__}: {error})", "an MDF 4 file")
+
+
+def _streams(path: Path, mdf: Any, options: ReadOptions) -> tuple[Stream, ...]:
+    start_ns = int(mdf.header.abs_time)
+    names: dict[str, int] = {}
+    buses: list[int] = []
+    for index, group in enumerate(mdf.groups):
+        if not group.channel_group.cycles_nr:
+            continue
+        if any(channel.name == _BUS for channel in group.channels):
+            buses.append(index)
+            continue
+        title = group.channel_group.acq_name or f"group {index}"
+        names[f"{title} {index}" if title in names else title] = index
+    if not names and not buses:
+        raise InputError(path, "no channel group with samples", "at least one", "Record the measurement again.")
+    found: list[Stream] = []
+    if buses and (options.dbc is not None or not names):
+        found += frame_streams(path, _frames(path, mdf, buses, start_ns), options)
+        return tuple(found)
+    for wanted in sorted(options.streams or ()):
+        if wanted not in names:
+            raise InputError(path, f"no channel group {wanted!r}", nearest(wanted, names), "Correct `topic` in the recipe.")
+    chosen = {name: index for name, index in names.items() if options.streams is None or name in options.streams}
+    cells = sum(int(mdf.groups[i].channel_group.cycles_nr) * len(mdf.groups[i].channels) for i in chosen.values())
+    if cells > MAX_CELLS:
+        raise InputError(path, f"{cells} samples in the groups asked for", f"at most {MAX_CELLS}", "Name fewer in the recipe.")
+    streams = [_group_stream(path, mdf, name, index, start_ns) for name, index in chosen.items()]
+    return tuple(stream for stream in streams if stream is not None)
+
+
+def _group_stream(path: Path, mdf: Any, name: str, index: int, start_ns: int) -> Stream | None:
+    """The numeric channels of one group; None where it has none, or no time."""
+    group = mdf.groups[index]
+    master = mdf.masters_db.get(index)
+    if master is None or group.channels[master].sync_type != _TIME:
+        return None
+    columns: dict[str, npt.NDArray[np.float64]] = {}
+    units: dict[str, str] = {}
+    left_out = []
+    seconds: npt.NDArray[np.float64] | None = None
+    for place, channel in enumerate(group.channels):
+        if place == master:
+            continue
+        try:
+            values, times, unit = _samples(mdf, index, place)
+        except Exception as error:
+            left_out.append(f"{channel.name} ({type(error).__name__})")
+            continue
+        if seconds is None:
+            seconds = times
+        if values is None or len(values) != len(seconds):
+            left_out.append(channel.name)
+            continue
+        label = f"{channel.name}#{place}" if channel.name in columns else channel.name
+        columns[label] = values
+        if unit:
+            units[label] = unit
+    if seconds is None or not columns:
+        return None
+    losses = (f"{path.name}: {name}: no numbers in {', '.join(left_out[:5])}",) if left_out else ()
+    stamps = to_ns(seconds, 1.0, f"{path}: {name}") + start_ns
+    return Stream(name, path, {"log": stamps}, columns, units, losses)
+
+
+def _samples(mdf: Any, group: int, index: int) -> tuple[npt.NDArray[np.float64] | None, npt.NDArray[np.float64], str]:
+    """Values in the stated unit (raw ones where the file turns them into words), NaN where they are marked invalid."""
+    signal: Any = mdf.get(group=group, index=index, ignore_invalidation_bits=True)
+    if signal.samples.dtype.kind not in "fiub":
+        signal = mdf.get(group=group, index=index, raw=True, ignore_invalidation_bits=True)
+    times = np.asarray(signal.timestamps, dtype=np.float64)
+    if signal.samples.dtype.kind not in "fiub" or signal.samples.ndim != 1:
+        return None, times, ""
+    values = signal.samples.astype(np.float64)
+    if signal.invalidation_bits is not None:
+        values[np.asarray(signal.invalidation_bits, dtype=bool)] = np.nan
+    return values, times, str(signal.unit or "")
+
+
+def _frames(path: Path, mdf: Any, buses: list[int], start_ns: int) -> FrameLog:
+    """The logged data frames of all buses, grouped by bus and identifier."""
+    parts: dict[Address, list[Frames]] = {}
+    for index in buses:
+        logged: Any = mdf.get(_BUS, group=index, raw=False)
+        table = logged.samples
+        stamps = to_ns(np.asarray(logged.timestamps, np.float64), 1.0, f"{path}: group {index}") + start_ns
+        fields = table.dtype.names or ()
+
+        def part(name: str, table: Any = table, fields: Any = fields) -> npt.NDArray[Any]:
+            return np.asarray(table[f"{_BUS}.{name}"] if f"{_BUS}.{name}" in fields else np.zeros(len(table), np.int64))
+
+        identifiers = part("ID").astype(np.int64) & 0x1FFFFFFF
+        extended = (part("IDE").astype(np.int64) != 0) | (identifiers > 0x7FF)
+        busses, lengths, data = part("BusChannel").astype(np.int64), part("DataLength").astype(np.int64), part("DataBytes")
+        keys = np.column_stack([busses, identifiers, extended])
+        for key in np.unique(keys, axis=0):
+            own = (keys == key).all(axis=1)
+            width = int(lengths[own].max(initial=0))
+            address = (str(key[0]), int(key[1]), bool(key[2]))
+            parts.setdefault(address, []).append(Frames(stamps[own], data[own][:, :width].astype(np.uint8), lengths[own]))
+    return FrameLog({address: _joined(pieces) for address, pieces in parts.items()})
+
+
+def _joined(pieces: list[Frames]) -> Frames:
+    width = max(piece.data.shape[1] for piece in pieces)
+    data = np.vstack([np.pad(piece.data, ((0, 0), (0, width - piece.data.shape[1]))) for piece in pieces])
+    stamps = np.concatenate([piece.stamps for piece in pieces])
+    order = np.argsort(stamps, kind="stable")
+    return Frames(stamps[order], data[order], np.concatenate([piece.lengths for piece in pieces])[order])

@@ -1,0 +1,273 @@
+"""C3D: every storage a file may use gives the same numbers; real files of five systems; damage."""
+
+from __future__ import annotations
+
+import struct
+from pathlib import Path
+from typing import Any
+
+import ezc3d
+import numpy as np
+import numpy.typing as npt
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from sysid.errors import InputError
+from sysid.logs import ReadOptions, Stream, reader_for
+from sysid.logs.c3d_file import read_c3d
+
+Array = npt.NDArray[np.float64]
+REAL = ("BTS.c3d", "OptiTrack_walking.c3d", "Optotrak.c3d", "Qualisys.c3d", "Vicon.c3d")
+PROCESSORS = {"intel": (84, "<"), "dec": (85, "<"), "mips": (86, ">")}
+
+
+def read(path: Path, *streams: str, **options: Any) -> dict[str, Stream]:
+    chosen = ReadOptions(streams=frozenset(streams) or None, **options)
+    return {stream.name: stream for stream in reader_for(path).read(path, chosen)}
+
+
+class Writer:
+    """A C3D file put together by hand, in any byte order and storage."""
+
+    def __init__(self, processor: str = "intel", integers: bool = False) -> None:
+        self.number, self.order = PROCESSORS[processor]
+        self.dec, self.integers = processor == "dec", integers
+
+    def floats(self, values: Any) -> bytes:
+        data = np.asarray(values, np.float32)
+        if not self.dec:
+            return data.astype(f"{self.order}f4").tobytes()
+        return np.ascontiguousarray((data * 4.0).astype("<f4").view("<u2").reshape(-1, 2)[:, ::-1]).tobytes()
+
+    def words(self, *values: int) -> bytes:
+        return np.array(values).astype(f"{self.order}i2").tobytes()
+
+    def parameter(self, group: int, name: str, value: Any) -> bytes:
+        if isinstance(value, list):
+            width = max(map(len, value))
+            body = struct.pack("bBBB", -1, 2, width, len(value)) + "".join(text.ljust(width) for text in value).encode()
+        elif isinstance(value, float):
+            body = struct.pack("bB", 4, 0) + self.floats([value])
+        elif isinstance(value, tuple):
+            body = struct.pack("bBB", 2, 1, len(value)) + self.words(*value)
+        else:
+            body = struct.pack("bB", 2, 0) + self.words(value)
+        return struct.pack("bb", len(name), group) + name.encode() + self.words(len(body) + 3) + body + b"\0"
+
+    def file(
+        self,
+        points: Array,
+        analog: Array,
+        parameters: dict[str, Any] | None = None,
+        first: int = 1,
+        residuals: Array | None = None,
+    ) -> bytes:
+        """``points`` (n, p, 3) in units of 0.5 mm where stored as integers; ``analog`` (n, k, c) raw values."""
+        count, markers, _ = points.shape
+        samples, channels = analog.shape[1:]
+        scale = 0.5 if self.integers else -0.5
+        named: dict[str, Any] = {
+            "POINT:USED": markers, "POINT:SCALE": scale, "POINT:RATE": 50.0, "POINT:UNITS": ["mm"],
+            "POINT:LABELS": [f"body:Marker{i + 1}" for i in range(markers)], "ANALOG:USED": channels,
+        }  # fmt: skip
+        if channels:
+            named["ANALOG:LABELS"] = [f"V{i + 1}" for i in range(channels)]
+        named |= parameters or {}
+        groups = {group: i + 1 for i, group in enumerate(dict.fromkeys(name.split(":")[0] for name in named))}
+        section = b""
+        for group, number in groups.items():
+            section += struct.pack("bb", len(group), -number) + group.encode() + self.words(3) + b"\0"
+        for name, value in named.items():
+            if value is not None:
+                section += self.parameter(groups[name.split(":")[0]], name.split(":")[1], value)
+        blocks = -(-(len(section) + 6) // 512)
+        section = (bytes([1, 0x50, blocks, self.number]) + section).ljust(512 * blocks, b"\0")
+        header = bytes([2, 0x50]) + self.words(markers, channels * samples, first, first + count - 1, 0)
+        header += self.floats([scale]) + self.words(2 + blocks, samples) + self.floats([50.0])
+        fourth = np.zeros((count, markers)) if residuals is None else residuals
+        table = np.concatenate([points, fourth[:, :, None]], axis=2).reshape(count, -1)
+        table = np.concatenate([table, analog.reshape(count, -1)], axis=1)
+        body = b"".join(self.words(*map(int, row)) for row in table) if self.integers else self.floats(table.ravel())
+        return header.ljust(512, b"\0") + section + body
+
+
+def trial(count: int = 12, markers: int = 3, channels: int = 2, samples: int = 4) -> tuple[Array, Array]:
+    rng = np.random.default_rng(5)
+    points = rng.integers(1, 2000, (count, markers, 3)).astype(np.float64)
+    return points, rng.integers(-2000, 2000, (count, samples, channels)).astype(np.float64)
+
+
+@pytest.mark.parametrize("integers", [False, True])
+@pytest.mark.parametrize("processor", PROCESSORS)
+def test_every_storage_gives_the_same_numbers(processor: str, integers: bool, tmp_path: Path) -> None:
+    points, analog = trial()
+    path = tmp_path / "trial.c3d"
+    more = {"ANALOG:SCALE": (2, 3), "ANALOG:OFFSET": (10, -20), "ANALOG:GEN_SCALE": 0.25, "ANALOG:UNITS": ["V", "N"]}
+    residuals = np.zeros(points.shape[:2])
+    residuals[4, 1] = -1
+    path.write_bytes(Writer(processor, integers).file(points, analog, more, residuals=residuals))
+    streams = read(path)
+    assert list(streams) == ["body:Marker1", "body:Marker2", "body:Marker3", "analog"]
+    expected = points * (0.5 if integers else 1.0) * 1e-3
+    expected[4, 1] = np.nan
+    for index in range(3):
+        stream = streams[f"body:Marker{index + 1}"]
+        np.testing.assert_allclose(np.column_stack([stream.columns[a] for a in "xyz"]), expected[:, index], rtol=1e-12)
+        assert stream.units == {"x": "m", "y": "m", "z": "m"}
+    np.testing.assert_array_equal(np.diff(stream.stamps["capture"]), 20_000_000)
+    volts = streams["analog"]
+    assert volts.units == {"V1": "V", "V2": "N"}
+    raw = analog.reshape(-1, 2)
+    np.testing.assert_allclose(volts.columns["V1"], (raw[:, 0] - 10) * 2 * 0.25)
+    np.testing.assert_allclose(volts.columns["V2"], (raw[:, 1] + 20) * 3 * 0.25)
+    np.testing.assert_array_equal(np.diff(volts.stamps["capture"]), 5_000_000)
+
+
+def test_unsigned_analog_samples(tmp_path: Path) -> None:
+    points, analog = trial()
+    path = tmp_path / "trial.c3d"
+    analog[:] = -1.0  # 65535 as an unsigned word
+    unsigned = {"ANALOG:FORMAT": ["UNSIGNED"], "ANALOG:OFFSET": (-32768, -32768)}
+    path.write_bytes(Writer(integers=True).file(points, analog, unsigned))
+    np.testing.assert_array_equal(read(path)["analog"].columns["V1"], 65535.0 - 32768.0)
+
+
+@pytest.mark.parametrize("name", REAL)
+def test_real_files_hold_what_ezc3d_reads(name: str, shared_data: Path) -> None:
+    path = shared_data / "mocap_files" / name
+    ours, theirs = read_c3d(path), ezc3d.c3d(str(path))
+    np.testing.assert_array_equal(ours.points, theirs["data"]["points"][:3].transpose(2, 1, 0))
+    if ours.analog.size:
+        np.testing.assert_array_equal(ours.analog, theirs["data"]["analogs"][0].T)
+    assert ours.rate == theirs["parameters"]["POINT"]["RATE"]["value"][0]
+    assert ours.first == theirs["header"]["points"]["first_frame"]
+    assert list(ours.texts("POINT:LABELS")) == theirs["parameters"]["POINT"]["LABELS"]["value"]
+
+
+def test_real_files_as_streams(shared_data: Path) -> None:
+    folder = shared_data / "mocap_files"
+    shapes = {}
+    for name in REAL:
+        streams = read(folder / name)
+        markers = [stream for stream in streams.values() if stream.name != "analog"]
+        missing = float(np.mean([np.isnan(stream.columns["x"]) for stream in markers]))
+        shapes[name] = (len(markers), len(markers[0]), round(missing, 3), len(streams["analog"]) if "analog" in streams else 0)
+    assert shapes == {
+        "BTS.c3d": (22, 675, 0.516, 6750),
+        "OptiTrack_walking.c3d": (12, 3361, 0.074, 0),
+        "Optotrak.c3d": (54, 29, 0.038, 0),
+        "Qualisys.c3d": (55, 340, 0.0, 3400),
+        "Vicon.c3d": (51, 580, 0.01, 11600),
+    }
+    cut = read(folder / "Optotrak.c3d")["Marker_1"]
+    assert cut.losses == ("Optotrak.c3d: the file is cut off: 29 of 1149 frames are there",)
+    # A trial that was cropped keeps its time: frame 705 of 200 a second.
+    assert read(folder / "Qualisys.c3d", "L_IAS")["L_IAS"].stamps["capture"][0] == 3_520_000_000
+
+
+def test_more_than_65535_frames(tmp_path: Path) -> None:
+    points = np.ones((70_000, 1, 3))
+    path = tmp_path / "long.c3d"
+    actual = {"TRIAL:ACTUAL_START_FIELD": (1, 0), "TRIAL:ACTUAL_END_FIELD": (70_000 - 65_536, 1)}
+    data = bytearray(Writer().file(points, np.zeros((70_000, 0, 0)), actual))
+    data[8:10] = b"\xff\xff"  # the header's last frame runs over
+    path.write_bytes(data)
+    stream = read(path)["body:Marker1"]
+    assert (len(stream), stream.losses) == (70_000, ())
+
+
+def test_what_lies_exactly_in_the_origin_was_not_seen(tmp_path: Path) -> None:
+    points, analog = trial()
+    points[[2, 3], 1] = 0.0
+    path = tmp_path / "trial.c3d"
+    path.write_bytes(Writer().file(points, analog))
+    stream = read(path, "body:Marker2")["body:Marker2"]
+    np.testing.assert_array_equal(np.flatnonzero(np.isnan(stream.columns["x"])), [2, 3])
+    assert stream.losses == ("trial.c3d: 2 points lie exactly in the origin: taken as not seen",)
+
+
+def test_angles_of_a_model_are_no_lengths(tmp_path: Path) -> None:
+    points, analog = trial()
+    path = tmp_path / "trial.c3d"
+    path.write_bytes(Writer().file(points, analog, {"POINT:ANGLES": ["body:Marker2"], "POINT:ANGLE_UNITS": ["deg"]}))
+    streams = read(path)
+    assert streams["body:Marker2"].units["x"] == "deg"
+    np.testing.assert_allclose(streams["body:Marker2"].columns["x"], points[:, 1, 0])
+    np.testing.assert_allclose(streams["body:Marker1"].columns["x"], 1e-3 * points[:, 0, 0])
+
+
+def test_a_file_without_a_unit_needs_the_recipe_to_state_one(tmp_path: Path) -> None:
+    points, analog = trial()
+    path = tmp_path / "trial.c3d"
+    path.write_bytes(Writer().file(points, analog, {"POINT:UNITS": None}))
+    with pytest.raises(InputError, match=r'no unit of length \(POINT:UNITS\); expected one\. .*`length_unit = "mm"`'):
+        read(path)
+    stream = read(path, length_unit="cm")["body:Marker1"]
+    np.testing.assert_allclose(stream.columns["y"], 1e-2 * points[:, 0, 1])
+
+
+def test_a_unit_that_contradicts_the_recipe_is_refused(tmp_path: Path) -> None:
+    points, analog = trial()
+    path = tmp_path / "trial.c3d"
+    path.write_bytes(Writer().file(points, analog))
+    with pytest.raises(InputError, match=r"the file states \[mm\]; expected \[m\] as the recipe says"):
+        read(path, length_unit="m")
+
+
+def test_labels_that_are_missing_or_double(tmp_path: Path) -> None:
+    points, analog = trial(markers=4)
+    path = tmp_path / "trial.c3d"
+    path.write_bytes(Writer().file(points, analog, {"POINT:LABELS": ["tip", "tip", ""]}))
+    assert list(read(path))[:4] == ["tip", "tip#2", "point 3", "point 4"]
+    with pytest.raises(InputError, match=r"no point 'top'; expected 'tip'\?"):
+        read(path, "top")
+
+
+def test_a_cut_off_file_gives_what_is_left_of_it(tmp_path: Path) -> None:
+    points, analog = trial()
+    path = tmp_path / "trial.c3d"
+    path.write_bytes(Writer().file(points, analog)[: -(3 * (4 * 3 + 8) * 4) + 5])
+    stream = read(path)["body:Marker3"]
+    np.testing.assert_allclose(stream.columns["z"], 1e-3 * points[:9, 2, 2])
+    assert stream.losses == ("trial.c3d: the file is cut off: 9 of 12 frames are there",)
+
+
+@pytest.mark.parametrize(
+    ("at", "value", "reason"),
+    [
+        (1, 0x51, "second byte 51; expected 50"),
+        (0, 200, r"parameters in block 200; expected one of the \d+ blocks"),
+        (515, 90, r"processor type 90; expected 84 \(Intel\)"),
+        (2, 255, r"frames of \d+ bytes from block 3 on|POINT:USED"),
+        (4, 99, r"2 channels of 4 samples a frame but 99 in the header"),
+        (16, 250, r"frames of \d+ bytes from block 250 on; expected at least one"),
+    ],
+)
+def test_headers_that_do_not_fit_the_file(at: int, value: int, reason: str, tmp_path: Path) -> None:
+    points, analog = trial()
+    path = tmp_path / "bad.c3d"
+    parameters = {"POINT:USED": None} if at == 2 else None
+    data = bytearray(Writer().file(points, analog, parameters))
+    data[at] = value
+    path.write_bytes(data)
+    with pytest.raises(InputError, match=rf"bad\.c3d: {reason}"):
+        read(path)
+
+
+@settings(max_examples=150, deadline=2000)
+@given(data=st.data())
+def test_damage_is_reported_never_a_crash(data: st.DataObject, tmp_path_factory: pytest.TempPathFactory) -> None:
+    path = tmp_path_factory.getbasetemp() / "damaged.c3d"
+    content = bytearray(Writer(data.draw(st.sampled_from(list(PROCESSORS)))).file(*trial()))
+    for _ in range(data.draw(st.integers(1, 8))):
+        end = data.draw(st.sampled_from([24, 1024, len(content)]))
+        content[data.draw(st.integers(0, end - 1))] = data.draw(st.sampled_from([0, 1, 127, 128, 255]))
+    path.write_bytes(content[: data.draw(st.integers(1, len(content)))])
+    message, streams = "", {}
+    try:
+        streams = read(path)
+    except InputError as error:
+        message = str(error)
+    assert str(path) in message or streams
+    assert all(len(column) == len(stream) for stream in streams.values() for column in stream.columns.values())

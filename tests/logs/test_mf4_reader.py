@@ -1,0 +1,92 @@
+"""MDF 4: measured channels, logged CAN frames, damage."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import can
+import numpy as np
+import pytest
+
+from sysid.errors import InputError
+from sysid.logs import ReadOptions, Stream, reader_for
+from sysid.logs.can_frames import read_frames
+
+pytest.importorskip("asammdf", reason="the extra that reads MDF files is not installed")
+
+
+def read(path: Path, *streams: str) -> dict[str, Stream]:
+    options = ReadOptions(streams=frozenset(streams) or None)
+    return {stream.name: stream for stream in reader_for(path).read(path, options)}
+
+
+def test_channel_groups_of_a_measurement_become_streams(tmp_path: Path) -> None:
+    from asammdf import MDF, Signal
+
+    time = 0.01 * np.arange(50)
+    path = tmp_path / "run.mf4"
+    with MDF() as mdf:
+        length = Signal(np.arange(50) * 0.5, time, name="boom", unit="mm")
+        count = Signal(np.arange(50, dtype=np.uint8), time, name="count")
+        words = Signal(np.array([b"on"] * 50), time, name="mode", encoding="utf-8")
+        mdf.append([length, count, words], acq_name="wires")
+        mdf.append([Signal(np.ones(7), np.arange(7.0), name="level", unit="%")], acq_name="tank")
+        mdf.save(path)
+    streams = read(path)
+    assert set(streams) == {"wires", "tank"}
+    wires = streams["wires"]
+    np.testing.assert_array_equal(wires.columns["boom"], np.arange(50) * 0.5)
+    np.testing.assert_array_equal(wires.columns["count"], np.arange(50))
+    assert wires.units == {"boom": "mm"}
+    assert wires.losses == ("run.mf4: wires: no numbers in mode",)
+    np.testing.assert_array_equal(np.diff(wires.stamps["log"]), 10_000_000)
+    assert set(read(path, "tank")) == {"tank"}
+    with pytest.raises(InputError, match=r"no channel group 'tang'; expected 'tank'\?"):
+        read(path, "tang")
+
+
+def test_logged_frames_are_those_of_the_same_log_in_another_format(tmp_path: Path) -> None:
+    writers = [can.MF4Writer(tmp_path / "bus.mf4"), can.BLFWriter(tmp_path / "bus.blf")]
+    for writer in writers:
+        for i in range(30):
+            extended = i % 3 == 0
+            identifier = 0x18FF5027 if extended else 0x1A7
+            payload = bytes(range(i, i + (4 if extended else 8)))
+            writer.on_message_received(
+                can.Message(
+                    timestamp=1.7e9 + 0.01 * i, arbitration_id=identifier, is_extended_id=extended, data=payload, channel=0
+                )
+            )
+        writer.stop()
+    found = read(tmp_path / "bus.mf4")
+    assert set(found) == {"0x1A7", "0x18FF5027x"}
+    for (_, identifier, extended), frames in read_frames(tmp_path / "bus.blf").frames.items():
+        stream = found[f"0x{identifier:X}{'x' if extended else ''}"]
+        np.testing.assert_array_equal(np.column_stack(list(stream.columns.values())), frames.data)
+        np.testing.assert_allclose(stream.stamps["log"] - stream.stamps["log"][0], frames.stamps - frames.stamps[0], atol=1000)
+
+
+@pytest.mark.parametrize(("content", "reason"), [(b"", "empty"), (b"hello, this is text", "starts with b'hello, t'")])
+def test_what_is_no_mdf_file_is_refused(tmp_path: Path, content: bytes, reason: str) -> None:
+    path = tmp_path / "run.mf4"
+    path.write_bytes(content)
+    with pytest.raises(InputError, match=reason):
+        read(path)
+
+
+def test_a_cut_off_file_is_refused_by_name(shared_data: Path, tmp_path: Path) -> None:
+    path = tmp_path / "cut.mf4"
+    path.write_bytes((shared_data / "can_logs" / "test_batch.mf4").read_bytes()[:700])
+    with pytest.raises(InputError, match=r"cut\.mf4: not readable as MDF 4 \("):
+        read(path)
+
+
+def test_real_measurements(shared_data: Path) -> None:
+    demo = read(shared_data / "can_logs" / "ASAP2_Demo_V171.mf4")
+    lengths = {name: len(stream) for name, stream in demo.items() if "Calibration" not in name}
+    engines = dict.fromkeys(("Engine_1", "Engine_2", "Engine_3", "Leading_All"), 12402)
+    assert lengths == {"100ms_sync": 124, "10ms_sync": 1240, **engines}
+    assert demo["10ms_sync"].units["ASAM.M.SCALAR.UBYTE.FORM_X_PLUS_4"] == "rpm"
+    np.testing.assert_allclose(np.diff(demo["100ms_sync"].stamps["log"]), 100_000_000, atol=1000)
+    (batch,) = read(shared_data / "can_logs" / "test_batch.mf4").values()
+    assert (len(batch), len(batch.columns)) == (1051, 3)
