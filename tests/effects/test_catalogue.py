@@ -11,9 +11,9 @@ import numpy.typing as npt
 import pytest
 
 from sysid.datasets.recording import Recording
-from sysid.effects import BY_NAME, CATALOGUE, Effect, Form, Parameter, Slot, effect_named, form_for
+from sysid.effects import BY_NAME, CATALOGUE, Effect, Form, Need, Parameter, Slot, effect_named, form_for
 from sysid.errors import SettingsError
-from sysid.gap.excitation import _ADVICE, _NEEDS
+from sysid.gap.excitation import COUNTS
 from sysid.testing import CONTRACT_NAMES, PROPERTIES, EffectError, Run, check_effect, failures_of, places_of, plant_run
 
 Array = npt.NDArray[np.float64]
@@ -36,12 +36,21 @@ def test_looked_at_in_every_place(effect: Effect) -> None:
 
 
 def test_names_are_the_contract_s() -> None:
-    assert set(BY_NAME) <= CONTRACT_NAMES
+    assert set(BY_NAME) == CONTRACT_NAMES
     assert len(BY_NAME) == len(CATALOGUE)
 
 
-def test_every_effect_says_what_it_needs() -> None:
-    assert set(_NEEDS) == set(_ADVICE) == set(BY_NAME)
+@pytest.mark.parametrize("effect", CATALOGUE, ids=lambda effect: effect.name)
+def test_every_effect_says_what_it_needs(effect: Effect) -> None:
+    """Something that is counted, more than nothing of it, and what to record, addressed to the target where there are many."""
+    assert effect.need.count in COUNTS
+    assert effect.need.least > 0
+    assert effect.need.advice.format(axis="boom").endswith(".")
+    assert ("{axis}" in effect.need.advice) == (effect.target in ("axis", "signal"))
+
+
+def test_no_count_is_there_for_nothing() -> None:
+    assert set(COUNTS) == {effect.need.count for effect in CATALOGUE}
 
 
 def test_unknown_effect_suggests_the_nearest() -> None:
@@ -210,6 +219,7 @@ def test_an_effect_of_one_s_own_is_checked_through_its_function() -> None:
         source="own measurement",
         excited_by="commands of many magnitudes",
         confused_with=("flow_saturation",),
+        need=Need("motion", 5, "Record {axis} at five openings."),
         actuations=("velocity",),
     )
 
