@@ -22,13 +22,13 @@ EFFECT = Effect(
     confused_with=("first_order_lag", "flow_saturation"),
     need=Need("command_changes", 10, "Record 10 sudden full commands of {axis}."),
     actuations=("velocity", "position"),
-    memory=lambda dt: 1,
+    memory=lambda dt: 2,
 )
 
 
 @inlined
 def step(u, p, i, s, j, dt):
-    """Mean of the ramp over the step; ``s[j]`` is where it ends."""
+    """Mean of the ramp over the step; ``s[j]`` is where it ends, ``s[j+1]`` one over its reach."""
     if np.isnan(s[j]):
         s[j] = u
     if p[i] >= ABSENT:
@@ -44,6 +44,6 @@ def step(u, p, i, s, j, dt):
         s[j] = before - reach
         return before - 0.5 * reach
     s[j] = u
-    if reach > 0.0:
-        return u - 0.5 * change * abs(change) / reach
-    return u
+    if np.isnan(s[j + 1]):
+        s[j + 1] = 1.0 / reach if reach > 0.0 else 0.0
+    return u - 0.5 * change * abs(change) * s[j + 1]

@@ -13,8 +13,8 @@ from numba import njit
 _BARE: Any = {"_nrt": False}
 
 #: A step of an effect, or anything else that is called in every step: merged into its caller.
-inlined: Any = njit(forceinline=True, error_model="numpy", **_BARE)
+inlined: Any = njit(forceinline=True, error_model="numpy", fastmath={"contract"}, **_BARE)
 #: A loop over samples or lanes, called from a :data:`kernel` that has made the arrays for it.
-loop: Any = njit(nogil=True, error_model="numpy", **_BARE)
+loop: Any = njit(nogil=True, error_model="numpy", fastmath={"contract"}, **_BARE)
 #: What Python calls: kept between processes, and without the interpreter lock.
 kernel: Any = njit(cache=True, nogil=True, error_model="numpy")

@@ -21,13 +21,16 @@ EFFECT = Effect(
     confused_with=("input_delay", "valve_hysteresis", "command_rate_limit"),
     need=Need("command_changes", 10, "Record 20 sharp starts and stops of {axis}."),
     actuations=("velocity", "position"),
-    memory=lambda dt: 2,
+    memory=lambda dt: 3,
 )
 
 
 @inlined
 def step(u, p, i, s, j, dt):
-    """Mean of x over the step, so that integrating it gives the exact displacement; ``s[j+1]`` keeps what is left after it."""
+    """Mean of x over the step, so that integrating it gives the exact displacement.
+
+    ``s[j]`` is x, ``s[j+1]`` its share that is left after a step, ``s[j+2]`` the mean share during it.
+    """
     if np.isnan(s[j]):
         s[j] = u
     constant = p[i]
@@ -36,7 +39,7 @@ def step(u, p, i, s, j, dt):
         return u
     if np.isnan(s[j + 1]):
         s[j + 1] = math.exp(-dt / constant)
-    decay = s[j + 1]
-    mean = u + (s[j] - u) * (1.0 - decay) * constant / dt
-    s[j] = u + (s[j] - u) * decay
-    return mean
+        s[j + 2] = (1.0 - s[j + 1]) * constant / dt
+    away = s[j] - u
+    s[j] = u + away * s[j + 1]
+    return u + away * s[j + 2]

@@ -14,7 +14,7 @@ LONGEST = 0.8
 
 
 def _memory(dt: float) -> int:
-    return math.ceil(LONGEST / dt) + 4
+    return math.ceil(LONGEST / dt) + 6
 
 
 EFFECT = Effect(
@@ -35,28 +35,30 @@ EFFECT = Effect(
 
 @inlined
 def step(u, p, i, s, j, size, dt):
-    """Ring buffer at ``s[j+1 : j+size]``, its head in ``s[j]``.
+    """Ring buffer at ``s[j+3 : j+size]``, its head in ``s[j]``, whole steps of the delay and the rest in the two after it.
 
     Blending the two neighbours is exact for the integral of a held command over the step, so a fraction of a step is
     a smooth parameter.
     """
-    ring = size - 1
+    ring = size - 3
+    first = j + 3
     if np.isnan(s[j]):
         s[j] = 0.0
+        s[j + 1] = math.floor(p[i] / dt)
+        s[j + 2] = p[i] / dt - s[j + 1]
         for k in range(ring):
-            s[j + 1 + k] = u
+            s[first + k] = u
     head = int(s[j])
-    s[j + 1 + head] = u
-    steps = p[i] / dt
-    whole = int(steps)
-    part = steps - whole
+    s[first + head] = u
+    whole = int(s[j + 1])
+    part = s[j + 2]
     near = head - whole
     if near < 0:
         near += ring
     far = near - 1
     if far < 0:
         far += ring
-    y = (1.0 - part) * s[j + 1 + near] + part * s[j + 1 + far]
+    y = (1.0 - part) * s[first + near] + part * s[first + far]
     head += 1
     if head == ring:
         head = 0

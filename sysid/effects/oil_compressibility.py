@@ -12,7 +12,7 @@ from sysid.effects.effect import Effect, Form, Need, Parameter, Slot
 #: Faster than any log can tell: the effect is absent.
 ABSENT = 1e3
 #: State: speed and its slope, and what carries them over a step.
-MEMORY = 7
+MEMORY = 8
 
 EFFECT = Effect(
     name="oil_compressibility",
@@ -57,13 +57,13 @@ def step(u, p, i, s, j, dt):
         s[j + 4] = -omega * omega * sine
         s[j + 5] = cosine - fade * sine
         s[j + 6] = 2.0 * fade
+        s[j + 7] = 1.0 / (omega * omega * dt)
     x = s[j] - u
     v = s[j + 1]
     after = s[j + 2] * x + s[j + 3] * v
     slope = s[j + 4] * x + s[j + 5] * v
     # The differential equation itself, integrated over the step.
-    omega = 2.0 * math.pi * p[i]
-    mean = u - ((slope - v) + s[j + 6] * (after - x)) / (omega * omega * dt)
+    mean = u - ((slope - v) + s[j + 6] * (after - x)) * s[j + 7]
     s[j] = u + after
     s[j + 1] = slope
     return mean

@@ -16,7 +16,7 @@ from sysid.errors import SettingsError
 from sysid.machine import Machine
 from sysid.plant import axis_run, layout, sensing, stage_tip, swing
 from sysid.plant.gravity import gravity_load
-from sysid.plant.layout import AT, SIGNAL_WIDTH, neutral_vector
+from sysid.plant.layout import AT, AXIS_WIDTH, SIGNAL_WIDTH, neutral_vector
 from sysid.plant.plant import Plant
 from sysid.plant.rig import KIND, VELOCITY, Rig, rig_of
 from sysid.signals import axis_signal, point_signals
@@ -30,6 +30,10 @@ START_WINDOW = 0.2
 SETTLE_WINDOW = 10.0
 #: A command may be missing this long [s] before the free run restarts.
 COMMAND_GAP = 0.1
+
+
+#: Parameters of an axis that do nothing without a load.
+_BY_LOAD = (AT.load_dependent_flow, AT.joint_compliance_drive)
 
 
 @dataclass(frozen=True)
@@ -69,7 +73,7 @@ class Model:
         if restart_every is not None:
             segments = _shorter(segments, max(2, round(restart_every / dt)))
         measured = self.believed(thetas, recording, about.driven)
-        load, share = self.load(recording)[:, i].copy(), self.share(thetas, recording)
+        load, share = self.load(thetas, recording)[i], self.share(thetas, recording)
         size, window, settle = layout.axis_memory(dt), self.window(recording), round(SETTLE_WINDOW / dt)
         position, behind = np.full((2, len(thetas), len(command)), np.nan)
 
@@ -88,7 +92,7 @@ class Model:
             raise SettingsError(f"axis {axis}", "no linkage", "geometry in machine.toml or a fitted actuator network")
         i, signal = self.axis_index(axis), axis_signal(axis, "joint")
         cylinder = self.believed(thetas, recording, axis_signal(axis, "cylinder"))
-        measured, load = self.believed(thetas, recording, signal), self.load(recording)[:, i].copy()
+        measured, load = self.believed(thetas, recording, signal), self.load(thetas, recording)[i]
         window, out = self.window(recording), np.empty((len(thetas), len(recording)))
 
         def lane(k: int) -> None:
@@ -146,13 +150,30 @@ class Model:
         """Samples from which a run starts."""
         return max(3, round(START_WINDOW * recording.rate_hz))
 
-    def load(self, recording: Recording) -> Array:
-        """:func:`sysid.plant.gravity.gravity_load`, remembered."""
+    def load(self, thetas: Array, recording: Recording, seconds: float = math.inf) -> Array:
+        """:func:`sysid.plant.gravity.gravity_load` of every axis, (A, n), remembered; zero where no lane has an effect of it.
+
+        ``seconds``: only within so much of each stretch with commands, elsewhere zero.
+        """
+        places = [i * AXIS_WIDTH + at for i in range(self.axes) for at in _BY_LOAD]
+        if not thetas[:, places].any():
+            return np.zeros((self.axes, len(recording)))
+        if seconds < math.inf:
+            stretches = [self.stretches(recording, name, seconds) for name in self.machine.axis_names]
+            return np.ascontiguousarray(gravity_load(self.machine, recording, np.unique(np.vstack(stretches), axis=0)).T)
         known = self._loads.get(id(recording))
         if known is None or known[0] is not recording:
-            known = (recording, gravity_load(self.machine, recording))
+            known = (recording, np.ascontiguousarray(gravity_load(self.machine, recording).T))
             self._loads[id(recording)] = known
         return known[1]
+
+    def stretches(self, recording: Recording, axis: str, seconds: float = math.inf) -> Segments:
+        """First and last+1 sample of the first ``seconds`` of each stretch with commands, (m, 2)."""
+        segments = self.held(recording, axis)[1]
+        if seconds == math.inf:
+            return segments
+        ends = np.minimum(segments[:, 1], segments[:, 0] + round(seconds * recording.rate_hz))
+        return np.column_stack([segments[:, 0], ends])
 
     def share(self, thetas: Array, recording: Recording, seconds: float = math.inf) -> Array:
         """What the pump feeds of the velocity axes' demand, (lanes, n); within the first ``seconds`` of each stretch."""
@@ -161,19 +182,15 @@ class Model:
         if (thetas[:, place] >= neutral).all():
             return np.broadcast_to(np.ones(len(recording)), (len(thetas), len(recording)))
         dt = 1.0 / recording.rate_hz
-        total = np.zeros((len(thetas), len(recording)))
-        load, size = self.load(recording), layout.axis_memory(dt)
-        moved = [name for i, name in enumerate(self.machine.axis_names) if self.rig.axes[i, KIND] == VELOCITY]
-        inputs = []
-        for name in moved:
-            i, (command, segments) = self.axis_index(name), self.held(recording, name)
-            if seconds < math.inf:
-                segments = np.column_stack([segments[:, 0], np.minimum(segments[:, 1], segments[:, 0] + round(seconds / dt))])
-            inputs.append((i, command, segments, load[:, i].copy()))
+        total, load = np.zeros((len(thetas), len(recording))), self.load(thetas, recording, seconds)
+        size = layout.axis_memory(dt)
+        moved = [i for i in range(self.axes) if self.rig.axes[i, KIND] == VELOCITY]
+        names = self.machine.axis_names
+        inputs = [(i, self.held(recording, names[i])[0], self.stretches(recording, names[i], seconds)) for i in moved]
 
         def lane(k: int) -> None:
-            for i, command, segments, weight in inputs:
-                axis_run.add_demand(thetas[k], self.rig, i, command, weight, segments, dt, size, total[k])
+            for i, command, segments in inputs:
+                axis_run.add_demand(thetas[k], self.rig, i, command, load[i], segments, dt, size, total[k])
 
         in_parallel(lane, len(thetas), len(recording) * len(moved))
         return frozen(np.minimum(1.0, thetas[:, place, None] / np.maximum(total, 1e-12)))

@@ -50,8 +50,19 @@ def pose(q, p, links, base, scratch, tip, load):
             yx, yy, yz = ax * u + bx * v + cx * w, ay * u + by * v + cy * w, az * u + bz * v + cz * w
             u, v, w = links[j, ROTATION + 2], links[j, ROTATION + 5], links[j, ROTATION + 8]
             zx, zy, zz = ax * u + bx * v + cx * w, ay * u + by * v + cy * w, az * u + bz * v + cz * w
-        u, v, w = links[j, AXIS], links[j, AXIS + 1], links[j, AXIS + 2]
-        ax, ay, az = xx * u + yx * v + zx * w, xy * u + yy * v + zy * w, xz * u + yz * v + zz * w
+        along = links[j, ALIGNED]
+        if along == 0.0:
+            u, v, w = links[j, AXIS], links[j, AXIS + 1], links[j, AXIS + 2]
+            ax, ay, az = xx * u + yx * v + zx * w, xy * u + yy * v + zy * w, xz * u + yz * v + zz * w
+        else:  # one of the frame's own axes, or against it
+            if along == 1.0 or along == -1.0:
+                ax, ay, az = xx, xy, xz
+            elif along == 2.0 or along == -2.0:
+                ax, ay, az = yx, yy, yz
+            else:
+                ax, ay, az = zx, zy, zz
+            if along < 0.0:
+                ax, ay, az = -ax, -ay, -az
         scratch[j, 0], scratch[j, 1], scratch[j, 2] = ax, ay, az
         scratch[j, 3], scratch[j, 4] = px, py
         value = q[int(links[j, ORDER])]
@@ -60,7 +71,6 @@ def pose(q, p, links, base, scratch, tip, load):
             py += value * ay
             pz += value * az
         else:
-            along = links[j, ALIGNED]
             s, c = sincos(value)
             if along == 0.0:
                 xx, xy, xz = _turn(xx, xy, xz, ax, ay, az, s, c)

@@ -51,22 +51,22 @@ def true_run(model: Model, recording: Recording) -> tuple[Array, Array, Array]:
     edges = np.full((model.axes, rows, 2), count, dtype=np.int64)
     begins = np.full((model.axes, rows, axis_run.START), np.nan)
     share = model.share(model.theta[None], recording, SETTLE_WINDOW)[0]
+    load = model.load(model.theta[None], recording, SETTLE_WINDOW)
     for i, part in enumerate(stretches):
         edges[i, : len(part)] = part
-        begins[i, : len(part)] = _starts(model, recording, model.machine.axis_names[i], share)
+        begins[i, : len(part)] = _starts(model, recording, model.machine.axis_names[i], load[i], share)
     commands = np.column_stack([model.held(recording, name)[0] for name in model.machine.axis_names])
     drive, joints, tip = np.empty((count, model.axes)), np.empty((count, model.axes)), np.empty((count, 3))
     run_machine(model.theta, model.rig, commands, edges, begins, dt, layout.axis_memory(dt), drive, joints, tip)
     return drive, joints, tip
 
 
-def _starts(model: Model, recording: Recording, axis: str, share: Array) -> Array:
+def _starts(model: Model, recording: Recording, axis: str, load: Array, share: Array) -> Array:
     """Where a free run of one axis starts after each gap of its command, (m, 3): see :data:`sysid.plant.axis_run.START`."""
     theta, dt = model.theta[None], 1.0 / recording.rate_hz
     i, about = model.axis_index(axis), model.machine.axis(axis)
     command, segments = model.held(recording, axis)
     measured, joint = (model.believed(theta, recording, s)[0] for s in (about.driven, axis_signal(axis, "joint")))
-    load = model.load(recording)[:, i].copy()
     out = np.empty((len(segments), axis_run.START))
     axis_run.find_starts(
         model.theta, model.rig, i, command, measured, joint, load, share, segments, dt, model.window(recording),
