@@ -47,7 +47,7 @@ def inspect_paths(paths: Sequence[Path], machine: Path | None, draft: Path | Non
     out = Printer(json_file)
     for summary in summaries:
         _show(out, summary)
-    text = draft_recipe(summaries, description, _machine_entry(machine_path, draft))
+    text = draft_recipe(summaries, description, _machine_entry(machine_path, draft), _logs_entry(paths, draft))
     if draft is not None:
         with written_whole(draft) as half:
             half.write_text(text, "utf-8")
@@ -64,6 +64,14 @@ def _machine_entry(machine: Path | None, draft: Path | None) -> str:
     if machine is None:
         return "machine.toml"
     return Path(os.path.relpath(machine, draft.parent if draft is not None else machine.parent)).as_posix()
+
+
+def _logs_entry(paths: Sequence[Path], draft: Path | None) -> str | None:
+    """The folder of the recordings as the drafted recipe names it; None where it is not below the recipe."""
+    if draft is None or len(paths) != 1 or not paths[0].is_dir():
+        return None
+    relative = Path(os.path.relpath(paths[0], draft.parent)).as_posix()
+    return None if relative == "." or relative.startswith("..") else relative
 
 
 def _log_files(paths: Sequence[Path]) -> list[Path]:

@@ -30,10 +30,20 @@ schema = 1
 """
 
 
-def draft_recipe(files: Sequence[FileSummary], machine: Machine | None = None, machine_path: str = "machine.toml") -> str:
-    """TOML of a recipe for ``files``; with ``machine`` its axes are looked for in the names of the fields."""
+def draft_recipe(
+    files: Sequence[FileSummary],
+    machine: Machine | None = None,
+    machine_path: str = "machine.toml",
+    logs: str | None = None,
+) -> str:
+    """TOML of a recipe for ``files``; with ``machine`` its axes are looked for in the names of the fields.
+
+    ``machine_path`` and ``logs`` (the folder of the recordings) are as the recipe names them, relative to itself.
+    """
     lines = [_HEAD.format(names=", ".join(sorted({_plain(file.path.name) for file in files})[:6]) or "nothing")]
     lines.append(f"{'' if machine is not None else '# '}machine = {_text(machine_path)}")
+    if logs is not None:
+        lines.append(f"logs = {_text(logs)}")
     folders = {file.path.parent for file in files}
     groups = _groups(files)
     if len(folders) == 1 and (len(files) == 1 or len(groups) == 1):
@@ -73,6 +83,8 @@ def _stream(group: Sequence[FileSummary], machine: Machine | None, taken: set[st
     clocks = [clock.name for clock in file.streams[0].clocks]
     captured = clocks[:1] == ["capture"]
     yield "[[streams]]"
+    if file.reader in ("can", "mf4"):
+        yield '# dbc = "<file>.dbc"          # names the messages and signals of the CAN frames; then inspect again'
     yield f"files = {_text(_pattern(group))}"
     if by_suffix != file.reader:
         yield f"reader = {_text(file.reader)}"
