@@ -49,10 +49,12 @@ def test_pictures_show_a_difference(made: dict[str, str], effect: object) -> Non
     with_effect, without = (
         np.array([[float(v) for v in p.split(",")] for p in (points or "").split()]) for points in (curves[-1], curves[-2])
     )
-    # Where a clock is wrong one curve begins later: compared where both are drawn.
-    both = without[(without[:, 0] >= with_effect[0, 0]) & (without[:, 0] <= with_effect[-1, 0])]
-    assert len(both) > 0.9 * len(without)
-    assert np.abs(np.interp(both[:, 0], *with_effect.T) - both[:, 1]).max() > 5.0, "pixels"
+    if len(with_effect) != len(without):  # a clock that is wrong: one curve begins later; compared where both are drawn
+        both = (without[:, 0] >= with_effect[0, 0]) & (without[:, 0] <= with_effect[-1, 0])
+        assert both.sum() > 0.9 * len(without)
+        without = without[both]
+        with_effect = np.column_stack([without[:, 0], np.interp(without[:, 0], *with_effect.T)])
+    assert np.abs(with_effect - without).max() > 5.0, "pixels"
 
 
 def test_every_pair_that_is_confused_has_a_separator() -> None:
