@@ -58,6 +58,17 @@ def body_poses(stream: Stream, frame: Frame) -> Array:
     return np.asarray(frame_pose(frame) @ pose)
 
 
+def marker_poses(stream: Stream, frame: Frame) -> Array:
+    """Poses (n, 4, 4) whose origins are a marker in the machine's base frame; their rotation means nothing."""
+    pose = np.tile(np.eye(4), (len(stream), 1, 1))
+    for index, axis in enumerate("xyz"):
+        if axis not in stream.columns:
+            raise InputError(f"{stream.source}: {stream.name}", f"no column {axis!r}", "the position of a marker")
+        pose[:, index, 3] = stream.columns[axis]
+    pose[np.isnan(pose).any(axis=(1, 2))] = np.nan
+    return np.asarray(frame_pose(frame) @ pose)
+
+
 def frame_pose(frame: Frame) -> Array:
     """The capture frame in the base frame, (4, 4)."""
     pose = np.eye(4)
@@ -229,11 +240,13 @@ def joints_and_points(
     signals: dict[str, Array] = {}
     flags: dict[str, tuple[Flag, ...]] = {}
     poses: dict[str, Array] = {}
-    for body in (*mapping.bodies, *(point.body for point in mapping.points.values())):
-        if body not in poses:
-            stream = _named(streams, body)
+    markers = [point.marker for point in mapping.points.values() if point.marker is not None]
+    for name in (*mapping.bodies, *(point.body for point in mapping.points.values() if point.body is not None), *markers):
+        if name not in poses:
+            stream = _named(streams, name)
             seconds = (stream.stamps["capture"] - stream.stamps["capture"][0]) * 1e-9
-            poses[body], flags[body] = without_mistakes(stream, body_poses(stream, mapping.frame), seconds)
+            seen = marker_poses(stream, mapping.frame) if name in markers else body_poses(stream, mapping.frame)
+            poses[name], flags[name] = without_mistakes(stream, seen, seconds)
     kinematics = machine.kinematics()
     if kinematics is not None and mapping.bodies:
         links = {link: poses[body] @ inverse(mounts[body]) for body, link in mapping.bodies.items()}
@@ -244,7 +257,7 @@ def joints_and_points(
     for point, entry in mapping.points.items():
         at = np.array([*entry.at, 1.0])
         for index, axis_name in enumerate("xyz"):
-            signals[f"{point}.{axis_name}"] = (poses[entry.body] @ at)[:, index]
+            signals[f"{point}.{axis_name}"] = (poses[entry.body or entry.marker or ""] @ at)[:, index]
     return signals, tuple(flag for group in flags.values() for flag in group)
 
 

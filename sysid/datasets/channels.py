@@ -14,6 +14,7 @@ import numpy.typing as npt
 from sysid.datasets.bodies import Flag, find_mounts, joints_and_points, mean_pose
 from sysid.datasets.channel import Channel, convert, in_order
 from sysid.datasets.discover import RecordingFiles
+from sysid.datasets.marker_sets import with_marker_sets
 from sysid.datasets.recipe import SignalMap, StreamMap
 from sysid.errors import InputError, SettingsError, nearest
 from sysid.logs import ReadOptions, Stream, reader_for, reader_named
@@ -119,7 +120,9 @@ def _read(path: Path, mapping: StreamMap | None) -> tuple[Stream, ...]:
         return reader_for(path).read(path, ReadOptions())
     reader = reader_named(mapping.reader, path) if mapping.reader is not None else reader_for(path)
     wanted = {signal.topic for signal in mapping.signals.values() if signal.topic is not None}
-    wanted |= {*mapping.bodies, *(point.body for point in mapping.points.values())}
+    tracked = {*mapping.bodies, *(point.body or point.marker or "" for point in mapping.points.values())}
+    wanted |= tracked - mapping.marker_sets.keys()
+    wanted |= {marker for markers in mapping.marker_sets.values() for marker in markers}
     fields: dict[str, set[str]] = {}
     for signal in mapping.signals.values():
         if signal.topic is not None:
@@ -131,8 +134,9 @@ def _read(path: Path, mapping: StreamMap | None) -> tuple[Stream, ...]:
         time_unit=mapping.time_unit,
         length_unit=mapping.length_unit,
         rotation=mapping.rotation,
+        dbc=Path(mapping.dbc) if mapping.dbc is not None else None,
     )
-    return reader.read(path, options)
+    return with_marker_sets(reader.read(path, options), mapping)
 
 
 def _mapped(path: Path, streams: Sequence[Stream], mapping: StreamMap, machine: Machine) -> list[Channel]:

@@ -171,6 +171,9 @@ def _digest(sources: Sequence[Source], rules: Recipe | None, machine: Machine) -
         "recipe": rules.text if rules is not None else "",
         "machine": machine.files(),
     }
+    databases = {stream.dbc for stream in rules.streams if stream.dbc is not None} if rules is not None else set()
+    if databases:
+        content["databases"] = sorted(sha256(Path(database)) for database in databases)
     return hashlib.sha256(json.dumps(content, sort_keys=True).encode("utf-8")).hexdigest()
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Literal
 
@@ -52,12 +52,13 @@ class Frame:
 
 @dataclass(frozen=True)
 class PointMap:
-    """A rigid body, or a surveyed point ``at`` in its frame [m], as ``ee`` or ``tool``."""
+    """A rigid body, or a surveyed point ``at`` in its frame [m], or a single marker, as ``ee`` or ``tool``."""
 
     __pydantic_config__ = STRICT
 
-    body: str
+    body: str | None = None
     at: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    marker: str | None = None
 
 
 @dataclass(frozen=True)
@@ -87,10 +88,12 @@ class StreamMap:
         clock: which of the stream's stamps to use; None: the reader's first.
         domain: which device's clock the stamps are on. All others are aligned to ``machine``.
         time, time_unit, length_unit, rotation: see :class:`sysid.logs.ReadOptions`.
+        dbc: database of a CAN log, relative to the recipe; the absolute path once the recipe has been read.
         interpolation: between samples of measured signals; commands are held.
         max_gap_s: gaps longer than this stay empty; None: three sample periods.
         secondary: signals of this stream that another stream measures better (as ``primary = false``).
         bodies: rigid body → URDF link.
+        marker_sets: rigid body that the file does not have → the markers that make it, at least three.
     """
 
     __pydantic_config__ = STRICT
@@ -103,12 +106,14 @@ class StreamMap:
     time_unit: str = "s"
     length_unit: str | None = None
     rotation: str | None = None
+    dbc: str | None = None
     interpolation: Literal["linear", "cubic"] = "linear"
     max_gap_s: float | None = None
     signals: dict[str, SignalMap] = field(default_factory=dict)
     secondary: tuple[str, ...] = ()
     frame: Frame = Frame()
     bodies: dict[str, str] = field(default_factory=dict)
+    marker_sets: dict[str, tuple[str, ...]] = field(default_factory=dict)
     points: dict[str, PointMap] = field(default_factory=dict)
     reference: Reference | None = None
 
@@ -194,7 +199,19 @@ def load_recipe(path: Path) -> Recipe:
     for name, share in recipe.splits.held_out_last.items():
         if not 0.0 < share < 1.0:
             raise SettingsError(f"{path}: splits.held_out_last.{name}", str(share), "a share between 0 and 1")
-    return recipe
+    return replace(recipe, streams=tuple(_with_database(stream, path) for stream in recipe.streams))
+
+
+def _with_database(stream: StreamMap, path: Path) -> StreamMap:
+    """The stream with its CAN database found."""
+    if stream.dbc is None:
+        return stream
+    where = f"{path}: streams {stream.files!r}: dbc"
+    database = inside(path.parent, stream.dbc, where)
+    if not database.is_file():
+        present = [file.name for file in path.parent.glob("*.dbc")]
+        raise SettingsError(where, f"no file {stream.dbc!r}", nearest(stream.dbc, present), "Correct the path.")
+    return replace(stream, dbc=str(database))
 
 
 def _check_stream(stream: StreamMap, path: Path) -> None:
@@ -206,9 +223,17 @@ def _check_stream(stream: StreamMap, path: Path) -> None:
     for name, signal in stream.signals.items():
         if signal.span == 0.0 or signal.scale == 0.0:
             raise SettingsError(f"{where}: {name}", "a span or scale of zero", "a number other than zero")
-    for point in stream.points:
+    for point, entry in stream.points.items():
         if point not in POINTS:
             raise SettingsError(f"{where}: points", f"unknown point {point!r}", nearest(point, POINTS))
+        if (entry.body is None) == (entry.marker is None):
+            found = "neither a body nor a marker" if entry.body is None else "both a body and a marker"
+            raise SettingsError(f"{where}: points.{point}", found, "one of them")
+        if entry.marker is not None and any(entry.at):
+            raise SettingsError(f"{where}: points.{point}", "`at` with a marker", "a body: a single marker has no rotation")
+    for body, markers in stream.marker_sets.items():
+        if len(set(markers)) < 3 or len(set(markers)) < len(markers):
+            raise SettingsError(f"{where}: marker_sets.{body}", f"markers {list(markers)}", "at least three different ones")
 
 
 def check_against_machine(recipe: Recipe, machine: Machine, where: object) -> None:

@@ -8,7 +8,7 @@ from __future__ import annotations
 import traceback
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -52,7 +52,7 @@ class Mf4Reader:
                 mdf.close()
 
 
-def _open(path: Path, file: BinaryIO) -> Any:
+def _open(path: Path, file: Any) -> Any:
     try:
         from asammdf import MDF
     except ImportError:
@@ -69,7 +69,7 @@ def _open(path: Path, file: BinaryIO) -> Any:
 def _abandon(error: Exception) -> None:
     """Close what the library had begun to build: left to itself it fails once more, loudly, when it is collected."""
     for frame, _ in traceback.walk_tb(error.__traceback__):
-        half_built = frame.f_locals.get("self")
+        half_built: Any = frame.f_locals.get("self")
         if type(half_built).__name__ == "MDF4":
             half_built._tempfile.close()
             half_built._closed = True

@@ -1,0 +1,118 @@
+"""Markers that sit rigidly together → a rigid body, as a capture system would have exported it.
+
+The shape of the set is the median of what the frames show, turned onto each other; the body's pose in a frame is its best fit
+to the markers that were seen there (at least three). The body's frame follows from the shape alone, so that it is the same in
+every recording: origin in the centre of all markers, x from the first to the second, z normal to the plane of the first three.
+
+Source of the fit: Kabsch, Acta Cryst. A32 (1976) 922.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import numpy.typing as npt
+from scipy.spatial.transform import Rotation
+
+from sysid.datasets.recipe import StreamMap
+from sysid.errors import InputError, SettingsError, nearest
+from sysid.logs import Stream
+
+Array = npt.NDArray[np.float64]
+
+#: Frames that the shape is taken from: more do not make it better.
+SHAPE_FRAMES = 2000
+#: Markers as near to one line as this (ratio of their extents across and along) do not fix a rotation.
+MIN_WIDTH = 0.02
+
+
+def with_marker_sets(streams: Sequence[Stream], mapping: StreamMap) -> tuple[Stream, ...]:
+    """``streams`` and, behind them, a rigid body for each marker set of the recipe.
+
+    Raises:
+        SettingsError: a marker that the file does not have.
+        InputError: markers that were never seen together, or lie in a line.
+    """
+    known = {stream.name: stream for stream in streams}
+    bodies = []
+    for body, names in mapping.marker_sets.items():
+        for name in names:
+            if name not in known:
+                where = f"{streams[0].source if streams else mapping.files}: marker_sets.{body}"
+                raise SettingsError(where, f"no marker {name!r}", nearest(name, known), "Correct the recipe.")
+        own = [known[name] for name in names]
+        markers = np.stack([np.column_stack([stream.columns[axis] for axis in "xyz"]) for stream in own], axis=1)
+        first = own[0]
+        try:
+            rotation, position, error = rigid_body(markers)
+        except ValueError as problem:
+            expected = "at least three markers on a rigid body, not in a line"
+            raise InputError(f"{first.source}: {body}", str(problem), expected) from None
+        columns = dict(zip(("x", "y", "z"), position.T, strict=True)) | {"error": error}
+        columns |= dict(zip(("qx", "qy", "qz", "qw"), _quaternions(rotation).T, strict=True))
+        units = dict.fromkeys(("x", "y", "z", "error"), "m")
+        bodies.append(Stream(body, first.source, first.stamps, columns, units, first.losses))
+    return (*streams, *bodies)
+
+
+def rigid_body(markers: Array) -> tuple[Array, Array, Array]:
+    """Rotations (n, 3, 3), positions (n, 3) and mean marker errors (n,) [m] of markers (n, m, 3); NaN where too few are seen.
+
+    Raises:
+        ValueError: no frame shows all markers, or they lie in a line.
+    """
+    seen = np.asarray(np.all(np.isfinite(markers), axis=2))
+    whole = np.flatnonzero(seen.all(axis=1))
+    if not len(whole):
+        raise ValueError("no frame in which all markers were seen")
+    shape = _shape(markers[whole[:: max(len(whole) // SHAPE_FRAMES, 1)]])
+    rotation, position, error = _fit(shape, np.where(seen[:, :, None], markers, 0.0), seen.astype(np.float64))
+    few = (seen.sum(axis=1) < 3) | ~np.isfinite(error)
+    for values in (rotation, position, error):
+        values[few] = np.nan
+    return rotation, position, error
+
+
+def _shape(markers: Array) -> Array:
+    """Marker places (m, 3) in the body's own frame."""
+    first, second = np.triu_indices(markers.shape[1], 1)
+    distances = np.linalg.norm(markers[:, first] - markers[:, second], axis=2)
+    # Start from the frame whose distances are the most usual ones: never from one with confused markers.
+    shape = markers[np.argmin(np.abs(distances - np.median(distances, axis=0)).sum(axis=1))]
+    for _ in range(3):
+        rotation, position, _ = _fit(shape, markers, np.ones(markers.shape[:2]))
+        shape = np.nanmedian(np.einsum("nji,nmj->nmi", rotation, markers - position[:, None, :]), axis=0)
+    along = shape[1] - shape[0]
+    normal = np.cross(along, shape[2] - shape[0])
+    if np.linalg.norm(normal) < MIN_WIDTH * float(along @ along):
+        raise ValueError("the first three markers lie in a line")
+    x, z = along / np.linalg.norm(along), normal / np.linalg.norm(normal)
+    return np.asarray((shape - shape.mean(axis=0)) @ np.column_stack([x, np.cross(z, x), z]))
+
+
+def _fit(shape: Array, markers: Array, weights: Array) -> tuple[Array, Array, Array]:
+    """Best rotation and translation of ``shape`` (m, 3) onto ``markers`` (n, m, 3) weighed (n, m), and the mean error (n,)."""
+    total = np.maximum(weights.sum(axis=1), 1.0)
+    centre = np.einsum("nm,mi->ni", weights, shape) / total[:, None]
+    centres = np.einsum("nm,nmi->ni", weights, markers) / total[:, None]
+    own = shape[None] - centre[:, None]
+    covariance = np.einsum("nm,nmi,nmj->nij", weights, own, markers - centres[:, None])
+    u, extent, vt = np.linalg.svd(covariance)
+    vt[:, 2] *= np.sign(np.linalg.det(u) * np.linalg.det(vt))[:, None]
+    rotation = np.einsum("nik,nkj->nji", u, vt)
+    position = centres - np.einsum("nij,nj->ni", rotation, centre)
+    misfit = np.linalg.norm(np.einsum("nij,mj->nmi", rotation, shape) + position[:, None] - markers, axis=2)
+    error = np.einsum("nm,nm->n", weights, misfit) / total
+    # The covariance measures extents squared.
+    error[extent[:, 1] < MIN_WIDTH**2 * extent[:, 0]] = np.nan
+    return rotation, position, np.asarray(error)
+
+
+def _quaternions(rotation: Array) -> Array:
+    """Rotation matrices (n, 3, 3) → unit quaternions x y z w (n, 4); NaN stays NaN."""
+    result = np.full((len(rotation), 4), np.nan)
+    known = ~np.isnan(rotation[:, 0, 0])
+    if known.any():
+        result[known] = Rotation.from_matrix(rotation[known]).as_quat()
+    return result
