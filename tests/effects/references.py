@@ -18,8 +18,13 @@ PARTS = 100
 GRAVITY = 9.80665
 
 
-def velocity_axis(command: Array, dt: float, gain: float, begin: float, **effects: Sequence[float]) -> Array:
-    """Position of a velocity axis at the samples; effects by name with their parameters in the contract's order."""
+def velocity_axis(
+    command: Array, dt: float, gain: float, begin: float, load: Array | None = None, **effects: Sequence[float]
+) -> Array:
+    """Position of a velocity axis at the samples; effects by name with their parameters in the contract's order.
+
+    ``load`` (n,) is the gravity moment at the samples, held over each step.
+    """
     h = dt / PARTS
     delay = effects.get("input_delay", (0.0,))[0]
     play = effects.get("valve_hysteresis", (0.0,))[0]
@@ -32,6 +37,11 @@ def velocity_axis(command: Array, dt: float, gain: float, begin: float, **effect
     negative = effects.get("asymmetric_gain", (1.0,))[0]
     leakage = effects.get("internal_leakage", (0.0,))[0]
     breakaway, release = effects.get("stiction", (0.0, 0.0))
+    warmer, warm_up = effects.get("temperature_drift", (0.0, 1.0))
+    loss = effects.get("load_dependent_flow", (0.0,))[0]
+    frequency, damping = effects.get("oil_compressibility", (0.0, 0.0))
+    omega = 2.0 * math.pi * frequency
+    oil: tuple[float, float] | None = None
     spool = ramp = slow = float(command[0])
     moving = False
     x = begin
@@ -53,9 +63,44 @@ def velocity_axis(command: Array, dt: float, gain: float, begin: float, **effect
             ramp = u if abs(u - ramp) <= room else ramp + (room if u > ramp else -room)
             slow = ramp + (slow - ramp) * math.exp(-h / lag) if lag > 0 else ramp
             v = slow * ratio * (negative if slow < 0 else 1.0)
-            moving = abs(v) >= release if moving else abs(v) > breakaway
-            x += h * ((gain * v if moving else 0.0) - leakage)
+            v *= 1.0 + warmer * (1.0 - math.exp(-(k * dt + (part + 0.5) * h) / warm_up))
+            if load is not None and v != 0.0:
+                v *= max(1.0 - loss * float(load[k]) * math.copysign(1.0, v), 0.0)
+            v = gain * v - leakage
+            moving = abs(v) / gain >= release if moving else abs(v) / gain > breakaway
+            v = v if moving else 0.0
+            if omega > 0.0:
+                speed, slope = oil if oil is not None else (v, 0.0)
+                oil = _spring(speed - v, slope, omega, damping, h)
+                oil = (oil[0] + v, oil[1])
+                v = 0.5 * (speed + oil[0])
+            x += h * v
     return out
+
+
+def _spring(x: float, v: float, omega: float, damping: float, h: float) -> tuple[float, float]:
+    """``ẍ + 2ζω·ẋ + ω²·x = 0`` over a short step by the classical Runge-Kutta method."""
+
+    def rates(x: float, v: float) -> tuple[float, float]:
+        return v, -2.0 * damping * omega * v - omega * omega * x
+
+    a = rates(x, v)
+    b = rates(x + 0.5 * h * a[0], v + 0.5 * h * a[1])
+    c = rates(x + 0.5 * h * b[0], v + 0.5 * h * b[1])
+    d = rates(x + h * c[0], v + h * c[1])
+    return x + h / 6.0 * (a[0] + 2.0 * b[0] + 2.0 * c[0] + d[0]), v + h / 6.0 * (a[1] + 2.0 * b[1] + 2.0 * c[1] + d[1])
+
+
+def fed_by_one_pump(commands: Array, dt: float, gains: Sequence[float], limit: float) -> Array:
+    """Travel (n, axes) of plain axes that share a pump: where they ask for too much all get the same part."""
+    place, travel = [0.0] * len(gains), []
+    for row in commands:
+        travel.append(list(place))
+        asked = [gain * float(u) for gain, u in zip(gains, row, strict=True)]
+        demand = sum(abs(speed) / gain for speed, gain in zip(asked, gains, strict=True))
+        part = limit / demand if demand > limit else 1.0
+        place = [x + dt * part * speed for x, speed in zip(place, asked, strict=True)]
+    return np.array(travel)
 
 
 def servo_axis(command: Array, dt: float, delay: float = 0.0, rate: float = math.inf, lag: float = 0.0) -> Array:
@@ -83,14 +128,17 @@ def force_axis(
     coulomb: tuple[float, float] = (0.0, 0.0),
     viscous: tuple[float, float] = (0.0, 0.0),
     load: float = 0.0,
+    stribeck: tuple[float, float, float] = (0.0, 0.0, 1.0),
     slope: float = 1e-5,
 ) -> Array:
-    """Position of a mass from rest, (n,), by a stiff solver; Coulomb friction regularised over ``slope`` [m/s]."""
+    """Position of a mass from rest, (n,), by a stiff solver; dry friction regularised over ``slope`` [m/s]."""
+    static, dynamic, film = stribeck
 
     def rates(t: float, state: Array, u: float) -> list[float]:
         v = state[1]
         side = 0 if v > 0 else 1
-        friction = coulomb[side] * math.tanh(v / slope) + viscous[side] * v
+        dry = coulomb[side] + dynamic + (static - dynamic) * math.exp(-((v / film) ** 2))
+        friction = dry * math.tanh(v / slope) + viscous[side] * v
         return [v, (u - friction - load) / mass]
 
     state = np.zeros(2)
@@ -114,6 +162,11 @@ def play(position: Array, width: float, begin: float) -> Array:
             follower = upper
         out.append(follower)
     return np.array(out)
+
+
+def late(truth: Callable[[Array], Array], time: Array, skew: float, offset: float) -> Array:
+    """What a stream writes at its own ``time`` (n,): the ``truth`` at the machine's time."""
+    return truth(time * (1.0 + skew * 1e-6) + offset)
 
 
 def pendulum(pivot: Array, dt: float, length: float, damping_ratio: float, longest_step: float = 0.2) -> Array:

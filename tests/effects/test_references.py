@@ -2,20 +2,26 @@
 
 from __future__ import annotations
 
+import functools
 import itertools
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
+import pandas as pd
 import pytest
 import references
+from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation
+from weight import slopes
 
 from sysid.datasets.recording import Recording
 from sysid.effects import BY_NAME, CATALOGUE
-from sysid.machine import machine_from_files
-from sysid.plant import chain
-from sysid.plant.model import measured_joints, measured_point
+from sysid.machine import KnownEffect, TriangleLinkage, machine_from_files
+from sysid.plant import compile_plant, nominal_plant, swing
+from sysid.plant.gravity import measured_joints
+from sysid.plant.model import measured_point
 from sysid.testing import Place, places_of, plant_run, probe_machine, probe_recording
 
 Array = npt.NDArray[np.float64]
@@ -47,6 +53,10 @@ VELOCITY = [
     ("command_rate_limit", {"rate": 60.0}),
     ("internal_leakage", {"rate": 0.002}),
     ("stiction", {"breakaway": 0.3, "release": 0.12}),
+    ("temperature_drift", {"fraction": -0.4, "time_constant": 5.0}),
+    ("temperature_drift", {"fraction": 0.2, "time_constant": 60.0}),
+    ("oil_compressibility", {"frequency": 4.0, "damping_ratio": 0.05}),
+    ("oil_compressibility", {"frequency": 12.0, "damping_ratio": 0.3}),
 ]
 
 
@@ -59,11 +69,46 @@ def test_velocity_axis(effect: str, values: dict[str, float]) -> None:
     assert np.abs((out - out[0]) - expected).max() < 2e-4 * np.ptp(expected)
 
 
+@functools.cache
+def loaded() -> tuple[Recording, Array]:
+    """The recording with the boom's joint where its linkage has it, and the moment of a kilogram at the tip about the boom."""
+    angle = boom_angle(RECORDING.values("boom.cylinder"))
+    recording = replace(RECORDING, table=RECORDING.table.assign(**{"boom.joint": angle}))
+    return recording, loads_of(recording, slice(None))[:, 1]
+
+
+def loads_of(recording: Recording, rows: slice) -> Array:
+    """Gravity loads of the probe (n, A) on some rows, by the slope of its energy."""
+    machine = probe_machine()
+    names, joints = [str(axis.joint) for axis in machine.axes], measured_joints(recording, machine)[rows]
+    urdf = machine.files()["probe.urdf"]
+    return np.array([slopes(urdf, dict(zip(names, map(float, row), strict=True)), "tip") for row in joints])
+
+
+@pytest.mark.parametrize("coefficient", [0.02, -0.01, 0.3])
+def test_flow_that_depends_on_the_load(coefficient: float) -> None:
+    """The largest coefficient is so large that the boom cannot be lifted at all, and hardly held back when it is lowered."""
+    recording, load = loaded()
+    plant_out = plant_run(BY_NAME["load_dependent_flow"], place("load_dependent_flow", "boom"))
+    out = plant_out({"coefficient": coefficient}, recording)[:, 0]
+    command = recording.values("boom.command")
+    plain = references.velocity_axis(command, DT, 0.008, 0.0, load, load_dependent_flow=(coefficient,))
+    expected = np.clip(out[0] + plain, 0.0, 0.11)
+    assert np.array_equal(expected, out[0] + plain), "clear of the end stops"
+    assert np.abs(out - expected).max() < 1e-6 * np.ptp(expected)
+
+
+@pytest.mark.parametrize("limit", [0.5, 1.1])
+def test_a_pump_that_two_axes_share(limit: float) -> None:
+    commands = np.column_stack([RECORDING.values("slew.command"), RECORDING.values("boom.command")])
+    expected = references.fed_by_one_pump(commands, DT, (0.5, 0.008), limit)[:, 0]
+    out = run("pump_flow_limit", "machine", {"limit": limit})[:, 0]
+    assert 0.1 < np.mean(np.abs(commands).sum(axis=1) > limit) < 0.95, "it binds at times"
+    assert np.abs((out - out[0]) - expected).max() < 1e-9 * np.ptp(expected)
+
+
 def test_all_velocity_effects_together() -> None:
     """Order of the command stage. Blending a fraction of a step before a bend is exact to first order only."""
-    from sysid.machine import KnownEffect
-    from sysid.plant import compile_plant, nominal_plant
-
     values: dict[str, dict[str, float]] = {
         "input_delay": {"delay": 0.04},
         "valve_hysteresis": {"width": 0.04},
@@ -74,17 +119,22 @@ def test_all_velocity_effects_together() -> None:
         "first_order_lag": {"time_constant": 0.06},
         "gain_error": {"ratio": 1.2},
         "asymmetric_gain": {"ratio": 0.8},
-        "internal_leakage": {"rate": 0.001},
+        "temperature_drift": {"fraction": 0.3, "time_constant": 5.0},
+        "load_dependent_flow": {"coefficient": 0.02},
+        "internal_leakage": {"rate": 1e-4},
         "stiction": {"breakaway": 0.1, "release": 0.05},
+        "oil_compressibility": {"frequency": 6.0, "damping_ratio": 0.1},
     }
+    recording, load = loaded()
     plant = nominal_plant(probe_machine())
     for name, parameters in values.items():
-        plant = plant.with_effect(KnownEffect(name, "slew", dict(parameters)))
+        plant = plant.with_effect(KnownEffect(name, "boom", dict(parameters)))
     model = compile_plant(plant)
-    known = replace(RECORDING, table=RECORDING.table.assign(**{"slew.joint": np.where(np.arange(400) < 1, 0.0, np.nan)}))
-    out = model.drive(model.theta[None], known, "slew")[0][0]
+    known = recording.table.assign(**{"boom.cylinder": np.where(np.arange(400) < 1, 0.055, np.nan)})
+    out = model.drive(model.theta[None], replace(recording, table=known), "boom")[0]
+    command = recording.values("boom.command")
     expected = references.velocity_axis(
-        RECORDING.values("slew.command"), DT, 0.5, 0.0, **{name: tuple(p.values()) for name, p in values.items()}
+        command, DT, 0.008, 0.0, load, **{name: tuple(p.values()) for name, p in values.items()}
     )
     assert np.abs((out - out[0]) - expected).max() < 1e-2 * np.ptp(expected)
 
@@ -110,6 +160,11 @@ FORCE = [
     ("viscous_friction", {"positive": 2.0, "negative": 6.0}, {"viscous": (2.0, 6.0)}),
     ("inertia_error", {"ratio": 1.7}, {"mass": 3.4}),
     ("load_bias", {"force": -0.7}, {"load": -0.7}),
+    (
+        "stribeck_friction",
+        {"static_force": 1.6, "coulomb_force": 0.9, "stribeck_velocity": 0.3},
+        {"stribeck": (1.6, 0.9, 0.3)},
+    ),
 ]
 
 
@@ -119,6 +174,24 @@ def test_force_axis(effect: str, values: dict[str, float], physics: dict[str, fl
     out = run(effect, "slide", dict(values))[:, 0]
     # The plant steps at the sample rate, to first order in friction: about a hundredth of the travel after 4 s.
     assert np.abs((out - out[0]) - expected).max() < 2e-2 * np.ptp(expected)
+
+
+def test_stribeck_friction_sticks_and_slips_without_chattering() -> None:
+    """Below break-away the slide rests exactly; once it moves it needs the smaller force, and stops dead under it."""
+    count = 1200
+    force = np.full(count, 0.95)
+    force[:200], force[600:800], force[1000:] = 0.0, 1.2, -0.5
+    recording = replace(
+        RECORDING, table=pd.DataFrame({"time": np.arange(count) * DT, "slide.command": force, "slide.joint": 0.0})
+    )
+    friction = plant_run(BY_NAME["stribeck_friction"], place("stribeck_friction", "slide"))
+    out = friction({"static_force": 1.0, "coulomb_force": 0.8, "stribeck_velocity": 0.02}, recording)[:, 0]
+    speed = np.diff(out)
+    assert (speed[:600] == 0.0).all(), "0.95 N does not break away"
+    assert (np.diff(out[601:1001], 2) > 0).all(), "once it slides 0.95 N drive it on"
+    stops = 1000 + int(np.argmax(speed[1000:] == 0.0))
+    assert 1000 < stops < count - 50
+    assert (speed[stops:] == 0.0).all(), "0.5 N does not pull it back, and it does not tremble"
 
 
 @pytest.mark.parametrize("width", [0.01, 0.1])
@@ -131,14 +204,115 @@ def test_play_between_drive_and_sensor(width: float) -> None:
 
 
 def test_play_behind_a_cylinder() -> None:
-    linkage = probe_machine().axis("boom").linkage
-    assert linkage is not None
-    from sysid.machine import TriangleLinkage
-
-    angle = TriangleLinkage(linkage).joint(RECORDING.values("boom.cylinder"))
+    angle = boom_angle(RECORDING.values("boom.cylinder"))
     out = run("backlash", "boom", {"width": 0.02}, "drive")[:, 0]
     # The plant tabulates the linkage.
     assert np.abs(out - references.play(angle, 0.02, angle[0])).max() < 2e-6
+
+
+@pytest.mark.parametrize("axis", ["boom", "slide", "wrist"])
+@pytest.mark.parametrize("side", ["drive", "structure"])
+def test_a_soft_joint_sags_under_the_weight(axis: str, side: str) -> None:
+    """In front of the sensor it is read, behind it only the tip shows it. The load is that of the measured pose."""
+    compliance, i = 2e-3, probe_machine().axis_names.index(axis)
+    soft, rest = BY_NAME["joint_compliance"], place("joint_compliance", axis, side)
+    recording, some = loaded()[0], slice(None, None, 9)
+    if side == "structure":
+        joints = measured_joints(recording, probe_machine())[some].copy()
+        joints[:, i] -= compliance * loads_of(recording, some)[:, i]
+        kinematics = probe_machine().kinematics()
+        assert kinematics is not None
+        expected = kinematics.tip_position(joints)
+        stiff, out = (plant_run(soft, rest)(values, recording)[some] for values in (None, {"compliance": compliance}))
+        assert np.abs(stiff - expected).max() > 5e-4
+        assert np.abs(out - expected).max() < 1e-8
+        return
+    if axis != "boom":  # of what is driven only the first samples are known, the rest of the weight rests on them
+        signal = f"{axis}.joint"
+        known = np.where(np.arange(len(recording)) < 20, recording.values(signal)[0], np.nan)
+        held = np.full(len(recording), recording.values(signal)[0])
+        load = loads_of(replace(recording, table=recording.table.assign(**{signal: held})), some)[:, i]
+        recording = replace(recording, table=recording.table.assign(**{signal: known}))
+    else:
+        load = loads_of(recording, some)[:, i]
+    straight, out = (plant_run(soft, rest)(values, recording)[some, 0] for values in (None, {"compliance": compliance}))
+    sag = straight - out
+    if axis == "slide":  # an integrator starts where its sensor reads what was measured
+        sag, load = sag - sag[0], load - load[0]
+    # The plant tabulates the linkage, which moves the load by the square of that.
+    assert np.abs(sag - compliance * load).max() < 1e-6 * np.abs(compliance * load).max()
+
+
+def joint_read(effect: str, target: str, values: dict[str, float]) -> Array:
+    """What the boom's joint sensor says, (n,)."""
+    spot = next(p for p in places_of(BY_NAME[effect]) if p.target == target and p.stage == "joint")
+    return plant_run(BY_NAME[effect], spot)(values, RECORDING)[:, 0]
+
+
+def boom_angle(cylinder: Array) -> Array:
+    linkage = probe_machine().axis("boom").linkage
+    assert linkage is not None
+    return TriangleLinkage(linkage).joint(cylinder)
+
+
+@pytest.mark.parametrize(
+    ("effect", "values", "formula"),
+    [
+        ("sensor_bias", {"bias": 0.013}, lambda q: q + 0.013),
+        ("sensor_scale", {"scale": 0.97}, lambda q: 0.97 * q),
+        ("sensor_quantisation", {"step": 0.01}, lambda q: 0.01 * np.round(q / 0.01)),
+    ],
+)
+def test_what_a_sensor_says(effect: str, values: dict[str, float], formula: Callable[[Array], Array]) -> None:
+    said = joint_read(effect, "boom.joint", values)
+    expected = formula(boom_angle(RECORDING.values("boom.cylinder")))
+    close = np.abs(said - expected) < 2e-6
+    if effect == "sensor_quantisation":  # next to the middle between two steps the tabulated linkage may fall on either side
+        assert np.mean(close) > 0.99
+        assert np.abs(said / 0.01 - np.round(said / 0.01)).max() < 1e-9
+    else:
+        assert close.all()
+
+
+@pytest.mark.parametrize(("skew", "offset"), [(0.0, 0.037), (0.0, -0.2), (4000.0, 0.0), (-900.0, 0.0)])
+def test_what_a_clock_does(skew: float, offset: float) -> None:
+    """Interpolation between samples of a smooth motion is exact to the square of the step."""
+    time = RECORDING.values("time")
+    effect, values = ("clock_skew", {"skew": skew}) if skew else ("clock_offset", {"offset": offset})
+    said = joint_read(effect, "capture", values)
+    truth = CubicSpline(time, boom_angle(RECORDING.values("boom.cylinder")))
+    expected = references.late(truth, time, skew, offset)
+    outside = references.late(lambda t: (t < 0.0) | (t > time[-1]), time, skew, offset)
+    assert np.isnan(said[outside.astype(bool)]).all()
+    there = ~np.isnan(said)
+    assert there.sum() > len(time) - abs(offset) / DT - 4
+    there &= time > 0.8  # the motion starts at once at 0.5 s, which no spline follows
+    assert np.abs(said - expected)[there].max() < 2e-4
+    assert np.abs(truth(time) - expected)[there].max() > 2e-3, "the clock matters"
+
+
+def test_sensors_and_clocks_are_undone_where_their_signal_is_an_input() -> None:
+    """A stage believes what its input sensors mean: the joint follows the true cylinder, not the one that is read."""
+    plant = nominal_plant(probe_machine(), streams={"draw_wire": ("boom.cylinder",)})
+    true = RECORDING.values("boom.cylinder")
+    time = RECORDING.values("time")
+    scaled = KnownEffect("sensor_scale", "boom.cylinder", {"scale": 1.1})
+    biased = KnownEffect("sensor_bias", "boom.cylinder", {"bias": 0.003})
+    late = KnownEffect("clock_offset", "draw_wire", {"offset": 0.05})
+    fast = KnownEffect("clock_skew", "draw_wire", {"skew": 2000.0})
+    for effects in ((scaled, biased), (late, fast)):
+        wrong = plant
+        for effect in effects:
+            wrong = wrong.with_effect(effect)
+        said = 1.1 * true + 0.003
+        if late in effects:
+            said = references.late(CubicSpline(time, true), time, 2000.0, 0.05)
+        recording = replace(RECORDING, table=RECORDING.table.assign(**{"boom.cylinder": said, "boom.joint": np.nan}))
+        out = compile_plant(wrong).joint(wrong.vector()[None], recording, "boom")[0]
+        there = ~np.isnan(out)
+        assert there.mean() > 0.97
+        assert np.abs(out - boom_angle(true))[there].max() < 2e-4
+        assert np.abs(boom_angle(said) - boom_angle(true)).max() > 5e-3
 
 
 def test_play_in_the_structure() -> None:
@@ -202,11 +376,11 @@ def test_sway_is_a_spherical_pendulum(length: float, damping: float, rate_hz: fl
     pivot = 0.15 * length * waves * begin_and_end_at_rest[:, None] + [0.0, 0.0, 1.0]
     unknown = np.full_like(pivot, np.nan)
     out = np.empty_like(pivot)
-    chain.tool(np.array([length, damping]), 0, pivot, unknown, 20, 1.0 / rate_hz, out)
+    swing.swing(np.array([length, damping]), 0, pivot, unknown, 20, 1.0 / rate_hz, out)
     expected = references.pendulum(pivot, 1.0 / rate_hz, length, damping, longest_step=0.2)
-    swing = np.abs(expected[:, :2] - pivot[:, :2]).max()
-    assert 0.35 * length < swing < 0.5 * length
-    assert np.abs(out - expected).max() < tolerance * swing
+    reach = np.abs(expected[:, :2] - pivot[:, :2]).max()
+    assert 0.35 * length < reach < 0.5 * length
+    assert np.abs(out - expected).max() < tolerance * reach
 
 
 def test_sway_hangs_at_its_length_and_rings_at_its_frequency() -> None:
@@ -244,4 +418,6 @@ def test_every_effect_has_a_reference() -> None:
     """A new effect brings its own."""
     compared = {name for name, *_ in (*VELOCITY, *FORCE)}
     compared |= {"backlash", "joint_offset", "link_length_error", "base_misalignment", "gripper_sway"}
+    compared |= {"load_dependent_flow", "pump_flow_limit", "joint_compliance"}
+    compared |= {"sensor_bias", "sensor_scale", "sensor_quantisation", "clock_offset", "clock_skew"}
     assert compared == {effect.name for effect in CATALOGUE}
