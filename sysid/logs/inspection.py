@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import re
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Protocol, runtime_checkable
@@ -148,8 +149,7 @@ def summarise(stream: Stream) -> StreamSummary:
     """What is in a stream."""
     first = next(iter(stream.stamps.values()))
     clocks = tuple(_clock(name, stamps, first) for name, stamps in stream.stamps.items())
-    aliases = {name for name in stream.columns if name.endswith("]") and not name[name.rindex("[") + 1 : -1].isdecimal()}
-    shadowed = {other for name in aliases for other in _same(name, stream.columns)} | set(stream.columns) & _HEADER
+    shadowed = _numbered_twice(stream.columns) | set(stream.columns) & _HEADER
     fields = tuple(
         _field(name, values, stream.units.get(name)) for name, values in stream.columns.items() if name not in shadowed
     )
@@ -158,10 +158,11 @@ def summarise(stream: Stream) -> StreamSummary:
     )
 
 
-def _same(alias: str, columns: Mapping[str, npt.NDArray[np.float64]]) -> list[str]:
-    """``position[2]`` beside ``position[boom]``: the elements by number that an alias makes needless."""
-    prefix = alias[: alias.rindex("[") + 1]
-    return [name for name in columns if name.startswith(prefix) and name[len(prefix) : -1].isdecimal()]
+def _numbered_twice(columns: Iterable[str]) -> set[str]:
+    """``position[2]`` beside ``position[boom]``: the elements by number that elements by name make needless."""
+    elements = [match for name in columns if (match := re.fullmatch(r"(.*)\[([^\[\]]+)\]", name)) is not None]
+    named = {match[1] for match in elements if not match[2].isdecimal()}
+    return {match[0] for match in elements if match[1] in named and match[2].isdecimal()}
 
 
 def _field(name: str, values: npt.NDArray[np.float64], unit: str | None) -> FieldSummary:

@@ -5,22 +5,19 @@ Fields of structures are reached by dots (``log.position``), columns of a matrix
 
 from __future__ import annotations
 
-import zlib
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from sysid.errors import InputError
-from sysid.logs.limits import FREE, MAX_RATIO, MAX_TEXT, check_whole
+from sysid.logs.limits import check_whole
+from sysid.logs.mat_file import MatError, read_arrays
 from sysid.logs.reader import ReadOptions
 from sysid.logs.stream import Stream
 from sysid.logs.table import TIME_NAMES, Columns, table_stream
-
-#: MAT-file type of an element that is packed with zlib ("MAT-File Format", MathWorks).
-_PACKED = 15
 
 
 @dataclass(frozen=True)
@@ -50,59 +47,16 @@ class MatReader:
         Raises:
             InputError: not a MATLAB file of these versions, or variables that unpack to more than is read.
         """
-        from scipy.io import loadmat
-        from scipy.io.matlab import MatReadError
-
         check_whole(path, "a MATLAB file")
-        _check_unpacked(path)
+        with path.open("rb") as file:
+            head = file.read(128)
+        if head.startswith((b"\x89HDF", b"MATLAB 7.3")):
+            remedy = "Save it again with `save(..., '-v7')`."
+            raise InputError(path, "a MATLAB file of version 7.3 (HDF5)", "version 7 or older", remedy)
         try:
-            variables = loadmat(path, simplify_cells=True)
-        except NotImplementedError:
-            raise InputError(
-                path, "a MATLAB file of version 7.3 (HDF5)", "version 7 or older", "Save it again with `save(..., '-v7')`."
-            ) from None
-        except (MatReadError, ValueError, TypeError, EOFError) as error:
-            raise InputError(path, f"not readable as a MATLAB file ({error})", "a .mat file of version 5 to 7") from None
-        arrays: dict[str, npt.NDArray[Any]] = {}
-        for name, value in variables.items():
-            if not name.startswith("__"):
-                _flatten(name, value, arrays)
-        return arrays
-
-
-def _check_unpacked(path: Path) -> None:
-    """Refuse packed variables that unpack to more than is read, before they are unpacked into memory."""
-    with path.open("rb") as file:
-        head = file.read(128)
-        if len(head) < 128 or head[126:128] not in (b"IM", b"MI") or head[124:126] not in (b"\x00\x01", b"\x01\x00"):
-            return  # version 4, or no MATLAB file: nothing is packed
-        order: Literal["little", "big"] = "little" if head[126:128] == b"IM" else "big"
-        total = 0
-        while len(tag := file.read(8)) == 8:
-            kind, size = int.from_bytes(tag[:4], order), int.from_bytes(tag[4:], order)
-            if kind != _PACKED:
-                file.seek(size, 1)
-                continue
-            unpacker, left = zlib.decompressobj(), size
-            while left > 0 and (packed := file.read(min(left, 2**16))):
-                left -= len(packed)
-                while packed:
-                    try:
-                        total += len(unpacker.decompress(packed, 2**20))
-                    except zlib.error:
-                        return  # the reader says what is wrong with it
-                    packed = unpacker.unconsumed_tail
-                    if total > min(MAX_TEXT, max(FREE, path.stat().st_size * MAX_RATIO)):
-                        found = f"variables that unpack to more than {total / 2**20:.0f} MiB"
-                        raise InputError(path, found, f"at most {MAX_RATIO} times the file's {path.stat().st_size} bytes")
-
-
-def _flatten(name: str, value: Any, into: dict[str, npt.NDArray[Any]]) -> None:
-    if isinstance(value, dict):
-        for key, inner in value.items():
-            _flatten(f"{name}.{key}", inner, into)
-    elif isinstance(value, np.ndarray) and value.dtype.kind in "fiub":
-        into[name] = value
+            return read_arrays(path)
+        except MatError as error:
+            raise InputError(path, f"not readable as a MATLAB file ({error})", "a .mat file of version 4 to 7") from None
 
 
 def _columns(arrays: dict[str, npt.NDArray[Any]], options: ReadOptions) -> dict[str, npt.NDArray[np.float64]]:

@@ -32,17 +32,17 @@ class ParquetReader:
         import pyarrow.parquet as pq
 
         check_not_empty(path, "a Parquet file")
+        columns = []
         try:
             with pq.ParquetFile(path) as file:
                 cells = file.metadata.num_rows * file.metadata.num_columns
                 if cells > MAX_CELLS:  # a few bytes can say so
                     raise InputError(path, f"{cells} cells", f"at most {MAX_CELLS}", "Export it in parts.")
             table = pq.read_table(path)
-        except (pa.ArrowInvalid, OSError) as error:
+            for index, name in enumerate(table.column_names):
+                kind = table.schema.field(index).type
+                if pa.types.is_floating(kind) or pa.types.is_integer(kind) or pa.types.is_boolean(kind):
+                    columns.append((name, table.column(index).cast(pa.float64()).to_numpy().astype(np.float64)))
+        except (pa.ArrowException, OSError, ValueError, KeyError) as error:  # also names that are no text
             raise InputError(path, f"not readable as Parquet ({error})", "a Parquet file") from None
-        columns = []
-        for name in table.column_names:
-            kind = table.schema.field(name).type
-            if pa.types.is_floating(kind) or pa.types.is_integer(kind) or pa.types.is_boolean(kind):
-                columns.append((name, table.column(name).cast(pa.float64()).to_numpy().astype(np.float64)))
         return columns, ()
