@@ -100,6 +100,13 @@ def loaded_arm() -> Machine:
     return machine_from_files({"machine.toml": _ARM, "arm.urdf": urdf}, "arm")
 
 
+#: How the loaded arm's boom gives way to its weight.
+LOADS = (
+    KnownEffect("load_dependent_flow", "boom", {"coefficient": 0.01}),
+    KnownEffect("joint_compliance", "boom", {"compliance": 3e-4}, "structure"),
+)
+
+
 def slide() -> Machine:
     """One axis moved by force."""
     return machine_from_files({"machine.toml": _SLIDE}, "slide")
