@@ -116,9 +116,13 @@ def overlaid(below: dict[str, Any], above: dict[str, Any]) -> dict[str, Any]:
     return merged
 
 
-def write_case(case: Case, out: Path) -> dict[str, Any]:
-    """Write ``out/site`` (logs, machine, recipe) and ``out/truth/truth.json``; returns the truth."""
-    nominal = fit_nominal(case.visible)
+def write_case(case: Case, out: Path, nominal: Chain | None = None) -> dict[str, Any]:
+    """Write ``out/site`` (logs, machine, recipe) and ``out/truth/truth.json``; returns the truth.
+
+    Args:
+        nominal: what :func:`fit_nominal` says of ``case.visible``, where that is known already.
+    """
+    nominal = nominal or fit_nominal(case.visible)
     site, sealed = out / "site", out / "truth"
     described = {}
     parked = None

@@ -22,6 +22,7 @@ class ServoAxis:
         standing_error: the drive stops this far before its target, from either side (friction over stiffness) [rad].
         backlash: full width of the play behind the drive [rad].
         compliance: sag per gravity moment [rad/(N·m)].
+        eccentricity, teeth: a gear that runs out of true turns the joint by ± this much, ``teeth`` times a turn [rad].
     """
 
     __pydantic_config__ = STRICT
@@ -36,6 +37,8 @@ class ServoAxis:
     standing_error: float = 0.0
     backlash: float = 0.0
     compliance: float = 0.0
+    eccentricity: float = 0.0
+    teeth: float = 12.0
 
 
 @dataclass(frozen=True)
@@ -72,6 +75,7 @@ class Slide:
         mass [kg], coulomb [N], viscous [N·s/m], static: break-away force [N], 0 = as sliding; stribeck: [m/s].
         bristle: elastic deflection of the seals before they slide [m]; 0 = none, they hold rigidly.
         offset: constant force against positive motion [N].
+        cogging, pitch: force of the motor's magnets against positive motion, ± this much, once every ``pitch`` [N, m].
         stiffness, damping: of the controller that moves it [N/m, N·s/m].
         stroke: half of its travel [m]; noise, force_noise: of the sensors [m, N].
     """
@@ -89,6 +93,8 @@ class Slide:
     stribeck: float = 0.01
     bristle: float = 0.0
     offset: float = 0.0
+    cogging: float = 0.0
+    pitch: float = 0.03
     stiffness: float = 3e4
     damping: float = 1.5e3
     stroke: float = 0.2

@@ -29,7 +29,9 @@ from sysid.bench.crane import tip_position
 from sysid.bench.cylinder import Drive, against_stops, drive_of, joint_of, position_of
 from sysid.bench.drivetrain import follow_with_play
 from sysid.bench.elastic_joint import flex_step
+from sysid.bench.flight import draw_flight, flight_command
 from sysid.bench.gripper import swing
+from sysid.bench.irregular import Irregular, flow_share, irregular_of
 from sysid.bench.oil import viscosity
 from sysid.bench.operator import stroke_command
 from sysid.bench.poses import approach_command, draw_targets
@@ -91,6 +93,8 @@ def run_machine(recipe: Recipe, recording: RecordingSettings, rng: np.random.Gen
         strokes = strokes_of(recipe, recording, rng)
         longest = recording.seconds
         keep = 1
+    flies = recording.program == "flight" and not recording.is_calibration
+    paths = draw_flight(recipe, recording.seconds, rng) if flies else np.zeros((len(AXES), 0))
     steps = round(longest / recipe.step)
     fluctuations = [flow_fluctuation(axis.valve, steps, recipe.step, rng) for axis in axes]
     width = max(len(values) for values in fluctuations)
@@ -98,6 +102,7 @@ def run_machine(recipe: Recipe, recording: RecordingSettings, rng: np.random.Gen
     plays = np.array([axis.backlash for axis in axes])
     kept, states, commands, still = _loop(
         tuple(valve_of(axis.valve) for axis in axes),
+        tuple(irregular_of(axis.irregular) for axis in axes),
         tuple(drive_of(axis) for axis in axes),
         plays,
         # Where the drive stands inside its play when the machine is parked is anyone's guess.
@@ -113,6 +118,7 @@ def run_machine(recipe: Recipe, recording: RecordingSettings, rng: np.random.Gen
         (recipe.gripper.length, recipe.gripper.damping_ratio),
         fluctuation,
         strokes,
+        paths,
         targets,
         (recipe.operator.margin, recipe.routine.settle, recipe.routine.hold),
         recipe.step,
@@ -135,6 +141,7 @@ def zeros_of(recipe: Recipe) -> Array:
 @compiled
 def _loop(
     valves: tuple[Valve, ...],
+    irregulars: tuple[Irregular, ...],
     drives: tuple[Drive, ...],
     plays: Array,
     in_play: Array,
@@ -149,6 +156,7 @@ def _loop(
     gripper: tuple[float, float],
     fluctuation: Array,
     strokes: Array,
+    paths: Array,
     targets: Array,
     waits: tuple[float, float, float],
     step: float,
@@ -166,6 +174,7 @@ def _loop(
     still = np.zeros((len(targets), 2))
     hand = np.zeros((n, 3))
     spool = np.zeros(n)
+    held = np.zeros(n)
     position = np.empty(n)
     structure = np.empty(n)
     joint = park.copy()
@@ -230,7 +239,18 @@ def _loop(
             row[22] = line[0] if powered else 0.0
         if k % cycle_steps == 0:
             now = k // cycle_steps
-            if len(targets) == 0:
+            if paths.shape[1] > 0:
+                for i in range(n):
+                    commands[i, now] = flight_command(
+                        position[i],
+                        paths[i, now],
+                        paths[i, now + 1],
+                        cycle,
+                        valves[i].gain,
+                        valves[i].positive,
+                        valves[i].negative,
+                    )
+            elif len(targets) == 0:
                 for i in range(n):
                     commands[i, now] = stroke_command(
                         time, cycle, strokes[i], hand[i], position[i], drives[i].low, drives[i].high, valves[i].gain, margin
@@ -270,7 +290,8 @@ def _loop(
             speed = drive_speed(
                 metered(mean, valve.notch), valve.gain, valve.ratio, fluctuation[i, min(k, fluctuation.shape[1] - 1)]
             )
-            position[i] = against_stops(position[i] + speed * step, drives[i].low, drives[i].high)
+            share, held[i] = flow_share(mean, position[i], time, held[i], irregulars[i], step)
+            position[i] = against_stops(position[i] + share * speed * step, drives[i].low, drives[i].high)
             if powered:
                 there_now = joint_of(position[i], drives[i])
                 prescribed[i] = ((there_now - moved[i]) / step - rate[i]) / step

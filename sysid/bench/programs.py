@@ -28,6 +28,8 @@ def strokes_of(recipe: Recipe, recording: RecordingSettings, rng: np.random.Gene
     if recording.program == "operator":
         return draw_strokes(recipe.operator, recording.seconds, rng)
     begin = recipe.operator.parked
+    if recording.program == "flight":
+        return np.full((len(AXES), 1, 4), np.inf)  # no hand on any lever
     if recording.program == "script":
         per_axis: list[list[Stroke]] = [
             [(s.start, s.duration, s.level, s.edge) for s in recording.strokes if s.axis == name] for name in AXES

@@ -13,6 +13,7 @@ from typing import Literal
 
 from sysid.bench.capture_recipe import CaptureSettings
 from sysid.bench.hydraulic_recipe import HydraulicSettings, MassSettings, OilSettings, SupplySettings
+from sysid.bench.irregular import IrregularSettings
 from sysid.config import STRICT
 from sysid.errors import SettingsError, nearest
 
@@ -81,6 +82,7 @@ class AxisSettings:
         backlash: full width of the play between drive and structure [rad or m].
         drive: the simple model of the valve alone, or the hydraulic circuit with the booms' dynamics (needs ``hydraulics``).
         stiffness: of the structure at the joint [N·m/rad]; it sags under its weight and swings with ``flex_damping`` (ratio).
+        irregular: what the drive does that nobody has a name for (of a simple valve only).
     """
 
     __pydantic_config__ = STRICT
@@ -94,6 +96,7 @@ class AxisSettings:
     hydraulics: HydraulicSettings | None = None
     stiffness: float = math.inf
     flex_damping: float = 0.05
+    irregular: IrregularSettings = field(default_factory=IrregularSettings)
 
 
 @dataclass(frozen=True)
@@ -210,7 +213,7 @@ class StrokeSettings:
 class RecordingSettings:
     """One recording: ``seconds`` of a ``program`` (an operator by default), or ``poses`` poses of the calibration routine.
 
-    ``strokes`` are those of the program ``script``.
+    ``strokes`` are those of the program ``script``; ``flight`` is a controller's work, not a hand's.
     """
 
     __pydantic_config__ = STRICT
@@ -219,7 +222,7 @@ class RecordingSettings:
     seed: int
     seconds: float = 0.0
     poses: int = 0
-    program: Literal["operator", "reversals", "stairs", "steps", "together", "rest", "script"] = "operator"
+    program: Literal["operator", "reversals", "stairs", "steps", "together", "rest", "script", "flight"] = "operator"
     strokes: tuple[StrokeSettings, ...] = ()
 
     @property

@@ -75,6 +75,9 @@ def _check_axis(axis: AxisSettings, where: str) -> None:
     if not 0.0 <= axis.flex_damping < 1.0:
         raise SettingsError(f"{where}.flex_damping", f"{axis.flex_damping}", "a damping ratio from 0 to below 1")
     _check_hydraulics(axis, where)
+    for key in ("pitch", "ripple_frequency", "fade_time"):
+        if not getattr(axis.irregular, key) > 0.0:
+            raise SettingsError(f"{where}.irregular.{key}", f"{getattr(axis.irregular, key)}", "more than zero")
     low, high = axis.limits
     if not low < axis.park < high:
         raise SettingsError(f"{where}.park", f"{axis.park}", f"a value inside the limits [{low}, {high}]")

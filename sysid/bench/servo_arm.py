@@ -38,6 +38,9 @@ def run_servo_arm(arm: ServoArm, take: Take) -> tuple[Array, Array, Array]:
             drives[:, i],
         )
     joints[:] = drives
+    for i, axis in enumerate(arm.axes):
+        if axis.eccentricity != 0.0:
+            joints[:, i] += axis.eccentricity * np.sin(axis.teeth * drives[:, i])
     moments = gravity_moments(arm, drives)
     for i, axis in enumerate(arm.axes):
         joints[:, i] -= axis.compliance * moments[:, i]

@@ -34,6 +34,8 @@ def run_slide(slide: Slide, take: Take) -> tuple[Array, Array, Array]:
         slide.viscous,
         slide.offset,
         slide.bristle,
+        slide.cogging,
+        2.0 * math.pi / slide.pitch,
     )
     _slide(path, numbers, slide.stiffness, slide.damping, force, position)
     every = round(1.0 / (STEP * slide.rate))
@@ -43,14 +45,14 @@ def run_slide(slide: Slide, take: Take) -> tuple[Array, Array, Array]:
 @compiled
 def _slide(
     path: Array,
-    numbers: tuple[float, float, float, float, float, float, float],
+    numbers: tuple[float, float, float, float, float, float, float, float, float],
     stiffness: float,
     damping: float,
     force: Array,
     position: Array,
 ) -> None:
     """Closed loop in sub-steps; dry friction is applied as an impulse that may stop the carriage but not turn it round."""
-    mass, coulomb, static, stribeck, viscous, offset, bristle = numbers
+    mass, coulomb, static, stribeck, viscous, constant, bristle, cogging, waves = numbers
     x, v, deflection = path[0], 0.0, 0.0
     substeps = 10
     h = STEP / substeps
@@ -60,6 +62,7 @@ def _slide(
         force[k] = u
         position[k] = x
         for _ in range(substeps):
+            offset = constant + (cogging * math.sin(waves * x) if cogging != 0.0 else 0.0)
             if bristle > 0.0 and coulomb > 0.0:
                 deflection, friction = seal_step(deflection, v, coulomb, static, stribeck, viscous, coulomb / bristle, h)
                 v += h / mass * (u - offset - friction)

@@ -1,0 +1,65 @@
+"""A controller that flies the machine along drawn paths: logs of closed-loop work, in which the command follows the error.
+
+The path of each axis goes from goal to goal with the speed of half a cosine, at a share of what the drive can do. The
+controller feeds the path's speed forward, steers against the error of position and jumps over the overlap of its valve.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import numpy.typing as npt
+
+from sysid.bench.compiled import compiled
+from sysid.bench.cylinder import drive_of, position_of
+from sysid.bench.operator import COMMAND_STEP
+from sysid.bench.recipe import AXES, Recipe
+
+Array = npt.NDArray[np.float64]
+
+#: Gain of the position controller [1/s], and the share of the overlap that it jumps over.
+STEERING = 3.0
+JUMP = 0.9
+#: A wish below this share of full speed is none, so that a resting drive does not chatter across its overlap.
+QUIET = 0.02
+
+
+def draw_flight(recipe: Recipe, seconds: float, rng: np.random.Generator) -> Array:
+    """Wanted drive position of every axis in every controller cycle, and one beyond, (axes, cycles + 1) [m or rad]."""
+    cycle = 1.0 / recipe.controller.rate
+    cycles = round(seconds / cycle) + 1
+    paths = np.empty((len(AXES), cycles))
+    for path, name in zip(paths, AXES, strict=True):
+        axis = recipe.axis(name)
+        drive = drive_of(axis)
+        clear = 2.0 * recipe.operator.margin * (drive.high - drive.low)
+        at = position_of(axis.park, drive)
+        k = min(round(recipe.operator.parked / cycle), cycles)
+        path[:k] = at
+        while k < cycles:
+            goal = float(rng.uniform(drive.low + clear, drive.high - clear))
+            fastest = float(rng.uniform(0.2, 0.7)) * axis.valve.gain
+            ticks = max(round(0.5 * math.pi * abs(goal - at) / fastest / cycle), 1)
+            rest = round(float(rng.uniform(0.2, 1.5)) / cycle)
+            shape = 0.5 - 0.5 * np.cos(np.pi * np.minimum(np.arange(1, ticks + rest + 1) / ticks, 1.0))
+            part = (at + (goal - at) * shape)[: cycles - k]
+            path[k : k + len(part)] = part
+            at, k = goal, k + len(part)
+    return paths
+
+
+@compiled
+def flight_command(
+    position: float, wanted: float, soon: float, cycle: float, speed: float, positive: float, negative: float
+) -> float:
+    """Lever for a drive at ``position`` that should be at ``wanted`` now and at ``soon`` a cycle later.
+
+    Args:
+        speed: of the drive at command 1; ``positive``, ``negative``: overlap of its valve [command].
+    """
+    wish = ((soon - wanted) / cycle + STEERING * (wanted - position)) / speed
+    if abs(wish) < QUIET:
+        return 0.0
+    command = wish + JUMP * positive if wish > 0.0 else wish - JUMP * negative
+    return float(round(min(max(command, -1.0), 1.0) / COMMAND_STEP) * COMMAND_STEP)
