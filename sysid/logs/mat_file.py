@@ -150,6 +150,12 @@ class _Reader:
         kind = np.dtype(self.order + code)
         return np.frombuffer(self.data, kind, element.size // kind.itemsize, element.start)
 
+    def integers(self, element: _Element) -> npt.NDArray[Any]:
+        values = self.numbers(element)
+        if values.dtype.kind not in "iu":
+            raise MatError(f"a size or flag of type {element.kind}")
+        return values
+
     def matrix(self, element: _Element, prefix: str, into: dict[str, npt.NDArray[Any]], depth: int) -> None:
         """Put the numbers of a variable, and of what it contains, into ``into``."""
         if depth > _MAX_DEPTH:
@@ -160,8 +166,8 @@ class _Reader:
         flags, sizes, title = (next(parts, None) for _ in range(3))
         if flags is None or sizes is None or title is None or flags.size < 8:
             raise MatError("a variable without flags, size and name")
-        array_class = self.numbers(flags)[0] & 0xFF
-        shape = tuple(int(size) for size in self.numbers(sizes))
+        array_class = int(self.integers(flags)[0]) & 0xFF
+        shape = tuple(int(size) for size in self.integers(sizes))
         text = self.data[title.start : title.start + title.size].decode("latin-1")
         name = prefix or text
         if array_class in _NUMERIC:
@@ -184,7 +190,7 @@ class _Reader:
         length, names = next(parts, None), next(parts, None)
         if length is None or names is None:
             raise MatError(f"{name}: a structure without names of fields")
-        widths = self.numbers(length)
+        widths = self.integers(length)
         if not len(widths) or not 0 < int(widths[0]) <= 1024:
             raise MatError(f"{name}: a structure without names of fields")
         width = int(widths[0])
