@@ -59,6 +59,7 @@ class CaptureSettings:
         dropouts_per_minute: occlusions of one body each, lasting ``dropout_seconds`` (range, [s]).
         bodies, swaps, exported_markers: what is tracked, when markers are confused, whose markers are exported.
         translation, rpy: surveyed pose of the capture frame in the base frame [m, rad] (fixed-axis roll, pitch, yaw).
+        export: file formats of a take; the first one is mapped by the site's recipe. C3D holds the markers alone.
         shift, tilt: how the machine really stands in the surveyed frame: seen = R(tilt)·true + shift [m, rotation vector rad].
     """
 
@@ -80,3 +81,9 @@ class CaptureSettings:
     bodies: tuple[BodySettings, ...] = ()
     swaps: tuple[SwapSettings, ...] = ()
     exported_markers: tuple[MarkerExport, ...] = ()
+    export: tuple[Literal["motive", "c3d"], ...] = ("motive",)
+
+
+def marker_label(body: str, index: int) -> str:
+    """Name of marker ``index`` (from 0) of ``body`` in an export."""
+    return f"{body}:Marker{index + 1}"

@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from sysid.bench.capture import BodyTrack, Capture
+from sysid.bench.capture_recipe import marker_label
 
 #: Channel and axis of the columns of a rigid body.
 _BODY = (
@@ -87,6 +88,6 @@ def _identity(text: str) -> str:
 def _marker_columns(body: BodyTrack) -> list[tuple[str, str, str, str, str]]:
     columns = []
     for index in range(body.markers.shape[1]):
-        name = f"{body.name}:Marker{index + 1}"
+        name = marker_label(body.name, index)
         columns += [("Marker", name, _identity(name), channel, axis) for channel, axis in _MARKER]
     return columns

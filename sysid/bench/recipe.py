@@ -185,6 +185,8 @@ class ControllerSettings:
 
     A message is published ``publish_delay`` after its stamp and logged ``transport_delay`` later still [s];
     each delay has an exponentially distributed part of the given ``jitter`` (mean, [s]).
+    ``log``: what is recorded, messages (``mcap``) or the frames of the bus (``blf``, ``asc``), which the logger stamps when
+    they are published; the first one is mapped by the site's recipe.
     """
 
     __pydantic_config__ = STRICT
@@ -194,6 +196,7 @@ class ControllerSettings:
     publish_delay: float = 0.0
     transport_delay: float = 0.0
     jitter: float = 0.0
+    log: tuple[Literal["mcap", "blf", "asc"], ...] = ("mcap",)
 
 
 @dataclass(frozen=True)

@@ -56,6 +56,9 @@ def check_recipe(recipe: Recipe, where: object) -> None:
         if wrong is not None:
             raise SettingsError(place, wrong, "strokes of one axis one after the other, edges up to half of each")
     _check_swaps(recipe, where)
+    for key, kinds in (("controller.log", recipe.controller.log), ("capture.export", recipe.capture.export)):
+        if not kinds or len(set(kinds)) < len(kinds):
+            raise SettingsError(f"{where}: {key}", f"{list(kinds)}", "at least one format, each once")
 
 
 def _check_axis(axis: AxisSettings, where: str) -> None:

@@ -9,7 +9,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from sysid.bench.capture_recipe import BodySettings, marker_label
 from sysid.bench.recipe import AXES, AxisSettings, Recipe
+from sysid.bench.write import LOG_FILES, write_database
 
 Array = npt.NDArray[np.float64]
 
@@ -102,25 +104,62 @@ def recipe_toml(recipe: Recipe, parked: Array) -> str:
     poses = [each.name for each in recipe.recordings if each.is_calibration]
     capture = recipe.capture
     joints = ", ".join(f"{name} = {value:.6f}" for name, value in zip(AXES, parked, strict=True))
-    signals = [f'"{name}.command" = {{ topic = "/valves/command", field = "command[{name}]" }}' for name in AXES]
-    for name, signal in zip(AXES[1:], _wired(recipe), strict=True):
-        signals += [f'"{signal}" = {{ topic = "/draw_wires", field = "position[{name}]", unit = "m" }}']
-    signals += ['"slew.joint" = { topic = "/slew_sensor", field = "position[slew]", unit = "rad", primary = false }']
     lines = ["schema = 1", f'name = "{recipe.name}"', 'machine = "machine.toml"', 'logs = "logs"', "", "[recordings]"]
     lines += [f"motion = {_texts(motion)}", f"poses = {_texts(poses)}", "", "[splits]", f"held_out = {_texts(motion[-1:])}", ""]
-    lines += ["[[streams]]", 'files = "machine.mcap"', 'reader = "mcap"', 'clock = "header"', 'domain = "machine"']
-    lines += ["[streams.signals]", *signals]
-    links = {"column": "column", "boom": "boom", "stick": "stick", "tip": "tip"}
-    bodies = [f"{body.name} = {links[body.link]!r}".replace("'", '"') for body in capture.bodies if body.link in links]
+    lines += _machine_lines(recipe)
+    bodies = [f'{body.name} = "{body.link}"' for body in capture.bodies if body.link != "gripper"]
     if not bodies:
         return "\n".join(lines) + "\n"
-    lines += ["", "[[streams]]", 'files = "mocap.csv"', 'reader = "motive"', 'domain = "mocap"', 'interpolation = "cubic"']
+    export = capture.export[0]
+    lines += ["", "[[streams]]", f'files = "{LOG_FILES[export]}"', f'reader = "{export}"', 'domain = "mocap"']
+    lines += ['interpolation = "cubic"']
     lines += ['secondary = ["telescope.joint"]', "[streams.frame]", f"translation = {list(capture.translation)}"]
-    lines += [f"rpy = {list(capture.rpy)}", "[streams.bodies]", *bodies, "[streams.points]"]
+    lines += [f"rpy = {list(capture.rpy)}", "[streams.bodies]", *bodies]
+    if export == "c3d":
+        lines += ["[streams.marker_sets]", *map(_marker_set, capture.bodies)]
+    lines += ["[streams.points]"]
     for point, link in (("ee", "tip"), ("tool", "gripper")):
-        lines += [f'{point} = {{ body = "{body.name}" }}' for body in capture.bodies if body.link == link]
+        for body in (body for body in capture.bodies if body.link == link):
+            at = f", at = {pivot_in_set(body).round(7).tolist()}" if export == "c3d" else ""
+            lines += [f'{point} = {{ body = "{body.name}"{at} }}']
     lines += ["[streams.reference]", f'recording = "{motion[0]}"', "seconds = [0.2, 1.2]", f"joints = {{ {joints} }}"]
     return "\n".join(lines) + "\n"
+
+
+def _machine_lines(recipe: Recipe) -> list[str]:
+    """The machine's log: messages with their fields, or frames with the signals of the database."""
+    kind = recipe.controller.log[0]
+    lines = ["[[streams]]", f'files = "{LOG_FILES[kind]}"']
+    if kind == "mcap":
+        lines += ['reader = "mcap"', 'clock = "header"', 'domain = "machine"', "[streams.signals]"]
+        topics, fields = ("/valves/command", "/draw_wires", "/slew_sensor"), ("command[{}]", "position[{}]")
+    else:
+        lines += ['reader = "can"', f'dbc = "{recipe.name}.dbc"', 'domain = "machine"', "[streams.signals]"]
+        topics, fields = ("VALVE_COMMAND", "DRAW_WIRES", "SLEW_SENSOR"), ("{}", "{}")
+    for name in AXES:
+        lines += [f'"{name}.command" = {{ topic = "{topics[0]}", field = "{fields[0].format(name)}" }}']
+    for name, signal in zip(AXES[1:], _wired(recipe), strict=True):
+        lines += [f'"{signal}" = {{ topic = "{topics[1]}", field = "{fields[1].format(name)}", unit = "m" }}']
+    slew = f'topic = "{topics[2]}", field = "{fields[1].format("slew")}", unit = "rad", primary = false'
+    return [*lines, f'"slew.joint" = {{ {slew} }}']
+
+
+def _marker_set(body: BodySettings) -> str:
+    return f"{body.name} = {_texts([marker_label(body.name, i) for i in range(len(body.markers))])}"
+
+
+def pivot_in_set(body: BodySettings) -> Array:
+    """Where the body's origin was surveyed in the frame that its markers span, (3,) [m].
+
+    That frame has its origin in the centre of the markers, x from the first to the second, z normal to the first three.
+    """
+    markers = np.array(body.markers)
+    centre = markers.mean(axis=0)
+    x = markers[1] - markers[0]
+    z = np.cross(x, markers[2] - markers[0])
+    axes = np.stack([x, np.cross(z, x), z])
+    pivot = centre if body.pivot is None else np.array(body.pivot)
+    return np.asarray(axes / np.linalg.norm(axes, axis=1, keepdims=True) @ (pivot - centre))
 
 
 def _texts(names: Sequence[str]) -> str:
@@ -134,3 +173,4 @@ def write_site_files(
     (folder / "machine.toml").write_text(machine_toml(recipe, gains, effects), "utf-8")
     (folder / f"{recipe.name}.urdf").write_text(urdf(recipe), "utf-8")
     (folder / "recipe.toml").write_text(recipe_toml(recipe, parked), "utf-8")
+    write_database(recipe, folder)

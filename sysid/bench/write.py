@@ -1,4 +1,7 @@
-"""Writing recordings the way a site would hand them over: one folder a recording, ``machine.mcap`` and ``mocap.csv`` in it."""
+"""Writing recordings the way a site would hand them over: one folder a recording, ``machine.mcap`` and ``mocap.csv`` in it.
+
+The recipe may choose other formats: ``machine.blf`` or ``machine.asc`` with a database beside the recordings, ``mocap.c3d``.
+"""
 
 from __future__ import annotations
 
@@ -11,19 +14,59 @@ from sysid.bench.recipe import Recipe
 from sysid.bench.run import Run, simulate
 from sysid.bench.truth import describe_effects, describe_run
 
+#: Format → its file in a recording's folder.
+LOG_FILES = {
+    "mcap": "machine.mcap",
+    "blf": "machine.blf",
+    "asc": "machine.asc",
+    "motive": "mocap.csv",
+    "c3d": "mocap.c3d",
+}  # fmt: skip
+
 #: The capture computer's wall clock was never set by the machine's [s].
 WALL_CLOCK_AHEAD = 37.4
 
 
-def write(run: Run, folder: Path) -> None:
-    """Write both logs of ``run`` into ``folder`` (made where it is missing)."""
+def write(run: Run, folder: Path) -> list[Path]:
+    """Write the logs of ``run`` into ``folder`` (made where it is missing); returns the files."""
     folder.mkdir(parents=True, exist_ok=True)
-    write_mcap(run.log, folder / "machine.mcap")
+    written = []
+    for kind in run.recipe.controller.log:
+        written.append(folder / LOG_FILES[kind])
+        if kind == "mcap":
+            write_mcap(run.log, written[-1])
+        else:
+            from sysid.bench.can_log import write_can
+
+            write_can(run.log, written[-1])
+    for export in run.recipe.capture.export:
+        written.append(folder / LOG_FILES[export])
+        if export == "motive":
+            _write_motive(run, written[-1])
+        else:
+            from sysid.bench.c3d_export import write_c3d
+
+            write_c3d(run.capture, written[-1])
+    return written
+
+
+def write_database(recipe: Recipe, folder: Path) -> list[Path]:
+    """Write the database of the bus where the recipe logs it; returns the files."""
+    if not {"blf", "asc"} & set(recipe.controller.log):
+        return []
+    from sysid.bench.can_log import write_dbc
+
+    folder.mkdir(parents=True, exist_ok=True)
+    write_dbc(folder / f"{recipe.name}.dbc")
+    return [folder / f"{recipe.name}.dbc"]
+
+
+def _write_motive(run: Run, path: Path) -> None:
     settings = run.recipe.capture
     started = wall_clock(run.start_ns, WALL_CLOCK_AHEAD + run.capture.clock.offset)
     write_motive(
         run.capture,
-        folder / "mocap.csv",
+        path,
         f"{run.recipe.name} {run.recording.name}",
         started,
         settings.capture_rate,
@@ -38,9 +81,8 @@ def write_all(recipe: Recipe, out: Path) -> list[Path]:
     for recording in recipe.recordings:
         run = simulate(recipe, recording)
         folder = out / recording.name
-        write(run, folder)
+        written += write(run, folder)
         described[recording.name] = describe_run(run)
-        written += [folder / "machine.mcap", folder / "mocap.csv"]
     path = out / "truth.json"
     truth = {
         "schema": 1,
@@ -50,4 +92,4 @@ def write_all(recipe: Recipe, out: Path) -> list[Path]:
         "recordings": described,
     }
     path.write_text(json.dumps(truth, indent=1) + "\n", "utf-8")
-    return [*written, path]
+    return [*written, *write_database(recipe, out), path]
