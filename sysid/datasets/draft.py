@@ -96,16 +96,19 @@ def _stream(group: Sequence[FileSummary], machine: Machine | None, taken: set[st
     yield f'domain = "{"mocap" if captured else "machine"}"   # whose clock that is; for another device any other name'
     for key, value in file.stated.items():
         yield f"{key} = {_text(value)}   # not stated in the file: check it"
-    if captured and any(_is_body(stream) for stream in file.streams):
-        yield from _bodies(file, machine)
-    else:
+    bodies = [stream for stream in file.streams if captured and _is_body(stream)]
+    markers = [stream for stream in file.streams if captured and _is_marker(stream)]
+    if bodies or markers:
+        yield from _capture(bodies, markers, machine)
+    rest = [stream for stream in file.streams if stream not in bodies and stream not in markers]
+    if rest:
         yield "[streams.signals]"
-        yield from _signals(file, machine, taken)
+        yield from _signals(file, rest, machine, taken)
 
 
-def _signals(file: FileSummary, machine: Machine | None, taken: set[str]) -> Iterator[str]:
+def _signals(file: FileSummary, streams: Sequence[StreamSummary], machine: Machine | None, taken: set[str]) -> Iterator[str]:
     tables = len(file.streams) == 1 and not file.streams[0].kind and file.reader in ("csv", "parquet", "mat")
-    for stream in file.streams:
+    for stream in streams:
         moving = [field for field in stream.fields if field.high > field.low and "covariance" not in field.name]
         if not tables:
             kind = f" ({_plain(stream.kind)})" if stream.kind else ""
@@ -168,28 +171,45 @@ def _is_body(stream: StreamSummary) -> bool:
     return any(field.name == "qw" for field in stream.fields)
 
 
-def _bodies(file: FileSummary, machine: Machine | None) -> Iterator[str]:
+def _is_marker(stream: StreamSummary) -> bool:
+    names = {field.name for field in stream.fields}
+    return {"x", "y", "z"} <= names and "qw" not in names
+
+
+def _capture(bodies: Sequence[StreamSummary], markers: Sequence[StreamSummary], machine: Machine | None) -> Iterator[str]:
+    """Frame, bodies, points and reference pose of a motion capture."""
     kinematics = machine.kinematics() if machine is not None else None
     links = [joint.child for joint in kinematics.chain] if kinematics is not None else []
-    bodies = [stream for stream in file.streams if _is_body(stream)]
     yield "[streams.frame]              # surveyed pose of the capture frame in the machine's base frame"
     yield "translation = [0.0, 0.0, 0.0]"
     yield "rpy = [0.0, 0.0, 0.0]        # Motive counts y upwards: [1.5708, 0.0, 0.0] turns it to z"
+    yield "[streams.points]             # a rigid body, a surveyed point in its frame, or a marker, as ee or tool"
+    if bodies:
+        yield f"# ee = {{ body = {_text(bodies[-1].name)}, at = [0.0, 0.0, 0.0] }}"
+    else:
+        yield f"# ee = {{ marker = {_text(markers[-1].name)} }}"
+        listed = ", ".join(_text(stream.name) for stream in markers[:3])
+        yield "[streams.marker_sets]        # rigid body → three or more markers that sit rigidly together"
+        yield f"# <body> = [{listed}]"
     yield f"[streams.bodies]             # rigid body → URDF link{': ' + ', '.join(links) if links else ''}"
     for stream in bodies:
         link = [link for link in links if _words(link) <= _words(stream.name)]
-        seen = min((1.0 - field.missing for field in stream.fields), default=0.0)
-        target = link[0] if len(link) == 1 else "<link>"
-        yield f"# {_key(stream.name)} = {_text(target)}   # seen in {100.0 * seen:.0f} % of {stream.samples} frames"
-    yield "[streams.points]             # rigid body, or a surveyed point in its frame, as ee or tool"
-    yield f"# ee = {{ body = {_text(bodies[-1].name)}, at = [0.0, 0.0, 0.0] }}"
+        yield f"# {_key(stream.name)} = {_text(link[0] if len(link) == 1 else '<link>')}   # {_seen(stream)}"
     yield "# [streams.reference]        # needed with bodies: the machine stands still with known joint values"
     yield "# seconds = [0.2, 1.2]"
     axes = ", ".join(f"{axis.name} = <value>" for axis in machine.axes) if machine is not None else "<axis> = <value>"
     yield f"# joints = {{ {axes} }}"
-    markers = len(file.streams) - len(bodies)
     if markers:
-        yield f"# {markers} markers besides"
+        yield "# markers:"
+    for stream in markers[:MAX_LINES]:
+        yield f"#   {_text(stream.name)}: {_seen(stream)}"
+    if len(markers) > MAX_LINES:
+        yield f"#   and {len(markers) - MAX_LINES} more"
+
+
+def _seen(stream: StreamSummary) -> str:
+    share = min((1.0 - field.missing for field in stream.fields), default=0.0)
+    return f"seen in {100.0 * share:.0f} % of {stream.samples} frames"
 
 
 def _text(value: str) -> str:

@@ -86,6 +86,16 @@ def test_rigid_bodies_are_offered_with_their_links(datasets_folder: Path, capsys
     assert tomllib.loads(text)["streams"][0]["domain"] == "mocap"
 
 
+def test_markers_are_offered_as_points_and_sets(shared_data: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    text = inspected(capsys, shared_data / "mocap_files/markers.trc")["recipe"]
+    assert '# ee = { marker = "' in text
+    assert '# <body> = ["ASISl", "ASISr", "PSISl"]' in text
+    assert '#   "STER": seen in 100 % of 93 frames' in text
+    assert "signals" not in tomllib.loads(text)["streams"][0]
+    analog = inspected(capsys, shared_data / "mocap_files/Qualisys.c3d")["recipe"]
+    assert {"points", "marker_sets", "signals"} <= set(tomllib.loads(analog)["streams"][0])
+
+
 def test_what_an_export_does_not_state_is_asked_for(shared_data: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = shared_data / "mocap_files/motive_1.22_two_rigid_bodies.csv"
     assert run("ingest", "--inspect", path) == 0
