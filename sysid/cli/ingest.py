@@ -21,6 +21,7 @@ from sysid.errors import SettingsError
 @click.option(
     "--draft", type=click.Path(path_type=Path), default=None, metavar="R.toml", help="With --inspect: write the draft."
 )
+@click.option("--dbc", type=click.Path(path_type=Path), default=None, help="With --inspect: the database of a CAN log.")
 @json_option
 @click.pass_obj
 def ingest(
@@ -31,6 +32,7 @@ def ingest(
     name: str | None,
     inspect: bool,
     draft: Path | None,
+    dbc: Path | None,
     json_file: str | None,
 ) -> None:
     """Turn raw logs into a new dataset version.
@@ -40,10 +42,11 @@ def ingest(
     if inspect:
         from sysid.cli.ingest_inspect import inspect_paths
 
-        inspect_paths(paths, machine, draft, json_file)
+        inspect_paths(paths, machine, draft, dbc, json_file)
         return
-    if draft is not None:
-        raise SettingsError("--draft", "given without --inspect", "both, or neither", "Add --inspect.")
+    for option, value in (("--draft", draft), ("--dbc", dbc)):
+        if value is not None:
+            raise SettingsError(option, "given without --inspect", "both, or neither", "Add --inspect.")
     from sysid import datasets
     from sysid.cli.datasets import describe
 

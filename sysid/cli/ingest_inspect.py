@@ -21,7 +21,9 @@ MAX_STREAMS, MAX_FIELDS = 40, 24
 _UNIX = 631_152_000 * 10**9
 
 
-def inspect_paths(paths: Sequence[Path], machine: Path | None, draft: Path | None, json_file: str | None) -> None:
+def inspect_paths(
+    paths: Sequence[Path], machine: Path | None, draft: Path | None, dbc: Path | None, json_file: str | None
+) -> None:
     """Show every log file below ``paths``, print the drafted recipe, and write it to ``draft`` where that is given.
 
     Raises:
@@ -43,7 +45,7 @@ def inspect_paths(paths: Sequence[Path], machine: Path | None, draft: Path | Non
     with progress_bar("inspect") as progress:
         for number, path in enumerate(files):
             progress(number / len(files), path.name)
-            summaries.append(inspect_file(path))
+            summaries.append(inspect_file(path, dbc=dbc))
     out = Printer(json_file)
     for summary in summaries:
         _show(out, summary)

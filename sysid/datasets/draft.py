@@ -84,7 +84,7 @@ def _stream(group: Sequence[FileSummary], machine: Machine | None, taken: set[st
     captured = clocks[:1] == ["capture"]
     yield "[[streams]]"
     if file.reader in ("can", "mf4"):
-        yield '# dbc = "<file>.dbc"          # names the messages and signals of the CAN frames; then inspect again'
+        yield '# dbc = "<file>.dbc"          # names what is in the CAN frames: inspect again with --dbc'
     yield f"files = {_text(_pattern(group))}"
     if by_suffix != file.reader:
         yield f"reader = {_text(file.reader)}"

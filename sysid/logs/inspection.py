@@ -90,8 +90,10 @@ class FileSummary:
     refusal: str = ""
 
 
-def inspect_file(path: Path, reader: str | None = None) -> FileSummary:
+def inspect_file(path: Path, reader: str | None = None, dbc: Path | None = None) -> FileSummary:
     """Read a file as far as is needed to say what is in it; a file that cannot be read is described by its refusal.
+
+    ``dbc``: the database of a CAN log.
 
     Raises:
         InputError: no such file, or no reader for its suffix.
@@ -110,6 +112,7 @@ def inspect_file(path: Path, reader: str | None = None) -> FileSummary:
             time_unit=stated.get("time_unit", "s"),
             length_unit=stated.get("length_unit"),
             rotation=stated.get("rotation"),
+            dbc=dbc,
         )
         streams = chosen.read(path, options)
     except InputError as error:

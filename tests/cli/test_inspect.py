@@ -96,6 +96,19 @@ def test_markers_are_offered_as_points_and_sets(shared_data: Path, capsys: pytes
     assert {"points", "marker_sets", "signals"} <= set(tomllib.loads(analog)["streams"][0])
 
 
+def test_a_database_names_what_is_in_can_frames(tmp_path: Path, shared_data: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    folder = shared_data / "can_logs"
+    bare = inspected(capsys, folder / "test_CanMessage.asc")
+    assert '# dbc = "<file>.dbc"' in bare["recipe"]
+    assert {field["name"] for field in bare["files"][0]["streams"][0]["fields"]} >= {"data[0]", "data[7]"}
+    database = tmp_path / "valves.dbc"
+    database.write_text('VERSION ""\nBU_: ECU\nBO_ 200 Wires: 8 ECU\n SG_ Boom : 0|8@1+ (0.5,0) [0|127] "mm" ECU\n')
+    (stream,) = inspected(capsys, folder / "test_CanMessage.asc", "--dbc", database)["files"][0]["streams"]
+    assert (stream["name"], [(field["name"], field["unit"]) for field in stream["fields"]]) == ("Wires", [("Boom", "mm")])
+    refused = inspected(capsys, folder / "test_CanMessage.asc", "--dbc", tmp_path / "absent.dbc")
+    assert "absent.dbc" in refused["files"][0]["refusal"]
+
+
 def test_what_an_export_does_not_state_is_asked_for(shared_data: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = shared_data / "mocap_files/motive_1.22_two_rigid_bodies.csv"
     assert run("ingest", "--inspect", path) == 0
