@@ -12,7 +12,22 @@ EFFECT = Effect(
     stage="sensor",
     target="signal",
     slots=(Slot("step"),),
-    forms=(Form((Parameter("step", "signal", (0.0, 0.1), (1e-4, 1e-3, 1e-2), 2e-5, "between two readings", stepwise=True),)),),
+    forms=(
+        Form(
+            (
+                Parameter(
+                    "step",
+                    "signal",
+                    (0.0, 0.1),
+                    (1e-4, 1e-3, 1e-2),
+                    2e-5,
+                    "between two readings",
+                    stepwise=True,
+                    scale="step",
+                ),
+            )
+        ),
+    ),
     equation="measured = step·⌊true/step + ½⌋",
     source="Widrow & Kollár, Quantization Noise, 2008, ch. 1; 0.01 mm on draw wires (machine facts)",
     excited_by="slow motion, in which single steps show",

@@ -81,10 +81,27 @@ class Candidate:
 
 @dataclass(frozen=True)
 class Scales:
-    """Typical sizes that the data show: force [N or N·m], and gravity load on each axis [N·m or N], zero for none."""
+    """Typical sizes that the data show: force [N or N·m], gravity load on each axis [N·m or N], step of each signal's readings.
+
+    Zero for no load, and where readings come in no steps.
+    """
 
     force: float = 1.0
     loads: Mapping[str, float] = field(default_factory=dict)
+    steps: Mapping[str, float] = field(default_factory=dict)
+
+    def offered(self, effect: Effect, target: str) -> bool:
+        """Whether the data show what the effect's parameters are measured in, and more of it than is negligible."""
+        parameters = [parameter for form in effect.forms for parameter in form.parameters]
+        if any(p.scale == "1/load" for p in parameters) and not self.loads.get(target):
+            return False
+        return all(self.steps.get(target, 0.0) > p.negligible for p in parameters if p.scale == "step")
+
+    def starts(self, parameter: Parameter, target: str) -> tuple[float, ...]:
+        """Values from which a fit of the parameter starts."""
+        if parameter.scale == "step":
+            return (self.steps[target],)
+        return tuple(start * self.unit(parameter, target) for start in parameter.starts)
 
     def unit(self, parameter: Parameter, target: str) -> float:
         """What the parameter's starts and sizes are multiples of."""
@@ -110,15 +127,11 @@ def candidates_at(
     scales = scales or Scales()
     for effect in CATALOGUE:
         for target in targets:
-            if not _fits(effect, target, stage, plant) or (_needs_load(effect) and not scales.loads.get(target)):
+            if not _fits(effect, target, stage, plant) or not scales.offered(effect, target):
                 continue
             for side in _sides(effect, stage, target, plant.machine):
                 found += [_candidate(plant, theta, effect, form, target, side, scales) for form in effect.forms]
     return found
-
-
-def _needs_load(effect: Effect) -> bool:
-    return any(parameter.scale == "1/load" for form in effect.forms for parameter in form.parameters)
 
 
 def as_nuisance(candidate: Candidate) -> Candidate:
@@ -171,7 +184,7 @@ def _candidate(
             nominal = float(theta[group[0]])
             negligible = parameter.negligible * unit
             unknowns.append(Unknown(key, tuple(group), parameter.bounds, nominal, negligible, parameter.stepwise))
-            starts.append(tuple(s * unit for s in parameter.starts))
+            starts.append(scales.starts(parameter, target))
     count = max(len(s) for s in starts)
     rows = tuple(tuple(s[min(i, len(s) - 1)] for s in starts) for i in range(count))
     known = plant.effect(effect.name, target, side) is not None

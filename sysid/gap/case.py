@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,6 +18,7 @@ from sysid.gap.problem import Problem, Split, pose_split, problems_of, split_of
 from sysid.gap.result import Excitation
 from sysid.gap.search import Finding
 from sysid.plant import Plant, compile_plant, gravity_load
+from sysid.plant.layout import signals_of
 
 Array = npt.NDArray[np.float64]
 
@@ -86,14 +87,39 @@ def stage_candidates(case: Case, stage: Stage) -> list[Candidate]:
 
 
 def scales_of(plant: Plant, stage: Stage) -> Scales:
-    """Median force and gravity loads in the recordings to fit; a load that is a thousandth of the largest one is none."""
+    """Median force and gravity loads in the recordings to fit, and the steps in which the stage's sensors read.
+
+    A load that is a thousandth of the largest one is none.
+    """
     force = 1.0
     if stage.problem.stage == "force":
         force = float(np.median(np.abs(np.concatenate([stage.problem.measured(r)[:, 0] for r in stage.split.fit]))))
     loads = np.nan_to_num(np.concatenate([gravity_load(plant.machine, r) for r in stage.split.fit]))
     typical = np.median(np.abs(loads), axis=0)
     typical[typical < 1e-3 * typical.max()] = 0.0
-    return Scales(force, dict(zip(plant.machine.axis_names, map(float, typical), strict=True)))
+    read = [target for target in stage.problem.targets if target in signals_of(plant.machine.axis_names)]
+    steps = {signal: reading_step([r.values(signal) for r in stage.split.fit]) for signal in read}
+    return Scales(force, dict(zip(plant.machine.axis_names, map(float, typical), strict=True)), steps)
+
+
+def reading_step(parts: Sequence[Array]) -> float:
+    """The step of which nearly all readings are a whole multiple; zero where there is none.
+
+    The least change between neighbouring readings is a first guess of it, all of them together make it exact.
+    """
+    values = np.concatenate(parts)
+    values = values[~np.isnan(values)]
+    changes = np.concatenate([np.abs(np.diff(part)) for part in parts])
+    changes = changes[changes > 1e-9 * float(np.max(np.abs(values), initial=0.0))]  # NaN is not greater either
+    if not len(changes):
+        return 0.0
+    step = float(changes.min())
+    for _ in range(3):
+        whole = np.round(values / step)
+        if not whole.any():
+            return 0.0
+        step = float(values @ whole / (whole @ whole))
+    return step if np.mean(np.abs(values / step - np.round(values / step)) < 0.02) > 0.95 else 0.0
 
 
 def excitation(case: Case, stages: list[Stage]) -> tuple[Excitation, ...]:

@@ -269,6 +269,9 @@ def jacobian(
 ) -> tuple[Array, Array]:
     """Whitened residuals (n,) and their derivatives (n, k) at ``x``, all perturbations in one batch."""
     step = np.array([(0.5 if u.stepwise else 0.05) * u.negligible for u in unknowns])
+    smooth = np.array([not u.stepwise for u in unknowns])
+    # What may vary widely before it is worth a name still bends within a small part of its value.
+    step[smooth] = np.minimum(step, np.maximum(0.05 * np.abs(x), 0.01 * step))[smooth]
     if high is not None:
         step = np.where(x + step > high, -step, step)
     r = data.whitened(place(theta, unknowns, np.vstack([x, x + np.diag(step)])), drifts, problem)

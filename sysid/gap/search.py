@@ -345,13 +345,15 @@ class Search:
 
 
 def starting_values(candidates: Sequence[Candidate], parents: Sequence[Fit], seed: int) -> list[Array]:
-    """Where a fit may begin: nominal, spread over all ranges, and parents' optima with what is new spread over its range."""
+    """Where a fit may begin: nominal, the candidates' own starts, spread over all ranges; parents' optima with what is new."""
     if not candidates:
         return [np.empty(0)]
     nominal = np.array([u.nominal for c in candidates for u in c.unknowns])
     low = np.concatenate([_ends(c)[0] for c in candidates])
     high = np.concatenate([_ends(c)[1] for c in candidates])
     spread = low + (high - low) * qmc.Sobol(len(nominal), rng=np.random.default_rng(seed)).random(STARTS)
+    rows = range(max(len(c.starts) for c in candidates))
+    spread = np.vstack([spread, *(np.concatenate([c.starts[min(r, len(c.starts) - 1)] for c in candidates]) for r in rows)])
     starts = [nominal, *spread]
     for parent in parents:
         known = np.concatenate([_known(c, parent) for c in candidates])
@@ -362,9 +364,15 @@ def starting_values(candidates: Sequence[Candidate], parents: Sequence[Fit], see
 
 
 def _ends(candidate: Candidate) -> tuple[Array, Array]:
-    """Least and greatest of a candidate's starting values and its nominal ones."""
-    table = np.array([*candidate.starts, [u.nominal for u in candidate.unknowns]])
-    return table.min(axis=0), table.max(axis=0)
+    """Least and greatest of a candidate's starting values and its nominal ones.
+
+    A nominal value far away from all of them says "absent" and leaves no room to search between: it is brought near.
+    """
+    table = np.array(candidate.starts)
+    low, high = table.min(axis=0), table.max(axis=0)
+    room = np.maximum(high - low, np.abs(table).max(axis=0))
+    nominal = np.clip([u.nominal for u in candidate.unknowns], low - room, high + room)
+    return np.minimum(low, nominal), np.maximum(high, nominal)
 
 
 def _known(candidate: Candidate, parent: Fit) -> Array:

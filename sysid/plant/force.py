@@ -55,12 +55,12 @@ class ForceInputs:
 
     def model_force(self, model: Model, thetas: Array, axis: str) -> Array:
         """Force that the model needs for the measured motion, (lanes, m)."""
-        i = model.axis_index(axis)
+        at = model.axis_index(axis)
         out = np.empty((len(thetas), len(self.rows)))
         full = np.empty(len(self.speed))
-        for i, theta in enumerate(thetas):
-            axis_run.force_axis(theta, model.rig, i, self.speed, self.acceleration, full)
-            out[i] = signal.sosfiltfilt(self.low_pass, full)[self.rows]
+        for lane, theta in enumerate(thetas):
+            axis_run.force_axis(theta, model.rig, at, self.speed, self.acceleration, full)
+            out[lane] = signal.sosfiltfilt(self.low_pass, full)[self.rows]
         return out
 
 

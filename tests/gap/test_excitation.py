@@ -24,7 +24,7 @@ def candidate(name: str, target: str) -> Candidate:
     plant: Plant = nominal()
     if effect_named(name).target == "stream":
         plant = replace(plant, streams={target: ("boom.joint",)})
-    scales = Scales(loads=dict.fromkeys(arm().axis_names, 1.0))
+    scales = Scales(loads=dict.fromkeys(arm().axis_names, 1.0), steps={target: 1e-3})
     stages: tuple[Stage, ...] = ("command", "force", "joint", "end_effector", "tool")
     found = [c for s in stages for c in candidates_at(plant, plant.vector(), s, (target,), scales) if c.effect.name == name]
     return found[0]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -177,7 +178,10 @@ def slide_inputs(name: str, seconds: float, seed: int) -> Recording:
 
 
 def measured(truth: Plant, inputs: Recording, seed: int, noise: float = 1.0) -> Recording:
-    """What sensors say while ``truth`` moves; ``noise`` scales that of the machine's data sheet."""
+    """What sensors say while ``truth`` moves.
+
+    ``noise`` scales that of the machine's data sheet; it lies before the rounding of a sensor that reads in steps.
+    """
     rng = np.random.default_rng([seed, 1])
     run = free_run(truth, inputs)
     levels = truth.machine.noise
@@ -187,7 +191,10 @@ def measured(truth: Plant, inputs: Recording, seed: int, noise: float = 1.0) -> 
             columns[signal] = inputs.values("at_samples" if "at_samples" in inputs.signals else signal)
     for signal in run.columns:
         if signal != "time":
-            columns[str(signal)] = run[signal].to_numpy() + rng.normal(0.0, noise * levels.get(str(signal), 0.0), len(run))
+            said = run[signal].to_numpy() + rng.normal(0.0, noise * levels.get(str(signal), 0.0), len(run))
+            rounded = truth.effect("sensor_quantisation", str(signal))
+            step = float(rounded.parameters["step"]) if rounded else 0.0  # type: ignore[arg-type]
+            columns[str(signal)] = step * np.round(said / step) if step else said
     return replace(inputs, table=pd.DataFrame(columns))
 
 
@@ -203,9 +210,15 @@ def dataset_of(truth: Plant, seconds: float = 25.0, seed: int = 0, noise: float 
     return Dataset(truth.machine.name, 1, "0" * 64, truth.machine, tuple(recordings), {}, splits)
 
 
-def nominal(*effects: KnownEffect, machine: Machine | None = None) -> Plant:
+#: Streams of a machine whose boom and tool are seen by motion capture.
+CAPTURE: dict[str, tuple[str, ...]] = {"capture": ("boom.joint", "tool.x", "tool.y", "tool.z")}
+
+
+def nominal(
+    *effects: KnownEffect, machine: Machine | None = None, streams: Mapping[str, tuple[str, ...]] | None = None
+) -> Plant:
     """The nominal plant with some effects."""
-    plant = nominal_plant(machine or arm())
+    plant = nominal_plant(machine or arm(), streams=streams)
     for effect in effects:
         plant = plant.with_effect(effect)
     return plant

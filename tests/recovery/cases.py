@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from plant_data import slide
+from plant_data import CAPTURE, loaded_arm, nominal, slide
 
 from sysid.machine import KnownEffect
 from sysid.plant import Plant
@@ -17,13 +17,16 @@ KNOWN = (
 )
 
 
-def base(effect: KnownEffect) -> Plant:
-    """The simulation that lacks ``effect``."""
-    from plant_data import nominal
+#: Effects of the weight: their machine has masses.
+WEIGHED = ("load_dependent_flow", "joint_compliance")
 
+
+def base(effect: KnownEffect) -> Plant:
+    """The simulation that lacks ``effect``. The boom's joint and the tool are seen by motion capture."""
     if effect.target == "slide":
         return nominal(machine=slide())
-    return nominal(*(known for known in KNOWN if known.name != effect.name or known.target != effect.target))
+    known = (item for item in KNOWN if item.name != effect.name or item.target != effect.target)
+    return nominal(*known, machine=loaded_arm() if effect.name in WEIGHED else None, streams=CAPTURE)
 
 
 CASES: tuple[KnownEffect, ...] = (
@@ -42,9 +45,19 @@ CASES: tuple[KnownEffect, ...] = (
     KnownEffect("asymmetric_gain", "boom", {"ratio": 1.3}),
     KnownEffect("internal_leakage", "boom", {"rate": 2e-4}),
     KnownEffect("stiction", "boom", {"breakaway": 0.2, "release": 0.1}),
+    KnownEffect("temperature_drift", "slew", {"fraction": 0.2, "time_constant": 8.0}),
+    KnownEffect("load_dependent_flow", "boom", {"coefficient": 0.004}),
+    KnownEffect("oil_compressibility", "boom", {"frequency": 5.0, "damping_ratio": 0.1}),
+    KnownEffect("oil_compressibility", "slew", {"frequency": 7.0, "damping_ratio": 0.15}),
+    KnownEffect("pump_flow_limit", "machine", {"limit": 0.7}),
     KnownEffect("backlash", "slew", {"width": 0.012}, "drive"),
     KnownEffect("backlash", "boom", {"width": 0.01}, "drive"),
     KnownEffect("backlash", "slew", {"width": 0.015}, "structure"),
+    KnownEffect("backlash", "wrist", {"width": 0.02}, "drive"),
+    KnownEffect("joint_compliance", "boom", {"compliance": 5e-4}, "drive"),
+    KnownEffect("joint_compliance", "boom", {"compliance": 5e-4}, "structure"),
+    KnownEffect("joint_compliance", "wrist", {"compliance": 2e-3}, "drive"),
+    KnownEffect("joint_compliance", "wrist", {"compliance": 2e-3}, "structure"),
     KnownEffect("joint_offset", "boom", {"offset": 0.01}),
     KnownEffect("link_length_error", "boom", {"error": -0.008}),
     KnownEffect("base_misalignment", "base", {"translation": [0.012, -0.02, 0.008], "rotation": [0.015, -0.01, 0.0]}),
@@ -53,8 +66,16 @@ CASES: tuple[KnownEffect, ...] = (
     KnownEffect("coulomb_friction", "slide", {"positive": 14.0, "negative": 22.0}),
     KnownEffect("viscous_friction", "slide", {"coefficient": 35.0}),
     KnownEffect("viscous_friction", "slide", {"positive": 25.0, "negative": 45.0}),
+    KnownEffect("stribeck_friction", "slide", {"static_force": 26.0, "coulomb_force": 16.0, "stribeck_velocity": 0.3}),
     KnownEffect("inertia_error", "slide", {"ratio": 1.25}),
     KnownEffect("load_bias", "slide", {"force": -4.0}),
+    KnownEffect("sensor_scale", "boom.joint", {"scale": 1.02}),
+    KnownEffect("sensor_scale", "boom.cylinder", {"scale": 0.97}),
+    KnownEffect("sensor_bias", "boom.joint", {"bias": 0.008}),
+    KnownEffect("sensor_bias", "boom.cylinder", {"bias": -0.002}),
+    KnownEffect("sensor_quantisation", "boom.joint", {"step": 0.004}),
+    KnownEffect("clock_skew", "capture", {"skew": 2000.0}),
+    KnownEffect("clock_offset", "capture", {"offset": 0.024}),
 )
 
 

@@ -5,19 +5,16 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from cases import CASES, KNOWN, base, label
-from plant_data import arm, dataset_of, nominal, slide
+from plant_data import CAPTURE, arm, dataset_of, loaded_arm, nominal, slide
 
 from sysid.datasets.recording import Dataset
 from sysid.effects import CATALOGUE
 from sysid.gap import find_gap
-from sysid.gap.candidates import candidates_at
+from sysid.gap.case import open_case, stage_candidates
 from sysid.gap.fit import Data, fit_candidates
-from sysid.gap.floor import problem_floor
-from sysid.gap.noise import noise_levels
-from sysid.gap.problem import Problem, problems_of, split_of
 from sysid.gap.search import starting_values
 from sysid.machine import KnownEffect
-from sysid.plant import Plant, compile_plant
+from sysid.plant import Plant
 
 #: Share by which a parameter may miss the truth. Stiction is known to the nearest command that was given: ramps pass its
 #: thresholds between two samples, so nothing pulls a fit to the exact value.
@@ -26,24 +23,15 @@ TOLERANCE = {"gripper_sway": {"damping_ratio": 0.05}, "stiction": {"breakaway": 
 
 def fitted(truth: KnownEffect, plant: Plant, dataset: Dataset) -> KnownEffect:
     """The effect as :func:`fit_candidates` finds it, every other parameter as the plant has it."""
-    model = compile_plant(plant)
-    split = split_of(dataset)
-    for problem in problems_of(model, dataset):
-        force = typical_force(problem, split.fit)
-        for candidate in candidates_at(plant, model.theta, problem.stage, problem.targets, force):
+    case, stages = open_case(dataset, plant, 0)
+    for stage in stages:
+        for candidate in stage_candidates(case, stage):
             same = (candidate.effect.name, candidate.target, candidate.side) == (truth.name, truth.target, truth.side)
             if same and set(candidate.form.names) == set(truth.parameters):
-                sigma = problem_floor(problem, model.theta, split.fit, noise_levels(dataset), 0)
-                data = Data(problem, split.fit, np.maximum(sigma, 1e-12))
-                fit = fit_candidates(data, model.theta, [candidate], starting_values([candidate], (), 0))
+                data = Data(stage.problem, stage.split.fit, stage.sigma)
+                fit = fit_candidates(data, case.theta, [candidate], starting_values([candidate], (), 0))
                 return candidate.instance(fit.values)
     raise AssertionError(f"{label(truth)} is no candidate at any stage that is measured")
-
-
-def typical_force(problem: Problem, recordings: tuple) -> float:  # type: ignore[type-arg]
-    if problem.stage != "force":
-        return 1.0
-    return float(np.median(np.abs(np.concatenate([problem.measured(r)[:, 0] for r in recordings]))))
 
 
 @pytest.mark.parametrize("truth", CASES, ids=label)
@@ -69,7 +57,14 @@ def test_play_driven_by_a_noisy_input_is_found_a_little_too_wide() -> None:
 
 
 @pytest.mark.parametrize(
-    "plant", [nominal(*KNOWN), nominal(machine=arm()), nominal(machine=slide())], ids=["lags", "bare", "slide"]
+    "plant",
+    [
+        nominal(*KNOWN, streams=CAPTURE),
+        nominal(machine=arm()),
+        nominal(machine=slide()),
+        nominal(*KNOWN, machine=loaded_arm(), streams=CAPTURE),
+    ],
+    ids=["lags", "bare", "slide", "masses"],
 )
 @pytest.mark.parametrize("seed", [1, 2])
 def test_nothing_is_named_where_nothing_is_missing(plant: Plant, seed: int) -> None:
