@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -24,6 +24,8 @@ Array = npt.NDArray[np.float64]
 
 #: What was found has to bring the held-out error of its stage below this multiple of what it was.
 BETTER = 0.98
+#: Without an effect that gets a name the held-out error of its stage has to grow by this factor.
+MATTERS = 1.05
 #: A stage that stays above this multiple of its noise floor has structure that nothing explains.
 UNEXPLAINED = 1.5
 
@@ -42,7 +44,8 @@ class Outcome:
 def judge(case: Case, stages: Sequence[Stage]) -> Outcome:
     """Put what was found and proven into the plant, and say of the rest what it is."""
     outcome = Outcome(case.plant)
-    for stage in stages:
+    for found in stages:
+        stage = _that_matter(case, found, outcome)
         finding = stage.found
         proven = not finding.fit.candidates or _score(stage, finding.fit.theta) < BETTER * _score(stage, case.theta)
         if proven:
@@ -53,6 +56,35 @@ def judge(case: Case, stages: Sequence[Stage]) -> Outcome:
             fit = finding.fit if proven else Fit((), (), np.empty(0), case.theta, (), 0.0, True)
             outcome.unnamed += describe_remainder(stage.problem, fit, stage.split.seen, case.plant.machine)
     return outcome
+
+
+def _that_matter(case: Case, stage: Stage, outcome: Outcome) -> Stage:
+    """The stage without effects that explain next to nothing on held-out recordings, the least of them dropped first.
+
+    Short-term evidence can be overwhelming for a mechanism that no physics of the catalogue has quite right; where it hardly
+    changes what the plant predicts, it gets no name.
+    """
+    finding = stage.found
+    while finding.named:
+        full = _score(stage, finding.fit.theta)
+        dropped = {kept: _without(case, stage, finding.fit, kept.candidate) for kept in finding.named}
+        scores = {kept: _score(stage, fit.theta) for kept, fit in dropped.items()}
+        least = min(finding.named, key=lambda kept: scores[kept])
+        if scores[least] >= MATTERS * full:
+            break
+        what = f"{least.candidate.effect.name} on {least.candidate.target}"
+        outcome.notes.append(
+            f"{what} fits, but predicts held-out recordings hardly better ({scores[least] / full - 1.0:.1%}): no name"
+        )
+        finding = replace(finding, named=tuple(k for k in finding.named if k is not least), fit=dropped[least])
+    return replace(stage, finding=finding)
+
+
+def _without(case: Case, stage: Stage, fit: Fit, candidate: Candidate) -> Fit:
+    """The fit with one of its candidates dropped and the rest refitted."""
+    rest = tuple(c for c in fit.candidates if c is not candidate)
+    start = np.concatenate([fit.values_of(c) for c in rest]) if rest else np.empty(0)
+    return fit_candidates(Data(stage.problem, stage.split.seen, stage.sigma), case.theta, rest, [start])
 
 
 def _accept(case: Case, stage: Stage, outcome: Outcome) -> None:
@@ -115,9 +147,7 @@ def _named(case: Case, stage: Stage, kept: Kept, limits: Array) -> NamedEffect:
 def _share(case: Case, stage: Stage, candidate: Candidate) -> float:
     """Closed share of the held-out stage gap that is lost when the effect is dropped and the rest refitted."""
     fit = stage.found.fit
-    rest = tuple(c for c in fit.candidates if c is not candidate)
-    start = np.concatenate([fit.values_of(c) for c in rest]) if rest else np.empty(0)
-    dropped = fit_candidates(Data(stage.problem, stage.split.seen, stage.sigma), case.theta, rest, [start])
+    dropped = _without(case, stage, fit, candidate)
     closable = _score(stage, case.theta) - 1.0
     lost = _score(stage, dropped.theta) - _score(stage, fit.theta)
     return float(np.clip(lost / closable, 0.0, 1.0)) if closable > 0 else 0.0

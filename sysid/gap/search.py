@@ -36,6 +36,7 @@ class Strictness:
         delta_bic, p_value: what an effect needs to stay, and what a rival needs to be beaten.
         likely, ratio: on short logs a few strokes decide and no block bootstrap can be sure; where the unseen recordings gain
             more than ``delta_bic`` nats this p-value is enough, or this ratio of unseen RMSE without to with the effect.
+        worse: no step may raise the unseen RMSE by more than this factor, whatever short-term evidence says.
         sensitivity: least share of an effect's influence that no other fitted parameter can imitate.
         most: largest number of effects at one stage.
         crossed: with less than this much to select on [s], fitting and selecting recordings change places as well.
@@ -47,6 +48,7 @@ class Strictness:
     p_value: float = 0.01
     likely: float = 0.15
     ratio: float = 1.3
+    worse: float = 1.1
     sensitivity: float = 0.02
     most: int = 6
     crossed: float = 90.0
@@ -149,6 +151,8 @@ class Search:
                 break
             for trial in trials:
                 self._note(trial, model, "tried")
+            limit = self.strict.worse * self._rmse(model)
+            trials = [trial for trial in trials if self._rmse(trial) <= limit] or [model]
             best = max(trials, key=self._merit)
             if self._merit(best) < self._merit(model) + self.strict.forward:
                 break
@@ -163,7 +167,8 @@ class Search:
             for new in self._open(model):
                 if new.key != old.key:
                     trial = self._fit(_joined(rest, new), (model,))
-                    if self._merit(trial) > self._merit(best) + self.strict.forward:
+                    better = self._merit(trial) > self._merit(best) + self.strict.forward
+                    if better and self._rmse(trial) <= self.strict.worse * self._rmse(best):
                         best = trial
         return best
 

@@ -60,10 +60,12 @@ def command_stage(u, p, b, s, m, size, gain, load, dt):
 
 @inlined
 def position_stage(u, p, b, s, m, size, dt):
-    """Commanded position → position of a servo axis."""
+    """Commanded position → position of a servo axis where the step ends; means over the step are for what integrates them."""
     u = input_delay.step(u, p, b + AT.input_delay, s, m + STATE.input_delay, size - STATE.input_delay, dt)
-    u = command_rate_limit.step(u, p, b + AT.command_rate_limit, s, m + STATE.command_rate_limit, dt)
-    return first_order_lag.step(u, p, b + AT.first_order_lag, s, m + STATE.first_order_lag, dt)
+    command_rate_limit.step(u, p, b + AT.command_rate_limit, s, m + STATE.command_rate_limit, dt)
+    u = s[m + STATE.command_rate_limit]
+    first_order_lag.step(u, p, b + AT.first_order_lag, s, m + STATE.first_order_lag, dt)
+    return s[m + STATE.first_order_lag]
 
 
 @inlined

@@ -104,20 +104,18 @@ def fed_by_one_pump(commands: Array, dt: float, gains: Sequence[float], limit: f
 
 
 def servo_axis(command: Array, dt: float, delay: float = 0.0, rate: float = math.inf, lag: float = 0.0) -> Array:
-    """Mean position of a position axis over each step (the command is held)."""
+    """Position of a servo axis at the samples: the set-point, linear between samples, is held over the step that ends there."""
     h = dt / PARTS
+    times = np.arange(len(command)) * dt
     ramp = slow = float(command[0])
     out = np.empty(len(command))
-    for k in range(len(command)):
-        total = 0.0
-        for part in range(PARTS):
-            t = k * dt + (part + 0.5) * h - delay
-            u = float(command[min(max(math.floor(t / dt), 0), len(command) - 1)])
+    for k, u in enumerate(np.interp(times - delay, times, command)):
+        for _ in range(PARTS):
             room = rate * h
             ramp = u if abs(u - ramp) <= room else ramp + (room if u > ramp else -room)
+        for _ in range(PARTS):
             slow = ramp + (slow - ramp) * math.exp(-h / lag) if lag > 0 else ramp
-            total += slow
-        out[k] = total / PARTS
+        out[k] = slow
     return out
 
 
