@@ -91,6 +91,7 @@ class Effect:
         source: paper, book or data sheet.
         excited_by: what a recording must contain to show it.
         confused_with: effects that look alike; :mod:`sysid.effects.separators` says what separates them.
+        generalises: simpler effects that it contains as special cases: it has to predict clearly better than they do.
         need: the same as ``excited_by``, to be counted.
         actuations: the kinds of axis that can have it (empty: not an axis effect).
         memory: step time [s] → number of state values the step keeps.
@@ -110,6 +111,7 @@ class Effect:
     actuations: tuple[Actuation, ...] = ()
     memory: Callable[[float], int] = lambda dt: 0
     sides: tuple[Literal["drive", "structure"], ...] = ()
+    generalises: tuple[str, ...] = ()
 
     def form_of(self, names: frozenset[str]) -> Form | None:
         """The form whose parameters are exactly ``names``."""

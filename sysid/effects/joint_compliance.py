@@ -29,7 +29,7 @@ EFFECT = Effect(
     source="Siciliano et al., Robotics, 2009, §6.6; 0.25° for 2e4 N·m/rad (machine facts)",
     excited_by="poses with the arm stretched out and drawn in",
     confused_with=("joint_offset", "link_length_error", "backlash"),
-    need=Need("load_change", 25, "Record {axis} at the same angles with the arm stretched out and drawn in."),
+    need=Need("load_change", 20, "Record {axis} at the same angles with the arm stretched out and drawn in."),
     actuations=("velocity", "position", "force"),
     sides=("drive", "structure"),
 )

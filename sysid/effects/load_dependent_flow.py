@@ -29,7 +29,7 @@ EFFECT = Effect(
     source="Q = Cd·w·x·√(2Δp/ρ), Merritt 1967, ch. 5, linear in Δp; ×0.80–0.89 up, ×1.16–1.23 down (machine facts)",
     excited_by="motion both ways at several reaches",
     confused_with=("asymmetric_gain", "internal_leakage", "temperature_drift"),
-    need=Need("load_change", 25, "Record {axis} up and down with the arm stretched out and drawn in, 20 s each."),
+    need=Need("load_change", 20, "Record {axis} up and down with the arm stretched out and drawn in, 20 s each."),
     actuations=("velocity",),
 )
 

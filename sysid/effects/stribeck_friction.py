@@ -15,10 +15,12 @@ EFFECT = Effect(
     forms=(
         Form(
             (
-                Parameter("static_force", "N or N·m", (0.0, 1e6), (1.0,), 0.01, "at rest", scale="force"),
+                Parameter(
+                    "static_force", "N or N·m", (0.0, 1e6), (1.0,), 0.01, "at rest, at least the Coulomb force", scale="force"
+                ),
                 Parameter("coulomb_force", "N or N·m", (0.0, 1e6), (0.5,), 0.01, "once the film carries", scale="force"),
                 Parameter(
-                    "stribeck_velocity", "drive/s", (1e-5, 1.0), (0.003, 0.01, 0.05), 0.05, "where 63 % of the excess is gone"
+                    "stribeck_velocity", "drive/s", (1e-5, 0.05), (0.003, 0.01, 0.03), 0.05, "where 63 % of the excess is gone"
                 ),
             )
         ),
@@ -29,6 +31,7 @@ EFFECT = Effect(
     confused_with=("coulomb_friction", "viscous_friction"),
     need=Need("force_both_ways", 1, "Record {axis} at four speeds from creeping to full in both directions, 10 s each."),
     actuations=("force",),
+    generalises=("coulomb_friction",),
 )
 
 
@@ -38,7 +41,7 @@ def magnitude(v, p, i):
     if p[i] == 0.0 and p[i + 1] == 0.0:
         return 0.0
     ratio = v / p[i + 2]
-    return p[i + 1] + (p[i] - p[i + 1]) * math.exp(-ratio * ratio)
+    return p[i + 1] + max(p[i] - p[i + 1], 0.0) * math.exp(-ratio * ratio)
 
 
 @inlined

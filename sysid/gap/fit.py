@@ -160,14 +160,22 @@ def fit_candidates(data: Data, theta: Array, candidates: Sequence[Candidate], st
 
 
 def _promising(data: Data, theta: Array, unknowns: Sequence[Unknown], starts: list[Array]) -> list[Array]:
-    """The best :data:`DESCENTS` starts, judged in one batch (distinct ones only)."""
+    """The best :data:`DESCENTS` starts, judged in one batch (distinct ones only).
+
+    Where something is absent in all of them, slopes may say nothing about it: then the best in which all is present as well.
+    """
     unique: Array = np.unique(np.round(np.array(starts), 12), axis=0)
     if len(unique) <= DESCENTS:
         return list(unique)
     problem = data.problem.short or data.problem
     plain = (Drift(),) * len(data.sigma)
     costs = np.mean(np.abs(data.whitened(place(theta, unknowns, unique), plain, problem)), axis=1)
-    return [unique[k] for k in np.argsort(costs)[:DESCENTS]]
+    order = [int(k) for k in np.argsort(costs)]
+    present = (unique != np.array([u.nominal for u in unknowns])).all(axis=1)
+    chosen = order[:DESCENTS]
+    if not present[chosen].any():
+        chosen += [k for k in order if present[k]][:1]
+    return [unique[k] for k in chosen]
 
 
 def _descend(

@@ -135,11 +135,10 @@ def tip_problem(model: Model) -> Problem:
 
 def tool_problem(model: Model) -> Problem:
     """End effector → hanging tool."""
-
     return Problem(
         "tool",
         "tool",
-        ("tool",),
+        ("tool", *other_clocks(model, *point_signals("ee"), *point_signals("tool"))),
         point_signals("tool"),
         model.tool,
         lambda recording: measured_point(recording, "tool"),

@@ -93,11 +93,16 @@ def _accept(case: Case, stage: Stage, outcome: Outcome) -> None:
     limits = intervals(finding.fit, covariance, count)
     for kept in finding.named:
         instance = kept.candidate.instance(finding.fit.values_of(kept.candidate))
+        shown = ", ".join(f"{key} = {value}" for key, value in instance.parameters.items())
+        if kept.candidate.key in {
+            (e.name, e.target, e.side) for e in outcome.named
+        }:  # a pump or a clock shows at several stages
+            outcome.notes.append(f"{instance.name} on {instance.target} shows at the {stage.label} as well: {shown}")
+            continue
         outcome.repaired = outcome.repaired.with_effect(instance)
         if kept.ties:
             tie = tuple((c.effect.name, c.target) for c in (kept.candidate, *kept.ties))
             outcome.ties.append(tie)
-            shown = ", ".join(f"{key} = {value}" for key, value in instance.parameters.items())
             outcome.notes.append(f"{instance.name} on {instance.target} stands in the plant for {len(tie)} that tie: {shown}")
         else:
             outcome.named.append(_named(case, stage, kept, limits))

@@ -37,6 +37,7 @@ class Strictness:
         likely, ratio: on short logs a few strokes decide and no block bootstrap can be sure; where the unseen recordings gain
             more than ``delta_bic`` nats this p-value is enough, or this ratio of unseen RMSE without to with the effect.
         worse: no step may raise the unseen RMSE by more than this factor, whatever short-term evidence says.
+        richer: an effect that contains a simpler one has to predict unseen recordings better than that by this factor.
         sensitivity: least share of an effect's influence that no other fitted parameter can imitate.
         most: largest number of effects at one stage.
         crossed: with less than this much to select on [s], fitting and selecting recordings change places as well.
@@ -49,6 +50,7 @@ class Strictness:
     likely: float = 0.15
     ratio: float = 1.3
     worse: float = 1.1
+    richer: float = 1.05
     sensitivity: float = 0.02
     most: int = 6
     crossed: float = 90.0
@@ -127,8 +129,8 @@ class Search:
         model = self._fit(tuple(self.nuisances), ())
         for _ in range(3):
             model, _ = self._backward(self._forward(model), keep_nuisances=True)
-            better = self._exchange(model)
-            if better is model:
+            better = self._plainer(self._exchange(model))
+            if better is model or set(better.labels) == set(model.labels):
                 break
             model = better
         doubtful = [c for c in model.candidates if not c.nuisance or _departs(c, model)]
@@ -156,7 +158,7 @@ class Search:
             best = max(trials, key=self._merit)
             if self._merit(best) < self._merit(model) + self.strict.forward:
                 break
-            model = best
+            model = self._plainer(best)
         return model
 
     def _exchange(self, model: Fit) -> Fit:
@@ -198,6 +200,19 @@ class Search:
             self._note(weakest[1], model, f"drops {weakest[2]}")
             model = weakest[1]
 
+    def _plainer(self, model: Fit) -> Fit:
+        """The model with simpler effects in the place of those that contain them and hardly predict better."""
+        for old in self._ordinary(model):
+            rest = tuple(c for c in model.candidates if c is not old)
+            taken = {c.key for c in rest}
+            for new in self.candidates:
+                if _contains(old, new) and new.key not in taken:
+                    trial = self._fit((*rest, new), (model,))
+                    self._note(trial, model, f"instead of {old.label}")
+                    if self._rmse(trial) <= self.strict.richer * self._rmse(model):
+                        return trial
+        return model
+
     def _rivals(self, model: Fit, candidate: Candidate) -> tuple[tuple[tuple[Candidate, str], ...], tuple[Candidate, ...]]:
         """Every other effect in the place of this one: (those that lost and why, those that predict unseen data as well)."""
         rest = tuple(c for c in model.candidates if c is not candidate)
@@ -205,7 +220,7 @@ class Search:
         fits = [self._fit(_joined(rest, rival), (model,)) for rival in rivals]
         # A rival ties only if neither the fitted nor the unseen recordings tell the two apart.
         near = [k for k, fit in enumerate(fits) if self._delta_bic(fit, model) < self.strict.delta_bic]
-        surviving = confidence_set([-self._log_densities(f) for f in (model, *(fits[k] for k in near))], self.seed)
+        surviving = confidence_set([-series for series in self._log_densities(model, *(fits[k] for k in near))], self.seed)
         ties = tuple(rivals[near[k - 1]] for k in surviving if k > 0)
         rejected = tuple(
             (
@@ -233,6 +248,8 @@ class Search:
         used = {c.key: c for c in model.candidates}
         free = []
         for candidate in self.candidates:
+            if any(_contains(other, candidate) for other in model.candidates):
+                continue
             present = used.get(candidate.key)
             first = candidate.form is candidate.effect.forms[0]
             if present is None or present.nuisance:
@@ -288,7 +305,7 @@ class Search:
         return self._fits[key][0]
 
     def _score(self, fit: Fit) -> tuple[Array, float]:
-        """(log predictive density of every unseen bin, unseen RMSE in noise floors)."""
+        """(log predictive density of every unseen bin, NaN where there is none, and unseen RMSE in noise floors)."""
         key = frozenset(fit.labels)
         if key not in self._scores:
             densities, left = [], []
@@ -296,15 +313,16 @@ class Search:
                 for part, activity in zip(unseen.bins(fitted.theta[None]), unseen.activities, strict=True):
                     densities += [log_density(part[0, :, k], activity, d) for k, d in enumerate(fitted.drifts)]
                 left += unseen.residuals(fitted.theta[None])
-            joined = np.concatenate(densities)
-            self._scores[key] = joined[~np.isnan(joined)], spread_of(left)
+            self._scores[key] = np.concatenate(densities), spread_of(left)
         return self._scores[key]
 
-    def _log_densities(self, fit: Fit) -> Array:
-        return self._score(fit)[0]
+    def _log_densities(self, *fits: Fit) -> Array:
+        """Of the unseen bins that all of them predict, (fits, m): a clock that is wrong loses some at the ends."""
+        table = np.array([self._score(fit)[0] for fit in fits])
+        return np.asarray(table[:, ~np.isnan(table).any(axis=0)])
 
     def _density(self, fit: Fit) -> float:
-        return float(self._score(fit)[0].sum())
+        return float(np.nansum(self._score(fit)[0]))
 
     def _merit(self, fit: Fit) -> float:
         """Log evidence from fitted recordings (penalised for parameters) and from unseen ones together."""
@@ -318,7 +336,7 @@ class Search:
         return self._score(fit)[1]
 
     def _compare(self, smaller: Fit, larger: Fit) -> Comparison:
-        gain = self._log_densities(larger) - self._log_densities(smaller)
+        gain = -np.diff(self._log_densities(larger, smaller), axis=0)[0]
         p_value = gain_p_value(gain, self.seed)
         ratio = self._rmse(smaller) / max(self._rmse(larger), 1e-12)
         return Comparison(self._delta_bic(smaller, larger), float(gain.sum()), p_value, ratio)
@@ -392,8 +410,13 @@ def _known(candidate: Candidate, parent: Fit) -> Array:
 
 
 def _joined(model: Iterable[Candidate], new: Candidate) -> tuple[Candidate, ...]:
-    """The model with ``new``, which replaces another form of the same effect (or the nuisance of that name)."""
-    return (*(c for c in model if c.key != new.key), new)
+    """The model with ``new``, in the place of another form of the same effect, the nuisance of that name, and what it contains."""
+    return (*(c for c in model if c.key != new.key and not _contains(new, c)), new)
+
+
+def _contains(one: Candidate, other: Candidate) -> bool:
+    """Whether ``other`` is a special case of ``one``."""
+    return other.effect.name in one.effect.generalises and other.target == one.target
 
 
 def _departs(candidate: Candidate, fit: Fit) -> bool:

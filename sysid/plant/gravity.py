@@ -20,7 +20,8 @@ def gravity_load(machine: Machine, recording: Recording, within: Segments | None
     """Gravity moment about every joint [N·m] or force along it [N], (n, A); above zero where it opposes positive motion.
 
     From the URDF's masses; of one kilogram at the tip where it has none. Zero without a URDF and where a joint is not measured
-    in a whole stretch; gaps of a motion are bridged linearly. The nominal kinematics are used: what a joint offset changes is second order.
+    in a whole stretch; gaps of a motion are bridged linearly. The nominal kinematics are used: what a joint offset changes is
+    second order.
 
     Args:
         within: (m, 2) first and last+1 row of the stretches that matter; elsewhere it is zero. All of them by default.
