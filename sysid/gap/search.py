@@ -410,7 +410,7 @@ def _known(candidate: Candidate, parent: Fit) -> Array:
 
 
 def _joined(model: Iterable[Candidate], new: Candidate) -> tuple[Candidate, ...]:
-    """The model with ``new``, in the place of another form of the same effect, the nuisance of that name, and what it contains."""
+    """The model with ``new``, in the place of another form of it, of the nuisance of its name, and of what it contains."""
     return (*(c for c in model if c.key != new.key and not _contains(new, c)), new)
 
 
