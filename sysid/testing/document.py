@@ -37,7 +37,7 @@ _SHOWN: dict[str, dict[str, float | list[float]]] = {
     "stiction": {"breakaway": 0.35, "release": 0.12},
     "coulomb_friction": {"force": 1.5},
     "viscous_friction": {"coefficient": 4.0},
-    "stribeck_friction": {"static_force": 2.0, "coulomb_force": 0.8, "stribeck_velocity": 0.2},
+    "stribeck_friction": {"static_force": 2.0, "coulomb_force": 0.8, "stribeck_velocity": 0.05},
     "joint_compliance": {"compliance": 0.01},
     "backlash": {"width": 0.1},
     "joint_offset": {"offset": 0.1},

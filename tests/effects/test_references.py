@@ -162,8 +162,8 @@ FORCE = [
     ("load_bias", {"force": -0.7}, {"load": -0.7}),
     (
         "stribeck_friction",
-        {"static_force": 1.6, "coulomb_force": 0.9, "stribeck_velocity": 0.3},
-        {"stribeck": (1.6, 0.9, 0.3)},
+        {"static_force": 1.6, "coulomb_force": 0.9, "stribeck_velocity": 0.05},
+        {"stribeck": (1.6, 0.9, 0.05)},
     ),
 ]
 
@@ -172,8 +172,10 @@ FORCE = [
 def test_force_axis(effect: str, values: dict[str, float], physics: dict[str, float | tuple[float, float]]) -> None:
     expected = references.force_axis(RECORDING.values("slide.command"), DT, **{"mass": 2.0, **physics})  # type: ignore[arg-type]
     out = run(effect, "slide", dict(values))[:, 0]
-    # The plant steps at the sample rate, to first order in friction: about a hundredth of the travel after 4 s.
-    assert np.abs((out - out[0]) - expected).max() < 2e-2 * np.ptp(expected)
+    # The plant steps at the sample rate, to first order in friction: about a hundredth of the travel after 4 s. Where friction
+    # falls within a few steps it is more (tests/plant has the same at higher rates).
+    room = 0.08 if effect == "stribeck_friction" else 0.02
+    assert np.abs((out - out[0]) - expected).max() < room * np.ptp(expected)
 
 
 def test_stribeck_friction_sticks_and_slips_without_chattering() -> None:

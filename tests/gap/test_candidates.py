@@ -24,6 +24,7 @@ def names_at(plant: Plant, stage: str, target: str) -> set[str]:
 def test_clocks_are_candidates_where_two_streams_meet() -> None:
     joint = names_at(nominal(streams=CAPTURE), "joint", "boom")
     assert {"clock_offset(capture)", "clock_skew(capture)"} <= joint
+    assert {"clock_offset(capture)", "clock_skew(capture)"} <= names_at(nominal(streams=CAPTURE), "tool", "tool")
     assert not any(name.startswith("clock") for name in names_at(nominal(), "joint", "boom"))
     assert not any(name.startswith("clock") for name in names_at(nominal(streams=CAPTURE), "command", "slew"))
 

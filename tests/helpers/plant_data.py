@@ -177,6 +177,16 @@ def slide_inputs(name: str, seconds: float, seed: int) -> Recording:
     return Recording(name, pd.DataFrame(table), 500.0)
 
 
+def creeping_inputs(name: str, seconds: float, seed: int) -> Recording:
+    """Forces that let the slide creep in one direction, then in the other: friction at low speeds, and hardly a stop."""
+    rng = np.random.default_rng(seed)
+    made = slide_inputs(name, seconds, seed)
+    time = made.values("time")
+    size = 48.0 + sum(8.0 * np.sin(2 * np.pi * f * rng.uniform(0.9, 1.1) * time + rng.uniform(0, 6.28)) for f in (0.15, 0.4))
+    force = np.tanh((0.5 * seconds - time) / 0.02) * size * (1.0 - np.exp(-time / 0.1))
+    return replace(made, table=made.table.assign(**{"slide.command": force, "at_samples": force}))
+
+
 def measured(truth: Plant, inputs: Recording, seed: int, noise: float = 1.0) -> Recording:
     """What sensors say while ``truth`` moves.
 
@@ -199,12 +209,16 @@ def measured(truth: Plant, inputs: Recording, seed: int, noise: float = 1.0) -> 
 
 
 def dataset_of(truth: Plant, seconds: float = 25.0, seed: int = 0, noise: float = 1.0) -> Dataset:
-    """Two recordings to fit, one to select, one held out, of the machine that ``truth`` is."""
+    """Two recordings to fit, one to select, one held out, of the machine that ``truth`` is.
+
+    A slide with a film of oil creeps, which shows it.
+    """
     force = truth.machine.name == "slide"
+    push = creeping_inputs if any(effect.name == "stribeck_friction" for effect in truth.effects) else slide_inputs
     recordings = []
     for k in range(len(ROLES)):
         name = f"run-{k + 1}"
-        inputs = (slide_inputs if force else arm_inputs)(name, seconds, 10 * seed + k)
+        inputs = (push if force else arm_inputs)(name, seconds, 10 * seed + k)
         recordings.append(measured(truth, inputs, 10 * seed + k, noise))
     splits = {r.name: role for r, role in zip(recordings, ROLES, strict=True)}
     return Dataset(truth.machine.name, 1, "0" * 64, truth.machine, tuple(recordings), {}, splits)

@@ -174,6 +174,41 @@ def test_friction_against_a_stiff_solver(rate_hz: float) -> None:
     assert np.mean(np.diff(out)[rests[1:] & rests[:-1]] == 0.0) > 0.9
 
 
+def test_a_film_of_oil_against_a_stiff_solver() -> None:
+    """Stribeck friction, stick and slip: the error falls with the step, and a stick is a stick."""
+    static, dynamic, film = 14.0, 8.0, 0.04
+
+    def force(t: Array | float) -> Array:
+        return np.asarray(26.0 * np.sin(2.0 * np.asarray(t)))
+
+    def rates(t: float, state: Array) -> list[float]:
+        v = state[1]
+        dry = dynamic + (static - dynamic) * np.exp(-((v / film) ** 2))
+        return [v, (float(force(t)) - dry * np.tanh(v / 1e-6) - 15.0 * v) / 20.0]
+
+    grid = np.arange(800) / 100.0
+    solved = solve_ivp(rates, (0.0, 8.0), [0.0, 0.0], method="Radau", t_eval=grid, rtol=1e-8, atol=1e-10, max_step=0.01)
+    errors = []
+    for rate_hz in (500.0, 4000.0):
+        time = np.arange(round(8.0 * rate_hz)) / rate_hz
+        out = drive(
+            recording(
+                rate_hz, slide_command=force(time + 0.5 / rate_hz), slide_joint=np.where(time < 2.5 / rate_hz, 0.0, np.nan)
+            ),
+            "slide",
+            KnownEffect(
+                "stribeck_friction", "slide", {"static_force": static, "coulomb_force": dynamic, "stribeck_velocity": film}
+            ),
+            KnownEffect("viscous_friction", "slide", {"coefficient": 15.0}),
+        )
+        errors.append(np.abs(out[:: round(rate_hz / 100.0)] - solved.y[0]).max() / np.ptp(solved.y[0]))
+        rests = np.abs(np.interp(time, grid, solved.y[1])) < 1e-6
+        assert rests.mean() > 0.02, "the test has to stick"
+        assert np.mean(np.diff(out)[rests[1:] & rests[:-1]] == 0.0) > 0.9
+    assert errors[0] < 0.02
+    assert errors[1] < 0.3 * errors[0]
+
+
 # -- lanes, joints, tip ---------------------------------------------------------------------------------------------
 
 

@@ -22,9 +22,15 @@ WEIGHED = ("load_dependent_flow", "joint_compliance")
 
 
 def base(effect: KnownEffect) -> Plant:
-    """The simulation that lacks ``effect``. The boom's joint and the tool are seen by motion capture."""
+    """The simulation that lacks ``effect``. The boom's joint and the tool are seen by motion capture.
+
+    A film of oil shows while the slide creeps: something viscous holds it back then.
+    """
     if effect.target == "slide":
-        return nominal(machine=slide())
+        creeping = (
+            (KnownEffect("viscous_friction", "slide", {"coefficient": 400.0}),) if effect.name == "stribeck_friction" else ()
+        )
+        return nominal(*creeping, machine=slide())
     known = (item for item in KNOWN if item.name != effect.name or item.target != effect.target)
     return nominal(*known, machine=loaded_arm() if effect.name in WEIGHED else None, streams=CAPTURE)
 
@@ -66,7 +72,7 @@ CASES: tuple[KnownEffect, ...] = (
     KnownEffect("coulomb_friction", "slide", {"positive": 14.0, "negative": 22.0}),
     KnownEffect("viscous_friction", "slide", {"coefficient": 35.0}),
     KnownEffect("viscous_friction", "slide", {"positive": 25.0, "negative": 45.0}),
-    KnownEffect("stribeck_friction", "slide", {"static_force": 26.0, "coulomb_force": 16.0, "stribeck_velocity": 0.3}),
+    KnownEffect("stribeck_friction", "slide", {"static_force": 26.0, "coulomb_force": 16.0, "stribeck_velocity": 0.04}),
     KnownEffect("inertia_error", "slide", {"ratio": 1.25}),
     KnownEffect("load_bias", "slide", {"force": -4.0}),
     KnownEffect("sensor_scale", "boom.joint", {"scale": 1.02}),
