@@ -73,10 +73,15 @@ def _that_matter(case: Case, stage: Stage, outcome: Outcome) -> Stage:
         if scores[least] >= MATTERS * full:
             break
         what = f"{least.candidate.effect.name} on {least.candidate.target}"
-        outcome.notes.append(
-            f"{what} fits, but predicts held-out recordings hardly better ({scores[least] / full - 1.0:.1%}): no name"
-        )
-        finding = replace(finding, named=tuple(k for k in finding.named if k is not least), fit=dropped[least])
+        if not least.candidate.nuisance:
+            outcome.notes.append(
+                f"{what} fits, but predicts held-out recordings hardly better ({scores[least] / full - 1.0:.1%}): no name"
+            )
+        named = tuple(k for k in finding.named if k is not least)
+        if least.candidate.nuisance:  # others were found beside it, and mean what they mean only with it
+            finding = replace(finding, named=named, adjusted=(*finding.adjusted, least.candidate))
+        else:
+            finding = replace(finding, named=named, fit=dropped[least])
     return replace(stage, finding=finding)
 
 

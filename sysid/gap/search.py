@@ -36,6 +36,7 @@ class Strictness:
         delta_bic, p_value: what an effect needs to stay, and what a rival needs to be beaten.
         likely, ratio: on short logs a few strokes decide and no block bootstrap can be sure; where the unseen recordings gain
             more than ``delta_bic`` nats this p-value is enough, or this ratio of unseen RMSE without to with the effect.
+        halves: where that ratio is as large as this, ``forward`` nats are enough.
         worse: no step may raise the unseen RMSE by more than this factor, whatever short-term evidence says.
         richer: an effect that contains a simpler one has to predict unseen recordings better than that by this factor.
         sensitivity: least share of an effect's influence that no other fitted parameter can imitate.
@@ -49,6 +50,7 @@ class Strictness:
     p_value: float = 0.01
     likely: float = 0.15
     ratio: float = 1.3
+    halves: float = 2.0
     worse: float = 1.1
     richer: float = 1.05
     sensitivity: float = 0.02
@@ -238,7 +240,8 @@ class Search:
     def _lasts(self, c: Comparison) -> bool:
         sure = c.p_value < self.strict.p_value
         likely = c.gain > self.strict.delta_bic and (c.p_value < self.strict.likely or c.ratio > self.strict.ratio)
-        return c.delta_bic > self.strict.delta_bic and (sure or likely)
+        halved = c.gain > self.strict.forward and c.ratio > self.strict.halves
+        return c.delta_bic > self.strict.delta_bic and (sure or likely or halved)
 
     def _ordinary(self, model: Fit) -> list[Candidate]:
         return [c for c in model.candidates if not c.nuisance]
