@@ -1,5 +1,5 @@
-# demo · test · test-slow · lint · bench · report · clean. Each makes .venv by itself when it is missing.
-.PHONY: demo test test-slow lint bench report clean
+# demo · test · test-slow · lint · bench · hidden-effects · report · clean. Each makes .venv by itself when it is missing.
+.PHONY: demo test test-slow lint bench hidden-effects report clean
 .DEFAULT_GOAL := demo
 
 PYTHON ?= $(shell command -v python3.11 || command -v python3)
@@ -25,6 +25,12 @@ lint: $(READY)
 
 bench: $(READY)
 	$(BIN)/python pipelines/bench.py
+
+# How often the gap workflow is right; TIER=full takes a night and goes on where it was stopped.
+TIER ?= quick
+WORKERS ?= 2
+hidden-effects: $(READY)
+	$(BIN)/python pipelines/hidden_effects.py --tier $(TIER) --workers $(WORKERS) --work $(WORKSPACE)/hidden_effects
 
 report: $(READY)
 	$(BIN)/sysid --workspace $(WORKSPACE) report

@@ -51,8 +51,11 @@ def noise_free(recipe: Recipe, recordings: Sequence[RecordingSettings]) -> tuple
 
 
 def loads(recipe: Recipe, truth: Truth) -> Array:
-    """Gravity moment or force against positive motion of each drive at the joints of a run, (axes, n), from the drawing."""
-    bodies = bodies_of(recipe.masses, recipe.geometry.boom, recipe.geometry.stick, recipe.gripper.length)
+    """Gravity moment or force against positive motion of each drive at the joints of a run, (axes, n), from the drawing.
+
+    The drawing knows the masses, and nothing of the springs that may carry them.
+    """
+    bodies = bodies_of(replace(recipe.masses, balanced=0.0), recipe.geometry.boom, recipe.geometry.stick, recipe.gripper.length)
     found = np.zeros((len(AXES), len(truth.time)))
     coarse = truth.joint[::STRIDE]
     moments = np.array([gravity_moments(joint, bodies) for joint in coarse])
@@ -92,15 +95,29 @@ def predict(recipe: Recipe, chain: Chain, truth: Truth, load: Array, columns: Se
 def fit_nominal(recipe: Recipe) -> Chain:
     """Gain, delay, lag, overlap of every axis (sides and load of hydraulic ones) from step tests of ``recipe``."""
     runs = noise_free(recipe, STEP_TESTS)
-    chain = Chain(np.array([neutral_row() for _ in AXES]), np.array([recipe.axis(name).valve.gain for name in AXES]))
+    gains = np.array([recipe.axis(name).valve.gain for name in AXES])
+    chain = Chain(np.array([_data_sheet(recipe, name) for name in AXES]), gains)
     for name in AXES:
-        effects = HYDRAULIC if recipe.axis(name).drive == "hydraulic" else BASIC
+        effects: tuple[str, ...] = HYDRAULIC if recipe.axis(name).drive == "hydraulic" else BASIC
+        if name == "slew" or recipe.masses.balanced == 1.0:  # no weight acts on the drive: nothing would say how much
+            effects = tuple(effect for effect in effects if effect != "load_dependent_flow")
         chain = fit_effects(recipe, chain, [HiddenSettings(effect, name) for effect in effects], runs)
     rows = chain.rows.copy()
     ratio = KEYS.index(("gain_error", "ratio"))
     gains = chain.gains * rows[:, ratio]
     rows[:, ratio] = 1.0
     return Chain(rows, gains)
+
+
+def _data_sheet(recipe: Recipe, axis: str) -> Array:
+    """A row with what the valve's data sheet says: all there is of a simple valve, for a circuit where a fit may begin."""
+    valve = recipe.axis(axis).valve
+    row = neutral_row()
+    row[KEYS.index(("input_delay", "delay"))] = valve.delay
+    row[KEYS.index(("first_order_lag", "time_constant"))] = valve.time_constant
+    row[KEYS.index(("valve_deadband", "positive"))] = valve.deadband_positive
+    row[KEYS.index(("valve_deadband", "negative"))] = valve.deadband_negative
+    return row
 
 
 def fit_effects(recipe: Recipe, chain: Chain, effects: Sequence[HiddenSettings], runs: Sequence[Truth]) -> Chain:

@@ -1,0 +1,153 @@
+"""The list of cases: what each hides, how much of it, on which machine, seen how well. Its place fixes its seed."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass
+from typing import Any, Literal, TypeVar
+
+import numpy as np
+
+from hidden.kinds import KNOWN, UNKNOWN, Kind
+from hidden.machines import VARIANTS, Family
+
+T = TypeVar("T")
+Group = Literal["none", "single", "double", "triple", "unknown"]
+Tier = Literal["smoke", "quick", "full"]
+GROUPS: tuple[Group, ...] = ("none", "single", "double", "triple", "unknown")
+SEED = 20261121
+#: Cases of each group by tier; a tier holds the cases of the ones below it, so that nothing is run twice.
+COUNTS: dict[Tier, dict[Group, int]] = {
+    "smoke": {"none": 3, "single": 5, "double": 1, "triple": 1, "unknown": 2},
+    "quick": {"none": 20, "single": 26, "double": 6, "triple": 3, "unknown": 5},
+    "full": {"none": 300, "single": 220, "double": 60, "triple": 40, "unknown": 40},
+}
+#: Magnitudes as multiples of the detection limit; most are at three and more, where a name is due.
+FACTORS = (3.0, 10.0, 5.0, 3.0, 7.0, 10.0, 2.0, 4.0, 5.0, 1.0)
+#: Families of the cases that hide nothing, and of those that hide several things.
+FAMILIES: tuple[Family, ...] = ("valve_crane", "hydraulic_crane", "valve_crane", "servo_arm", "valve_crane", "slide")
+NOISES = (1.0, 0.5, 2.0, 1.0, 4.0)
+DISTURBANCES = (0.0, 0.001, 0.0, 0.003, 0.0, 0.01)
+
+
+@dataclass(frozen=True)
+class Hidden:
+    """One thing that a case hides: its kind, how many detection limits of it, and in which direction."""
+
+    kind: str
+    factor: float
+    direction: int
+
+
+@dataclass(frozen=True)
+class CaseSpec:
+    """A case before it is made. ``noise`` is a multiple of the usual, ``disturbance`` the relative flow disturbance."""
+
+    name: str
+    group: Group
+    family: Family
+    variant: int
+    hidden: tuple[Hidden, ...]
+    excitation: str
+    noise: float
+    disturbance: float
+    seed: int
+
+    def to_json(self) -> dict[str, Any]:
+        return asdict(self)
+
+    @staticmethod
+    def from_json(values: dict[str, Any]) -> CaseSpec:
+        return CaseSpec(**{**values, "hidden": tuple(Hidden(**each) for each in values["hidden"])})
+
+
+def cases_of(tier: Tier, only: Group | None = None) -> list[CaseSpec]:
+    """The cases of a tier, of one group if that is given."""
+    found: list[CaseSpec] = []
+    for group, count in COUNTS[tier].items():
+        if only in (None, group):
+            found += [case(group, number) for number in range(count)]
+    return found
+
+
+def case(group: Group, number: int) -> CaseSpec:
+    """Case ``number`` of a group."""
+    draw = np.random.default_rng([SEED, GROUPS.index(group), number])
+    kinds = _kinds(group, number, draw)
+    family = kinds[0].family if kinds else FAMILIES[number % len(FAMILIES)]
+    shared = sorted(set(range(VARIANTS)).intersection(*(kind.variants for kind in kinds)))
+    hidden = tuple(Hidden(kind.key, _factor(group, number, k), int(draw.choice([-1, 1]))) for k, kind in enumerate(kinds))
+    return CaseSpec(
+        f"{group}-{number:03d}",
+        group,
+        family,
+        int(draw.choice(shared)),
+        hidden,
+        _excitation(number, kinds, family),
+        NOISES[number % len(NOISES)],
+        DISTURBANCES[(number + number // len(FAMILIES)) % len(DISTURBANCES)] if family == "valve_crane" else 0.0,
+        int(draw.integers(1, 2**31 - 100)),
+    )
+
+
+def _factor(group: Group, number: int, place: int) -> float:
+    if group == "single":
+        return FACTORS[number % len(FACTORS)]
+    # Several at once, or one that has no name, are tried where each alone would be seen.
+    return (4.0, 8.0, 5.0, 10.0, 6.0)[(number + 2 * place) % 5]
+
+
+def _excitation(number: int, kinds: tuple[Kind, ...], family: Family) -> str:
+    special = [kind.excitation for kind in kinds if kind.excitation != "rich"]
+    if special:
+        return special[0]
+    if number % 10 == 7:
+        return "poor"
+    return "flight" if number % 10 in (3, 9) and family in ("valve_crane", "hydraulic_crane") else "rich"
+
+
+def _kinds(group: Group, number: int, draw: np.random.Generator) -> tuple[Kind, ...]:
+    if group == "none":
+        return ()
+    if group == "unknown":
+        return (_in_order(UNKNOWN)[number % len(UNKNOWN)],)
+    if group == "single":
+        return (_single(number),)
+    several = [kind for kind in KNOWN if kind.family == ("hydraulic_crane" if number % 4 == 3 else "valve_crane")]
+    count = {"double": 2, "triple": 3}[group]
+    while True:
+        chosen = [several[k] for k in draw.choice(len(several), count, replace=False)]
+        if _apart(chosen):
+            return tuple(chosen)
+
+
+def _apart(kinds: list[Kind]) -> bool:
+    """Whether they can be hidden together: each at a stage and place of its own, on one variant, in one set of recordings."""
+    places = {(kind.stage, kind.target) for kind in kinds}
+    named = {name for kind in kinds for name in kind.named}
+    shared = set(range(VARIANTS)).intersection(*(kind.variants for kind in kinds))
+    programs = {kind.excitation for kind in kinds} - {"rich"}
+    one_build = sum(kind.stage == "end_effector" for kind in kinds) < 2
+    return len(places) == len(kinds) == len(named) and bool(shared) and len(programs) < 2 and one_build
+
+
+def _single(number: int) -> Kind:
+    """Effects in turn, so that each comes as often as any other; its places in turn as well."""
+    effects = _in_order(sorted({kind.named[0][0] for kind in KNOWN}))
+    effect = effects[number % len(effects)]
+    places = _in_order([kind for kind in KNOWN if kind.named[0][0] == effect])
+    return places[number // len(effects) % len(places)]
+
+
+def _in_order(items: Sequence[T]) -> list[T]:
+    """Mixed, the same way every time."""
+    order = np.random.default_rng([SEED, len(items)]).permutation(len(items))
+    return [items[k] for k in order]
+
+
+def listed(tier: Tier) -> Iterator[str]:
+    """One line a case, for people."""
+    for spec in cases_of(tier):
+        hides = ", ".join(f"{each.kind.partition(':')[2]} × {each.factor:g}" for each in spec.hidden) or "nothing"
+        noise = f"noise {spec.noise:g}, disturbance {100.0 * spec.disturbance:g} %"
+        yield f"{spec.name:12s} {spec.family:15s} {spec.variant} {spec.excitation:8s} {noise}: {hides}"

@@ -1,0 +1,127 @@
+"""Judges one answer against what was sealed: right names and places, parameters, intervals, what closed."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+
+from hidden.cases import CaseSpec
+
+Name = tuple[str, str]
+#: From this multiple of the detection limit on, an effect is to be named.
+DUE = 3.0
+#: A signal counts as closable where it was above this multiple of its noise floor.
+CLOSABLE = 1.5
+#: Parameters that are known to fewer digits than others: their error has a bound of its own.
+COARSE = (("gripper_sway", "damping_ratio"), ("stiction", "release"))
+
+
+@dataclass(frozen=True)
+class Judgement:
+    """One case.
+
+    Args:
+        hidden, named: (effect, target). ``aliases``: other names of what was named.
+        factor: of the least visible hidden effect, in detection limits.
+        errors: relative error by ``effect(target).parameter``, of what was rightly named.
+        covered: whether the 95 % interval holds the truth, by the same keys.
+        closed: least share of the closable gap that was closed over all signals; None where nothing was named or closable.
+        unnamed: whether structure was described that has no name.
+        failure: why there is no answer.
+    """
+
+    spec: CaseSpec
+    hidden: tuple[Name, ...]
+    named: tuple[Name, ...]
+    factor: float
+    verdict: str
+    wrong: tuple[Name, ...]
+    missed: tuple[Name, ...]
+    errors: dict[str, float]
+    covered: dict[str, bool]
+    closed: float | None
+    unnamed: bool
+    seconds: float
+    failure: str | None = None
+
+    @property
+    def exact(self) -> bool:
+        return self.failure is None and not self.wrong and not self.missed
+
+    @property
+    def due(self) -> bool:
+        """Whether every hidden effect is far enough above its detection limit to be named."""
+        return self.factor >= DUE * 0.99
+
+    def to_json(self) -> dict[str, Any]:
+        return {**asdict(self), "spec": self.spec.to_json(), "exact": self.exact, "due": self.due}
+
+
+def judge(sealed: Mapping[str, Any], answered: Mapping[str, Any]) -> Judgement:
+    spec = CaseSpec.from_json(sealed["spec"])
+    hidden = tuple((e["name"], e["target"]) for each in sealed["hidden"] for e in each["effects"])
+    factor = min((each["factor"] for each in sealed["hidden"]), default=math.inf)
+    if "failure" in answered:
+        return Judgement(spec, hidden, (), factor, "failure", (), hidden, {}, {}, None, False, math.nan, answered["failure"])
+    answer = answered["answer"]
+    effects = answer["effects"]
+    right = {(e["name"], e["target"]): e for e in effects if _meant(e, hidden) is not None}
+    named = tuple((e["name"], e["target"]) for e in effects)
+    truths = {(e["name"], e["target"]): e["parameters"] for e in sealed["effects"]}
+    judged = {(e["name"], e["target"]) for each in sealed["hidden"] if each["judged"] for e in each["effects"]}
+    errors: dict[str, float] = {}
+    covered: dict[str, bool] = {}
+    for name, effect in right.items():
+        if name in judged and name in truths:
+            _compare(name, effect, truths[name], errors, covered)
+    found = {_meant(e, hidden) for e in effects}
+    return Judgement(
+        spec=spec,
+        hidden=hidden,
+        named=named,
+        factor=factor,
+        verdict=answer["verdict"],
+        wrong=tuple(name for name in named if name not in right),
+        missed=tuple(name for name in hidden if name not in found),
+        errors=errors,
+        covered=covered,
+        closed=_closed(answer["gap"]) if right else None,
+        unnamed=bool(answer["unnamed"]),
+        seconds=answered["seconds"],
+    )
+
+
+def _meant(effect: Mapping[str, Any], hidden: tuple[Name, ...]) -> Name | None:
+    """The hidden effect that a named one is, under its own name or an exact alias."""
+    names = [(effect["name"], effect["target"]), *((a["name"], a["target"]) for a in effect.get("aliases", ()))]
+    return next((name for name in names if name in hidden), None)
+
+
+def _compare(
+    name: Name, effect: Mapping[str, Any], truth: Mapping[str, Any], errors: dict[str, float], covered: dict[str, bool]
+) -> None:
+    """Of vectors the largest component sets the scale; an interval covers if it does so in all components."""
+    for key, value in truth.items():
+        if key not in effect["parameters"]:
+            continue
+        found, true = np.atleast_1d(effect["parameters"][key]), np.atleast_1d(value)
+        scale = float(np.max(np.abs(true)))
+        if scale == 0.0 or found.shape != true.shape:
+            continue
+        label = f"{name[0]}({name[1]}).{key}"
+        errors[label] = float(np.max(np.abs(found - true)) / scale)
+        low, high = (np.atleast_1d(side) for side in effect["interval95"][key])
+        covered[label] = bool(np.all((low <= true) & (true <= high)))
+
+
+def _closed(gap: Mapping[str, Mapping[str, float]]) -> float | None:
+    shares = [
+        (before - gap["after"][signal]) / (before - gap["noise_floor"][signal])
+        for signal, before in gap["before"].items()
+        if before > CLOSABLE * gap["noise_floor"][signal]
+    ]
+    return min(shares, default=None)

@@ -1,0 +1,139 @@
+"""The machines of the cases as their owners know them: four families, a few variants of each."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from functools import cache
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from sysid.bench.case import overlaid
+from sysid.bench.joint_recipe import ServoArm, Slide
+from sysid.bench.recipe import AXES, Recipe
+from sysid.bench.recipe_file import check_recipe
+from sysid.config import parse_settings, read_toml
+
+Family = Literal["valve_crane", "hydraulic_crane", "servo_arm", "slide"]
+Tables = dict[str, Any]
+BENCH = Path(__file__).resolve().parents[2] / "datasets" / "autolog" / "bench.toml"
+#: Of each family; what is fitted to the owner's step tests is kept between cases of one variant.
+VARIANTS = 6
+#: Standard deviations at noise 1: draw wire [m], marker coordinate [m], servo joint [rad], slide position [m] and force [N].
+WIRE, MARKER, SERVO, PLACE, FORCE = 2e-5, 1.5e-4, 1e-4, 1e-6, 0.5
+#: Pistons of the hydraulic crane [m²] and whether both directions are equally fast.
+PISTONS: Mapping[str, Tables] = {
+    "slew": {"area": 4e-5, "area_rod": 4e-5, "viscous": 2.0},
+    "boom": {"area": 4.91e-4, "area_rod": 3.14e-4, "retraction": 0.025},
+    "stick": {"area": 4.91e-4, "area_rod": 3.14e-4, "retraction": 0.035},
+    "telescope": {"area": 2.0e-4, "area_rod": 1.2e-4, "retraction": 0.1},
+}
+#: Programs of the recordings, the last one held out, and their length [s].
+EXCITATION: Mapping[str, tuple[tuple[str, ...], float]] = {
+    "rich": (("operator", "steps", "stairs", "together", "operator", "operator"), 46.0),
+    "rest": (("rest", "operator", "rest", "operator", "rest", "rest"), 46.0),
+    "together": (("operator", "together", "steps", "operator", "together", "operator"), 46.0),
+    "poor": (("operator", "operator", "operator"), 30.0),
+    "flight": (("flight",) * 6, 46.0),
+}
+
+
+@cache
+def visible_tables(family: Family, variant: int) -> Tables:
+    """What the owner of a machine knows of it, as tables of its recipe; recordings and noise not yet in it."""
+    draw = np.random.default_rng([family_number(family), variant])
+    if family == "servo_arm":
+        axes = []
+        for name, limits, length, mass in (("shoulder", (-0.5, 1.5), 0.3, 1.0), ("elbow", (-2.0, 0.5), 0.25, 0.6)):
+            known = {"delay": round(draw.uniform(0.01, 0.03), 4), "time_constant": round(draw.uniform(0.02, 0.05), 4)}
+            axes.append({"name": name, "limits": list(limits), "length": length, "mass": mass, **known})
+        return {"kind": "servo_arm", "name": "arm", "seed": 1, "axes": axes, "recordings": []}
+    if family == "slide":
+        known = {"mass": round(draw.uniform(60.0, 120.0), 1), "viscous": round(draw.uniform(100.0, 250.0), 1)}
+        if variant % 2:
+            known["coulomb"] = round(draw.uniform(10.0, 20.0), 1)
+        return {"kind": "slide", "name": "slide", "seed": 1, "recordings": [], **known}
+    return _crane(family, variant, draw)
+
+
+def _crane(family: Family, variant: int, draw: np.random.Generator) -> Tables:
+    shipped = read_toml(BENCH)
+    shipped.pop("hidden")
+    axes: Tables = {}
+    for name in AXES:
+        valve = shipped["axes"][name]["valve"]
+        axes[name] = {
+            "backlash": 0.0,
+            "valve": {
+                "gain": round(valve["gain"] * draw.uniform(0.8, 1.2), 5),
+                "delay": round(draw.uniform(0.015, 0.045), 4),
+                "time_constant": round(draw.uniform(0.03, 0.07), 4),
+                "deadband_positive": round(draw.uniform(0.06, 0.2), 3),
+                "deadband_negative": round(draw.uniform(0.06, 0.2), 3),
+            },
+        }
+    tables = overlaid(
+        shipped,
+        {
+            "name": "crane",
+            "axes": axes,
+            "slew_sensor": {"error": 0.0},
+            # Half of the cranes have a hook that their owner knows, half hold the tool rigidly.
+            "gripper": {"length": 0.22, "damping_ratio": 0.04} if variant % 2 else {"length": 0.0, "damping_ratio": 0.0},
+            "capture": {"swaps": [], "exported_markers": []},
+            "recordings": [],
+        },
+    )
+    if family == "valve_crane":
+        return tables
+    # One hydraulic drive among valves, or all of them.
+    driven = (AXES[variant % 3],) if variant < 3 else AXES
+    for name in driven:
+        drive: Tables = {"drive": "hydraulic", "hydraulics": dict(PISTONS[name])}
+        if "retraction" in PISTONS[name]:
+            drive["hydraulics"]["retraction"] = tables["axes"][name]["valve"]["gain"]
+        # The spool of the circuit is of second order and has a lag of its own.
+        tables = overlaid(tables, {"axes": {name: {**drive, "valve": {"time_constant": 0.0}}}})
+    oil = {"start": 40.0, "end": 40.0, "warm_up": 60.0, "transition": 5e4}
+    return overlaid(tables, {"masses": {"balanced": 1.0}, "oil": oil, "supply": {"rated": 80e5, "flow_limit": 1.2e-4}})
+
+
+def family_number(family: Family) -> int:
+    return ("valve_crane", "hydraulic_crane", "servo_arm", "slide").index(family)
+
+
+def hydraulic_axes(variant: int) -> tuple[str, ...]:
+    """Which axes of a hydraulic crane have a circuit."""
+    return (AXES[variant % 3],) if variant < 3 else AXES
+
+
+def recorded(tables: Tables, excitation: str, noise: float, disturbance: float, seed: int) -> Tables:
+    """The tables with recordings to take, noise ``noise`` times the usual, and valves whose flow is disturbed by this share."""
+    programs, seconds = EXCITATION[excitation]
+    kind = tables.get("kind")
+    if kind is not None:
+        length = {"servo_arm": 40.0, "slide": 15.0}[kind] * (0.5 if excitation == "poor" else 1.0)
+        count = 3 if excitation == "poor" else 6
+        takes = [{"name": f"take-{k + 1}", "seed": seed + k, "seconds": length} for k in range(count)]
+        sensors = {"noise": SERVO * noise} if kind == "servo_arm" else {"noise": PLACE * noise, "force_noise": FORCE * noise}
+        return {**tables, "seed": seed, "recordings": takes, **sensors}
+    takes = [
+        {"name": f"take-{k + 1}", "seed": seed + k, "seconds": seconds, "program": program}
+        for k, program in enumerate(programs)
+    ]
+    seen = {"draw_wire": {"noise": WIRE * noise}, "capture": {"noise": MARKER * noise}}
+    calm = {name: {"valve": {"disturbance": disturbance}} for name in AXES}
+    return overlaid(tables, {"seed": seed, "recordings": takes, "axes": calm, **seen})
+
+
+def parsed(tables: Tables, where: str) -> Recipe | ServoArm | Slide:
+    """The checked machine that tables describe."""
+    kind = tables.get("kind")
+    if kind == "servo_arm":
+        return parse_settings(tables, ServoArm, where)
+    if kind == "slide":
+        return parse_settings(tables, Slide, where)
+    recipe = parse_settings(tables, Recipe, where)
+    check_recipe(recipe, where)
+    return recipe

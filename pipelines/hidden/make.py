@@ -1,0 +1,169 @@
+"""Makes a case: ``site/`` with what a site hands over, and apart from it the truth.
+
+<work>/cases/<name>/site/…         logs, machine.toml, recipe.toml: all that the run of the workflow sees
+<work>/sealed/<name>.json          what is hidden, how large, how far above its detection limit, and the case itself
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import sys
+from collections.abc import Sequence
+from hashlib import sha256
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from hidden.cases import CaseSpec, Hidden
+from hidden.kinds import BY_KEY, Kind
+from hidden.limits import Limit, error_of, limit_of, overlaid_lists
+from hidden.machines import parsed, recorded, visible_tables
+from sysid.bench.case import Case, write_case
+from sysid.bench.joint_machines import write_joint_machine
+from sysid.bench.joint_recipe import ServoArm, Slide
+from sysid.bench.nominal import Chain, fit_nominal
+from sysid.bench.recipe import HiddenSettings, Recipe
+
+
+def make_case(spec: CaseSpec, work: Path) -> dict[str, Any]:
+    """Write the case; returns what is sealed."""
+    visible = recorded(visible_tables(spec.family, spec.variant), spec.excitation, spec.noise, spec.disturbance, spec.seed)
+    owner = parsed(visible, spec.name)
+    nominal = kept_nominal(owner, work / "nominal") if isinstance(owner, Recipe) else None
+    hidden = []
+    real_tables = visible
+    for each in spec.hidden:
+        kind = BY_KEY[each.kind]
+        limit = limit_of(kind, each.direction, visible, error_of(kind, visible, nominal))
+        magnitude = min(each.factor * limit.magnitude, kind.most)
+        real_tables = overlaid_lists(real_tables, kind.change(visible, magnitude, each.direction))
+        hidden.append(_described(each, kind, limit, magnitude))
+    real = parsed(real_tables, spec.name)
+    out = work / "cases" / spec.name
+    if isinstance(owner, Recipe) and isinstance(real, Recipe):
+        named = [effect for each in spec.hidden for effect in BY_KEY[each.kind].named]
+        case = Case("crane", owner, real, tuple(HiddenSettings(name, target) for name, target in named))
+        truth = write_case(case, out, nominal)
+        (out / "truth" / "truth.json").unlink()
+        (out / "truth").rmdir()
+        effects, error = truth["effects"], truth["model_error"]
+    else:
+        assert isinstance(owner, ServoArm | Slide)
+        assert isinstance(real, ServoArm | Slide)
+        effects, error = _write_joints(owner, real, spec.hidden, out / "site"), {}
+    sealed = {"spec": spec.to_json(), "hidden": hidden, "effects": effects, "model_error": error}
+    path = work / "sealed" / f"{spec.name}.json"
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(json.dumps(sealed, indent=1) + "\n", "utf-8")
+    return sealed
+
+
+def _described(each: Hidden, kind: Kind, limit: Limit, magnitude: float) -> dict[str, Any]:
+    """``factor`` as it came out: a plausible machine may not have as much of an effect as was asked for."""
+    factor = magnitude / limit.magnitude if math.isfinite(limit.magnitude) else 0.0
+    return {
+        "kind": each.kind,
+        "effects": [{"name": name, "target": target} for name, target in kind.named],
+        "magnitude": magnitude,
+        "detection_limit": limit.magnitude if math.isfinite(limit.magnitude) else None,
+        "factor": factor,
+        "judged": kind.judged,
+    }
+
+
+def kept_nominal(owner: Recipe, folder: Path) -> Chain:
+    """The owner's fitted plant of a crane; it depends neither on recordings nor on noise and is fitted once for each."""
+    machine = (owner.geometry, owner.axes, owner.masses, owner.supply, owner.oil, owner.gripper.length, owner.step)
+    calm = repr(machine).replace(f"disturbance={_disturbance(owner)!r}", "")
+    path = folder / f"{sha256(calm.encode()).hexdigest()[:16]}.json"
+    if path.exists():
+        kept = json.loads(path.read_text("utf-8"))
+        return Chain(np.array(kept["rows"]), np.array(kept["gains"]))
+    chain = fit_nominal(owner)
+    folder.mkdir(parents=True, exist_ok=True)
+    beside = path.with_suffix(".part")
+    beside.write_text(json.dumps({"rows": chain.rows.tolist(), "gains": chain.gains.tolist()}), "utf-8")
+    beside.replace(path)
+    return chain
+
+
+def _disturbance(owner: Recipe) -> float:
+    return owner.axis("slew").valve.disturbance
+
+
+# ---- Joint machines -----------------------------------------------------------------------------------------------------
+
+
+def _write_joints(
+    owner: ServoArm | Slide, real: ServoArm | Slide, hidden: Sequence[Hidden], site: Path
+) -> list[dict[str, Any]]:
+    """Logs of the real machine beside the owner's description; its truth is exact."""
+    write_joint_machine(real, site / "logs")
+    description = site / "logs" / "machine.toml"
+    text = write_known(owner, description.read_text("utf-8"))
+    if isinstance(owner, Slide):
+        assert isinstance(real, Slide)
+        text = text.replace(f"inertia = {real.mass}", f"inertia = {owner.mass}")
+    for path in (site / "logs").glob("*.*"):
+        path.rename(site / path.name)
+    (site / "machine.toml").write_text(text, "utf-8")
+    takes = ", ".join(f'"{take.name}"' for take in owner.recordings)
+
+    (site / "recipe.toml").write_text(
+        f'schema = 1\nname = "joints"\nmachine = "machine.toml"\nlogs = "logs"\n[recordings]\nmotion = [{takes}]\n'
+        f'[splits]\nheld_out = ["{owner.recordings[-1].name}"]\n',
+        "utf-8",
+    )
+    return [effect for each in hidden for effect in _joint_truth(BY_KEY[each.kind], owner, real)]
+
+
+def write_known(owner: ServoArm | Slide, text: str) -> str:
+    """The description with the effects that the owner knows."""
+    known: list[tuple[str, str, dict[str, float]]] = []
+    if isinstance(owner, ServoArm):
+        for axis in owner.axes:
+            known += [("input_delay", axis.name, {"delay": axis.delay})]
+            known += [("first_order_lag", axis.name, {"time_constant": axis.time_constant})]
+    else:
+        known += [("viscous_friction", "carriage", {"coefficient": owner.viscous})]
+        if owner.coulomb > 0.0:
+            known += [("coulomb_friction", "carriage", {"force": owner.coulomb})]
+    for name, target, values in known:
+        listed = ", ".join(f"{key} = {value}" for key, value in values.items())
+        text += f'\n[[effects]]\nname = "{name}"\ntarget = "{target}"\nparameters = {{ {listed} }}\n'
+    return text
+
+
+def _joint_truth(kind: Kind, owner: ServoArm | Slide, real: ServoArm | Slide) -> list[dict[str, Any]]:
+    found = []
+    for name, target in kind.named:
+        if isinstance(real, ServoArm):
+            axis = next(axis for axis in real.axes if axis.name == target)
+            values = {
+                "input_delay": {"delay": axis.delay},
+                "first_order_lag": {"time_constant": axis.time_constant},
+                "command_rate_limit": {"rate": axis.rate_limit},
+                "backlash": {"width": axis.backlash},
+                "joint_compliance": {"compliance": axis.compliance},
+            }[name]
+        else:
+            assert isinstance(owner, Slide)
+            values = {
+                "coulomb_friction": {"force": real.coulomb},
+                "viscous_friction": {"coefficient": real.viscous},
+                "stribeck_friction": {
+                    "static_force": real.static,
+                    "coulomb_force": real.coulomb,
+                    "stribeck_velocity": real.stribeck,
+                },
+                "inertia_error": {"ratio": real.mass / owner.mass},
+                "load_bias": {"force": real.offset},
+            }[name]
+        found.append({"name": name, "target": target, "parameters": values, "exact": True})
+    return found
+
+
+if __name__ == "__main__":
+    make_case(CaseSpec.from_json(json.loads(Path(sys.argv[1]).read_text("utf-8"))), Path(sys.argv[2]))

@@ -1,0 +1,33 @@
+"""Runs the workflow on one site, blind: logs and description in, the workflow's answer out. Run as a process of its own.
+
+python -m hidden.solve SITE OUT.json
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+from sysid.datasets import ingest
+from sysid.gap import find_gap
+from sysid.plant import nominal_plant
+
+
+def solve(site: Path, out: Path) -> None:
+    """Write what :func:`sysid.gap.find_gap` answers about the logs in ``site``, and how long that took."""
+    begin = time.perf_counter()
+    with tempfile.TemporaryDirectory() as workspace:
+        dataset = ingest(site, workspace)
+        ingested = time.perf_counter() - begin
+        result = find_gap(dataset, nominal_plant(dataset.machine))
+    answer = {"ingest_seconds": ingested, "seconds": time.perf_counter() - begin, "answer": result.to_json()}
+    beside = out.with_suffix(".part")
+    beside.write_text(json.dumps(answer, indent=1) + "\n", "utf-8")
+    beside.replace(out)
+
+
+if __name__ == "__main__":
+    solve(Path(sys.argv[1]), Path(sys.argv[2]))

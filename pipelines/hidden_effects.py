@@ -1,0 +1,105 @@
+"""How often the gap workflow is right: sealed cases of the stand-in machine, answered blind, then judged.
+
+    .venv/bin/python pipelines/hidden_effects.py --tier smoke|quick|full [--only GROUP] [--workers N] [--limit N]
+
+Each case is a machine that hides no, one, two or three effects, or something that the catalogue does not know, recorded with
+noise, disturbances and more or less excitation. The workflow sees logs and description alone, in a process of its own; the
+truth is opened when all have answered. A run that was stopped goes on where it was. A whole tier writes
+reports/hidden_effects/result.json and the tables of docs/hidden-effects.md.
+"""
+
+from __future__ import annotations
+
+import argparse
+import importlib.metadata
+import json
+import math
+import os
+import platform
+from collections.abc import Sequence
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+from hidden.cases import COUNTS, GROUPS, SEED, CaseSpec, cases_of, listed
+from hidden.judge import Judgement, judge
+from hidden.page import page_tables, write_page
+from hidden.runner import ANSWERING, Place, run_all
+from hidden.score import scored
+
+ROOT = Path(__file__).resolve().parents[1]
+RESULT = ROOT / "reports" / "hidden_effects" / "result.json"
+PAGE = ROOT / "docs" / "hidden-effects.md"
+
+
+def judged(specs: Sequence[CaseSpec], work: Path) -> list[Judgement]:
+    """Every case that has an answer."""
+    place = Place(work)
+    found = []
+    for spec in specs:
+        if place.answer(spec).exists():
+            answer = json.loads(place.answer(spec).read_text("utf-8"))
+            sealed = place.sealed(spec)
+            if not sealed.exists():  # it could not be made
+                found.append(_unmade(spec, answer))
+                continue
+            found.append(judge(json.loads(sealed.read_text("utf-8")), answer))
+    return found
+
+
+def _unmade(spec: CaseSpec, answer: dict[str, Any]) -> Judgement:
+    return judge({"spec": spec.to_json(), "hidden": [], "effects": []}, answer)
+
+
+def result_of(tier: str, cases: Sequence[Judgement], command: str) -> dict[str, Any]:
+    """The contents of the result file."""
+    return {
+        "schema": 1,
+        "command": command,
+        "seed": SEED,
+        "versions": {name: importlib.metadata.version(name) for name in ("sysid", "numpy", "scipy", "numba")},
+        "machine": f"{os.cpu_count()} cores, {platform.system()}, Python {platform.python_version()}",
+        "date": datetime.now(UTC).strftime("%Y-%m-%d"),
+        "tier": tier,
+        "cases": len(cases),
+        **scored(cases),
+        "judgements": [_line(case) for case in cases],
+    }
+
+
+def _line(case: Judgement) -> dict[str, Any]:
+    values = case.to_json()
+    # JSON knows neither infinity nor not-a-number: nothing hidden has no factor, no answer took no time.
+    return {key: None if isinstance(value, float) and not math.isfinite(value) else value for key, value in values.items()}
+
+
+def main(
+    tier: str, work: Path, only: str | None = None, workers: int = 1, limit: int | None = None, keep: bool = False
+) -> dict[str, Any]:
+    """Run the cases of a tier that have no answer yet and score what there is."""
+    specs = cases_of(tier, only)[:limit]  # type: ignore[arg-type]
+    run_all(specs, work, workers, keep, lambda text: print(text, flush=True), ANSWERING)
+    result = result_of(tier, judged(specs, work), f"python pipelines/hidden_effects.py --tier {tier}")
+    (work / f"result-{tier}.json").write_text(json.dumps(result, indent=1) + "\n", "utf-8")
+    print(page_tables(result))
+    if only is None and limit is None:
+        RESULT.parent.mkdir(parents=True, exist_ok=True)
+        RESULT.write_text(json.dumps(result, indent=1) + "\n", "utf-8")
+        write_page(PAGE, page_tables(result))
+    return result
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--tier", choices=list(COUNTS), default="quick")
+    parser.add_argument("--only", choices=GROUPS)
+    parser.add_argument("--workers", type=int, default=1)
+    parser.add_argument("--limit", type=int, help="at most so many cases")
+    parser.add_argument("--work", type=Path, default=ROOT / "workspace" / "hidden_effects", help="folder of cases and answers")
+    parser.add_argument("--keep", action="store_true", help="keep the logs of the cases")
+    parser.add_argument("--list", action="store_true", help="show the cases and stop")
+    given = parser.parse_args()
+    if given.list:
+        print("\n".join(listed(given.tier)))
+    else:
+        main(given.tier, given.work, given.only, given.workers, given.limit, given.keep)

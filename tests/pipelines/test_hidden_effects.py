@@ -1,0 +1,289 @@
+"""The calibration judges rightly: cases are what their list says, truth stays apart, figures are counted well."""
+
+from __future__ import annotations
+
+import importlib
+import json
+import math
+import sys
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+import pytest
+
+from sysid.effects import CATALOGUE
+
+PIPELINES = str(Path(__file__).parents[2] / "pipelines")
+MODULES = ("cases", "judge", "kinds", "limits", "machines", "make", "page", "runner", "score")
+
+
+@pytest.fixture(scope="module")
+def hidden() -> Iterator[dict[str, ModuleType]]:
+    """The modules of pipelines/hidden, found as the pipeline finds them."""
+    sys.path.insert(0, PIPELINES)
+    try:
+        yield {name: importlib.import_module(f"hidden.{name}") for name in MODULES}
+    finally:
+        sys.path.remove(PIPELINES)
+
+
+# ---- The list -----------------------------------------------------------------------------------------------------------
+
+
+def test_full_tier_holds_what_was_asked_for(hidden: dict[str, ModuleType]) -> None:
+    cases = hidden["cases"].cases_of("full")
+    assert len({case.name for case in cases}) == len(cases)
+    groups = Counter(case.group for case in cases)
+    assert groups["none"] >= 300
+    assert groups["single"] >= 200
+    assert (groups["double"], groups["triple"], groups["unknown"]) == (60, 40, 40)
+    by_key = hidden["kinds"].BY_KEY
+    due: Counter[str] = Counter()
+    for case in cases:
+        assert len(case.hidden) == {"none": 0, "single": 1, "double": 2, "triple": 3, "unknown": 1}[case.group]
+        assert all(by_key[each.kind].family == case.family for each in case.hidden)
+        assert all(case.variant in by_key[each.kind].variants for each in case.hidden)
+        if case.group == "single" and case.hidden[0].factor >= 3.0:
+            due[by_key[case.hidden[0].kind].named[0][0]] += 1
+    # Offset and skew of a clock are found at ingest: they are no gap any more.
+    assert set(due) == {effect.name for effect in CATALOGUE} - {"clock_offset", "clock_skew"}
+    assert min(due.values()) >= 5
+    for group in ("none", "single"):
+        some = [case for case in cases if case.group == group]
+        assert {case.excitation for case in some} >= {"rich", "poor", "flight"}
+        assert {case.disturbance for case in some} == {0.0, 0.001, 0.003, 0.01}
+        assert {case.family for case in some} == {"valve_crane", "hydraulic_crane", "servo_arm", "slide"}
+
+
+def test_tiers_share_their_cases_and_are_the_same_every_time(hidden: dict[str, ModuleType]) -> None:
+    cases = hidden["cases"]
+    full = {case.name: case for case in cases.cases_of("full")}
+    assert all(full[case.name] == case for tier in ("smoke", "quick") for case in cases.cases_of(tier))
+    assert len(cases.cases_of("smoke")) <= 12
+    assert cases.CaseSpec.from_json(json.loads(json.dumps(full["triple-003"].to_json()))) == full["triple-003"]
+    assert [case.group for case in cases.cases_of("quick", "double")] == ["double"] * 6
+
+
+def test_every_kind_changes_its_machine_and_is_a_machine(hidden: dict[str, ModuleType]) -> None:
+    machines, overlaid = hidden["machines"], hidden["limits"].overlaid_lists
+    for kind in (*hidden["kinds"].KNOWN, *hidden["kinds"].UNKNOWN):
+        visible = machines.recorded(machines.visible_tables(kind.family, kind.variants[0]), kind.excitation, 1.0, 0.0, 5)
+        owner = machines.parsed(visible, "owner")
+        for magnitude in (0.1 * kind.most, kind.most):
+            assert machines.parsed(overlaid(visible, kind.change(visible, magnitude, 1)), kind.key) != owner
+
+
+# ---- Limits and files ---------------------------------------------------------------------------------------------------
+
+
+def test_limit_is_where_an_effect_adds_as_much_as_there_is(hidden: dict[str, ModuleType]) -> None:
+    kind = replace(hidden["kinds"].BY_KEY["servo_arm:backlash(shoulder)"], change=lambda t, m, d: {"size": m}, most=10.0)
+
+    def error(tables: dict[str, Any]) -> tuple[float, float]:
+        return math.hypot(3.0, 2.0 * tables["size"]), 4.0
+
+    limit = hidden["limits"].limit_of(kind, 1, {"size": 0.0}, error)
+    assert limit.without == pytest.approx(5.0)
+    assert limit.magnitude == pytest.approx(2.5, rel=0.05)
+    blind = hidden["limits"].limit_of(kind, 1, {"size": 0.0}, lambda tables: (3.0, 4.0))
+    assert math.isinf(blind.magnitude)
+
+
+def test_tables_are_overlaid_inside_lists_too(hidden: dict[str, ModuleType]) -> None:
+    overlaid = hidden["limits"].overlaid_lists
+    below = {"axes": [{"a": 1, "b": 2}, {"a": 3}], "sensors": [{"signal": "x"}], "rest": {"c": [1]}}
+    above = {"axes": {1: {"a": 4}}, "sensors": [{"signal": "y"}], "rest": {"c": [2]}}
+    assert overlaid(below, above) == {
+        "axes": [{"a": 1, "b": 2}, {"a": 4}], "sensors": [{"signal": "x"}, {"signal": "y"}], "rest": {"c": [2]},
+    }  # fmt: skip
+
+
+def test_site_holds_nothing_of_what_is_sealed(hidden: dict[str, ModuleType], tmp_path: Path) -> None:
+    """A servo arm with play: three times as large as what just shows, described nowhere but in the sealed file."""
+    cases = hidden["cases"]
+    kind = cases.Hidden("servo_arm:backlash(elbow)", 3.0, 1)
+    spec = cases.CaseSpec("one", "single", "servo_arm", 2, (kind,), "poor", 1.0, 0.0, 11)
+    sealed = hidden["make"].make_case(spec, tmp_path)
+    assert json.loads((tmp_path / "sealed" / "one.json").read_text("utf-8")) == json.loads(json.dumps(sealed))
+    assert sealed["hidden"][0]["factor"] == pytest.approx(3.0)
+    (effect,) = sealed["effects"]
+    assert (effect["name"], effect["target"]) == ("backlash", "elbow")
+    assert effect["parameters"]["width"] == pytest.approx(3.0 * sealed["hidden"][0]["detection_limit"])
+    # Play about as wide as the noise's spread shows about as much as the noise.
+    assert 1e-4 < sealed["hidden"][0]["detection_limit"] < 6e-4
+    site = tmp_path / "cases" / "one" / "site"
+    files = sorted(path.relative_to(site).as_posix() for path in site.rglob("*") if path.is_file())
+    assert files == [
+        "arm.urdf",
+        "logs/take-1/log.csv",
+        "logs/take-2/log.csv",
+        "logs/take-3/log.csv",
+        "machine.toml",
+        "recipe.toml",
+    ]
+    for name in ("machine.toml", "arm.urdf", "recipe.toml"):
+        assert "backlash" not in (site / name).read_text("utf-8")
+    assert 'name = "first_order_lag"' in (site / "machine.toml").read_text("utf-8")
+
+
+def test_case_with_an_answer_is_not_run_again_and_a_crash_is_an_answer(
+    hidden: dict[str, ModuleType], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    runner, specs = hidden["runner"], hidden["cases"].cases_of("smoke")[:2]
+    calls: list[str] = []
+
+    def process(module: str, arguments: list[str], limit: float) -> str | None:
+        calls.append(module)
+        if module == "hidden.solve":
+            assert "sealed" not in "".join(arguments)
+            return "took more than 180 s"
+        return None
+
+    monkeypatch.setattr(runner, "_process", process)
+    told: list[str] = []
+    runner.run_all(specs, tmp_path, 1, False, told.append)
+    assert calls == ["hidden.make", "hidden.solve"] * 2
+    assert json.loads(runner.Place(tmp_path).answer(specs[0]).read_text("utf-8")) == {
+        "failure": "not answered: took more than 180 s"
+    }
+    runner.run_all(specs, tmp_path, 1, False, told.append)
+    assert len(calls) == 4
+    assert len(told) == 2
+
+
+# ---- Judging ------------------------------------------------------------------------------------------------------------
+
+
+def sealed_case(hidden: dict[str, ModuleType], group: str, *names: tuple[str, str], factor: float = 5.0) -> dict[str, Any]:
+    spec = replace(hidden["cases"].case(group, 0), hidden=())
+    entries = [
+        {"effects": [{"name": n, "target": t}], "factor": factor, "judged": True, "kind": f"valve_crane:{n}({t})"}
+        for n, t in names
+    ]
+    effects = [{"name": n, "target": t, "parameters": {"width": 0.02}} for n, t in names]
+    return {"spec": spec.to_json(), "hidden": entries, "effects": effects}
+
+
+def answer(*effects: dict[str, Any], verdict: str = "named", after: float = 0.2) -> dict[str, Any]:
+    gap = {"before": {"a": 1.0, "b": 0.11}, "after": {"a": after, "b": 0.5}, "noise_floor": {"a": 0.1, "b": 0.1}}
+    return {"seconds": 9.0, "answer": {"effects": list(effects), "verdict": verdict, "unnamed": [], "gap": gap}}
+
+
+def effect(name: str, target: str, width: float = 0.021, **more: Any) -> dict[str, Any]:
+    return {"name": name, "target": target, "parameters": {"width": width}, "interval95": {"width": [0.019, 0.022]}, **more}
+
+
+def test_right_wrong_missed_and_aliases(hidden: dict[str, ModuleType]) -> None:
+    judge = hidden["judge"].judge
+    sealed = sealed_case(hidden, "single", ("backlash", "slew"))
+    right = judge(sealed, answer(effect("backlash", "slew")))
+    assert right.exact
+    assert right.errors == {"backlash(slew).width": pytest.approx(0.05)}
+    assert right.covered == {"backlash(slew).width": True}
+    assert right.closed == pytest.approx(0.8 / 0.9), "the signal at its floor does not count"
+    elsewhere = judge(sealed, answer(effect("backlash", "boom")))
+    assert (elsewhere.wrong, elsewhere.missed) == ((("backlash", "boom"),), (("backlash", "slew"),))
+    both = judge(sealed, answer(effect("backlash", "slew"), effect("stiction", "slew")))
+    assert both.wrong == (("stiction", "slew"),)
+    assert not both.exact
+    alias = judge(sealed, answer(effect("joint_offset", "slew", aliases=[{"name": "backlash", "target": "slew"}])))
+    assert alias.exact
+    silent = judge(sealed, answer(verdict="ambiguous"))
+    assert (silent.wrong, silent.missed, silent.closed) == ((), (("backlash", "slew"),), None)
+
+
+def test_rates_over_cases(hidden: dict[str, ModuleType]) -> None:
+    judge, scored = hidden["judge"].judge, hidden["score"].scored
+    single, none = sealed_case(hidden, "single", ("backlash", "slew")), sealed_case(hidden, "none")
+    below = sealed_case(hidden, "single", ("backlash", "slew"), factor=1.0)
+    two = sealed_case(hidden, "double", ("backlash", "slew"), ("backlash", "boom"))
+    unknown = sealed_case(hidden, "unknown")
+    cases = [
+        judge(single, answer(effect("backlash", "slew"))),
+        judge(single, answer(verdict="ambiguous")),
+        judge(single, {"failure": "not answered"}),
+        judge(below, answer(verdict="no_gap")),
+        judge(none, answer(effect("stiction", "boom"))),
+        judge(none, answer(verdict="no_gap")),
+        judge(two, answer(effect("backlash", "slew"), effect("backlash", "boom", 0.03))),
+        judge(unknown, answer(verdict="unnamed")),
+    ]
+    found = scored(cases)
+    values = {key: (rate["hits"], rate["cases"]) for key, rate in found["rates"].items()}
+    assert values["single_right"] == (1, 3), "a crash is a miss"
+    assert values["single_abstained"] == (2, 3)
+    assert values["single_below_limit_wrong"] == (0, 1)
+    assert values["false_naming_none"] == (1, 2)
+    assert values["wrong_name"] == (1, 7), "who gives no answer gives no wrong one, nor a right one"
+    assert values["double_exact"] == (1, 1)
+    assert values["unknown_not_misnamed"] == (1, 1)
+    assert values["interval_coverage"] == (2, 3) or values["interval_coverage"] == (3, 3)
+    assert values["failure"] == (1, 8)
+    assert found["parameter_error"]["count"] == 3
+    assert found["confusion"] == {
+        "backlash": {"ambiguous": 1, "backlash": 1, "no answer": 1, "no_gap": 1},
+        "nothing": {"no_gap": 1, "stiction": 1},
+        "unknown": {"unnamed": 1},
+    }
+
+
+def test_wilson_interval(hidden: dict[str, ModuleType]) -> None:
+    wilson = hidden["score"].wilson
+    assert wilson(0, 300) == pytest.approx([0.0, 0.01264], abs=1e-4)
+    assert wilson(97, 100) == pytest.approx([0.9155, 0.9897], abs=1e-3)
+    assert wilson(0, 0) == [0.0, 1.0]
+
+
+def test_page_replaces_only_what_it_generated(hidden: dict[str, ModuleType], tmp_path: Path) -> None:
+    sys.path.insert(0, PIPELINES)
+    try:
+        pipeline = importlib.import_module("hidden_effects")
+    finally:
+        sys.path.remove(PIPELINES)
+    sealed = sealed_case(hidden, "single", ("backlash", "slew"))
+    judged = [hidden["judge"].judge(sealed, answer(effect("stiction", "slew")))]
+    result = json.loads(json.dumps(pipeline.result_of("quick", judged, "make hidden-effects"), allow_nan=False))
+    assert result["rates"]["wrong_name"]["value"] == 1.0
+    agreed = "tier cases rates parameter_error closed_min seconds confusion command seed versions machine date"
+    assert set(agreed.split()) <= set(result)
+    text = hidden["page"].page_tables(result)
+    assert "| any case: a wrong name | ≤ 2 % | 100.0 % |" in text
+    assert "| backlash | stiction 1 |" in text
+    page = tmp_path / "page.md"
+    page.write_text(f"# Title\n{hidden['page'].BEGIN}\nold\n{hidden['page'].END}\nrest\n", "utf-8")
+    hidden["page"].write_page(page, text)
+    written = page.read_text("utf-8")
+    assert written.startswith("# Title\n")
+    assert written.endswith("rest\n")
+    assert "\nold\n" not in written
+
+
+def test_crane_stages_are_silent_where_nothing_is_hidden(hidden: dict[str, ModuleType]) -> None:
+    """Without its effect the residual of every stage but the command's is rounding; with it, it is what geometry says."""
+    machines, limits, kinds = hidden["machines"], hidden["limits"], hidden["kinds"].BY_KEY
+    tables = machines.visible_tables("valve_crane", 0)
+    visible = {**machines.recorded(tables, "poor", 1.0, 0.0, 3)}
+    visible["recordings"] = [{**visible["recordings"][0], "seconds": 15.0}]
+    plain = hidden["limits"]
+    nominal = importlib.import_module("sysid.bench.nominal").Chain(np.zeros((4, 18)), np.ones(4))
+    shown = {
+        "joint_offset(boom)": (1e-3, None),
+        "sensor_bias(boom.cylinder)": (1e-4, None),
+        "base_misalignment(base)": (1e-3, None),
+        "gripper_sway(tool)": (0.2, 0.2),
+        "link_length_error(boom)": (2e-3, 2e-3),
+    }
+    for label, (magnitude, size) in shown.items():
+        kind = kinds[f"valve_crane:{label}"]
+        error = limits.error_of(kind, visible, nominal)
+        silent, noise = error(visible)
+        assert silent < 1e-6, label
+        assert noise > 0.0
+        heard, _ = error(plain.overlaid_lists(visible, kind.change(visible, magnitude, 1)))
+        assert heard > 1e-4, label
+        assert size is None or heard == pytest.approx(size, rel=0.05), label
