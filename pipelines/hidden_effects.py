@@ -6,6 +6,9 @@ Each case is a machine that hides no, one, two or three effects, or something th
 noise, disturbances and more or less excitation. The workflow sees logs and description alone, in a process of its own; the
 truth is opened when all have answered. A run that was stopped goes on where it was. A whole tier writes
 reports/hidden_effects/result.json and the tables of docs/hidden-effects.md.
+
+Order of reading of hidden/: machines, kinds, cases (what is tried), limits, make (files), solve (the run, which sees the site's
+files alone), runner, judge, score, page.
 """
 
 from __future__ import annotations
