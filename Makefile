@@ -14,9 +14,9 @@ demo: $(READY)
 test: $(READY)
 	$(BIN)/python -m pytest
 
-# The default options leave the slow tests out; the later -m wins.
+# The default options leave the slow tests out; the later -m wins. Properties are tried on new examples here.
 test-slow: $(READY)
-	$(BIN)/python -m pytest -m slow --timeout 7200
+	HYPOTHESIS_PROFILE=explore $(BIN)/python -m pytest -m "slow or hypothesis" --timeout 7200
 
 lint: $(READY)
 	$(BIN)/ruff check

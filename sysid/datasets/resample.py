@@ -63,10 +63,10 @@ def interpolate(times: Array, values: Array, at: Array, max_gap_s: float, cubic:
     right = np.clip(np.searchsorted(times, at, side="right"), 1, len(times) - 1)
     left = right - 1
     step = times[right] - times[left]
-    # A sample that lies on the grid but for rounding is used even beside a gap.
+    # A sample that lies on the grid but for rounding is used even beside a gap; so is a step of just the longest gap.
     slack = 1e-9
     inside = (at >= times[0] - slack) & (at <= times[-1] + slack)
-    bridged = inside & (step <= max_gap_s)
+    bridged = inside & (step <= max_gap_s + slack)
     s = np.clip((at - times[left]) / step, 0.0, 1.0)
     if cubic and len(times) > 2:
         slopes = _slopes(times, values, max_gap_s)
@@ -90,7 +90,7 @@ def _slopes(times: Array, values: Array, max_gap_s: float) -> Array:
     slopes[0], slopes[-1] = secants[0], secants[-1]
     before, after = steps[:-1], steps[1:]
     slopes[1:-1] = (secants[:-1] * after + secants[1:] * before) / (before + after)
-    gap = steps > max_gap_s
+    gap = steps > max_gap_s + 1e-9
     after_gap, before_gap = gap[:-1] & ~gap[1:], ~gap[:-1] & gap[1:]
     inner = slopes[1:-1]
     inner[after_gap] = secants[1:][after_gap]

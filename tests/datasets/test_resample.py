@@ -6,7 +6,7 @@ from typing import Literal
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from sysid.datasets.channel import Channel
@@ -64,6 +64,7 @@ def test_cubic_interpolation_is_exact_for_parabolas() -> None:
     st.booleans(),
     st.integers(0, 10_000),
 )
+@example([0.5, 0.25, 0.19442138246371943, 0.25], False, 0)  # a step of the longest gap, but for rounding
 def test_interpolation_stays_between_neighbours_and_never_bridges(steps: list[float], cubic: bool, seed: int) -> None:
     rng = np.random.default_rng(seed)
     times = np.cumsum(steps)
@@ -74,7 +75,7 @@ def test_interpolation_stays_between_neighbours_and_never_bridges(steps: list[fl
     known = times[~np.isnan(values)]
     for instant, value in zip(at, result, strict=True):
         before, after = known[known <= instant], known[known >= instant]
-        if len(before) == 0 or len(after) == 0 or after[0] - before[-1] > 0.25 + 1e-12:
+        if len(before) == 0 or len(after) == 0 or after[0] - before[-1] > 0.25 + 1e-9:
             assert np.isnan(value)
         elif not cubic and len(known) >= 2:
             ends = values[np.isin(times, [before[-1], after[0]])]
