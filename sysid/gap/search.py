@@ -149,6 +149,7 @@ class Search:
 
     def _forward(self, model: Fit) -> Fit:
         """Add what has most evidence, until nothing helps or the stage is explained."""
+        passed = {frozenset(model.labels)}
         while len(self._ordinary(model)) < self.strict.most and self._rmse(model) > self.strict.gap:
             trials = [self._fit(_joined(model.candidates, c), (model,)) for c in self._open(model)]
             if not trials:
@@ -160,7 +161,11 @@ class Search:
             best = max(trials, key=self._merit)
             if self._merit(best) < self._merit(model) + self.strict.forward:
                 break
-            model = self._plainer(best)
+            plainer = self._plainer(best)
+            if frozenset(plainer.labels) in passed:  # the addition was no more than a richer form of what is there
+                break
+            passed.add(frozenset(plainer.labels))
+            model = plainer
         return model
 
     def _exchange(self, model: Fit) -> Fit:
