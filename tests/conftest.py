@@ -9,9 +9,9 @@ import pytest
 from hypothesis import settings
 
 # Properties are tried on the same examples each run, so that a failure belongs to the change under test;
-# `make test-slow` draws new ones (HYPOTHESIS_PROFILE=explore).
-settings.register_profile("steady", derandomize=True)
-settings.register_profile("explore", derandomize=False)
+# `make test-slow` draws new ones (HYPOTHESIS_PROFILE=explore). No deadlines: each test has its time limit.
+settings.register_profile("steady", derandomize=True, deadline=None)
+settings.register_profile("explore", derandomize=False, deadline=None)
 settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "steady"))
 
 ROOT = Path(__file__).parents[1]
