@@ -105,7 +105,7 @@ def force_error(plant: Plant, recordings: Sequence[Recording], axis: Axis) -> fl
     """‖measured − model‖ / ‖measured‖ of the filtered force over all recordings."""
     model = compile_plant(plant)
     inputs = [force_inputs(recording, axis) for recording in recordings]
-    predicted = np.concatenate([part.model_force(model, model.theta[None], axis.name)[0] for part in inputs])
+    predicted = np.concatenate([part.model_force(model, model.theta[None], axis.name, everywhere=True)[0] for part in inputs])
     return relative(np.concatenate([part.force for part in inputs]), predicted)
 
 

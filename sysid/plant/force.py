@@ -29,7 +29,11 @@ Array = npt.NDArray[np.float64]
 
 @dataclass(frozen=True)
 class ForceFilter:
-    """The stated filter. ``still`` is the speed [share of the 95th percentile] below which friction is not determined."""
+    """The stated filter. ``still`` is the speed [share of the 95th percentile] below which friction is not determined.
+
+    Nor is it while a reversal passes through the low-pass of the position, half a period long: the filtered speed has
+    changed its sign, or not yet, when the axis itself stands or has gone the other way.
+    """
 
     position_hz: float = 50.0
     force_hz: float = 10.0
@@ -44,22 +48,28 @@ class ForceInputs:
     Args:
         rows: rows of the recording that survive, (m,).
         speed, acceleration: on all rows (n,).
+        rests: where dry friction has no known sign and the measured force is taken instead (n,).
+        raw: measured force on all rows, not filtered (n,).
         force: measured force on ``rows`` (m,).
     """
 
     rows: npt.NDArray[np.int64]
     speed: Array
     acceleration: Array
+    rests: npt.NDArray[np.bool_]
+    raw: Array
     force: Array
     low_pass: Array
 
-    def model_force(self, model: Model, thetas: Array, axis: str) -> Array:
-        """Force that the model needs for the measured motion, (lanes, m)."""
+    def model_force(self, model: Model, thetas: Array, axis: str, everywhere: bool = False) -> Array:
+        """Force that the model needs for the measured motion, (lanes, m); ``everywhere`` also where the axis ``rests``."""
         at = model.axis_index(axis)
         out = np.empty((len(thetas), len(self.rows)))
         full = np.empty(len(self.speed))
         for lane, theta in enumerate(thetas):
             axis_run.force_axis(theta, model.rig, at, self.speed, self.acceleration, full)
+            if not everywhere:
+                full[self.rests] = self.raw[self.rests]
             out[lane] = signal.sosfiltfilt(self.low_pass, full)[self.rows]
         return out
 
@@ -96,9 +106,10 @@ def force_inputs(
     speed = np.gradient(position, 1.0 / rate)
     acceleration = np.gradient(speed, 1.0 / rate)
     filtered = signal.sosfiltfilt(low_pass, force)
-    if rows is not None:
-        return ForceInputs(rows, speed, acceleration, filtered[rows], low_pass)
     still = settings.still * float(np.percentile(np.abs(speed), 95))
+    rests = np.abs(speed) < still + np.abs(acceleration) * 0.5 / settings.position_hz
+    if rows is not None:
+        return ForceInputs(rows, speed, acceleration, rests, force, filtered[rows], low_pass)
     stride = max(1, int(rate / (2.5 * settings.force_hz)))
     edge = 5 * stride
     rows = np.arange(edge, len(position) - edge, stride)
@@ -109,7 +120,7 @@ def force_inputs(
     rows = rows[~slow[rows] & measured]
     if len(rows) < 30:
         raise ExcitationError(f"{recording.name}: {axis.name}", "the axis hardly moves", "motion in both directions")
-    return ForceInputs(rows, speed, acceleration, filtered[rows], low_pass)
+    return ForceInputs(rows, speed, acceleration, rests, force, filtered[rows], low_pass)
 
 
 def hold_of(recordings: Sequence[Recording], axis: Axis) -> float:

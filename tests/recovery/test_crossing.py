@@ -21,7 +21,6 @@ NOT_YET = {
     "sensor_scale-boom.joint": "the next stage believes the joint that was measured: joint_offset of the boom is named there",
     "sensor_scale-boom.cylinder": "the stage before is judged by the measured cylinder: gain_error of the boom is named there",
     "sensor_bias-boom.joint": "the next stage believes the joint that was measured: joint_offset of the boom is named there",
-    "stribeck_friction-slide": "the force filter smears a reversal of a creeping slide: 3 % of inertia_error stands for that",
 }
 
 
