@@ -93,8 +93,8 @@ def _single_files(path: Path, recordings: Recordings, recipe: Recipe | None) -> 
 
 
 def _matched(files: Sequence[Path], folder: Path, recipe: Recipe | None) -> tuple[tuple[Path, StreamMap | None], ...]:
-    """Each log file with the recipe's entry for it; without a recipe every file that some reader takes."""
-    if recipe is None:
+    """Each log file with the recipe's entry for it; where no recipe names streams, every file that some reader takes."""
+    if recipe is None or not recipe.streams:
         return tuple((file, None) for file in files if is_log(file))
     pairs = []
     for stream in recipe.streams:

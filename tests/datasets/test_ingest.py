@@ -66,6 +66,14 @@ def test_a_canonical_folder_needs_no_recipe(folder: Path, tmp_path: Path) -> Non
     assert steps[-1] == (1.0, "stored demo@1")
 
 
+def test_a_recipe_may_say_no_more_than_the_splits(folder: Path, tmp_path: Path) -> None:
+    plain = ingest(folder, tmp_path / "plain")
+    (folder / "recipe.toml").write_text('schema = 1\nmachine = "machine.toml"\n[splits]\nheld_out = ["run-0"]\n')
+    dataset = ingest(folder, tmp_path / "split")
+    assert [r.name for r in dataset.recordings] == [r.name for r in plain.recordings]
+    assert [name for name, role in dataset.splits.items() if role == "held_out"] == ["run-0"]
+
+
 def test_what_is_stored_is_what_was_made(folder: Path, tmp_path: Path) -> None:
     made = ingest(folder, tmp_path / "ws")
     loaded = Store(tmp_path / "ws").load("demo@1")
