@@ -100,6 +100,57 @@ class Localised:
 
 
 @dataclass(frozen=True)
+class Share:
+    """What one stage owns of the free-running error at the end of a chain (``tool``, ``ee`` or a joint).
+
+    Args:
+        share: of the mean square; the shares of an end add up to one, one below zero makes up for others.
+        moved: RMS of what simulating this stage instead of measuring it moves [m or rad].
+        rmse: the whole error at that end [m or rad].
+    """
+
+    end: str
+    stage: str
+    target: str
+    share: float
+    moved: float
+    rmse: float
+
+
+@dataclass(frozen=True)
+class Map:
+    """Disagreement of a stage output over something that may matter for it, in bins.
+
+    Args:
+        over, unit: what it is drawn over: a signal, ``speed of boom``, ``direction of boom``, ``load of boom``, ``time``, ….
+        quantity: ``error`` or ``speed error`` (measured − simulated), in ``error_unit``.
+        noise_floor: standard deviation that sensor noise gives it.
+        explains: share of the variance that the means of the bins take away (0 … 1).
+        at: median of the variable in each bin; ``count`` rows, ``mean`` and robust standard deviation ``spread`` of the
+            disagreement there.
+        after: the mean with the repair; empty where there is none.
+        measured, simulated: mean speeds, where speeds are compared; else empty.
+    """
+
+    stage: str
+    target: str
+    signal: str
+    over: str
+    unit: str
+    quantity: str
+    error_unit: str
+    noise_floor: float
+    explains: float
+    at: tuple[float, ...]
+    count: tuple[int, ...]
+    mean: tuple[float, ...]
+    spread: tuple[float, ...]
+    after: tuple[float, ...] = ()
+    measured: tuple[float, ...] = ()
+    simulated: tuple[float, ...] = ()
+
+
+@dataclass(frozen=True)
 class Traces:
     """Held-out recording: measured, simulated before and after (columns = signals, same rows)."""
 
@@ -131,9 +182,11 @@ class GapResult:
     traces: tuple[Traces, ...] = ()
     notes: tuple[str, ...] = ()
     settings: Mapping[str, Any] = field(default_factory=dict)
+    shares: tuple[Share, ...] = ()
+    maps: tuple[Map, ...] = ()
 
     def to_json(self) -> dict[str, Any]:
-        """The result in the shape of the contract (plus ``localised``, ``candidates`` and ``notes``)."""
+        """The result in the shape of the contract (plus where they disagree, the candidates and the notes)."""
         return {
             "schema": 1,
             "dataset": self.dataset,
@@ -149,6 +202,8 @@ class GapResult:
             "held_out_recordings": list(self.held_out_recordings),
             "seconds": self.seconds,
             "localised": [asdict(item) for item in self.localised],
+            "shares": [asdict(item) for item in self.shares],
+            "maps": [asdict(item) for item in self.maps],
             "candidates": [asdict(item) for item in self.candidates],
             "notes": list(self.notes),
             "settings": dict(self.settings),

@@ -7,14 +7,19 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Literal
 
+import numpy as np
+import numpy.typing as npt
+
 from sysid.gap.candidates import as_nuisance
 from sysid.gap.case import Case, Stage, excitation, open_case, stage_candidates
 from sysid.gap.excitation import advice, advice_on_tie, excitation_of
 from sysid.gap.floor import run_floor
 from sysid.gap.localise import localise, run_rmse
+from sysid.gap.maps import maps_of
 from sysid.gap.prove import Outcome, judge, stage_gap
-from sysid.gap.result import Candidate, Excitation, Gap, GapResult, Localised, Traces, Verdict
+from sysid.gap.result import Candidate, Excitation, Gap, GapResult, Localised, Map, Traces, Verdict
 from sysid.gap.search import Finding, Search, Strictness
+from sysid.gap.shares import shares_of
 from sysid.plant import Plant, compile_plant, free_run
 
 if TYPE_CHECKING:
@@ -22,6 +27,7 @@ if TYPE_CHECKING:
     from sysid.progress import Progress
     from sysid.registry import Registry
 
+Array = npt.NDArray[np.float64]
 Forms = Literal["all", "simple"]
 
 
@@ -69,7 +75,8 @@ def find_gap(
     shown = excitation(case, stages)
     verdict = _verdict(outcome, located, shown, strict, localise_only)
     gap, traces = _free_gap(case, outcome.repaired)
-    by_stage = stage_gap(case, stages, compile_plant(outcome.repaired).theta)
+    better = compile_plant(outcome.repaired).theta
+    by_stage = stage_gap(case, stages, better)
     tell(1.0, "done")
     return GapResult(
         dataset=dataset.reference,
@@ -86,10 +93,12 @@ def find_gap(
         held_out_recordings=tuple(r.name for r in case.split.held_out),
         seconds=time.perf_counter() - begin,
         localised=located,
+        shares=shares_of(compile_plant(plant), case.split.seen),
+        maps=_maps(case, stages, better if outcome.repaired is not plant else None),
         candidates=tuple(row for stage in stages if stage.finding for row in _rows(stage, stage.finding)),
         traces=traces,
         notes=tuple(outcome.notes),
-        settings={"seed": seed, "forms": forms, "noise": dict(case.noise)},
+        settings={"seed": seed, "forms": forms, "noise": dict(case.noise), "localise_only": localise_only},
     )
 
 
@@ -99,6 +108,13 @@ def _localise(case: Case, stages: Sequence[Stage]) -> tuple[Localised, ...]:
     recordings = {k: stage.split.seen for k, stage in enumerate(stages)}
     floors = {k: stage.sigma for k, stage in enumerate(stages)}
     return localise([stage.problem for stage in stages], case.theta, recordings, floors, free)
+
+
+def _maps(case: Case, stages: Sequence[Stage], repaired: Array | None) -> tuple[Map, ...]:
+    """Over the recordings that may be seen, stage by stage."""
+    machine, units = case.plant.machine, case.dataset.units
+    of_stages = (maps_of(s.problem, case.theta, s.split.seen, s.sigma, machine, units, repaired) for s in stages)
+    return tuple(item for maps in of_stages for item in maps)
 
 
 def _search(case: Case, stage: Stage, strict: Strictness, forms: Forms, tell: Progress, share: float) -> Finding:

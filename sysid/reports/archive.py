@@ -18,7 +18,9 @@ from sysid.gap.result import (
     Gap,
     GapResult,
     Localised,
+    Map,
     NamedEffect,
+    Share,
     Traces,
     Unnamed,
 )
@@ -80,6 +82,8 @@ def _result(values: dict[str, Any], traces: tuple[Traces, ...]) -> GapResult:
         held_out_recordings=tuple(values["held_out_recordings"]),
         seconds=values["seconds"],
         localised=_many(Localised, values["localised"]),
+        shares=_many(Share, values.get("shares", [])),
+        maps=_many(Map, values.get("maps", [])),
         candidates=_many(Candidate, values["candidates"]),
         traces=traces,
         notes=tuple(values["notes"]),

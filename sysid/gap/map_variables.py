@@ -1,0 +1,154 @@
+"""What a map of the disagreement may be drawn over: command, speed, direction, position, load, time, the other axes."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from sysid.datasets.recording import Recording
+from sysid.gap.problem import Problem
+from sysid.machine import Machine
+from sysid.plant import gravity_load
+from sysid.signals import axis_signal, point_signals
+
+Array = npt.NDArray[np.float64]
+
+#: Speeds are differences over this time [s]: long against sensor noise, short against a stroke.
+SPEED_WINDOW = 0.2
+#: Below this share of the largest speed an axis counts as standing.
+STANDING = 0.02
+
+
+@dataclass(frozen=True)
+class Units:
+    """A machine, and what is known about the units of its signals."""
+
+    machine: Machine
+    given: Mapping[str, str]
+
+    def of(self, signal: str) -> str:
+        return self.given.get(signal) or self.machine.expected_unit(signal) or "1"
+
+
+@dataclass(frozen=True)
+class Variable:
+    """What a map is drawn over: values (n,), their unit, and how they are cut into bins."""
+
+    values: Array
+    unit: str
+    kind: str = "range"  # range | signed | sign
+
+
+def joined(parts: Sequence[dict[str, Variable]], lengths: Sequence[int]) -> dict[str, Variable]:
+    """The variables of all recordings, one after the other; NaN where a recording does not have one."""
+    first: dict[str, Variable] = {}
+    for part in parts:
+        first = {**part, **first}
+    return {
+        name: Variable(
+            np.concatenate(
+                [part[name].values if name in part else np.full(n, np.nan) for part, n in zip(parts, lengths, strict=True)]
+            ),
+            about.unit,
+            about.kind,
+        )
+        for name, about in first.items()
+    }
+
+
+def variables_of(problem: Problem, recording: Recording, known: Units) -> dict[str, Variable]:
+    """Name → what may matter for a stage, on the rows that it is measured on."""
+    rows = problem.rows(recording)
+    if problem.target in known.machine.axis_names:
+        found = _of_axis(problem, recording, known)
+    else:
+        found = _of_point(problem, recording, known)
+    if recording.kind == "motion":
+        found["time"] = Variable(recording.values("time"), "s")
+    return {name: Variable(v.values[rows], v.unit, v.kind) for name, v in found.items()}
+
+
+def _of_axis(problem: Problem, recording: Recording, known: Units) -> dict[str, Variable]:
+    axis = known.machine.axis(problem.target)
+    found: dict[str, Variable] = {}
+    position, unit = recording.values(axis.driven), known.of(axis.driven)
+    found[axis.driven] = Variable(position, unit)
+    if recording.kind == "motion":
+        speed = speed_of(position, recording.rate_hz)
+        found[f"speed of {axis.name}"] = Variable(speed, per_second(unit), "signed")
+        found[f"direction of {axis.name}"] = Variable(_direction(speed), "1", "sign")
+        if problem.stage != "force":  # there the force is the output
+            signal = axis_signal(axis.name, "command")
+            found[signal] = Variable(recording.values(signal), known.of(signal), "signed")
+        found |= _of_others(axis.name, recording, known)
+    return found | _loads(recording, known, (axis.name,))
+
+
+def _of_others(axis: str, recording: Recording, known: Units) -> dict[str, Variable]:
+    """The commands of the other axes one by one, and together in shares of the largest of each."""
+    found: dict[str, Variable] = {}
+    total = np.zeros(len(recording))
+    for other in known.machine.axes:
+        signal = axis_signal(other.name, "command")
+        command = recording.values(signal)
+        largest = float(np.nanmax(np.abs(command), initial=0.0))
+        if other.name != axis and largest > 0.0:
+            found[signal] = Variable(command, known.of(signal), "signed")
+            total += np.abs(command) / largest
+    if len(found) > 1:
+        found["other axes together"] = Variable(total, "1")
+    return found
+
+
+def _of_point(problem: Problem, recording: Recording, known: Units) -> dict[str, Variable]:
+    """Of the tip: every joint and load. Of the tool: how its pivot moves."""
+    found: dict[str, Variable] = {}
+    if problem.stage == "tool":
+        for coordinate in point_signals("ee"):
+            speed = speed_of(recording.values(coordinate), recording.rate_hz)
+            found[f"speed of {coordinate}"] = Variable(speed, "m/s", "signed")
+            found[f"acceleration of {coordinate}"] = Variable(speed_of(speed, recording.rate_hz), "m/s²", "signed")
+        return found
+    for axis in known.machine.axes:
+        joint = axis_signal(axis.name, "joint")
+        found[joint] = Variable(recording.values(joint), known.of(joint))
+        if recording.kind == "motion":
+            direction = _direction(speed_of(recording.values(joint), recording.rate_hz))
+            found[f"direction of {axis.name}"] = Variable(direction, "1", "sign")
+    return found | _loads(recording, known, known.machine.axis_names)
+
+
+def _loads(recording: Recording, known: Units, axes: Sequence[str]) -> dict[str, Variable]:
+    """Gravity loads of axes that have one."""
+    if known.machine.kinematics() is None:
+        return {}
+    loads = gravity_load(known.machine, recording)
+    found = {}
+    for name in axes:
+        values = loads[:, known.machine.axis_names.index(name)]
+        if np.any(values):
+            joint_unit = known.of(axis_signal(name, "joint"))
+            found[f"load of {name}"] = Variable(values, "N" if joint_unit == "m" else "N·m")
+    return found
+
+
+def _direction(speed: Array) -> Array:
+    """−1, 0 (standing) or +1."""
+    least = STANDING * float(np.nanmax(np.abs(speed), initial=0.0))
+    return np.where(np.isnan(speed), np.nan, np.where(np.abs(speed) > least, np.sign(speed), 0.0))
+
+
+def per_second(unit: str) -> str:
+    return f"{unit}/s" if unit != "1" else "1/s"
+
+
+def speed_of(values: Array, rate_hz: float) -> Array:
+    """Central differences (n, …) over :data:`SPEED_WINDOW`, NaN at the ends."""
+    half = max(1, round(0.5 * SPEED_WINDOW * rate_hz))
+    out = np.full(values.shape, np.nan)
+    if len(values) > 2 * half:
+        out[half:-half] = (values[2 * half :] - values[: -2 * half]) * (rate_hz / (2 * half))
+    return out

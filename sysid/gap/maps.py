@@ -1,0 +1,182 @@
+"""Maps of the disagreement: over which command, speed, position, load, time and other motion a stage departs from its machine.
+
+A map needs no candidate and names nothing. It answers the first question of whoever knows the machine: when does it happen?
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from sysid.datasets.recording import Recording
+from sysid.gap.map_variables import SPEED_WINDOW, Units, Variable, joined, per_second, speed_of, variables_of
+from sysid.gap.problem import Problem
+from sysid.gap.result import Map
+from sysid.machine import Machine
+from sysid.signals import split_signal
+
+Array = npt.NDArray[np.float64]
+
+#: Bins of what has a sign (odd: one of them holds zero), and of what has none.
+SIGNED_BINS, BINS = 31, 20
+#: A bin with fewer rows is left out: its mean says nothing.
+LEAST_ROWS = 10
+#: Median absolute deviation of a normal distribution → its standard deviation.
+ROBUST = 1.4826
+
+
+def maps_of(
+    problem: Problem,
+    theta: Array,
+    recordings: Sequence[Recording],
+    sigma: Array,
+    machine: Machine,
+    units: Mapping[str, str],
+    repaired: Array | None = None,
+) -> tuple[Map, ...]:
+    """Every map of every output of a stage, the most telling one of each output first.
+
+    The disagreement is measured − simulated. Where the stage integrates its input, an error of speed stays in the position for
+    ever: there speeds are compared (differences over :data:`SPEED_WINDOW`), and positions over what is the axis' own.
+
+    Args:
+        theta: (N,) parameters of the simulation in question; ``repaired`` of a better one.
+        recordings: at least one; static poses have no speed, command or time.
+        sigma: noise floor of each output (d,).
+        units: SI units of signals, where the description of the machine leaves them open.
+    """
+    known = Units(machine, units)
+    parts = [_disagreement(problem, theta, repaired, r) for r in recordings]
+    variables = joined([variables_of(problem, r, known) for r in recordings], [len(part.error) for part in parts])
+    found: list[Map] = []
+    for k, signal in enumerate(problem.signals):
+        unit = known.of(signal)
+        views = [_View("error", unit, float(sigma[k]), *_stacked(parts, k, _AS_IT_IS))]
+        if problem.integrates:
+            floor = float(sigma[k]) * float(np.sqrt(2.0)) / SPEED_WINDOW
+            views.append(_View("speed error", per_second(unit), floor, *_stacked(parts, k, _AS_SPEED)))
+        of_signal = [
+            item
+            for view in views
+            for over, variable in variables.items()
+            if not (problem.integrates and view.quantity == "error" and not _own(over, problem.target))
+            if (item := _map(problem, signal, over, variable, view)) is not None
+        ]
+        found += sorted(of_signal, key=lambda item: -item.explains)
+    return tuple(found)
+
+
+def _own(over: str, target: str) -> bool:
+    """Whether a variable belongs to the axis itself."""
+    return over == "time" or split_signal(over)[0] == target or over.endswith(f" of {target}")
+
+
+def _map(problem: Problem, signal: str, over: str, variable: Variable, view: _View) -> Map | None:
+    """One map; None where the variable does not vary."""
+    there = np.isfinite(view.error) & np.isfinite(variable.values)
+    if there.sum() < 2 * LEAST_ROWS:
+        return None
+    x, e = variable.values[there], view.error[there]
+    edges = _edges(x, variable.kind)
+    if edges is None:
+        return None
+    place = np.clip(np.searchsorted(edges, x, side="right") - 1, 0, len(edges) - 2)
+    count = np.bincount(place, minlength=len(edges) - 1)
+    kept = np.flatnonzero(count >= LEAST_ROWS)
+    if len(kept) < 2:
+        return None
+    order = np.argsort(place, kind="stable")
+    rows = np.split(order, np.cumsum(count)[:-1])
+
+    def means(values: Array) -> tuple[float, ...]:
+        here = values[there]
+        return _rounded(np.array([np.mean(here[rows[b]]) for b in kept])) if np.isfinite(here).any() else ()
+
+    return Map(
+        problem.stage, problem.target, signal, over, variable.unit, view.quantity, view.unit, view.noise_floor,
+        _explained(e, place, count),
+        _rounded(np.array([np.median(x[rows[b]]) for b in kept])),
+        tuple(map(int, count[kept])),
+        means(view.error),
+        _rounded(np.array([ROBUST * np.median(np.abs(e[rows[b]] - np.median(e[rows[b]]))) for b in kept])),
+        means(view.after),
+        means(view.measured),
+        means(view.simulated),
+    )  # fmt: skip
+
+
+def _rounded(values: Array) -> tuple[float, ...]:
+    """Six digits are more than a mean of noisy rows has, and keep a result with a hundred maps small."""
+    return tuple(float(f"{value:.6g}") for value in values)
+
+
+def _explained(error: Array, place: npt.NDArray[np.int64], count: npt.NDArray[np.int64]) -> float:
+    """Share of the variance of the error that the means of the bins take away (correlation ratio η², 0 … 1)."""
+    sums = np.bincount(place, weights=error, minlength=len(count))
+    total = float(np.sum((error - error.mean()) ** 2))
+    between = float(np.sum(sums**2 / np.maximum(count, 1)) - error.sum() ** 2 / len(error))
+    return min(max(between / total, 0.0), 1.0) if total > 0.0 else 0.0
+
+
+def _edges(x: Array, kind: str) -> Array | None:
+    """Edges of the bins; None where there is nothing to tell apart. What lies outside counts to the bins at the ends."""
+    if kind == "sign":
+        return np.array([-1.5, -0.5, 0.5, 1.5])
+    low, high = np.quantile(x, (0.005, 0.995))
+    if kind == "signed":
+        low, high = -max(abs(low), abs(high)), max(abs(low), abs(high))
+    if not high - low > 1e-9 * max(abs(low), abs(high), 1e-12):
+        return None
+    return np.linspace(low, high, (SIGNED_BINS if kind == "signed" else BINS) + 1)
+
+
+# -- the disagreement ----------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class _Part:
+    """Of one recording, (n, d) each: measured − simulated, and the same after the repair; as speeds too where speeds count."""
+
+    error: Array
+    after: Array
+    speed_error: Array
+    speed_after: Array
+    measured_speed: Array
+    simulated_speed: Array
+    nothing: Array
+
+
+@dataclass(frozen=True)
+class _View:
+    """One way to look at the disagreement of a signal: (n,) over all recordings."""
+
+    quantity: str
+    unit: str
+    noise_floor: float
+    error: Array
+    after: Array
+    measured: Array
+    simulated: Array
+
+
+_AS_IT_IS = ("error", "after", "nothing", "nothing")
+_AS_SPEED = ("speed_error", "speed_after", "measured_speed", "simulated_speed")
+
+
+def _stacked(parts: Sequence[_Part], k: int, names: Sequence[str]) -> list[Array]:
+    return [np.concatenate([getattr(part, name)[:, k] for part in parts]) for name in names]
+
+
+def _disagreement(problem: Problem, theta: Array, repaired: Array | None, recording: Recording) -> _Part:
+    lanes = theta[None] if repaired is None else np.vstack([theta, repaired])
+    measured, predicted = problem.measured(recording), problem.predict(lanes, recording)
+    nothing = np.full(measured.shape, np.nan)
+    error, after = measured - predicted[0], measured - predicted[1] if repaired is not None else nothing
+    if not problem.integrates:
+        return _Part(error, after, *[nothing] * 5)
+    rate_hz = problem.rate(recording)
+    faster = [speed_of(values, rate_hz) for values in (error, after, measured, predicted[0])]
+    return _Part(error, after, faster[0], faster[1], faster[2], faster[3], nothing)
