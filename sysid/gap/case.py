@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
+import pandas as pd
 
-from sysid.datasets.recording import Dataset
+from sysid.datasets.recording import Dataset, Recording
 from sysid.errors import ExcitationError
+from sysid.gap.around import Around, around
 from sysid.gap.candidates import Candidate, Scales, candidates_at
 from sysid.gap.excitation import excitation_of
 from sysid.gap.floor import problem_floor
@@ -17,7 +19,8 @@ from sysid.gap.noise import noise_levels
 from sysid.gap.problem import Problem, Split, pose_split, problems_of, split_of
 from sysid.gap.result import Excitation
 from sysid.gap.search import Finding
-from sysid.plant import Plant, compile_plant, gravity_load
+from sysid.gap.simulator import Simulator
+from sysid.plant import Plant, compile_plant, free_run, gravity_load
 from sysid.plant.layout import signals_of
 
 Array = npt.NDArray[np.float64]
@@ -25,7 +28,14 @@ Array = npt.NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Case:
-    """A dataset against a plant; ``theta`` is the plant's vector, ``noise`` the standard deviation by signal."""
+    """A dataset against a simulation.
+
+    Args:
+        plant: the questioned plant; around a simulator of one's own, the effects around it (none at first) and its linkages.
+        theta: the plant's vector.
+        noise: standard deviation by signal.
+        around: the simulator of one's own that is questioned.
+    """
 
     dataset: Dataset
     plant: Plant
@@ -33,6 +43,20 @@ class Case:
     noise: Mapping[str, float]
     split: Split
     seed: int
+    around: Around | None = None
+
+    @property
+    def reference(self) -> str:
+        """What the questioned simulation is called."""
+        return self.around.name if self.around is not None else self.plant.reference or "nominal"
+
+    def runner(self, plant: Plant) -> Callable[[Recording], pd.DataFrame]:
+        """Recording → free run of the whole chain, with ``plant`` in the place of the questioned one."""
+        own = self.around
+        if own is not None:
+            return lambda recording: own.free_run(plant, recording)
+        model = compile_plant(plant)
+        return lambda recording: free_run(model, recording)
 
 
 @dataclass(frozen=True)
@@ -55,20 +79,28 @@ class Stage:
         return self.finding
 
 
-def open_case(dataset: Dataset, plant: Plant, seed: int) -> tuple[Case, list[Stage]]:
+def open_case(dataset: Dataset, simulation: Plant | Simulator, seed: int) -> tuple[Case, list[Stage]]:
     """The case and its stages, not searched yet.
+
+    Args:
+        simulation: a plant, or a simulator of one's own.
 
     Raises:
         ExcitationError: no stage is measured at both ends, or there is nothing to fit, to select or to hold out.
     """
-    model = compile_plant(plant)
     split = split_of(dataset)
-    problems = problems_of(model, dataset)
+    if isinstance(simulation, Plant):
+        plant, own = simulation, None
+        problems = problems_of(compile_plant(plant), dataset)
+    else:
+        own = around(simulation, dataset)
+        plant = own.plant
+        problems = own.problems(dataset)
     if not problems:
         raise ExcitationError(dataset.reference, "no stage is measured at both its ends", "commands and the motion they cause")
     if not split.fit or not split.select or not split.held_out:
         raise ExcitationError(dataset.reference, "too few recordings", "some to fit, to select and to hold out")
-    case = Case(dataset, plant, model.theta, noise_levels(dataset), split, seed)
+    case = Case(dataset, plant, plant.vector(), noise_levels(dataset), split, seed, own)
     return case, [_stage(case, problem) for problem in problems]
 
 
@@ -83,7 +115,9 @@ def _stage(case: Case, problem: Problem) -> Stage:
 
 def stage_candidates(case: Case, stage: Stage) -> list[Candidate]:
     """Every effect that may be missing at the stage, whether the recordings show it or not."""
-    return candidates_at(case.plant, case.theta, stage.problem.stage, stage.problem.targets, scales_of(case.plant, stage))
+    problem = stage.problem
+    found = candidates_at(case.plant, case.theta, problem.stage, problem.targets, scales_of(case.plant, stage))
+    return [c for c in found if case.around is None or case.around.offers(problem.stage, c.effect)]
 
 
 def scales_of(plant: Plant, stage: Stage) -> Scales:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 import numpy.typing as npt
 
+from sysid.errors import SettingsError
 from sysid.gap.candidates import as_nuisance
 from sysid.gap.case import Case, Stage, excitation, open_case, stage_candidates
 from sysid.gap.excitation import advice, advice_on_tie, excitation_of
@@ -20,7 +21,8 @@ from sysid.gap.prove import Outcome, judge, stage_gap
 from sysid.gap.result import Candidate, Excitation, Gap, GapResult, Localised, Map, Traces, Verdict
 from sysid.gap.search import Finding, Search, Strictness
 from sysid.gap.shares import shares_of
-from sysid.plant import Plant, compile_plant, free_run
+from sysid.gap.simulator import Simulator, name_of
+from sysid.plant import Plant, compile_plant
 
 if TYPE_CHECKING:
     from sysid.datasets.recording import Dataset
@@ -33,7 +35,7 @@ Forms = Literal["all", "simple"]
 
 def find_gap(
     dataset: Dataset,
-    plant: Plant,
+    plant: Plant | Simulator,
     registry: Registry | None = None,
     *,
     add: bool = False,
@@ -46,6 +48,7 @@ def find_gap(
     """Find where ``plant`` and the recordings disagree, name the missing effects, and prove it on held-out recordings.
 
     Args:
+        plant: a plant, or a simulator of one's own: what is named then acts in front of it or behind it.
         registry: where plant versions live; without it none is written.
         add: write the repaired plant as a new version.
         localise_only: stop after localising; the verdict is then ``unnamed`` wherever a stage is above its noise floor.
@@ -54,22 +57,29 @@ def find_gap(
 
     Raises:
         ExcitationError: no stage is measured at both ends, or there is nothing to hold out.
+        InputError: a simulator of one's own failed, or returned no table of signals.
+        SettingsError: what is found around such a simulator is to be added to the registry.
     """
     begin = time.perf_counter()
     tell: Progress = progress or (lambda done, text: None)
     strict = strict or Strictness()
+    if add and not isinstance(plant, Plant):
+        raise SettingsError(
+            f"simulator {name_of(plant)}", "cannot be stored", "a plant", "Take what is repaired from sysid.gap.steps.add."
+        )
     case, stages = open_case(dataset, plant, seed)
     tell(0.02, "localising")
     located = _localise(case, stages)
-    reference = _register(case, plant, registry, {}) if registry is not None else plant.reference or "nominal"
-    outcome = Outcome(plant)
+    stored = registry is not None and case.around is None
+    reference = _register(case, case.plant, registry, {}) if registry is not None and stored else case.reference
+    outcome = Outcome(case.plant)
     after_reference = ""
     if not localise_only:
         for k, stage in enumerate(stages):
             stages[k] = replace(stage, finding=_search(case, stage, strict, forms, tell, 0.05 + 0.8 * k / len(stages)))
         tell(0.87, "proving on held-out recordings")
         outcome = judge(case, stages)
-        if add and outcome.repaired is not plant and registry is not None:
+        if add and outcome.repaired is not case.plant and registry is not None:
             after_reference = _register(case, outcome.repaired, registry, _evidence(case, reference, outcome))
     tell(0.93, "noise floor")
     shown = excitation(case, stages)
@@ -93,18 +103,18 @@ def find_gap(
         held_out_recordings=tuple(r.name for r in case.split.held_out),
         seconds=time.perf_counter() - begin,
         localised=located,
-        shares=shares_of(compile_plant(plant), case.split.seen),
-        maps=_maps(case, stages, better if outcome.repaired is not plant else None),
+        shares=shares_of(compile_plant(case.plant), case.split.seen) if case.around is None else (),
+        maps=_maps(case, stages, better if outcome.repaired is not case.plant else None),
         candidates=tuple(row for stage in stages if stage.finding for row in _rows(stage, stage.finding)),
         traces=traces,
-        notes=tuple(outcome.notes),
+        notes=(*outcome.notes, *(case.around.notes([s.problem for s in stages]) if case.around is not None else ())),
         settings={"seed": seed, "forms": forms, "noise": dict(case.noise), "localise_only": localise_only},
     )
 
 
 def _localise(case: Case, stages: Sequence[Stage]) -> tuple[Localised, ...]:
-    model = compile_plant(case.plant)
-    free = run_rmse([(r, free_run(model, r)) for r in case.split.seen])
+    nominal = case.runner(case.plant)
+    free = run_rmse([(r, nominal(r)) for r in case.split.seen])
     recordings = {k: stage.split.seen for k, stage in enumerate(stages)}
     floors = {k: stage.sigma for k, stage in enumerate(stages)}
     return localise([stage.problem for stage in stages], case.theta, recordings, floors, free)
@@ -135,11 +145,11 @@ def _search(case: Case, stage: Stage, strict: Strictness, forms: Forms, tell: Pr
 def _free_gap(case: Case, repaired: Plant) -> tuple[Gap, tuple[Traces, ...]]:
     """The whole chain, free-running on held-out recordings, before and after."""
     held_out = case.split.held_out
-    nominal, better = compile_plant(case.plant), compile_plant(repaired)
-    before = [free_run(nominal, r) for r in held_out]
-    after = [free_run(better, r) for r in held_out]
+    nominal, better = case.runner(case.plant), case.runner(repaired)
+    before = [nominal(r) for r in held_out]
+    after = [better(r) for r in held_out]
     scores = [run_rmse(list(zip(held_out, runs, strict=True))) for runs in (before, after)]
-    scores.append(run_floor(lambda r: free_run(better, r), held_out, case.noise, case.seed))
+    scores.append(run_floor(better, held_out, case.noise, case.seed))
     shared = [signal for signal in scores[0] if all(signal in score for score in scores)]
     gap = Gap(*({signal: score[signal] for signal in shared} for score in scores))
     return gap, tuple(Traces(r.name, r.table, b, a) for r, b, a in zip(held_out, before, after, strict=True))

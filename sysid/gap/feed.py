@@ -1,0 +1,129 @@
+"""Effects around a simulator, compiled: what it is fed in the place of a command, and what a sensor reads of its drive."""
+
+from __future__ import annotations
+
+import functools
+
+import numpy as np
+import numpy.typing as npt
+from numba import njit
+
+from sysid.effects import CATALOGUE
+from sysid.plant import chain, layout
+from sysid.plant.axis_run import begin
+from sysid.plant.layout import AT, AXIS_WIDTH, STATE
+from sysid.plant.model import SETTLE_WINDOW, START_WINDOW, Model
+from sysid.plant.rig import GAIN, KIND, VELOCITY, Rig
+
+Array = npt.NDArray[np.float64]
+Stretches = npt.NDArray[np.int64]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def feed_axis(p: Array, rig: Rig, i: int, command: Array, stretches: Stretches, dt: float, size: int, fed: Array) -> None:
+    """Command (n,) → command behind the effects of the command stage (n,), in the command's own unit.
+
+    The speed that a velocity axis would ask for, over its nominal gain: effects that act on speed act on the command that makes
+    it. A servo axis is asked for the position that it would reach.
+    """
+    s, m = np.empty(size), np.int64(0)
+    scale = rig.axes[i, GAIN] if rig.axes[i, KIND] == VELOCITY else 1.0
+    for row in range(len(stretches)):
+        begin(s, m, size, 0.0, 0.0, np.nan, p, i * AXIS_WIDTH, stretches[row, 0], dt)
+        for k in range(stretches[row, 0], stretches[row, 1]):
+            fed[k] = chain.ask(command[k], p, s, m, size, rig.axes, i, 0.0, dt) / scale
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def follow_axis(p: Array, i: int, drive: Array, start: float, load: Array, out: Array) -> None:
+    """Drive (n,) → joint behind play and sag (n,), the play beginning where ``start`` says; NaN in stays NaN."""
+    s = np.full(STATE.input_delay, np.nan)
+    s[STATE.backlash_drive] = start
+    for k in range(len(drive)):
+        if np.isnan(drive[k]):
+            out[k] = np.nan
+        else:
+            out[k] = chain.joint_stage(drive[k], p, i * AXIS_WIDTH, s, np.int64(0), load[k])
+
+
+def fed(model: Model, thetas: Array, command: Array, axis: str, stretches: Stretches, rate_hz: float) -> Array:
+    """Commands (n,) of one axis as the simulator gets them under each of ``thetas``, (lanes, n).
+
+    Lanes without any effect get the command itself, to the last bit.
+    """
+    i, dt = model.axis_index(axis), 1.0 / rate_hz
+    places = _command_places(model.machine.axis_names, axis)
+    neutral = layout.neutral_vector(model.axes)[places]
+    out = np.repeat(command[None], len(thetas), axis=0)
+    for k in np.flatnonzero((thetas[:, places] != neutral).any(axis=1)):
+        feed_axis(thetas[k], model.rig, i, command, stretches, dt, layout.axis_memory(dt), out[k])
+    return out
+
+
+def followed(
+    model: Model, thetas: Array, drive: Array, measured: Array, load: Array, axis: str, stretches: Stretches, rate_hz: float
+) -> Array:
+    """Simulated drive (lanes, n) → the signal that the command drives, before its sensor, (lanes, n).
+
+    Every stretch of a velocity axis is shifted as a whole, so that the median of (measured − simulated) over its first 0.2 s is
+    zero, as in every free run; where play stands in between, on the side that fits the first seconds best.
+    """
+    i, about = model.axis_index(axis), model.machine.axis(axis)
+    play_at, sag_at = (i * AXIS_WIDTH + at for at in (AT.backlash_drive, AT.joint_compliance_drive))
+    window, settle = max(3, round(START_WINDOW * rate_hz)), round(SETTLE_WINDOW * rate_hz)
+    out = np.full(drive.shape, np.nan)
+    for k, theta in enumerate(thetas):
+        half = 0.5 * theta[play_at] if about.drives == "joint" else 0.0
+        plain = half <= 0.0 and (theta[sag_at] == 0.0 or about.drives == "cylinder")
+
+        def behind(x: Array, start: float, rows: slice, theta: Array = theta, plain: bool = plain) -> Array:
+            if plain:
+                return x
+            y = np.empty(len(x))
+            follow_axis(theta, i, x, start, load[rows], y)
+            return y
+
+        for first, last in stretches:
+            rows = slice(int(first), int(last))
+            x, seen = drive[k, rows], measured[rows]
+            if about.actuation == "position":
+                out[k, rows] = behind(x, _median(seen[:window]), rows)
+                continue
+            x = x + _median((seen - behind(x, np.nan, rows))[:window], 0.0)
+            middle = _median(x[:1])
+            if half > 0.0:
+                x = x + half * _side(
+                    [_squares(seen[:settle] - behind(x[:settle] + side * half, middle, rows)) for side in (-1, 0, 1)]
+                )
+            out[k, rows] = behind(x, middle, rows)
+    return out
+
+
+def _side(costs: list[float]) -> float:
+    """Where between −1 and 1 the parabola through the costs at −1, 0 and 1 is lowest."""
+    low, middle, high = costs
+    bend = low - 2.0 * middle + high
+    if bend > 0.0:
+        return float(np.clip(0.5 * (low - high) / bend, -1.0, 1.0))
+    return float(np.sign(low - high))
+
+
+def _squares(values: Array) -> float:
+    return float(np.nansum(values**2))
+
+
+def _median(values: Array, default: float = float("nan")) -> float:
+    there = values[~np.isnan(values)]
+    return float(np.median(there)) if len(there) else default
+
+
+@functools.cache
+def _command_places(axis_names: tuple[str, ...], axis: str) -> list[int]:
+    """Where the effects of the command stage of an axis stand in ``theta``."""
+    effects = [effect for effect in CATALOGUE if effect.stage == "command" and effect.target == "axis"]
+    return [
+        place
+        for effect in effects
+        for slot in effect.slots
+        for place in layout.slot_indices(axis_names, effect, axis, None, slot.name)
+    ]

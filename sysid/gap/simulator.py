@@ -1,0 +1,233 @@
+"""A simulator of one's own: anything that maps commands to signals. What it has to offer, and its runs with a memory."""
+
+from __future__ import annotations
+
+import hashlib
+import time
+from collections import OrderedDict
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Protocol, runtime_checkable
+
+import numpy as np
+import numpy.typing as npt
+import pandas as pd
+
+from sysid.datasets.recording import Recording
+from sysid.errors import InputError, nearest
+from sysid.machine import Machine
+from sysid.plant.model import START_WINDOW
+from sysid.signals import axis_signal, canonical_signals, split_signal
+
+Array = npt.NDArray[np.float64]
+Stretches = npt.NDArray[np.int64]
+#: What one run returned: signal → (n,).
+Signals = Mapping[str, Array]
+
+#: Runs are remembered up to this size [bytes]; the oldest are forgotten first.
+MEMORY = 256_000_000
+
+
+@runtime_checkable
+class Simulator(Protocol):
+    """Maps the commands of a recording to the signals that the machine's sensors would read.
+
+    :meth:`simulate` takes a recording of n rows, ``time`` [s] even at ``recording.rate_hz``, with ``<axis>.command`` in each
+    row of every axis that was commanded (never NaN; in the units of ``machine.toml``, and not clipped: a gain above one in
+    front of a simulator asks for more than 1). Beside the commands stand the measured signals, NaN where nothing was measured:
+    take from them where the run starts (:func:`starting_value`) and nothing else.
+
+    It returns a table of n rows, row k at ``time`` k, whose columns carry the contract's signal names
+    (``boom.cylinder`` [m], ``boom.joint`` [rad or m], ``ee.x`` … and ``tool.x`` … [m, base frame]); NaN where it says nothing,
+    other columns than these and ``time`` are an error. The same recording has to give the same answer.
+
+    A simulator may have a ``name``; its class gives it one otherwise.
+    """
+
+    def simulate(self, recording: Recording) -> pd.DataFrame: ...
+
+
+@runtime_checkable
+class BatchSimulator(Simulator, Protocol):
+    """A simulator that runs many commands for the same recording at once.
+
+    :meth:`simulate_many` takes ``<axis>.command`` → (lanes, n) and returns signal → (lanes, n); lane k has to be what
+    :meth:`simulate` gives for the k-th commands.
+    """
+
+    def simulate_many(self, recording: Recording, commands: Mapping[str, Array]) -> Mapping[str, Array]: ...
+
+
+def starting_value(recording: Recording, signal: str, default: float = 0.0) -> float:
+    """Median of what was measured in the first 0.2 s [unit of the signal]; ``default`` where nothing was."""
+    values = recording.values(signal)[: max(3, round(START_WINDOW * recording.rate_hz))]
+    values = values[~np.isnan(values)]
+    return float(np.median(values)) if len(values) else default
+
+
+def name_of(simulator: Simulator) -> str:
+    """What messages call it."""
+    return str(getattr(simulator, "name", type(simulator).__name__))
+
+
+@dataclass
+class Runs:
+    """Runs of a simulator, each made once: the same commands for the same recording are looked up.
+
+    Args:
+        calls: how often the simulator was called.
+        made, remembered: runs that it made, and runs that were looked up instead.
+        seconds: spent in it.
+    """
+
+    simulator: Simulator
+    machine: Machine
+    calls: int = 0
+    made: int = 0
+    remembered: int = 0
+    seconds: float = 0.0
+    _memory: OrderedDict[tuple[int, bytes], tuple[Recording, Signals]] = field(default_factory=OrderedDict, repr=False)
+    _size: int = field(default=0, repr=False)
+
+    @property
+    def name(self) -> str:
+        return name_of(self.simulator)
+
+    def of(self, recording: Recording, commands: Mapping[str, Array], stretches: Stretches) -> list[Signals]:
+        """What the simulator returns for each lane of commands.
+
+        Args:
+            commands: ``<axis>.command`` → (lanes, n), without NaN inside the stretches.
+            stretches: (m, 2) first and last+1 row of each stretch with commands; the simulator starts anew in each, and what
+                lies between them is NaN.
+
+        Raises:
+            InputError: the simulator failed, or returned no table of signals.
+        """
+        lanes = len(next(iter(commands.values())))
+        keys = [(id(recording), _digest([part[k] for part in commands.values()])) for k in range(lanes)]
+        new = {key: k for k, key in enumerate(keys) if key not in self._memory}
+        self.remembered += lanes - len(new)
+        found = {key: self._memory[key][1] for key in keys if key not in new}
+        if new:
+            chosen = {signal: part[list(new.values())] for signal, part in commands.items()}
+            for key, signals in zip(new, self._make(recording, chosen, stretches), strict=True):
+                found[key] = signals
+                self._remember(key, recording, signals)
+        return [found[key] for key in keys]
+
+    def cost(self) -> str:
+        """What was spent, for the notes of a result."""
+        per_call = 1e3 * self.seconds / max(self.calls, 1)
+        return (
+            f"{self.name} was called {self.calls} times for {self.made} runs ({self.seconds:.1f} s, {per_call:.1f} ms a call); "
+            f"{self.remembered} more were looked up"
+        )
+
+    def check_repeatable(self, recording: Recording, commands: Mapping[str, Array], stretches: Stretches) -> None:
+        """Two runs of the same commands must agree, since nothing could be fitted to a simulator that rolls dice.
+
+        Raises:
+            InputError: they differ.
+        """
+        (known,) = self.of(recording, commands, stretches)
+        (again,) = self._make(recording, commands, stretches)
+        differ = [s for s in known if not np.array_equal(known[s], again.get(s, np.empty(0)), equal_nan=True)]
+        if differ:
+            raise InputError(
+                f"simulator {self.name}, recording {recording.name}",
+                f"{', '.join(differ)}: two runs of the same commands differ",
+                "the same answer every time",
+                "Fix its random seed, and let it keep no state from one call to the next.",
+            )
+
+    def _make(self, recording: Recording, commands: Mapping[str, Array], stretches: Stretches) -> list[Signals]:
+        lanes = len(next(iter(commands.values())))
+        whole: list[dict[str, Array]] = [{} for _ in range(lanes)]
+        for first, last in stretches:
+            part = _cut(recording, int(first), int(last))
+            for k, signals in enumerate(self._call(part, {s: u[:, first:last] for s, u in commands.items()})):
+                for signal, values in signals.items():
+                    whole[k].setdefault(signal, np.full(len(recording), np.nan))[first:last] = values
+        self.made += lanes
+        return list(whole)
+
+    def _call(self, part: Recording, commands: Mapping[str, Array]) -> list[Signals]:
+        lanes, count = next(iter(commands.values())).shape
+        begin = time.perf_counter()
+        try:
+            if isinstance(self.simulator, BatchSimulator):
+                self.calls += 1
+                many = self.simulator.simulate_many(part, commands)
+                checked = self._checked(many, part, (lanes, count))
+                return [{signal: values[k] for signal, values in checked.items()} for k in range(lanes)]
+            found: list[Signals] = []
+            for k in range(lanes):
+                self.calls += 1
+                table = part.table.assign(**{signal: values[k] for signal, values in commands.items()})
+                said = self.simulator.simulate(replace(part, table=table))
+                found.append(self._checked(said, part, (count,)))
+            return found
+        except InputError:
+            raise
+        except Exception as error:
+            raise InputError(
+                f"simulator {self.name}, recording {part.name}", f"{type(error).__name__}: {error}", "a table of signals"
+            ) from error
+        finally:
+            self.seconds += time.perf_counter() - begin
+
+    def _checked(self, said: object, part: Recording, shape: tuple[int, ...]) -> dict[str, Array]:
+        where = f"simulator {self.name}, recording {part.name}"
+        if not isinstance(said, Mapping | pd.DataFrame):
+            raise InputError(where, f"returned {type(said).__name__}", "a pandas DataFrame with a column for each signal")
+        valid = [s for s in canonical_signals(self.machine.axis_names) if split_signal(s)[1] != "command"]
+        found = {}
+        for name in said:
+            signal = str(name)
+            if signal == "time" or split_signal(signal)[1] == "command":
+                continue
+            if signal not in valid:
+                raise InputError(where, f"returned the column {signal!r}", nearest(signal, valid))
+            values = np.asarray(said[name], dtype=np.float64)
+            if values.shape != shape:
+                raise InputError(where, f"{signal} has the shape {values.shape}", f"{shape}, a value for each row")
+            if np.isinf(values).any():
+                raise InputError(where, f"{signal} is infinite", "finite numbers, or NaN where nothing is known")
+            found[signal] = values
+        if not found:
+            raise InputError(where, "returned no signal", f"some of {', '.join(valid)}")
+        return found
+
+    def _remember(self, key: tuple[int, bytes], recording: Recording, signals: Signals) -> None:
+        self._memory[key] = (recording, signals)  # the recording is kept, so that its id is not given to another one
+        self._size += _bytes(signals)
+        while self._size > MEMORY and len(self._memory) > 1:
+            _, (_, forgotten) = self._memory.popitem(last=False)
+            self._size -= _bytes(forgotten)
+
+
+def _bytes(signals: Signals) -> int:
+    return sum(values.nbytes for values in signals.values())
+
+
+def _digest(parts: Sequence[Array]) -> bytes:
+    digest = hashlib.blake2b(digest_size=16)
+    for part in parts:
+        digest.update(np.ascontiguousarray(part).data)
+    return digest.digest()
+
+
+def _cut(recording: Recording, first: int, last: int) -> Recording:
+    """Rows ``first … last`` as a recording of their own, its time from zero."""
+    if first == 0 and last == len(recording):
+        return recording
+    table = recording.table.iloc[first:last].reset_index(drop=True)
+    start = float(table["time"].iloc[0])
+    return replace(recording, table=table.assign(time=table["time"] - start), start_ns=recording.start_ns + round(1e9 * start))
+
+
+def command_signals(recording: Recording, machine: Machine) -> list[str]:
+    """The commands that the recording has at all."""
+    names = (axis_signal(name, "command") for name in machine.axis_names)
+    return [name for name in names if not np.isnan(recording.values(name)).all()]
