@@ -54,10 +54,13 @@ def _si_name(registry: Any, quantity: Any, base: Any) -> str:
     return f"{base.units:~}"
 
 
-_HEADER = re.compile(r"^\s*(?P<name>[^\[\]]+?)\s*(?:\[(?P<unit>[^\[\]]*)\])?\s*$")
+_HEADER = re.compile(r"^\s*(?P<name>[^\[\]]+?(?:(?<=\S)\[\d+\])?)\s*(?:\[(?P<unit>[^\[\]]*)\])?\s*$")
 
 
 def split_header(header: str) -> tuple[str, str | None]:
-    """``"boom.cylinder [mm]"`` → ``("boom.cylinder", "mm")``; the unit is None where none is given."""
+    """``"boom.cylinder [mm]"`` → ``("boom.cylinder", "mm")``; the unit is None where none is given.
+
+    A number right behind the name is an element, not a unit: ``"q[2] [deg]"`` → ``("q[2]", "deg")``.
+    """
     match = _HEADER.match(header)
     return (header.strip(), None) if match is None else (match["name"], match["unit"])

@@ -132,6 +132,7 @@ def _read(path: Path, mapping: StreamMap | None) -> tuple[Stream, ...]:
         fields={topic: frozenset(own) for topic, own in fields.items()} if fields else None,
         time=mapping.time,
         time_unit=mapping.time_unit,
+        rate_hz=mapping.rate_hz,
         length_unit=mapping.length_unit,
         rotation=mapping.rotation,
         dbc=Path(mapping.dbc) if mapping.dbc is not None else None,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Literal
@@ -87,7 +88,7 @@ class StreamMap:
         files: glob inside the recording's folder.
         clock: which of the stream's stamps to use; None: the reader's first.
         domain: which device's clock the stamps are on. All others are aligned to ``machine``.
-        time, time_unit, length_unit, rotation: see :class:`sysid.logs.ReadOptions`.
+        time, time_unit, rate_hz, length_unit, rotation: see :class:`sysid.logs.ReadOptions`.
         dbc: database of a CAN log, relative to the recipe; the absolute path once the recipe has been read.
         interpolation: between samples of measured signals; commands are held.
         max_gap_s: gaps longer than this stay empty; None: three sample periods.
@@ -104,6 +105,7 @@ class StreamMap:
     domain: str = "machine"
     time: str | None = None
     time_unit: str = "s"
+    rate_hz: float | None = None
     length_unit: str | None = None
     rotation: str | None = None
     dbc: str | None = None
@@ -220,6 +222,9 @@ def _check_stream(stream: StreamMap, path: Path) -> None:
         reader = reader_named(stream.reader, where)
         if stream.clock is not None and stream.clock not in reader.clocks:
             raise SettingsError(where, f"unknown clock {stream.clock!r}", nearest(stream.clock, reader.clocks))
+    if stream.rate_hz is not None and (stream.time is not None or not 0.0 < stream.rate_hz < math.inf):
+        found = "both `time` and `rate_hz`" if stream.time is not None else f"rate_hz = {stream.rate_hz}"
+        raise SettingsError(where, found, "a time column, or the rate of evenly spaced rows [Hz]")
     for name, signal in stream.signals.items():
         if signal.span == 0.0 or signal.scale == 0.0:
             raise SettingsError(f"{where}: {name}", "a span or scale of zero", "a number other than zero")

@@ -1,4 +1,7 @@
-"""CSV: one header row, one time column, numbers; an empty cell is a missing value. Comma, semicolon or tab."""
+"""CSV: one header row, one time column, numbers; an empty cell is a missing value. Comma, semicolon or tab.
+
+Cells that hold a list, ``"[0.1, 0.2]"`` under ``positions``, become columns of their own: ``positions[0]``, ``positions[1]``.
+"""
 
 from __future__ import annotations
 
@@ -8,13 +11,15 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+import numpy.typing as npt
 import pandas as pd
 
 from sysid.errors import InputError
-from sysid.logs.limits import check_whole
+from sysid.logs.limits import MAX_CELLS, check_whole
 from sysid.logs.reader import ReadOptions
 from sysid.logs.stream import Stream
 from sysid.logs.table import Columns, table_stream
+from sysid.units import split_header
 
 
 @dataclass(frozen=True)
@@ -49,9 +54,14 @@ class CsvReader:
         if len(longer):
             where = f"{path}: row {int(longer[0]) + 1} below the header"
             raise InputError(where, f"more than {len(headers)} cells", "as many cells as the header has", "Repair the row.")
-        columns = []
-        losses = []
+        columns: list[tuple[str, npt.NDArray[np.float64]]] = []
+        losses: list[str] = []
         for index, header in enumerate(headers):
+            if _are_lists(table[index]):
+                elements, lost = _elements(path, header, table[index])
+                columns += elements
+                losses += lost
+                continue
             numbers = pd.to_numeric(table[index], errors="coerce").to_numpy(dtype=np.float64)
             text = int(np.count_nonzero(np.isnan(numbers) & table[index].notna().to_numpy()))
             if text and np.isnan(numbers).all():
@@ -60,6 +70,35 @@ class CsvReader:
                 losses.append(f"{path.name}: column {header!r}: {text} cells are not numbers")
             columns.append((header, numbers))
         return columns, tuple(losses)
+
+
+def _are_lists(column: pd.Series) -> bool:
+    """Whether every cell that is not empty is a list in brackets."""
+    if pd.api.types.is_numeric_dtype(column):
+        return False
+    cells = column.dropna().astype(str).str.strip()
+    return len(cells) > 0 and bool((cells.str.startswith("[") & cells.str.endswith("]")).all())
+
+
+def _elements(path: Path, header: str, column: pd.Series) -> tuple[Columns, list[str]]:
+    """One column for each element of the lists; a shorter list leaves its last ones missing."""
+    cells = column.astype("str").where(column.notna(), "[]").str.strip().str[1:-1]
+    width = int(cells.str.count(",").max()) + 1
+    if width * len(cells) > MAX_CELLS:
+        raise InputError(
+            f"{path}: {header}", f"lists of {width} elements", f"at most {MAX_CELLS} numbers", "Export it in parts."
+        )
+    name, unit = split_header(header)
+    parts = cells.str.split(",", expand=True)
+    columns, losses = [], []
+    for element in range(width):
+        text = parts[element].str.strip().replace("", None)
+        numbers = pd.to_numeric(text, errors="coerce").to_numpy(dtype=np.float64)
+        bad = int(np.count_nonzero(np.isnan(numbers) & text.notna().to_numpy() & (text.str.lower() != "nan").to_numpy()))
+        if bad:
+            losses.append(f"{path.name}: column {name}[{element}]: {bad} elements are not numbers")
+        columns.append((f"{name}[{element}]" if unit is None else f"{name}[{element}] [{unit}]", numbers))
+    return columns, losses
 
 
 def _header(path: Path) -> tuple[list[str], str, int]:

@@ -62,10 +62,18 @@ class MatReader:
 def _columns(arrays: dict[str, npt.NDArray[Any]], options: ReadOptions) -> dict[str, npt.NDArray[np.float64]]:
     """The vectors that are as long as the time vector; matrices with that many rows give one column each."""
     vectors = {name: array for name, array in arrays.items() if array.ndim == 1}
+    if options.rate_hz is not None and options.time is None:
+        lengths = [len(array) for array in vectors.values()]
+        return _of_length(arrays, max(lengths, key=lambda n: (lengths.count(n), n), default=0))
     time = options.time if options.time is not None else next((name for name in TIME_NAMES if name in vectors), None)
     if time is None or time not in vectors:
         return {name: array.astype(np.float64) for name, array in vectors.items()}  # table_stream says what is missing
-    rows = len(vectors[time])
+    return _of_length(arrays, len(vectors[time]))
+
+
+def _of_length(arrays: dict[str, npt.NDArray[Any]], rows: int) -> dict[str, npt.NDArray[np.float64]]:
+    """Vectors of ``rows`` elements, and the columns of matrices with so many rows."""
+    vectors = {name: array for name, array in arrays.items() if array.ndim == 1}
     columns = {name: array.astype(np.float64) for name, array in vectors.items() if len(array) == rows}
     for name, array in arrays.items():
         if array.ndim == 2 and rows in array.shape:

@@ -20,6 +20,7 @@ class ReadOptions:
         preview: for a look into a bag: all stamps, but values of the first messages of a topic alone.
         time: column or variable that holds the stamps (CSV, Parquet, MATLAB).
         time_unit: unit of that column.
+        rate_hz: sample rate of a table that has no stamps at all; its rows are then evenly spaced, the first one at zero.
         length_unit: unit of positions where the file does not state one (Motive).
         rotation: order of Euler angles where the file does not state it (Motive), e.g. ``XYZ``.
         dbc: database that says which signals CAN frames carry.
@@ -30,6 +31,7 @@ class ReadOptions:
     preview: bool = False
     time: str | None = None
     time_unit: str = "s"
+    rate_hz: float | None = None
     length_unit: str | None = None
     rotation: str | None = None
     dbc: Path | None = None

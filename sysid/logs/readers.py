@@ -9,6 +9,7 @@ from sysid.errors import InputError, SettingsError, nearest
 from sysid.logs.c3d import C3dReader
 from sysid.logs.can import CanReader
 from sysid.logs.csv import CsvReader
+from sysid.logs.json import JsonReader
 from sysid.logs.mat import MatReader
 from sysid.logs.mcap import McapReader
 from sysid.logs.mf4 import Mf4Reader
@@ -34,6 +35,7 @@ READERS: tuple[LogReader, ...] = (
     Mf4Reader(),
     ParquetReader(),
     MatReader(),
+    JsonReader(),
 )
 
 #: What a file begins with (after a byte order mark) → its reader, where the suffix says too little.

@@ -50,11 +50,15 @@ def table_stream(
         values[name] = column
         if unit is not None:
             units[name] = unit
-    time = _time_name(path, tuple(values), options)
-    factor, si = si_factor(units.pop(time, options.time_unit), path)
-    if si != "s":
-        raise InputError(f"{path}: {time}", f"a unit of [{si}]", "a unit of time such as s, ms or ns")
-    stamps = to_ns(values.pop(time), factor, f"{path}: {time}")
+    if options.rate_hz is not None and options.time is None:
+        rows = max((len(column) for column in values.values()), default=0)
+        stamps = np.rint(np.arange(rows) * (1e9 / options.rate_hz)).astype(np.int64)
+    else:
+        time = _time_name(path, tuple(values), options)
+        factor, si = si_factor(units.pop(time, options.time_unit), path)
+        if si != "s":
+            raise InputError(f"{path}: {time}", f"a unit of [{si}]", "a unit of time such as s, ms or ns")
+        stamps = to_ns(values.pop(time), factor, f"{path}: {time}")
     if not len(stamps):
         raise InputError(path, "a header but no rows", "at least one row of numbers", "Export the log again.")
     return Stream(path.stem, path, {"time": stamps}, values, units, losses)
@@ -116,5 +120,5 @@ def _time_name(path: Path, names: tuple[str, ...], options: ReadOptions) -> str:
         path,
         "no time column",
         f"a column named {TIME_NAMES[0]!r}; found {', '.join(names) or 'none'}",
-        'Name the column in the recipe: `time = "<column>"`.',
+        'Name the column in the recipe: `time = "<column>"`, or the rate of evenly spaced rows: `rate_hz = …`.',
     )

@@ -67,6 +67,11 @@ joints = {boom = 0.5}
         ("[[streams]]\nfiles = 'a'\nreader = 'mcp'", r"unknown reader 'mcp'; expected 'mcap'\?"),
         ("[[streams]]\nfiles = 'a'\nreader = 'mcap'\nclock = 'heder'", r"unknown clock 'heder'; expected 'header'\?"),
         ("[[streams]]\nfiles = 'a'\n[streams.signals]\n'boom.joint' = {field = 'x', span = 0.0}", "a span or scale of zero"),
+        (
+            "[[streams]]\nfiles = 'a'\nrate_hz = 0.0",
+            r"rate_hz = 0\.0; expected a time column, or the rate of evenly spaced rows",
+        ),
+        ("[[streams]]\nfiles = 'a'\nrate_hz = 5.0\ntime = 't'", "both `time` and `rate_hz`"),
         ("[[streams]]\nfiles = 'a'\n[streams.points]\nhand = {body = 'b'}", "unknown point 'hand'"),
         ("machine = '../machine.toml'", r"path '\.\./machine\.toml' leaves the folder"),
         ("machine = '/etc/passwd'", "path '/etc/passwd' leaves the folder"),

@@ -135,6 +135,73 @@ def test_tables_that_unpack_without_measure_are_refused(tmp_path: Path, monkeypa
         read(wide)
 
 
+def test_lists_in_cells_become_columns(tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    path.write_text('timestamp,positions [deg],q[0],q[1]\n0,"[1, 2.5]",5,6\n1,,7,8\n2,"[3, bad]",9,10\n')
+    stream = read(path)
+    np.testing.assert_array_equal(stream.columns["positions[0]"], [1.0, np.nan, 3.0])
+    np.testing.assert_array_equal(stream.columns["positions[1]"], [2.5, np.nan, np.nan])
+    np.testing.assert_array_equal(stream.columns["q[1]"], [6.0, 8.0, 10.0])
+    assert stream.units == {"positions[0]": "deg", "positions[1]": "deg"}
+    assert stream.losses == ("a.csv: column positions[1]: 1 elements are not numbers",)
+
+
+def test_lists_that_unpack_without_measure_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "a.csv"
+    path.write_text("time,q\n" + '0,"[1]"\n' * 99 + '1,"[' + "," * 99 + ']"\n')
+    monkeypatch.setattr("sysid.logs.csv.MAX_CELLS", 9999)
+    with pytest.raises(InputError, match=r"a\.csv: q: lists of 100 elements; expected at most 9999 numbers"):
+        read(path)
+
+
+def test_rows_without_stamps_are_spaced_by_the_stated_rate(tmp_path: Path) -> None:
+    path = tmp_path / "a.mat"
+    savemat(path, {"X": np.arange(8.0).reshape(2, 4), "y": np.ones((1, 4)), "gain": 3.0})
+    (stream,) = reader_for(path).read(path, ReadOptions(rate_hz=30.0))
+    np.testing.assert_array_equal(stream.stamps["time"], [0, 33_333_333, 66_666_667, 100_000_000])
+    np.testing.assert_array_equal(stream.columns["X[1]"], [4.0, 5.0, 6.0, 7.0])
+    with pytest.raises(InputError, match=r"no time column; .* or the rate of evenly spaced rows: `rate_hz = …`"):
+        read(path)
+
+
+def test_json_records_are_streams(tmp_path: Path) -> None:
+    path = tmp_path / "a.json"
+    path.write_text(
+        '{"mass": 0.5, "log": [{"t": 0, "on": true, "arm": {"q": [1, null]}, "label": "x"}, {"t": 0.5, "arm": {"q": [2, 3]}}],'
+        ' "other": [{"t": 1, "x": 1e400}]}'
+    )
+    log, other = reader_named("json", path).read(path, ReadOptions())
+    assert (log.name, other.name) == ("log", "other")
+    np.testing.assert_array_equal(log.stamps["time"], [0, 500_000_000])
+    assert set(log.columns) == {"on", "arm.q[0]", "arm.q[1]"}
+    np.testing.assert_array_equal(log.columns["arm.q[1]"], [np.nan, 3.0])
+    np.testing.assert_array_equal(log.columns["on"], [1.0, np.nan])
+    (alone,) = reader_named("json", path).read(path, ReadOptions(streams=frozenset({"other"})))
+    np.testing.assert_array_equal(alone.columns["x"], [np.inf])
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("{", r"a\.json: not readable as JSON \(Expecting property name"),
+        ("\xff", "not readable as JSON"),
+        ("[" * 100_000, r"not readable as JSON \(maximum recursion"),
+        ('{"log": [1, 2]}', "no list of records; expected a list of objects with numbers"),
+        ('[{"t": 0}, {"x": 1}]', "no time in row 2"),
+    ],
+)
+def test_json_that_is_no_log_is_refused(tmp_path: Path, text: str, message: str) -> None:
+    path = tmp_path / "a.json"
+    path.write_bytes(text.encode("latin-1"))
+    with pytest.raises(InputError, match=message):
+        reader_named("json", path).read(path, ReadOptions())
+
+
+def test_a_json_file_is_a_log_only_where_a_recipe_says_so() -> None:
+    with pytest.raises(InputError, match=r"no reader for '\.json'"):
+        reader_for(Path("a.json"))
+
+
 def test_unknown_formats_and_readers() -> None:
     with pytest.raises(InputError, match=r"no reader for '\.xlsx'; expected one of \.\w+, .*\.csv, "):
         reader_for(Path("a.xlsx"))
