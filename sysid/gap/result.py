@@ -4,9 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import pandas as pd
+
+if TYPE_CHECKING:
+    from sysid.gap.experiment.experiment import Experiment
 
 Verdict = Literal["named", "no_gap", "unnamed", "ambiguous", "insufficient_excitation"]
 Value = float | tuple[float, ...]
@@ -181,6 +184,7 @@ class GapResult:
     candidates: tuple[Candidate, ...] = ()
     traces: tuple[Traces, ...] = ()
     notes: tuple[str, ...] = ()
+    experiments: tuple[Experiment, ...] = ()
     settings: Mapping[str, Any] = field(default_factory=dict)
     shares: tuple[Share, ...] = ()
     maps: tuple[Map, ...] = ()
@@ -206,6 +210,7 @@ class GapResult:
             "maps": [asdict(item) for item in self.maps],
             "candidates": [asdict(item) for item in self.candidates],
             "notes": list(self.notes),
+            "experiments": [_experiment_json(item) for item in self.experiments],
             "settings": dict(self.settings),
         }
 
@@ -224,3 +229,16 @@ def _effect_json(effect: NamedEffect) -> dict[str, Any]:
     if effect.side is not None:
         entry["side"] = effect.side
     return entry
+
+
+def _experiment_json(experiment: Experiment) -> dict[str, Any]:
+    """Where the experiment is and what it is for; ``file`` is relative to the folder that the experiments are written into."""
+    return {
+        "name": experiment.name,
+        "file": f"{experiment.name}.toml",
+        "axes": list(experiment.axes),
+        "seconds": experiment.seconds,
+        "repeats": experiment.repeats,
+        "text": experiment.words,
+        "purposes": [asdict(purpose) for purpose in experiment.purposes],
+    }

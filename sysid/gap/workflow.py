@@ -14,6 +14,7 @@ from sysid.errors import SettingsError
 from sysid.gap.candidates import as_nuisance
 from sysid.gap.case import Case, Stage, excitation, open_case, stage_candidates
 from sysid.gap.excitation import advice, advice_on_tie, excitation_of
+from sysid.gap.experiment import Planning, Proposal, propose, questions_of
 from sysid.gap.floor import run_floor
 from sysid.gap.localise import localise, run_rmse
 from sysid.gap.maps import maps_of
@@ -43,6 +44,7 @@ def find_gap(
     forms: Forms = "all",
     progress: Progress | None = None,
     strict: Strictness | None = None,
+    planning: Planning | None = None,
     seed: int = 0,
 ) -> GapResult:
     """Find where ``plant`` and the recordings disagree, name the missing effects, and prove it on held-out recordings.
@@ -53,6 +55,8 @@ def find_gap(
         add: write the repaired plant as a new version.
         localise_only: stop after localising; the verdict is then ``unnamed`` wherever a stage is above its noise floor.
         forms: "simple" tries every effect in its simplest form only, e.g. one friction for both directions.
+        planning: plan the recordings that would answer what these leave open (not around a simulator of one's own); by default
+            they are only described.
         progress: called with (share done, text).
 
     Raises:
@@ -72,7 +76,7 @@ def find_gap(
     located = _localise(case, stages)
     stored = registry is not None and case.around is None
     reference = _register(case, case.plant, registry, {}) if registry is not None and stored else case.reference
-    outcome = Outcome(case.plant)
+    outcome, proposal = Outcome(case.plant), Proposal()
     after_reference = ""
     if not localise_only:
         for k, stage in enumerate(stages):
@@ -81,6 +85,10 @@ def find_gap(
         outcome = judge(case, stages)
         if add and outcome.repaired is not case.plant and registry is not None:
             after_reference = _register(case, outcome.repaired, registry, _evidence(case, reference, outcome))
+        if planning is not None and case.around is None:
+            tell(0.9, "planning the next experiment")
+            questions = questions_of(case, stages, outcome, strict)
+            proposal = propose(case, outcome.repaired, questions, planning, lambda text: tell(0.9, f"planning: {text}"))
     tell(0.93, "noise floor")
     shown = excitation(case, stages)
     verdict = _verdict(outcome, located, shown, strict, localise_only)
@@ -107,7 +115,12 @@ def find_gap(
         maps=_maps(case, stages, better if outcome.repaired is not case.plant else None),
         candidates=tuple(row for stage in stages if stage.finding for row in _rows(stage, stage.finding)),
         traces=traces,
-        notes=(*outcome.notes, *(case.around.notes([s.problem for s in stages]) if case.around is not None else ())),
+        notes=(
+            *outcome.notes,
+            *proposal.notes,
+            *(case.around.notes([s.problem for s in stages]) if case.around is not None else ()),
+        ),
+        experiments=proposal.experiments,
         settings={"seed": seed, "forms": forms, "noise": dict(case.noise), "localise_only": localise_only},
     )
 
