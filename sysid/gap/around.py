@@ -20,6 +20,8 @@ from sysid.effects import CATALOGUE, Effect
 from sysid.effects.effect import Stage
 from sysid.errors import SettingsError
 from sysid.gap.feed import fed, followed
+from sysid.gap.likeness import Likeness, likeness_of
+from sysid.gap.noise import noise_levels
 from sysid.gap.problem import Problem, problems_of, split_of
 from sysid.gap.simulator import Runs, Signals, Simulator, command_signals
 from sysid.machine import KnownEffect, Machine, TabulatedLinkage
@@ -48,6 +50,7 @@ class Around:
     plant: Plant
     signals: frozenset[str]
     _model: Model = field(repr=False)
+    _likenesses: dict[str, Likeness] = field(default_factory=dict, repr=False, compare=False)
 
     @property
     def name(self) -> str:
@@ -87,7 +90,12 @@ class Around:
 
     def problems(self, dataset: Dataset) -> list[Problem]:
         """The stages that the dataset measures at both ends and the simulator returns."""
-        return [self._problem(p) for p in problems_of(self._model, dataset) if self._covers(p)]
+        return [self._problem(p, dataset) for p in problems_of(self._model, dataset) if self._covers(p)]
+
+    def to_search(self, problem: Problem) -> Problem:
+        """What stands in for a stage while effects are searched: a faithful likeness of the axis, else the stage itself."""
+        like = self._likenesses.get(problem.target) if problem.stage == "command" else None
+        return like.problem if like is not None and like.faithful else problem
 
     def offers(self, stage: Stage, effect: Effect) -> bool:
         """Whether an effect at a stage can be put around the simulator."""
@@ -142,6 +150,12 @@ class Around:
                 said.append(f"{axis.name}: {axis.driven} {lacking}, so that nothing in front of {self.name} is searched there")
         if ("end_effector", "ee") not in searched and self.signals.issuperset(point_signals("ee")):
             said.append("ee: without a URDF and all joints returned and measured, its errors cannot be told from theirs")
+        for axis_name, like in self._likenesses.items():
+            if like.faithful:
+                said.append(
+                    f"{axis_name}: searched on a likeness that differs from {self.name} by {like.error:.2g} of the sensor's noise; "
+                    f"fitted, judged and proven on {self.name} itself"
+                )
         return (*said, self.runs.cost())
 
     # -- stages --------------------------------------------------------------------------------------------------------
@@ -164,7 +178,7 @@ class Around:
             return self.signals.issuperset(point_signals("ee"))
         return self.signals.issuperset(problem.signals)
 
-    def _problem(self, problem: Problem) -> Problem:
+    def _problem(self, problem: Problem, dataset: Dataset) -> Problem:
         """A stage of the toolkit's own, turned into one of the simulator."""
         if problem.stage == "command":
             axis = problem.target
@@ -172,7 +186,14 @@ class Around:
             def drive(thetas: Array, recording: Recording) -> Array:
                 return self._drive(thetas, recording, axis)
 
-            return replace(problem, predict=drive, targets=(axis,), short=None)
+            own = replace(problem, predict=drive, targets=(axis,), short=None)
+            (driven,), neutral = problem.signals, self._model.theta[None]
+            runs = [self._as_simulated(neutral, recording, (driven,)) for recording in split_of(dataset).seen]
+            like = likeness_of(own, self.plant, self._model, runs, noise_levels(dataset)[driven])
+            if like is not None:
+                self._likenesses[axis] = like
+                own = replace(own, short=like.problem.short)
+            return own
         return replace(problem, predict=self._with_what_is_beyond(problem), poses=False)
 
     def _with_what_is_beyond(self, problem: Problem) -> Callable[[Array, Recording], Array]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -14,6 +14,7 @@ from sysid.errors import ExcitationError
 from sysid.gap.around import Around, around
 from sysid.gap.candidates import Candidate, Scales, candidates_at
 from sysid.gap.excitation import excitation_of
+from sysid.gap.fit import Data, fit_candidates, spread_of
 from sysid.gap.floor import problem_floor
 from sysid.gap.noise import noise_levels
 from sysid.gap.problem import Problem, Split, pose_split, problems_of, split_of
@@ -118,6 +119,15 @@ def stage_candidates(case: Case, stage: Stage) -> list[Candidate]:
     problem = stage.problem
     found = candidates_at(case.plant, case.theta, problem.stage, problem.targets, scales_of(case.plant, stage))
     return [c for c in found if case.around is None or case.around.offers(problem.stage, c.effect)]
+
+
+def on_itself(finding: Finding, stage: Stage, theta: Array) -> Finding:
+    """What was found on a likeness of the stage, fitted to the stage itself."""
+    seen = Data(stage.problem, stage.split.seen, stage.sigma)
+    unseen = Data(stage.problem, stage.split.select, stage.sigma)
+    fit = fit_candidates(seen, theta, finding.fit.candidates, [finding.fit.values])  # noqa: PD011
+    nominal, final = (spread_of(unseen.residuals(values[None])) for values in (theta, fit.theta))
+    return replace(finding, problem=stage.problem, fit=fit, nominal_rmse=nominal, final_rmse=final)
 
 
 def scales_of(plant: Plant, stage: Stage) -> Scales:

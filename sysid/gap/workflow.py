@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from sysid.errors import SettingsError
 from sysid.gap.candidates import as_nuisance
-from sysid.gap.case import Case, Stage, excitation, open_case, stage_candidates
+from sysid.gap.case import Case, Stage, excitation, on_itself, open_case, stage_candidates
 from sysid.gap.excitation import advice, advice_on_tie, excitation_of
 from sysid.gap.experiment import Planning, Proposal, propose, questions_of
 from sysid.gap.floor import run_floor
@@ -148,11 +148,13 @@ def _search(case: Case, stage: Stage, strict: Strictness, forms: Forms, tell: Pr
         if (forms == "all" or c.form is c.effect.forms[0]) and excitation_of(c, stage.split.fit, case.plant.machine).sufficient
     ]
     nuisances = [as_nuisance(c) for c in candidates if c.effect.name in stage.problem.nuisances]
+    problem = stage.problem if case.around is None else case.around.to_search(stage.problem)
     search = Search(
-        stage.problem, case.theta, stage.split, stage.sigma, candidates, nuisances, strict, case.seed,
+        problem, case.theta, stage.split, stage.sigma, candidates, nuisances, strict, case.seed,
         on_fit=lambda text: tell(share, f"{stage.label}: {text}"),
     )  # fmt: skip
-    return search.run()
+    finding = search.run()
+    return finding if problem is stage.problem else on_itself(finding, stage, case.theta)
 
 
 def _free_gap(case: Case, repaired: Plant) -> tuple[Gap, tuple[Traces, ...]]:
