@@ -9,6 +9,7 @@ Pronzato, Automatica 44 (2008) 303).
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -17,8 +18,8 @@ import numpy.typing as npt
 from scipy.optimize import least_squares
 
 from sysid.gap.candidates import Candidate, Unknown
-from sysid.gap.drift import CLIP, Drift
-from sysid.gap.fit import Data, jacobian, place
+from sysid.gap.drift import BIN, CLIP, Drift, estimate_drift
+from sysid.gap.fit import FORGETS, Data, jacobian, place
 
 Array = npt.NDArray[np.float64]
 
@@ -53,38 +54,56 @@ def hypothesis(
     return Hypothesis(candidate, unknowns, values, place(base, unknowns, values[None])[0], known)
 
 
-def discrimination(data: Data, truth: Hypothesis, rival: Hypothesis, drifts: Sequence[Drift], refits: int = 12) -> float:
+def discrimination(data: Data, truth: Hypothesis, rival: Hypothesis, drifts: Sequence[Drift], seed: int = 0) -> float:
     """Expected log likelihood ratio of ``truth`` over ``rival`` [nats], with the rival's parameters refitted.
+
+    The smaller of two: with the wandering that is known (``drifts``), and with the wandering that each model is found to have
+    when noise is added, as the workflow will judge it: a rival may pass what it cannot explain off as wandering.
 
     Args:
         data: recordings as ``truth`` would make them, without noise.
-        refits: most steps of the refit; 0: a single linear step, which overstates where the rival bends.
     """
-    own = 0.5 * _total(data.whitened(truth.theta[None], drifts)[0])
-    low, high = (np.array([u.bounds[k] for u in rival.unknowns]) for k in (0, 1))
-    start = np.clip(rival.values, low, high)
+    best = _refit(data, rival, drifts)
+    own, left = (0.5 * float(np.sum(_clipped(data.whitened(theta[None], drifts)[0]) ** 2)) for theta in (truth.theta, best))
+    judged = _judged(data, truth.theta, seed) - _judged(data, best, seed)
+    return max(min(left - own, judged), 0.0)
+
+
+def _refit(data: Data, rival: Hypothesis, drifts: Sequence[Drift]) -> Array:
+    """The rival's parameter vector that predicts ``data`` best and does not forget what is known, (N,)."""
     if not rival.unknowns:
-        return max(0.5 * _total(data.whitened(rival.theta[None], drifts)[0]) - own, 0.0)
+        return rival.theta
+    low, high = (np.array([u.bounds[k] for u in rival.unknowns]) for k in (0, 1))
     root = _root(rival.known)
 
     def errors(x: Array) -> Array:
         r = data.whitened(place(rival.theta, rival.unknowns, x[None]), drifts)[0]
-        return np.concatenate([np.clip(r, -CLIP, CLIP), root @ (x - rival.values)])
+        return np.concatenate([_clipped(r), root @ (x - rival.values)])
 
     def slopes(x: Array) -> Array:
         return np.vstack([jacobian(data, rival.theta, rival.unknowns, x, drifts, high)[1], root])
 
-    if refits == 0:
-        r, slope = errors(start), slopes(start)
-        step = np.linalg.lstsq(slope, -r, rcond=None)[0]
-        step = np.clip(start + step, low, high) - start
-        return max(0.5 * _total(r + slope @ step) - own, 0.0)
     room = 1e-9 * (high - low)
     scale = np.array([u.negligible for u in rival.unknowns])
-    solution = least_squares(
-        errors, np.clip(start, low + room, high - room), slopes, (low, high), x_scale=scale, max_nfev=refits
-    )
-    return max(float(solution.cost) - own, 0.0)
+    start = np.clip(rival.values, low + room, high - room)
+    solution = least_squares(errors, start, slopes, (low, high), x_scale=scale, max_nfev=12)
+    return place(rival.theta, rival.unknowns, solution.x[None])[0]
+
+
+def _judged(data: Data, theta: Array, seed: int) -> float:
+    """Log likelihood of the residuals with noise on every bin, under the wandering that is estimated from them."""
+    memory = 1.0 if data.problem.integrates else FORGETS
+    rng = np.random.default_rng(seed)
+    parts = [bins[0] for bins in data.bins(theta[None])]
+    levels = [noise_of_bin(data.problem.rate(recording)) for recording in data.recordings]
+    noisy = [part + rng.normal(0.0, level, part.shape) for part, level in zip(parts, levels, strict=True)]
+    signals = range(len(data.sigma))
+    return float(sum(estimate_drift([part[:, k] for part in noisy], data.activities, memory)[1] for k in signals))
+
+
+def noise_of_bin(rate_hz: float) -> float:
+    """Standard deviation of the mean of a bin of white noise, in that of a sample."""
+    return 1.0 / math.sqrt(max(1, round(BIN * rate_hz)))
 
 
 def precision(data: Data, model: Hypothesis, drifts: Sequence[Drift]) -> Array:
@@ -96,8 +115,8 @@ def precision(data: Data, model: Hypothesis, drifts: Sequence[Drift]) -> Array:
     return np.asarray(np.sqrt(np.maximum(np.diag(inverse), 0.0)) / scale)
 
 
-def _total(errors: Array) -> float:
-    return float(np.sum(np.clip(errors, -CLIP, CLIP) ** 2))
+def _clipped(errors: Array) -> Array:
+    return np.asarray(np.clip(errors, -CLIP, CLIP))
 
 
 def _root(information: Array) -> Array:

@@ -25,9 +25,6 @@ from sysid.plant import Model, Plant, compile_plant
 
 Array = npt.NDArray[np.float64]
 
-#: What is expected of a question that a longer or repeated recording may answer [nats].
-HOPELESS = 1.0
-
 
 @dataclass(frozen=True)
 class Planning:
@@ -41,7 +38,6 @@ class Planning:
         margin: share of each axis's range that is kept free at either end.
         fence: further limits, signal → (lowest, highest): ``{"ee.z": (0.2, 3.0)}`` keeps the tip above the ground.
         samples: plants as likely as the data allow that have to keep to the limits as well.
-        finalists: motions of one length whose linear forecast is checked by a full refit.
     """
 
     nats: float = 20.0
@@ -50,7 +46,6 @@ class Planning:
     margin: float = 0.05
     fence: Limits = field(default_factory=dict)
     samples: int = 4
-    finalists: int = 3
 
 
 @dataclass(frozen=True)
@@ -76,26 +71,25 @@ def propose(
     """
     if not questions:
         return Proposal()
-    stage = _Theatre(case, repaired, settings or Planning())
-    chosen: list[tuple[Script, int, list[tuple[Question, Forecast]]]] = []
+    theatre = _Theatre(case, repaired, settings or Planning())
+    chosen: list[_Chosen] = []
     notes = []
     for question in questions:
         tell(question.label)
-        for script, _, served in chosen:
-            forecast = stage.forecast(script, question)
-            if forecast is not None and stage.answers(forecast):
-                served.append((question, forecast))
-                break
+        if any(theatre.serves(item, question) for item in chosen):
+            continue
+        found = theatre.best(question)
+        if found is None:
+            notes.append(f"{question.label}: no motion that was tried inside the limits shows it")
         else:
-            found = stage.best(question)
-            if found is None:
-                notes.append(f"{question.label}: no motion that was tried inside the limits shows it")
-            else:
-                repeats = max(1, math.ceil(stage.settings.nats / found[1].nats))
-                chosen.append((found[0], repeats, [(question, found[1])]))
+            chosen.append(_Chosen(found[0], [(question, found[1])]))
+    for item in sorted(chosen, key=lambda item: item.script.seconds):  # what longer ones show as well needs no one of its own
+        others = [other for other in chosen if other is not item]
+        if all(any(theatre.serves(other, question) for other in others) for question, _ in item.served):
+            chosen = others
     made: list[Experiment] = []
-    for script, repeats, served in chosen:
-        experiment = stage.experiment(script, repeats, served)
+    for item in chosen:
+        experiment = theatre.experiment(item.script, item.served)
         again = sum(other.name.split("_")[0] == experiment.name for other in made)
         made.append(replace(experiment, name=f"{experiment.name}_{again + 1}") if again else experiment)
     return Proposal(tuple(made), tuple(notes))
@@ -111,6 +105,14 @@ class Forecast:
     nats: float
     excited: bool
     deviations: Array
+
+
+@dataclass(frozen=True)
+class _Chosen:
+    """A script and the questions that it answers."""
+
+    script: Script
+    served: list[tuple[Question, Forecast]]
 
 
 class _Theatre:
@@ -140,24 +142,24 @@ class _Theatre:
         second: tuple[Script, Forecast] | None = None
         for seconds in self.settings.lengths if self.known else ():
             scripts = [s for m, axes in self._options(question) if (s := self.script(m, axes, seconds)) is not None]
-            rated = [(f, s) for s in scripts if (f := self.forecast(s, question, linear=True)) is not None and f.excited]
-            rated = sorted(rated, key=lambda item: -item[0].nats)[: self.settings.finalists]
-            full = [(f, s) for _, s in rated if (f := self.forecast(s, question)) is not None]
-            if not full:
-                continue
-            answering = [item for item in full if self.answers(item[0])]
+            rated = [(s, f) for s in scripts if (f := self.forecast(s, question)) is not None and f.excited]
+            answering = [item for item in rated if item[1].nats >= self.settings.nats]
             if answering:
-                forecast, script = min(answering, key=lambda item: (len(item[1].axes), -item[0].nats))
-                return script, forecast
-            forecast, script = max(full, key=lambda item: item[0].nats)
-            if second is None or forecast.nats > second[1].nats:
-                second = script, forecast
-        if second is None or second[1].nats < max(HOPELESS, self.settings.nats / self.settings.repeats):
+                return min(answering, key=lambda item: (len(item[0].axes), -item[1].nats))
+            second = max([*rated, *([second] if second else [])], key=lambda item: item[1].nats, default=None)
+        if second is None or second[1].nats * self.settings.repeats < self.settings.nats:
             return None
         return second
 
-    def answers(self, forecast: Forecast) -> bool:
-        return forecast.excited and forecast.nats >= self.settings.nats
+    def serves(self, item: _Chosen, question: Question) -> bool:
+        """Whether a script that is to be made anyway answers the question; then it is noted there."""
+        if any(known is question for known, _ in item.served):
+            return True
+        forecast = self.forecast(item.script, question)
+        if forecast is None or not forecast.excited or forecast.nats < self.settings.nats:
+            return False
+        item.served.append((question, forecast))
+        return True
 
     def _options(self, question: Question) -> list[tuple[Motion, tuple[int, ...]]]:
         """Motions of the axis of the question; of each axis where it is about the whole arm; of all axes together."""
@@ -182,7 +184,7 @@ class _Theatre:
 
     # -- forecast --------------------------------------------------------------------------------------------------
 
-    def forecast(self, script: Script, question: Question, linear: bool = False) -> Forecast | None:
+    def forecast(self, script: Script, question: Question) -> Forecast | None:
         """What the script says of the question; None where a model of it leaves the limits or exceeds the pump."""
         datas: dict[int, Data] = {}
         for model in question.models:
@@ -191,14 +193,12 @@ class _Theatre:
                 return None
             problem = self._problem(question, recording)
             datas[id(model)] = Data(problem, [recording], question.stage.sigma)
-        refits = 0 if linear else 12
-        nats = min(discrimination(datas[id(a)], a, b, question.drifts, refits) for a, b in question.pairs)
+        nats = min(discrimination(datas[id(a)], a, b, question.drifts, self.case.seed) for a, b in question.pairs)
         first = question.models[0]
         recording = datas[id(first)].recordings[0]
         seen = (*question.stage.split.seen, recording)
         excited = all(excitation_of(c, seen, self.machine).sufficient for c in question.candidates)
-        deviations = np.empty(0) if linear else precision(datas[id(first)], first, question.drifts)
-        return Forecast(nats, excited, deviations)
+        return Forecast(nats, excited, precision(datas[id(first)], first, question.drifts))
 
     def _problem(self, question: Question, recording: Recording) -> Problem:
         """The stage of the question for a rehearsed recording."""
@@ -229,8 +229,9 @@ class _Theatre:
 
     # -- result ----------------------------------------------------------------------------------------------------
 
-    def experiment(self, script: Script, repeats: int, served: Sequence[tuple[Question, Forecast]]) -> Experiment:
+    def experiment(self, script: Script, served: Sequence[tuple[Question, Forecast]]) -> Experiment:
         """The script as an experiment, with what it is expected to say in words."""
+        repeats = max(math.ceil(self.settings.nats / forecast.nats) for _, forecast in served)
         names = [self.machine.axis_names[axis] for axis in script.axes]
         thetas = [self.model.theta, *self._thetas, *(m.theta for question, _ in served for m in question.models)]
         tables = [self._rehearse(script, theta, None).table for theta in thetas]

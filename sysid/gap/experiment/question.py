@@ -14,7 +14,7 @@ from sysid.gap.case import Case, Stage, stage_candidates
 from sysid.gap.drift import Drift
 from sysid.gap.excitation import excitation_of
 from sysid.gap.experiment.experiment import EffectAt
-from sysid.gap.experiment.information import Hypothesis, hypothesis
+from sysid.gap.experiment.information import Hypothesis, hypothesis, noise_of_bin
 from sysid.gap.fit import Data, Fit, fit_candidates
 from sysid.gap.prove import Outcome
 from sysid.gap.search import Strictness, starting_values
@@ -32,7 +32,8 @@ class Question:
 
     Args:
         models: at least two. For an effect that could not show: the model with the effect, then the one without.
-        drifts: how each signal of the stage wanders.
+        drifts: how each signal of the stage wanders if one of the models is true. Where an effect is missing it seems to wander
+            more; with the effect it would not.
     """
 
     kind: Literal["tie", "excitation"]
@@ -94,6 +95,8 @@ def _unseen(case: Case, stage: Stage, base: Array) -> list[Question]:
     fit = stage.found.fit
     used = {c.key for c in fit.candidates}
     seen = Data(stage.problem, stage.split.seen, stage.sigma)
+    noise = noise_of_bin(stage.problem.rate(stage.split.seen[0]))
+    calm = tuple(Drift(noise=noise, memory=drift.memory) for drift in fit.drifts)
     asked = []
     for candidate in stage_candidates(case, stage):
         if candidate.form is not candidate.effect.forms[0] or candidate.key in used:
@@ -101,9 +104,9 @@ def _unseen(case: Case, stage: Stage, base: Array) -> list[Question]:
         if excitation_of(candidate, stage.split.seen, case.plant.machine).sufficient:
             continue
         values = np.concatenate([fit.values, worth_seeing(candidate)])
-        there = hypothesis(base, candidate, (*fit.unknowns, *candidate.unknowns), values, seen, fit.drifts)
-        absent = hypothesis(base, None, fit.unknowns, fit.values, seen, fit.drifts)
-        asked.append(Question("excitation", stage, (there, absent), fit.drifts))
+        there = hypothesis(base, candidate, (*fit.unknowns, *candidate.unknowns), values, seen, calm)
+        absent = hypothesis(base, None, fit.unknowns, fit.values, seen, calm)
+        asked.append(Question("excitation", stage, (there, absent), calm))
     return asked
 
 

@@ -16,6 +16,9 @@ from sysid.signals import axis_signal
 
 Array = npt.NDArray[np.float64]
 
+#: Speed that any axis can do whose recordings hardly moved it [share of its room a second].
+CRAWL = 0.02
+
 
 @dataclass(frozen=True)
 class Room:
@@ -67,7 +70,9 @@ def room_of(plant: Plant, axis: Axis, recordings: Sequence[Recording], margin: f
     if not low < high:
         return None
     home = float(np.clip(np.median(visited), low, high)) if len(visited) else 0.5 * (low + high)
-    return Room(axis, low, high, home, *_pace(axis, recordings), _command_limits(axis, recordings, low, high))
+    top, rise = _pace(axis, recordings)
+    top = max(top, CRAWL * (high - low))
+    return Room(axis, low, high, home, top, rise, _command_limits(axis, recordings, low, high))
 
 
 def limits_of(plant: Plant, rooms: Sequence[Room], margin: float) -> Limits:
@@ -116,7 +121,7 @@ def _pace(axis: Axis, recordings: Sequence[Recording]) -> tuple[float, float]:
             speeds.append(np.abs(speed))
             rises.append(np.abs(speed[width:] - speed[:-width]) * recording.rate_hz / width)
     top, rise = (float(np.percentile(np.concatenate(part), 99)) for part in (speeds, rises))
-    return max(top, 1e-9), max(rise, 1e-9) if axis.actuation == "force" else np.inf
+    return top, max(rise, 1e-9) if axis.actuation == "force" else np.inf
 
 
 def _command_limits(axis: Axis, recordings: Sequence[Recording], low: float, high: float) -> tuple[float, float]:

@@ -62,8 +62,8 @@ class Script:
     start: Array
 
     @property
-    def key(self) -> tuple[str, tuple[int, ...], int]:
-        return self.motion.name, self.axes, len(self.speeds)
+    def seconds(self) -> float:
+        return len(self.speeds) / self.rate_hz
 
 
 def script_of(
