@@ -1,7 +1,20 @@
 """The gap workflow: where simulation and machine disagree, what the missing effect is called, and the proof."""
 
+from sysid.gap import steps
+from sysid.gap.around import Around, around_simulator
 from sysid.gap.result import GapResult
 from sysid.gap.search import Strictness
+from sysid.gap.simulator import BatchSimulator, Simulator, starting_value
 from sysid.gap.workflow import find_gap
 
-__all__ = ["GapResult", "Strictness", "find_gap"]
+__all__ = [
+    "Around",
+    "BatchSimulator",
+    "GapResult",
+    "Simulator",
+    "Strictness",
+    "around_simulator",
+    "find_gap",
+    "starting_value",
+    "steps",
+]

@@ -153,7 +153,7 @@ class Around:
         for axis_name, like in self._likenesses.items():
             if like.faithful:
                 said.append(
-                    f"{axis_name}: searched on a likeness that differs from {self.name} by {like.error:.2g} of the sensor's noise; "
+                    f"{axis_name}: searched on a likeness of {self.name}, {like.error:.2g} of the sensor's noise away from it; "
                     f"fitted, judged and proven on {self.name} itself"
                 )
         return (*said, self.runs.cost())
@@ -279,7 +279,7 @@ def stretches_of(model: Model, recording: Recording) -> Stretches:
     return edges.reshape(-1, 2).astype(np.int64)
 
 
-def around(simulator: Simulator, dataset: Dataset, effects: Sequence[KnownEffect] = ()) -> Around:
+def around_simulator(simulator: Simulator, dataset: Dataset, effects: Sequence[KnownEffect] = ()) -> Around:
     """The simulator on the recordings of a dataset, with ``effects`` around it.
 
     The simulator is run once on every recording that a fit may see, and once more to see whether it repeats itself. The

@@ -11,7 +11,7 @@ import pandas as pd
 
 from sysid.datasets.recording import Dataset, Recording
 from sysid.errors import ExcitationError
-from sysid.gap.around import Around, around
+from sysid.gap.around import Around, around_simulator
 from sysid.gap.candidates import Candidate, Scales, candidates_at
 from sysid.gap.excitation import excitation_of
 from sysid.gap.fit import Data, fit_candidates, spread_of
@@ -94,7 +94,7 @@ def open_case(dataset: Dataset, simulation: Plant | Simulator, seed: int) -> tup
         plant, own = simulation, None
         problems = problems_of(compile_plant(plant), dataset)
     else:
-        own = around(simulation, dataset)
+        own = around_simulator(simulation, dataset)
         plant = own.plant
         problems = own.problems(dataset)
     if not problems:

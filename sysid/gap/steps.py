@@ -1,0 +1,216 @@
+"""The gap workflow in steps, for a plant or for a simulator of one's own; :func:`sysid.gap.find_gap` takes them all at once.
+
+>>> study = steps.open_study(dataset, simulator)
+>>> steps.localise(study)            # where they disagree
+>>> steps.candidates(study)          # what may be missing there, and whether the recordings could show it
+>>> study = steps.search(study)      # which of it explains the disagreement
+>>> proof = steps.prove(study)       # on recordings that no fit has seen
+>>> better = steps.add(study, proof)
+>>> steps.next_experiment(study, proof)
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any, Literal
+
+from sysid.errors import SettingsError
+from sysid.gap import localise as disagreement
+from sysid.gap.around import Around
+from sysid.gap.candidates import as_nuisance
+from sysid.gap.case import Case, Stage, excitation, on_itself, open_case, stage_candidates
+from sysid.gap.excitation import advice, advice_on_tie, excitation_of
+from sysid.gap.floor import run_floor
+from sysid.gap.prove import Outcome, judge, stage_gap
+from sysid.gap.result import Excitation, Gap, Localised, Traces
+from sysid.gap.search import Finding, Search, Strictness
+from sysid.gap.simulator import Simulator
+from sysid.plant import Plant
+from sysid.progress import Progress, part, silent
+
+if TYPE_CHECKING:
+    from sysid.datasets.recording import Dataset
+    from sysid.registry import Registry
+
+Forms = Literal["all", "simple"]
+
+
+@dataclass(frozen=True)
+class Study:
+    """A dataset against a simulation: the stages that are measured at both ends, with what was found once they are searched."""
+
+    case: Case
+    stages: tuple[Stage, ...]
+
+
+@dataclass(frozen=True)
+class Offer:
+    """An effect that may be missing at a stage, with its form in ``label``, and whether the recordings to fit could show it."""
+
+    stage: str
+    label: str
+    excitation: Excitation
+
+
+@dataclass(frozen=True)
+class Proof:
+    """What was found, and what it does on recordings that nothing has touched.
+
+    Args:
+        outcome: effects with a name, ties, what is left unnamed, notes; ``outcome.repaired`` holds the effects.
+        gap: RMSE of free runs by signal, before and after, and what the true model would score.
+        stage_gap: the same with each stage driven by its measured input.
+        traces: measured, before and after for each held-out recording.
+    """
+
+    outcome: Outcome
+    gap: Gap
+    stage_gap: Gap
+    traces: tuple[Traces, ...]
+
+
+def open_study(dataset: Dataset, simulation: Plant | Simulator, seed: int = 0) -> Study:
+    """Take a dataset and a simulation apart into stages.
+
+    Raises:
+        ExcitationError: no stage is measured at both ends, or there is nothing to fit, to select or to hold out.
+        InputError: a simulator of one's own failed, returned no table of signals, or does not repeat itself.
+    """
+    case, stages = open_case(dataset, simulation, seed)
+    return Study(case, tuple(stages))
+
+
+def localise(study: Study) -> tuple[Localised, ...]:
+    """How far every signal is from its measurement: its stage driven by measured input, and free-running, beside the floor."""
+    case, stages = study.case, study.stages
+    nominal = case.runner(case.plant)
+    free = disagreement.run_rmse([(r, nominal(r)) for r in case.split.seen])
+    recordings = {k: stage.split.seen for k, stage in enumerate(stages)}
+    floors = {k: stage.sigma for k, stage in enumerate(stages)}
+    return disagreement.localise([stage.problem for stage in stages], case.theta, recordings, floors, free)
+
+
+def candidates(study: Study) -> tuple[Offer, ...]:
+    """What may be missing at each stage; what the recordings cannot show is not tried."""
+    machine = study.case.plant.machine
+    return tuple(
+        Offer(stage.label, c.label, excitation_of(c, stage.split.fit, machine))
+        for stage in study.stages
+        for c in stage_candidates(study.case, stage)
+    )
+
+
+def search(study: Study, strict: Strictness | None = None, forms: Forms = "all", progress: Progress = silent) -> Study:
+    """Find out stage by stage which effects are missing.
+
+    Args:
+        forms: "simple" tries every effect in its simplest form only.
+    """
+    strict = strict or Strictness()
+    found = []
+    for k, stage in enumerate(study.stages):
+        tell = part(progress, k / len(study.stages), (k + 1) / len(study.stages))
+        found.append(replace(stage, finding=_found(study.case, stage, strict, forms, tell)))
+    return replace(study, stages=tuple(found))
+
+
+def prove(study: Study) -> Proof:
+    """Judge what was found on held-out recordings. Once: what is tuned after looking at them is no proof any more.
+
+    Raises:
+        SettingsError: the study was not searched.
+    """
+    if any(stage.finding is None for stage in study.stages):
+        raise SettingsError("prove", "stages that were not searched", "a study that sysid.gap.steps.search returned")
+    return measure(study, judge(study.case, study.stages))
+
+
+def measure(study: Study, outcome: Outcome) -> Proof:
+    """The gap on held-out recordings before and after the repair of ``outcome``."""
+    case = study.case
+    held_out, nominal, better = case.split.held_out, case.runner(case.plant), case.runner(outcome.repaired)
+    before = [nominal(r) for r in held_out]
+    after = [better(r) for r in held_out]
+    scores = [disagreement.run_rmse(list(zip(held_out, runs, strict=True))) for runs in (before, after)]
+    scores.append(run_floor(better, held_out, case.noise, case.seed))
+    shared = [signal for signal in scores[0] if all(signal in score for score in scores)]
+    by_stage = stage_gap(case, study.stages, outcome.repaired.vector())
+    free = Gap(*({signal: score[signal] for signal in shared} for score in scores))
+    traces = (Traces(r.name, r.table, b, a) for r, b, a in zip(held_out, before, after, strict=True))
+    return Proof(outcome, _with_forces(free, by_stage), by_stage, tuple(traces))
+
+
+def add(study: Study, proof: Proof, registry: Registry | None = None) -> Plant | Around:
+    """The repaired simulation: a plant, or the simulator of one's own with effects around it, which is a simulator again.
+
+    Args:
+        registry: where a repaired plant becomes a new version, with the questioned one in its lineage; it then carries its
+            reference. A simulator of one's own cannot be stored.
+
+    Raises:
+        SettingsError: a simulator of one's own is to be stored.
+    """
+    case, repaired = study.case, proof.outcome.repaired
+    if case.around is not None:
+        if registry is not None:
+            raise SettingsError(
+                f"simulator {case.around.name}",
+                "cannot be stored",
+                "no registry",
+                "Keep the effects: sysid.plant.effects_toml.",
+            )
+        return replace(case.around, plant=repaired)
+    if registry is None or repaired is case.plant:
+        return repaired
+    return replace(repaired, reference=store(study, proof, registry))
+
+
+def next_experiment(study: Study, proof: Proof) -> tuple[str, ...]:
+    """What to record so that ties come apart and effects that the recordings cannot show are shown."""
+    ties = (advice_on_tie(tie) for tie in proof.outcome.ties)
+    return (*ties, *(advice(e) for e in excitation(study.case, list(study.stages)) if not e.sufficient))
+
+
+def store(study: Study, proof: Proof, registry: Registry) -> str:
+    """The repaired plant as a version that remembers how it came about: ``name@version``."""
+    case = study.case
+    evidence = {
+        "dataset_digest": case.dataset.digest,
+        "plant": register(case, case.plant, registry, {}),
+        "seed": case.seed,
+        "named": [f"{e.name}({e.target})" for e in proof.outcome.named],
+        "notes": list(proof.outcome.notes),
+    }
+    return register(case, proof.outcome.repaired, registry, evidence)
+
+
+def register(case: Case, plant: Plant, registry: Registry, evidence: dict[str, Any]) -> str:
+    """The plant as a version named after its machine; the same content is the same version."""
+    if plant.reference:
+        return plant.reference
+    lineage = {"dataset": case.dataset.reference, "machine": plant.machine.name, **plant.origin, **evidence}
+    version = registry.register(plant.machine.name, "plant", plant.to_files(), lineage, {})
+    return f"{version.name}@{version.version}"
+
+
+def _found(case: Case, stage: Stage, strict: Strictness, forms: Forms, tell: Progress) -> Finding:
+    tell(0.0, stage.label)
+    tried = [
+        c
+        for c in stage_candidates(case, stage)
+        if (forms == "all" or c.form is c.effect.forms[0]) and excitation_of(c, stage.split.fit, case.plant.machine).sufficient
+    ]
+    nuisances = [as_nuisance(c) for c in tried if c.effect.name in stage.problem.nuisances]
+    problem = stage.problem if case.around is None else case.around.to_search(stage.problem)
+    finding = Search(
+        problem, case.theta, stage.split, stage.sigma, tried, nuisances, strict, case.seed,
+        on_fit=lambda text: tell(0.0, f"{stage.label}: {text}"),
+    ).run()  # fmt: skip
+    return finding if problem is stage.problem else on_itself(finding, stage, case.theta)
+
+
+def _with_forces(gap: Gap, by_stage: Gap) -> Gap:
+    """The force of a force axis has no free run: what the model needs at measured motion stands in the gap as well."""
+    forces = [signal for signal in by_stage.before if signal.endswith(".command")]
+    parts = ((getattr(gap, name), getattr(by_stage, name)) for name in ("before", "after", "noise_floor"))
+    return Gap(*({**free, **{s: stage[s] for s in forces}} for free, stage in parts))
