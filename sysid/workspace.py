@@ -157,8 +157,13 @@ class Workspace:
                 return {"before": trace.before, "after": trace.after} if result and result.effects else {"before": trace.before}
         return {"before": free_run(self.plant(dataset), source)}
 
-    def report_inputs(self, dataset: Dataset) -> ReportInputs:
-        """Everything that is known about a dataset version, for :func:`sysid.reports.build_report`; dated now."""
+    def report_inputs(self, dataset: Dataset, result: GapResult | None = None) -> ReportInputs:
+        """Everything that is known about a dataset version, for :func:`sysid.reports.build_report`; dated now.
+
+        Args:
+            result: an answer of the gap workflow that is not filed; else the newest one that is.
+        """
+        result = result if result is not None else self.gap(dataset)
         versions = [self.network_version(dataset, kind) for kind in ("actuator", "forward")]
         validations = []
         for version in versions:
@@ -170,17 +175,16 @@ class Workspace:
                 continue  # nothing held out measures its signals: the version is listed without figures
         return ReportInputs(
             dataset=dataset,
-            gap=self.gap(dataset),
+            gap=result,
             validations=tuple(validations),
-            versions=self._notes(dataset, [version for version in versions if version is not None]),
+            versions=self._notes(dataset, [version for version in versions if version is not None], result),
             created=f"{datetime.now().astimezone():%d %B %Y, %H:%M}".lstrip("0"),
             software={"sysid": __version__, **{name: importlib.metadata.version(name) for name in SOFTWARE}},
         )
 
-    def _notes(self, dataset: Dataset, networks: list[ModelVersion]) -> tuple[VersionNote, ...]:
+    def _notes(self, dataset: Dataset, networks: list[ModelVersion], result: GapResult | None) -> tuple[VersionNote, ...]:
         notes = [VersionNote(dataset.reference, "dataset", dataset.digest, note=f"{len(dataset.sources)} raw files")]
         notes += [_note(version) for version in networks]
-        result = self.gap(dataset)
         for reference in dict.fromkeys((result.plant_before, result.plant_after) if result is not None else ()):
             if "@" in reference:
                 notes.append(_note(self.models.find(reference)))

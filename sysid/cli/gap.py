@@ -30,6 +30,8 @@ def gap(
 ) -> None:
     """Name the effects that the simulation lacks, and prove it on recordings that no fit has seen."""
     from sysid.gap import find_gap
+    from sysid.gap.experiment import Planning
+    from sysid.reports import write_report
     from sysid.workspace import open_workspace
 
     place = open_workspace(workspace)
@@ -41,16 +43,29 @@ def gap(
             out.line(f"{axis.name}: no linkage, so its joint is not simulated; sysid fit actuator {dataset.name} makes one.")
     with progress_bar("gap") as progress:
         result = find_gap(
-            dataset, questioned, registry=place.models, add=add, localise_only=localise, forms=forms, progress=progress
+            dataset,
+            questioned,
+            registry=place.models,
+            add=add,
+            localise_only=localise,
+            forms=forms,
+            progress=progress,
+            planning=Planning(),
         )
+    folder = None
     if localise:
         show_localised(out, result, dataset)
+        page = write_report(place.results(dataset) / "localise.html", place.report_inputs(dataset, result))
+        out.line(f"With the maps: {page}")
     else:
-        place.keep_gap(dataset, result)
+        folder = place.keep_gap(dataset, result).parent
         show_gap(out, result, dataset)
+        for planned, experiment in zip(result.to_json(folder)["experiments"], result.experiments, strict=True):
+            out.line(f"record: {experiment.words}")
+            out.line(f"        {planned['file']}")
         if result.plant_after:
             show_repair(out, place.plant(dataset, result.plant_before), place.plant(dataset, result.plant_after), dataset)
         elif result.effects:
             out.line("The repair is not stored: --add stores it as a new plant version.")
         out.line(f"Look at it: sysid --workspace {workspace} report {dataset.reference}")
-    write_json(json_file, result.to_json())
+    write_json(json_file, result.to_json(folder))

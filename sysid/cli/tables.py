@@ -67,15 +67,30 @@ def show_errors(out: Printer, *reports: ValidationReport, paper: Mapping[str, fl
 
 
 def show_localised(out: Printer, result: GapResult, dataset: Dataset) -> None:
-    """Error of every stage that is measured at both ends, the largest share of the disagreement first."""
-    from sysid.reports.display import quantity, ratio
+    """Every stage that is measured at both ends, what each owns of the whole gap, and when it happens."""
+    from sysid.reports.display import percent, quantity, ratio
+    from sysid.reports.sections.where import guilty, sentence, worth_telling
+    from sysid.reports.words import owner_name, signal_name, stage_name
 
     rows = []
-    for item in sorted(result.localised, key=lambda item: -item.share):
+    for item in sorted(result.localised, key=lambda item: -item.stage_rmse / max(item.noise_floor, 1e-300)):
         unit = dataset.units.get(item.signal)
         times = item.stage_rmse / item.noise_floor if item.noise_floor > 0.0 else float("nan")
-        rows.append((item.stage, item.signal, quantity(item.stage_rmse, unit), quantity(item.noise_floor, unit), ratio(times)))
-    out.table(("stage", "signal", "error", "noise floor", "times"), rows, right=(2, 3, 4))
+        figures = (quantity(value, unit) for value in (item.stage_rmse, item.noise_floor))
+        rows.append((item.stage, item.signal, *figures, ratio(times), quantity(item.free_run_rmse, unit)))
+    out.table(("stage", "signal", "error", "noise floor", "times", "whole chain"), rows, right=(2, 3, 4, 5))
+    shares = []
+    for end, of_end in reversed(worth_telling(result.shares, result.localised)):
+        unit = dataset.units.get(f"{end}.x" if end in ("ee", "tool") else end, "m")
+        for number, share in enumerate(s for s in of_end if abs(s.share) >= 0.01):
+            what = f"{owner_name(end)} off by {quantity(share.rmse, unit)}" if number == 0 else ""
+            shares.append((what, percent(share.share), owner_name(share.target), stage_name(share.stage)))
+    if shares:
+        out.table(("the whole gap", "share", "owner", "stage"), shares, right=(1,))
+    for item in guilty(result):
+        maps = [m for m in result.maps if (m.stage, m.target, m.signal) == (item.stage, item.target, item.signal)]
+        if maps:
+            out.line(f"{signal_name(item.signal)}: {sentence(maps[0], item, dataset.units.get(item.signal, '1'))}")
 
 
 def show_gap(out: Printer, result: GapResult, dataset: Dataset) -> None:

@@ -10,9 +10,11 @@ from typing import Any
 import pandas as pd
 from pydantic import TypeAdapter
 
-from sysid.errors import StoreError
+from sysid.errors import SettingsError, StoreError
 from sysid.files import json_text, written_whole
+from sysid.gap.experiment import Experiment, read_experiment, write_experiment
 from sysid.gap.result import (
+    EXPERIMENTS,
     Candidate,
     Excitation,
     Gap,
@@ -30,7 +32,7 @@ VERSIONS = ("measured", "before", "after")
 
 
 def save_gap(folder: Path, result: GapResult) -> Path:
-    """Write ``result`` into ``folder``: the traces first, the JSON last, each whole or not at all."""
+    """Write ``result`` into ``folder``: traces and experiments first, the JSON last, each whole or not at all."""
     folder.mkdir(parents=True, exist_ok=True)
     frames = [
         getattr(trace, version).assign(recording=trace.recording, version=version)
@@ -43,6 +45,10 @@ def save_gap(folder: Path, result: GapResult) -> Path:
             pd.concat(frames, ignore_index=True).to_parquet(half, index=False)
     else:
         traces.unlink(missing_ok=True)
+    for old in (folder / EXPERIMENTS).glob("*.*"):  # those of the result before: nobody should execute them any more
+        old.unlink()
+    for experiment in result.experiments:
+        write_experiment(folder / EXPERIMENTS, experiment)
     with written_whole(folder / RESULT) as half:
         half.write_text(json_text(result.to_json()), "utf-8")
     return folder / RESULT
@@ -58,13 +64,15 @@ def load_gap(folder: Path) -> GapResult | None:
     if not path.is_file():
         return None
     try:
-        return _result(_numbers(json.loads(path.read_text("utf-8"))), _traces(folder / TRACES))
-    except (ValueError, KeyError, TypeError) as error:
+        values = _numbers(json.loads(path.read_text("utf-8")))
+        experiments = tuple(read_experiment(folder / item["file"]) for item in values.get("experiments", []))
+        return _result(values, _traces(folder / TRACES), experiments)
+    except (ValueError, KeyError, TypeError, SettingsError) as error:
         message = str(error).splitlines()[0]
         raise StoreError(path, f"not readable ({message})", "a result as it was written", "Run `sysid gap` again.") from None
 
 
-def _result(values: dict[str, Any], traces: tuple[Traces, ...]) -> GapResult:
+def _result(values: dict[str, Any], traces: tuple[Traces, ...], experiments: tuple[Experiment, ...]) -> GapResult:
     for effect in values["effects"]:
         effect["aliases"] = [(alias["name"], alias["target"]) for alias in effect.get("aliases", [])]
     return GapResult(
@@ -87,6 +95,7 @@ def _result(values: dict[str, Any], traces: tuple[Traces, ...]) -> GapResult:
         candidates=_many(Candidate, values["candidates"]),
         traces=traces,
         notes=tuple(values["notes"]),
+        experiments=experiments,
         settings=values["settings"],
     )
 

@@ -1,83 +1,181 @@
-"""The machine as a line drawing (inline SVG), with the places marked where effects were found."""
+"""The machine as a line drawing (inline SVG): links, cylinders, valves, tool, with numbers where something was found."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from html import escape
 
 import numpy as np
 import numpy.typing as npt
 
 from sysid.machine import Axis, Kinematics, Machine
+from sysid.machine.kinematics import Joint
+from sysid.reports.clearance import Canvas
+from sysid.reports.picture_parts import PARTS_HEIGHT, badge, base, cylinder, drive, joint, link, name, pipe, pump, tool, valve
+from sysid.reports.places import Mark, axis_of
+from sysid.signals import split_signal
 
 Array = npt.NDArray[np.float64]
 
-WIDTH, HEIGHT, MARGIN = 760, 400, 46
-#: The right part of the drawing is kept free for the call-outs.
-DRAWING_WIDTH = 500
-LABEL_X = DRAWING_WIDTH + 38
-LINE = 20.0
+#: Width, greatest height and margin of the drawing [px].
+WIDTH, HEIGHT, MARGIN = 560, 470, 48
+#: Radius of a numbered mark and width of a letter [px].
+BADGE, LETTER = 12.0, 7.4
+
+#: (part, axis) → where it is on the page.
+Places = dict[tuple[str, str], Array]
 
 
-@dataclass(frozen=True)
-class Callout:
-    """A mark on the drawing: ``target`` is an axis, ``ee``, ``tool``, ``base`` or ``machine``; a line of text a title."""
-
-    target: str
-    titles: tuple[str, ...]
-    detail: str = ""
-
-    @property
-    def height(self) -> float:
-        """Room that its text takes [px]."""
-        return LINE * len(self.titles) + 40.0
-
-
-def machine_picture(machine: Machine, callouts: Sequence[Callout]) -> str:
-    """Side view of the machine's chain with call-outs; a row of axes where the machine has no URDF."""
+def machine_picture(machine: Machine, marks: Sequence[Mark] = ()) -> str:
+    """Side view of the machine's chain with numbered marks; a row of parts for each axis where the machine has no URDF."""
     kinematics = machine.kinematics()
     if kinematics is None or not kinematics.chain:
-        return _axis_row(machine.axes, callouts)
-    return _side_view(machine, kinematics, callouts)
+        return _axis_rows(machine.axes, marks)
+    return _side_view(machine, kinematics, marks)
 
 
-def _side_view(machine: Machine, kinematics: Kinematics, callouts: Sequence[Callout]) -> str:
+# -- with geometry -------------------------------------------------------------------------------------------------------
+
+
+def _side_view(machine: Machine, kinematics: Kinematics, marks: Sequence[Mark]) -> str:
     poses = {link: pose[0] for link, pose in kinematics.link_poses(_middle(machine, kinematics)).items()}
-    points = [poses[kinematics.chain[0].parent][:3, 3], *(poses[joint.child][:3, 3] for joint in kinematics.chain)]
+    chain = kinematics.chain
+    points = [poses[chain[0].parent][:3, 3], *(poses[j.child][:3, 3] for j in chain)]
     # Where a telescope leaves the link that carries it: the thick part of the drawing ends there.
-    sleeves = [(poses[joint.parent] @ joint.origin)[:3, 3] for joint in kinematics.chain]
-    tool = _tool_point(kinematics, points[-1])
-    if tool is not None:
-        points.append(tool)
-    every = _fit_to_page(_project(np.array([*points, *sleeves])))
-    at, sleeve_at = every[: len(points)], every[len(points) :]
-    chain = at[: len(kinematics.chain) + 1]
-    place = {"base": at[0], "machine": at[0], "ee": chain[-1]}
-    if tool is not None:
-        place["tool"] = at[-1]
+    sleeves = [(poses[j.parent] @ j.origin)[:3, 3] for j in chain]
+    hanging = _tool_point(kinematics, points[-1])
+    every, height = _fit_to_page(_project(np.array([*points, *sleeves, *([] if hanging is None else [hanging])])))
+    at, sleeve_at = every[: len(points)], every[len(points) : len(points) + len(sleeves)]
+    places: Places = {("base", ""): at[0], ("link", "ee"): at[-1], ("sensor", "ee"): at[-1]}
+    hot = {(mark.part, axis_of(mark, machine.axis_names) or "") for mark in marks}
+    canvas = Canvas(WIDTH, height)
+    below, above = [base(at[0], ("base", "") in hot)], list[str]()
+    canvas.box(at[0] + np.array([0.0, 26.0]), (46.0, 34.0))  # nothing stands in the ground
+    for k in range(len(chain)):
+        below += [link(at[k], sleeve_at[k], thin=False), link(sleeve_at[k], at[k + 1], thin=True)]
+        canvas.line(at[k], sleeve_at[k], 6.5)
+        canvas.line(sleeve_at[k], at[k + 1], 3.5)
+    if hanging is not None:
+        below.append(tool(at[-1], every[-1], ("tool", "") in hot))
+        places["tool", ""] = places["sensor", "tool"] = every[-1]
+        canvas.line(at[-1], every[-1])
+        canvas.box(every[-1], (9.0, 9.0))
     for axis in machine.axes:
-        index = next(i for i, joint in enumerate(kinematics.chain) if joint.name == axis.joint)
-        # A prismatic joint is marked in the middle of what it extends, a revolute one where it turns.
-        end = chain[index + 1]
-        place[axis.name] = 0.5 * (sleeve_at[index] + end) if kinematics.chain[index].prismatic else end
-    marked = {callout.target for callout in callouts}
-    parts = [_ground(at[0]), *_leaders(callouts, place)]
-    for i in range(len(kinematics.chain)):
-        parts += [_link(chain[i], sleeve_at[i], thin=False), _link(sleeve_at[i], chain[i + 1], thin=True)]
-    if tool is not None:
-        hot = " hot" if "tool" in marked else ""
-        parts.append(f'<line class="cable{hot}" {_ends(chain[-1], at[-1])}/>')
-        parts.append(f'<circle class="tool{hot}" cx="{at[-1][0]:.1f}" cy="{at[-1][1]:.1f}" r="9"/>')
+        index = next(i for i, j in enumerate(chain) if j.name == axis.joint)
+        drawn = _axis_parts(axis, chain[index], index, at, sleeve_at, poses, hot, canvas)
+        below += drawn[0]
+        above += drawn[1]
+        places |= drawn[2]
+    above.append(f'<circle class="tip" cx="{at[-1][0]:.1f}" cy="{at[-1][1]:.1f}" r="4"/>')
+    above += _valves(machine, hot, places, canvas)
+    if any(mark.part in ("pump", "clock") for mark in marks):
+        above += _off_machine(marks, places, canvas)
+    badges = _badges(marks, machine, places, canvas)
+    names = []
     for axis in machine.axes:
-        joint = next(joint for joint in kinematics.chain if joint.name == axis.joint)
-        vertical = not joint.prismatic and abs((poses[joint.child][:3, :3] @ joint.axis)[2]) > 0.9
-        parts.append(_joint_mark(place[axis.name], joint.prismatic, vertical, axis.name in marked))
-    parts.append(f'<circle class="tip" cx="{chain[-1][0]:.1f}" cy="{chain[-1][1]:.1f}" r="4"/>')
-    parts += [_name(axis.name, place[axis.name], at) for axis in machine.axes if axis.name not in marked]
-    parts += _labels(callouts, place)
-    return _svg(parts, f"Side view of {machine.name}", HEIGHT)
+        half = (0.5 * LETTER * len(axis.name), 8.0)
+        names.append(name(axis.name, canvas.place(places["joint", axis.name], half, (11.0, 16.0, 22.0))))
+    return _svg([*below, *above, *names, *badges], f"Side view of {machine.name}", round(height))
+
+
+def _axis_parts(
+    axis: Axis,
+    about: Joint,
+    index: int,
+    at: Array,
+    sleeve_at: Array,
+    poses: Mapping[str, Array],
+    hot: set[tuple[str, str]],
+    canvas: Canvas,
+) -> tuple[list[str], list[str], Places]:
+    """(drawn below, drawn above, places) of the cylinder and the joint of an axis."""
+    pivot, child = sleeve_at[index], at[index + 1]
+    onward = next((p for p in at[index + 2 :] if float(np.hypot(*(p - child))) > 1.0), child)
+    place = 0.5 * (pivot + child) if about.prismatic else child
+    vertical = not about.prismatic and abs((poses[about.child][:3, :3] @ about.axis)[2]) > 0.9
+    places: Places = {
+        ("joint", axis.name): place,
+        ("sensor", axis.name): place,
+        ("link", axis.name): 0.5 * (child + onward),
+        ("drive", axis.name): place,
+        ("cylinder", axis.name): place,
+    }
+    below = []
+    if axis.drives == "cylinder":
+        behind = next((p for p in at[index::-1] if float(np.hypot(*(p - child))) > 1.0), child)
+        rear, front = _cylinder_ends(child, behind, onward)
+        below.append(cylinder(rear, front, ("cylinder", axis.name) in hot or ("drive", axis.name) in hot))
+        canvas.line(rear, rear + 0.58 * (front - rear), 7.0)
+        canvas.line(rear, front, 2.0)
+        places["drive", axis.name] = places["cylinder", axis.name] = rear + 0.35 * (front - rear)
+    canvas.box(place, (20.0, 8.0) if vertical else (8.0, 8.0))
+    return below, [joint(place, about.prismatic, vertical, ("joint", axis.name) in hot)], places
+
+
+def _valves(machine: Machine, hot: set[tuple[str, str]], places: Places, canvas: Canvas) -> list[str]:
+    """A valve or motor beside what each axis moves, with the pipe between them."""
+    parts = []
+    for axis in machine.axes:
+        actuator = places["cylinder", axis.name]
+        spot = canvas.place(actuator, (18.0, 7.0) if axis.actuation == "velocity" else (11.0, 11.0), (16.0, 22.0, 30.0))
+        symbol = (
+            valve(spot, ("valve", axis.name) in hot)
+            if axis.actuation == "velocity"
+            else drive(spot, ("drive", axis.name) in hot)
+        )
+        parts.append(pipe(actuator, spot) + symbol)
+        places["valve", axis.name] = spot
+        if axis.actuation != "velocity":
+            places["drive", axis.name] = spot
+    return parts
+
+
+def _cylinder_ends(pivot: Array, behind: Array, onward: Array) -> tuple[Array, Array]:
+    """Where a cylinder holds on to the link before its joint and to the one after it: a triangle that can be seen."""
+    back, forth = behind - pivot, onward - pivot
+    long_back, long_forth = float(np.hypot(*back)), float(np.hypot(*forth))
+    reach = max(46.0, 0.5 * min(max(long_back, 90.0), long_forth))
+    rear = pivot + back * (min(reach * 1.15, 0.85 * long_back) / max(long_back, 1e-9))
+    front = pivot + forth * (min(reach, 0.75 * long_forth) / max(long_forth, 1e-9))
+    along = front - rear
+    bend = abs(float(along[0] * (pivot - rear)[1] - along[1] * (pivot - rear)[0])) / max(float(np.hypot(*along)), 1e-9)
+    if bend < 22.0:  # nearly straight: a bracket lifts it off the links
+        lift = _aside(along, np.array([0.0, -1.0])) * (22.0 - bend)
+        rear, front = rear + lift, front + lift
+    return rear, front
+
+
+def _aside(along: Array, towards: Array) -> Array:
+    """Unit vector across ``along`` on the side of ``towards``."""
+    across = np.array([-along[1], along[0]]) / max(float(np.hypot(*along)), 1e-9)
+    return across if float(across @ towards) >= 0.0 else -across
+
+
+def _badges(marks: Sequence[Mark], machine: Machine, places: Mapping[tuple[str, str], Array], canvas: Canvas) -> list[str]:
+    """Numbers beside their parts."""
+    drawn = []
+    for mark in marks:
+        owner = axis_of(mark, machine.axis_names) or ""
+        if mark.part in ("sensor", "link") and not owner:
+            owner = mark.target if mark.part == "link" else split_signal(mark.target)[0]
+        part = places.get((mark.part, owner), places.get((mark.part, ""), places["base", ""]))
+        if mark.part == "sensor" and split_signal(mark.target)[1] == "cylinder":
+            part = places.get(("cylinder", owner), part)
+        drawn.append(badge(part, canvas.place(part, (BADGE, BADGE), (8.0, 14.0, 22.0, 32.0)), mark.number, mark.sure, BADGE))
+    return drawn
+
+
+def _off_machine(marks: Sequence[Mark], places: Places, canvas: Canvas) -> list[str]:
+    """Pump and clocks have no place on the chain: they stand in the corner."""
+    parts, x = [], WIDTH - 60.0
+    for part in dict.fromkeys(mark.part for mark in marks if mark.part in ("pump", "clock")):
+        spot = np.array([x, 34.0])
+        places[part, ""] = spot
+        canvas.box(spot + np.array([0.0, 10.0]), (20.0, 32.0))
+        parts.append(pump(spot, part))
+        x -= 100.0
+    return parts
 
 
 def _middle(machine: Machine, kinematics: Kinematics) -> Array:
@@ -93,11 +191,11 @@ def _tool_point(kinematics: Kinematics, tip: Array) -> Array | None:
     """Where the tool hangs below the tip: the length of the joints between them, straight down."""
     if kinematics.tool is None or kinematics.tool == kinematics.tip:
         return None
-    by_child = {joint.child: joint for joint in kinematics.joints.values()}
-    length, link = 0.0, kinematics.tool
-    while link != kinematics.tip and link in by_child:
-        length += float(np.linalg.norm(by_child[link].origin[:3, 3]))
-        link = by_child[link].parent
+    by_child = {j.child: j for j in kinematics.joints.values()}
+    length, at = 0.0, kinematics.tool
+    while at != kinematics.tip and at in by_child:
+        length += float(np.linalg.norm(by_child[at].origin[:3, 3]))
+        at = by_child[at].parent
     return np.asarray(tip - np.array([0.0, 0.0, max(length, 0.05)]))
 
 
@@ -109,112 +207,56 @@ def _project(points: Array) -> Array:
     return np.column_stack([along * (1.0 if along[np.argmax(np.abs(along))] >= 0 else -1.0), points[:, 2]])
 
 
-def _fit_to_page(flat: Array) -> Array:
-    """Metres → picture coordinates (y downwards), inside the margins of the drawing."""
+def _fit_to_page(flat: Array) -> tuple[Array, float]:
+    """Metres → picture coordinates (y downwards), inside the margins, and the height of the picture."""
     low, high = flat.min(axis=0), flat.max(axis=0)
     size = np.maximum(high - low, 1e-6)
-    scale = min((DRAWING_WIDTH - 2 * MARGIN) / size[0], (HEIGHT - 2 * MARGIN - 20) / size[1])
-    x = MARGIN + 24 + scale * (flat[:, 0] - low[0])
-    y = HEIGHT - MARGIN - scale * (flat[:, 1] - low[1])
-    return np.column_stack([x, y])
+    scale = min((WIDTH - 2 * MARGIN - 40) / size[0], (HEIGHT - 2 * MARGIN) / size[1])
+    height = max(200.0, scale * size[1] + 2 * MARGIN)
+    x = 0.5 * (WIDTH + 30 - scale * size[0]) + scale * (flat[:, 0] - low[0])
+    y = height - MARGIN - scale * (flat[:, 1] - low[1])
+    return np.column_stack([x, y]), float(height)
 
 
-def _ground(base: Array) -> str:
-    x, y = base
-    ticks = "".join(
-        f'<line x1="{x + i:.1f}" y1="{y + 8:.1f}" x2="{x + i - 7:.1f}" y2="{y + 16:.1f}"/>' for i in range(-28, 36, 12)
-    )
-    plate = f'<rect class="base" x="{x - 30:.1f}" y="{y - 8:.1f}" width="60" height="16" rx="3"/>'
-    return f'<g class="ground"><line x1="{x - 44:.1f}" y1="{y + 8:.1f}" x2="{x + 44:.1f}" y2="{y + 8:.1f}"/>{ticks}</g>{plate}'
+# -- without geometry ----------------------------------------------------------------------------------------------------
 
 
-def _link(a: Array, b: Array, thin: bool) -> str:
-    if float(np.hypot(*(b - a))) < 1.0:
-        return ""
-    return f'<line class="link{" thin" if thin else ""}" {_ends(a, b)}/>'
-
-
-def _joint_mark(p: Array, prismatic: bool, vertical: bool, hot: bool) -> str:
-    x, y = p
-    kind = "joint hot" if hot else "joint"
-    halo = f'<circle class="halo" cx="{x:.1f}" cy="{y:.1f}" r="19"/>' if hot else ""
-    if prismatic:
-        return f'{halo}<rect class="{kind}" x="{x - 7:.1f}" y="{y - 7:.1f}" width="14" height="14" rx="2"/>'
-    ring = f'<ellipse class="turn" cx="{x:.1f}" cy="{y:.1f}" rx="20" ry="6.5"/>' if vertical else ""
-    return f'{halo}{ring}<circle class="{kind}" cx="{x:.1f}" cy="{y:.1f}" r="8"/>'
-
-
-def _name(text: str, p: Array, at: Array) -> str:
-    """An axis name beside its joint, on the side away from the middle of the machine."""
-    left = p[0] < float(np.median(at[:, 0]))
-    x, anchor = (p[0] - 26, "end") if left else (p[0] + 14, "start")
-    return f'<text class="axis" x="{x:.1f}" y="{p[1] - 12:.1f}" text-anchor="{anchor}">{escape(text)}</text>'
-
-
-def _spread(callouts: Sequence[Callout], place: Mapping[str, Array]) -> list[tuple[Callout, float]]:
-    """Call-outs with their heights in the right column: as their places lie, but never on top of each other."""
-    known = [callout for callout in callouts if callout.target in place]
-    known.sort(key=lambda callout: float(place[callout.target][1]))
-    spread = []
-    lowest = 40.0
-    for number, callout in enumerate(known):
-        room_below = sum(other.height for other in known[number:])
-        y = min(max(lowest, float(place[callout.target][1])), HEIGHT - room_below + 24)
-        lowest = y + callout.height
-        spread.append((callout, y))
-    return spread
-
-
-def _leaders(callouts: Sequence[Callout], place: Mapping[str, Array]) -> list[str]:
-    """Lines from the places to their call-outs; drawn first, so that the machine lies on top of them."""
-    parts = []
-    for callout, y in _spread(callouts, place):
-        x, height = place[callout.target]
-        parts.append(f'<path class="leader" d="M{x + 12:.1f},{height:.1f} L{LABEL_X - 14},{y:.1f} L{LABEL_X - 5},{y:.1f}"/>')
-    return parts
-
-
-def _labels(callouts: Sequence[Callout], place: Mapping[str, Array]) -> list[str]:
-    parts = []
-    for callout, y in _spread(callouts, place):
-        parts += _text(callout, y + 1.0)
-    return parts
-
-
-def _text(callout: Callout, y: float) -> list[str]:
-    lines = [("callout", title) for title in callout.titles] + [("detail", callout.detail)]
-    return [
-        f'<text class="{kind}" x="{LABEL_X}" y="{y + LINE * number:.1f}">{escape(text)}</text>'
-        for number, (kind, text) in enumerate(lines)
-    ]
-
-
-def _axis_row(axes: Sequence[Axis], callouts: Sequence[Callout]) -> str:
-    """Without geometry: one row an axis, command → cylinder → joint."""
-    by_target = {callout.target: callout for callout in callouts}
-    parts = []
-    y = 34.0
+def _axis_rows(axes: Sequence[Axis], marks: Sequence[Mark]) -> str:
+    """One row an axis, in the order of the signal: valve → cylinder → joint."""
+    names = tuple(axis.name for axis in axes)
+    parts, y = [], 36.0
     for axis in axes:
-        callout = by_target.get(axis.name)
-        stations = ("command", "cylinder", "joint") if axis.drives == "cylinder" else ("command", "joint")
-        x = 24.0
-        for index, station in enumerate(stations):
-            hot = " hot" if callout is not None and index == 1 else ""
-            parts.append(f'<rect class="box{hot}" x="{x:.0f}" y="{y - 17:.0f}" width="132" height="34" rx="5"/>')
-            parts.append(
-                f'<text class="box" x="{x + 66:.0f}" y="{y + 5:.0f}" text-anchor="middle">{escape(axis.name)} {station}</text>'
-            )
-            if index < len(stations) - 1:
-                parts.append(f'<line class="arrow" x1="{x + 133:.0f}" y1="{y:.0f}" x2="{x + 159:.0f}" y2="{y:.0f}"/>')
-            x += 160.0
-        if callout is not None:
-            parts += _text(callout, y - 2.0)
-        y += max(54.0, callout.height) if callout is not None else 54.0
-    return _svg(parts, "The axes of the machine", round(y))
+        stations = {"velocity": ["valve"], "position": ["drive"], "force": ["drive"]}[axis.actuation]
+        stations = [*stations, *(["cylinder"] if axis.drives == "cylinder" else []), "joint"]
+        parts.append(name(axis.name, np.array([60.0, y])))
+        x = 118.0
+        for k, station in enumerate(stations):
+            here = [m for m in marks if axis_of(m, names) == axis.name and _station(m, stations) == station]
+            look = f"box{' hot' if here else ''}"
+            parts.append(f'<rect class="{look}" x="{x:.0f}" y="{y - 17:.0f}" width="112" height="34" rx="5"/>')
+            parts.append(f'<text class="box" x="{x + 56:.0f}" y="{y + 5:.0f}" text-anchor="middle">{escape(station)}</text>')
+            if k < len(stations) - 1:
+                parts.append(f'<line class="arrow" x1="{x + 113:.0f}" y1="{y:.0f}" x2="{x + 139:.0f}" y2="{y:.0f}"/>')
+            for n, mark in enumerate(here):
+                spot = np.array([x + 104.0 - 26.0 * n, y - 18.0])
+                parts.append(badge(spot, spot, mark.number, mark.sure, BADGE))
+            x += 140.0
+        y += PARTS_HEIGHT
+    others = [m for m in marks if axis_of(m, names) is None]
+    for n, mark in enumerate(others):
+        parts.append(name(mark.part, np.array([60.0, y])))
+        parts.append(badge(np.array([130.0, y]), np.array([130.0, y]), mark.number, mark.sure, BADGE))
+        y += 0.6 * PARTS_HEIGHT if n < len(others) - 1 else 0.0
+    return _svg(parts, "The axes of the machine", round(y + (20.0 if others else -12.0)))
 
 
-def _ends(a: Array, b: Array) -> str:
-    return f'x1="{a[0]:.1f}" y1="{a[1]:.1f}" x2="{b[0]:.1f}" y2="{b[1]:.1f}"'
+def _station(mark: Mark, stations: Sequence[str]) -> str:
+    """The box that a mark belongs to; of a sensor it is that of its signal."""
+    if mark.part in stations:
+        return mark.part
+    if mark.part == "sensor" and split_signal(mark.target)[1] == "cylinder":
+        return "cylinder" if "cylinder" in stations else stations[0]
+    return "joint" if mark.part in ("joint", "link", "sensor") else stations[0]
 
 
 def _svg(parts: Sequence[str], title: str, height: int) -> str:

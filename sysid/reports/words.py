@@ -134,6 +134,14 @@ def stage_name(stage: str) -> str:
     return STAGES[stage][0] if stage in STAGES else stage.replace("_", " ").capitalize()
 
 
+def localised(places: list[str]) -> str:
+    """Where the stages disagree, as a sentence."""
+    if not places:
+        return "At every stage the simulation agrees with the machine to within sensor noise."
+    listed = ", ".join(places[:4]) + (f" and {len(places) - 4} more" if len(places) > 4 else "")
+    return f"Simulation and machine disagree at: {listed}."
+
+
 def headline(verdict: str, effects: int) -> str:
     """The verdict as a sentence."""
     if verdict != "named":

@@ -10,7 +10,19 @@ import numpy.typing as npt
 import pandas as pd
 
 from sysid.datasets.recording import ClockRecord, Dataset, Recording, Source
-from sysid.gap.result import Alternative, Candidate, Excitation, Gap, GapResult, Localised, NamedEffect, Traces, Unnamed
+from sysid.gap.result import (
+    Alternative,
+    Candidate,
+    Excitation,
+    Gap,
+    GapResult,
+    Localised,
+    Map,
+    NamedEffect,
+    Share,
+    Traces,
+    Unnamed,
+)
 from sysid.machine import Machine, machine_from_files
 
 Array = npt.NDArray[np.float64]
@@ -283,8 +295,26 @@ def sample_gap(dataset: Dataset) -> GapResult:
         candidates,
         (traces,),
         ("Clock of motion capture removed at ingest: −1.2346 s, 42 ppm.",),
-        {"seed": 0},
-    )
+        settings={"seed": 0},
+        shares=(
+            Share("tool", "tool", "tool", 0.12, 0.021, 0.06),
+            Share("tool", "command", "boom", 0.7, 0.05, 0.06),
+            Share("tool", "command", "slew", 0.185, 0.026, 0.06),
+            Share("tool", "end_effector", "ee", -0.005, 0.0004, 0.06),
+        ),
+        maps=(
+            Map(
+                "command", "boom", "boom.cylinder", "boom.command", "1", "speed error", "m/s", 1.4e-4, 0.91,
+                (-0.6, -0.3, 0.0, 0.3, 0.6), (200, 300, 900, 310, 190), (0.0012, 0.0011, 0.0, -0.0019, -0.002),
+                (2e-4,) * 5, (1e-5, 0.0, 0.0, -1e-5, 0.0), (-0.0138, -0.0064, 0.0, 0.0056, 0.013),
+                (-0.015, -0.0075, 0.0, 0.0075, 0.015),
+            ),
+            Map(
+                "command", "boom", "boom.cylinder", "direction of boom", "1", "error", "m", 2e-4, 0.32,
+                (-1.0, 0.0, 1.0), (700, 500, 800), (0.002, 0.0005, -0.003), (1e-3, 2e-3, 1e-3),
+            ),
+        ),
+    )  # fmt: skip
 
 
 def _trial(label: str, values: dict[str, float], fit: float, selection: float, bic: float, verdict: str) -> Candidate:

@@ -13,7 +13,8 @@ from sample_crane import sample_gap, sample_unnamed
 
 from sysid.datasets.recording import Dataset
 from sysid.gap.result import GapResult
-from sysid.reports import ReportInputs, VersionNote, build_report, write_report
+from sysid.reports import ReportInputs, VersionNote, build_report, display, write_report
+from sysid.reports.moments import worst_moment
 from sysid.reports.report import SECTIONS
 
 VOID = {"meta", "br", "img", "input", "link", "line", "circle", "rect", "ellipse", "path"}
@@ -120,17 +121,76 @@ def test_figures_are_those_of_the_result(page: Page, gap: GapResult) -> None:
     assert row[5] == "100 %"
 
 
-def test_culprits_are_marked_on_the_picture(crane: Dataset, gap: GapResult) -> None:
-    text = build_report(ReportInputs(crane, gap))
-    picture = text[text.index('<svg class="machine"') : text.index("</svg>")]
-    assert picture.count('class="joint hot"') == 2, "boom and slew"
+def picture_of(inputs: ReportInputs) -> str:
+    text = build_report(inputs)
+    return text[text.index('<svg class="machine"') : text.index("</svg>")]
+
+
+def test_culprits_are_marked_at_their_parts(crane: Dataset, gap: GapResult) -> None:
+    picture = picture_of(ReportInputs(crane, gap))
+    assert picture.count('class="valve hot"') == 1, "the dead-band sits at the valve of the boom"
+    assert picture.count('class="joint hot"') == 1, "the play in the joint of the slew"
     assert 'class="tool hot"' in picture
-    assert re.findall(r'class="callout"[^>]*>([^<]*)<', picture) == ["Valve dead-band", "Backlash", "Swinging tool"]
+    assert re.findall(r'<text class="badge"[^>]*>(\d)<', picture) == ["1", "2", "3"]
+    assert picture.count('class="barrel"') == 2, "boom and stick have cylinders"
+
+
+def test_nothing_on_the_picture_lies_on_anything_else(crane: Dataset, gap: GapResult) -> None:
+    picture = picture_of(ReportInputs(crane, gap))
+    badges = [(float(x), float(y)) for x, y in re.findall(r'<circle class="badge" cx="([\d.]+)" cy="([\d.]+)"', picture)]
+    words = re.findall(r'<text class="axis" x="([\d.]+)" y="([\d.]+)"[^>]*>(\w+)<', picture)
+    boxes = [(float(x), float(y) - 5.0, 0.5 * 7.4 * len(text), 8.0) for x, y, text in words]
+    boxes += [(x, y, 12.0, 12.0) for x, y in badges]
+    valves = re.findall(r'class="valve(?: hot)?" transform="translate\(([\d.]+) ([\d.]+)\)"', picture)
+    boxes += [(float(x), float(y), 18.0, 7.0) for x, y in valves]
+    assert len(boxes) == 3 + 4 + 4
+    for k, (x, y, w, h) in enumerate(boxes):
+        assert not any(abs(x - a) < w + c and abs(y - b) < h + d for a, b, c, d in boxes[:k])
+
+
+def test_cards_say_where_how_sure_and_what_share(page: Page) -> None:
+    assert "At the valve of the boom. Explains 63 % of the disagreement in its stage." in page.text
+    assert "At the joint of the slew (between joint sensor and structure)." in page.text
+    assert "Its values are known to within ±5.8 %." in page.text
+    assert "To know more, record: Slew slowly to and fro" in page.text
 
 
 def test_evidence_says_why_the_others_lost(page: Page) -> None:
-    assert "held-out error 7.3 × that of the dead-band" in page.text
+    assert "held-out error 7.3 × that of the dead-band" in page.text, "words of a reason are kept where nothing was fitted"
     assert page.row("Wrong speed gain")[-1] == "rejected: 36 × the noise floor"
+
+
+def test_who_owns_the_gap_and_when_it_happens(page: Page) -> None:
+    assert "tool position is off by 60.0 mm" in page.text
+    assert "70 % boom Command → actuator" in page.text
+    assert "1 other stage below 1 %." in page.text
+    assert (
+        "The speed error depends most on boom command, which accounts for 91 % of it (largest at 0.60: −2.0 mm/s)." in page.text
+    )
+
+
+def test_the_worst_moments_are_shown(crane: Dataset, gap: GapResult, page: Page) -> None:
+    worst = worst_moment(gap.traces, "boom.cylinder", "before")
+    assert worst is not None
+    trace = gap.traces[0]
+    errors = abs(trace.before["boom.cylinder"].to_numpy() - trace.measured["boom.cylinder"].to_numpy())
+    assert worst.before == pytest.approx(errors.max())
+    assert worst.time == trace.measured["time"].to_numpy()[errors.argmax()]
+    shown = display.quantity(worst.before, "m", 2).replace("\N{NARROW NO-BREAK SPACE}", " ")
+    assert f"boom cylinder, manual-04 at {worst.time:.1f} s: {shown} off before" in page.text
+    assert "worst that is left: " in page.text
+
+
+def test_a_localisation_marks_the_stages_and_names_nothing(crane: Dataset, gap: GapResult) -> None:
+    located = replace(
+        gap, verdict="unnamed", effects=(), candidates=(), next_experiment=(), settings={"localise_only": True}, plant_after=""
+    )
+    page = Page(build_report(ReportInputs(crane, located)))
+    assert "Simulation and machine disagree at: " in page.text
+    assert "To name causes: sysid gap autolog@3" in page.text
+    assert "of the explained" not in page.text
+    assert "Valve dead-band" not in page.text.split("What to record next")[0]
+    assert 'class="valve hot"' in picture_of(ReportInputs(crane, located))
 
 
 def test_traces_carry_the_signals_with_their_gaps(page: Page, gap: GapResult) -> None:

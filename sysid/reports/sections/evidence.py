@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Mapping
 from typing import Any
 
-from sysid.gap.result import Candidate, NamedEffect
+from sysid.gap.result import Candidate, GapResult, NamedEffect
 from sysid.machine import Machine
 from sysid.reports import display, words
 from sysid.reports.effect_units import shown
 from sysid.reports.inputs import ReportInputs
+from sysid.reports.reasons import fate, label_of, least_error, losses
 
-#: ``backlash(slew, drive)``: effect, target and whatever else tells two instances apart.
-_LABEL = re.compile(r"(?P<name>\w+)\((?P<target>[\w.]+)(?:,\s*(?P<rest>[^)]*))?\)")
 #: Rows shown of a stage; a search may try hundreds of combinations.
 MAX_ROWS = 25
 
@@ -27,52 +25,69 @@ def context(inputs: ReportInputs) -> dict[str, Any] | None:
     for candidate in gap.candidates:
         groups.setdefault((candidate.stage, candidate.target), []).append(candidate)
     return {
-        "named": [_named(effect) for effect in gap.effects],
-        "groups": [_group(stage, target, rows, inputs.dataset.machine) for (stage, target), rows in groups.items()],
+        "named": [_named(effect, gap) for effect in gap.effects],
+        "groups": [_group(stage, target, rows, gap, inputs.dataset.machine) for (stage, target), rows in groups.items()],
     }
 
 
-def _named(effect: NamedEffect) -> dict[str, Any]:
+def _named(effect: NamedEffect, gap: GapResult) -> dict[str, Any]:
+    found = losses(effect, gap.candidates)
+    largest = max((loss.times for loss in found if math.isfinite(loss.times)), default=math.nan)
     return {
         "title": words.effect_title(effect.name),
         "target": words.owner_name(effect.target),
-        "share": effect.gap_share,
         "alternatives": [
-            {"title": words.effect_title(other.name), "target": words.owner_name(other.target), "why": other.rejected_by}
-            for other in effect.alternatives
+            {
+                "title": loss.title,
+                "target": loss.target,
+                "why": loss.why,
+                "bar": _bar(loss.times, largest),
+            }
+            for loss in found
         ],
     }
 
 
-def _group(stage: str, target: str, rows: list[Candidate], machine: Machine) -> dict[str, Any]:
+def _bar(times: float, largest: float) -> int | None:
+    """Length of the bar of an error [%], on a logarithmic scale that begins at the winner's."""
+    if not math.isfinite(times) or largest <= 1.0:
+        return None
+    return round(100.0 * max(0.0, math.log(max(times, 1.0))) / math.log(max(largest, 1.1)))
+
+
+def _group(stage: str, target: str, rows: list[Candidate], gap: GapResult, machine: Machine) -> dict[str, Any]:
     ordered = sorted(rows, key=lambda row: (not math.isfinite(row.selection_rmse), row.selection_rmse))
-    return {
-        "stage": words.stage_name(stage),
-        "target": words.owner_name(target),
-        "count": len(ordered),
-        "rows": [
+    best, named = least_error(ordered), [(effect.name, effect.target) for effect in gap.effects]
+    shown_rows = []
+    for row in ordered[:MAX_ROWS]:
+        why, won = fate(row, best, named)
+        added, refitted = _titles(row, target)
+        shown_rows.append(
             {
-                "effects": " + ".join(_title(label, target) for label in row.effects) or "nothing added",
+                "effects": added,
+                "refitted": refitted,
                 "parameters": _parameters(row, machine),
                 "fit": display.fixed(row.fit_rmse, 2),
                 "selection": display.fixed(row.selection_rmse, 2),
                 "bic": display.fixed(row.delta_bic, 0),
-                "verdict": row.verdict,
-                "won": row.verdict.startswith(("named", "kept", "chosen")),
+                "verdict": why,
+                "won": won,
             }
-            for row in ordered[:MAX_ROWS]
-        ],
-    }
+        )
+    return {"stage": words.stage_name(stage), "target": words.owner_name(target), "count": len(ordered), "rows": shown_rows}
 
 
-def _title(label: str, target: str) -> str:
-    """``valve_deadband(boom)`` in words; the target only where it is not the one of the table."""
-    match = _LABEL.fullmatch(label)
-    if match is None:
-        return words.effect_title(label)
-    extra = [words.owner_name(match["target"])] if match["target"] != target else []
-    extra += [match["rest"]] if match["rest"] else []
-    return words.effect_title(match["name"]) + (f" ({', '.join(extra)})" if extra else "")
+def _titles(row: Candidate, target: str) -> tuple[str, str]:
+    """What was added, and what was merely refitted beside it."""
+    added: list[str] = []
+    refitted: list[str] = []
+    for text in row.effects:
+        name, of, rest, again = label_of(text)
+        extra = [words.owner_name(of)] if of and of != target else []
+        extra += [rest] if rest else []
+        title = words.effect_title(name) + (f" ({', '.join(extra)})" if extra else "")
+        (refitted if again else added).append(title)
+    return " + ".join(added) or "nothing added", ", ".join(title.lower() for title in refitted)
 
 
 def _parameters(row: Candidate, machine: Machine) -> str:
@@ -81,9 +96,10 @@ def _parameters(row: Candidate, machine: Machine) -> str:
     for key, value in row.parameters.items():
         label, _, name = key.rpartition(".")
         label = label or (row.effects[0] if row.effects else "")
-        match = _LABEL.fullmatch(label)
-        effect, target = (match["name"], match["target"]) if match is not None else (label, row.target)
-        text = shown(effect, name.partition("[")[0], target, value, machine)
+        effect, target, _, refitted = label_of(label)
+        if refitted:
+            continue
+        text = shown(effect, name.partition("[")[0], target or row.target, value, machine)
         groups.setdefault(label, []).append(f"{name.replace('_', ' ')} {text}")
     return _joined(groups)
 

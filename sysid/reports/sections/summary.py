@@ -3,18 +3,21 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 from markupsafe import Markup
 
-from sysid.gap.result import GapResult, NamedEffect
+from sysid.gap.result import GapResult, Localised, NamedEffect
 from sysid.machine import Machine
 from sysid.reports import display, words
 from sysid.reports.effect_units import shown_parameters
 from sysid.reports.inputs import ReportInputs
-from sysid.reports.picture import Callout, machine_picture
+from sysid.reports.picture import machine_picture
+from sysid.reports.places import Mark, marks_of, part_of, place_text, stage_marks
+from sysid.reports.reasons import confidence
+from sysid.reports.sections.where import guilty, sentence
 from sysid.signals import point_signals
 
 
@@ -42,26 +45,73 @@ def context(inputs: ReportInputs) -> dict[str, Any]:
             "advice": f"Run: sysid gap {inputs.dataset.reference}",
             "tone": "open",
             "sentences": [],
-            "effects": [],
+            "cards": [],
             "lines": [],
-            "picture": Markup(machine_picture(machine, [])),
+            "picture": Markup(machine_picture(machine)),
+            "legend": _legend(machine, numbered=False),
+            "next": [],
+            "sure": [],
             "chart": "",
             "held_out": [],
+            "repaired": False,
         }
     gap = inputs.gap
+    only = bool(gap.settings.get("localise_only"))
     lines = closings(gap.gap.before, gap.gap.after, gap.gap.noise_floor, inputs.dataset.units)
-    effects = [_effect(effect, machine) for effect in gap.effects]
+    found = disagreeing(gap) if only else []
+    marks = stage_marks(found, machine) if only else marks_of(gap, machine)
     return {
-        "headline": words.headline(gap.verdict, len(gap.effects)),
-        "advice": words.ADVICE.get(gap.verdict, ""),
-        "tone": {"named": "found", "no_gap": "good"}.get(gap.verdict, "open"),
+        "headline": words.localised([_place(item) for item in found])
+        if only
+        else words.headline(gap.verdict, len(gap.effects)),
+        "advice": f"To name causes: sysid gap {inputs.dataset.reference}" if only else words.ADVICE.get(gap.verdict, ""),
+        "tone": "open" if only else {"named": "found", "no_gap": "good"}.get(gap.verdict, "open"),
         "sentences": _sentences(gap, lines),
-        "effects": effects,
+        "cards": _located(found, gap, inputs.dataset.units) if only else _cards(gap, marks, machine, inputs.dataset.units),
         "lines": [_row(line) for line in lines],
-        "picture": Markup(machine_picture(machine, _callouts(gap, effects))),
-        "chart": Markup(dumbbells(lines)),
+        "picture": Markup(machine_picture(machine, marks)),
+        "legend": _legend(machine, numbered=bool(marks)),
+        "chart": Markup(dumbbells(lines, repaired=bool(gap.effects))),
         "held_out": gap.held_out_recordings,
+        "repaired": bool(gap.effects),
+        "next": [] if only else list(gap.next_experiment),
+        "sure": _still_open(gap),
     }
+
+
+def _legend(machine: Machine, numbered: bool) -> str:
+    """How to read the drawing."""
+    text = "Every axis from its drive to its joint."
+    if machine.kinematics() is not None:
+        valves = ", valves" if any(axis.actuation == "velocity" for axis in machine.axes) else ""
+        text = f"The machine as its URDF describes it: joints (round ones turn, square ones slide), cylinders{valves}."
+    return text + (" Numbers mark where something is missing." if numbered else "")
+
+
+def disagreeing(gap: GapResult) -> list[Localised]:
+    """The worst output of each stage that is above its noise floor, the worst stage first."""
+    worst: dict[tuple[str, str], Localised] = {}
+    for item in guilty(gap):
+        worst.setdefault((item.stage, item.target), item)
+    return list(worst.values())
+
+
+def _place(item: Localised) -> str:
+    return f"{words.owner_name(item.target)} ({words.stage_name(item.stage)})"
+
+
+def _located(found: Sequence[Localised], gap: GapResult, units: Mapping[str, str]) -> list[dict[str, Any]]:
+    """One card for each stage that disagrees."""
+    cards = []
+    for number, item in enumerate(found, 1):
+        unit = units.get(item.signal, "1")
+        size = f"{words.signal_name(item.signal)} is off by {display.quantity(item.stage_rmse, unit)}, "
+        times = f"{display.ratio(item.stage_rmse / item.noise_floor)} what sensor noise gives."
+        maps = [m for m in gap.maps if (m.stage, m.target, m.signal) == (item.stage, item.target, item.signal)]
+        told = [sentence(maps[0], item, unit)] if maps else []
+        title, said = words.owner_name(item.target).capitalize(), size + times
+        cards.append(_card(number, title, words.stage_name(item.stage), said[0].upper() + said[1:], told, sure=False))
+    return cards
 
 
 def closings(
@@ -84,17 +134,57 @@ def closings(
     return lines
 
 
-def _effect(effect: NamedEffect, machine: Machine) -> dict[str, Any]:
+def _cards(gap: GapResult, marks: Sequence[Mark], machine: Machine, units: Mapping[str, str]) -> list[dict[str, Any]]:
+    """One card a number on the picture: what was named, what ties, what has no name."""
+    cards = [_effect(number, effect, gap, machine) for number, effect in enumerate(gap.effects, 1)]
+    for tie in gap.ambiguous:
+        names = " or ".join(f"{words.effect_title(name)} ({words.owner_name(target)})" for name, target in tie)
+        cards.append(
+            _card(len(cards) + 1, "Undecided", "", names + ".", ["These recordings cannot tell them apart."], sure=False)
+        )
+    for item in gap.unnamed:
+        mark = next(m for m in marks if m.number == len(cards) + 1)
+        signal = machine.axis(item.target).driven if item.target in machine.axis_names else f"{item.target}.x"
+        size = display.quantity(item.rmse, "rad" if item.stage == "joint" else units.get(signal, "m"), 2)
+        said = f"Something at the {place_text(mark.part, mark.target)} is not explained by any known effect ({size} RMS)."
+        known = (
+            f"It goes with {item.depends_on}."
+            if not item.depends_on.startswith("nothing")
+            else "It follows nothing that was measured."
+        )
+        cards.append(_card(len(cards) + 1, "Unexplained", words.owner_name(item.target), said, [known], sure=False))
+    return cards
+
+
+def _card(number: int, title: str, target: str, sentence: str, quiet: list[str], sure: bool) -> dict[str, Any]:
+    return {"number": number, "title": title, "target": target, "sentence": sentence, "quiet": quiet, "sure": sure}
+
+
+def _effect(number: int, effect: NamedEffect, gap: GapResult, machine: Machine) -> dict[str, Any]:
     shown = shown_parameters(effect.name, effect.target, effect.parameters, machine)
-    return {
-        "title": words.effect_title(effect.name),
-        "name": effect.name,
-        "target": effect.target,
-        "sentence": words.effect_sentence(effect.name, effect.target, shown),
-        "share": effect.gap_share,
-        "aliases": [f"{words.effect_title(name)} ({target})" for name, target in effect.aliases],
-        "side": effect.side,
-    }
+    where = place_text(part_of(effect.name, effect.target, machine), effect.target)
+    if effect.side:
+        where += " (between " + ("drive and joint sensor)" if effect.side == "drive" else "joint sensor and structure)")
+    quiet = [f"At the {where}. Explains {display.percent(effect.gap_share)} of the disagreement in its stage."]
+    quiet += confidence(effect, gap.candidates)
+    if effect.aliases:
+        others = ", ".join(f"{words.effect_title(name)} ({target})" for name, target in effect.aliases)
+        quiet.append(f"Cannot be told from: {others}.")
+    sentence = words.effect_sentence(effect.name, effect.target, shown)
+    return _card(number, words.effect_title(effect.name), words.owner_name(effect.target), sentence, quiet, sure=True)
+
+
+def _still_open(gap: GapResult) -> list[str]:
+    """What is left over, in a sentence: nothing, or how far above noise the worst signal stays."""
+    left = {s: a / gap.gap.noise_floor[s] for s, a in gap.gap.after.items() if gap.gap.noise_floor.get(s, 0.0) > 0.0}
+    if not gap.effects or not left:
+        return []
+    worst = max(left, key=lambda signal: left[signal])
+    if left[worst] < 1.5:
+        return ["With the repair every signal is within 1.5 times what sensor noise alone would give."]
+    return [
+        f"What is left: {words.signal_name(worst)} stays at {display.ratio(left[worst])} what sensor noise alone would give."
+    ]
 
 
 def _sentences(gap: GapResult, lines: list[Closing]) -> list[str]:
@@ -124,20 +214,7 @@ def _row(line: Closing) -> dict[str, Any]:
     return {"name": line.name, "unit": unit, "before": before, "after": after, "noise_floor": floor, "closed": line.closed}
 
 
-def _callouts(gap: GapResult, effects: list[dict[str, Any]]) -> list[Callout]:
-    """One call-out a place; several effects on one axis share it."""
-    by_target: dict[str, list[str]] = {}
-    for effect in effects:
-        by_target.setdefault(effect["target"].rpartition(".")[0] or effect["target"], []).append(effect["title"])
-    for tie in gap.ambiguous:
-        for name, target in tie:
-            by_target.setdefault(target, []).append(f"{words.effect_title(name)}?")
-    for item in gap.unnamed:
-        by_target.setdefault(item.target, []).append("Unexplained")
-    return [Callout(target, tuple(dict.fromkeys(titles)), words.owner_name(target)) for target, titles in by_target.items()]
-
-
-def dumbbells(lines: list[Closing]) -> str:
+def dumbbells(lines: list[Closing], repaired: bool) -> str:
     """Before and after as multiples of the noise floor on one logarithmic axis (inline SVG)."""
     judged = [line for line in lines if line.noise_floor > 0.0 and math.isfinite(line.before + line.after)]
     if not judged:
@@ -159,6 +236,9 @@ def dumbbells(lines: list[Closing]) -> str:
     for number, (line, (before, after)) in enumerate(zip(judged, ratios, strict=True)):
         y = 24 + row * number
         parts.append(f'<text class="row" x="{left - 12}" y="{y + 5}" text-anchor="end">{line.name}</text>')
+        if not repaired:
+            parts.append(f'<circle class="before" cx="{x(before):.1f}" cy="{y}" r="6"/>')
+            continue
         parts.append(f'<line class="bar" x1="{x(after):.1f}" x2="{x(before):.1f}" y1="{y}" y2="{y}"/>')
         parts.append(f'<circle class="before" cx="{x(before):.1f}" cy="{y}" r="6"/>')
         parts.append(f'<circle class="after" cx="{x(after):.1f}" cy="{y}" r="6"/>')

@@ -5,11 +5,13 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+from markupsafe import Markup
 
 from sysid.gap.result import Traces
 from sysid.reports import display, words
 from sysid.reports.figures import embed, packed, thin
 from sysid.reports.inputs import ReportInputs
+from sysid.reports.moments import error_chart, moment_chart, telling_signals, worst_moment
 
 #: A page with more recordings than this would be too heavy to open.
 MAX_RECORDINGS = 3
@@ -27,6 +29,7 @@ def context(inputs: ReportInputs) -> dict[str, Any] | None:
     if not signals:
         return None
     before, floor = inputs.gap.gap.before, inputs.gap.gap.noise_floor
+    repaired = any(not item.after.equals(item.before) for item in shown)
     worst = max(signals, key=lambda name: before.get(name, 0.0) / max(floor.get(name, np.inf), 1e-12))
     return {
         "data": embed("traces-data", {"recordings": {item.recording: _recording(item, signals, inputs) for item in shown}}),
@@ -34,8 +37,40 @@ def context(inputs: ReportInputs) -> dict[str, Any] | None:
         "left_out": len(inputs.gap.traces) - len(shown),
         "signals": [{"name": name, "label": words.signal_name(name)} for name in signals],
         "selected": worst,
-        "repaired": any(not item.after.equals(item.before) for item in shown),
+        "repaired": repaired,
+        "moments": _moments(inputs, repaired),
     }
+
+
+def _moments(inputs: ReportInputs, repaired: bool) -> list[dict[str, Any]]:
+    """The worst moment of the worst signals before the repair, and beside it the worst that is left after it."""
+    assert inputs.gap is not None
+    traces = {trace.recording: trace for trace in inputs.gap.traces}
+    found = []
+    for signal in telling_signals(inputs.gap):
+        unit, label = inputs.dataset.units.get(signal, "1"), words.signal_name(signal)
+        floor = inputs.gap.gap.noise_floor.get(signal, 0.0)
+        worst = worst_moment(inputs.gap.traces, signal, "before")
+        if worst is None:
+            continue
+        text = f"{label}, {worst.recording} at {worst.time:.1f} s: {display.quantity(worst.before, unit, 2)} off"
+        if repaired:
+            text += f" before, {display.quantity(worst.after, unit, 2)} after"
+        entry = {
+            "picture": Markup(moment_chart(traces[worst.recording], worst, unit, label, repaired)),
+            "caption": text,
+            "left": "",
+            "left_caption": "",
+        }
+        left = worst_moment(inputs.gap.traces, signal, "after") if repaired else None
+        if left is not None:
+            entry["left"] = Markup(error_chart(traces[left.recording], left, unit, label, floor))
+            entry["left_caption"] = (
+                f"worst that is left: {display.quantity(left.after, unit, 2)} in {left.recording} at {left.time:.1f} s "
+                f"(grey: twice the noise floor)"
+            )
+        found.append(entry)
+    return found
 
 
 def _recording(item: Traces, signals: list[str], inputs: ReportInputs) -> dict[str, Any]:

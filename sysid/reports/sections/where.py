@@ -1,13 +1,26 @@
-"""The map of disagreement: every stage driven by its measured input, against what sensor noise would give."""
+"""Where they disagree: every stage against sensor noise, what each owns of the whole gap, and over what the error appears."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Any
 
-from sysid.gap.result import Localised
+import numpy as np
+from markupsafe import Markup
+
+from sysid.gap.result import GapResult, Localised, Map, Share
 from sysid.reports import display, words
+from sysid.reports.charts import Line, chart
 from sysid.reports.inputs import ReportInputs
+from sysid.signals import point_signals
+
+#: Maps shown at once of an output; the others are folded.
+SHOWN = 3
+#: A stage below this multiple of its noise floor has nothing to show.
+QUIET = 1.5
+#: Shares below this are not listed.
+LEAST_SHARE = 0.01
 
 
 def context(inputs: ReportInputs) -> dict[str, Any] | None:
@@ -22,14 +35,12 @@ def context(inputs: ReportInputs) -> dict[str, Any] | None:
     for owner in owners:
         cells = [_cell([i for i in found if i.target == owner and i.stage == stage], inputs, free=False) for stage in stages]
         rows.append({"owner": owner, "cells": [*cells, _cell([i for i in found if i.target == owner], inputs, free=True)]})
-    guilty = sorted((item for item in found if item.share >= 0.005), key=lambda item: -item.share)
     return {
         "stages": [{"title": words.stage_name(stage), "about": words.STAGES.get(stage, ("", ""))[1]} for stage in stages],
         "rows": rows,
-        "shares": [
-            {"what": f"{words.signal_name(item.signal)}", "stage": words.stage_name(item.stage), "share": item.share}
-            for item in guilty
-        ],
+        "ends": _ends(inputs.gap, inputs),
+        "outputs": _outputs(inputs.gap, inputs),
+        "repaired": any(item.after for item in inputs.gap.maps),
     }
 
 
@@ -48,6 +59,151 @@ def _cell(items: list[Localised], inputs: ReportInputs, free: bool) -> dict[str,
         "floor": display.quantity(item.noise_floor, unit, 2),
         "signal": words.signal_name(item.signal),
         # 0 at 1.5 times the floor, full colour at a hundred times: a factor of ten is one step for the eye.
-        "heat": round(100 * min(1.0, max(0.0, math.log10(max(times, 1e-9) / 1.5) / math.log10(100 / 1.5)))),
-        "share": item.share if not free else 0.0,
+        "heat": round(100 * min(1.0, max(0.0, math.log10(max(times, 1e-9) / QUIET) / math.log10(100 / QUIET)))),
+    }
+
+
+# -- shares --------------------------------------------------------------------------------------------------------------
+
+
+def worth_telling(shares: Sequence[Share], localised: Sequence[Localised]) -> list[tuple[str, list[Share]]]:
+    """End of the chain → its shares, the largest first; only ends whose error is above what sensor noise gives."""
+    floors = {item.signal: item.noise_floor for item in localised}
+    found = []
+    for end in dict.fromkeys(share.end for share in shares):
+        of_end = sorted((share for share in shares if share.end == end), key=lambda share: -share.share)
+        signals = point_signals(end) if end in ("ee", "tool") else (end,)
+        floor = math.sqrt(sum(floors.get(signal, 0.0) ** 2 for signal in signals))
+        if of_end[0].rmse > QUIET * floor:
+            found.append((end, of_end))
+    return found
+
+
+def _ends(gap: GapResult, inputs: ReportInputs) -> list[dict[str, Any]]:
+    ends = []
+    for end, shares in reversed(worth_telling(gap.shares, gap.localised)):  # the tool first
+        unit = inputs.dataset.units.get(f"{end}.x" if end in ("ee", "tool") else end, "m")
+        listed = [share for share in shares if abs(share.share) >= LEAST_SHARE]
+        ends.append(
+            {
+                "what": f"{words.owner_name(end)} position" if end in ("ee", "tool") else words.signal_name(end),
+                "error": display.quantity(shares[0].rmse, unit),
+                "rows": [
+                    {
+                        "where": words.stage_name(share.stage),
+                        "owner": words.owner_name(share.target),
+                        "share": display.percent(share.share),
+                        "width": round(100 * min(1.0, max(0.0, share.share)), 1),
+                        "moved": display.quantity(share.moved, unit, 2),
+                    }
+                    for share in listed
+                ],
+                "rest": len(shares) - len(listed),
+            }
+        )
+    return ends
+
+
+# -- maps ----------------------------------------------------------------------------------------------------------------
+
+
+def guilty(gap: GapResult) -> list[Localised]:
+    """Outputs above their noise floor, the worst first."""
+    above = [i for i in gap.localised if i.noise_floor > 0.0 and i.stage_rmse > QUIET * i.noise_floor]
+    return sorted(above, key=lambda item: -item.stage_rmse / item.noise_floor)
+
+
+def _outputs(gap: GapResult, inputs: ReportInputs) -> list[dict[str, Any]]:
+    outputs = []
+    for item in guilty(gap):
+        maps = [m for m in gap.maps if (m.stage, m.target, m.signal) == (item.stage, item.target, item.signal)]
+        if not maps:
+            continue
+        drawn = [_figure(m) for m in maps]
+        characteristic = next((_characteristic(m) for m in maps if m.measured and m.over == f"{item.target}.command"), None)
+        outputs.append(
+            {
+                "signal": words.signal_name(item.signal),
+                "stage": words.stage_name(item.stage),
+                "says": sentence(maps[0], item, inputs.dataset.units.get(item.signal, "1")),
+                "first": [*([characteristic] if characteristic else []), *drawn][:SHOWN],
+                "others": [*([characteristic] if characteristic else []), *drawn][SHOWN:],
+            }
+        )
+    return outputs
+
+
+def constant_share(item: Map, whole: Localised) -> tuple[float, float]:
+    """(mean error, its part of the mean square) of a map over the error itself."""
+    weights = np.array(item.count, dtype=np.float64)
+    mean = float(np.sum(weights * np.array(item.mean)) / weights.sum())
+    return mean, min(1.0, (mean / whole.stage_rmse) ** 2) if whole.stage_rmse > 0.0 else 0.0
+
+
+def sentence(most: Map, whole: Localised, unit: str) -> str:
+    """What the most telling map of an output says."""
+    parts = []
+    if most.quantity == "error":
+        mean, share = constant_share(most, whole)
+        if share > 0.5:
+            parts.append(f"{display.percent(share)} of it is a constant {display.quantity(mean, unit, 2)}")
+    if most.explains > 0.15:
+        largest = int(np.argmax(np.abs(most.mean)))
+        factor, label = display.shown_unit(most.unit)
+        at = f"{display.number(factor * most.at[largest], 2)}{display.NARROW_SPACE}{label}".rstrip()
+        at = {-1.0: "backwards", 0.0: "at rest", 1.0: "forwards"}.get(most.at[largest], at) if _ways(most) else f"at {at}"
+        what = "the speed error" if most.quantity == "speed error" else "the rest" if parts else "the error"
+        text = f"{what} depends most on {over_name(most.over)}, which accounts for {display.percent(most.explains)} of it"
+        parts.append(f"{text} (largest {at}: {display.quantity(most.mean[largest], most.error_unit, 2)})")
+    elif not parts:
+        parts.append("it depends clearly on nothing that was measured here")
+    text = "; ".join(parts)
+    return text[0].upper() + text[1:] + "."
+
+
+def over_name(over: str) -> str:
+    """``boom.command`` → ``boom command``; ``load of boom`` stays."""
+    return words.signal_name(over) if "." in over and " " not in over else _spoken(over)
+
+
+def _spoken(over: str) -> str:
+    head, _, signal = over.partition(" of ")
+    return f"{head} of {words.signal_name(signal)}" if "." in signal else over
+
+
+def _ways(item: Map) -> bool:
+    return item.over.startswith("direction of ")
+
+
+def _axis_label(text: str, unit: str) -> tuple[float, str]:
+    factor, label = display.shown_unit(unit)
+    return factor, f"{text} [{label}]" if label else text
+
+
+def _figure(item: Map) -> dict[str, Any]:
+    x_factor, x_label = _axis_label(over_name(item.over), item.unit)
+    factor, y_label = _axis_label(item.quantity, item.error_unit)
+    x = x_factor * np.array(item.at)
+    lines = [Line(factor * np.array(item.mean), "before", dots=True, spread=factor * np.array(item.spread))]
+    if item.after:
+        lines.append(Line(factor * np.array(item.after), "after", dots=True))
+    names = [{-1.0: "backwards", 0.0: "at rest", 1.0: "forwards"}.get(at, "") for at in item.at] if _ways(item) else []
+    rows = display.fixed(float(sum(item.count)), 0)
+    return {
+        "picture": Markup(chart(x, lines, (x_label, y_label), factor * item.noise_floor, names)),
+        "caption": f"over {over_name(item.over)}: accounts for {display.percent(item.explains)} ({rows} samples)",
+    }
+
+
+def _characteristic(item: Map) -> dict[str, Any]:
+    """Speed over command, measured and simulated: what a hydraulics engineer would plot first."""
+    factor, y_label = _axis_label("speed", item.error_unit)
+    x_factor, x_label = _axis_label(over_name(item.over), item.unit)
+    lines = [
+        Line(factor * np.array(item.simulated), "before"),
+        Line(factor * np.array(item.measured), "measured", dots=True),
+    ]
+    return {
+        "picture": Markup(chart(x_factor * np.array(item.at), lines, (x_label, y_label))),
+        "caption": "speed over command: measured (dots), simulated (line)",
     }

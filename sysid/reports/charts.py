@@ -1,0 +1,165 @@
+"""Small charts as inline SVG: they print, need no script, and take the colours of the reader's theme from the page."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from html import escape
+
+import numpy as np
+import numpy.typing as npt
+
+from sysid.reports import display
+
+Array = npt.NDArray[np.float64]
+Scale = Callable[[float], float]
+
+#: Of a small chart, and of one that takes half the page [px].
+SMALL, WIDE = (300.0, 200.0), (450.0, 230.0)
+LEFT, RIGHT, TOP, BOTTOM = 54.0, 10.0, 10.0, 42.0
+
+
+@dataclass(frozen=True)
+class Line:
+    """A curve (n,), NaN for gaps; ``look`` is its class in the page's style sheet, ``spread`` a band around it."""
+
+    y: Array
+    look: str
+    dots: bool = False
+    spread: Array | None = None
+
+
+def chart(
+    x: Array,
+    lines: Sequence[Line],
+    labels: tuple[str, str],
+    noise: float = 0.0,
+    names: Sequence[str] = (),
+    include_zero: bool = True,
+    size: tuple[float, float] = SMALL,
+) -> str:
+    """Curves over ``x`` (n,).
+
+    Args:
+        labels: of the two axes.
+        noise: half height of the grey band around zero.
+        names: of places on the x axis instead of numbers, one for each value.
+        include_zero: the vertical axis reaches zero.
+        size: width and height [px].
+    """
+    width, height = size
+    low, high = _range(lines, noise, include_zero)
+    first, last = float(np.min(x)), float(np.max(x))
+    if names:
+        first, last = first - 0.5, last + 0.5
+    last = last if last > first else first + 1.0
+
+    def px(value: float) -> float:
+        return LEFT + (width - LEFT - RIGHT) * (value - first) / (last - first)
+
+    def py(value: float) -> float:
+        return height - BOTTOM - (height - TOP - BOTTOM) * (value - low) / (high - low)
+
+    parts = []
+    if noise > 0.0:
+        top, bottom = py(min(noise, high)), py(max(-noise, low))
+        parts.append(
+            f'<rect class="noise" x="{LEFT:.0f}" y="{top:.1f}" width="{width - LEFT - RIGHT:.0f}" height="{bottom - top:.1f}"/>'
+        )
+    parts += _grid(low, high, py, width)
+    parts += _x_axis(first, last, px, names, x, height)
+    for line in lines:
+        parts.append(_curve(x, line, px, py))
+    centre, middle = (LEFT + width - RIGHT) / 2, (TOP + height - BOTTOM) / 2
+    parts.append(f'<text class="label" x="{centre:.0f}" y="{height - 7:.0f}" text-anchor="middle">{escape(labels[0])}</text>')
+    turned = f'transform="translate(13 {middle:.0f}) rotate(-90)"'
+    parts.append(f'<text class="label" {turned} text-anchor="middle">{escape(labels[1])}</text>')
+    what = escape(f"{labels[1]} over {labels[0]}")
+    return f'<svg class="chart" viewBox="0 0 {width:.0f} {height:.0f}" role="img" aria-label="{what}">{"".join(parts)}</svg>'
+
+
+def _range(lines: Sequence[Line], noise: float, include_zero: bool) -> tuple[float, float]:
+    values = [line.y for line in lines]
+    values += [line.y + sign * line.spread for line in lines if line.spread is not None for sign in (-1.0, 1.0)]
+    joined = np.concatenate([np.asarray(part, dtype=np.float64).ravel() for part in values] or [np.zeros(1)])
+    joined = joined[np.isfinite(joined)]
+    low, high = (float(joined.min()), float(joined.max())) if len(joined) else (0.0, 1.0)
+    if include_zero:
+        low, high = min(low, 0.0), max(high, 0.0)
+    if noise > 0.0 and include_zero:  # a band that is wider than everything else is cut
+        room = max(high - low, 1e-12)
+        low, high = min(low, -min(noise, room)), max(high, min(noise, room))
+    if high <= low:
+        high, low = high + 0.5 * max(abs(high), 1e-12), low - 0.5 * max(abs(low), 1e-12)
+    margin = 0.05 * (high - low)
+    return low - margin, high + margin
+
+
+def ticks(low: float, high: float, count: int = 4) -> list[float]:
+    """Round values inside a range, about ``count`` of them."""
+    raw = (high - low) / max(count, 1)
+    power = 10.0 ** math.floor(math.log10(raw))
+    step = next(power * k for k in (1.0, 2.0, 5.0, 10.0) if power * k >= raw * 0.999)
+    begin = math.ceil(low / step - 1e-9)
+    found: list[float] = []
+    while (begin + len(found)) * step <= high + 1e-9 * step:
+        found.append((begin + len(found)) * step)
+    return found
+
+
+def _grid(low: float, high: float, py: Scale, width: float) -> list[str]:
+    values = ticks(low, high)
+    decimals = display.decimals_for([values[1] - values[0]] if len(values) > 1 else values, 1)
+    parts = []
+    for value in values:
+        y = py(value)
+        look = "zero" if abs(value) < 1e-12 * max(abs(high), abs(low)) or value == 0.0 else "grid"
+        parts.append(f'<line class="{look}" x1="{LEFT:.0f}" x2="{width - RIGHT:.0f}" y1="{y:.1f}" y2="{y:.1f}"/>')
+        parts.append(
+            f'<text class="tick" x="{LEFT - 6:.0f}" y="{y + 4:.1f}" text-anchor="end">{display.fixed(value, decimals)}</text>'
+        )
+    return parts
+
+
+def _x_axis(first: float, last: float, px: Scale, names: Sequence[str], x: Array, height: float) -> list[str]:
+    y = height - BOTTOM + 16
+    if names:
+        return [
+            f'<text class="tick" x="{px(float(at)):.1f}" y="{y:.0f}" text-anchor="middle">{escape(text)}</text>'
+            for at, text in zip(x, names, strict=True)
+        ]
+    values = ticks(first, last, 5)
+    decimals = display.decimals_for([values[1] - values[0]] if len(values) > 1 else values, 1)
+    return [
+        f'<line class="grid" x1="{px(value):.1f}" x2="{px(value):.1f}" y1="{TOP:.0f}" y2="{height - BOTTOM:.0f}"/>'
+        f'<text class="tick" x="{px(value):.1f}" y="{y:.0f}" text-anchor="middle">{display.fixed(value, decimals)}</text>'
+        for value in values
+    ]
+
+
+def _curve(x: Array, line: Line, px: Scale, py: Scale) -> str:
+    there = np.isfinite(line.y)
+    parts = []
+    if line.spread is not None and there.sum() > 1:
+        up = [f"{px(float(a)):.1f},{py(float(b)):.1f}" for a, b in zip(x[there], (line.y + line.spread)[there], strict=True)]
+        down = [f"{px(float(a)):.1f},{py(float(b)):.1f}" for a, b in zip(x[there], (line.y - line.spread)[there], strict=True)]
+        parts.append(f'<path class="spread {line.look}" d="M{" L".join([*up, *down[::-1]])} z"/>')
+    pieces = []
+    for run in _runs(there):
+        points = [f"{px(float(x[k])):.1f},{py(float(line.y[k])):.1f}" for k in range(run.start, run.stop)]
+        pieces.append("M" + " L".join(points))
+    if pieces:
+        parts.append(f'<path class="{line.look}" d="{" ".join(pieces)}"/>')
+    if line.dots:
+        parts += [
+            f'<circle class="{line.look}" cx="{px(float(a)):.1f}" cy="{py(float(b)):.1f}" r="2.8"/>'
+            for a, b in zip(x[there], line.y[there], strict=True)
+        ]
+    return "".join(parts)
+
+
+def _runs(there: npt.NDArray[np.bool_]) -> list[slice]:
+    """Stretches without a gap."""
+    edges = np.flatnonzero(np.diff(np.concatenate(([False], there, [False])).astype(np.int8)))
+    return [slice(int(a), int(b)) for a, b in edges.reshape(-1, 2)]

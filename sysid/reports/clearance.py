@@ -1,0 +1,64 @@
+"""Room on a drawing: where a mark or a word may stand beside its part without lying on anything else."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+import numpy.typing as npt
+
+Array = npt.NDArray[np.float64]
+
+#: Directions that are tried, and how much one pixel further away from its part costs a place, in pixels of room.
+DIRECTIONS, DISTANCE_COST = 24, 0.6
+#: Room beyond this [px] is as good as any.
+ENOUGH = 9.0
+
+
+class Canvas:
+    """A drawing of some size [px] and the points that are taken on it."""
+
+    def __init__(self, width: float, height: float) -> None:
+        self.size = np.array([width, height])
+        self._taken: list[Array] = []
+
+    def line(self, a: Array, b: Array, half: float = 0.0) -> None:
+        """Take a line of half its width ``half``."""
+        along = b - a
+        length = max(float(np.hypot(*along)), 1e-9)
+        across = np.array([-along[1], along[0]]) / length
+        for t in np.linspace(0.0, 1.0, max(2, math.ceil(length / 5.0))):
+            for side in (-half, half) if half > 0.0 else (0.0,):
+                self._taken.append(a + t * along + side * across)
+
+    def box(self, at: Array, half: tuple[float, float]) -> None:
+        """Take a rectangle around ``at``."""
+        for x in np.linspace(-half[0], half[0], max(2, math.ceil(half[0] / 3.0))):
+            for y in np.linspace(-half[1], half[1], max(2, math.ceil(half[1] / 3.0))):
+                self._taken.append(at + np.array([x, y]))
+
+    def room(self, at: Array, half: tuple[float, float]) -> float:
+        """Distance from a rectangle around ``at`` to what is taken, to the edge of the drawing too; below zero it overlaps."""
+        edge = float(np.min([*(at - half), *(self.size - at - half)])) - 2.0
+        if not self._taken:
+            return edge
+        away = np.abs(np.array(self._taken) - at) - np.array(half)
+        outside = np.hypot(*np.maximum(away, 0.0).T)
+        inside = np.minimum(np.max(away, axis=1), 0.0)
+        return min(edge, float(np.min(outside + inside)))
+
+    def place(self, anchor: Array, half: tuple[float, float], distances: Sequence[float]) -> Array:
+        """The best centre for a rectangle beside ``anchor``: enough room, near, and taken from now on."""
+        best, score = anchor, -math.inf
+        for distance in distances:
+            for k in range(DIRECTIONS):
+                angle = 2.0 * math.pi * k / DIRECTIONS
+                direction = np.array([math.cos(angle), -math.sin(angle)])
+                # The edge of the rectangle, not its middle, keeps the distance.
+                centre = anchor + direction * (distance + abs(direction[0]) * half[0] + abs(direction[1]) * half[1])
+                value = min(self.room(centre, half), ENOUGH) - DISTANCE_COST * distance
+                if value > score + 1e-9:
+                    best, score = centre, value
+        self.box(best, half)
+        return np.asarray(best)

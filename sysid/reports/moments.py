@@ -1,0 +1,101 @@
+"""The worst moments of held-out recordings: where the simulation was furthest off, before and after the repair."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from sysid.gap.result import GapResult, Traces
+from sysid.reports import display
+from sysid.reports.charts import WIDE, Line, chart
+
+Array = npt.NDArray[np.float64]
+
+#: Length of what is shown around a moment [s], and points that are drawn of it.
+WINDOW, POINTS = 8.0, 200
+
+
+@dataclass(frozen=True)
+class Moment:
+    """The worst row of a signal: ``error`` (before or after) [SI] at ``time`` [s] of ``recording``."""
+
+    signal: str
+    recording: str
+    time: float
+    before: float
+    after: float
+    row: int
+
+
+def worst_moment(traces: Sequence[Traces], signal: str, version: str) -> Moment | None:
+    """The row of all recordings at which ``before`` or ``after`` is furthest from the measurement; None without any."""
+    found: Moment | None = None
+    for trace in traces:
+        if signal not in trace.measured or signal not in trace.before or signal not in trace.after:
+            continue
+        measured = _column(trace.measured[signal])
+        errors = {v: np.abs(_column(getattr(trace, v)[signal]) - measured) for v in ("before", "after")}
+        if not np.isfinite(errors[version]).any():
+            continue
+        row = int(np.nanargmax(errors[version]))
+        worst = float(errors[version][row])
+        if found is None or worst > getattr(found, version):
+            found = Moment(
+                signal,
+                trace.recording,
+                float(_column(trace.measured["time"])[row]),
+                float(errors["before"][row]),
+                float(errors["after"][row]),
+                row,
+            )
+    return found
+
+
+def telling_signals(gap: GapResult, limit: int = 3) -> list[str]:
+    """Outputs of the stages that disagree, one of each owner, the worst first; without any, what is worst in the free run."""
+    before, floor = gap.gap.before, gap.gap.noise_floor
+    times = {i.signal: i.stage_rmse / i.noise_floor for i in gap.localised if i.noise_floor > 0.0 and i.signal in before}
+    if not any(ratio > 1.5 for ratio in times.values()):
+        times = {s: before[s] / floor[s] for s in before if floor.get(s, 0.0) > 0.0}
+    owners: dict[str, str] = {}
+    for signal in sorted(times, key=lambda s: -times[s]):
+        if times[signal] > 1.5 and not signal.endswith(".command"):
+            owners.setdefault(signal.rpartition(".")[0], signal)
+    return list(owners.values())[:limit]
+
+
+def moment_chart(trace: Traces, moment: Moment, unit: str, label: str, repaired: bool) -> str:
+    """Measured, before and after around a moment."""
+    factor, shown = display.shown_unit(unit)
+    time = _column(trace.measured["time"])
+    there = _around(time, moment.time, POINTS)
+    x = time[there]
+    values = {v: factor * _column(getattr(trace, v)[moment.signal])[there] for v in ("measured", "before", "after")}
+    axis = f"{label} [{shown}]" if shown else label
+    lines = [Line(values["before"], "before"), *([Line(values["after"], "after")] if repaired else [])]
+    return chart(x, [*lines, Line(values["measured"], "measured dotted")], ("time [s]", axis), include_zero=False, size=WIDE)
+
+
+def error_chart(trace: Traces, moment: Moment, unit: str, label: str, noise: float) -> str:
+    """The error after the repair around its own worst moment, with the noise floor: what is left, at its worst."""
+    factor, shown = display.shown_unit(unit)
+    time = _column(trace.measured["time"])
+    there = _around(time, moment.time, 2 * POINTS)
+    error = factor * (_column(trace.after[moment.signal]) - _column(trace.measured[moment.signal]))[there]
+    return chart(
+        time[there], [Line(error, "after")], ("time [s]", f"{label} error [{shown}]"), noise=2.0 * factor * noise, size=WIDE
+    )
+
+
+def _around(time: Array, moment: float, points: int) -> npt.NDArray[np.int64]:
+    """Rows of the window around a moment, moved into the recording where it lies at an end, every k-th of them."""
+    begin = max(float(time[0]), min(moment - 0.5 * WINDOW, float(time[-1]) - WINDOW))
+    there = np.flatnonzero((time >= begin) & (time <= begin + WINDOW))
+    return there[:: max(1, len(there) // points)]
+
+
+def _column(values: object) -> Array:
+    return np.asarray(values, dtype=np.float64)

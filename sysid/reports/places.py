@@ -1,0 +1,109 @@
+"""Where on the machine an effect sits: at the valve, the cylinder, the joint, the link, a sensor, the tool …"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from sysid.gap.result import GapResult, Localised
+from sysid.machine import Machine
+from sysid.reports import words
+from sysid.signals import split_signal
+
+#: Effect → part of the machine, where it is not the valve.
+_PARTS = {
+    "internal_leakage": "cylinder",
+    "oil_compressibility": "cylinder",
+    "stiction": "cylinder",
+    "coulomb_friction": "cylinder",
+    "viscous_friction": "cylinder",
+    "stribeck_friction": "cylinder",
+    "inertia_error": "joint",
+    "load_bias": "joint",
+    "backlash": "joint",
+    "joint_compliance": "joint",
+    "joint_offset": "joint",
+    "link_length_error": "link",
+    "base_misalignment": "base",
+    "gripper_sway": "tool",
+    "pump_flow_limit": "pump",
+    "sensor_bias": "sensor",
+    "sensor_scale": "sensor",
+    "sensor_quantisation": "sensor",
+    "clock_offset": "clock",
+    "clock_skew": "clock",
+}
+#: Stage → part that it ends with, for what has no name.
+_OF_STAGE = {"command": "valve", "force": "cylinder", "joint": "joint", "end_effector": "link", "tool": "tool"}
+
+
+@dataclass(frozen=True)
+class Mark:
+    """A numbered place on the drawing.
+
+    Args:
+        number: shown in the mark and beside the text about it.
+        part: ``valve``, ``cylinder``, ``joint``, ``link``, ``sensor``, ``tool``, ``base``, ``pump`` or ``clock``.
+        target: axis, signal or stream that the part belongs to.
+        sure: an open question is drawn hollow.
+    """
+
+    number: int
+    part: str
+    target: str
+    sure: bool = True
+
+
+def part_of(effect: str, target: str, machine: Machine) -> str:
+    """The part of the machine at which an effect sits; without hydraulics a drive in the place of valve and cylinder."""
+    part = _PARTS.get(effect, "valve")
+    if part in ("valve", "cylinder") and target in machine.axis_names:
+        axis = machine.axis(target)
+        if axis.actuation != "velocity" or (part == "cylinder" and axis.drives == "joint"):
+            return "drive"
+    return part
+
+
+def place_text(part: str, target: str) -> str:
+    """``valve of the boom``; what has only one place is named alone."""
+    if part == "sensor":
+        return f"sensor {words.signal_name(target)}"
+    if part == "clock":
+        return f"clock of {target}"
+    if part in ("tool", "base", "pump"):
+        return part
+    if part == "link" and target == "ee":
+        return "links up to the boom tip"
+    return f"{part} of the {words.owner_name(target)}"
+
+
+def marks_of(gap: GapResult, machine: Machine) -> tuple[Mark, ...]:
+    """Marks in the order of the effects, then of the ties (one number a tie), then of what has no name."""
+    marks = [Mark(k, part_of(e.name, e.target, machine), e.target) for k, e in enumerate(gap.effects, 1)]
+    number = len(marks)
+    for tie in gap.ambiguous:
+        number += 1
+        places = dict.fromkeys((part_of(name, target, machine), target) for name, target in tie)
+        marks += [Mark(number, part, target, sure=False) for part, target in places]
+    for item in gap.unnamed:
+        number += 1
+        marks.append(Mark(number, _of_stage(item.stage, item.target, machine), item.target, sure=False))
+    return tuple(marks)
+
+
+def stage_marks(found: Sequence[Localised], machine: Machine) -> tuple[Mark, ...]:
+    """A hollow mark for each stage that disagrees, in their order."""
+    return tuple(Mark(k, _of_stage(i.stage, i.target, machine), i.target, sure=False) for k, i in enumerate(found, 1))
+
+
+def _of_stage(stage: str, target: str, machine: Machine) -> str:
+    part = _OF_STAGE.get(stage, "valve")
+    if part in ("valve", "cylinder") and target in machine.axis_names and machine.axis(target).actuation != "velocity":
+        return "drive"
+    return part
+
+
+def axis_of(mark: Mark, names: Sequence[str]) -> str | None:
+    """The axis that a mark belongs to; of ``boom.joint`` it is the boom."""
+    owner = mark.target if mark.target in names else split_signal(mark.target)[0]
+    return owner if owner in names else None
