@@ -4,12 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 import pandas as pd
 
 if TYPE_CHECKING:
     from sysid.gap.experiment.experiment import Experiment
+
+#: Folder of the planned recordings, beside the result.
+EXPERIMENTS = "experiments"
 
 Verdict = Literal["named", "no_gap", "unnamed", "ambiguous", "insufficient_excitation"]
 Value = float | tuple[float, ...]
@@ -165,7 +169,10 @@ class Traces:
 
 @dataclass(frozen=True)
 class GapResult:
-    """Everything the workflow found; :meth:`to_json` gives the contract's part of it."""
+    """Everything the workflow found; :meth:`to_json` gives the contract's part of it.
+
+    ``experiments`` are recordings planned to answer what is left open; ``next_experiment`` says in words what to record.
+    """
 
     dataset: str
     plant_before: str
@@ -189,8 +196,12 @@ class GapResult:
     shares: tuple[Share, ...] = ()
     maps: tuple[Map, ...] = ()
 
-    def to_json(self) -> dict[str, Any]:
-        """The result in the shape of the contract (plus where they disagree, the candidates and the notes)."""
+    def to_json(self, folder: Path | None = None) -> dict[str, Any]:
+        """The result in the shape of the contract (plus where they disagree, the candidates, the notes and the experiments).
+
+        Args:
+            folder: where the result is kept; paths of experiments lead there. By default they are relative to it.
+        """
         return {
             "schema": 1,
             "dataset": self.dataset,
@@ -210,7 +221,7 @@ class GapResult:
             "maps": [asdict(item) for item in self.maps],
             "candidates": [asdict(item) for item in self.candidates],
             "notes": list(self.notes),
-            "experiments": [_experiment_json(item) for item in self.experiments],
+            "experiments": [_experiment_json(item, folder or Path()) for item in self.experiments],
             "settings": dict(self.settings),
         }
 
@@ -231,11 +242,11 @@ def _effect_json(effect: NamedEffect) -> dict[str, Any]:
     return entry
 
 
-def _experiment_json(experiment: Experiment) -> dict[str, Any]:
-    """Where the experiment is and what it is for; ``file`` is relative to the folder that the experiments are written into."""
+def _experiment_json(experiment: Experiment, folder: Path) -> dict[str, Any]:
+    """Where an experiment is and what it is for."""
     return {
         "name": experiment.name,
-        "file": f"{experiment.name}.toml",
+        "file": (folder / EXPERIMENTS / f"{experiment.name}.toml").as_posix(),
         "axes": list(experiment.axes),
         "seconds": experiment.seconds,
         "repeats": experiment.repeats,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
@@ -67,9 +67,9 @@ class Experiment:
         limits: signal → (lowest, highest) that a command may have, and that a measurement may have while it runs. Whoever
             executes it stops the machine where one is left.
         predicted: signal → (lowest, highest) that the simulations reached.
+        provenance: dataset and plant versions, seed, software.
         commands: ``time`` [s] on the grid k/rate_hz and ``<axis>.command`` of every axis. A force axis has the path
             ``<axis>.joint`` that a position controller has to follow; its command is the force that this is expected to take.
-        provenance: dataset and plant versions, seed, software.
     """
 
     name: str
@@ -82,9 +82,9 @@ class Experiment:
     start: Mapping[str, float]
     limits: Limits
     predicted: Limits
-    commands: pd.DataFrame
     purposes: tuple[Purpose, ...]
     provenance: Mapping[str, str | int]
+    commands: pd.DataFrame = field(compare=False)
 
     @property
     def seconds(self) -> float:

@@ -94,9 +94,9 @@ def read_experiment(path: Path, machine: Machine | None = None) -> Experiment:
         file.start,
         file.limits,
         file.predicted,
-        commands,
         file.purposes,
         file.provenance,
+        commands,
     )
 
 

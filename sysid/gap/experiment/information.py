@@ -87,7 +87,7 @@ def _refit(data: Data, rival: Hypothesis, drifts: Sequence[Drift]) -> Array:
     scale = np.array([u.negligible for u in rival.unknowns])
     start = np.clip(rival.values, low + room, high - room)
     solution = least_squares(errors, start, slopes, (low, high), x_scale=scale, max_nfev=12)
-    return place(rival.theta, rival.unknowns, solution.x[None])[0]
+    return np.asarray(place(rival.theta, rival.unknowns, solution.x[None])[0])
 
 
 def _judged(data: Data, theta: Array, seed: int) -> float:
