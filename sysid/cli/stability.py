@@ -1,0 +1,34 @@
+"""The table of what repeats over several runs of the gap workflow."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from sysid.cli.output import Printer
+    from sysid.gap.stability import Repeat
+    from sysid.machine import Machine
+
+
+def show_stability(out: Printer, repeats: Sequence[Repeat], machine: Machine) -> None:
+    """What was named in which share of the runs, and how far its values spread."""
+    from sysid.reports.effect_units import shown
+
+    words = {
+        "consistent": "consistent",
+        "moves": "NOT consistent: value moves",
+        "sometimes": "NOT consistent: not named elsewhere",
+    }
+    rows = []
+    for item in repeats:
+        first = (item.name, item.target, f"{len(item.named)} of {len(item.shown)}")
+        for number, (key, values) in enumerate(item.parameters.items()):
+            low, middle, high = (
+                shown(item.name, key.split("[")[0], item.target, value, machine)
+                for value in (min(values), item.median(key), max(values))
+            )
+            tail = (key, middle, f"{low} … {high}", f"{100.0 * item.spread(key):.0f} %")
+            rows.append((*(first if number == 0 else ("", "", "")), *tail, words[item.verdict] if number == 0 else ""))
+    out.table(("effect", "target", "named in", "parameter", "median", "range", "±", "over the runs"), rows, right=(2, 4, 5, 6))
