@@ -2,7 +2,7 @@
 
 from sysid.gap.experiment.experiment import EffectAt, Experiment, Purpose, outside
 from sysid.gap.experiment.file import read_experiment, write_experiment
-from sysid.gap.experiment.propose import Planning, Proposal, propose
+from sysid.gap.experiment.propose import Planning, Proposal, propose, rehearse
 from sysid.gap.experiment.question import Question, questions_of
 
 __all__ = [
@@ -16,5 +16,6 @@ __all__ = [
     "propose",
     "questions_of",
     "read_experiment",
+    "rehearse",
     "write_experiment",
 ]

@@ -18,7 +18,7 @@ from sysid.gap.experiment.information import Hypothesis, discrimination, precisi
 from sysid.gap.experiment.motions import MOTIONS, Motion
 from sysid.gap.experiment.question import Question
 from sysid.gap.experiment.room import Room, limits_of, room_of
-from sysid.gap.experiment.script import Script, commands_of, rehearse, script_of, start_of
+from sysid.gap.experiment.script import Script, commands_of, perform, script_of, start_of
 from sysid.gap.fit import Data
 from sysid.gap.problem import Problem, drive_problem, force_problem, joint_problem, tip_problem, tool_problem
 from sysid.plant import Model, Plant, compile_plant
@@ -71,28 +71,33 @@ def propose(
     """
     if not questions:
         return Proposal()
-    theatre = _Theatre(case, repaired, settings or Planning())
+    planner = Planner(case, repaired, settings or Planning())
     chosen: list[_Chosen] = []
     notes = []
     for question in questions:
         tell(question.label)
-        if any(theatre.serves(item, question) for item in chosen):
+        if any(planner.serves(item, question) for item in chosen):
             continue
-        found = theatre.best(question)
+        found = planner.best(question)
         if found is None:
             notes.append(f"{question.label}: no motion that was tried inside the limits shows it")
         else:
             chosen.append(_Chosen(found[0], [(question, found[1])]))
     for item in sorted(chosen, key=lambda item: item.script.seconds):  # what longer ones show as well needs no one of its own
         others = [other for other in chosen if other is not item]
-        if all(any(theatre.serves(other, question) for other in others) for question, _ in item.served):
+        if all(any(planner.serves(other, question) for other in others) for question, _ in item.served):
             chosen = others
     made: list[Experiment] = []
     for item in chosen:
-        experiment = theatre.experiment(item.script, item.served)
+        experiment = planner.experiment(item.script, item.served)
         again = sum(other.name.split("_")[0] == experiment.name for other in made)
         made.append(replace(experiment, name=f"{experiment.name}_{again + 1}") if again else experiment)
     return Proposal(tuple(made), tuple(notes))
+
+
+def rehearse(plant: Plant, experiment: Experiment) -> Recording:
+    """The recording that a machine like ``plant`` would make of the experiment, without noise: a dry run."""
+    return perform(compile_plant(plant), experiment.commands, experiment.start, experiment.rate_hz, name=experiment.name)
 
 
 @dataclass(frozen=True)
@@ -115,7 +120,7 @@ class _Chosen:
     served: list[tuple[Question, Forecast]]
 
 
-class _Theatre:
+class Planner:
     """Scripts and what is the same for all of them: the plant, rooms and limits."""
 
     def __init__(self, case: Case, repaired: Plant, settings: Planning) -> None:
@@ -211,7 +216,9 @@ class _Theatre:
         return tip_problem(model) if stage.stage == "end_effector" else tool_problem(model)
 
     def _rehearse(self, script: Script, theta: Array, measured: frozenset[str] | None) -> Recording:
-        return rehearse(self._fresh(theta), self.rooms, script, self.plant.linkages, measured)
+        model = self._fresh(theta)
+        start = start_of(self.rooms, script, self.plant.linkages)
+        return perform(model, commands_of(model, self.rooms, script), start, self.rate_hz, measured)
 
     def _inside(self, recording: Recording) -> bool:
         return not outside(recording.table, self.limits)

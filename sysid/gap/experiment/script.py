@@ -94,33 +94,35 @@ def script_of(
     return script
 
 
-def rehearse(
+def perform(
     model: Model,
-    rooms: Sequence[Room],
-    script: Script,
-    linkages: Mapping[str, TabulatedLinkage],
+    commands: pd.DataFrame,
+    start: Mapping[str, float],
+    rate_hz: float,
     measured: frozenset[str] | None = None,
     name: str = "rehearsal",
 ) -> Recording:
-    """The recording that a machine like ``model`` would make of the script, without noise.
+    """The recording that a machine like ``model`` would make of the commands, without noise.
+
+    A force axis is on its path; its command is the force that ``model`` takes for it.
 
     Args:
-        measured: signals that it has; all that the plant predicts by default.
+        commands: as in :class:`~sysid.gap.experiment.experiment.Experiment`.
+        start: signal → value at the start.
+        measured: signals that the recording has; all that the plant predicts by default.
     """
-    inputs = _inputs(model, rooms, script, linkages, name)
+    inputs = _inputs(commands, start, rate_hz, name)
     run = free_run(model, inputs)
-    columns: dict[str, Array] = {"time": inputs.values("time")}
-    for room in rooms:
-        signal = axis_signal(room.axis.name, "command")
-        columns[signal] = inputs.values(signal)
-    forced = any(room.axis.actuation == "force" for room in rooms)
+    columns: dict[str, Array] = {s: commands[s].to_numpy() for s in map(str, commands.columns) if not s.endswith(".joint")}
+    forced = [axis for axis in model.machine.axes if axis.actuation == "force"]
     for signal in map(str, run.columns[1:]):
         # A point is simulated from the joints of the free run, which a force alone does not keep on its path.
         if not (forced and split_signal(signal)[0] in POINTS):
             columns[signal] = run[signal].to_numpy()
-    for i, room in enumerate(rooms):
-        if room.axis.actuation == "force":
-            columns[room.axis.driven] = _path(room, script, i)
+    for axis in forced:
+        path = commands[axis_signal(axis.name, "joint")].to_numpy()
+        columns[axis.driven] = path
+        columns[axis_signal(axis.name, "command")] = _force(model, axis.name, path, rate_hz)
     kept = [s for s in columns if s == "time" or s.endswith(".command") or measured is None or s in measured]
     return replace(inputs, table=pd.DataFrame({signal: columns[signal] for signal in kept}))
 
@@ -218,10 +220,13 @@ def _speeds(legs: Sequence[Leg], axes: int, count: int, rate_hz: float) -> Array
 
 def _moved(model: Model, rooms: Sequence[Room], script: Script) -> Array:
     """Way of what each command drives, from where it began, (n, A)."""
-    run = free_run(model, _inputs(model, rooms, script, {}, "moved")) if not all(r.follows for r in rooms) else None
+    run = pd.DataFrame()
+    if not all(room.follows for room in rooms):
+        start = {room.axis.driven: float(value) for room, value in zip(rooms, script.start, strict=True)}
+        run = free_run(model, _inputs(commands_of(model, rooms, script), start, script.rate_hz, "moved"))
     moved = np.empty(script.speeds.shape)
     for i, room in enumerate(rooms):
-        driven = run[room.axis.driven].to_numpy() if run is not None and not room.follows else _path(room, script, i)
+        driven = _path(room, script, i) if room.follows else run[room.axis.driven].to_numpy()
         moved[:, i] = driven - driven[0]
     return moved
 
@@ -275,20 +280,19 @@ def _command(model: Model, room: Room, script: Script, at: int) -> Array:
     if not room.follows:
         return script.speeds[:, at]
     path = _path(room, script, at)
-    if room.axis.actuation == "position":
-        return path
+    return path if room.axis.actuation == "position" else _force(model, room.axis.name, path, script.rate_hz)
+
+
+def _force(model: Model, axis: str, path: Array, rate_hz: float) -> Array:
+    """What it takes to follow the path, (n,) [N or N·m]."""
+    speed = np.gradient(path, 1.0 / rate_hz)
     force = np.empty(len(path))
-    acceleration = np.gradient(script.speeds[:, at] * room.top, 1.0 / script.rate_hz)
-    axis_run.force_axis(model.theta, model.rig, at, script.speeds[:, at] * room.top, acceleration, force)
+    axis_run.force_axis(model.theta, model.rig, model.axis_index(axis), speed, np.gradient(speed, 1.0 / rate_hz), force)
     return force
 
 
-def _inputs(
-    model: Model, rooms: Sequence[Room], script: Script, linkages: Mapping[str, TabulatedLinkage], name: str
-) -> Recording:
+def _inputs(commands: pd.DataFrame, start: Mapping[str, float], rate_hz: float, name: str) -> Recording:
     """Commands, and a first moment of what they move, from which a free run starts."""
-    table = commands_of(model, rooms, script)
-    first = table["time"].to_numpy() < START_WINDOW
-    for signal, value in start_of(rooms, script, linkages).items():
-        table[signal] = np.where(first, value, np.nan)
-    return Recording(name, table, script.rate_hz)
+    first = commands["time"].to_numpy() < START_WINDOW
+    begun = {signal: np.where(first, value, np.nan) for signal, value in start.items()}
+    return Recording(name, commands.assign(**begun), rate_hz)
