@@ -11,6 +11,7 @@ import pandas as pd
 from sysid.datasets.recording import Recording
 from sysid.gap.problem import Problem
 from sysid.gap.result import Localised
+from sysid.gap.ringing import swinging
 
 Array = npt.NDArray[np.float64]
 
@@ -33,15 +34,25 @@ def localise(
     rows = []
     for k, problem in enumerate(problems):
         scores = stage_rmse(problem, theta, recordings[k])
+        swings = swinging(problem, theta, recordings[k], floors[k])
         rows += [
-            (problem, signal, float(score), float(floor))
-            for signal, score, floor in zip(problem.signals, scores, floors[k], strict=True)
+            (problem, signal, float(score), float(floor), float(frequency))
+            for signal, score, floor, frequency in zip(problem.signals, scores, floors[k], swings, strict=True)
         ]
-    excess = [max(score / floor - 1.0, 0.0) if floor > 0 else 0.0 for _, _, score, floor in rows]
+    excess = [max(score / floor - 1.0, 0.0) if floor > 0 else 0.0 for _, _, score, floor, _ in rows]
     total = sum(excess)
     return tuple(
-        Localised(p.stage, p.target, signal, score, free.get(signal, float("nan")), floor, part / total if total > 0 else 0.0)
-        for (p, signal, score, floor), part in zip(rows, excess, strict=True)
+        Localised(
+            p.stage,
+            p.target,
+            signal,
+            score,
+            free.get(signal, float("nan")),
+            floor,
+            part / total if total > 0 else 0.0,
+            frequency,
+        )
+        for (p, signal, score, floor, frequency), part in zip(rows, excess, strict=True)
     )
 
 

@@ -95,7 +95,12 @@ class Candidate:
 
 @dataclass(frozen=True)
 class Localised:
-    """Disagreement of one stage output: driven by its measured input (``stage``) and free-running (``free_run``)."""
+    """Disagreement of one stage output: driven by its measured input (``stage``) and free-running (``free_run``).
+
+    Args:
+        share: its part of all disagreement, counted in noise floors.
+        frequency: of a disagreement that swings [Hz]; zero where it does not.
+    """
 
     stage: str
     target: str
@@ -104,6 +109,7 @@ class Localised:
     free_run_rmse: float
     noise_floor: float
     share: float
+    frequency: float = 0.0
 
 
 @dataclass(frozen=True)

@@ -118,7 +118,7 @@ def _valves(machine: Machine, hot: set[tuple[str, str]], places: Places, canvas:
     parts = []
     for axis in machine.axes:
         actuator = places["cylinder", axis.name]
-        spot = canvas.place(actuator, (18.0, 7.0) if axis.actuation == "velocity" else (11.0, 11.0), (16.0, 22.0, 30.0))
+        spot = canvas.place(actuator, (22.5, 9.0) if axis.actuation == "velocity" else (11.0, 11.0), (16.0, 22.0, 30.0))
         symbol = (
             valve(spot, ("valve", axis.name) in hot)
             if axis.actuation == "velocity"

@@ -61,7 +61,7 @@ def valve(at: Array, hot: bool) -> str:
     boxes = "".join(f'<rect x="{k * 12 - 18}" y="-7" width="12" height="14"/>' for k in range(3))
     flow = '<path d="M-15,-4 L-9,4 M-9,-4 L-15,4 M9,-4 L9,4 M15,-4 L15,4"/>'
     closed = '<path d="M-3,-7 L-3,-3 M-5,-3 L-1,-3 M3,-7 L3,-3 M1,-3 L5,-3"/>'
-    return f'<g class="{look}" transform="translate({x:.1f} {y:.1f})">{boxes}{flow}{closed}</g>'
+    return f'<g class="{look}" transform="translate({x:.1f} {y:.1f}) scale(1.25)">{boxes}{flow}{closed}</g>'
 
 
 def drive(at: Array, hot: bool) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -13,6 +14,7 @@ from sysid.gap.case import open_case
 from sysid.gap.map_variables import speed_of
 from sysid.gap.maps import SIGNED_BINS, maps_of
 from sysid.gap.result import Map, Share
+from sysid.gap.ringing import swinging
 from sysid.gap.shares import shares_of
 from sysid.machine import KnownEffect
 from sysid.plant import Plant, compile_plant
@@ -145,6 +147,13 @@ def test_a_swing_that_is_not_simulated_belongs_to_the_tool() -> None:
     dataset = dataset_of(true, 15.0, seed=3)
     shares = shares_of(compile_plant(nominal()), dataset.with_role("fit"))
     assert by_stage(shares, "tool")["tool", "tool"] > 0.98
+    case, stages = open_case(dataset, nominal(), 0)
+    tool = next(s for s in stages if s.problem.stage == "tool")
+    natural = math.sqrt(9.81 / 0.25) / (2.0 * math.pi)
+    np.testing.assert_allclose(swinging(tool.problem, case.theta, tool.split.seen, tool.sigma)[:2], natural, rtol=0.05)
+    for stage in stages:
+        if stage is not tool:
+            assert not swinging(stage.problem, case.theta, stage.split.seen, stage.sigma).any()
     whole = {s.rmse for s in shares if s.end == "tool"}
     assert len(whole) == 1
     assert next(iter(whole)) > 0.2  # the tool hangs a quarter of a metre below where the simulation has it

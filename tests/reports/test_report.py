@@ -141,8 +141,8 @@ def test_nothing_on_the_picture_lies_on_anything_else(crane: Dataset, gap: GapRe
     words = re.findall(r'<text class="axis" x="([\d.]+)" y="([\d.]+)"[^>]*>(\w+)<', picture)
     boxes = [(float(x), float(y) - 5.0, 0.5 * 7.4 * len(text), 8.0) for x, y, text in words]
     boxes += [(x, y, 12.0, 12.0) for x, y in badges]
-    valves = re.findall(r'class="valve(?: hot)?" transform="translate\(([\d.]+) ([\d.]+)\)"', picture)
-    boxes += [(float(x), float(y), 18.0, 7.0) for x, y in valves]
+    valves = re.findall(r'class="valve(?: hot)?" transform="translate\(([\d.]+) ([\d.]+)\)', picture)
+    boxes += [(float(x), float(y), 22.5, 9.0) for x, y in valves]
     assert len(boxes) == 3 + 4 + 4
     for k, (x, y, w, h) in enumerate(boxes):
         assert not any(abs(x - a) < w + c and abs(y - b) < h + d for a, b, c, d in boxes[:k])

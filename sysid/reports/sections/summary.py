@@ -17,7 +17,7 @@ from sysid.reports.inputs import ReportInputs
 from sysid.reports.picture import machine_picture
 from sysid.reports.places import Mark, marks_of, part_of, place_text, stage_marks
 from sysid.reports.reasons import confidence
-from sysid.reports.sections.where import guilty, sentence
+from sysid.reports.sections.where import guilty, over_name, sentence
 from sysid.signals import point_signals
 
 
@@ -48,7 +48,7 @@ def context(inputs: ReportInputs) -> dict[str, Any]:
             "cards": [],
             "lines": [],
             "picture": Markup(machine_picture(machine)),
-            "legend": _legend(machine, numbered=False),
+            "legend": _legend(machine, ""),
             "next": [],
             "sure": [],
             "chart": "",
@@ -70,7 +70,9 @@ def context(inputs: ReportInputs) -> dict[str, Any]:
         "cards": _located(found, gap, inputs.dataset.units) if only else _cards(gap, marks, machine, inputs.dataset.units),
         "lines": [_row(line) for line in lines],
         "picture": Markup(machine_picture(machine, marks)),
-        "legend": _legend(machine, numbered=bool(marks)),
+        "legend": _legend(
+            machine, "" if not marks else "Numbers mark where they disagree." if only else "Numbers mark what was found."
+        ),
         "chart": Markup(dumbbells(lines, repaired=bool(gap.effects))),
         "held_out": gap.held_out_recordings,
         "repaired": bool(gap.effects),
@@ -79,13 +81,13 @@ def context(inputs: ReportInputs) -> dict[str, Any]:
     }
 
 
-def _legend(machine: Machine, numbered: bool) -> str:
+def _legend(machine: Machine, numbers: str) -> str:
     """How to read the drawing."""
     text = "Every axis from its drive to its joint."
     if machine.kinematics() is not None:
         valves = ", valves" if any(axis.actuation == "velocity" for axis in machine.axes) else ""
         text = f"The machine as its URDF describes it: joints (round ones turn, square ones slide), cylinders{valves}."
-    return text + (" Numbers mark where something is missing." if numbered else "")
+    return f"{text} {numbers}".rstrip()
 
 
 def disagreeing(gap: GapResult) -> list[Localised]:
@@ -148,7 +150,7 @@ def _cards(gap: GapResult, marks: Sequence[Mark], machine: Machine, units: Mappi
         size = display.quantity(item.rmse, "rad" if item.stage == "joint" else units.get(signal, "m"), 2)
         said = f"Something at the {place_text(mark.part, mark.target)} is not explained by any known effect ({size} RMS)."
         known = (
-            f"It goes with {item.depends_on}."
+            f"It goes with {over_name(item.depends_on)}."
             if not item.depends_on.startswith("nothing")
             else "It follows nothing that was measured."
         )
@@ -171,7 +173,8 @@ def _effect(number: int, effect: NamedEffect, gap: GapResult, machine: Machine) 
         others = ", ".join(f"{words.effect_title(name)} ({target})" for name, target in effect.aliases)
         quiet.append(f"Cannot be told from: {others}.")
     sentence = words.effect_sentence(effect.name, effect.target, shown)
-    return _card(number, words.effect_title(effect.name), words.owner_name(effect.target), sentence, quiet, sure=True)
+    target = words.signal_name(effect.target) if "." in effect.target else words.owner_name(effect.target)
+    return _card(number, words.effect_title(effect.name), target, sentence, quiet, sure=True)
 
 
 def _still_open(gap: GapResult) -> list[str]:

@@ -19,6 +19,8 @@ from sysid.signals import point_signals
 SHOWN = 3
 #: A stage below this multiple of its noise floor has nothing to show.
 QUIET = 1.5
+#: A map that accounts for less tells little.
+TELLING = 0.15
 #: Shares below this are not listed.
 LEAST_SHARE = 0.01
 
@@ -120,14 +122,15 @@ def _outputs(gap: GapResult, inputs: ReportInputs) -> list[dict[str, Any]]:
         if not maps:
             continue
         drawn = [_figure(m) for m in maps]
+        count = SHOWN if maps[0].explains > TELLING else 1
         characteristic = next((_characteristic(m) for m in maps if m.measured and m.over == f"{item.target}.command"), None)
         outputs.append(
             {
                 "signal": words.signal_name(item.signal),
                 "stage": words.stage_name(item.stage),
                 "says": sentence(maps[0], item, inputs.dataset.units.get(item.signal, "1")),
-                "first": [*([characteristic] if characteristic else []), *drawn][:SHOWN],
-                "others": [*([characteristic] if characteristic else []), *drawn][SHOWN:],
+                "first": [*([characteristic] if characteristic else []), *drawn][:count],
+                "others": [*([characteristic] if characteristic else []), *drawn][count:],
             }
         )
     return outputs
@@ -147,12 +150,20 @@ def sentence(most: Map, whole: Localised, unit: str) -> str:
         mean, share = constant_share(most, whole)
         if share > 0.5:
             parts.append(f"{display.percent(share)} of it is a constant {display.quantity(mean, unit, 2)}")
-    if most.explains > 0.15:
+    if whole.frequency > 0.0:
+        parts.append(f"{'the rest' if parts else 'it'} swings at {display.quantity(whole.frequency, 'Hz', 3)}")
+    if most.explains > TELLING:
         largest = int(np.argmax(np.abs(most.mean)))
         factor, label = display.shown_unit(most.unit)
         at = f"{display.number(factor * most.at[largest], 2)}{display.NARROW_SPACE}{label}".rstrip()
         at = {-1.0: "backwards", 0.0: "at rest", 1.0: "forwards"}.get(most.at[largest], at) if _ways(most) else f"at {at}"
-        what = "the speed error" if most.quantity == "speed error" else "the rest" if parts else "the error"
+        what = (
+            "the speed error"
+            if most.quantity == "speed error"
+            else "the rest"
+            if parts and whole.frequency == 0.0
+            else "the error"
+        )
         text = f"{what} depends most on {over_name(most.over)}, which accounts for {display.percent(most.explains)} of it"
         parts.append(f"{text} (largest {at}: {display.quantity(most.mean[largest], most.error_unit, 2)})")
     elif not parts:
