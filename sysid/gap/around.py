@@ -2,8 +2,8 @@
 
 Nothing is known of what is inside. So the command stage of an axis runs through the simulator itself, whole recordings at
 a time; the stages behind it are the toolkit's own, driven by measured signals, plus what the simulator does otherwise:
-``predicted(θ, measured) = stage(θ, measured) + [simulated output − stage(neutral, simulated input)]``. Its linkages are read
-off its own cylinders and joints; its kinematics are compared with those of the URDF.
+``predicted(θ, measured) = stage(θ, measured) + [simulated output − stage(θ₀, simulated input)]``. Its linkages are read off its
+own cylinders and joints, the swing of its tool off its own tip and tool; its kinematics are compared with those of the URDF.
 """
 
 from __future__ import annotations
@@ -23,18 +23,17 @@ from sysid.gap.feed import fed, followed
 from sysid.gap.likeness import Likeness, likeness_of
 from sysid.gap.noise import noise_levels
 from sysid.gap.problem import Problem, problems_of, split_of
+from sysid.gap.read_off import linkages_of, swing_of
 from sysid.gap.simulator import Runs, Signals, Simulator, command_signals
-from sysid.machine import KnownEffect, Machine, TabulatedLinkage
+from sysid.machine import KnownEffect, Machine
 from sysid.plant import Model, Plant, compile_plant, nominal_plant
 from sysid.signals import axis_signal, point_signals, split_signal
 
 Array = npt.NDArray[np.float64]
 Stretches = npt.NDArray[np.int64]
 
-#: Effects of the command stage that need more than the command: how the axis is loaded, how its oil swings, what others take.
-INSIDE = ("load_dependent_flow", "oil_compressibility", "pump_flow_limit")
-#: Points of a linkage that is read off a simulator.
-POINTS = 256
+#: Effects of the command stage that need more than the command: how the axis is loaded, what the others take.
+INSIDE = ("load_dependent_flow", "pump_flow_limit")
 
 
 @dataclass(frozen=True)
@@ -42,15 +41,18 @@ class Around:
     """A simulator of a machine with effects around it; a simulator itself.
 
     Args:
-        plant: the effects in front and behind, and the linkages that the simulator has; nothing of what is inside.
+        plant: the effects in front and behind, and what was read off the simulator: its linkages, and how its tool swings.
         signals: what the simulator returns.
+        read_off: effects that were read off the simulator.
     """
 
     runs: Runs
     plant: Plant
     signals: frozenset[str]
+    read_off: tuple[KnownEffect, ...]
     _model: Model = field(repr=False)
     _likenesses: dict[str, Likeness] = field(default_factory=dict, repr=False, compare=False)
+    _stages: dict[tuple[str, str], Problem] = field(default_factory=dict, repr=False, compare=False)
 
     @property
     def name(self) -> str:
@@ -62,7 +64,8 @@ class Around:
 
     @property
     def effects(self) -> tuple[KnownEffect, ...]:
-        return self.plant.effects
+        """Around it, beside what was read off it."""
+        return tuple(item for item in self.plant.effects if item not in self.read_off)
 
     def with_effects(self, effects: Iterable[KnownEffect]) -> Around:
         """The simulator with these effects around it as well.
@@ -91,6 +94,14 @@ class Around:
     def problems(self, dataset: Dataset) -> list[Problem]:
         """The stages that the dataset measures at both ends and the simulator returns."""
         return [self._problem(p, dataset) for p in problems_of(self._model, dataset) if self._covers(p)]
+
+    def settled(self, problem: Problem, theta: Array) -> Problem:
+        """The stage with the simulator moving as under the effects ``theta`` in front of it; a command stage as it is.
+
+        What a simulator does otherwise than the toolkit's own stage may depend on its motion (a tool that swings).
+        """
+        own = self._stages.get((problem.stage, problem.target))
+        return problem if own is None else replace(problem, predict=self._with_what_is_beyond(own, theta))
 
     def to_search(self, problem: Problem) -> Problem:
         """What stands in for a stage while effects are searched: a faithful likeness of the axis, else the stage itself."""
@@ -150,6 +161,9 @@ class Around:
                 said.append(f"{axis.name}: {axis.driven} {lacking}, so that nothing in front of {self.name} is searched there")
         if ("end_effector", "ee") not in searched and self.signals.issuperset(point_signals("ee")):
             said.append("ee: without a URDF and all joints returned and measured, its errors cannot be told from theirs")
+        for item in self.read_off:
+            shown = ", ".join(f"{key} = {value:.4g}" for key, value in item.parameters.items())
+            said.append(f"{item.name} on {item.target} is inside {self.name} already: {shown}")
         for axis_name, like in self._likenesses.items():
             if like.faithful:
                 said.append(
@@ -194,17 +208,18 @@ class Around:
                 self._likenesses[axis] = like
                 own = replace(own, short=like.problem.short)
             return own
-        return replace(problem, predict=self._with_what_is_beyond(problem), poses=False)
+        self._stages[problem.stage, problem.target] = problem
+        return self.settled(replace(problem, poses=False), self._model.theta)
 
-    def _with_what_is_beyond(self, problem: Problem) -> Callable[[Array, Recording], Array]:
-        neutral, known = self._model.theta[None], dict[int, tuple[Recording, Array]]()
+    def _with_what_is_beyond(self, problem: Problem, theta: Array) -> Callable[[Array, Recording], Array]:
+        known = dict[int, tuple[Recording, Array]]()
 
         def beyond(recording: Recording) -> Array:
             if problem.stage == "joint":
-                return self._beyond_linkage(neutral, recording, problem.target)
+                return self._beyond_linkage(theta[None], recording, problem.target)
             if problem.stage == "end_effector":
-                return self._beyond_kinematics(neutral, recording)
-            return self._beyond_tip(neutral, recording)
+                return self._beyond_kinematics(theta[None], recording)
+            return self._beyond_tip(theta[None], recording)
 
         def predict(thetas: Array, recording: Recording) -> Array:
             found = known.get(id(recording))
@@ -239,9 +254,11 @@ class Around:
         return self._signals(thetas, recording, point_signals("ee")) - self._model.tip(self._model.theta[None], at)
 
     def _beyond_tip(self, thetas: Array, recording: Recording) -> Array:
-        if not self.signals.issuperset((*point_signals("ee"), *point_signals("tool"))):
+        ee, tool = point_signals("ee"), point_signals("tool")
+        if not self.signals.issuperset((*ee, *tool)):
             return np.zeros((1, 1, 3))
-        return self._signals(thetas, recording, point_signals("tool")) - self._signals(thetas, recording, point_signals("ee"))
+        at = self._as_simulated(thetas, recording, (*ee, *tool))
+        return self._signals(thetas, recording, tool) - self._model.tool(self._model.theta[None], at)
 
     # -- runs ----------------------------------------------------------------------------------------------------------
 
@@ -305,36 +322,8 @@ def around_simulator(simulator: Simulator, dataset: Dataset, effects: Sequence[K
             runs.check_repeatable(recording, commands, stretches)
         made += runs.of(recording, commands, stretches)
     signals = frozenset(signal for run in made for signal, values in run.items() if not np.isnan(values).all())
-    plant = replace(bare, linkages=_linkages(dataset.machine, made))
-    return Around(runs, plant, signals, compile_plant(plant)).with_effects(effects)
-
-
-def _linkages(machine: Machine, made: Sequence[Signals]) -> dict[str, TabulatedLinkage]:
-    """The simulator's map from cylinder to joint, where it returns both and they rise or fall together."""
-    found = {}
-    for axis in machine.axes:
-        joint = axis_signal(axis.name, "joint")
-        pairs = [(run[axis.driven], run[joint]) for run in made if axis.driven in run and joint in run]
-        if axis.drives == "cylinder" and pairs:
-            x, q = (np.concatenate(part) for part in zip(*pairs, strict=True))
-            there = ~np.isnan(x) & ~np.isnan(q)
-            table = _table(x[there], q[there])
-            if table is not None:
-                found[axis.name] = table
-    return found
-
-
-def _table(x: Array, q: Array) -> TabulatedLinkage | None:
-    """Means over even bins of ``x`` (m,), made monotonic; None where the cylinder hardly moved."""
-    span = float(np.ptp(x)) if len(x) else 0.0
-    if span <= 0.0:
-        return None
-    bins = np.minimum((POINTS * (x - x.min()) / span).astype(np.int64), POINTS - 1)
-    count = np.bincount(bins, minlength=POINTS)
-    full = count > 0
-    if full.sum() < 3:
-        return None
-    at, of = (np.bincount(bins, values, POINTS)[full] / count[full] for values in (x, q))
-    sign = 1.0 if of[-1] > of[0] else -1.0
-    rising = np.maximum.accumulate(sign * of) + np.arange(len(of)) * max(float(np.ptp(of)), 1e-12) * 1e-9
-    return TabulatedLinkage(at, sign * rising)
+    plant = replace(bare, linkages=linkages_of(dataset.machine, made))
+    swing = swing_of(plant, dataset, made)
+    if swing is not None:
+        plant = plant.with_effect(swing)
+    return Around(runs, plant, signals, plant.effects, compile_plant(plant)).with_effects(effects)

@@ -14,6 +14,8 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Literal
 
+import numpy as np
+
 from sysid.errors import SettingsError
 from sysid.gap import localise as disagreement
 from sysid.gap.around import Around
@@ -107,10 +109,15 @@ def search(study: Study, strict: Strictness | None = None, forms: Forms = "all",
         forms: "simple" tries every effect in its simplest form only.
     """
     strict = strict or Strictness()
-    found = []
+    case, found, theta = study.case, list[Stage](), study.case.theta
     for k, stage in enumerate(study.stages):
         tell = part(progress, k / len(study.stages), (k + 1) / len(study.stages))
-        found.append(replace(stage, finding=_found(study.case, stage, strict, forms, tell)))
+        problem = stage.problem if case.around is None else case.around.settled(stage.problem, theta)
+        settled = replace(stage, problem=problem)
+        found.append(replace(settled, finding=_found(case, settled, strict, forms, tell)))
+        if problem.stage == "command":
+            fitted = found[-1].found.fit.theta
+            theta = np.where(fitted != case.theta, fitted, theta)
     return replace(study, stages=tuple(found))
 
 

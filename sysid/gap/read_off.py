@@ -1,0 +1,76 @@
+"""What can be read off a simulator's own signals: the map from its cylinders to its joints, and how its tool swings."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import numpy.typing as npt
+import pandas as pd
+
+from sysid.datasets.recording import Dataset, Recording
+from sysid.gap.candidates import candidates_at
+from sysid.gap.fit import Data, fit_candidates, spread_of
+from sysid.gap.noise import noise_levels
+from sysid.gap.problem import tool_problem
+from sysid.gap.search import starting_values
+from sysid.gap.simulator import Signals
+from sysid.machine import KnownEffect, Machine, TabulatedLinkage
+from sysid.plant import Plant, compile_plant
+from sysid.signals import axis_signal, point_signals
+
+Array = npt.NDArray[np.float64]
+
+#: What a point that is not measured has to differ by to matter [m].
+UNMEASURED = 1e-4
+#: Points of a linkage.
+POINTS = 256
+
+
+def linkages_of(machine: Machine, made: Sequence[Signals]) -> dict[str, TabulatedLinkage]:
+    """The simulator's map from cylinder to joint, where it returns both and they rise or fall together."""
+    found = {}
+    for axis in machine.axes:
+        joint = axis_signal(axis.name, "joint")
+        pairs = [(run[axis.driven], run[joint]) for run in made if axis.driven in run and joint in run]
+        if axis.drives == "cylinder" and pairs:
+            x, q = (np.concatenate(part) for part in zip(*pairs, strict=True))
+            there = ~np.isnan(x) & ~np.isnan(q)
+            table = _table(x[there], q[there])
+            if table is not None:
+                found[axis.name] = table
+    return found
+
+
+def swing_of(plant: Plant, dataset: Dataset, made: Sequence[Signals]) -> KnownEffect | None:
+    """How the simulator's own tool swings below its end effector; None where it does not, or not as a pendulum."""
+    ee, tool = point_signals("ee"), point_signals("tool")
+    whole = [run for run in made if not any(np.isnan(run.get(s, np.array([np.nan]))).any() for s in (*ee, *tool))]
+    if dataset.machine.tool is None or not whole:
+        return None
+    model, rate = compile_plant(plant), dataset.machine.rate_hz
+    recordings = [Recording(f"run-{k}", pd.DataFrame(dict(run)), rate) for k, run in enumerate(whole)]
+    noise = noise_levels(dataset)
+    data = Data(tool_problem(model), recordings, np.array([noise.get(s, UNMEASURED) for s in tool]))
+    still = spread_of(data.residuals(model.theta[None]))
+    if still < 1.0:
+        return None
+    found = [c for c in candidates_at(plant, model.theta, "tool", ("tool",)) if c.effect.name == "gripper_sway"]
+    fit = fit_candidates(data, model.theta, found, starting_values(found, (), 0))
+    return found[0].instance(fit.values_of(found[0])) if spread_of(data.residuals(fit.theta[None])) < 0.1 * still else None
+
+
+def _table(x: Array, q: Array) -> TabulatedLinkage | None:
+    """Means over even bins of ``x`` (m,), made monotonic; None where the cylinder hardly moved."""
+    span = float(np.ptp(x)) if len(x) else 0.0
+    if span <= 0.0:
+        return None
+    bins = np.minimum((POINTS * (x - x.min()) / span).astype(np.int64), POINTS - 1)
+    count = np.bincount(bins, minlength=POINTS)
+    full = count > 0
+    if full.sum() < 3:
+        return None
+    at, of = (np.bincount(bins, values, POINTS)[full] / count[full] for values in (x, q))
+    sign = 1.0 if of[-1] > of[0] else -1.0
+    rising = np.maximum.accumulate(sign * of) + np.arange(len(of)) * max(float(np.ptp(of)), 1e-12) * 1e-9
+    return TabulatedLinkage(at, sign * rising)
