@@ -138,8 +138,8 @@ MOTIONS: tuple[Motion, ...] = (
     ),
     Motion(
         "creeping",
-        "{axes} creeping at 4 to 20 %, both ways",
-        _there_and_back(lambda k, rng: (_one_of((0.04, 0.08, 0.13, 0.2), k), 4.0, 0.4, 0.15, 0.2)),
+        "{axes} creeping at 1 to 15 %, both ways",
+        _there_and_back(lambda k, rng: (_one_of((0.02, 0.08, 0.01, 0.15, 0.04), k), 4.0, 0.4, 0.15, 0.2)),
     ),
     Motion("sweep", "{axes} to and fro, faster and faster, 0.3 to 4 Hz", _there_and_back(_sweep)),
     Motion(

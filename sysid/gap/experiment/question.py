@@ -55,10 +55,10 @@ class Question:
 
     @property
     def pairs(self) -> tuple[tuple[Hypothesis, Hypothesis], ...]:
-        """(true model, rival) to be told apart."""
+        """(true model, rival) to be told apart: nothing tells a simple effect from one that contains it, but its simplicity."""
         if self.kind == "excitation":
             return ((self.models[0], self.models[1]),)
-        return tuple((a, b) for a in self.models for b in self.models if a is not b)
+        return tuple((a, b) for a in self.models for b in self.models if a is not b and not _within(a, b))
 
 
 def questions_of(case: Case, stages: Sequence[Stage], outcome: Outcome, strict: Strictness) -> list[Question]:
@@ -72,14 +72,20 @@ def questions_of(case: Case, stages: Sequence[Stage], outcome: Outcome, strict: 
         for kept in stage.finding.named:
             tie = tuple((c.effect.name, c.target) for c in (kept.candidate, *kept.ties))
             if kept.ties and tie in outcome.ties:
-                asked.append(_tie(case, stage, base, kept.candidate, kept.ties[: MOST_RIVALS - 1], seen))
+                asked.append(tie_between(case, stage, base, kept.candidate, kept.ties[: MOST_RIVALS - 1], seen))
     for stage in stages:
         if stage.finding is not None and stage.finding.final_rmse > strict.gap:
             asked += _unseen(case, stage, base)
     return asked
 
 
-def _tie(case: Case, stage: Stage, base: Array, kept: Candidate, rivals: Sequence[Candidate], seen: Data) -> Question:
+def tie_between(case: Case, stage: Stage, base: Array, kept: Candidate, rivals: Sequence[Candidate], seen: Data) -> Question:
+    """Which of ``kept``, an effect of the stage's final fit, and ``rivals`` it is; each rival is fitted in its place.
+
+    Args:
+        base: parameters of the repaired plant, (N,).
+        seen: the recordings that the fit has seen.
+    """
     fit = stage.found.fit
     models = [_model(base, kept, fit, seen, fit.drifts)]
     for rival in rivals:
@@ -121,6 +127,16 @@ def worth_seeing(candidate: Candidate) -> Array:
     low, high = (np.array([u.bounds[k] for u in candidate.unknowns]) for k in (0, 1))
     up = nominal + 5.0 * sizes
     return np.clip(np.where(up <= high, up, nominal - 5.0 * sizes), low, high)
+
+
+def _within(one: Hypothesis, other: Hypothesis) -> bool:
+    """Whether ``one`` is a special case of ``other``."""
+    assert one.candidate is not None
+    assert other.candidate is not None
+    return one.candidate.target == other.candidate.target and (
+        one.candidate.effect.name in other.candidate.effect.generalises
+        or (one.candidate.key == other.candidate.key and len(one.unknowns) < len(other.unknowns))
+    )
 
 
 def _model(base: Array, candidate: Candidate, fit: Fit, seen: Data, drifts: Sequence[Drift]) -> Hypothesis:

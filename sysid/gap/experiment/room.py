@@ -16,7 +16,7 @@ from sysid.signals import axis_signal
 
 Array = npt.NDArray[np.float64]
 
-#: Speed that any axis can do whose recordings hardly moved it [share of its room a second].
+#: Speed that a servo is asked for whose recordings hardly moved it [share of its room a second].
 CRAWL = 0.02
 
 
@@ -28,7 +28,7 @@ class Room:
         low, high: of what the command drives [m or rad], margin taken off.
         home: where recordings are most, inside the two.
         top: speed of what is driven at full level [m/s or rad/s].
-        rise: longest acceleration that recordings show [m/s² or rad/s²]; infinite where it does not limit (valves, servos).
+        rise: largest acceleration, as recordings show it [m/s² or rad/s²]; infinite where it does not limit (valves, servos).
         command: lowest and highest command.
     """
 
@@ -71,7 +71,8 @@ def room_of(plant: Plant, axis: Axis, recordings: Sequence[Recording], margin: f
         return None
     home = float(np.clip(np.median(visited), low, high)) if len(visited) else 0.5 * (low + high)
     top, rise = _pace(axis, recordings)
-    top = max(top, CRAWL * (high - low))
+    if axis.actuation == "position":
+        top = max(top, CRAWL * (high - low))
     return Room(axis, low, high, home, top, rise, _command_limits(axis, recordings, low, high))
 
 
@@ -105,7 +106,7 @@ def _within_joint_limits(plant: Plant, axis: Axis, low: float, high: float, marg
 
 
 def _pace(axis: Axis, recordings: Sequence[Recording]) -> tuple[float, float]:
-    """(top speed, acceleration): of a valve as described, else what recordings reach 99 % of the time, smoothed over 50 ms."""
+    """(top speed, acceleration): of a valve as described, else what recordings keep below 99 % of the time, over 50 ms."""
     if axis.actuation == "velocity":
         return axis.gain, np.inf
     speeds, rises = [np.zeros(1)], [np.zeros(1)]
@@ -121,7 +122,10 @@ def _pace(axis: Axis, recordings: Sequence[Recording]) -> tuple[float, float]:
             speeds.append(np.abs(speed))
             rises.append(np.abs(speed[width:] - speed[:-width]) * recording.rate_hz / width)
     top, rise = (float(np.percentile(np.concatenate(part), 99)) for part in (speeds, rises))
-    return top, max(rise, 1e-9) if axis.actuation == "force" else np.inf
+    if axis.actuation == "position":
+        return max(top, 1e-9), np.inf
+    # Friction is greatest where the axis is fastest, inertia where it turns: a trapezoid has both at once.
+    return max(0.8 * top, 1e-9), max(0.5 * rise, 1e-9)
 
 
 def _command_limits(axis: Axis, recordings: Sequence[Recording], low: float, high: float) -> tuple[float, float]:
