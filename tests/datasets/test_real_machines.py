@@ -1,4 +1,4 @@
-"""The recipes of two real machines on their measured files."""
+"""The recipes of real machines on their measured files."""
 
 from __future__ import annotations
 
@@ -18,6 +18,39 @@ def test_the_files_are_those_the_readme_lists(shared_data: Path, datasets_folder
     assert {file for file, _ in listed} == {path.name for path in (shared_data / name).iterdir()}
     for file, digest in listed:
         assert hashlib.sha256((shared_data / name / file).read_bytes()).hexdigest() == digest
+
+
+@pytest.mark.parametrize(
+    ("name", "folder"), [("xl330", "bam_xl330"), ("so101", "sage_so101"), ("hydraulic_actuator", "hyd_actuator")]
+)
+def test_checksums_of_the_other_machines(shared_data: Path, datasets_folder: Path, name: str, folder: str) -> None:
+    listed = re.findall(
+        r"`(\S+\.(?:mat|csv|json))` \|.*`([0-9a-f]{64})`", (datasets_folder / name / "README.md").read_text("utf-8")
+    )
+    assert len(listed) == {"xl330": 16, "so101": 8, "hydraulic_actuator": 2}[name]
+    for file, digest in listed:
+        assert hashlib.sha256((shared_data / folder / file).read_bytes()).hexdigest() == digest
+
+
+def test_servos(shared_data: Path, datasets_folder: Path, tmp_path: Path) -> None:
+    log = shared_data / "sage_so101/single_joint_elbow"
+    arm = ingest(log, tmp_path, recipe=datasets_folder / "so101/recipe.toml")
+    assert list(arm.splits.values()) == ["fit", "select", "held_out"]
+    assert arm.units["elbow.command"] == "rad"
+    elbow = np.concatenate([r.values("elbow.joint") for r in arm.recordings])
+    counts = elbow[~np.isnan(elbow)] / (2.0 * np.pi / 4096) - 0.5  # zero lies between two counts
+    assert np.median(np.abs(counts - np.round(counts))) < 0.05  # steps of the encoder, hardly interpolated
+    pendulum = ingest(shared_data / "bam_xl330", tmp_path, recipe=datasets_folder / "xl330/recipe.toml")
+    assert len(pendulum.recordings) == 12
+    for recording in pendulum.recordings:
+        assert len(recording) / 190.0 == pytest.approx(6.0, abs=0.1)
+        assert np.nanmax(np.abs(recording.values("arm.joint"))) < np.nanmax(np.abs(recording.values("arm.command"))) + 0.25
+
+
+def test_a_benchmark_without_stamps(shared_data: Path, datasets_folder: Path, tmp_path: Path) -> None:
+    arm = ingest(shared_data / "hyd_actuator", tmp_path, recipe=datasets_folder / "hydraulic_actuator/recipe.toml")
+    assert list(arm.splits.values()) == ["fit", "select", "held_out"]
+    assert np.nanmax(np.abs(np.concatenate([r.values("arm.command") for r in arm.recordings]))) < 1.0
 
 
 def test_emps(shared_data: Path, datasets_folder: Path, tmp_path: Path) -> None:

@@ -34,13 +34,16 @@ def pipeline() -> Callable[[str], ModuleType]:
 @pytest.fixture(scope="module")
 def result_on_measured(
     pipeline: Callable[[str], ModuleType], tmp_path_factory: pytest.TempPathFactory
-) -> Callable[[str], dict[str, Any]]:
-    """``result_on_measured("emps")`` runs that pipeline on the measured files of that name; skips where they are absent."""
+) -> Callable[..., dict[str, Any]]:
+    """``result_on_measured("emps")`` runs that pipeline on the measured files in the folder of that name, or of another one.
 
-    def run(name: str) -> dict[str, Any]:
-        raw = ROOT / "../shared/data" / name
+    Skips where they are absent.
+    """
+
+    def run(name: str, folder: str = "") -> dict[str, Any]:
+        raw = ROOT / "../shared/data" / (folder or name)
         if not raw.is_dir():
-            pytest.skip(f"the measured data (../shared/data/{name}) are not here")
+            pytest.skip(f"the measured data (../shared/data/{folder or name}) are not here")
         path: Path = pipeline(name).main(raw, tmp_path_factory.mktemp(name))
         result: dict[str, Any] = json.loads(path.read_text("utf-8"))
         return result

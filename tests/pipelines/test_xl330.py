@@ -1,0 +1,51 @@
+"""XL330, measured: friction of the motor from each log alone, beside the published parameters."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+
+pytestmark = pytest.mark.slow
+
+
+@pytest.fixture(scope="module")
+def result(result_on_measured: Callable[..., dict[str, Any]]) -> dict[str, Any]:
+    return result_on_measured("xl330", "bam_xl330")
+
+
+def repeats(view: dict[str, Any]) -> dict[str, dict[str, Any]]:
+    return {item["name"]: item for item in view["stability"]}
+
+
+def test_every_log_gives_the_published_viscous_friction(result: dict[str, Any]) -> None:
+    found = repeats(result["views"]["motor"])["viscous_friction"]
+    assert found["verdict"] == "consistent"
+    assert len(found["named"]) == 8
+    published = result["published"]["viscous_friction"]["coefficient"]
+    assert found["parameters"]["coefficient"] == pytest.approx([published] * 8, rel=0.15)
+
+
+def test_dry_friction_is_named_and_said_to_grow_with_the_gain(result: dict[str, Any]) -> None:
+    """The authors' richer models let it grow with the load; a higher gain means more torque."""
+    found = repeats(result["views"]["motor"])["coulomb_friction"]
+    assert found["verdict"] == "moves"
+    by_gain: dict[int, list[float]] = {}
+    for run, value in zip(found["named"], found["parameters"]["force"], strict=True):
+        by_gain.setdefault(int(run.rsplit("-", 1)[1]), []).append(value)
+    means = [sum(values) / len(values) for _, values in sorted(by_gain.items())]
+    assert means == sorted(means)
+    assert means[-1] > 2.0 * means[0]
+
+
+def test_inertia_of_all_gains_together_is_that_of_pendulum_and_armature(result: dict[str, Any]) -> None:
+    together = {e["name"]: e["parameters"] for e in result["views"]["motor"]["together"]["effects"]}
+    assert together["inertia_error"]["ratio"] == pytest.approx(result["published"]["inertia_error"]["ratio"], rel=0.1)
+
+
+def test_the_servo_from_outside_gets_no_name_that_repeats(result: dict[str, Any]) -> None:
+    """A weak proportional controller under a weight is a spring; no effect of a position axis is that."""
+    view = result["views"]["servo"]
+    assert not any(item["verdict"] == "consistent" for item in view["stability"])
+    assert all(run["unnamed"] for run in view["runs"].values())
