@@ -100,7 +100,7 @@ def ticks(low: float, high: float, count: int = 4) -> list[float]:
     """Round values inside a range, about ``count`` of them."""
     raw = (high - low) / max(count, 1)
     power = 10.0 ** math.floor(math.log10(raw))
-    step = next(power * k for k in (1.0, 2.0, 5.0, 10.0) if power * k >= raw * 0.999)
+    step = min((power * k for k in (1.0, 2.0, 5.0, 10.0)), key=lambda size: abs(math.log(size / raw)))
     begin = math.ceil(low / step - 1e-9)
     found: list[float] = []
     while (begin + len(found)) * step <= high + 1e-9 * step:

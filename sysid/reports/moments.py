@@ -16,6 +16,8 @@ Array = npt.NDArray[np.float64]
 
 #: Length of what is shown around a moment [s], and points that are drawn of it.
 WINDOW, POINTS = 8.0, 200
+#: Curves that differ by less than this share of how far the signal moves cannot be told apart.
+APART = 0.08
 
 
 @dataclass(frozen=True)
@@ -68,15 +70,18 @@ def telling_signals(gap: GapResult, limit: int = 3) -> list[str]:
 
 
 def moment_chart(trace: Traces, moment: Moment, unit: str, label: str, repaired: bool) -> str:
-    """Measured, before and after around a moment."""
+    """Measured, before and after around a moment; their errors where the curves themselves would lie on each other."""
     factor, shown = display.shown_unit(unit)
     time = _column(trace.measured["time"])
     there = _around(time, moment.time, POINTS)
-    x = time[there]
     values = {v: factor * _column(getattr(trace, v)[moment.signal])[there] for v in ("measured", "before", "after")}
-    axis = f"{label} [{shown}]" if shown else label
-    lines = [Line(values["before"], "before"), *([Line(values["after"], "after")] if repaired else [])]
-    return chart(x, [*lines, Line(values["measured"], "measured dotted")], ("time [s]", axis), include_zero=False, size=WIDE)
+    measured, unit_text = values["measured"], f" [{shown}]" if shown else ""
+    apart = np.nanmax(np.abs(values["before"] - measured)) > APART * np.ptp(measured[np.isfinite(measured)])
+    shift, what = (0.0 * measured, label) if apart else (measured, f"{label} error")
+    lines = [Line(values["before"] - shift, "before"), *([Line(values["after"] - shift, "after")] if repaired else [])]
+    if apart:
+        lines.append(Line(measured, "measured dotted"))
+    return chart(time[there], lines, ("time [s]", what + unit_text), include_zero=not apart, size=WIDE)
 
 
 def error_chart(trace: Traces, moment: Moment, unit: str, label: str, noise: float) -> str:

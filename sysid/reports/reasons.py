@@ -84,8 +84,8 @@ def fate(row: Candidate, best: float, named: Sequence[tuple[str, str]]) -> tuple
         return row.verdict, row.verdict.startswith(("named", "kept"))
     if ordinary and ordinary <= set(named) and times < 1.02 and row.verdict.startswith("drops "):
         name, target, _, _ = label_of(row.verdict.removeprefix("drops "))
-        what = words.effect_title(name).lower() + (f" of the {words.owner_name(target)}" if target else "")
-        return f"kept: no worse without a changed {what}", True
+        what = name.replace("_", " ") + (f" of the {words.owner_name(target)}" if target else "")
+        return f"kept: no worse without {what}", True
     if ordinary and ordinary <= set(named) and times < 1.02:
         return "explains it", True
     if times >= CLEARLY:

@@ -11,7 +11,7 @@ from sysid.machine import Machine
 from sysid.reports import display, words
 from sysid.reports.effect_units import shown
 from sysid.reports.inputs import ReportInputs
-from sysid.reports.reasons import fate, label_of, least_error, losses
+from sysid.reports.reasons import Loss, fate, label_of, least_error, losses
 
 #: Rows shown of a stage; a search may try hundreds of combinations.
 MAX_ROWS = 25
@@ -33,17 +33,20 @@ def context(inputs: ReportInputs) -> dict[str, Any] | None:
 def _named(effect: NamedEffect, gap: GapResult) -> dict[str, Any]:
     found = losses(effect, gap.candidates)
     largest = max((loss.times for loss in found if math.isfinite(loss.times)), default=math.nan)
+    target = words.owner_name(effect.target)
+    by_reason: dict[str, list[Loss]] = {}
+    for loss in found:  # those that lost alike share a line
+        by_reason.setdefault(loss.why, []).append(loss)
     return {
         "title": words.effect_title(effect.name),
-        "target": words.owner_name(effect.target),
+        "target": target,
         "alternatives": [
             {
-                "title": loss.title,
-                "target": loss.target,
-                "why": loss.why,
-                "bar": _bar(loss.times, largest),
+                "titles": ", ".join(loss.title if loss.target == target else f"{loss.title} ({loss.target})" for loss in group),
+                "why": why.replace("its best fit leaves", "their best fits leave") if len(group) > 1 else why,
+                "bar": _bar(group[0].times, largest),
             }
-            for loss in found
+            for why, group in by_reason.items()
         ],
     }
 

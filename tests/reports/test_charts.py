@@ -1,0 +1,50 @@
+"""Charts and room on the drawing."""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from sysid.reports.charts import Line, chart, ticks
+from sysid.reports.clearance import Canvas
+
+
+@given(st.floats(-1e4, 1e4), st.floats(1e-6, 1e4))
+def test_ticks_are_round_inside_and_neither_one_nor_many(low: float, width: float) -> None:
+    found = ticks(low, low + width)
+    assert 2 <= len(found) <= 8
+    steps = np.diff(found)
+    np.testing.assert_allclose(steps, steps[0], rtol=1e-4)
+    assert found[0] >= low - 1e-6 * width
+    assert found[-1] <= low + (1.0 + 1e-6) * width
+
+
+def test_a_gap_breaks_the_curve_and_nothing_leaves_the_frame() -> None:
+    y = np.array([0.0, 1.0, np.nan, 3.0, 2.0])
+    text = chart(np.arange(5.0), [Line(y, "before", spread=np.full(5, 0.5))], ("time [s]", "error [mm]"), noise=0.2)
+    (curve,) = re.findall(r'<path class="before" d="([^"]*)"', text)
+    assert curve.count("M") == 2
+    points = [tuple(map(float, p)) for p in re.findall(r"([\d.]+),([\d.]+)", text)]
+    assert all(0.0 <= x <= 300.0 and 0.0 <= y <= 200.0 for x, y in points)
+    assert "time [s]" in text
+    assert 'class="noise"' in text
+
+
+def test_labels_cannot_carry_markup() -> None:
+    assert "<b>" not in chart(np.arange(2.0), [Line(np.zeros(2), "before")], ("<b>", "y"))
+
+
+def test_a_mark_finds_the_free_side() -> None:
+    canvas = Canvas(200.0, 200.0)
+    canvas.line(np.array([100.0, 0.0]), np.array([100.0, 200.0]), 6.0)
+    canvas.box(np.array([140.0, 100.0]), (30.0, 90.0))
+    spot = canvas.place(np.array([100.0, 100.0]), (12.0, 12.0), (8.0, 16.0))
+    assert spot[0] < 82.0, "left of the link: the right is taken"
+    second = canvas.place(np.array([100.0, 100.0]), (12.0, 12.0), (8.0, 16.0, 24.0))
+    assert np.abs(second - spot).max() >= 24.0, "the first mark has taken its place"
+    assert canvas.room(spot, (12.0, 12.0)) < 0.0
+    assert canvas.room(np.array([30.0, 190.0]), (12.0, 12.0)) == pytest.approx(-4.0), "beyond the edge"
