@@ -49,7 +49,8 @@ def main(workspace: Path, logs: Path = AUTOLOG, recipe: NetworkRecipe | None = N
         page = write_report(folder / "report.html", place.report_inputs(dataset))
     with station("view"):
         recording = gap.held_out_recordings[0]
-        film = write_rerun(folder / f"{recording}.rrd", dataset, recording, place.predictions(dataset, recording))
+        simulated = place.predictions(dataset, recording)
+        film = write_rerun(folder / f"{recording}.rrd", dataset, recording, simulated, gap.maps)
 
     out.line(f"\nDataset {dataset.reference}: {len(dataset.recordings)} recordings from {len(dataset.sources)} files\n")
     show_errors(out, *reports, paper=PAPER_MAX)

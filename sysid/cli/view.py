@@ -53,7 +53,8 @@ def view(
         return
     predictions = place.predictions(dataset, recording, plant)
     path = path or place.results(dataset) / f"{recording.replace('#', '-')}.rrd"
-    write_rerun(path, dataset, recording, predictions)
+    result = place.gap(dataset) if plant is None else None
+    write_rerun(path, dataset, recording, predictions, result.maps if result is not None else ())
     out = Printer(json_file)
     out.line(f"{path}  ({recording} of {dataset.reference}; measured, {', '.join(predictions)})")
     out.line(f"Look at it: {rerun_command(path)}")

@@ -2,20 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import pandas as pd
 
 from sysid.datasets.recording import Dataset, Recording
+from sysid.gap.result import Map
 from sysid.signals import split_signal
+from sysid.view.maps import map_views
 
 #: Seconds of the past that the trails of boom tip and tool show.
 TRAIL_S = 3.0
 
 
-def blueprint(dataset: Dataset, recording: Recording, tables: Mapping[str, pd.DataFrame], timeline: str) -> Any:
-    """A Rerun blueprint for one recording and its simulations."""
+def blueprint(
+    dataset: Dataset, recording: Recording, tables: Mapping[str, pd.DataFrame], timeline: str, maps: Sequence[Map] = ()
+) -> Any:
+    """A Rerun blueprint for one recording and its simulations, with maps of the disagreement in tabs of their own."""
     import rerun.blueprint as rrb
 
     signals = [name for name in recording.signals if not name.endswith(".command") and recording.table[name].notna().any()]
@@ -29,7 +33,7 @@ def blueprint(dataset: Dataset, recording: Recording, tables: Mapping[str, pd.Da
     ]
     commands = [f"+ signals/{name}/**" for name in recording.signals if name.endswith(".command")]
     right = rrb.Vertical(
-        rrb.Tabs(*tabs, active_tab=_active(tables, signals, owners)),
+        rrb.Tabs(*tabs, *map_views(maps), active_tab=_active(tables, signals, owners)),
         rrb.TimeSeriesView(origin="signals", contents=commands, name="commands"),
         row_shares=[3, 1],
     )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -15,9 +15,11 @@ from scipy.spatial.transform import Rotation
 
 from sysid.datasets.recording import Dataset, Recording
 from sysid.files import written_whole
+from sysid.gap.result import Map
 from sysid.machine import Kinematics, Machine
 from sysid.signals import axis_signal, point_signals
 from sysid.view.layout import blueprint
+from sysid.view.maps import log_maps
 from sysid.view.visuals import Shape, link_shapes
 
 Array = npt.NDArray[np.float64]
@@ -45,13 +47,16 @@ OTHERS = ((70, 130, 190), (200, 150, 40), (160, 100, 200), (120, 160, 60))
 SHOWN = {"m": (1e3, "mm"), "rad": (180.0 / np.pi, "°")}
 
 
-def write_rerun(path: Path, dataset: Dataset, recording: str, predictions: Mapping[str, pd.DataFrame]) -> Path:
+def write_rerun(
+    path: Path, dataset: Dataset, recording: str, predictions: Mapping[str, pd.DataFrame], maps: Sequence[Map] = ()
+) -> Path:
     """Write one recording with its simulations.
 
     Args:
         path: the ``.rrd`` file; folders are made as needed.
         recording: name of the recording in ``dataset``.
         predictions: name (``before``, ``after``) → ``time`` [s] and one column a signal (SI), as rollouts return them.
+        maps: of the disagreement, as :class:`sysid.gap.GapResult` holds them; the telling ones become bar charts.
 
     Returns:
         ``path``.
@@ -66,7 +71,7 @@ def write_rerun(path: Path, dataset: Dataset, recording: str, predictions: Mappi
     with written_whole(path) as half:
         # The same dataset version and recording are the same recording for the viewer, however often they are written.
         stream = rr.RecordingStream("sysid", recording_id=f"{dataset.reference}/{recording}/{dataset.digest[:16]}")
-        stream.save(str(half), default_blueprint=blueprint(dataset, source, tables, TIMELINE))
+        stream.save(str(half), default_blueprint=blueprint(dataset, source, tables, TIMELINE, maps))
         stream.send_recording_name(f"{dataset.reference} {recording}")
         styles = dict(zip(tables, _styles(tables), strict=True))
         kinematics = dataset.machine.kinematics()
@@ -76,6 +81,7 @@ def write_rerun(path: Path, dataset: Dataset, recording: str, predictions: Mappi
                 _log_machine(stream, f"machine/{name}", dataset.machine, kinematics, table, styles[name])
                 _log_points(stream, f"machine/{name}", dataset.machine, table, styles[name])
         _log_signals(stream, dataset, source, tables, styles)
+        log_maps(stream, maps, {name: STYLES[name].colour for name in ("before", "after")}, SHOWN)
         stream.flush()
         stream.disconnect()
     return path

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from sample_crane import sample_traces
+from sample_crane import sample_gap, sample_traces
 
 from sysid.datasets.recording import Dataset
 from sysid.errors import StoreError
@@ -43,7 +43,9 @@ class Written:
 def written(crane: Dataset, tmp_path_factory: pytest.TempPathFactory) -> Written:
     traces = sample_traces(crane)
     path = tmp_path_factory.mktemp("view") / "deep" / "crane.rrd"
-    assert write_rerun(path, crane, "manual-04", {"before": traces.before, "after": traces.after}) == path
+    assert (
+        write_rerun(path, crane, "manual-04", {"before": traces.before, "after": traces.after}, sample_gap(crane).maps) == path
+    )
     assert [file.name for file in path.parent.iterdir()] == ["crane.rrd"]
     return Written(path)
 
@@ -112,3 +114,12 @@ def test_shapes_come_from_the_urdf_and_bars_fill_in(crane: Dataset) -> None:
     bars = link_shapes(stripped, kinematics)
     assert bars["boom"][0].kind == "bar"
     assert math.hypot(*bars["boom"][0].size) == pytest.approx(0.576)
+
+
+def test_telling_maps_are_bar_charts_in_display_units(written: Written) -> None:
+    (batch,) = written.tables["/maps/boom.cylinder/speed_error/boom.command/before"]
+    values = next(batch.column(name).to_pylist() for name in batch.schema.names if name.endswith("values"))
+    np.testing.assert_allclose(values[0][0]["buffer"], [1.2, 1.1, 0.0, -1.9, -2.0])
+    assert "/maps/boom.cylinder/speed_error/boom.command/after" in written.tables
+    assert "/maps/boom.cylinder/error/direction_of_boom/before" in written.tables
+    assert "/maps/boom.cylinder/error/direction_of_boom/after" not in written.tables, "nothing is known of it after the repair"

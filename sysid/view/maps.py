@@ -1,0 +1,66 @@
+"""Maps of the disagreement as bar charts of the viewer: mean of each bin, before and after the repair."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from sysid.gap.result import Map
+
+#: Maps of an output that are shown, and what they have to account for.
+SHOWN, TELLING = 3, 0.15
+
+
+def telling(maps: Sequence[Map]) -> list[Map]:
+    """The maps of each output that account for most of its disagreement, in the order of the outputs."""
+    found = []
+    for signal in dict.fromkeys(item.signal for item in maps):
+        of_signal = sorted((item for item in maps if item.signal == signal), key=lambda item: -item.explains)
+        found += [item for item in of_signal if item.explains > TELLING][:SHOWN]
+    return found
+
+
+def entity(item: Map) -> str:
+    """Where a map lies in the recording."""
+    return "/".join(("maps", item.signal, item.quantity.replace(" ", "_"), item.over.replace(" ", "_")))
+
+
+def log_maps(
+    stream: Any, maps: Sequence[Map], colours: dict[str, tuple[int, int, int]], units: dict[str, tuple[float, str]]
+) -> None:
+    """Log telling maps, the same at all times.
+
+    Args:
+        colours: of ``before`` and ``after``.
+        units: SI unit → factor and unit that are shown.
+    """
+    import rerun as rr
+
+    for item in telling(maps):
+        factor, _ = units.get(item.error_unit.removesuffix("/s"), (1.0, ""))
+        across, _ = units.get(item.unit.removesuffix("/s"), (1.0, ""))
+        at = across * np.array(item.at)
+        for name, means in (("before", item.mean), ("after", item.after)):
+            if means:
+                bars = rr.BarChart(factor * np.array(means), abscissa=at, color=colours[name])
+                rr.log(f"{entity(item)}/{name}", bars, static=True, recording=stream)
+
+
+def map_views(maps: Sequence[Map]) -> list[Any]:
+    """One tab for each output that has telling maps."""
+    import rerun.blueprint as rrb
+
+    shown = telling(maps)
+    return [
+        rrb.Vertical(
+            *(
+                rrb.BarChartView(origin=entity(item), name=f"{item.quantity} over {item.over}")
+                for item in shown
+                if item.signal == signal
+            ),
+            name=f"map {signal}",
+        )
+        for signal in dict.fromkeys(item.signal for item in shown)
+    ]
