@@ -47,3 +47,14 @@ def shown(effect: str, parameter: str, target: str, value: Any, machine: Machine
 def shown_parameters(effect: str, target: str, parameters: Mapping[str, Any], machine: Machine) -> dict[str, str]:
     """All parameters of an effect as text."""
     return {name: shown(effect, name, target, value, machine) for name, value in parameters.items()}
+
+
+def remainder_unit(stage: str, target: str, machine: Machine, units: Mapping[str, str]) -> str:
+    """Unit of what is left over at a stage: that of the signal which the stage predicts."""
+    if target not in machine.axis_names:
+        return units.get(f"{target}.x", "m")
+    if stage == "force":
+        return units.get(f"{target}.command", "N")
+    if stage == "joint":
+        return units.get(f"{target}.joint", "rad")
+    return units.get(machine.axis(target).driven, "m")

@@ -9,7 +9,7 @@ import pytest
 from sysid.datasets.recording import Dataset
 from sysid.effects import CATALOGUE
 from sysid.machine import Axis
-from sysid.reports.effect_units import parameter_unit, shown
+from sysid.reports.effect_units import parameter_unit, remainder_unit, shown
 from sysid.reports.words import EFFECTS
 
 
@@ -33,6 +33,24 @@ def test_a_force_axis_without_geometry_slides(crane: Dataset) -> None:
     machine = replace(crane.machine, axes=(slide,), urdf=None, urdf_text=None, tip=None, tool=None)
     assert parameter_unit("coulomb_friction", "force", "slide", machine) == "N"
     assert shown("coulomb_friction", "force", "slide", 20.71, machine).startswith("20.7")
+
+
+@pytest.mark.parametrize(
+    ("stage", "target", "unit"),
+    [
+        ("command", "boom", "m"),
+        ("command", "slew", "rad"),
+        ("joint", "boom", "rad"),
+        ("force", "slew", "N·m"),
+        ("end_effector", "ee", "m"),
+        ("tool", "tool", "m"),
+    ],
+)
+def test_what_is_left_over_has_the_unit_of_the_signal_that_its_stage_predicts(
+    crane: Dataset, stage: str, target: str, unit: str
+) -> None:
+    units = {**crane.units, "slew.command": "N·m"}
+    assert remainder_unit(stage, target, crane.machine, units) == unit
 
 
 def test_every_effect_of_the_catalogue_has_words_for_each_of_its_forms() -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from sysid.reports import display, words
+from sysid.reports.effect_units import remainder_unit
 from sysid.reports.inputs import ReportInputs
 
 
@@ -35,18 +36,10 @@ def context(inputs: ReportInputs) -> dict[str, Any] | None:
             {
                 "stage": words.stage_name(item.stage),
                 "target": words.owner_name(item.target),
-                "rmse": display.quantity(item.rmse, _unit(item.stage, item.target, inputs)),
+                "rmse": display.quantity(item.rmse, remainder_unit(item.stage, item.target, inputs.dataset.machine, units)),
                 "depends_on": words.signal_name(item.depends_on) if item.depends_on in units else item.depends_on,
                 "form": item.form,
             }
             for item in gap.unnamed
         ],
     }
-
-
-def _unit(stage: str, target: str, inputs: ReportInputs) -> str:
-    machine = inputs.dataset.machine
-    if target in machine.axis_names:
-        signal = f"{target}.joint" if stage == "joint" else machine.axis(target).driven
-        return inputs.dataset.units.get(signal, "m")
-    return "m"

@@ -12,7 +12,7 @@ from markupsafe import Markup
 from sysid.gap.result import GapResult, Localised, NamedEffect
 from sysid.machine import Machine
 from sysid.reports import display, words
-from sysid.reports.effect_units import shown_parameters
+from sysid.reports.effect_units import remainder_unit, shown_parameters
 from sysid.reports.inputs import ReportInputs
 from sysid.reports.picture import machine_picture
 from sysid.reports.places import Mark, marks_of, part_of, place_text, stage_marks
@@ -146,8 +146,7 @@ def _cards(gap: GapResult, marks: Sequence[Mark], machine: Machine, units: Mappi
         )
     for item in gap.unnamed:
         mark = next(m for m in marks if m.number == len(cards) + 1)
-        signal = machine.axis(item.target).driven if item.target in machine.axis_names else f"{item.target}.x"
-        size = display.quantity(item.rmse, "rad" if item.stage == "joint" else units.get(signal, "m"), 2)
+        size = display.quantity(item.rmse, remainder_unit(item.stage, item.target, machine, units), 2)
         said = f"Something at the {place_text(mark.part, mark.target)} is not explained by any known effect ({size} RMS)."
         known = (
             f"It goes with {over_name(item.depends_on)}."
