@@ -15,6 +15,12 @@ Forms = Literal["all", "simple"]  # as sysid.gap.workflow has it; importing that
 @click.command()
 @click.argument("reference", metavar="NAME[@VERSION]")
 @click.option("--plant", default=None, metavar="PLANT[@VERSION]", help="The simulation to question; else the nominal one.")
+@click.option(
+    "--simulator",
+    default=None,
+    metavar="FILE.py:NAME",
+    help="Question a simulator of your own: an object with simulate(recording), or its class.",
+)
 @click.option("--localise", is_flag=True, help="Only say where they disagree.")
 @click.option("--add", is_flag=True, help="Store the repaired simulation as a new plant version.")
 @click.option(
@@ -26,20 +32,33 @@ Forms = Literal["all", "simple"]  # as sysid.gap.workflow has it; importing that
 @json_option
 @click.pass_obj
 def gap(
-    workspace: str, reference: str, plant: str | None, localise: bool, add: bool, forms: Forms, json_file: str | None
+    workspace: str,
+    reference: str,
+    plant: str | None,
+    simulator: str | None,
+    localise: bool,
+    add: bool,
+    forms: Forms,
+    json_file: str | None,
 ) -> None:
     """Name the effects that the simulation lacks, and prove it on recordings that no fit has seen."""
+    from sysid.cli.own_simulator import load_simulator
+    from sysid.errors import SettingsError
     from sysid.gap import find_gap
     from sysid.gap.experiment import Planning
+    from sysid.plant import Plant
     from sysid.reports import write_report
     from sysid.workspace import open_workspace
 
     place = open_workspace(workspace)
     dataset = place.dataset(reference)
-    questioned = place.plant(dataset, plant)
+    if simulator is not None and plant is not None:
+        raise SettingsError("sysid gap", "--plant and --simulator", "one of them")
+    questioned = load_simulator(simulator) if simulator is not None else place.plant(dataset, plant)
     out = Printer(json_file)
+    linked = questioned.linkages if isinstance(questioned, Plant) else dataset.machine.axis_names
     for axis in dataset.machine.axes:
-        if axis.drives == "cylinder" and axis.name not in questioned.linkages and f"{axis.name}.joint" in dataset.units:
+        if axis.drives == "cylinder" and axis.name not in linked and f"{axis.name}.joint" in dataset.units:
             out.line(f"{axis.name}: no linkage, so its joint is not simulated; sysid fit actuator {dataset.name} makes one.")
     with progress_bar("gap") as progress:
         result = find_gap(
@@ -65,6 +84,9 @@ def gap(
             out.line(f"        {planned['file']}")
         if result.plant_after:
             show_repair(out, place.plant(dataset, result.plant_before), place.plant(dataset, result.plant_after), dataset)
+        elif simulator is not None:
+            for note in result.notes:
+                out.line(f"note: {note}")
         elif result.effects:
             out.line("The repair is not stored: --add stores it as a new plant version.")
         out.line(f"Look at it: sysid --workspace {workspace} report {dataset.reference}")

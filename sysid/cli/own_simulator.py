@@ -1,0 +1,59 @@
+"""``--simulator FILE.py:NAME``: a simulator of the user's own, from the user's own file and nowhere else."""
+
+from __future__ import annotations
+
+import importlib.util
+import inspect
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from sysid.errors import InputError, SettingsError, nearest
+
+if TYPE_CHECKING:
+    from sysid.gap import Simulator
+
+
+def load_simulator(place: str) -> Simulator:
+    """The object ``NAME`` of a Python file; a class is made into an object without arguments.
+
+    The file's folder is searched for the modules that it imports.
+
+    Raises:
+        SettingsError: not ``FILE.py:NAME``.
+        InputError: no such file, it does not run, or NAME is no simulator.
+    """
+    from sysid.gap import Simulator
+
+    file, _, name = place.rpartition(":")
+    path = Path(file)
+    if path.suffix != ".py" or not name.isidentifier():
+        raise SettingsError(f"--simulator {place}", "not a file and a name in it", "FILE.py:NAME, as in crane.py:Crane")
+    if not path.is_file():
+        raise InputError(f"--simulator {path}", "no such file", "a Python file")
+    spec = importlib.util.spec_from_file_location(path.stem, path)
+    if spec is None or spec.loader is None:
+        raise InputError(f"--simulator {path}", "cannot be imported", "a Python file")
+    module = importlib.util.module_from_spec(spec)
+    sys.path.insert(0, str(path.resolve().parent))
+    try:
+        spec.loader.exec_module(module)
+        if not hasattr(module, name):
+            names = [n for n, value in vars(module).items() if hasattr(value, "simulate")]
+            raise InputError(f"--simulator {path}", f"no {name!r} in it", nearest(name, names))
+        found = getattr(module, name)
+        simulator = found() if inspect.isclass(found) else found
+    except InputError:
+        raise
+    except Exception as error:  # whatever a user's file may raise
+        raise InputError(f"--simulator {path}", f"{type(error).__name__}: {error}", "a file that runs") from error
+    finally:
+        sys.path.remove(str(path.resolve().parent))
+    if not isinstance(simulator, Simulator):
+        raise InputError(
+            f"--simulator {place}",
+            f"{name} has no method simulate",
+            "simulate(recording) → DataFrame",
+            "See sysid.gap.Simulator.",
+        )
+    return simulator
