@@ -23,7 +23,9 @@ Array = npt.NDArray[np.float64]
 #: Rest before the first and after the last stroke [s].
 BEFORE, AFTER = 1.0, 1.0
 #: How often strokes that have to end somewhere are corrected by what the plant did.
-CORRECTIONS = 4
+CORRECTIONS = 5
+#: No drive answers later than this [s].
+LATEST = 1.0
 
 
 @dataclass(frozen=True)
@@ -88,7 +90,7 @@ def script_of(
         script = replace(script, start=place)
         if correction == CORRECTIONS or all(rooms[axis].follows for axis in axes):
             break
-        legs = _timed(_corrected(legs, moved, rooms, rate_hz), pauses)
+        legs = _timed(_corrected(legs, script.speeds, moved, rooms, rate_hz), pauses)
         count = round((_end(legs, pauses) + AFTER) * rate_hz)
         script = replace(script, speeds=_speeds(legs, len(rooms), count, rate_hz))
     return script
@@ -242,7 +244,15 @@ def _start(rooms: Sequence[Room], moved: Array) -> Array | None:
     return start
 
 
-def _corrected(legs: Sequence[Leg], moved: Array, rooms: Sequence[Room], rate_hz: float) -> list[Leg]:
+def _latency(speed: Array, moved: Array, rate_hz: float) -> float:
+    """By how much the motion follows what was commanded [s]: where the two speeds are most alike."""
+    answer = np.gradient(moved)
+    lags = np.arange(0, min(round(LATEST * rate_hz), len(speed) - 1))
+    likeness = [float(speed[: len(speed) - lag] @ answer[lag:]) for lag in lags]
+    return float(lags[int(np.argmax(likeness))] / rate_hz)
+
+
+def _corrected(legs: Sequence[Leg], speeds: Array, moved: Array, rooms: Sequence[Room], rate_hz: float) -> list[Leg]:
     """Strokes of valves that have to end somewhere, longer or shorter by what the plant missed it by.
 
     Each is to undo the strokes since the one before it that had to end somewhere, not what that one missed: all strokes change
@@ -251,9 +261,10 @@ def _corrected(legs: Sequence[Leg], moved: Array, rooms: Sequence[Room], rate_hz
     corrected = {}
     for axis in sorted({leg.axis for leg in legs if not rooms[leg.axis].follows}):
         own = [(k, leg) for k, leg in enumerate(legs) if leg.axis == axis]
-        # What a stroke does is over a little later than its command: at the latest when the next one begins.
+        # A drive answers late: what a stroke does is over when the answer to the next one begins.
+        late = _latency(speeds[:, axis], moved[:, axis], rate_hz)
         ends = [min(leg.end + 0.5, later.begin) for (_, leg), (_, later) in itertools.pairwise(own)] + [own[-1][1].end + 0.5]
-        places = [float(moved[min(round(t * rate_hz), len(moved) - 1), axis]) for t in ends]
+        places = [float(moved[min(round((t + late) * rate_hz), len(moved) - 1), axis]) for t in ends]
         due, began = 0.0, 0.0
         for (k, leg), ended in zip(own, places, strict=True):
             done = ended - began

@@ -1,0 +1,212 @@
+"""What the recordings leave open gets a recording that answers it, inside the limits; made on the true plant, it does."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from plant_data import KnownEffect, nominal, slide
+from short_supply import coarse_arm, slow_dataset, tie, with_experiments
+
+from sysid.datasets.recording import Dataset
+from sysid.gap import find_gap
+from sysid.gap.case import Case, open_case
+from sysid.gap.experiment import Planning, outside, propose, rehearse
+from sysid.gap.experiment.motions import MOTIONS, Motion
+from sysid.gap.experiment.propose import Planner
+from sysid.gap.experiment.script import commands_of, perform, start_of
+from sysid.plant import Plant, compile_plant
+
+
+def test_play_that_too_few_reversals_could_not_show() -> None:
+    truth = nominal(KnownEffect("backlash", "boom", {"width": 0.01}, "drive"))
+    dataset = slow_dataset(truth, 7.0)
+    before = find_gap(dataset, nominal(), planning=Planning())
+    assert before.verdict == "unnamed"
+    assert before.effects == ()
+    (experiment,) = before.experiments
+    (purpose,) = experiment.purposes
+    assert (experiment.axes, experiment.repeats, purpose.kind) == (("boom",), 1, "excitation")
+    assert [(e.name, e.target) for e in purpose.effects] == [("backlash", "boom")]
+    assert purpose.resolves
+    assert experiment.provenance["dataset"] == dataset.reference
+    after = find_gap(with_experiments(dataset, truth, before.experiments), nominal())
+    assert [(e.name, e.target) for e in after.effects] == [("backlash", "boom")]
+    assert float(after.effects[0].parameters["width"]) == pytest.approx(0.01, rel=0.05)  # type: ignore[arg-type]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("noise", [1e-4, 6e-4])
+def test_a_lag_that_slow_ramps_do_not_tell_from_a_delay(noise: float) -> None:
+    plant = nominal(machine=coarse_arm(noise))
+    truth = plant.with_effect(KnownEffect("first_order_lag", "boom", {"time_constant": 0.15}))
+    dataset = slow_dataset(truth, 20.0)
+    before = find_gap(dataset, plant, planning=Planning())
+    assert before.verdict == "ambiguous"
+    (experiment,) = before.experiments
+    assert {e.name for e in experiment.purposes[0].effects} == {"input_delay", "first_order_lag"}
+    after = find_gap(with_experiments(dataset, truth, before.experiments), plant)
+    assert [(e.name, e.target) for e in after.effects] == [("first_order_lag", "boom")]
+    assert after.ambiguous == ()
+
+
+def test_a_film_of_oil_is_looked_for_at_low_speeds() -> None:
+    """Where friction falls with speed is at a few mm/s: brisk motions say next to nothing, creeping and slow ramps do."""
+    viscous = nominal(KnownEffect("viscous_friction", "slide", {"coefficient": 60.0}), machine=slide())
+    film = KnownEffect("stribeck_friction", "slide", {"static_force": 20.0, "coulomb_force": 14.0, "stribeck_velocity": 0.01})
+    asked = tie(
+        slow_dataset(viscous.with_effect(film), 10.0), viscous, "force", "slide", "coulomb_friction", "stribeck_friction"
+    )
+    case, repaired, question = asked
+    planner = Planner(case, repaired, Planning())
+    nats = {}
+    for motion in MOTIONS:
+        script = None if motion.several else planner.script(motion, (0,), 20.0)
+        forecast = planner.forecast(script, question) if script is not None else None
+        if forecast is not None:
+            nats[motion.name] = forecast.nats
+    assert nats["creeping"] > 50.0
+    assert nats["creeping"] > 20.0 * max(nats["steps"], nats["taps"])
+    (experiment,) = propose(case, repaired, [question]).experiments
+    assert experiment.motion in ("creeping", "ramps")
+    assert "slide.joint" in experiment.commands, "a force axis follows a path"
+
+
+def test_a_tie_of_delay_and_lag_in_words() -> None:
+    plant = nominal()
+    truth = plant.with_effect(KnownEffect("first_order_lag", "boom", {"time_constant": 0.1}))
+    case, repaired, question = tie(slow_dataset(truth, 8.0), plant, "command", "boom", "input_delay", "first_order_lag")
+    (experiment,) = propose(case, repaired, [question]).experiments
+    (purpose,) = experiment.purposes
+    said = f"input_delay on boom and first_order_lag on boom should then differ by about {purpose.nats:.0f} nats; 20 decide."
+    assert purpose.text == said
+    assert experiment.seconds <= 10.5, "the shortest length that is tried is enough"
+    assert said in experiment.words
+
+
+def test_what_one_recording_cannot_answer_is_asked_for_several_times_or_not_at_all() -> None:
+    plant = nominal(machine=coarse_arm(6e-4))
+    truth = plant.with_effect(KnownEffect("first_order_lag", "boom", {"time_constant": 0.1}))
+    case, repaired, question = tie(slow_dataset(truth, 8.0), plant, "command", "boom", "input_delay", "first_order_lag")
+    (once,) = propose(case, repaired, [question], Planning(lengths=(10.0,))).experiments
+    nats = once.purposes[0].nats
+    (thrice,) = propose(case, repaired, [question], Planning(nats=2.5 * nats, lengths=(10.0,))).experiments
+    assert thrice.repeats == 3
+    assert not thrice.purposes[0].resolves
+    assert "3 times" in thrice.words
+    never = propose(case, repaired, [question], Planning(nats=6.0 * nats, lengths=(10.0,)))
+    assert never.experiments == ()
+    assert never.notes == (
+        "input_delay on boom or first_order_lag on boom: no motion that was tried inside the limits shows it",
+    )
+
+
+def test_a_fence_is_kept_and_written_down() -> None:
+    plant = nominal()
+    truth = plant.with_effect(KnownEffect("first_order_lag", "boom", {"time_constant": 0.1}))
+    case, repaired, question = tie(slow_dataset(truth, 8.0), plant, "command", "boom", "input_delay", "first_order_lag")
+    (free,) = propose(case, repaired, [question]).experiments
+    low, high = free.predicted["ee.z"]
+    fence = {"ee.z": (low - 1.0, 0.5 * (low + high))}
+    planned = propose(case, repaired, [question], Planning(fence=fence)).experiments
+    assert all(e.limits["ee.z"] == fence["ee.z"] and e.predicted["ee.z"][1] <= fence["ee.z"][1] for e in planned)
+    assert planned == () or planned[0].commands.shape != free.commands.shape or not planned[0].commands.equals(free.commands)
+
+
+def test_nothing_open_nothing_planned() -> None:
+    plant = nominal()
+    result = find_gap(slow_dataset(plant, 7.0), plant, planning=Planning())
+    assert result.verdict == "no_gap"
+    assert result.experiments == ()
+
+
+@cache
+def opened() -> tuple[Case, Dataset]:
+    plant = nominal()
+    dataset = slow_dataset(plant, 6.0)
+    return open_case(dataset, plant, 0)[0], dataset
+
+
+VALVES = st.fixed_dictionaries(
+    {
+        "deadband": st.tuples(st.floats(0.0, 0.15), st.floats(0.0, 0.15)),
+        "ratio": st.floats(0.6, 1.6),
+        "lag": st.floats(0.01, 0.3),
+        "delay": st.floats(0.0, 0.2),
+    }
+)
+
+
+def plant_of(axis: str, valve: dict[str, object]) -> Plant:
+    positive, negative = valve["deadband"]  # type: ignore[misc]
+    return nominal(
+        KnownEffect("valve_deadband", axis, {"positive": positive, "negative": negative}),
+        KnownEffect("asymmetric_gain", axis, {"ratio": valve["ratio"]}),  # type: ignore[dict-item]
+        KnownEffect("first_order_lag", axis, {"time_constant": valve["lag"]}),  # type: ignore[dict-item]
+        KnownEffect("input_delay", axis, {"delay": valve["delay"]}),  # type: ignore[dict-item]
+    )
+
+
+@settings(max_examples=40)
+@given(
+    axis=st.integers(0, 1),
+    valve=VALVES,
+    motion=st.sampled_from(MOTIONS),
+    seconds=st.sampled_from([10.0, 20.0, 40.0]),
+    margin=st.floats(0.02, 0.3),
+)
+def test_no_motion_leaves_the_limits(
+    axis: int, valve: dict[str, object], motion: Motion, seconds: float, margin: float
+) -> None:
+    case, _ = opened()
+    plant = plant_of(case.plant.machine.axis_names[axis], valve)
+    planner = Planner(case, plant, Planning(margin=margin))
+    axes = (0, 1, 2) if motion.several else (axis,)
+    script = planner.script(motion, axes, seconds)
+    if script is None:
+        return
+    model = compile_plant(plant)
+    commands, start = commands_of(model, planner.rooms, script), start_of(planner.rooms, script, plant.linkages)
+    run = perform(model, commands, start, script.rate_hz)
+    assert outside(run.table, planner.limits) == []
+    for room in planner.rooms:
+        low, high = room.axis.range
+        slack = 0.99 * margin * (high - low)
+        values = run.values(room.axis.driven)
+        assert low + slack <= values.min() <= values.max() <= high - slack
+        if room.axis.actuation == "velocity":
+            command = run.values(f"{room.axis.name}.command")
+            assert np.abs(command).max() <= 1.0
+            assert command[0] == 0.0
+            assert command[-1] == 0.0
+
+
+@settings(max_examples=20)
+@given(valve=VALVES, motion=st.sampled_from([m for m in MOTIONS if not m.several]))
+def test_motions_of_valves_come_back_to_where_they_began(valve: dict[str, object], motion: Motion) -> None:
+    case, _ = opened()
+    plant = plant_of("boom", valve)
+    planner = Planner(case, plant, Planning())
+    script = planner.script(motion, (1,), 20.0)
+    if script is None:
+        return
+    model = compile_plant(plant)
+    commands, start = commands_of(model, planner.rooms, script), start_of(planner.rooms, script, plant.linkages)
+    way = perform(model, commands, start, script.rate_hz).values("boom.cylinder")
+    assert abs(way[-1] - way[0]) < 0.1 * planner.rooms[1].span
+
+
+def test_an_experiment_is_rehearsed_from_its_own_start() -> None:
+    plant = nominal()
+    truth = plant.with_effect(KnownEffect("first_order_lag", "boom", {"time_constant": 0.1}))
+    case, repaired, question = tie(slow_dataset(truth, 8.0), plant, "command", "boom", "input_delay", "first_order_lag")
+    (experiment,) = propose(case, repaired, [question]).experiments
+    run = rehearse(repaired, experiment)
+    assert run.values("boom.cylinder")[0] == pytest.approx(experiment.start["boom.cylinder"], abs=1e-9)
+    assert run.values("boom.joint")[0] == pytest.approx(experiment.start["boom.joint"], abs=1e-6)
+    assert outside(run.table, experiment.limits) == []
+    low, high = experiment.predicted["boom.cylinder"]
+    assert low <= run.values("boom.cylinder").min() <= run.values("boom.cylinder").max() <= high
