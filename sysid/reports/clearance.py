@@ -12,6 +12,8 @@ Array = npt.NDArray[np.float64]
 
 #: Directions that are tried, and how much one pixel further away from its part costs a place, in pixels of room.
 DIRECTIONS, DISTANCE_COST = 24, 0.6
+#: What lying on something else costs [px]: more than any distance.
+OVERLAP_COST = 100.0
 #: Room beyond this [px] is as good as any.
 ENOUGH = 9.0
 
@@ -57,7 +59,8 @@ class Canvas:
                 direction = np.array([math.cos(angle), -math.sin(angle)])
                 # The edge of the rectangle, not its middle, keeps the distance.
                 centre = anchor + direction * (distance + abs(direction[0]) * half[0] + abs(direction[1]) * half[1])
-                value = min(self.room(centre, half), ENOUGH) - DISTANCE_COST * distance
+                room = min(self.room(centre, half), ENOUGH)
+                value = room - DISTANCE_COST * distance - (OVERLAP_COST if room < 0.0 else 0.0)
                 if value > score + 1e-9:
                     best, score = centre, value
         self.box(best, half)

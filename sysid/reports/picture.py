@@ -75,7 +75,7 @@ def _side_view(machine: Machine, kinematics: Kinematics, marks: Sequence[Mark]) 
     names = []
     for axis in machine.axes:
         half = (0.5 * LETTER * len(axis.name), 8.0)
-        names.append(name(axis.name, canvas.place(places["joint", axis.name], half, (11.0, 16.0, 22.0))))
+        names.append(name(axis.name, canvas.place(places["joint", axis.name], half, (11.0, 16.0, 22.0, 32.0, 44.0))))
     return _svg([*below, *above, *names, *badges], f"Side view of {machine.name}", round(height))
 
 
@@ -118,7 +118,7 @@ def _valves(machine: Machine, hot: set[tuple[str, str]], places: Places, canvas:
     parts = []
     for axis in machine.axes:
         actuator = places["cylinder", axis.name]
-        spot = canvas.place(actuator, (22.5, 9.0) if axis.actuation == "velocity" else (11.0, 11.0), (16.0, 22.0, 30.0))
+        spot = canvas.place(actuator, (22.5, 9.0) if axis.actuation == "velocity" else (11.0, 11.0), (16.0, 22.0, 30.0, 42.0))
         symbol = (
             valve(spot, ("valve", axis.name) in hot)
             if axis.actuation == "velocity"
@@ -162,7 +162,9 @@ def _badges(marks: Sequence[Mark], machine: Machine, places: Mapping[tuple[str, 
         part = places.get((mark.part, owner), places.get((mark.part, ""), places["base", ""]))
         if mark.part == "sensor" and split_signal(mark.target)[1] == "cylinder":
             part = places.get(("cylinder", owner), part)
-        drawn.append(badge(part, canvas.place(part, (BADGE, BADGE), (8.0, 14.0, 22.0, 32.0)), mark.number, mark.sure, BADGE))
+        drawn.append(
+            badge(part, canvas.place(part, (BADGE, BADGE), (8.0, 14.0, 22.0, 32.0, 44.0)), mark.number, mark.sure, BADGE)
+        )
     return drawn
 
 

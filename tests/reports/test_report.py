@@ -13,8 +13,11 @@ from sample_crane import sample_gap, sample_unnamed
 
 from sysid.datasets.recording import Dataset
 from sysid.gap.result import GapResult
+from sysid.machine import load_machine
 from sysid.reports import ReportInputs, VersionNote, build_report, display, write_report
 from sysid.reports.moments import worst_moment
+from sysid.reports.picture import machine_picture
+from sysid.reports.places import Mark
 from sysid.reports.report import SECTIONS
 
 VOID = {"meta", "br", "img", "input", "link", "line", "circle", "rect", "ellipse", "path"}
@@ -135,16 +138,40 @@ def test_culprits_are_marked_at_their_parts(crane: Dataset, gap: GapResult) -> N
     assert picture.count('class="barrel"') == 2, "boom and stick have cylinders"
 
 
-def test_nothing_on_the_picture_lies_on_anything_else(crane: Dataset, gap: GapResult) -> None:
-    picture = picture_of(ReportInputs(crane, gap))
+AUTOLOG = Path(__file__).parents[2] / "datasets" / "autolog" / "machine.toml"
+CROWDED = (
+    ("valve", "slew"),
+    ("joint", "slew"),
+    ("valve", "boom"),
+    ("cylinder", "boom"),
+    ("joint", "stick"),
+    ("pump", "machine"),
+)
+FEW = (("joint", "slew"), ("valve", "boom"), ("tool", "tool"))
+
+
+@pytest.mark.parametrize("wanted", [(), FEW, CROWDED])
+@pytest.mark.parametrize("shipped", [True, False])
+def test_nothing_on_the_picture_lies_on_anything_else(
+    crane: Dataset, wanted: tuple[tuple[str, str], ...], shipped: bool
+) -> None:
+    machine = load_machine(AUTOLOG) if shipped else crane.machine
+    picture = machine_picture(machine, [Mark(k, part, target) for k, (part, target) in enumerate(wanted, 1)])
     badges = [(float(x), float(y)) for x, y in re.findall(r'<circle class="badge" cx="([\d.]+)" cy="([\d.]+)"', picture)]
     words = re.findall(r'<text class="axis" x="([\d.]+)" y="([\d.]+)"[^>]*>(\w+)<', picture)
     boxes = [(float(x), float(y) - 5.0, 0.5 * 7.4 * len(text), 8.0) for x, y, text in words]
     boxes += [(x, y, 12.0, 12.0) for x, y in badges]
     valves = re.findall(r'class="valve(?: hot)?" transform="translate\(([\d.]+) ([\d.]+)\)', picture)
     boxes += [(float(x), float(y), 22.5, 9.0) for x, y in valves]
-    assert len(boxes) == 3 + 4 + 4
+    boxes += [
+        (float(x), float(y), 8.0, 8.0) for x, y in re.findall(r'class="joint(?: hot)?" cx="([\d.]+)" cy="([\d.]+)"', picture)
+    ]
+    assert len(badges) == len(wanted)
+    assert len(valves) == 4
+    width, height = map(float, re.findall(r'viewBox="0 0 (\d+) (\d+)"', picture)[0])
     for k, (x, y, w, h) in enumerate(boxes):
+        assert w <= x <= width - w
+        assert h <= y <= height - h
         assert not any(abs(x - a) < w + c and abs(y - b) < h + d for a, b, c, d in boxes[:k])
 
 
