@@ -128,7 +128,7 @@ def _check_machine(commands: pd.DataFrame, file: _File, machine: Machine, path: 
 
 
 def _toml(experiment: Experiment, digest: str) -> str:
-    lines = ["# A recording to make; docs/experiment.md says how. SI units."]
+    lines = ["# A recording to make; docs/guide/next-experiment.md says how. SI units."]
     top: Mapping[str, Any] = {
         "schema": 1,
         "name": experiment.name,
