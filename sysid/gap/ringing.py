@@ -16,6 +16,8 @@ Array = npt.NDArray[np.float64]
 PIECE = 20.0
 #: Below this [Hz] drift and motion look like an oscillation.
 LOWEST = 0.2
+#: A peak with less than this share of the power that the simulated motion has there follows the motion, and is none of its own.
+OWN = 0.25
 #: A peak is what lies within this share of its frequency; it has to hold this share of the power above the lowest frequency.
 WIDTH, CLEAR = 0.15, 0.5
 
@@ -28,45 +30,56 @@ def swinging(problem: Problem, theta: Array, recordings: Sequence[Recording], si
     from scipy.signal import welch
 
     found = np.zeros(len(problem.signals))
-    residuals = [
-        (problem.rate(r), problem.measured(r) - problem.predict(theta[None], r)[0]) for r in recordings if r.kind == "motion"
-    ]
-    if not residuals:
+    parts = []
+    for recording in (r for r in recordings if r.kind == "motion"):
+        simulated = problem.predict(theta[None], recording)[0]
+        parts.append((problem.rate(recording), simulated, problem.measured(recording) - simulated))
+    if not parts:
         return found
-    rate_hz = residuals[0][0]
+    rate_hz = parts[0][0]
     length = round(PIECE * rate_hz)
     for k in range(len(found)):
-        spectra, rows, square = [], 0, 0.0
-        for rate, residual in residuals:
+        spectra, of_motion, rows, square = [], [], 0, 0.0
+        for rate, simulated, residual in parts:
+            if abs(rate - rate_hz) > 1e-6 * rate_hz:
+                continue
             for stretch in _whole(residual[:, k]):
-                if abs(rate - rate_hz) > 1e-6 * rate_hz or len(stretch) < length // 2:
+                if stretch.stop - stretch.start < length // 2:
                     continue
-                piece = stretch - stretch.mean()
+                piece, motion = (_bridged(values[stretch, k]) for values in (residual, simulated))
                 frequency, power = welch(piece, rate_hz, nperseg=min(length, len(piece)), nfft=length)
+                _, moved = welch(motion, rate_hz, nperseg=min(length, len(piece)), nfft=length)
                 spectra.append(len(piece) * power)
+                of_motion.append(len(piece) * moved)
                 rows, square = rows + len(piece), square + float(piece @ piece)
         if rows and square / rows > (2.0 * float(sigma[k])) ** 2:
-            found[k] = _peak(frequency, np.sum(spectra, axis=0) / rows)
+            found[k] = _peak(frequency, np.sum(spectra, axis=0), np.sum(of_motion, axis=0))
     return found
 
 
-def _peak(frequency: Array, power: Array) -> float:
-    """Frequency of the highest peak if it holds most of the power, else zero."""
+def _peak(frequency: Array, power: Array, motion: Array) -> float:
+    """Frequency of the highest peak if it holds most of the power and does not follow the motion, else zero."""
     above = frequency >= LOWEST
-    frequency, power = frequency[above], power[above]
-    top = int(np.argmax(power))
-    near = np.abs(frequency - frequency[top]) <= WIDTH * frequency[top]
-    if top == 0 or float(power[near].sum()) < CLEAR * float(power.sum()):
+    top = float(frequency[above][np.argmax(power[above])])
+    near = above & (np.abs(frequency - top) <= WIDTH * top)
+    if near[np.argmax(above)] or float(power[near].sum()) < CLEAR * float(power[above].sum()):
+        return 0.0
+    if float(power[near].sum()) < OWN * float(motion[near].sum()):
         return 0.0
     return float(power[near] @ frequency[near] / power[near].sum())
 
 
-def _whole(values: Array) -> list[Array]:
-    """Stretches without a gap; short gaps of a few rows are bridged."""
-    there = ~np.isnan(values)
-    if not there.any():
+def _whole(values: Array) -> list[slice]:
+    """Stretches without a gap of more than a few rows."""
+    rows = np.flatnonzero(~np.isnan(values))
+    if not len(rows):
         return []
-    rows = np.flatnonzero(there)
-    cuts = np.flatnonzero(np.diff(rows) > 5)
-    parts = np.split(rows, cuts + 1)
-    return [np.interp(np.arange(part[0], part[-1] + 1), part, values[part]) for part in parts]
+    parts = np.split(rows, np.flatnonzero(np.diff(rows) > 5) + 1)
+    return [slice(int(part[0]), int(part[-1]) + 1) for part in parts]
+
+
+def _bridged(values: Array) -> Array:
+    """Short gaps filled linearly, the mean taken off."""
+    there = ~np.isnan(values)
+    filled = np.interp(np.arange(len(values)), np.flatnonzero(there), values[there])
+    return filled - filled.mean()

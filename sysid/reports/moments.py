@@ -59,7 +59,8 @@ def worst_moment(traces: Sequence[Traces], signal: str, version: str) -> Moment 
 def telling_signals(gap: GapResult, limit: int = 3) -> list[str]:
     """Outputs of the stages that disagree, one of each owner, the worst first; without any, what is worst in the free run."""
     before, floor = gap.gap.before, gap.gap.noise_floor
-    times = {i.signal: i.stage_rmse / i.noise_floor for i in gap.localised if i.noise_floor > 0.0 and i.signal in before}
+    seen = [i for i in gap.localised if i.noise_floor > 0.0 and i.signal in before and not i.signal.endswith(".command")]
+    times = {i.signal: i.stage_rmse / i.noise_floor for i in seen}
     if not any(ratio > 1.5 for ratio in times.values()):
         times = {s: before[s] / floor[s] for s in before if floor.get(s, 0.0) > 0.0}
     owners: dict[str, str] = {}

@@ -166,3 +166,11 @@ def test_a_force_axis_has_one_stage_and_nothing_to_share() -> None:
     item = located(dataset, nominal(machine=slide()))["slide.command", "direction of slide", "error"]
     assert item.mean[0] == pytest.approx(-8.0, rel=0.2)
     assert item.mean[-1] == pytest.approx(8.0, rel=0.2)
+
+
+def test_an_error_that_follows_a_swinging_motion_does_not_swing_by_itself() -> None:
+    """The wrist is driven to and fro: a wrong link length behind it draws the same frequency."""
+    dataset = dataset_of(nominal().with_effect(KnownEffect("link_length_error", "wrist", {"error": 0.01})), 20.0, seed=4)
+    case, stages = open_case(dataset, nominal(), 0)
+    (tip,) = [stage for stage in stages if stage.problem.stage == "end_effector"]
+    assert not swinging(tip.problem, case.theta, tip.split.seen, tip.sigma).any()
