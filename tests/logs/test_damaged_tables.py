@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from scipy.io import savemat
 
 from sysid.errors import InputError
-from sysid.logs import ReadOptions, reader_for
+from sysid.logs import ReadOptions, reader_for, reader_named
 from sysid.logs.inspection import inspect_file
 
 
@@ -57,3 +57,17 @@ def test_any_text_is_a_table_or_refused(tmp_path: Path, text: str) -> None:
     path.write_bytes(text.encode())
     streams, refusal = attempt(InputError, lambda: reader_for(path).read(path, ReadOptions()))
     assert streams is not None or "a.csv" in refusal
+
+
+@settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(data=st.data())
+def test_any_damage_to_json_records_ends_in_a_stream_or_a_reason(tmp_path: Path, data: st.DataObject) -> None:
+    damaged = bytearray(b'{"gain": 2, "log": [{"time": 0, "q": [1.5, -2e3], "on": true}, {"time": 0.5, "arm": {"u": null}}]}')
+    for _ in range(data.draw(st.integers(1, 4))):
+        damaged[data.draw(st.integers(0, len(damaged) - 1))] = data.draw(st.sampled_from(b'0123456789-.eE[]{}":, \xff\n'))
+    path = tmp_path / "a.json"
+    path.write_bytes(bytes(damaged))
+    streams, refusal = attempt(InputError, lambda: reader_named("json", path).read(path, ReadOptions()))
+    assert streams is not None or "a.json" in refusal
+    for stream in streams or ():
+        assert all(len(values) == len(stream) for values in stream.columns.values())
