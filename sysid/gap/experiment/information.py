@@ -54,11 +54,24 @@ def hypothesis(
     return Hypothesis(candidate, unknowns, values, place(base, unknowns, values[None])[0], known)
 
 
-def discrimination(data: Data, truth: Hypothesis, rival: Hypothesis, drifts: Sequence[Drift], seed: int = 0) -> float:
-    """Expected log likelihood ratio of ``truth`` over ``rival`` [nats], with the rival's parameters refitted.
+@dataclass(frozen=True)
+class Discrimination:
+    """What sets a rival apart.
 
-    The smaller of two: with the wandering that is known (``drifts``), and with the wandering that each model is found to have
-    when noise is added, as the workflow will judge it: a rival may pass what it cannot explain off as wandering.
+    Args:
+        nats: expected log likelihood ratio after the rival has been refitted.
+        rmse: error of its prediction before that, in noise floors.
+    """
+
+    nats: float
+    rmse: float
+
+
+def discrimination(data: Data, truth: Hypothesis, rival: Hypothesis, drifts: Sequence[Drift], seed: int = 0) -> Discrimination:
+    """How far ``truth`` and ``rival`` are expected to come apart.
+
+    Nats are the smaller of two: with the wandering that is known (``drifts``), and with the wandering that each model is found
+    to have when noise is added, as the workflow will judge it: a rival may pass what it cannot explain off as wandering.
 
     Args:
         data: recordings as ``truth`` would make them, without noise.
@@ -66,7 +79,8 @@ def discrimination(data: Data, truth: Hypothesis, rival: Hypothesis, drifts: Seq
     best = _refit(data, rival, drifts)
     own, left = (0.5 * float(np.sum(_clipped(data.whitened(theta[None], drifts)[0]) ** 2)) for theta in (truth.theta, best))
     judged = _judged(data, truth.theta, seed) - _judged(data, best, seed)
-    return max(min(left - own, judged), 0.0)
+    error = np.concatenate([part.ravel() for part in data.residuals(rival.theta[None])])
+    return Discrimination(max(min(left - own, judged), 0.0), math.sqrt(1.0 + float(np.nanmean(error**2))))
 
 
 def _refit(data: Data, rival: Hypothesis, drifts: Sequence[Drift]) -> Array:

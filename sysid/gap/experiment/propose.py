@@ -33,6 +33,8 @@ class Planning:
     Args:
         nats: expected log likelihood ratio from which a question counts as answered. The workflow needs 5 on recordings to fit
             and as much on those to select; the rest is for what a simulation does not know.
+        gap: the workflow takes a stage for explained that is predicted to within this multiple of the noise floor: a rival has
+            to be left with more, all recordings together.
         lengths: of recordings that are tried, the shortest first [s].
         repeats: most times that the same recording may be asked for.
         margin: share of each axis's range that is kept free at either end.
@@ -41,6 +43,7 @@ class Planning:
     """
 
     nats: float = 20.0
+    gap: float = 1.15
     lengths: tuple[float, ...] = (10.0, 20.0, 40.0, 80.0)
     repeats: int = 5
     margin: float = 0.05
@@ -102,13 +105,16 @@ def rehearse(plant: Plant, experiment: Experiment) -> Recording:
 
 @dataclass(frozen=True)
 class Forecast:
-    """What a script is expected to say of a question: nats of the pair least apart, and what is enough of the effects' needs.
+    """What a script is expected to say of a question.
 
-    ``deviations``: of the unknowns of the first model, (k,).
+    Args:
+        nats: of the pair least apart, from one recording.
+        repeats: how many recordings answer.
+        deviations: of the unknowns of the first model, (k,).
     """
 
     nats: float
-    excited: bool
+    repeats: int
     deviations: Array
 
 
@@ -143,25 +149,23 @@ class Planner:
     # -- choice ----------------------------------------------------------------------------------------------------
 
     def best(self, question: Question) -> tuple[Script, Forecast] | None:
-        """The shortest script that answers; else the one that answers in fewest repeats; None where nothing does."""
-        second: tuple[Script, Forecast] | None = None
+        """The shortest script that answers at once; else what answers in least time if repeated; None where nothing does."""
+        repeated: list[tuple[Script, Forecast]] = []
         for seconds in self.settings.lengths if self.known else ():
             scripts = [s for m, axes in self._options(question) if (s := self.script(m, axes, seconds)) is not None]
-            rated = [(s, f) for s in scripts if (f := self.forecast(s, question)) is not None and f.excited]
-            answering = [item for item in rated if item[1].nats >= self.settings.nats]
-            if answering:
-                return min(answering, key=lambda item: (len(item[0].axes), -item[1].nats))
-            second = max([*rated, *([second] if second else [])], key=lambda item: item[1].nats, default=None)
-        if second is None or second[1].nats * self.settings.repeats < self.settings.nats:
-            return None
-        return second
+            rated = [(s, f) for s in scripts if (f := self.forecast(s, question)) is not None]
+            at_once = [item for item in rated if item[1].repeats == 1]
+            if at_once:
+                return min(at_once, key=lambda item: (len(item[0].axes), -item[1].nats))
+            repeated += rated
+        return min(repeated, key=lambda item: item[0].seconds * item[1].repeats, default=None)
 
     def serves(self, item: _Chosen, question: Question) -> bool:
         """Whether a script that is to be made anyway answers the question; then it is noted there."""
         if any(known is question for known, _ in item.served):
             return True
         forecast = self.forecast(item.script, question)
-        if forecast is None or not forecast.excited or forecast.nats < self.settings.nats:
+        if forecast is None or forecast.repeats > 1:
             return False
         item.served.append((question, forecast))
         return True
@@ -190,7 +194,7 @@ class Planner:
     # -- forecast --------------------------------------------------------------------------------------------------
 
     def forecast(self, script: Script, question: Question) -> Forecast | None:
-        """What the script says of the question; None where a model of it leaves the limits or exceeds the pump."""
+        """What the script says of the question; None where that is too little, or a model leaves the limits or the pump's."""
         datas: dict[int, Data] = {}
         for model in question.models:
             recording = self._rehearse(script, model.theta, self.measured)
@@ -198,12 +202,27 @@ class Planner:
                 return None
             problem = self._problem(question, recording)
             datas[id(model)] = Data(problem, [recording], question.stage.sigma)
-        nats = min(discrimination(datas[id(a)], a, b, question.drifts, self.case.seed) for a, b in question.pairs)
+        apart = [discrimination(datas[id(a)], a, b, question.drifts, self.case.seed) for a, b in question.pairs]
         first = question.models[0]
-        recording = datas[id(first)].recordings[0]
-        seen = (*question.stage.split.seen, recording)
-        excited = all(excitation_of(c, seen, self.machine).sufficient for c in question.candidates)
-        return Forecast(nats, excited, precision(datas[id(first)], first, question.drifts))
+        data = datas[id(first)]
+        nats, rmse = min(item.nats for item in apart), min(item.rmse for item in apart)
+        enough = (r for r in range(1, self.settings.repeats + 1) if self._answers(question, data, nats, rmse, r))
+        repeats = next(enough, None)
+        return None if repeats is None else Forecast(nats, repeats, precision(data, first, question.drifts))
+
+    def _answers(self, question: Question, data: Data, nats: float, rmse: float, repeats: int) -> bool:
+        """Whether so many recordings are enough: in nats, for the gate of the excitation, and to leave a rival unexplained."""
+        if repeats * nats < self.settings.nats:
+            return False
+        seen = (*question.stage.split.seen, *(list(data.recordings) * repeats))
+        if not all(excitation_of(c, seen, self.machine).sufficient for c in question.candidates):
+            return False
+        if question.kind == "excitation":  # asked for because the stage is unexplained
+            return True
+        before = sum(int(np.isfinite(question.stage.problem.measured(r)).sum()) for r in question.stage.split.seen)
+        new = repeats * sum(int(np.isfinite(data.problem.measured(r)).sum()) for r in data.recordings)
+        squares = before * question.stage.found.final_rmse**2 + new * rmse**2
+        return math.sqrt(squares / (before + new)) > self.settings.gap
 
     def _problem(self, question: Question, recording: Recording) -> Problem:
         """The stage of the question for a rehearsed recording."""
@@ -238,7 +257,7 @@ class Planner:
 
     def experiment(self, script: Script, served: Sequence[tuple[Question, Forecast]]) -> Experiment:
         """The script as an experiment, with what it is expected to say in words."""
-        repeats = max(math.ceil(self.settings.nats / forecast.nats) for _, forecast in served)
+        repeats = max(forecast.repeats for _, forecast in served)
         names = [self.machine.axis_names[axis] for axis in script.axes]
         thetas = [self.model.theta, *self._thetas, *(m.theta for question, _ in served for m in question.models)]
         tables = [self._rehearse(script, theta, None).table for theta in thetas]
@@ -248,7 +267,7 @@ class Planner:
             if signal != "time" and not str(signal).endswith(".command") and not tables[0][signal].isna().any()
         }
         purposes = tuple(
-            Purpose(q.kind, _text(q, f, self.settings.nats, repeats), q.effects, f.nats, self.settings.nats) for q, f in served
+            Purpose(q.kind, _text(q, f, self.settings.nats), q.effects, f.nats, self.settings.nats) for q, f in served
         )
         provenance: dict[str, str | int] = {
             "dataset": self.case.dataset.reference,
@@ -274,9 +293,9 @@ class Planner:
         )
 
 
-def _text(question: Question, forecast: Forecast, needed: float, repeats: int) -> str:
+def _text(question: Question, forecast: Forecast, needed: float) -> str:
     """What is expected, in words."""
-    often = f" each of {repeats} times" if repeats > 1 else ""
+    often = f" each of {forecast.repeats} times" if forecast.repeats > 1 else ""
     if question.kind == "tie":
         names = [f"{effect.name} on {effect.target}" for effect in question.effects]
         return f"{_listed(names)} should then differ by about {forecast.nats:.0f} nats{often}; {needed:.0f} decide."
