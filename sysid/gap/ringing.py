@@ -82,4 +82,4 @@ def _bridged(values: Array) -> Array:
     """Short gaps filled linearly, the mean taken off."""
     there = ~np.isnan(values)
     filled = np.interp(np.arange(len(values)), np.flatnonzero(there), values[there])
-    return filled - filled.mean()
+    return np.asarray(filled - filled.mean())
