@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+from sysid.gap.result import EXPERIMENTS
 from sysid.reports import display, words
 from sysid.reports.effect_units import remainder_unit
 from sysid.reports.inputs import ReportInputs
@@ -26,6 +27,7 @@ def context(inputs: ReportInputs) -> dict[str, Any] | None:
     units = inputs.dataset.units
     return {
         "steps": gap.next_experiment,
+        "planned": [{"words": item.words, "file": f"{EXPERIMENTS}/{item.name}.toml"} for item in gap.experiments],
         "lacking": [row for row in rows if not row["sufficient"]],
         "enough": [row for row in rows if row["sufficient"]],
         "ties": [
