@@ -17,7 +17,6 @@ import pandas as pd
 
 from sysid.datasets.recording import Dataset, Recording
 from sysid.effects import CATALOGUE, Effect
-from sysid.effects.effect import Stage
 from sysid.errors import SettingsError
 from sysid.gap.feed import fed, followed
 from sysid.gap.likeness import Likeness, likeness_of
@@ -108,8 +107,8 @@ class Around:
         like = self._likenesses.get(problem.target) if problem.stage == "command" else None
         return like.problem if like is not None and like.faithful else problem
 
-    def offers(self, stage: Stage, effect: Effect) -> bool:
-        """Whether an effect at a stage can be put around the simulator."""
+    def offers(self, effect: Effect) -> bool:
+        """Whether an effect can be put around the simulator."""
         return effect.name not in INSIDE
 
     def free_run(self, plant: Plant, recording: Recording) -> pd.DataFrame:
