@@ -16,7 +16,7 @@ import numpy.typing as npt
 import pandas as pd
 
 from sysid.datasets.recording import Dataset, Recording
-from sysid.effects import CATALOGUE, Effect
+from sysid.effects import CATALOGUE
 from sysid.errors import SettingsError
 from sysid.gap.feed import fed, followed
 from sysid.gap.likeness import Likeness, likeness_of
@@ -30,9 +30,6 @@ from sysid.signals import axis_signal, point_signals, split_signal
 
 Array = npt.NDArray[np.float64]
 Stretches = npt.NDArray[np.int64]
-
-#: Effects of the command stage that need more than the command: how the axis is loaded, what the others take.
-INSIDE = ("load_dependent_flow", "pump_flow_limit")
 
 
 @dataclass(frozen=True)
@@ -74,7 +71,7 @@ class Around:
         """
         plant = self.plant
         for item in effects:
-            if item.name in INSIDE or item.target == "machine" or self._forced(item.target):
+            if self._forced(item.target):
                 raise SettingsError(
                     f"simulator {self.name}",
                     f"{item.name} acts inside",
@@ -106,10 +103,6 @@ class Around:
         """What stands in for a stage while effects are searched: a faithful likeness of the axis, else the stage itself."""
         like = self._likenesses.get(problem.target) if problem.stage == "command" else None
         return like.problem if like is not None and like.faithful else problem
-
-    def offers(self, effect: Effect) -> bool:
-        """Whether an effect can be put around the simulator."""
-        return effect.name not in INSIDE
 
     def free_run(self, plant: Plant, recording: Recording) -> pd.DataFrame:
         """The whole chain with the effects of ``plant`` around the simulator."""
@@ -149,7 +142,7 @@ class Around:
         searched = {(p.stage, p.target) for p in problems}
         said = [
             f"{self.name} is taken as it is: parameters are those of effects around it, beside what is inside already; "
-            f"{', '.join(INSIDE)} act inside and are not offered"
+            "load and pump act on what it is fed, with the load at measured joints"
         ]
         inside = [e.name for e in CATALOGUE if e.stage == "force"]
         for axis in self.machine.axes:
@@ -199,7 +192,7 @@ class Around:
             def drive(thetas: Array, recording: Recording) -> Array:
                 return self._drive(thetas, recording, axis)
 
-            own = replace(problem, predict=drive, targets=(axis,), short=None)
+            own = replace(problem, predict=drive, short=None)
             (driven,), neutral = problem.signals, self._model.theta[None]
             runs = [self._as_simulated(neutral, recording, (driven,)) for recording in split_of(dataset).seen]
             like = likeness_of(own, self.plant, self._model, runs, noise_levels(dataset)[driven])
@@ -268,13 +261,9 @@ class Around:
     def _signals(self, thetas: Array, recording: Recording, signals: Sequence[str]) -> Array:
         """What the simulator itself returns, (lanes, n, d); NaN where it says nothing."""
         stretches = self._stretches(recording)
-        commands = {
-            name: fed(
-                self._model, thetas, self._model.held(recording, split_signal(name)[0])[0], split_signal(name)[0], stretches,
-                recording.rate_hz,
-            )
-            for name in command_signals(recording, self.machine)
-        }  # fmt: skip
+        axes = [split_signal(name)[0] for name in command_signals(recording, self.machine)]
+        asked = fed(self._model, thetas, recording, axes, stretches)
+        commands = {axis_signal(axis, "command"): values for axis, values in asked.items()}
         missing = np.full(len(recording), np.nan)
         found = self.runs.of(recording, commands, stretches)
         return np.array([[lane.get(s, missing) for s in signals] for lane in found]).transpose(0, 2, 1)

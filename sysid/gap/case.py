@@ -117,8 +117,7 @@ def _stage(case: Case, problem: Problem) -> Stage:
 def stage_candidates(case: Case, stage: Stage) -> list[Candidate]:
     """Every effect that may be missing at the stage, whether the recordings show it or not."""
     problem = stage.problem
-    found = candidates_at(case.plant, case.theta, problem.stage, problem.targets, scales_of(case.plant, stage))
-    return [c for c in found if case.around is None or case.around.offers(c.effect)]
+    return candidates_at(case.plant, case.theta, problem.stage, problem.targets, scales_of(case.plant, stage))
 
 
 def on_itself(finding: Finding, stage: Stage, theta: Array) -> Finding:

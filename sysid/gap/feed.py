@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import functools
+from collections.abc import Sequence
 
 import numpy as np
 import numpy.typing as npt
 from numba import njit
 
+from sysid.datasets.recording import Recording
 from sysid.effects import CATALOGUE
 from sysid.plant import chain, layout
 from sysid.plant.axis_run import begin
@@ -20,7 +22,9 @@ Stretches = npt.NDArray[np.int64]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def feed_axis(p: Array, rig: Rig, i: int, command: Array, stretches: Stretches, dt: float, size: int, fed: Array) -> None:
+def feed_axis(
+    p: Array, rig: Rig, i: int, command: Array, load: Array, stretches: Stretches, dt: float, size: int, fed: Array
+) -> None:
     """Command (n,) → command behind the effects of the command stage (n,), in the command's own unit.
 
     The speed that a velocity axis would ask for, over its nominal gain: effects that act on speed act on the command that makes
@@ -31,7 +35,7 @@ def feed_axis(p: Array, rig: Rig, i: int, command: Array, stretches: Stretches, 
     for row in range(len(stretches)):
         begin(s, m, size, 0.0, 0.0, np.nan, p, i * AXIS_WIDTH, stretches[row, 0], dt)
         for k in range(stretches[row, 0], stretches[row, 1]):
-            fed[k] = chain.ask(command[k], p, s, m, size, rig.axes, i, 0.0, dt) / scale
+            fed[k] = chain.ask(command[k], p, s, m, size, rig.axes, i, load[k], dt) / scale
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -46,17 +50,32 @@ def follow_axis(p: Array, i: int, drive: Array, start: float, load: Array, out: 
             out[k] = chain.joint_stage(drive[k], p, i * AXIS_WIDTH, s, np.int64(0), load[k])
 
 
-def fed(model: Model, thetas: Array, command: Array, axis: str, stretches: Stretches, rate_hz: float) -> Array:
-    """Commands (n,) of one axis as the simulator gets them under each of ``thetas``, (lanes, n).
+def fed(model: Model, thetas: Array, recording: Recording, axes: Sequence[str], stretches: Stretches) -> dict[str, Array]:
+    """Commands of ``axes`` as the simulator gets them under each of ``thetas``: axis → (lanes, n).
 
+    The load is that at the measured joints. A pump that cannot feed what all velocity axes ask for slows all of them alike.
     Lanes without any effect get the command itself, to the last bit.
     """
-    i, dt = model.axis_index(axis), 1.0 / rate_hz
+    place = model.rig.machine + AT.pump_flow_limit
+    limit = thetas[:, place, None]
+    if (limit >= layout.neutral_vector(model.axes)[place]).all():
+        return {axis: _fed(model, thetas, recording, axis, stretches) for axis in axes}
+    pumped = [axis.name for axis in model.machine.axes if axis.actuation == "velocity"]
+    asked = {axis: _fed(model, thetas, recording, axis, stretches) for axis in dict.fromkeys((*axes, *pumped))}
+    demand = np.sum([np.abs(asked[axis]) for axis in pumped], axis=0)
+    share = np.minimum(1.0, limit / np.maximum(demand, 1e-12))
+    return {axis: asked[axis] * share if axis in pumped else asked[axis] for axis in axes}
+
+
+def _fed(model: Model, thetas: Array, recording: Recording, axis: str, stretches: Stretches) -> Array:
+    """Behind the axis' own effects, (lanes, n)."""
+    i, dt, command = model.axis_index(axis), 1.0 / recording.rate_hz, model.held(recording, axis)[0]
+    load = model.load(thetas, recording)[i]
     places = _command_places(model.machine.axis_names, axis)
     neutral = layout.neutral_vector(model.axes)[places]
     out = np.repeat(command[None], len(thetas), axis=0)
     for k in np.flatnonzero((thetas[:, places] != neutral).any(axis=1)):
-        feed_axis(thetas[k], model.rig, i, command, stretches, dt, layout.axis_memory(dt), out[k])
+        feed_axis(thetas[k], model.rig, i, command, load, stretches, dt, layout.axis_memory(dt), out[k])
     return out
 
 

@@ -106,8 +106,8 @@ def _predict(model: Model, axis: Axis, like: Array, restart_every: float | None 
 
     def predict(thetas: Array, recording: Recording) -> Array:
         dt, count = 1.0 / recording.rate_hz, len(recording)
-        command, stretches = model.held(recording, axis.name)
-        commands = fed(model, thetas, command, axis.name, stretches, recording.rate_hz)
+        stretches = model.held(recording, axis.name)[1]
+        commands = fed(model, thetas, recording, (axis.name,), stretches)[axis.name]
         length = max(2, round(restart_every / dt)) if restart_every is not None else count
         pieces = [(k, min(k + length, last)) for first, last in stretches for k in range(first, last, length)]
         segments, size = np.array(pieces, dtype=np.int64).reshape(-1, 2), layout.axis_memory(dt)

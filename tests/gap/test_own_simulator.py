@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 import pandas as pd
 import pytest
-from plant_data import ROLES, arm, dataset_of, nominal, steered
+from plant_data import ROLES, arm, dataset_of, nominal, slide, steered
 
 from sysid.datasets.recording import Dataset, Recording
 from sysid.errors import ExcitationError, InputError, SettingsError
@@ -105,7 +105,7 @@ def test_hidden_effect_is_named(dataset: Any, name: str, parameters: dict[str, f
     assert dict(effect.parameters) == pytest.approx(parameters, rel=0.01)
     assert result.gap.after["lift.joint"] < 1.5 * NOISE < 10.0 * NOISE < result.gap.before["lift.joint"]
     assert result.plant_before == "lift model"
-    assert any("load_dependent_flow, pump_flow_limit act inside" in note for note in result.notes)
+    assert any("lift model is taken as it is" in note for note in result.notes)
 
 
 def test_nothing_hidden_is_named_nothing_at_the_cost_of_a_few_runs() -> None:
@@ -295,10 +295,12 @@ def test_what_a_simulator_does_not_return_is_not_searched() -> None:
 
 
 def test_effects_inside_and_registries_are_refused() -> None:
+    dataset = dataset_of(nominal(machine=slide()), 2.0)
+    around = around_simulator(Said(lambda n: pd.DataFrame({"slide.joint": np.zeros(n)})), dataset)
+    with pytest.raises(SettingsError, match="simulator Said: coulomb_friction acts inside; expected an effect around it"):
+        around.with_effects([KnownEffect("coulomb_friction", "slide", {"force": 1.0})])
+    assert any("moved by force: coulomb_friction" in note for note in around.notes([]))
     dataset = dataset_of(nominal(), 5.0)
-    around = around_simulator(Opaque(), dataset)
-    with pytest.raises(SettingsError, match="simulator crane model: pump_flow_limit acts inside; expected an effect around it"):
-        around.with_effects([KnownEffect("pump_flow_limit", "machine", {"limit": 1.0})])
     with pytest.raises(SettingsError, match="simulator crane model: cannot be stored"):
         find_gap(dataset, Opaque(), add=True)
     with pytest.raises(SettingsError, match="stages that were not searched"):
@@ -310,6 +312,7 @@ def test_effects_around_are_those_of_the_plant() -> None:
     added = (
         KnownEffect("valve_deadband", "slew", {"positive": 0.1, "negative": 0.05}),
         KnownEffect("backlash", "slew", {"width": 0.01}, "drive"),
+        KnownEffect("pump_flow_limit", "machine", {"limit": 0.8}),
         KnownEffect("input_delay", "wrist", {"delay": 0.08}),
         KnownEffect("backlash", "boom", {"width": 0.01}, "drive"),
         KnownEffect("base_misalignment", "base", {"translation": [0.01, 0.0, 0.0], "rotation": [0.0, 0.0, 0.02]}),
