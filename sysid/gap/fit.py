@@ -28,6 +28,8 @@ FORGETS = 0.9
 GRID = (20.0, 7.5, 2.5, 1.0, 0.375, 0.125)
 #: Starts from which a fit descends.
 DESCENTS = 2
+#: Relative tolerances of a descent on its way, and where it ends.
+ROUGH, EXACT = 1e-3, 1e-7
 
 
 @dataclass(frozen=True)
@@ -192,18 +194,21 @@ def _descend(
     x = start
     done = False
     if data.problem.short is not None:  # a drift cannot trap a fit in short runs
-        x, _ = _least_squares(data, theta, unknowns, x, low, high, scale, plain, data.problem.short)
-    x, done = _least_squares(data, theta, unknowns, x, low, high, scale, plain, data.problem)
+        x, _ = _least_squares(data, theta, unknowns, x, low, high, scale, plain, data.problem.short, ROUGH)
+    x, done = _least_squares(data, theta, unknowns, x, low, high, scale, plain, data.problem, ROUGH)
     if any(u.stepwise for u in unknowns):
         for reach in GRID:
             x = _search_grid(data, theta, unknowns, x, low, high, reach)
-            x, done = _least_squares(data, theta, unknowns, x, low, high, scale, plain, data.problem)
+            x, done = _least_squares(data, theta, unknowns, x, low, high, scale, plain, data.problem, ROUGH)
     drifts, log_likelihood = data.drifts(place(theta, unknowns, x[None])[0])
+    if not data.problem.integrates or not any(drift.present for drift in drifts):
+        x, done = _least_squares(data, theta, unknowns, x, low, high, scale, plain, data.problem, EXACT)
+        drifts, log_likelihood = data.drifts(place(theta, unknowns, x[None])[0])
     for _ in range(2):
         # Where nothing integrates, plain least squares is not misled by wandering, and is what published figures are.
         if not data.problem.integrates or not any(drift.present for drift in drifts):
             break
-        moved, ended = _least_squares(data, theta, unknowns, x, low, high, scale, drifts, data.problem)
+        moved, ended = _least_squares(data, theta, unknowns, x, low, high, scale, drifts, data.problem, EXACT)
         renewed, better = data.drifts(place(theta, unknowns, moved[None])[0])
         if better <= log_likelihood:
             break
@@ -224,6 +229,7 @@ def _least_squares(
     scale: Array,
     drifts: Sequence[Drift],
     problem: Problem,
+    tolerance: float,
 ) -> tuple[Array, bool]:
     smooth = np.array([not u.stepwise for u in unknowns])
     x = np.clip(start, low + 1e-9 * (high - low), high - 1e-9 * (high - low))
@@ -245,7 +251,7 @@ def _least_squares(
 
     solution = least_squares(
         errors, x[smooth], slopes, (low[smooth], high[smooth]), x_scale=scale[smooth], loss="soft_l1",
-        f_scale=forgiveness(errors(x[smooth])), ftol=1e-7, xtol=1e-7, max_nfev=40,
+        f_scale=forgiveness(errors(x[smooth])), ftol=tolerance, xtol=tolerance, max_nfev=40,
     )  # fmt: skip
     return whole(solution.x), solution.status > 0
 
