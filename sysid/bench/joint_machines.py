@@ -39,8 +39,9 @@ def load_joint_machine(path: Path) -> ServoArm | Slide:
         return arm
     if kind == "slide":
         slide = parse_settings(values, Slide, path)
-        if min(slide.mass, slide.stiffness, slide.stribeck, slide.stroke, slide.pitch) <= 0.0:
-            raise SettingsError(path, "a mass, stiffness, stribeck speed, stroke or pitch of zero or less", "more than zero")
+        if min(slide.mass, slide.stiffness, slide.force_limit, slide.stribeck, slide.stroke, slide.pitch) <= 0.0:
+            what = "a mass, stiffness, force limit, stribeck speed, stroke or pitch of zero or less"
+            raise SettingsError(path, what, "more than zero")
         if slide.bristle < 0.0:
             raise SettingsError(f"{path}: bristle", f"{slide.bristle}", "zero or more")
         _check_rate(slide.rate, path)

@@ -76,7 +76,7 @@ class Slide:
         bristle: elastic deflection of the seals before they slide [m]; 0 = none, they hold rigidly.
         offset: constant force against positive motion [N].
         cogging, pitch: force of the motor's magnets against positive motion, ± this much, once every ``pitch`` [N, m].
-        stiffness, damping: of the controller that moves it [N/m, N·s/m].
+        stiffness, damping, force_limit: of the drive that moves it [N/m, N·s/m, N].
         stroke: half of its travel [m]; noise, force_noise: of the sensors [m, N].
     """
 
@@ -97,6 +97,7 @@ class Slide:
     pitch: float = 0.03
     stiffness: float = 3e4
     damping: float = 1.5e3
+    force_limit: float = 1.5e3
     stroke: float = 0.2
     rate: float = 1000.0
     noise: float = 0.0

@@ -37,7 +37,7 @@ def run_slide(slide: Slide, take: Take) -> tuple[Array, Array, Array]:
         slide.cogging,
         2.0 * math.pi / slide.pitch,
     )
-    _slide(path, numbers, slide.stiffness, slide.damping, force, position)
+    _slide(path, numbers, (slide.stiffness, slide.damping, slide.force_limit), force, position)
     every = round(1.0 / (STEP * slide.rate))
     return np.arange(0, steps, every, dtype=np.float64) * STEP, force[::every], position[::every]
 
@@ -46,19 +46,19 @@ def run_slide(slide: Slide, take: Take) -> tuple[Array, Array, Array]:
 def _slide(
     path: Array,
     numbers: tuple[float, float, float, float, float, float, float, float, float],
-    stiffness: float,
-    damping: float,
+    drive: tuple[float, float, float],
     force: Array,
     position: Array,
 ) -> None:
     """Closed loop in sub-steps; dry friction is applied as an impulse that may stop the carriage but not turn it round."""
     mass, coulomb, static, stribeck, viscous, constant, bristle, cogging, waves = numbers
+    stiffness, damping, most = drive
     x, v, deflection = path[0], 0.0, 0.0
     substeps = 10
     h = STEP / substeps
     for k in range(len(path)):
         speed = (path[min(k + 1, len(path) - 1)] - path[k]) / STEP
-        u = stiffness * (path[k] - x) + damping * (speed - v)
+        u = min(max(stiffness * (path[k] - x) + damping * (speed - v), -most), most)
         force[k] = u
         position[k] = x
         for _ in range(substeps):
