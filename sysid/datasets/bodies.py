@@ -206,7 +206,9 @@ def find_mounts(streams: Sequence[Stream], mapping: StreamMap, machine: Machine)
             raise InputError(
                 where, f"seen in {len(poses)} frames of the reference pose", "at least three", "Choose other seconds."
             )
-        spread = float(np.ptp(poses[:, :3, 3], axis=0).max())
+        # Medians of parts, so that noise is no motion.
+        parts = np.array_split(poses[:, :3, 3], min(5, len(poses) // 3))
+        spread = float(np.ptp([np.median(part, axis=0) for part in parts], axis=0).max())
         if spread > STILL:
             found = f"moves by {1e3 * spread:.1f} mm in the reference pose"
             raise InputError(where, found, "a machine that stands still", "Choose other seconds.")
