@@ -80,8 +80,14 @@ def turning_points(values: Array, least: float) -> int:
 
 
 def command_changes(recordings: Sequence[Recording], machine: Machine, axis: str) -> float:
-    """Starts, stops and reversals of the command."""
-    return sum(int(np.sum(np.diff(np.sign(_level(r, axis))) != 0)) for r in recordings)
+    """Starts, stops and reversals of the command, or its turning points where it never comes to rest."""
+    total = 0
+    for recording in recordings:
+        level = _level(recording, axis)
+        u = np.nan_to_num(recording.values(axis_signal(axis, "command")))
+        turns = turning_points(u, 0.2 * float(np.ptp(np.percentile(u, (2.5, 97.5)))))
+        total += max(int(np.sum(np.diff(level) != 0)), turns)
+    return total
 
 
 def small_commands(recordings: Sequence[Recording], machine: Machine, axis: str) -> float:
@@ -190,9 +196,10 @@ def tip_stops(recordings: Sequence[Recording], machine: Machine, axis: str) -> f
 
 
 def _level(recording: Recording, axis: str) -> Array:
-    """The command as −1, 0, +1, with what is below a fiftieth of its largest value as 0."""
+    """The command as −1, 0, +1, with what is below a fiftieth of its large values as 0 (a spike is none of them)."""
     u = np.nan_to_num(recording.values(axis_signal(axis, "command")))
-    return np.where(np.abs(u) > 0.02 * max(float(np.max(np.abs(u), initial=0.0)), 1e-12), np.sign(u), 0.0)
+    given = np.abs(u[u != 0.0])
+    return np.where(np.abs(u) > 0.02 * np.percentile(given, 95), np.sign(u), 0.0) if len(given) else np.zeros(len(u))
 
 
 #: What an effect may need (:class:`sysid.effects.Need`): how it is counted, and in what.

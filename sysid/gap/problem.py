@@ -66,17 +66,19 @@ def drive_problem(model: Model, axis: Axis, restart_every: float | None = None) 
     def predict(thetas: Array, recording: Recording) -> Array:
         return model.drive(thetas, recording, axis.name, restart_every)[:, :, None]
 
+    moves = axis.actuation == "velocity"
+    targets = (axis.name, "machine") if _shares_pump(model, axis) else (axis.name,)
     return Problem(
         "command",
         axis.name,
-        (axis.name, "machine") if _shares_pump(model, axis) else (axis.name,),
+        targets if moves else (*targets, axis.driven),  # a servo stands where it is told to, but for its sensor's zero
         (axis.driven,),
         predict,
         lambda recording: recording.values(axis.driven)[:, None],
         _every_row,
-        nuisances=("gain_error", "input_delay") if axis.actuation == "velocity" else ("input_delay",),
-        integrates=True,
-        short=drive_problem(model, axis, SHORT_RUN) if restart_every is None else None,
+        nuisances=("gain_error", "input_delay") if moves else ("input_delay",),
+        integrates=moves,
+        short=drive_problem(model, axis, SHORT_RUN) if moves and restart_every is None else None,
     )
 
 
