@@ -16,7 +16,7 @@ EFFECT = Effect(
                 Parameter(
                     "compliance",
                     "rad/(N·m)",
-                    (0.0, 0.1),
+                    (0.0, 10.0),
                     (1e-3, 5e-3),
                     2e-4,
                     "deflection under the gravity moment (m/N on a prismatic joint)",

@@ -12,9 +12,12 @@ from sysid.effects import CATALOGUE, Effect, Form, Parameter
 from sysid.effects.effect import Stage
 from sysid.machine import KnownEffect, Machine
 from sysid.plant import Plant
-from sysid.plant.layout import parameter_indices
+from sysid.plant.layout import neutral_vector, parameter_indices
 
 Array = npt.NDArray[np.float64]
+
+#: A value that is measured in one over the typical load is sought up to this multiple of its largest start.
+REACH = 50.0
 
 
 @dataclass(frozen=True)
@@ -24,7 +27,7 @@ class Unknown:
     Args:
         key: public parameter name, with ``[i]`` for a component of a vector.
         places: indices into ``theta`` that take its value.
-        nominal: its value in the plant that is being questioned.
+        nominal: its value in the plant that is being questioned; ``absent``: its value where there is no such effect.
         negligible: a departure from nominal that is not worth a name; steps and tolerances of fits derive from it.
         stepwise: slopes say nothing about it; a fit searches it on a grid as well.
     """
@@ -33,6 +36,7 @@ class Unknown:
     places: tuple[int, ...]
     bounds: tuple[float, float]
     nominal: float
+    absent: float
     negligible: float
     stepwise: bool = False
 
@@ -176,6 +180,7 @@ def _candidate(
 ) -> Candidate:
     unknowns: list[Unknown] = []
     starts: list[tuple[float, ...]] = []
+    neutral = neutral_vector(len(plant.machine.axes))
     for parameter in form.parameters:
         places = parameter_indices(plant.machine.axis_names, effect.name, target, side, parameter.name, plant.streams)
         unit = scales.unit(parameter, target)
@@ -183,7 +188,13 @@ def _candidate(
             key = parameter.name if len(places) == 1 else f"{parameter.name}[{k}]"
             nominal = float(theta[group[0]])
             negligible = parameter.negligible * unit
-            unknowns.append(Unknown(key, tuple(group), parameter.bounds, nominal, negligible, parameter.stepwise))
+            bounds = parameter.bounds
+            if parameter.scale == "1/load":  # what a servo's elbow may give is no choice for a crane's boom
+                most = REACH * max(abs(start) for start in parameter.starts) * unit
+                bounds = max(bounds[0], -most), min(bounds[1], most)
+            unknowns.append(
+                Unknown(key, tuple(group), bounds, nominal, float(neutral[group[0]]), negligible, parameter.stepwise)
+            )
             starts.append(scales.starts(parameter, target))
     count = max(len(s) for s in starts)
     rows = tuple(tuple(s[min(i, len(s) - 1)] for s in starts) for i in range(count))

@@ -19,11 +19,14 @@ from sysid.gap.drift import log_density
 from sysid.gap.evidence import Comparison, confidence_set, gain_p_value
 from sysid.gap.fit import Data, Fit, fit_candidates, jacobian, spread_of
 from sysid.gap.problem import Problem, Split
+from sysid.gap.screen import likely_gains
 
 Array = npt.NDArray[np.float64]
 
 #: Starting points spread over the ranges of what is fitted; they are judged in one batch, the best are descended from.
 STARTS = 32
+#: An addition that leaves more than this of the unseen RMSE hardly lowers it.
+SLIGHT = 0.98
 
 
 @dataclass(frozen=True)
@@ -39,8 +42,12 @@ class Strictness:
         halves: where that ratio is as large as this, ``forward`` nats are enough.
         worse: no step may raise the unseen RMSE by more than this factor, whatever short-term evidence says.
         richer: an effect that contains a simpler one has to predict unseen recordings better than that by this factor.
+        decides, explained: a departure that is small enough to be negligible gets a name where the stage is explained with it
+            (unseen RMSE below ``explained`` noise floors) and this many times further off without it.
         sensitivity: least share of an effect's influence that no other fitted parameter can imitate.
         most: largest number of effects at one stage.
+        tried: so many of the candidates that promise most are fitted at a time.
+        slight: an addition that hardly lowers the unseen RMSE needs as many nats.
         crossed: with less than this much to select on [s], fitting and selecting recordings change places as well.
     """
 
@@ -53,8 +60,12 @@ class Strictness:
     halves: float = 2.0
     worse: float = 1.1
     richer: float = 1.05
+    decides: float = 2.0
+    explained: float = 1.5
     sensitivity: float = 0.02
     most: int = 6
+    tried: int = 6
+    slight: float = 30.0
     crossed: float = 90.0
 
 
@@ -115,6 +126,7 @@ class Search:
     on_fit: Callable[[str], None] = lambda text: None
     _fits: dict[frozenset[str], tuple[Fit, ...]] = field(default_factory=dict)
     _scores: dict[frozenset[str], tuple[Array, float]] = field(default_factory=dict)
+    _gains: dict[frozenset[str], dict[str, float]] = field(default_factory=dict)
     _trials: list[Trial] = field(default_factory=list)
 
     def __post_init__(self) -> None:
@@ -135,10 +147,10 @@ class Search:
             if better is model or set(better.labels) == set(model.labels):
                 break
             model = better
-        doubtful = [c for c in model.candidates if not c.nuisance or _departs(c, model)]
+        doubtful = [c for c in model.candidates if not c.nuisance or self._matters(c, model)]
         rivals = {c.key: self._rivals(model, c) for c in doubtful}  # while nuisances are free: they imitate much
         model, kept = self._backward(model)
-        ordinary = [c for c in model.candidates if not c.nuisance or (_departs(c, model) and self._lasts(kept[c.label]))]
+        ordinary = [c for c in model.candidates if not c.nuisance or (self._matters(c, model) and self._lasts(kept[c.label]))]
         named = tuple(Kept(c, kept[c.label], *rivals.get(c.key, ((), ()))) for c in ordinary)
         adjusted = tuple(c for c in model.candidates if c not in ordinary)
         seen = Data(self.problem, self.split.seen, self.sigma)
@@ -151,7 +163,7 @@ class Search:
         """Add what has most evidence, until nothing helps or the stage is explained."""
         passed = {frozenset(model.labels)}
         while len(self._ordinary(model)) < self.strict.most and self._rmse(model) > self.strict.gap:
-            trials = [self._fit(_joined(model.candidates, c), (model,)) for c in self._open(model)]
+            trials = [self._fit(_joined(model.candidates, c), (model,)) for c in self._likely(model, model.candidates)]
             if not trials:
                 break
             for trial in trials:
@@ -159,7 +171,8 @@ class Search:
             limit = self.strict.worse * self._rmse(model)
             trials = [trial for trial in trials if self._rmse(trial) <= limit] or [model]
             best = max(trials, key=self._merit)
-            if self._merit(best) < self._merit(model) + self.strict.forward:
+            slight = self._rmse(best) > SLIGHT * self._rmse(model)
+            if self._merit(best) < self._merit(model) + (self.strict.slight if slight else self.strict.forward):
                 break
             plainer = self._plainer(best)
             if frozenset(plainer.labels) in passed:  # the addition was no more than a richer form of what is there
@@ -173,12 +186,11 @@ class Search:
         best = model
         for old in self._ordinary(model):
             rest = tuple(c for c in model.candidates if c is not old)
-            for new in self._open(model):
-                if new.key != old.key:
-                    trial = self._fit(_joined(rest, new), (model,))
-                    better = self._merit(trial) > self._merit(best) + self.strict.forward
-                    if better and self._rmse(trial) <= self.strict.worse * self._rmse(best):
-                        best = trial
+            for new in self._likely(model, rest, old):
+                trial = self._fit(_joined(rest, new), (model,))
+                better = self._merit(trial) > self._merit(best) + self.strict.forward
+                if better and self._rmse(trial) <= self.strict.worse * self._rmse(best):
+                    best = trial
         return best
 
     def _backward(self, model: Fit, keep_nuisances: bool = False) -> tuple[Fit, dict[str, Comparison]]:
@@ -198,7 +210,7 @@ class Search:
                 if candidate.nuisance:  # stays as an adjustment as long as it predicts better; a name needs more
                     lasting = self._merit(model) > self._merit(smaller) + self.strict.forward
                 else:
-                    lasting = self._lasts(comparison) and _departs(candidate, model)
+                    lasting = self._lasts(comparison) and self._matters(candidate, model)
                 lasting &= shares[candidate.label] >= self.strict.sensitivity
                 if not lasting and (weakest is None or comparison.gain < weakest[0]):
                     weakest = (comparison.gain, smaller, candidate.label)
@@ -223,7 +235,7 @@ class Search:
     def _rivals(self, model: Fit, candidate: Candidate) -> tuple[tuple[tuple[Candidate, str], ...], tuple[Candidate, ...]]:
         """Every other effect in the place of this one: (those that lost and why, those that predict unseen data as well)."""
         rest = tuple(c for c in model.candidates if c is not candidate)
-        rivals = [c for c in self._open(model) if c.key != candidate.key]
+        rivals = self._likely(model, rest, candidate)
         fits = [self._fit(_joined(rest, rival), (model,)) for rival in rivals]
         # A rival ties only if neither the fitted nor the unseen recordings tell the two apart.
         near = [k for k, fit in enumerate(fits) if self._delta_bic(fit, model) < self.strict.delta_bic]
@@ -240,6 +252,20 @@ class Search:
         )
         return rejected, ties
 
+    def _likely(self, model: Fit, rest: tuple[Candidate, ...], old: Candidate | None = None) -> list[Candidate]:
+        """Of what may be added to ``model`` the candidates that promise most beside ``rest``, the model without ``old``."""
+        free = [c for c in self._open(model) if old is None or c.key != old.key]
+        if len(free) <= self.strict.tried:
+            return free
+        base = self._fit(rest, (model,))
+        key = frozenset(base.labels)
+        known = self._gains.setdefault(key, {})
+        new = [c for c in free if c.label not in known]
+        if new:
+            gains = likely_gains(self.folds[0][0], self.theta, base, new)
+            known.update(zip((c.label for c in new), map(float, gains), strict=True))
+        return sorted(free, key=lambda c: -known[c.label])[: self.strict.tried]
+
     # -- parts ---------------------------------------------------------------------------------------------------
 
     def _lasts(self, c: Comparison) -> bool:
@@ -247,6 +273,20 @@ class Search:
         likely = c.gain > self.strict.delta_bic and (c.p_value < self.strict.likely or c.ratio > self.strict.ratio)
         halved = c.gain > self.strict.forward and c.ratio > self.strict.halves
         return c.delta_bic > self.strict.delta_bic and (sure or likely or halved)
+
+    def _matters(self, candidate: Candidate, model: Fit) -> bool:
+        """Whether a departure is large enough for a name: in itself, or since everything depends on it.
+
+        What ends at the bound of its range is no value of that effect: something else is passed off as it.
+        """
+        if _at_bound(candidate, model):
+            return False
+        if _departs(candidate, model):
+            return True
+        if self._rmse(model) > self.strict.explained:
+            return False
+        without = self._fit(tuple(c for c in model.candidates if c is not candidate), (model,))
+        return self._rmse(without) > self.strict.decides * self._rmse(model)
 
     def _ordinary(self, model: Fit) -> list[Candidate]:
         return [c for c in model.candidates if not c.nuisance]
@@ -431,3 +471,13 @@ def _departs(candidate: Candidate, fit: Fit) -> bool:
     """Whether any parameter moved by more than is negligible."""
     values = fit.values_of(candidate)
     return any(abs(v - u.nominal) > u.negligible for u, v in zip(candidate.unknowns, values, strict=True))
+
+
+def _at_bound(candidate: Candidate, fit: Fit) -> bool:
+    """Whether any parameter ends at a bound that does not mean "absent"."""
+    for value, unknown in zip(fit.values_of(candidate), candidate.unknowns, strict=True):
+        for bound in unknown.bounds:
+            near = 1e-3 * min(unknown.bounds[1] - unknown.bounds[0], max(abs(bound), unknown.negligible))
+            if abs(value - bound) <= near and abs(bound - unknown.absent) > near:
+                return True
+    return False
