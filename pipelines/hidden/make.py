@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 
+from bench_agreement import Unknown, description, fit, record
 from hidden.cases import CaseSpec, Hidden
 from hidden.kinds import BY_KEY, Kind
 from hidden.limits import Limit, error_of, limit_of, overlaid_lists
@@ -25,6 +26,10 @@ from sysid.bench.joint_machines import write_joint_machine
 from sysid.bench.joint_recipe import ServoArm, Slide
 from sysid.bench.nominal import Chain, fit_nominal
 from sysid.bench.recipe import HiddenSettings, Recipe
+from sysid.plant import nominal_plant
+
+#: What an engineer fits to a servo before anything else.
+SERVO = ("input_delay", "first_order_lag")
 
 
 def make_case(spec: CaseSpec, work: Path) -> dict[str, Any]:
@@ -124,8 +129,7 @@ def write_known(owner: ServoArm | Slide, text: str) -> str:
     known: list[tuple[str, str, dict[str, float]]] = []
     if isinstance(owner, ServoArm):
         for axis in owner.axes:
-            known += [("input_delay", axis.name, {"delay": axis.delay})]
-            known += [("first_order_lag", axis.name, {"time_constant": axis.time_constant})]
+            known += [(name, axis.name, values) for name, values in fitted_servo(owner, axis.name).items()]
     else:
         known += [("viscous_friction", "carriage", {"coefficient": owner.viscous})]
         if owner.coulomb > 0.0:
@@ -136,14 +140,22 @@ def write_known(owner: ServoArm | Slide, text: str) -> str:
     return text
 
 
+def fitted_servo(arm: ServoArm, axis: str) -> dict[str, dict[str, float]]:
+    """Dead time and lag as an engineer fits them without noise, the cycle before the servo begins to follow included."""
+    plant = nominal_plant(description(arm))
+    unknowns = [Unknown("input_delay", axis, {"delay": 0.04}), Unknown("first_order_lag", axis, {"time_constant": 0.05})]
+    plant = fit(plant, unknowns, [record(arm, "operator", 1, 30.0)], (f"{axis}.joint",))
+    found = {name: plant.effect(name, axis) for name in SERVO}
+    return {name: {key: float(value) for key, value in effect.parameters.items()} for name, effect in found.items() if effect}  # type: ignore[arg-type]
+
+
 def _joint_truth(kind: Kind, owner: ServoArm | Slide, real: ServoArm | Slide) -> list[dict[str, Any]]:
     found = []
     for name, target in kind.named:
         if isinstance(real, ServoArm):
             axis = next(axis for axis in real.axes if axis.name == target)
             values = {
-                "input_delay": {"delay": axis.delay},
-                "first_order_lag": {"time_constant": axis.time_constant},
+                **(fitted_servo(real, target) if name in SERVO else {}),
                 "command_rate_limit": {"rate": axis.rate_limit},
                 "backlash": {"width": axis.backlash},
                 "joint_compliance": {"compliance": axis.compliance},
@@ -153,9 +165,10 @@ def _joint_truth(kind: Kind, owner: ServoArm | Slide, real: ServoArm | Slide) ->
             values = {
                 "coulomb_friction": {"force": real.coulomb},
                 "viscous_friction": {"coefficient": real.viscous},
+                # Beside the Coulomb friction that the owner knows.
                 "stribeck_friction": {
-                    "static_force": real.static,
-                    "coulomb_force": real.coulomb,
+                    "static_force": real.static - owner.coulomb,
+                    "coulomb_force": real.coulomb - owner.coulomb,
                     "stribeck_velocity": real.stribeck,
                 },
                 "inertia_error": {"ratio": real.mass / owner.mass},

@@ -3,20 +3,27 @@
 from __future__ import annotations
 
 import json
+import math
 import os
+import resource
 import shutil
+import signal
 import subprocess
 import sys
 import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 from hidden.cases import CaseSpec
 
-#: Longest time for making a case and for answering it [s]; an answer that takes longer is a failure.
+#: Longest processor time for making a case and for answering it [s]; an answer that takes longer is a failure. Each process
+#: computes on one thread, so that this is the time on a quiet machine, whatever else this one does.
 MAKING, ANSWERING = 300.0, 180.0
+#: Longest wall time, in longest processor times.
+PATIENCE = 6.0
 #: Each process computes on one thread; cases run side by side instead.
 ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"), "1")
 
@@ -78,11 +85,16 @@ def make_and_answer(spec: CaseSpec, place: Place, limit: float) -> str | None:
 def _process(module: str, arguments: list[str], limit: float) -> str | None:
     """Run a module of this package; what went wrong, if anything did."""
     here = Path(__file__).resolve().parents[1]
-    environment = {**os.environ, **ONE_THREAD, "PYTHONPATH": str(here)}
+    environment = {**os.environ, **ONE_THREAD, "PYTHONPATH": os.pathsep.join((str(here), str(here.parent)))}
     command = [sys.executable, "-m", module, *arguments]
     try:
-        done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=limit, check=False)
+        done = subprocess.run(
+            command, env=environment, capture_output=True, text=True, timeout=PATIENCE * limit, check=False,
+            preexec_fn=partial(resource.setrlimit, resource.RLIMIT_CPU, (math.ceil(limit), math.ceil(limit) + 5)),
+        )  # fmt: skip
     except subprocess.TimeoutExpired:
+        return f"took more than {PATIENCE * limit:.0f} s of wall time"
+    if done.returncode == -signal.SIGXCPU:
         return f"took more than {limit:.0f} s"
     if done.returncode != 0:
         last = done.stderr.strip().splitlines()[-1:] or [f"exit status {done.returncode}"]
