@@ -15,7 +15,7 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from filelock import FileLock, Timeout
 
@@ -23,6 +23,7 @@ from sysid.errors import StoreError, nearest
 from sysid.registry.artifacts import ArtifactStore, FolderArtifacts, RunArtifacts, checked
 from sysid.registry.client import SQLITE, locked, open_client, probe_sqlite, translated
 from sysid.registry.version import (
+    PROMOTED,
     ModelVersion,
     check_alias,
     check_files,
@@ -111,7 +112,7 @@ class Registry:
         """The version with its files, each checked against its registered sha256 before anything reads it.
 
         Args:
-            reference: ``name`` (newest), ``name@3`` or ``name@champion``.
+            reference: ``name`` (the promoted version, or the newest where none is), ``name@3`` or ``name@champion``.
 
         Raises:
             StoreError: no such version, or a file that is missing or was changed.
@@ -141,11 +142,49 @@ class Registry:
         versions = [version for name in self._names() for version in self._versions(name)]
         return tuple(version for version in versions if kind in (None, version.kind))
 
-    def set_alias(self, reference: str, alias: str) -> ModelVersion:
-        """Let ``name@alias`` mean this version from now on."""
+    def promoted(self, name: str) -> ModelVersion | None:
+        """The version that ``name`` alone means because it was promoted; None where none was, or there is no such model."""
+        check_name(name)
+        if not self._exists():
+            return None
+        self._probe(write=False)
+        return next((version for version in self._versions(name) if PROMOTED in version.aliases), None)
+
+    def promote(self, reference: str, *, instead_of: ModelVersion | None) -> ModelVersion:
+        """Let the name alone mean this version from now on; the others stay.
+
+        Args:
+            instead_of: the promoted version that was looked at when this was decided (None: there was none).
+
+        Raises:
+            StoreError: another one was promoted in the meantime, so that the decision is about something that is no more.
+        """
+        return self.set_alias(reference, PROMOTED, instead_of=instead_of)
+
+    def set_alias(
+        self, reference: str, alias: str, *, instead_of: ModelVersion | Literal["any"] | None = "any"
+    ) -> ModelVersion:
+        """Let ``name@alias`` mean this version from now on.
+
+        Args:
+            instead_of: the version that the alias has to mean until now (None: no version).
+
+        Raises:
+            StoreError: no such version, or the alias means another one than ``instead_of``.
+        """
         check_alias(alias)
         with self._locked():
             version = self.find(reference)
+            if instead_of != "any":
+                now = next((entry for entry in self._versions(version.name) if alias in entry.aliases), None)
+                if (now and now.version) != (instead_of and instead_of.version):
+                    found, expected = (entry.reference if entry else "no version" for entry in (now, instead_of))
+                    raise StoreError(
+                        f"{version.name}@{alias}",
+                        f"means {found}",
+                        expected,
+                        "It was changed in the meantime; look at it and decide again.",
+                    )
             with translated(self.uri):
                 self._client.set_registered_model_alias(version.name, alias, str(version.version))
             return self.find(version.reference)

@@ -14,8 +14,11 @@ from sysid.errors import SettingsError, StoreError, nearest
 Kind = Literal["actuator", "forward", "plant", "policy"]
 KINDS: tuple[str, ...] = get_args(Kind)
 
-#: Nothing that is executed on reading: no pickle, no ``.pt``, no ``.npy`` (which may hold objects).
-SUFFIXES = (".safetensors", ".json")
+#: Nothing that is executed on reading: no pickle, no ``.pt``, no ``.npy`` (which may hold objects). A ``.diff`` is for people.
+SUFFIXES = (".safetensors", ".json", ".diff")
+
+#: The alias of the version that a name alone means.
+PROMOTED = "promoted"
 
 #: What every MLflow store accepts as the value of one tag.
 LARGEST_MANIFEST = 100_000
@@ -134,7 +137,9 @@ def check_files(files: Mapping[str, bytes], where: object) -> None:
     for name in files:
         check_name(name, f"{where}: file name")
         if not name.endswith(SUFFIXES):
-            raise SettingsError(f"{where}: file name", repr(name), f"a file that ends in {' or '.join(SUFFIXES)}")
+            raise SettingsError(
+                f"{where}: file name", repr(name), f"a file that ends in {', '.join(SUFFIXES[:-1])} or {SUFFIXES[-1]}"
+            )
 
 
 def split_reference(reference: str) -> tuple[str, str | None]:
@@ -151,14 +156,14 @@ def split_reference(reference: str) -> tuple[str, str | None]:
 
 
 def choose(versions: Iterable[ModelVersion], name: str, selector: str | None) -> ModelVersion:
-    """The version that ``selector`` means: a number, an alias, or the newest for None.
+    """The version that ``selector`` means: a number or an alias; for None the promoted one, or the newest where none is.
 
     Raises:
         StoreError: there is none; lists what there is.
     """
     ordered = sorted(versions, key=lambda version: version.version)
     if selector is None:
-        return ordered[-1]
+        return next((version for version in ordered if PROMOTED in version.aliases), ordered[-1])
     for version in ordered:
         if selector == str(version.version) or selector in version.aliases:
             return version

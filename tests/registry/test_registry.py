@@ -103,7 +103,7 @@ def test_wrong_references_are_explained(workspace: Path, reference: str, error: 
     [
         ("m", "actuatr", files(), {}, r"model kind: 'actuatr'; expected 'actuator'\?"),
         ("m", "plant", {}, {}, r"no files; expected at least one"),
-        ("m", "plant", {"model.pt": b""}, {}, r"'model.pt'; expected a file that ends in .safetensors or .json"),
+        ("m", "plant", {"model.pt": b""}, {}, r"'model.pt'; expected a file that ends in .safetensors, .json or .diff"),
         ("m", "plant", {"../x.json": b""}, {}, r"file name: '\.\./x.json'"),
         ("m", "plant", {"x.json": b""}, {"rmse": float("nan")}, r"model m: lineage: .*expected plain JSON values"),
         ("m", "plant", {"x.json": b""}, {"path": Path()}, r"model m: lineage: .*expected plain JSON values"),
@@ -274,3 +274,29 @@ def test_two_processes_that_create_the_registry_together(tmp_path: Path) -> None
     assert [process.returncode for process in processes] == [0, 0], outputs
     assert sorted(out.strip() for out, _ in outputs) == ["1", "2"]
     assert [errors for _, errors in outputs] == ["", ""]
+
+
+def test_a_name_alone_means_what_was_promoted(workspace: Path) -> None:
+    registry = Registry(workspace)
+    for value in (2.0, 3.0):
+        registry.register("crane-actuator", "actuator", files(value), LINEAGE)
+    assert registry.promoted("crane-actuator") is None
+    assert registry.find("crane-actuator").version == 3, "the newest, as long as nothing was promoted"
+    first = registry.promote("crane-actuator@1", instead_of=None)
+    assert registry.load("crane-actuator").files == files(1.0)
+    assert registry.promote("crane-actuator@2", instead_of=first).reference == "crane-actuator@2"
+    assert registry.promoted("crane-actuator") == registry.find("crane-actuator") == registry.find("crane-actuator@promoted")
+    assert registry.promoted("crane") is None
+    assert Registry(workspace / "nothing here").promoted("crane") is None
+    assert not (workspace / "nothing here").exists()
+
+
+def test_a_promotion_that_was_decided_on_what_is_no_more_is_refused(workspace: Path) -> None:
+    registry = Registry(workspace)
+    registry.register("crane-actuator", "actuator", files(2.0), LINEAGE)
+    first = registry.promote("crane-actuator@1", instead_of=None)
+    registry.promote("crane-actuator@2", instead_of=first)
+    for stale in (first, None):
+        with pytest.raises(StoreError, match=r"crane-actuator@promoted: means crane-actuator@2; expected .*changed in the"):
+            registry.promote("crane-actuator@1", instead_of=stale)
+    assert registry.find("crane-actuator").version == 2
