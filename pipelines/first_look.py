@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from sysid.cli.output import Printer, Stations, rerun_command, write_json
-from sysid.cli.tables import show_errors, show_gap, show_repair
+from sysid.cli.tables import show_errors, show_gap, show_repair, show_world
 from sysid.datasets import ingest
 from sysid.gap import find_gap
 from sysid.networks import PAPER_MAX, Model, NetworkRecipe, fit_actuator, fit_forward
@@ -44,7 +44,7 @@ def main(workspace: Path, logs: Path = AUTOLOG, recipe: NetworkRecipe | None = N
         plant = place.plant(dataset)  # machine.toml, its URDF, and the actuator networks as linkages
     with station("gap") as progress:
         gap = find_gap(dataset, plant, place.models, add=True, progress=progress)
-        place.keep_gap(dataset, gap)
+        kept = place.keep_gap(dataset, gap).parent
     with station("report"):
         page = write_report(folder / "report.html", place.report_inputs(dataset))
     with station("view"):
@@ -55,8 +55,9 @@ def main(workspace: Path, logs: Path = AUTOLOG, recipe: NetworkRecipe | None = N
     out.line(f"\nDataset {dataset.reference}: {len(dataset.recordings)} recordings from {len(dataset.sources)} files\n")
     show_errors(out, *reports, paper=PAPER_MAX)
     show_gap(out, gap, dataset)
+    show_world(out, gap, dataset)
     if gap.plant_after:
-        show_repair(out, place.plant(dataset, gap.plant_before), place.plant(dataset, gap.plant_after), dataset)
+        show_repair(out, gap, dataset, kept, workspace)
     result = {
         "schema": 1,
         "dataset": dataset.reference,

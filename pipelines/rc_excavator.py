@@ -52,7 +52,7 @@ def main(raw: Path, workspace: Path) -> Path:
     show_gap(out, gap, dataset)
     repaired = place.plant(dataset, gap.plant_after) if gap.plant_after else plant
     if gap.plant_after:
-        show_repair(out, place.plant(dataset, gap.plant_before), repaired, dataset)
+        show_repair(out, gap, dataset)
 
     manual = [recording for recording in dataset.with_role("held_out") if recording.name.startswith("manual")]
     errors = {axis.name: stroke_error(manual, (plant, repaired), axis.driven) for axis in dataset.machine.axes}

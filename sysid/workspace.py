@@ -130,6 +130,18 @@ class Workspace:
             raise SettingsError(f"plant {reference}", f"axes {found}", f"those of {dataset.machine.name}")
         return plant
 
+    def simulation(self, dataset: Dataset, reference: str | None = None) -> Plant:
+        """What is to stand for the machine: a named plant, else the promoted one, else the nominal one.
+
+        :meth:`plant` without a name is the nominal one, since that is what the gap workflow questions.
+
+        Raises:
+            StoreError: no such plant.
+            SettingsError: the plant is of another machine.
+        """
+        promoted = self.models.promoted(dataset.machine.name) if reference is None else None
+        return self.plant(dataset, promoted.reference if promoted is not None else reference)
+
     def results(self, dataset: Dataset) -> Path:
         """Folder for what was computed on a dataset version."""
         return self.folder / "results" / dataset.reference
@@ -143,7 +155,8 @@ class Workspace:
         return load_gap(self.results(dataset) / "gap")
 
     def predictions(self, dataset: Dataset, recording: str, plant: str | None = None) -> dict[str, pd.DataFrame]:
-        """Free runs of one recording: ``before`` and ``after`` the newest gap result, or of one named plant.
+        """Free runs of one recording: of one named plant; else ``before`` and ``after`` the newest gap result; else of what
+        :meth:`simulation` gives.
 
         Returns:
             Name → table of predicted signals, as :func:`sysid.view.write_rerun` takes them.
@@ -155,7 +168,8 @@ class Workspace:
         for trace in result.traces if result is not None else ():
             if trace.recording == recording:
                 return {"before": trace.before, "after": trace.after} if result and result.effects else {"before": trace.before}
-        return {"before": free_run(self.plant(dataset), source)}
+        simulation = self.simulation(dataset)
+        return {simulation.reference or "before": free_run(simulation, source)}
 
     def report_inputs(self, dataset: Dataset, result: GapResult | None = None) -> ReportInputs:
         """Everything that is known about a dataset version, for :func:`sysid.reports.build_report`; dated now.

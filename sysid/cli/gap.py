@@ -7,7 +7,7 @@ from typing import Literal
 import click
 
 from sysid.cli.output import Printer, json_option, progress_bar, write_json
-from sysid.cli.tables import show_gap, show_localised, show_repair
+from sysid.cli.tables import show_gap, show_localised, show_repair, show_world
 
 Forms = Literal["all", "simple"]  # as sysid.gap.workflow has it; importing that would load the compiler
 
@@ -22,7 +22,12 @@ Forms = Literal["all", "simple"]  # as sysid.gap.workflow has it; importing that
     help="Question a simulator of your own: an object with simulate(recording), or its class.",
 )
 @click.option("--localise", is_flag=True, help="Only say where they disagree.")
-@click.option("--add", is_flag=True, help="Store the repaired simulation as a new plant version.")
+@click.option(
+    "--add", is_flag=True, help="Store the repaired simulation as a new plant version; promote it if the proof is good enough."
+)
+@click.option(
+    "--world/--no-world", default=None, help="Prove it in the PyBullet world as well. With --add it is; else it is not."
+)
 @click.option(
     "--forms",
     type=click.Choice(["all", "simple"]),
@@ -38,6 +43,7 @@ def gap(
     simulator: str | None,
     localise: bool,
     add: bool,
+    world: bool | None,
     forms: Forms,
     json_file: str | None,
 ) -> None:
@@ -66,6 +72,7 @@ def gap(
             questioned,
             registry=place.models,
             add=add,
+            world=world,
             localise_only=localise,
             forms=forms,
             progress=progress,
@@ -79,15 +86,18 @@ def gap(
     else:
         folder = place.keep_gap(dataset, result).parent
         show_gap(out, result, dataset)
+        show_world(out, result, dataset)
         for planned, experiment in zip(result.to_json(folder)["experiments"], result.experiments, strict=True):
             out.line(f"record: {experiment.words}")
             out.line(f"        {planned['file']}")
         if result.plant_after:
-            show_repair(out, place.plant(dataset, result.plant_before), place.plant(dataset, result.plant_after), dataset)
+            show_repair(out, result, dataset, folder, workspace)
         elif simulator is not None:
             for note in result.notes:
                 out.line(f"note: {note}")
         elif result.effects:
-            out.line("The repair is not stored: --add stores it as a new plant version.")
+            out.line(
+                "The repair is not stored: --add stores it as a new plant version, and promotes it if the proof is good enough."
+            )
         out.line(f"Look at it: sysid --workspace {workspace} report {dataset.reference}")
     write_json(json_file, result.to_json(folder))

@@ -12,18 +12,32 @@ from sysid.cli.output import Printer, json_option, write_json
 @click.command()
 @click.argument("reference", metavar="[NAME[@VERSION]]", required=False)
 @click.option("--kind", default=None, help="actuator, forward, plant or policy only.")
+@click.option("--promote", is_flag=True, help="Let the name alone mean this version from now on.")
 @json_option
 @click.pass_obj
-def models(workspace: str, reference: str | None, kind: str | None, json_file: str | None) -> None:
-    """List model and plant versions, or show the lineage of one."""
+def models(workspace: str, reference: str | None, kind: str | None, promote: bool, json_file: str | None) -> None:
+    """List model and plant versions, show the lineage of one, or promote one."""
+    from sysid.errors import SettingsError
     from sysid.workspace import open_workspace
 
     registry = open_workspace(workspace).models
     out = Printer(json_file)
+    if promote and (reference is None or "@" not in reference):
+        raise SettingsError("sysid models --promote", reference or "no model", "one version, as in autolog@1")
     if reference is not None:
         version = registry.find(reference)
-        out.line(f"{version.reference}  {version.kind}  {version.digest}")
+        if promote:
+            until_now = registry.promoted(version.name)
+            version = registry.promote(version.reference, instead_of=until_now)
+            instead = f" instead of {until_now.reference}" if until_now not in (None, version) and until_now else ""
+            out.line(f"`{version.name}` alone means {version.reference} from now on{instead}.")
+            write_json(json_file, {"schema": 1, **version.to_json(), "instead_of": until_now and until_now.reference})
+            return
+        known = f"  ({', '.join(version.aliases)})" if version.aliases else ""
+        out.line(f"{version.reference}{known}  {version.kind}  {version.digest}")
         out.line(json.dumps(dict(version.lineage), indent=2, ensure_ascii=False))
+        if "machine.diff" in version.sha256:
+            out.line(registry.load(version.reference).files["machine.diff"].decode("utf-8"))
         for name, value in version.metrics.items():
             out.line(f"{name} = {value:.6g}")
         write_json(json_file, {"schema": 1, **version.to_json()})

@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-import difflib
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Mapping
+    from pathlib import Path
 
     from sysid.cli.output import Printer
     from sysid.datasets import Dataset
     from sysid.gap import GapResult
-    from sysid.machine import KnownEffect
-    from sysid.plant import Plant
     from sysid.validate import ValidationReport
 
 #: Below this multiple of the noise floor there was nothing to close.
@@ -134,31 +132,56 @@ def gap_rows(result: GapResult, dataset: Dataset) -> list[tuple[str, ...]]:
     return rows
 
 
-def show_repair(out: Printer, before: Plant, after: Plant, dataset: Dataset) -> None:
-    """What ``--add`` changed, as a difference of ``machine.toml``, how to use it and how to do without it."""
-    out.line(f"{after.reference} = {before.reference} with these changes of its machine.toml (SI units):")
+def show_repair(
+    out: Printer, result: GapResult, dataset: Dataset, folder: Path | None = None, workspace: str | Path | None = None
+) -> None:
+    """What ``--add`` changed in ``machine.toml``, whether it was promoted and why not, how to use it, and the way back.
+
+    Args:
+        folder: where the result and its ``machine.diff`` were filed.
+        workspace: for the commands to type.
+    """
+    command = "sysid" if workspace is None else f"sysid --workspace {workspace}"
+    name = result.plant_after.partition("@")[0]
+    out.line(f"{result.plant_after} = {result.plant_before} repaired. What that changes in machine.toml (SI units):")
     out.line()
-    for line in effects_difference(before.effects, after.effects):
+    for line in result.machine_diff.splitlines():
         out.line(f"  {line}".rstrip())
     out.line()
-    out.line(f"Use it:  --plant {after.reference}, or edit machine.toml by the lines above and ingest again.")
-    out.line(
-        f"Undo it: nothing was overwritten. {before.reference} stays as it was, machine.toml too, "
-        f"and `sysid gap {dataset.name}` goes on questioning the simulation that machine.toml describes."
-    )
+    if folder is not None:
+        out.line(f"Apply it: patch machine.toml {folder / 'machine.diff'}, and ingest again.")
+    found = result.promotion
+    if found is None:
+        return
+    for check in found.checks:
+        out.line(f"  {check.status:<8}  {check.name}: {check.text}")
+    if found.promoted:
+        instead = f" instead of {found.previous}" if found.previous not in ("", found.version) else ""
+        out.line(f"Promoted: `{name}` alone means {found.version} from now on{instead}.")
+        back = found.previous if found.previous != found.version else result.plant_before
+        out.line(
+            f"Undo it:  {command} models {back} --promote   (nothing was overwritten: {back} stays as it was, machine.toml too)"
+        )
+    else:
+        out.line(f"Not promoted: {found.reason}.")
+        meant = f"`{name}` alone goes on meaning {found.current}" if found.current else "Nothing of this name is promoted"
+        out.line(f"{meant}; {found.version} is stored. To promote it all the same: {command} models {found.version} --promote")
+    out.line(f"`sysid gap {dataset.name}` without --plant goes on questioning the simulation that machine.toml describes.")
 
 
-def effects_difference(before: Sequence[KnownEffect], after: Sequence[KnownEffect]) -> list[str]:
-    """Lines to remove (``-``) and to add (``+``), effect by effect; a changed effect shows its name as context."""
-    from sysid.plant import effects_toml
+def show_world(out: Printer, result: GapResult, dataset: Dataset) -> None:
+    """The held-out gap in the PyBullet world, before and after, beside that of the compiled plant."""
+    from sysid.reports.display import quantity
 
-    def key(item: KnownEffect) -> tuple[Any, ...]:
-        return item.name, item.target, item.side
-
-    old, new = {key(item): item for item in before}, {key(item): item for item in after}
-    blocks = []
-    for place in dict.fromkeys((*old, *new)):
-        was, becomes = (effects_toml([table[place]]).splitlines() if place in table else [] for table in (old, new))
-        if was != becomes:
-            blocks.append([line for line in difflib.ndiff(was, becomes) if not line.startswith("?")])
-    return [line.rstrip() for number, block in enumerate(blocks) for line in ([""] if number else []) + block]
+    found = result.world_gap
+    if found is None:
+        return
+    rows = []
+    for name in found.world.before:
+        columns = (found.world.before, found.world.after, found.compiled.before, found.compiled.after)
+        rows.append((name, *(quantity(column[name], dataset.units.get(name)) for column in columns)))
+    if rows:
+        header = ("in the PyBullet world", "before", "after", "compiled before", "compiled after")
+        out.table(header, rows, right=range(1, 5))
+    if found.skipped:
+        out.line(f"Not run in the PyBullet world: {found.skipped}")

@@ -43,7 +43,7 @@ def view(
     if live:
         from sysid.view.live import show_live
 
-        moving = place.plant(dataset, plant)
+        moving = place.simulation(dataset, plant)
         states = show_live(dataset, recording, moving, path)
         out = Printer(json_file)
         out.line(f"{path or 'viewer'}  ({states} states of {moving.reference or 'the nominal plant'}, {recording})")

@@ -55,6 +55,32 @@ def run_floor(predict: Predict, recordings: Sequence[Recording], noise: Mapping[
     return {s: float(np.sqrt(noise.get(s, 0.0) ** 2 + totals[s] / max(counts[s], 1))) for s in totals if s != "time"}
 
 
+def floor_spread(
+    predict: Predict, recordings: Sequence[Recording], noise: Mapping[str, float], seed: int, draws: int = 16
+) -> dict[str, float]:
+    """Standard deviation by signal of what the true model would score in one run over all recordings.
+
+    How far the score of a single run is from its root mean square, :func:`run_floor`, by chance.
+    """
+    totals: dict[str, Array] = {}
+    counts: dict[str, int] = {}
+    for recording in recordings:
+        clean = predict(recording)
+        for draw in range(draws):
+            noisy = with_noise(recording, noise, np.random.default_rng([seed, 1, draw]))
+            run = predict(noisy)
+            for signal in map(str, clean.columns):
+                if signal == "time":
+                    continue
+                moved = run[signal].to_numpy() - clean[signal].to_numpy()
+                said = noisy.values(signal) - recording.values(signal)
+                error = np.where(np.isnan(said), moved, moved - said)
+                error = error[~np.isnan(error)]
+                totals.setdefault(signal, np.zeros(draws))[draw] += float(np.sum(error**2))
+                counts[signal] = counts.get(signal, 0) + (len(error) if draw == 0 else 0)
+    return {s: float(np.std(np.sqrt(totals[s] / max(counts[s], 1)), ddof=1)) for s in totals}
+
+
 def with_noise(recording: Recording, noise: Mapping[str, float], generator: np.random.Generator) -> Recording:
     """A copy with white noise of the given standard deviation on every measured signal."""
     table = recording.table.copy()

@@ -16,7 +16,7 @@ from sysid.gap.floor import problem_floor
 from sysid.gap.intervals import covariance_of, intervals
 from sysid.gap.localise import stage_rmse
 from sysid.gap.remainder import describe_remainder
-from sysid.gap.result import Alternative, Gap, NamedEffect, Unnamed, Value
+from sysid.gap.result import Alternative, Evidence, Gap, NamedEffect, Unnamed, Value
 from sysid.gap.search import Kept
 from sysid.plant import Place, Plant, Uncertainty
 
@@ -47,7 +47,9 @@ def judge(case: Case, stages: Sequence[Stage]) -> Outcome:
     for found in stages:
         stage = _that_matter(case, found, outcome)
         finding = stage.found
-        proven = not finding.fit.candidates or _score(stage, finding.fit.theta) < BETTER * _score(stage, case.theta)
+        proven = not finding.fit.candidates or held_out_score(stage, finding.fit.theta) < BETTER * held_out_score(
+            stage, case.theta
+        )
         if proven:
             _accept(case, stage, outcome)
         elif finding.named:
@@ -66,9 +68,9 @@ def _that_matter(case: Case, stage: Stage, outcome: Outcome) -> Stage:
     """
     finding = stage.found
     while finding.named:
-        full = _score(stage, finding.fit.theta)
+        full = held_out_score(stage, finding.fit.theta)
         dropped = {kept: _without(case, stage, finding.fit, kept.candidate) for kept in finding.named}
-        scores = {kept: _score(stage, fit.theta) for kept, fit in dropped.items()}
+        scores = {kept: held_out_score(stage, fit.theta) for kept, fit in dropped.items()}
         least = min(finding.named, key=lambda kept: scores[kept])
         if scores[least] >= MATTERS * full:
             break
@@ -132,7 +134,7 @@ def _uncertainty(fit: Fit, covariance: Array) -> Uncertainty:
 
 
 def _named(case: Case, stage: Stage, kept: Kept, limits: Array) -> NamedEffect:
-    candidate, fit = kept.candidate, stage.found.fit
+    candidate, fit, compared = kept.candidate, stage.found.fit, kept.comparison
     begin = next(k for k, u in enumerate(fit.unknowns) if u is candidate.unknowns[0])
     parameters: dict[str, Value] = {}
     interval: dict[str, tuple[Any, Any]] = {}
@@ -151,6 +153,7 @@ def _named(case: Case, stage: Stage, kept: Kept, limits: Array) -> NamedEffect:
         _share(case, stage, candidate),
         tuple(Alternative(c.effect.name, c.target, why) for c, why in kept.rejected),
         side=candidate.side,
+        evidence=Evidence(compared.delta_bic, compared.gain, compared.p_value, compared.ratio),
     )
 
 
@@ -158,12 +161,12 @@ def _share(case: Case, stage: Stage, candidate: Candidate) -> float:
     """Closed share of the held-out stage gap that is lost when the effect is dropped and the rest refitted."""
     fit = stage.found.fit
     dropped = _without(case, stage, fit, candidate)
-    closable = _score(stage, case.theta) - 1.0
-    lost = _score(stage, dropped.theta) - _score(stage, fit.theta)
+    closable = held_out_score(stage, case.theta) - 1.0
+    lost = held_out_score(stage, dropped.theta) - held_out_score(stage, fit.theta)
     return float(np.clip(lost / closable, 0.0, 1.0)) if closable > 0 else 0.0
 
 
-def _score(stage: Stage, theta: Array) -> float:
+def held_out_score(stage: Stage, theta: Array) -> float:
     """Held-out RMSE of the stage in noise floors."""
     return float(np.sqrt(np.nanmean((stage_rmse(stage.problem, theta, stage.split.held_out) / stage.sigma) ** 2)))
 

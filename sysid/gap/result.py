@@ -29,6 +29,23 @@ class Alternative:
 
 
 @dataclass(frozen=True)
+class Evidence:
+    """What speaks for an effect, compared with the best fit without it.
+
+    Args:
+        delta_bic: on the recordings that were fitted; above 10 is strong.
+        nats: log predictive density gained on the recordings to select on.
+        p_value: share of block-bootstrap samples of those in which it does not predict better.
+        ratio: RMSE on those recordings, without to with it.
+    """
+
+    delta_bic: float
+    nats: float
+    p_value: float
+    ratio: float
+
+
+@dataclass(frozen=True)
 class NamedEffect:
     """A missing effect with its parameters (absolute values in the repaired plant)."""
 
@@ -40,17 +57,45 @@ class NamedEffect:
     alternatives: tuple[Alternative, ...] = ()
     aliases: tuple[tuple[str, str], ...] = ()
     side: str | None = None
+    evidence: Evidence | None = None
+
+
+@dataclass(frozen=True)
+class Probe:
+    """Cross-correlation of a remainder with something measured, ``lag`` seconds before it.
+
+    ``bound`` is what chance reaches in one of a hundred cases, all probes and lags together.
+    """
+
+    name: str
+    correlation: float
+    bound: float
+    lag: float = 0.0
 
 
 @dataclass(frozen=True)
 class Unnamed:
-    """Structure left over that no known effect explains."""
+    """Structure left over that no known effect explains.
+
+    Args:
+        rmse: of the stage, driven by its measured input.
+        depends_on: what was measured that it follows, the strongest first; ``nothing that was measured`` where it follows none.
+        form: a formula in SI units, or why there is none.
+        explains: share of the remainder's variance (of its rate, where the stage integrates) that the formula predicts on
+            recordings which its search did not see; zero without one.
+        period, period_unit: of a ripple in the formula; zero without one.
+        probes: the clearest cross-correlations.
+    """
 
     stage: str
     target: str
     rmse: float
     depends_on: str
     form: str
+    explains: float = 0.0
+    period: float = 0.0
+    period_unit: str = ""
+    probes: tuple[Probe, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -77,6 +122,57 @@ class Gap:
         """(before − after) / (before − noise_floor); NaN where there was nothing to close."""
         closable = self.before[signal] - self.noise_floor[signal]
         return (self.before[signal] - self.after[signal]) / closable if closable > 0 else float("nan")
+
+
+@dataclass(frozen=True)
+class WorldGap:
+    """The same gap in the PyBullet world: the held-out commands run there, before and after the repair.
+
+    Args:
+        world: RMSE by signal in the world; ``noise_floor`` as of the compiled plant.
+        compiled: RMSE of the compiled plant on the same rows.
+        recordings: those that were run.
+        seconds: how long it took.
+        skipped: why nothing, or not every recording, was run there; else empty.
+    """
+
+    world: Gap
+    compiled: Gap
+    recordings: tuple[str, ...] = ()
+    seconds: float = 0.0
+    skipped: str = ""
+
+
+@dataclass(frozen=True)
+class Check:
+    """One condition of a promotion: what was looked at, whether it holds, and the figures in words."""
+
+    name: str
+    status: Literal["passed", "failed", "left out"]
+    text: str
+
+
+@dataclass(frozen=True)
+class Promotion:
+    """Whether a stored repair became the version that its name alone means.
+
+    Args:
+        version: the stored repair, ``name@version``.
+        current: what the name alone means now.
+        previous: what it meant before; empty where nothing had been promoted.
+        checks: what was asked of the proof.
+        reason: why it was not promoted; empty where it was.
+    """
+
+    version: str
+    current: str
+    previous: str
+    checks: tuple[Check, ...]
+    reason: str = ""
+
+    @property
+    def promoted(self) -> bool:
+        return not self.reason
 
 
 @dataclass(frozen=True)
@@ -178,6 +274,7 @@ class GapResult:
     """Everything the workflow found; :meth:`to_json` gives the contract's part of it.
 
     ``experiments`` are recordings planned to answer what is left open; ``next_experiment`` says in words what to record.
+    ``machine_diff`` is what the repair changes in ``machine.toml``, as a unified diff; one that is stored has a ``promotion``.
     """
 
     dataset: str
@@ -201,6 +298,9 @@ class GapResult:
     settings: Mapping[str, Any] = field(default_factory=dict)
     shares: tuple[Share, ...] = ()
     maps: tuple[Map, ...] = ()
+    world_gap: WorldGap | None = None
+    machine_diff: str = ""
+    promotion: Promotion | None = None
 
     def to_json(self, folder: Path | None = None) -> dict[str, Any]:
         """The result in the shape of the contract (plus where they disagree, the candidates, the notes and the experiments).
@@ -229,6 +329,9 @@ class GapResult:
             "notes": list(self.notes),
             "experiments": [_experiment_json(item, folder or Path()) for item in self.experiments],
             "settings": dict(self.settings),
+            "world_gap": None if self.world_gap is None else _world_json(self.world_gap),
+            "machine_diff": self.machine_diff,
+            "promotion": None if self.promotion is None else {"promoted": self.promotion.promoted, **asdict(self.promotion)},
         }
 
 
@@ -245,7 +348,15 @@ def _effect_json(effect: NamedEffect) -> dict[str, Any]:
         entry["aliases"] = [{"name": name, "target": target} for name, target in effect.aliases]
     if effect.side is not None:
         entry["side"] = effect.side
+    if effect.evidence is not None:
+        entry["evidence"] = asdict(effect.evidence)
     return entry
+
+
+def _world_json(found: WorldGap) -> dict[str, Any]:
+    """The gap in the world in the shape of ``gap``, with that of the compiled plant beside it."""
+    return {**asdict(found.world), "compiled": asdict(found.compiled), "recordings": list(found.recordings),
+            "seconds": found.seconds, "skipped": found.skipped}  # fmt: skip
 
 
 def _experiment_json(experiment: Experiment, folder: Path) -> dict[str, Any]:

@@ -4,14 +4,16 @@
 >>> steps.localise(study)            # where they disagree
 >>> steps.candidates(study)          # what may be missing there, and whether the recordings could show it
 >>> study = steps.search(study)      # which of it explains the disagreement
->>> proof = steps.prove(study)       # on recordings that no fit has seen
+>>> proof = steps.prove(study)       # on recordings that no fit has seen; world=True: in the PyBullet world as well
 >>> better = steps.add(study, proof)
+>>> steps.promote(study, proof, registry, better.reference)  # once it is stored: whether the proof is good enough
 >>> steps.next_experiment(study, proof)
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
@@ -22,27 +24,39 @@ from sysid.gap.around import Around
 from sysid.gap.candidates import as_nuisance
 from sysid.gap.case import Case, Stage, excitation, on_itself, open_case, stage_candidates
 from sysid.gap.excitation import advice, advice_on_tie, excitation_of
-from sysid.gap.floor import run_floor
-from sysid.gap.prove import Outcome, judge, stage_gap
-from sysid.gap.result import Excitation, Gap, Localised, Traces
+from sysid.gap.floor import floor_spread, run_floor
+from sysid.gap.lineage import lineage_of
+from sysid.gap.promotion import first_promotion, free_run_check, names_check, stages_check, world_check
+from sysid.gap.promotion import promote as promote_version
+from sysid.gap.prove import Outcome, held_out_score, judge, stage_gap
+from sysid.gap.result import Check, Excitation, Gap, Localised, Promotion, Traces, WorldGap
 from sysid.gap.search import Finding, Search, Strictness
 from sysid.gap.simulator import Simulator
-from sysid.plant import Plant
+from sysid.gap.world_proof import world_gap
+from sysid.plant import Plant, machine_difference, plant_from_files
+from sysid.plant.uncertainty import NONE
 from sysid.progress import Progress, part, silent
 
 if TYPE_CHECKING:
     from sysid.datasets.recording import Dataset
-    from sysid.registry import Registry
+    from sysid.registry import ModelVersion, Registry
 
 Forms = Literal["all", "simple"]
+
+#: File of a repaired plant's version: what the repair changes in ``machine.toml``.
+MACHINE_DIFF = "machine.diff"
 
 
 @dataclass(frozen=True)
 class Study:
-    """A dataset against a simulation: the stages that are measured at both ends, with what was found once they are searched."""
+    """A dataset against a simulation: the stages that are measured at both ends, with what was found once they are searched.
+
+    ``settings`` are those of the search.
+    """
 
     case: Case
     stages: tuple[Stage, ...]
+    settings: Mapping[str, Any] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -63,12 +77,14 @@ class Proof:
         gap: RMSE of free runs by signal, before and after, and what the true model would score.
         stage_gap: the same with each stage driven by its measured input.
         traces: measured, before and after for each held-out recording.
+        world: the gap in the PyBullet world, where it was asked for.
     """
 
     outcome: Outcome
     gap: Gap
     stage_gap: Gap
     traces: tuple[Traces, ...]
+    world: WorldGap | None = None
 
 
 def open_study(dataset: Dataset, simulation: Plant | Simulator, seed: int = 0) -> Study:
@@ -118,21 +134,24 @@ def search(study: Study, strict: Strictness | None = None, forms: Forms = "all",
         if problem.stage == "command":
             fitted = found[-1].found.fit.theta
             theta = np.where(fitted != case.theta, fitted, theta)
-    return replace(study, stages=tuple(found))
+    return replace(study, stages=tuple(found), settings={"forms": forms, "strictness": asdict(strict)})
 
 
-def prove(study: Study) -> Proof:
+def prove(study: Study, world: bool = False, progress: Progress = silent) -> Proof:
     """Judge what was found on held-out recordings. Once: what is tuned after looking at them is no proof any more.
+
+    Args:
+        world: run the held-out commands in the PyBullet world as well.
 
     Raises:
         SettingsError: the study was not searched.
     """
     if any(stage.finding is None for stage in study.stages):
         raise SettingsError("prove", "stages that were not searched", "a study that sysid.gap.steps.search returned")
-    return measure(study, judge(study.case, study.stages))
+    return measure(study, judge(study.case, study.stages), world, progress)
 
 
-def measure(study: Study, outcome: Outcome) -> Proof:
+def measure(study: Study, outcome: Outcome, world: bool = False, progress: Progress = silent) -> Proof:
     """The gap on held-out recordings before and after the repair of ``outcome``."""
     case = study.case
     held_out, nominal, better = case.split.held_out, case.runner(case.plant), case.runner(outcome.repaired)
@@ -144,7 +163,10 @@ def measure(study: Study, outcome: Outcome) -> Proof:
     by_stage = stage_gap(case, study.stages, outcome.repaired.vector())
     free = Gap(*({signal: score[signal] for signal in shared} for score in scores))
     traces = (Traces(r.name, r.table, b, a) for r, b, a in zip(held_out, before, after, strict=True))
-    return Proof(outcome, _with_forces(free, by_stage), by_stage, tuple(traces))
+    there = None
+    if world and case.around is None:
+        there = world_gap(case.plant, outcome.repaired, held_out, scores[2], progress)
+    return Proof(outcome, _with_forces(free, by_stage), by_stage, tuple(traces), there)
 
 
 def add(study: Study, proof: Proof, registry: Registry | None = None) -> Plant | Around:
@@ -179,24 +201,67 @@ def next_experiment(study: Study, proof: Proof) -> tuple[str, ...]:
 
 
 def store(study: Study, proof: Proof, registry: Registry) -> str:
-    """The repaired plant as a version that remembers how it came about: ``name@version``."""
-    case = study.case
-    evidence = {
-        "dataset_digest": case.dataset.digest,
-        "plant": register(case, case.plant, registry, {}),
-        "seed": case.seed,
-        "named": [f"{e.name}({e.target})" for e in proof.outcome.named],
-        "notes": list(proof.outcome.notes),
+    """The repaired plant as a version that remembers how it came about: ``name@version``.
+
+    It is not promoted yet. Where nothing of its name is, the questioned plant is from now on: the name alone never means a
+    repair that was not judged.
+    """
+    case, repaired = study.case, proof.outcome.repaired
+    questioned = register(case, case.plant, registry, {})
+    if questioned.partition("@")[0] == repaired.machine.name:
+        first_promotion(registry, questioned)
+    evidence = {"plant": questioned, **lineage_of(case, proof.outcome, proof.gap, proof.stage_gap, study.settings)}
+    return register(case, repaired, registry, evidence, machine_diff(study, proof))
+
+
+def machine_diff(study: Study, proof: Proof) -> str:
+    """What the repair changes in the machine's own ``machine.toml``, as a unified diff; empty where nothing."""
+    repaired = proof.outcome.repaired
+    if repaired is study.case.plant or study.case.around is not None:
+        return ""
+    return machine_difference(replace(repaired, effects=repaired.machine.effects, uncertainty=NONE), repaired)
+
+
+def promote(study: Study, proof: Proof, registry: Registry, version: str) -> Promotion:
+    """Let the name of a stored repair mean it from now on, if the proof is good enough (:mod:`sysid.gap.promotion`)."""
+    until_now = registry.promoted(version.partition("@")[0])
+    return promote_version(registry, version, until_now, _checks(study, proof, registry, version, until_now))
+
+
+def _checks(study: Study, proof: Proof, registry: Registry, version: str, until_now: ModelVersion | None) -> tuple[Check, ...]:
+    case, outcome, units = study.case, proof.outcome, study.case.dataset.units
+    named = {(e.name, e.target, e.side) for e in outcome.named}
+    theta = outcome.repaired.vector()
+    fallen = {
+        stage.label: (held_out_score(stage, case.theta), held_out_score(stage, theta))
+        for stage in study.stages
+        if any(kept.candidate.key in named for kept in stage.found.named)
     }
-    return register(case, proof.outcome.repaired, registry, evidence)
+    spread = floor_spread(case.runner(outcome.repaired), case.split.held_out, case.noise, case.seed)
+    checks = [
+        names_check([f"{e.name} on {e.target}" for e in outcome.named], outcome.ties),
+        stages_check(fallen),
+        free_run_check(proof.gap, spread, units),
+    ]
+    if until_now is not None and until_now.reference != version:
+        rival = plant_from_files(registry.load(until_now.reference).files, until_now.reference)
+        comparable = rival.machine.axis_names == case.plant.machine.axis_names
+        if comparable and rival.to_files() != case.plant.to_files():
+            run = case.runner(rival)
+            score = disagreement.run_rmse([(r, run(r)) for r in case.split.held_out])
+            shared = {signal: value for signal, value in score.items() if signal in proof.gap.after}
+            against = Gap(shared, proof.gap.after, proof.gap.noise_floor)
+            checks.append(free_run_check(against, spread, units, "promoted until now", until_now.reference))
+    return (*checks, world_check(proof.world, spread, units))
 
 
-def register(case: Case, plant: Plant, registry: Registry, evidence: dict[str, Any]) -> str:
+def register(case: Case, plant: Plant, registry: Registry, evidence: dict[str, Any], difference: str = "") -> str:
     """The plant as a version named after its machine; the same content is the same version."""
     if plant.reference:
         return plant.reference
     lineage = {"dataset": case.dataset.reference, "machine": plant.machine.name, **plant.origin, **evidence}
-    version = registry.register(plant.machine.name, "plant", plant.to_files(), lineage, {})
+    beside = {MACHINE_DIFF: difference.encode("utf-8")} if difference else {}
+    version = registry.register(plant.machine.name, "plant", {**plant.to_files(), **beside}, lineage, {})
     return f"{version.name}@{version.version}"
 
 

@@ -36,6 +36,7 @@ def find_gap(
     registry: Registry | None = None,
     *,
     add: bool = False,
+    world: bool | None = None,
     localise_only: bool = False,
     forms: Forms = "all",
     progress: Progress | None = None,
@@ -48,7 +49,8 @@ def find_gap(
     Args:
         plant: a plant, or a simulator of one's own: what is named then acts in front of it or behind it.
         registry: where plant versions live; without it none is written.
-        add: write the repaired plant as a new version.
+        add: write the repaired plant as a new version, and promote it if the proof is good enough.
+        world: prove it in the PyBullet world as well; by default where it is added.
         localise_only: stop after localising; the verdict is then ``unnamed`` wherever a stage is above its noise floor.
         forms: "simple" tries every effect in its simplest form only, e.g. one friction for both directions.
         planning: plan the recordings that would answer what these leave open (not around a simulator of one's own); by default
@@ -70,7 +72,7 @@ def find_gap(
     study = steps.open_study(dataset, plant, seed)
     tell(0.02, "localising")
     located = steps.localise(study)
-    case, proposal, after_reference = study.case, Proposal(), ""
+    case, proposal, after_reference, promotion = study.case, Proposal(), "", None
     own = registry is not None and case.around is None
     reference = steps.register(case, case.plant, registry, {}) if registry is not None and own else case.reference
     if localise_only:
@@ -78,10 +80,11 @@ def find_gap(
     else:
         study = steps.search(study, strict, forms, part(tell, 0.05, 0.85))
         tell(0.87, "proving on held-out recordings")
-        proof = steps.prove(study)
+        proof = steps.prove(study, add if world is None else world, part(tell, 0.88, 0.92))
     outcome, stages = proof.outcome, list(study.stages)
     if add and registry is not None and outcome.repaired is not case.plant:
         after_reference = steps.store(study, proof, registry)
+        promotion = steps.promote(study, proof, registry, after_reference)
     if planning is not None and case.around is None and not localise_only:
         tell(0.93, "planning the next experiment")
         questions = questions_of(case, stages, outcome, strict)
@@ -115,6 +118,9 @@ def find_gap(
             *(case.around.notes([s.problem for s in stages]) if case.around is not None else ()),
         ),
         experiments=proposal.experiments,
+        world_gap=proof.world,
+        machine_diff=steps.machine_diff(study, proof),
+        promotion=promotion,
         settings={"seed": seed, "forms": forms, "noise": dict(case.noise), "localise_only": localise_only},
     )
 

@@ -22,12 +22,14 @@ from sysid.gap.result import (
     Localised,
     Map,
     NamedEffect,
+    Promotion,
     Share,
     Traces,
     Unnamed,
+    WorldGap,
 )
 
-RESULT, TRACES = "result.json", "traces.parquet"
+RESULT, TRACES, DIFFERENCE = "result.json", "traces.parquet", "machine.diff"
 VERSIONS = ("measured", "before", "after")
 
 
@@ -49,6 +51,8 @@ def save_gap(folder: Path, result: GapResult) -> Path:
         old.unlink()
     for experiment in result.experiments:
         write_experiment(folder / EXPERIMENTS, experiment)
+    with written_whole(folder / DIFFERENCE) as half:
+        half.write_text(result.machine_diff, "utf-8")
     with written_whole(folder / RESULT) as half:
         half.write_text(json_text(result.to_json()), "utf-8")
     return folder / RESULT
@@ -97,7 +101,23 @@ def _result(values: dict[str, Any], traces: tuple[Traces, ...], experiments: tup
         notes=tuple(values["notes"]),
         experiments=experiments,
         settings=values["settings"],
+        world_gap=_world_gap(values.get("world_gap")),
+        machine_diff=values.get("machine_diff", ""),
+        promotion=_promotion(values.get("promotion")),
     )
+
+
+def _world_gap(values: dict[str, Any] | float | None) -> WorldGap | None:
+    if not isinstance(values, dict):
+        return None
+    world = {key: values.pop(key) for key in ("before", "after", "noise_floor")}
+    return TypeAdapter(WorldGap).validate_python({"world": world, **values})
+
+
+def _promotion(values: dict[str, Any] | float | None) -> Promotion | None:
+    if not isinstance(values, dict):
+        return None
+    return TypeAdapter(Promotion).validate_python({key: value for key, value in values.items() if key != "promoted"})
 
 
 def _many(cls: type[Any], items: list[Any]) -> tuple[Any, ...]:

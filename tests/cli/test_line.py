@@ -115,10 +115,13 @@ def test_datasets_lists_and_shows(site: Path, capsys: pytest.CaptureFixture[str]
 def test_gap_add_shows_the_change_and_how_to_undo_it(answered: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert run("--workspace", answered / "ws", "gap", "lift", "--add") == 0
     text = capsys.readouterr().out
-    assert "lift@2 = lift@1 with these changes of its machine.toml" in text, "the same repair is the same version"
-    assert '  + [[effects]]\n  + name = "valve_deadband"\n  + target = "boom"\n' in text
-    assert "Use it:  --plant lift@2" in text
-    assert "Undo it: nothing was overwritten. lift@1 stays as it was" in text
+    assert "lift@2 = lift@1 repaired" in text, "the same repair is the same version"
+    assert '  +[[effects]]\n  +name = "valve_deadband"\n  +target = "boom"\n' in text
+    assert "Promoted: `lift` alone means lift@2 from now on." in text, "it was before this run already"
+    assert re.search(r"passed +stages: command stage of boom \d+ → 1", text)
+    assert re.search(r"Undo it:  sysid --workspace \S+ models lift@1 --promote ", text)
+    assert "Not run in the PyBullet world" in text
+    assert "no URDF" in text
     row = next(line.split() for line in text.splitlines() if line.lstrip().startswith("boom.cylinder"))
     assert row[2:7:2] == ["mm", "mm", "mm"], "before, after and noise floor of every signal, in millimetres"
 

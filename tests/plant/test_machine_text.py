@@ -24,7 +24,9 @@ drives = "joint"
 gain = 0.03
 limits = [-0.4, 1.2]
 """
-LAG = '# Tests of May.\n[[effects]]\nname = "first_order_lag"\ntarget = "boom"\nparameters = { time_constant = 0.06 }   # by eye\n'
+LAG = (
+    '# Tests of May.\n[[effects]]\nname = "first_order_lag"\ntarget = "boom"\nparameters = { time_constant = 0.06 } # by eye\n'
+)
 DEADBAND = KnownEffect("valve_deadband", "boom", {"positive": 0.1199987234, "negative": 0.1})
 SLOWER = KnownEffect("first_order_lag", "boom", {"time_constant": 0.17})
 
@@ -50,7 +52,7 @@ def test_only_the_line_of_a_changed_value_is_new() -> None:
     before = lift(HEAD + LAG + "[noise]\n")
     assert machine_difference(before, before.with_effect(SLOWER)) == (
         '--- machine.toml\n+++ machine.toml\n@@ -11,5 +11,5 @@\n [[effects]]\n name = "first_order_lag"\n target = "boom"\n'
-        "-parameters = { time_constant = 0.06 }   # by eye\n+parameters = { time_constant = 0.17 }   # by eye\n [noise]\n"
+        "-parameters = { time_constant = 0.06 } # by eye\n+parameters = { time_constant = 0.17 } # by eye\n [noise]\n"
     )
 
 

@@ -1,0 +1,58 @@
+"""What a repaired plant remembers of how it came about: what it was made from, what speaks for it, what computed it."""
+
+from __future__ import annotations
+
+import importlib.metadata
+import platform
+from collections.abc import Mapping
+from dataclasses import asdict
+from typing import Any
+
+from sysid import __version__
+from sysid.files import plain
+from sysid.gap.case import Case
+from sysid.gap.prove import Outcome
+from sysid.gap.result import Gap
+
+#: What the figures of the workflow depend on.
+SOFTWARE = ("numpy", "scipy", "numba", "pandas", "arch")
+
+
+def lineage_of(case: Case, outcome: Outcome, gap: Gap, stage_gap: Gap, settings: Mapping[str, Any]) -> dict[str, Any]:
+    """Plain JSON values; the same run gives the same ones, so that repeating it makes no new version."""
+    return plain(  # type: ignore[no-any-return]
+        {
+            "dataset_digest": case.dataset.digest,
+            "recordings": {
+                role: [recording.name for recording in recordings]
+                for role, recordings in (
+                    ("fit", case.split.fit),
+                    ("select", case.split.select),
+                    ("held_out", case.split.held_out),
+                )
+            },
+            "seed": case.seed,
+            "settings": {**settings, "noise": dict(case.noise)},
+            "named": [f"{e.name}({e.target})" for e in outcome.named],
+            "effects": [
+                {
+                    "name": e.name,
+                    "target": e.target,
+                    "side": e.side,
+                    "parameters": dict(e.parameters),
+                    "interval95": {key: list(ends) for key, ends in e.interval95.items()},
+                    "closed_share": e.gap_share,
+                    "evidence": asdict(e.evidence) if e.evidence is not None else None,
+                }
+                for e in outcome.named
+            ],
+            "ties": outcome.ties,
+            "proof": {"gap": asdict(gap), "stage_gap": asdict(stage_gap)},
+            "notes": outcome.notes,
+            "software": {
+                "sysid": __version__,
+                "python": platform.python_version(),
+                **{name: importlib.metadata.version(name) for name in SOFTWARE},
+            },
+        }
+    )

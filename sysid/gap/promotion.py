@@ -1,0 +1,130 @@
+"""When a stored repair becomes what its name alone means: only when the proof on held-out recordings passes.
+
+A repair is promoted where
+
+1. it names what it repairs: every effect in it has a name, no stand-in for several that tie;
+2. the held-out gap of every stage at which something was named falls;
+3. the free-run gap of no held-out signal grows, and none is worse than that of the version promoted until now: by more than
+   three standard deviations of what sensor noise alone makes of that signal's gap, counted from the noise floor upwards;
+4. none grows in the PyBullet world beyond what the compiled plant accounts for. A world that cannot be had is not asked.
+
+Nothing is deleted and nothing overwritten: the version before stays, and :meth:`sysid.registry.Registry.promote` sets it back.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+from sysid.errors import StoreError
+from sysid.gap.result import Check, Gap, Promotion, WorldGap
+from sysid.registry import ModelVersion, Registry
+
+#: A gap has grown if it exceeds this many standard deviations of the noise floor.
+SURE = 3.0
+#: The held-out gap of a stage at which something was named has to fall below this multiple of what it was.
+FALLS = 0.98
+#: By how much the world may differ from the compiled plant: coordinates of tip and tool [m] (``docs/world.md``).
+WORLD_AWAY = {"ee": 1e-6, "tool": 1e-3}
+
+
+def names_check(named: Sequence[str], ties: Sequence[Sequence[tuple[str, str]]]) -> Check:
+    """Whether the repair consists of effects with a name."""
+    if ties:
+        text = " / ".join(f"{name} on {target}" for name, target in ties[0])
+        return Check("names", "failed", f"it holds a stand-in for effects that cannot be told apart: {text}")
+    if not named:
+        return Check("names", "failed", "no effect was named: it only adjusts parameters too little for a name")
+    return Check("names", "passed", f"{', '.join(named)}")
+
+
+def stages_check(stages: Mapping[str, tuple[float, float]]) -> Check:
+    """Whether every stage at which something was named is better.
+
+    Args:
+        stages: label of each → its held-out gap before and after, in noise floors.
+    """
+    failed = {label: gap for label, gap in stages.items() if not gap[1] < FALLS * gap[0]}
+    shown = failed or stages
+    text = "; ".join(f"{label} {before:.3g} → {after:.3g} noise floors" for label, (before, after) in shown.items())
+    return Check("stages", "failed" if failed else "passed", f"does not fall: {text}" if failed else text)
+
+
+def free_run_check(
+    gap: Gap, spread: Mapping[str, float], units: Mapping[str, str], name: str = "free run", against: str = "before"
+) -> Check:
+    """Whether no signal is further off in the free run of the whole chain than ``against``.
+
+    Args:
+        gap: its ``before`` is what is compared with.
+        spread: standard deviation by signal of the gap that the true model would have; what has none must not grow at all.
+        units: by signal, for the text.
+    """
+    grown = []
+    for signal, before in gap.before.items():
+        after, limit = gap.after[signal], _limit(signal, before, gap.noise_floor, spread)
+        if after > limit:
+            unit = _unit(units, signal)
+            grown.append(f"{signal} {before:.3g} → {after:.3g}{unit} (at most {limit:.3g}{unit})")
+    if grown:
+        return Check(name, "failed", f"further off than {against}: {', '.join(grown)}")
+    return Check(name, "passed", f"none of {len(gap.before)} held-out signals is further off than {against}")
+
+
+def world_check(found: WorldGap | None, spread: Mapping[str, float], units: Mapping[str, str]) -> Check:
+    """Whether nothing grows in the PyBullet world that the compiled plant does not account for."""
+    if found is None or not found.recordings:
+        return Check("world", "left out", "not run")
+    grown = []
+    for signal, before in found.world.before.items():
+        after = found.world.after[signal]
+        allowed = found.compiled.after[signal] + WORLD_AWAY.get(signal.rpartition(".")[0], 0.0)
+        limit = max(_limit(signal, before, found.world.noise_floor, spread), allowed * (1.0 + 1e-6))
+        if after > limit:
+            compiled, unit = found.compiled.after[signal], _unit(units, signal)
+            grown.append(f"{signal} {before:.3g} → {after:.3g}{unit} (compiled plant {compiled:.3g}{unit})")
+    if grown:
+        return Check("world", "failed", f"further off in the PyBullet world only: {', '.join(grown)}")
+    return Check("world", "passed", f"none of {len(found.world.before)} signals is further off in the PyBullet world")
+
+
+def promote(registry: Registry, version: str, until_now: ModelVersion | None, checks: Sequence[Check]) -> Promotion:
+    """Promote a stored version if all checks pass; say why not otherwise.
+
+    Args:
+        until_now: what was promoted when the checks were made.
+
+    """
+    previous = until_now.reference if until_now is not None else ""
+    failed = [check for check in checks if check.status == "failed"]
+    if failed:
+        return Promotion(version, previous, previous, tuple(checks), "; ".join(check.text for check in failed))
+    if version != previous:
+        try:
+            registry.promote(version, instead_of=until_now)
+        except StoreError as error:  # the version is stored, and the next time it may be promoted
+            now = registry.promoted(version.partition("@")[0])
+            return Promotion(version, now.reference if now else "", previous, tuple(checks), str(error))
+    return Promotion(version, version, previous, tuple(checks))
+
+
+def first_promotion(registry: Registry, version: str) -> ModelVersion:
+    """What the name means before the first repair is judged: the promoted version, else from now on the questioned one."""
+    name = version.partition("@")[0]
+    until_now = registry.promoted(name)
+    if until_now is None:
+        try:
+            return registry.promote(version, instead_of=None)
+        except StoreError:
+            until_now = registry.promoted(name)
+            if until_now is None:
+                raise
+    return until_now
+
+
+def _unit(units: Mapping[str, str], signal: str) -> str:
+    return f" {units[signal]}" if units.get(signal, "1") != "1" else ""
+
+
+def _limit(signal: str, before: float, floor: Mapping[str, float], spread: Mapping[str, float]) -> float:
+    """Beyond this a signal's gap has grown; rounding is no growth."""
+    return max(before, floor.get(signal, 0.0)) * (1.0 + 1e-6) + SURE * spread.get(signal, 0.0)
