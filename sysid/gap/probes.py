@@ -1,0 +1,276 @@
+"""What a remainder is compared with: position, speed, reversals, small commands, load, the other axes, time.
+
+A stage that integrates its command is compared as a rate, since an error of speed shows there at once. Both sides pass the
+same filter: means over bins, and for a rate the change between neighbouring bins, so that a term of the right form meets its
+remainder without attenuation. Whether anything is left to explain is decided by cross-correlations whose bounds hold for
+remainders that are coloured and whose size follows the motion.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from sysid.datasets.recording import Recording
+from sysid.gap.map_variables import STANDING, speed_of
+from sysid.gap.problem import Problem
+from sysid.gap.result import Probe
+from sysid.machine import Axis, Machine
+from sysid.plant import gravity_load
+from sysid.plant.force import force_inputs
+from sysid.signals import axis_signal, point_signals
+
+Array = npt.NDArray[np.float64]
+
+#: Width of the bins in which a remainder is compared [s].
+BIN = 0.1
+#: Parts of a bin at which terms are evaluated.
+PARTS = 2
+#: A reversal is felt for this long [s].
+REVERSAL = 0.3
+#: Commands below this share of the largest one are small.
+SMALL = 0.25
+#: A motion counts as begun for this long [s], in the terms of its beginning.
+BEGINNING = 3.0
+#: A probe may lead the remainder by this long [s].
+LONGEST_LAG = 1.0
+#: Chance that a remainder which follows nothing exceeds any of its bounds.
+FALSE_ALARM = 0.01
+#: Weights of the parts of two neighbouring bins in the change of a bin's mean: a triangle.
+_TRIANGLE = np.array([1.0, 3.0, 3.0, 1.0]) / 8.0
+
+
+@dataclass(frozen=True)
+class Series:
+    """One recording: what is left over in bins, and what it may depend on in parts of bins.
+
+    Args:
+        target: remainder of each bin, or its rate between two bins (m,); NaN where it was not measured.
+        variables: name → value at each part of a bin, (PARTS·m + PARTS·rate,); complete.
+        rate: whether ``target`` is a rate.
+        step: seconds from one entry of ``target`` to the next.
+    """
+
+    name: str
+    target: Array
+    variables: Mapping[str, Array]
+    rate: bool
+    step: float
+
+    def filtered(self, values: Array) -> Array:
+        """Terms at the parts of bins (…, p) → what they do to the target (…, m)."""
+        count = len(self.target)
+        shifted = [values[..., k : k + PARTS * count : PARTS] for k in range(2 * PARTS if self.rate else PARTS)]
+        return np.asarray(sum(weight * part for weight, part in zip(self.weights, shifted, strict=True)))
+
+    @property
+    def weights(self) -> Array:
+        """What each part counts in an entry of the target."""
+        return _TRIANGLE if self.rate else np.full(PARTS, 1.0 / PARTS)
+
+    def part(self, first: int, last: int, name: str) -> Series:
+        """Entries ``first … last`` of the target as a series of their own."""
+        ends = slice(PARTS * first, PARTS * (last + (1 if self.rate else 0)))
+        return Series(name, self.target[first:last], {k: v[ends] for k, v in self.variables.items()}, self.rate, self.step)
+
+
+def series_of(problem: Problem, theta: Array, recording: Recording, machine: Machine, signal: int) -> Series | None:
+    """The remainder of output ``signal`` of a stage on one recording; None where it is not measured for long enough."""
+    predicted = problem.predict(theta[None], recording)[0]
+    left = (problem.measured(recording) - predicted)[:, signal]
+    rows = problem.rows(recording)
+    found = {
+        name: _bridged(values)[rows] for name, values in variables_of(problem, recording, machine, predicted[:, signal]).items()
+    }
+    rate_hz = problem.rate(recording)
+    width = max(PARTS, PARTS * max(1, round(BIN * rate_hz / PARTS))) if problem.stage != "force" else PARTS
+    if problem.stage == "force":  # decimated until its rows are nearly independent: each is a bin
+        left, found = np.repeat(left, PARTS), {name: np.repeat(values, PARTS) for name, values in found.items()}
+    count = len(left) // width
+    if count < 20 or np.isfinite(left).sum() < 20 * width:
+        return None
+    bins = _means(left[: count * width].reshape(count, width))
+    inner = width // PARTS
+    parts = {name: values[: count * width].reshape(-1, inner).mean(axis=1) for name, values in found.items()}
+    step = width / (rate_hz * PARTS if problem.stage == "force" else rate_hz)
+    target = np.diff(bins) / step if problem.integrates else bins
+    return Series(recording.name, target, parts, problem.integrates, step)
+
+
+def variables_of(problem: Problem, recording: Recording, machine: Machine, predicted: Array) -> dict[str, Array]:
+    """Name → value on every row of the recording, NaN where it is missing.
+
+    The speed of an axis that a command moves is the simulated one: a measured one would share its noise with the remainder.
+    """
+    rate = recording.rate_hz
+    if problem.target not in machine.axis_names:
+        return _of_point(recording, machine)
+    axis = machine.axis(problem.target)
+    position, command = recording.values(axis.driven), recording.values(axis_signal(axis.name, "command"))
+    if problem.stage == "force":
+        speed = force_inputs(recording, axis, rows=problem.rows(recording)).speed
+    elif problem.stage == "command" and axis.driven == problem.signals[0]:
+        speed = np.gradient(_bridged(predicted), 1.0 / rate)
+        speed[np.abs(speed) > 50.0 * np.percentile(np.abs(speed), 90) + 1e-12] = 0.0  # a restart is no motion
+    else:
+        speed = speed_of(position, rate)
+    found = {axis.driven: position, f"speed of {axis.name}": speed, f"direction of {axis.name}": direction(speed)}
+    found[f"reversal of {axis.name}"] = _since_reversal(found[f"direction of {axis.name}"], rate)
+    found[f"time {axis.name} has moved"] = _moving_for(found[f"direction of {axis.name}"], rate)
+    if problem.stage != "force":
+        largest = float(np.nanmax(np.abs(command), initial=0.0))
+        small = (np.abs(command) > 0.0) & (np.abs(command) < SMALL * largest)
+        found[axis_signal(axis.name, "command")] = command
+        found[f"small commands of {axis.name}"] = np.where(np.isnan(command), np.nan, np.where(small, np.sign(command), 0.0))
+    found |= _others(axis, recording, machine)
+    found |= _loads(recording, machine, (axis.name,))
+    found["time"] = recording.values("time")
+    return {name: values for name, values in found.items() if _varies(values)}
+
+
+def cross_correlations(series: Sequence[Series], colour: float) -> tuple[Probe, ...]:
+    """Each probe at the lag where it stands out most against its bound, the clearest first.
+
+    Remainder and probe are prewhitened by an autoregression of first order (``colour``). The variance of their product's mean
+    is that of Newey and West (Econometrica 55, 1987), which allows for what colour is left and for a disturbance whose size
+    goes with the probe; the bounds hold for all probes and lags together (Bonferroni).
+    """
+    from scipy.stats import norm
+
+    names = [name for name in series[0].variables if all(name in part.variables for part in series)]
+    lags = range(max(1, round(LONGEST_LAG / series[0].step)) + 1)
+    level = float(norm.isf(0.5 * FALSE_ALARM / (max(len(names), 1) * len(lags))))
+    found = []
+    for name in names:
+        best = None
+        probes = [part.filtered(part.variables[name]) for part in series]
+        for lag in lags:
+            pairs = [_pair(part.target, probe, lag, colour) for part, probe in zip(series, probes, strict=True)]
+            e, x = (np.concatenate(side) for side in zip(*pairs, strict=True))
+            if len(e) < 50 or not (e.std() > 0.0 and x.std() > 0.0):
+                continue
+            product = (e - e.mean()) * (x - x.mean()) / (e.std() * x.std())
+            bound = level * float(np.sqrt(_long_run_variance(product - product.mean()) / len(product)))
+            if best is None or abs(product.mean()) / bound > abs(best.correlation) / best.bound:
+                best = Probe(name, float(product.mean()), bound, lag * series[0].step)
+        if best is not None:
+            found.append(best)
+    return tuple(sorted(found, key=lambda probe: -abs(probe.correlation) / probe.bound))
+
+
+def quasi_difference(values: Array, colour: float) -> Array:
+    """``x_k − colour·x_{k−1}`` along the last axis; the first one is lost."""
+    return np.asarray(values[..., 1:] - colour * values[..., :-1])
+
+
+def colour_of(series: Sequence[Array]) -> float:
+    """Autocorrelation of neighbouring entries about the common mean, at least zero; of white noise it is none."""
+    mean = float(np.nanmean(np.concatenate(series)))
+    top = sum(float(np.nansum((x[1:] - mean) * (x[:-1] - mean))) for x in series)
+    bottom = sum(float(np.nansum((x - mean) ** 2)) for x in series)
+    return float(np.clip(top / bottom, 0.0, 0.999)) if bottom > 0.0 else 0.0
+
+
+def direction(speed: Array) -> Array:
+    """−1, 0 (standing) or +1."""
+    least = STANDING * float(np.nanmax(np.abs(speed), initial=0.0))
+    return np.where(np.isnan(speed), np.nan, np.where(np.abs(speed) > least, np.sign(speed), 0.0))
+
+
+def _pair(target: Array, probe: Array, lag: int, colour: float) -> tuple[Array, Array]:
+    e, x = quasi_difference(target[lag:], colour), quasi_difference(probe[: len(probe) - lag], colour)
+    there = np.isfinite(e) & np.isfinite(x)
+    return e[there], x[there]
+
+
+def _long_run_variance(values: Array) -> float:
+    """Variance of the sum of a series over its length, with Bartlett weights; at least that of a white one."""
+    count = len(values)
+    widest = int(4.0 * (count / 100.0) ** (2.0 / 9.0))
+    white = float(values @ values) / count
+    total = white
+    for lag in range(1, widest + 1):
+        total += 2.0 * (1.0 - lag / (widest + 1.0)) * float(values[lag:] @ values[:-lag]) / count
+    return max(total, white)
+
+
+def _of_point(recording: Recording, machine: Machine) -> dict[str, Array]:
+    """Of the boom tip and the tool: every joint, which way it goes, its load; time."""
+    found: dict[str, Array] = {}
+    for axis in machine.axes:
+        joint = recording.values(axis_signal(axis.name, "joint"))
+        found[axis_signal(axis.name, "joint")] = joint
+        found[f"speed of {axis.name}"] = speed_of(joint, recording.rate_hz)
+        found[f"direction of {axis.name}"] = direction(found[f"speed of {axis.name}"])
+    for coordinate in point_signals("ee"):
+        speed = speed_of(recording.values(coordinate), recording.rate_hz)
+        found[f"speed of {coordinate}"] = speed
+    found |= _loads(recording, machine, machine.axis_names)
+    found["time"] = recording.values("time")
+    return {name: values for name, values in found.items() if _varies(values)}
+
+
+def _others(axis: Axis, recording: Recording, machine: Machine) -> dict[str, Array]:
+    """How fast the other axes move one by one, and together in shares of the fastest of each."""
+    found: dict[str, Array] = {}
+    total = np.zeros(len(recording))
+    for other in machine.axes:
+        speed = speed_of(recording.values(other.driven), recording.rate_hz)
+        if np.isnan(speed).all():
+            speed = recording.values(axis_signal(other.name, "command"))
+        largest = float(np.nanmax(np.abs(speed), initial=0.0))
+        if other.name != axis.name and largest > 0.0:
+            found[f"speed of {other.name}"] = speed
+            total += np.abs(np.nan_to_num(speed)) / largest
+    return {**found, "other axes together": total} if len(found) > 1 else found
+
+
+def _loads(recording: Recording, machine: Machine, axes: Sequence[str]) -> dict[str, Array]:
+    if machine.kinematics() is None:
+        return {}
+    loads = gravity_load(machine, recording)
+    columns = {f"load of {name}": loads[:, machine.axis_names.index(name)] for name in axes}
+    return {name: values for name, values in columns.items() if np.ptp(values) > 0.0}
+
+
+def _varies(values: Array) -> bool:
+    there = values[np.isfinite(values)]
+    return len(there) > 1 and bool(there.max() > there.min())
+
+
+def _since_reversal(way: Array, rate_hz: float) -> Array:
+    """Direction, fading after each reversal: what a play or a spring leaves behind."""
+    out, last, age = np.zeros(len(way)), 0.0, np.inf
+    for k, now in enumerate(np.nan_to_num(way)):
+        if now != 0.0 and now != last:
+            age, last = (0.0 if last != 0.0 else np.inf), now
+        out[k] = last * np.exp(-age / REVERSAL)
+        age += 1.0 / rate_hz
+    return out
+
+
+def _moving_for(way: Array, rate_hz: float) -> Array:
+    """Seconds since the axis began to move this way, up to :data:`BEGINNING`; zero while it stands."""
+    way = np.nan_to_num(way)
+    changes = np.flatnonzero(np.diff(way, prepend=way[:1]) != 0.0)
+    begin = np.zeros(len(way))
+    begin[changes] = changes
+    since = (np.arange(len(way)) - np.maximum.accumulate(begin)) / rate_hz
+    return np.where(way != 0.0, np.minimum(since, BEGINNING), 0.0)
+
+
+def _bridged(values: Array) -> Array:
+    """Gaps filled linearly, ends held."""
+    there = np.flatnonzero(np.isfinite(values))
+    return np.interp(np.arange(len(values)), there, values[there]) if len(there) else np.zeros(len(values))
+
+
+def _means(blocks: Array) -> Array:
+    """Mean of each row; NaN where less than half of it is there."""
+    there = np.isfinite(blocks)
+    count = there.sum(axis=1)
+    total = np.where(there, blocks, 0.0).sum(axis=1)
+    return np.where(count >= 0.5 * blocks.shape[1], total / np.maximum(count, 1), np.nan)
