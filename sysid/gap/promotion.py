@@ -71,13 +71,17 @@ def free_run_check(
 
 
 def world_check(found: WorldGap | None, spread: Mapping[str, float], units: Mapping[str, str]) -> Check:
-    """Whether nothing grows in the PyBullet world that the compiled plant does not account for."""
+    """Whether nothing grows in the PyBullet world that the compiled plant does not account for.
+
+    The two may differ as they are known to, or as they did before the repair.
+    """
     if found is None or not found.recordings:
         return Check("world", "left out", "not run")
     grown = []
     for signal, before in found.world.before.items():
         after = found.world.after[signal]
-        allowed = found.compiled.after[signal] + WORLD_AWAY.get(signal.rpartition(".")[0], 0.0)
+        away = max(WORLD_AWAY.get(signal.rpartition(".")[0], 0.0), abs(before - found.compiled.before[signal]))
+        allowed = found.compiled.after[signal] + away
         limit = max(_limit(signal, before, found.world.noise_floor, spread), allowed * (1.0 + 1e-6))
         if after > limit:
             compiled, unit = found.compiled.after[signal], _unit(units, signal)
