@@ -119,7 +119,7 @@ def _predict(model: Model, axis: Axis, like: Array, restart_every: float | None 
         def lane(k: int) -> None:
             axis_run.drive_axis(
                 lanes[k], model.rig, i, commands[k], measured, load, share, segments, dt, model.window(recording),
-                round(SETTLE_WINDOW / dt), size, position[k], out[k],
+                round(SETTLE_WINDOW / dt), size, position[k], out[k], None,
             )  # fmt: skip
 
         in_parallel(lane, len(thetas), count)

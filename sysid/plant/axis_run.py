@@ -11,9 +11,9 @@ import math
 import numpy as np
 
 from sysid.effects.compiled import inlined, kernel, loop
-from sysid.plant import chain
+from sysid.plant import chain, residual
 from sysid.plant.layout import AT, AXIS_WIDTH, STATE
-from sysid.plant.rig import CYLINDER, FORCE, GAIN, HIGH, KIND, LOW, TABLE_LOW, TABLE_STEP, VELOCITY
+from sysid.plant.rig import CYLINDER, FORCE, GAIN, HIGH, KIND, LOW, POSITION, TABLE_LOW, TABLE_STEP, VELOCITY
 
 #: What a start is made of: position of the drive, its speed, joint behind the play before it sags.
 START = 3
@@ -32,14 +32,36 @@ def begin(s, m, size, position, speed, joint, p, b, first, dt):
 
 
 @loop
-def _run(p, rig, i, s, command, load, share, first, last, start, dt, drive, joint):
-    """Samples ``first … last`` from ``start``; ``joint`` is only written where the joint itself is driven."""
+def _run(p, rig, i, s, command, load, share, first, last, start, dt, drive, joint, own):
+    """Samples ``first … last`` from ``start``; ``joint`` is only written where the joint itself is driven.
+
+    ``own`` is the network that the axis carries (:class:`sysid.plant.residual.Own`), or None.
+    """
     b, size, m = i * AXIS_WIDTH, len(s), np.int64(0)  # a plain 0 would be a type of its own, and compile all of it once more
     fed, jointed = rig.axes[i, KIND] == VELOCITY, rig.axes[i, CYLINDER] == 0.0
     begin(s, m, size, start[0], start[1], start[2], p, b, first, dt)
+    if own is not None:
+        residual.forget(own.memory)
     for k in range(first, last):
-        wanted = chain.ask(command[k], p, s, m, size, rig.axes, i, load[k], dt)
-        drive[k] = chain.move(wanted * share[k] if fed else wanted, s, m, rig.axes, i, dt)
+        if own is None:
+            wanted = chain.ask(command[k], p, s, m, size, rig.axes, i, load[k], dt)
+            drive[k] = chain.move(wanted * share[k] if fed else wanted, s, m, rig.axes, i, dt)
+        else:
+            extra = 0.0
+            if rig.axes[i, KIND] != POSITION:
+                extra = residual.look(own.nets, own.row, own.memory, own.commands[k], s[m + STATE.position], load[k], dt)
+            elif k > first:  # a servo stands at a sample where the step before has led it
+                extra = residual.look(
+                    own.nets, own.row, own.memory, own.commands[k - 1], s[m + STATE.position], load[k - 1], dt
+                )
+            if rig.axes[i, KIND] == FORCE:
+                wanted = chain.ask(command[k] - extra, p, s, m, size, rig.axes, i, load[k], dt)
+            else:
+                wanted = chain.ask(command[k], p, s, m, size, rig.axes, i, load[k], dt)
+                wanted = (wanted * share[k] if fed else wanted) + extra
+                if rig.axes[i, KIND] == POSITION:
+                    wanted = min(max(wanted, rig.axes[i, LOW]), rig.axes[i, HIGH])
+            drive[k] = chain.move(wanted, s, m, rig.axes, i, dt)
         if jointed:
             joint[k] = chain.joint_stage(drive[k], p, b, s, m, load[k])
 
@@ -100,7 +122,7 @@ def slope(values, first, last, dt):
 
 @loop
 def _find_start(
-    p, rig, i, s, command, measured, joint, load, share, first, last, dt, window, settle, out, behind, scratch, start
+    p, rig, i, s, command, measured, joint, load, share, first, last, dt, window, settle, out, behind, scratch, start, own
 ):
     """Where a stretch starts, into ``start``: the median of (measured − simulated) over its first ``window`` samples is zero.
 
@@ -120,7 +142,7 @@ def _find_start(
     start[0] = position
     start[1] = slope(measured, first, near, dt) if rig.axes[i, KIND] == FORCE else 0.0
     start[2] = np.nan
-    _run(p, rig, i, s, command, load, share, first, near, start, dt, out, behind)
+    _run(p, rig, i, s, command, load, share, first, near, start, dt, out, behind, own)
     if rig.axes[i, CYLINDER] != 0.0:
         position += _median_difference(measured, out, first, near, scratch)
     else:
@@ -145,7 +167,7 @@ def _find_start(
     for side in range(3):
         start[0] = middle + (side - 1.0) * half
         start[2] = middle
-        _run(p, rig, i, s, command, load, share, first, far, start, dt, out, behind)
+        _run(p, rig, i, s, command, load, share, first, far, start, dt, out, behind, own)
         cost = _squares(measured, behind, first, far)
         if side == 0:
             low_cost = cost
@@ -166,19 +188,19 @@ def _find_start(
 
 
 @kernel
-def find_starts(p, rig, i, command, measured, joint, load, share, segments, dt, window, settle, size, starts):
+def find_starts(p, rig, i, command, measured, joint, load, share, segments, dt, window, settle, size, starts, own):
     """A start for each of the stretches ``segments`` (m, 2) into ``starts`` (m, START); no stretch is run to its end."""
     s, scratch = np.empty(size), np.empty(window)
     drive, behind = np.empty(len(command)), np.empty(len(command))
     for row in range(len(segments)):
         _find_start(
             p, rig, i, s, command, measured, joint, load, share, segments[row, 0], segments[row, 1], dt, window, settle, drive,
-            behind, scratch, starts[row],
+            behind, scratch, starts[row], own,
         )  # fmt: skip
 
 
 @kernel
-def drive_axis(p, rig, i, command, measured, load, share, segments, dt, window, settle, size, drive, behind):
+def drive_axis(p, rig, i, command, measured, load, share, segments, dt, window, settle, size, drive, behind, own):
     """Free run of axis ``i`` from its command over all segments.
 
     Args:
@@ -186,6 +208,7 @@ def drive_axis(p, rig, i, command, measured, load, share, segments, dt, window, 
         load: gravity load about the joint, (n,); ``share`` of the demand that the pump feeds, (n,).
         segments: (m, 2) first and last+1 sample of each stretch with commands.
         drive, behind: out, (n,): position of the drive, and of the joint behind the play where the joint is driven.
+        own: the network that the axis carries, or None.
     """
     s, scratch, start = np.empty(size), np.empty(window), np.empty(START)
     for row in range(len(segments)):
@@ -209,8 +232,9 @@ def drive_axis(p, rig, i, command, measured, load, share, segments, dt, window, 
             behind,
             scratch,
             start,
+            own,
         )
-        _run(p, rig, i, s, command, load, share, first, last, start, dt, drive, behind)
+        _run(p, rig, i, s, command, load, share, first, last, start, dt, drive, behind, own)
         if rig.axes[i, CYLINDER] != 0.0:
             for k in range(first, last):
                 behind[k] = drive[k]
@@ -229,7 +253,7 @@ def add_demand(p, rig, i, command, load, segments, dt, size, total):
 
 
 @kernel
-def joint_axis(p, rig, i, cylinder, measured, load, window, out):
+def joint_axis(p, rig, i, cylinder, measured, load, window, dt, out, own):
     """Cylinder [m] (n,) → joint behind linkage, play and sag (n,). NaN in stays NaN and keeps the play's state.
 
     The play begins where the first measured joint values say it stands.
@@ -247,9 +271,13 @@ def joint_axis(p, rig, i, cylinder, measured, load, window, out):
             scratch[count] = measured[k] + sag - chain.look_up(cylinder[k], rig.tables, i, low, step)
             count += 1
     begun = False
+    if own is not None:
+        residual.forget(own.memory)
     for k in range(len(cylinder)):
         if np.isnan(cylinder[k]):
             out[k] = np.nan
+            if own is not None:
+                residual.look(own.nets, own.row, own.memory, own.commands[k], np.nan, 0.0, dt)
             continue
         x = chain.look_up(cylinder[k], rig.tables, i, low, step)
         if not begun:
@@ -257,10 +285,18 @@ def joint_axis(p, rig, i, cylinder, measured, load, window, out):
             if count:
                 s[STATE.backlash_drive] = x + _median(scratch, count)
         out[k] = chain.joint_stage(x, p, b, s, m, load[k])
+        if own is not None:  # what it said at the beginning of the step that led here
+            out[k] += own.memory[residual.ADDS]
+            weight = 0.0 if np.isnan(load[k]) else load[k]
+            residual.look(own.nets, own.row, own.memory, own.commands[k], cylinder[k], weight, dt)
 
 
 @kernel
-def force_axis(p, rig, i, v, a, out):
-    """Force that the model needs for a measured motion: speeds ``v`` and accelerations ``a``, each (n,)."""
+def force_axis(p, rig, i, x, v, a, dt, out, own):
+    """Force that the model needs for a measured motion: positions ``x``, speeds ``v``, accelerations ``a``, each (n,)."""
+    if own is not None:
+        residual.forget(own.memory)
     for k in range(len(v)):
         out[k] = chain.force_at_motion(v[k], a[k], p, i * AXIS_WIDTH, rig.axes[i, GAIN])
+        if own is not None:
+            out[k] += residual.look(own.nets, own.row, own.memory, own.commands[k], x[k], 0.0, dt)

@@ -18,7 +18,6 @@ from scipy import signal
 from sysid.datasets.recording import Recording
 from sysid.errors import ExcitationError
 from sysid.machine import Axis
-from sysid.plant import axis_run
 from sysid.signals import axis_signal
 
 if TYPE_CHECKING:
@@ -48,6 +47,7 @@ class ForceInputs:
     Args:
         rows: rows of the recording that survive, (m,).
         speed, acceleration: on all rows (n,).
+        position: low-passed, on all rows (n,).
         rests: where dry friction has no known sign and the measured force is taken instead (n,).
         raw: measured force on all rows, not filtered (n,).
         force: measured force on ``rows`` (m,).
@@ -60,14 +60,14 @@ class ForceInputs:
     raw: Array
     force: Array
     low_pass: Array
+    position: Array
+    rate_hz: float
 
     def model_force(self, model: Model, thetas: Array, axis: str, everywhere: bool = False) -> Array:
         """Force that the model needs for the measured motion, (lanes, m); ``everywhere`` also where the axis ``rests``."""
-        at = model.axis_index(axis)
         out = np.empty((len(thetas), len(self.rows)))
-        full = np.empty(len(self.speed))
         for lane, theta in enumerate(thetas):
-            axis_run.force_axis(theta, model.rig, at, self.speed, self.acceleration, full)
+            full = model.inverse(theta, axis, self.position, self.speed, self.acceleration, 1.0 / self.rate_hz)
             if not everywhere:
                 full[self.rests] = self.raw[self.rests]
             out[lane] = signal.sosfiltfilt(self.low_pass, full)[self.rows]
@@ -109,7 +109,7 @@ def force_inputs(
     still = settings.still * float(np.percentile(np.abs(speed), 95))
     rests = np.abs(speed) < still + np.abs(acceleration) * 0.5 / settings.position_hz
     if rows is not None:
-        return ForceInputs(rows, speed, acceleration, rests, force, filtered[rows], low_pass)
+        return ForceInputs(rows, speed, acceleration, rests, force, filtered[rows], low_pass, position, rate)
     stride = max(1, int(rate / (2.5 * settings.force_hz)))
     edge = 5 * stride
     rows = np.arange(edge, len(position) - edge, stride)
@@ -120,7 +120,7 @@ def force_inputs(
     rows = rows[~slow[rows] & measured]
     if len(rows) < 30:
         raise ExcitationError(f"{recording.name}: {axis.name}", "the axis hardly moves", "motion in both directions")
-    return ForceInputs(rows, speed, acceleration, rests, force, filtered[rows], low_pass)
+    return ForceInputs(rows, speed, acceleration, rests, force, filtered[rows], low_pass, position, rate)
 
 
 def hold_of(recordings: Sequence[Recording], axis: Axis) -> float:

@@ -10,19 +10,22 @@ import numpy as np
 
 from sysid.effects import pump_flow_limit
 from sysid.effects.compiled import inlined, kernel, loop
-from sysid.plant import chain
+from sysid.plant import chain, residual
 from sysid.plant.axis_run import begin
 from sysid.plant.layout import AT, AXIS_WIDTH, STATE
 from sysid.plant.pose import SCRATCH, pose
-from sysid.plant.rig import CYLINDER, GAIN, KIND, POSITION, TABLE_LOW, TABLE_STEP, VELOCITY
+from sysid.plant.rig import CYLINDER, FORCE, GAIN, HIGH, KIND, LOW, POSITION, TABLE_LOW, TABLE_STEP, VELOCITY
+
+#: Places of :data:`sysid.plant.residual.PLACES`.
+COMMAND, JOINT, INVERSE = range(3)
 
 
 @inlined
-def observe(p, rig, s, load, scratch, drive, joints, structure, tip):
+def observe(p, rig, s, load, scratch, drive, joints, structure, tip, nets, t):
     """State ``s`` (A · size,) → drive, joint sensors, structure, each (A,), end effector (3,), and the ``load`` (A,) there.
 
     Sag is taken from the load that ``load`` holds when this is called, that of the sample before. An axis without a position is
-    NaN, and then so is the tip.
+    NaN, and then so is the tip. ``nets`` and their memory ``t`` (R, M) are None where the plant carries none.
     """
     missing = len(rig.links) < 2
     size = len(s) // len(rig.axes)
@@ -38,6 +41,8 @@ def observe(p, rig, s, load, scratch, drive, joints, structure, tip):
             missing = True
             continue
         joints[i] = chain.joint_stage(x, p, b, s, m, load[i])
+        if nets is not None:
+            joints[i] += residual.added(nets, t, i, JOINT)
         structure[i] = chain.structure_stage(joints[i], p, b, s, m, load[i])
     if missing:
         tip[0] = np.nan
@@ -48,25 +53,42 @@ def observe(p, rig, s, load, scratch, drive, joints, structure, tip):
 
 
 @inlined
-def advance(p, rig, s, load, wanted, command, dt):
+def advance(p, rig, s, load, wanted, command, dt, nets, t):
     """One step of all axes with ``command`` (A,); axes without a position stay as they are. ``wanted`` (A,) is used inside."""
     size = len(s) // len(rig.axes)
     demand = 0.0
+    if nets is not None:
+        for r in range(len(t)):
+            i = int(nets.about[r, residual.AXIS])
+            residual.look(nets, r, t[r], command, s[i * size + STATE.position], load[i], dt)
     for i in range(len(rig.axes)):
         if np.isnan(s[i * size + STATE.position]):
             continue
-        wanted[i] = chain.ask(command[i], p, s, i * size, size, rig.axes, i, load[i], dt)
+        asked = command[i]
+        if nets is not None and rig.axes[i, KIND] == FORCE:
+            asked -= residual.added(nets, t, i, INVERSE)
+        wanted[i] = chain.ask(asked, p, s, i * size, size, rig.axes, i, load[i], dt)
         if rig.axes[i, KIND] == VELOCITY:
             demand += abs(wanted[i]) / rig.axes[i, GAIN]
     share = pump_flow_limit.share(demand, p, rig.machine + AT.pump_flow_limit)
     for i in range(len(rig.axes)):
         if not np.isnan(s[i * size + STATE.position]):
             part = share if rig.axes[i, KIND] == VELOCITY else 1.0
-            chain.move(part * wanted[i], s, i * size, rig.axes, i, dt)
+            if nets is None:
+                chain.move(part * wanted[i], s, i * size, rig.axes, i, dt)
+            else:
+                moved = part * wanted[i] + residual.added(nets, t, i, COMMAND)
+                chain.move(within(moved, rig.axes, i), s, i * size, rig.axes, i, dt)
+
+
+@inlined
+def within(wanted, axes, i):
+    """A servo's position inside its stops; speeds are stopped where they move."""
+    return min(max(wanted, axes[i, LOW]), axes[i, HIGH]) if axes[i, KIND] == POSITION else wanted
 
 
 @loop
-def _run(p, rig, commands, edges, starts, dt, size, drive, joints, tip, s, load, wanted, structure, row, scratch, at):
+def _run(p, rig, commands, edges, starts, dt, size, drive, joints, tip, s, load, wanted, structure, row, scratch, at, nets, t):
     count, axes = commands.shape
     for k in range(count):
         fresh = False
@@ -77,27 +99,29 @@ def _run(p, rig, commands, edges, starts, dt, size, drive, joints, tip, s, load,
             if at[i] < edges.shape[1] and k == edges[i, at[i], 0]:
                 fresh = True
                 load[i] = 0.0
+                if nets is not None:
+                    residual.forget_axis(nets, t, i)
                 b = i * AXIS_WIDTH
                 start = starts[i, at[i]]
                 begin(s, i * size, size, start[0], start[1], start[2], p, b, k, dt)
                 if rig.axes[i, KIND] == POSITION:
                     where = chain.ask(commands[k, i], p, s, i * size, size, rig.axes, i, 0.0, dt)
                     s[i * size + STATE.position] = where
-        observe(p, rig, s, load, scratch, drive[k], joints[k], structure, tip[k])
+        observe(p, rig, s, load, scratch, drive[k], joints[k], structure, tip[k], nets, t)
         if fresh:  # once more, now that the load is known; where the structure began does not hold without it
             for i in range(axes):
                 if at[i] < edges.shape[1] and k == edges[i, at[i], 0]:
                     s[i * size + STATE.backlash_structure] = np.nan
-            observe(p, rig, s, load, scratch, drive[k], joints[k], structure, tip[k])
+            observe(p, rig, s, load, scratch, drive[k], joints[k], structure, tip[k], nets, t)
         for i in range(axes):
             row[i] = commands[k, i]
             if rig.axes[i, KIND] == POSITION and k + 1 < count:
                 row[i] = commands[k + 1, i]
-        advance(p, rig, s, load, wanted, row, dt)
+        advance(p, rig, s, load, wanted, row, dt, nets, t)
 
 
 @kernel
-def run_machine(p, rig, commands, edges, starts, dt, size, drive, joints, tip):
+def run_machine(p, rig, commands, edges, starts, dt, size, drive, joints, tip, nets, t):
     """Free run of all axes from their commands.
 
     Args:
@@ -105,10 +129,11 @@ def run_machine(p, rig, commands, edges, starts, dt, size, drive, joints, tip):
         edges: (A, m, 2) first and last+1 sample of each axis' stretches, in order; beyond the last one n.
         starts: (A, m, 3) as :func:`sysid.plant.axis_run.find_starts` gives them.
         drive, joints: out, (n, A), NaN outside of the stretches; ``tip`` (n, 3), NaN where any joint is.
+        nets: residual networks, with their memory ``t``; both None where the plant carries none.
     """
     axes = commands.shape[1]
     s = np.full(axes * size, np.nan)
     load, wanted, structure, row = np.zeros(axes), np.zeros(axes), np.zeros(axes), np.zeros(axes)
     scratch = np.empty((len(rig.links), SCRATCH))
     at = np.zeros(axes, dtype=np.int64)
-    _run(p, rig, commands, edges, starts, dt, size, drive, joints, tip, s, load, wanted, structure, row, scratch, at)
+    _run(p, rig, commands, edges, starts, dt, size, drive, joints, tip, s, load, wanted, structure, row, scratch, at, nets, t)

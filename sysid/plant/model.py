@@ -14,11 +14,12 @@ import numpy.typing as npt
 from sysid.datasets.recording import Recording
 from sysid.errors import SettingsError
 from sysid.machine import Machine
-from sysid.plant import axis_run, layout, sensing, stage_tip, swing
+from sysid.plant import axis_run, layout, residual, sensing, stage_tip, swing
 from sysid.plant.gravity import gravity_load
 from sysid.plant.layout import AT, AXIS_WIDTH, SIGNAL_WIDTH, neutral_vector
 from sysid.plant.plant import Plant
-from sysid.plant.rig import KIND, VELOCITY, Rig, rig_of
+from sysid.plant.residual import Nets, Own, Residual, check_step, memory_of, nets_of
+from sysid.plant.rig import KIND, POSITION, VELOCITY, Rig, rig_of
 from sysid.signals import axis_signal, point_signals
 
 Array = npt.NDArray[np.float64]
@@ -45,6 +46,8 @@ class Model:
     rig: Rig
     linked: frozenset[str]
     streams: layout.Streams = field(default_factory=dict)
+    residuals: tuple[Residual, ...] = ()
+    nets: Nets | None = None
     _commands: dict[tuple[int, str], tuple[Recording, Array, Segments]] = field(default_factory=dict, repr=False, compare=False)
     _loads: dict[int, tuple[Recording, Array]] = field(default_factory=dict, repr=False, compare=False)
 
@@ -75,12 +78,14 @@ class Model:
         measured = self.believed(thetas, recording, about.driven)
         load, share = self.load(thetas, recording)[i], self.share(thetas, recording)
         size, window, settle = layout.axis_memory(dt), self.window(recording), round(SETTLE_WINDOW / dt)
+        place: residual.Place = "force" if about.actuation == "force" else "command"
+        commands = self.in_steps(recording, i) if self.carries(place, axis, dt) else None
         position, behind = np.full((2, len(thetas), len(command)), np.nan)
 
         def lane(k: int) -> None:
             axis_run.drive_axis(
                 thetas[k], self.rig, i, command, measured[k], load, share[k], segments, dt, window, settle, size, position[k],
-                behind[k],
+                behind[k], self.own(place, axis, commands),
             )  # fmt: skip
 
         in_parallel(lane, len(thetas), len(command))
@@ -94,9 +99,12 @@ class Model:
         cylinder = self.believed(thetas, recording, axis_signal(axis, "cylinder"))
         measured, load = self.believed(thetas, recording, signal), self.load(thetas, recording)[i]
         window, out = self.window(recording), np.empty((len(thetas), len(recording)))
+        dt = 1.0 / recording.rate_hz
+        commands = self.in_steps(recording, i) if self.carries("joint", axis, dt) else None
 
         def lane(k: int) -> None:
-            axis_run.joint_axis(thetas[k], self.rig, i, cylinder[k], measured[k], load, window, out[k])
+            own = self.own("joint", axis, commands)
+            axis_run.joint_axis(thetas[k], self.rig, i, cylinder[k], measured[k], load, window, dt, out[k], own)
 
         in_parallel(lane, len(thetas), len(recording))
         return self.sensed(thetas, signal, out, 1.0 / recording.rate_hz)
@@ -136,6 +144,41 @@ class Model:
         in_parallel(lane, len(thetas), pivot.shape[1])
         return out
 
+    def inverse(self, theta: Array, axis: str, x: Array, v: Array, a: Array, dt: float) -> Array:
+        """Force that a force axis needs for a motion: position, speed and acceleration, each (n,) → (n,) [N or N·m]."""
+        out = np.empty(len(v))
+        commands = np.zeros((len(v), self.axes)) if self.carries("force", axis, dt) else None
+        own = self.own("force", axis, commands)
+        axis_run.force_axis(theta, self.rig, self.axis_index(axis), frozen(x), frozen(v), frozen(a), dt, out, own)
+        return out
+
+    # -- what no effect explains ---------------------------------------------------------------------------------------
+
+    def carries(self, stage: residual.Place, axis: str, dt: float) -> bool:
+        """Whether a network sits at that stage.
+
+        Raises:
+            SettingsError: it cannot be run with steps of ``dt``.
+        """
+        found = [item for item in self.residuals if item.key == (stage, axis)]
+        check_step(found, dt)
+        return bool(found)
+
+    def own(self, stage: residual.Place, axis: str, commands: Array | None) -> Own | None:
+        """The network of a stage with a fresh memory; None where ``commands`` are None."""
+        if commands is None or self.nets is None:
+            return None
+        row = next(k for k, item in enumerate(self.residuals) if item.key == (stage, axis))
+        return Own(self.nets, row, frozen(commands), memory_of(self.nets)[row])
+
+    def in_steps(self, recording: Recording, i: int) -> Array:
+        """Commands in force during each step that begins at a sample, (n, A); for the steps of axis ``i``."""
+        columns = []
+        for k, name in enumerate(self.machine.axis_names):
+            command = self.held(recording, name)[0]
+            columns.append(np.append(command[1:], command[-1:]) if self.rig.axes[k, KIND] == POSITION else command)
+        return np.column_stack(columns)
+
     # -- what stages take from elsewhere ---------------------------------------------------------------------------------
 
     def held(self, recording: Recording, axis: str) -> tuple[Array, Segments]:
@@ -156,7 +199,7 @@ class Model:
         ``seconds``: only within so much of each stretch with commands, elsewhere zero.
         """
         places = [i * AXIS_WIDTH + at for i in range(self.axes) for at in _BY_LOAD]
-        if not thetas[:, places].any():
+        if not thetas[:, places].any() and not self._weighed:
             return np.zeros((self.axes, len(recording)))
         if seconds < math.inf:
             stretches = [self.stretches(recording, name, seconds) for name in self.machine.axis_names]
@@ -166,6 +209,11 @@ class Model:
             known = (recording, np.ascontiguousarray(gravity_load(self.machine, recording).T))
             self._loads[id(recording)] = known
         return known[1]
+
+    @property
+    def _weighed(self) -> bool:
+        """Whether a network looks at a load."""
+        return self.nets is not None and bool(self.nets.scale[:, -1].any())
 
     def stretches(self, recording: Recording, axis: str, seconds: float = math.inf) -> Segments:
         """First and last+1 sample of the first ``seconds`` of each stretch with commands, (m, 2)."""
@@ -241,7 +289,9 @@ class Model:
 
 def compile_plant(plant: Plant) -> Model:
     """The arrays of a plant."""
-    return Model(plant.machine, plant.vector(), rig_of(plant), frozenset(plant.linkages), plant.streams)
+    nets = nets_of(plant.machine, plant.residuals)
+    linked = frozenset(plant.linkages)
+    return Model(plant.machine, plant.vector(), rig_of(plant), linked, plant.streams, plant.residuals, nets)
 
 
 def held(command: Array, rate_hz: float) -> tuple[Array, Segments]:

@@ -24,6 +24,7 @@ from sysid.machine import (
     tabulate,
 )
 from sysid.plant.layout import Streams, neutral_vector, parameter_indices, side_of
+from sysid.plant.residual import FILE, Residual, check_residual, from_files, to_tensors
 from sysid.plant.uncertainty import NONE, Place, Uncertainty, uncertainty_from
 from sysid.signals import axis_signal, point_signals
 
@@ -42,6 +43,7 @@ class Plant:
         uncertainty: how well its parameters are known.
         origin: where it came from, for the lineage (dataset and plant versions, linkage models, evidence).
         reference: ``name@version`` once registered.
+        residuals: networks that carry what no effect explains (:mod:`sysid.plant.residual`); they are no effects.
     """
 
     machine: Machine
@@ -51,6 +53,7 @@ class Plant:
     uncertainty: Uncertainty = NONE
     origin: Mapping[str, Any] = field(default_factory=dict)
     reference: str = ""
+    residuals: tuple[Residual, ...] = ()
 
     def __post_init__(self) -> None:
         seen = set()
@@ -60,6 +63,8 @@ class Plant:
                 raise SettingsError(f"plant of {self.machine.name}", f"{item.name} on {item.target} twice", "one instance")
             seen.add(key)
             check_effect(self.machine, item, self.streams)
+        for residual in self.residuals:
+            check_residual(self.machine, tuple(self.linkages), residual)
 
     def vector(self) -> Array:
         """The flat parameter vector of the compiled chain."""
@@ -126,6 +131,20 @@ class Plant:
         rest = tuple(known for known in self.effects if effect_key(known) != key)
         return replace(self, effects=rest, uncertainty=self.uncertainty.without({key}), reference="")
 
+    def with_residual(self, item: Residual) -> Plant:
+        """A plant that carries ``item``, in the place of what it carried at that stage.
+
+        Raises:
+            SettingsError: the stage cannot carry one.
+        """
+        rest = self.without_residual(*item.key)
+        return replace(rest, residuals=(*rest.residuals, item), reference="")
+
+    def without_residual(self, stage: str, target: str) -> Plant:
+        """A plant that carries nothing at that stage."""
+        rest = tuple(item for item in self.residuals if item.key != (stage, target))
+        return self if len(rest) == len(self.residuals) else replace(self, residuals=rest, reference="")
+
     def to_files(self) -> dict[str, bytes]:
         """What a registry stores: JSON, the machine's own files, the linkage tables."""
         from safetensors.numpy import save
@@ -146,7 +165,11 @@ class Plant:
             "uncertainty": self.uncertainty.plain(),
             "origin": dict(self.origin),
         }
+        if self.residuals:  # a schema of its own, so that no reader passes over them
+            content |= {"schema": 2, "residuals": [item.to_json() for item in self.residuals]}
         files = {"plant.json": json.dumps(content, indent=1, sort_keys=True).encode()}
+        if self.residuals:
+            files[FILE] = to_tensors(self.residuals)
         if self.linkages:
             tables = {}
             for axis in sorted(self.linkages):
@@ -167,6 +190,8 @@ def plant_from_files(files: Mapping[str, bytes], reference: str = "") -> Plant:
     if "plant.json" not in files:
         raise StoreError(reference or "plant", "no plant.json among its files", "a plant version")
     content = json.loads(files["plant.json"])
+    if content["schema"] not in (1, 2):
+        raise StoreError(reference or "plant", f"schema {content['schema']!r}", "schema 1 or 2", "Update the toolkit.")
     machine = machine_from_files(content["machine_files"], where=reference or "plant")
     tables = load(files["linkages.safetensors"]) if "linkages.safetensors" in files else {}
     axes = {key.rpartition(".")[0] for key in tables}
@@ -174,7 +199,8 @@ def plant_from_files(files: Mapping[str, bytes], reference: str = "") -> Plant:
     effects = tuple(parse_settings(entry, KnownEffect, reference) for entry in content["effects"])
     streams = {stream: tuple(signals) for stream, signals in content.get("streams", {}).items()}
     known = uncertainty_from(content["uncertainty"]) if "uncertainty" in content else NONE
-    return Plant(machine, linkages, effects, streams, known, content["origin"], reference)
+    residuals = from_files(content.get("residuals", ()), files, reference or "plant")
+    return Plant(machine, linkages, effects, streams, known, content["origin"], reference, residuals)
 
 
 def nominal_plant(

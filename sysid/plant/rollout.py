@@ -11,6 +11,7 @@ from sysid.plant import axis_run, layout
 from sysid.plant.machine_run import run_machine
 from sysid.plant.model import SETTLE_WINDOW, Model, compile_plant
 from sysid.plant.plant import Plant
+from sysid.plant.residual import Place, check_step, memory_of
 from sysid.signals import axis_signal, point_signals
 
 Array = npt.NDArray[np.float64]
@@ -57,7 +58,11 @@ def true_run(model: Model, recording: Recording) -> tuple[Array, Array, Array]:
         begins[i, : len(part)] = _starts(model, recording, model.machine.axis_names[i], load[i], share)
     commands = np.column_stack([model.held(recording, name)[0] for name in model.machine.axis_names])
     drive, joints, tip = np.empty((count, model.axes)), np.empty((count, model.axes)), np.empty((count, 3))
-    run_machine(model.theta, model.rig, commands, edges, begins, dt, layout.axis_memory(dt), drive, joints, tip)
+    check_step(model.residuals, dt)
+    memory = None if model.nets is None else memory_of(model.nets)
+    run_machine(
+        model.theta, model.rig, commands, edges, begins, dt, layout.axis_memory(dt), drive, joints, tip, model.nets, memory
+    )
     return drive, joints, tip
 
 
@@ -68,8 +73,10 @@ def _starts(model: Model, recording: Recording, axis: str, load: Array, share: A
     command, segments = model.held(recording, axis)
     measured, joint = (model.believed(theta, recording, s)[0] for s in (about.driven, axis_signal(axis, "joint")))
     out = np.empty((len(segments), axis_run.START))
+    place: Place = "force" if about.actuation == "force" else "command"
+    own = model.own(place, axis, model.in_steps(recording, i) if model.carries(place, axis, dt) else None)
     axis_run.find_starts(
         model.theta, model.rig, i, command, measured, joint, load, share, segments, dt, model.window(recording),
-        round(SETTLE_WINDOW / dt), layout.axis_memory(dt), out,
+        round(SETTLE_WINDOW / dt), layout.axis_memory(dt), out, own,
     )  # fmt: skip
     return out

@@ -18,12 +18,13 @@ from sysid.effects import gripper_sway
 from sysid.effects.compiled import kernel
 from sysid.errors import SettingsError
 from sysid.machine import Machine
-from sysid.plant import axis_run, chain, layout
+from sysid.plant import axis_run, chain, layout, residual
 from sysid.plant.layout import AT, AXIS_WIDTH, STATE
 from sysid.plant.machine_run import advance, observe
 from sysid.plant.model import START_WINDOW, WORKERS, compile_plant, frozen, held, in_parallel
 from sysid.plant.plant import Plant
 from sysid.plant.pose import SCRATCH, loads
+from sysid.plant.residual import check_step, memory_of
 from sysid.plant.rig import FORCE, HIGH, KIND, LOW, POSITION
 from sysid.plant.rollout import true_run
 from sysid.plant.swing import find_swing
@@ -75,6 +76,7 @@ class Stepper:
             raise SettingsError(where, f"{lanes} lanes", "at least one")
         if not rate_hz > 0.0:
             raise SettingsError(where, f"rate_hz = {rate_hz}", "a positive rate [Hz]")
+        check_step(plant.residuals, 1.0 / rate_hz)
         self.plant, self.lanes, self.rate_hz = plant, lanes, rate_hz
         self.model = model = compile_plant(plant)
         self.axes = axes = model.axes
@@ -84,6 +86,7 @@ class Stepper:
         self._load = np.zeros((lanes, axes))
         self._swing = np.full((lanes, gripper_sway.MEMORY), np.nan)
         self._out = LaneState(*(np.full((lanes, n), np.nan) for n in (axes, axes, axes, 3, 3)))
+        self._left = None if model.nets is None else np.tile(memory_of(model.nets), (lanes, 1, 1))
         self._ready = np.zeros(lanes, dtype=np.bool_)
 
     def reset(
@@ -128,6 +131,8 @@ class Stepper:
         for row, lane in enumerate(lanes):
             p, s, load = self.thetas[lane], self._memory[lane], self._load[lane]
             _begin_lane(p, rig, s, begin[row], start[row], straight[row], self.dt)
+            if self._left is not None:
+                _forget_lane(self._left[lane])
             load[:] = 0.0
             self._observe(int(lane), int(lane) + 1)  # the load of the place ...
             _forget_structure(s, n)
@@ -170,7 +175,18 @@ class Stepper:
 
         def stretch(worker: int) -> None:
             first, last = worker * self.lanes // workers, (worker + 1) * self.lanes // workers
-            _advance_lanes(first, last, self.thetas, self.model.rig, self._memory, self._load, command, self.dt)
+            _advance_lanes(
+                first,
+                last,
+                self.thetas,
+                self.model.rig,
+                self._memory,
+                self._load,
+                command,
+                self.dt,
+                self.model.nets,
+                self._left,
+            )
             self._observe(first, last)
 
         workers = min(WORKERS, 1 + self.lanes // _SERIAL_LANES)
@@ -187,7 +203,7 @@ class Stepper:
         out = self._out
         _observe_lanes(
             first, last, self.thetas, self.model.rig, self._memory, self._load, self._swing, self.dt, out.drive, out.joints,
-            out.structure, out.ee, out.tool,
+            out.structure, out.ee, out.tool, self.model.nets, self._left,
         )  # fmt: skip
 
     def _straight(self, joints: Array, thetas: Array) -> Array:
@@ -306,16 +322,24 @@ def _forget_structure(s, axes):
 
 
 @kernel
-def _advance_lanes(first, last, thetas, rig, memory, load, command, dt):
-    wanted = np.empty(len(rig.axes))
-    for lane in range(first, last):
-        advance(thetas[lane], rig, memory[lane], load[lane], wanted, command[lane], dt)
+def _forget_lane(t):
+    for r in range(len(t)):
+        residual.forget(t[r])
 
 
 @kernel
-def _observe_lanes(first, last, thetas, rig, memory, load, swing, dt, drive, joints, structure, ee, tool):
+def _advance_lanes(first, last, thetas, rig, memory, load, command, dt, nets, left):
+    wanted = np.empty(len(rig.axes))
+    for lane in range(first, last):
+        t = None if nets is None else left[lane]
+        advance(thetas[lane], rig, memory[lane], load[lane], wanted, command[lane], dt, nets, t)
+
+
+@kernel
+def _observe_lanes(first, last, thetas, rig, memory, load, swing, dt, drive, joints, structure, ee, tool, nets, left):
     scratch = np.empty((len(rig.links), SCRATCH))
     for lane in range(first, last):
         p = thetas[lane]
-        observe(p, rig, memory[lane], load[lane], scratch, drive[lane], joints[lane], structure[lane], ee[lane])
+        t = None if nets is None else left[lane]
+        observe(p, rig, memory[lane], load[lane], scratch, drive[lane], joints[lane], structure[lane], ee[lane], nets, t)
         gripper_sway.step(ee[lane, 0], ee[lane, 1], ee[lane, 2], p, rig.tool, swing[lane], 0, dt, tool[lane])

@@ -14,7 +14,7 @@ from sysid.datasets.recording import Recording
 from sysid.gap.experiment.motions import Motion, Turn
 from sysid.gap.experiment.room import Room
 from sysid.machine import TabulatedLinkage
-from sysid.plant import Model, axis_run, free_run
+from sysid.plant import Model, free_run
 from sysid.plant.model import START_WINDOW
 from sysid.signals import POINTS, axis_signal, split_signal
 
@@ -297,9 +297,7 @@ def _command(model: Model, room: Room, script: Script, at: int) -> Array:
 def _force(model: Model, axis: str, path: Array, rate_hz: float) -> Array:
     """What it takes to follow the path, (n,) [N or N·m]."""
     speed = np.gradient(path, 1.0 / rate_hz)
-    force = np.empty(len(path))
-    axis_run.force_axis(model.theta, model.rig, model.axis_index(axis), speed, np.gradient(speed, 1.0 / rate_hz), force)
-    return force
+    return model.inverse(model.theta, axis, path, speed, np.gradient(speed, 1.0 / rate_hz), 1.0 / rate_hz)
 
 
 def _inputs(commands: pd.DataFrame, start: Mapping[str, float], rate_hz: float, name: str) -> Recording:

@@ -1,0 +1,299 @@
+"""``unnamed_residual``: a small recurrent network that carries what no effect explains. No physics, and of bounded size.
+
+Every ``interval`` seconds the network looks at commands, position, speed and load of its axis (x), and says what to add to a
+stage of the chain until it looks again. It is a long short-term memory (Hochreiter & Schmidhuber, Neural Computation 9, 1997)
+behind a bound, gates in the order input, forget, cell, output::
+
+    i, f, o = σ(W·x + U·h + b),  g = tanh(W·x + U·h + b),  c ← f·c + i·g,  h ← o·tanh(c),  r = bound·tanh(w·h + w₀)
+
+What it adds: to the speed of a velocity axis or the position of a servo (``command``), to the joint behind a cylinder
+(``joint``), or to the force that a motion needs (``force``). It looks at the beginning of a step, so the chain stays causal.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Literal, NamedTuple, get_args
+
+import numpy as np
+import numpy.typing as npt
+
+from sysid.effects.compiled import inlined, loop
+from sysid.errors import SettingsError, StoreError
+from sysid.machine import Machine
+from sysid.signals import axis_signal
+
+Array = npt.NDArray[np.float64]
+Place = Literal["command", "joint", "force"]
+
+NAME = "unnamed_residual"
+#: Stages that may carry one.
+PLACES: tuple[Place, ...] = get_args(Place)
+FILE = "residuals.safetensors"
+#: What a reader has to know of it, wherever it is shown.
+WARNING = "learned from the recordings, no physics: it says nothing about the cause and nothing beyond what was recorded"
+
+#: Inputs are drawn in to this many standard deviations: beyond what was recorded the network says what it says at its edge.
+REACH = 4.0
+
+# Columns of ``Nets.about``.
+AXIS, STAGE, UNITS, INTERVAL, BOUND = range(5)
+# What a network keeps: what it adds now, seconds since it looked, the position then; then h, c and room for the next h.
+ADDS, SINCE, LAST, STATES = 0, 1, 2, 3
+_TENSORS = ("mean", "scale", "W", "U", "b", "w", "w0")
+
+
+class Nets(NamedTuple):
+    """All residual networks of a plant as flat arrays, (R, …); see :class:`Residual`."""
+
+    about: Array
+    mean: Array
+    scale: Array
+    weights: Array
+
+
+class Own(NamedTuple):
+    """The network of one stage for a run of its axis alone: ``commands`` (n, A) in force during each step, memory (M,)."""
+
+    nets: Nets
+    row: int
+    commands: Array
+    memory: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Residual:
+    """A trained network at one stage of one axis.
+
+    Args:
+        bound: it never adds more than this, in the unit of what it adds to.
+        interval: seconds between two looks.
+        mean, scale: of the inputs, ``x = clip((value − mean)·scale, ±REACH)``; a scale of zero leaves an input out, (F,).
+        W, U, b: of the gates, (4H, F), (4H, H), (4H,).
+        w, w0: of the output, (H,), (1,).
+        origin: what it was learned from, for the lineage.
+    """
+
+    stage: Place
+    target: str
+    bound: float
+    interval: float
+    mean: Array
+    scale: Array
+    W: Array
+    U: Array
+    b: Array
+    w: Array
+    w0: Array
+    origin: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def key(self) -> tuple[str, str]:
+        return self.stage, self.target
+
+    @property
+    def units(self) -> int:
+        return len(self.w)
+
+    def to_json(self) -> dict[str, Any]:
+        """Everything but the weights."""
+        said = {"name": NAME, "stage": self.stage, "target": self.target, "bound": self.bound, "interval": self.interval}
+        return {**said, "origin": dict(self.origin)}
+
+
+def inputs_of(machine: Machine, target: str) -> tuple[str, ...]:
+    """What a network of an axis looks at: the commands of all axes, then position, speed and load of its own."""
+    commands = (axis_signal(name, "command") for name in machine.axis_names)
+    return (*commands, machine.axis(target).driven, f"speed of {target}", f"load of {target}")
+
+
+def check_residual(machine: Machine, linked: Sequence[str], item: Residual) -> None:
+    """Whether this machine can carry it.
+
+    Raises:
+        SettingsError: a stage or axis that cannot, or numbers that are no network.
+    """
+    where = f"machine {machine.name}: {NAME} on {item.target}"
+    if item.stage not in PLACES:
+        raise SettingsError(where, f"stage {item.stage!r}", f"one of {', '.join(PLACES)}", "Other stages cannot carry one.")
+    axis = machine.axis(item.target)
+    fits = {
+        "command": axis.actuation in ("velocity", "position"),
+        "joint": axis.drives == "cylinder" and item.target in linked,
+        "force": axis.actuation == "force",
+    }
+    if not fits[item.stage]:
+        expected = {"command": "a velocity or position axis", "joint": "a cylinder with a linkage", "force": "a force axis"}
+        raise SettingsError(where, f"stage {item.stage!r} of a {axis.actuation}-actuated {axis.drives}", expected[item.stage])
+    F, H = len(inputs_of(machine, item.target)), item.units
+    shapes = {"mean": (F,), "scale": (F,), "W": (4 * H, F), "U": (4 * H, H), "b": (4 * H,), "w": (H,), "w0": (1,)}
+    for name, shape in shapes.items():
+        values = getattr(item, name)
+        if values.shape != shape or not np.isfinite(values).all():
+            raise SettingsError(where, f"{name} of shape {values.shape}", f"finite numbers of shape {shape}")
+    for name in ("bound", "interval"):
+        if not (math.isfinite(getattr(item, name)) and getattr(item, name) > 0.0):
+            raise SettingsError(where, f"{name} = {getattr(item, name)}", "a positive number")
+
+
+def nets_of(machine: Machine, residuals: Sequence[Residual]) -> Nets | None:
+    """Networks as the kernels take them; None where there are none."""
+    if not residuals:
+        return None
+    flat = [np.concatenate([np.ravel(getattr(item, name)) for name in ("W", "U", "b", "w", "w0")]) for item in residuals]
+    weights = np.zeros((len(residuals), max(map(len, flat))))
+    about = np.zeros((len(residuals), 5))
+    for row, (item, values) in enumerate(zip(residuals, flat, strict=True)):
+        weights[row, : len(values)] = values
+        place = machine.axis_names.index(item.target)
+        about[row] = place, PLACES.index(item.stage), item.units, item.interval, item.bound
+    return Nets(about, np.array([r.mean for r in residuals]), np.array([r.scale for r in residuals]), weights)
+
+
+def memory_of(nets: Nets) -> Array:
+    """Memory of networks that have not begun, (R, M)."""
+    memory = np.zeros((len(nets.about), STATES + 3 * int(nets.about[:, UNITS].max())))
+    memory[:, SINCE] = np.nan
+    return memory
+
+
+def check_step(residuals: Sequence[Residual], dt: float) -> None:
+    """Raises SettingsError where steps are longer than the intervals at which a network has to look."""
+    for item in residuals:
+        if dt > 1.001 * item.interval:
+            raise SettingsError(
+                f"{NAME} on {item.target} ({item.stage} stage)",
+                f"steps of {dt:g} s",
+                f"at most {item.interval:g} s, the interval that it was learned with",
+                "Run the plant at a higher rate, or take the version without it.",
+            )
+
+
+# -- compiled ---------------------------------------------------------------------------------------------------------------
+
+
+@inlined
+def forget(s):
+    """Memory of a network (M,) as if it had never looked."""
+    for k in range(len(s)):
+        s[k] = 0.0
+    s[SINCE] = np.nan
+
+
+@inlined
+def forget_axis(nets, t, i):
+    """The same for all networks of axis ``i``, memory (R, M)."""
+    for r in range(len(t)):
+        if nets.about[r, AXIS] == i:
+            forget(t[r])
+
+
+@inlined
+def added(nets, t, i, stage):
+    """What stands in the memory (R, M) to be added at a stage of axis ``i``."""
+    total = 0.0
+    for r in range(len(t)):
+        if nets.about[r, AXIS] == i and nets.about[r, STAGE] == stage:
+            total += t[r, ADDS]
+    return total
+
+
+@loop
+def look(nets, r, s, command, x, load, dt):
+    """Beginning of a step of length ``dt``: look if it is time to, and return what is added during the step.
+
+    Args:
+        s: memory of network ``r`` (M,).
+        command: of all axes (A,); ``x`` position of the own one, NaN where it is not known: it then waits.
+    """
+    interval = nets.about[r, INTERVAL]
+    since = s[SINCE]
+    due = np.isnan(since) or since >= interval - 0.5 * dt
+    if not due or np.isnan(x):
+        if not np.isnan(since):
+            s[SINCE] = since + dt
+        return s[ADDS]
+    speed = 0.0 if np.isnan(since) else (x - s[LAST]) / since
+    s[SINCE] = dt
+    s[LAST] = x
+    axes, units = len(command), int(nets.about[r, UNITS])
+    inputs = axes + 3
+    h, c, new = STATES, STATES + units, STATES + 2 * units
+    U, b = 4 * units * inputs, 4 * units * (inputs + units)
+    w = b + 4 * units
+    for k in range(units):
+        gate_i = nets.weights[r, b + k]
+        gate_f = nets.weights[r, b + units + k]
+        gate_g = nets.weights[r, b + 2 * units + k]
+        gate_o = nets.weights[r, b + 3 * units + k]
+        for j in range(inputs):
+            if j < axes:
+                value = command[j]
+            elif j == axes:
+                value = x
+            elif j == axes + 1:
+                value = speed
+            else:
+                value = load
+            value = min(max((value - nets.mean[r, j]) * nets.scale[r, j], -REACH), REACH)
+            gate_i += nets.weights[r, k * inputs + j] * value
+            gate_f += nets.weights[r, (units + k) * inputs + j] * value
+            gate_g += nets.weights[r, (2 * units + k) * inputs + j] * value
+            gate_o += nets.weights[r, (3 * units + k) * inputs + j] * value
+        for j in range(units):
+            gate_i += nets.weights[r, U + k * units + j] * s[h + j]
+            gate_f += nets.weights[r, U + (units + k) * units + j] * s[h + j]
+            gate_g += nets.weights[r, U + (2 * units + k) * units + j] * s[h + j]
+            gate_o += nets.weights[r, U + (3 * units + k) * units + j] * s[h + j]
+        s[c + k] = _sigmoid(gate_f) * s[c + k] + _sigmoid(gate_i) * math.tanh(gate_g)
+        s[new + k] = _sigmoid(gate_o) * math.tanh(s[c + k])
+    total = nets.weights[r, w + units]
+    for k in range(units):
+        s[h + k] = s[new + k]
+        total += nets.weights[r, w + k] * s[new + k]
+    s[ADDS] = nets.about[r, BOUND] * math.tanh(total)
+    return s[ADDS]
+
+
+@inlined
+def _sigmoid(x):
+    return 1.0 / (1.0 + math.exp(-x))
+
+
+# -- files ------------------------------------------------------------------------------------------------------------------
+
+
+def to_tensors(residuals: Sequence[Residual]) -> bytes:
+    """Weights of all networks as safetensors."""
+    from safetensors.numpy import save
+
+    return save(
+        {f"{r.stage}.{r.target}/{name}": np.ascontiguousarray(getattr(r, name)) for r in residuals for name in _TENSORS}
+    )
+
+
+def from_files(entries: Sequence[Mapping[str, Any]], files: Mapping[str, bytes], where: str) -> tuple[Residual, ...]:
+    """Networks whose :meth:`Residual.to_json` and :func:`to_tensors` these are.
+
+    Raises:
+        StoreError: weights are missing or damaged.
+    """
+    from safetensors import SafetensorError
+    from safetensors.numpy import load
+
+    if not entries:
+        return ()
+    try:
+        tensors = load(files[FILE])
+        found = []
+        for entry in entries:
+            prefix = f"{entry['stage']}.{entry['target']}/"
+            arrays: dict[str, Any] = {name: np.asarray(tensors[prefix + name], dtype=np.float64) for name in _TENSORS}
+            about: dict[str, Any] = {key: entry[key] for key in ("stage", "target", "bound", "interval")}
+            found.append(Residual(**about, **arrays, origin=json.loads(json.dumps(entry["origin"]))))
+        return tuple(found)
+    except (KeyError, TypeError, ValueError, SafetensorError) as error:
+        raise StoreError(where, f"no weights of {NAME} ({type(error).__name__}: {error})", f"{FILE} as it was stored") from None
