@@ -48,7 +48,7 @@ def world_gap(
             there = [_in_world(before, recording)]
             there += there if after is before else [_in_world(after, recording)]
         except SettingsError as error:
-            reasons.append(str(error))
+            reasons.append(str(error).removeprefix("PyBullet world: "))
             continue
         compiled = [free_run(compile_plant(plant), recording) for plant in (before, after)]
         runs.append((recording, _on_same_rows([*there, *compiled])))

@@ -14,7 +14,7 @@ from markupsafe import Markup
 from sysid.files import written_whole
 from sysid.reports import display, words
 from sysid.reports.inputs import ReportInputs
-from sysid.reports.sections import evidence, experiments, networks, parameters, quality, summary, traces, versions, where
+from sysid.reports.sections import evidence, experiments, networks, parameters, proof, quality, summary, traces, versions, where
 
 Context = dict[str, Any]
 
@@ -33,6 +33,7 @@ SECTIONS: tuple[Section, ...] = (
     Section("summary", "In short", summary.context),
     Section("where", "Where they disagree", where.context),
     Section("traces", "Before and after", traces.context),
+    Section("proof", "The proof", proof.context),
     Section("parameters", "What was added", parameters.context),
     Section("evidence", "Candidates and evidence", evidence.context),
     Section("experiments", "What to record next", experiments.context),

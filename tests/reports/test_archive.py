@@ -12,12 +12,22 @@ from sample_crane import sample_gap, sample_unnamed
 
 from sysid.datasets.recording import Dataset
 from sysid.errors import StoreError
+from sysid.gap.result import Check, Evidence, Promotion, WorldGap
 from sysid.reports.archive import load_gap, save_gap
 
 
 def test_round_trip(crane: Dataset, tmp_path: Path) -> None:
-    result = sample_gap(crane)
-    save_gap(tmp_path / "gap", result)
+    plain = sample_gap(crane)
+    checks = (Check("free run", "failed", "further off than before: stick.joint"), Check("world", "left out", "not run"))
+    result = replace(
+        plain,
+        effects=tuple(replace(effect, evidence=Evidence(6614.0, 2312.0, 0.001, 11.5)) for effect in plain.effects),
+        world_gap=WorldGap(plain.gap, plain.stage_gap, ("manual-04",), 2.9, "1 more recordings than 600 s"),
+        machine_diff="--- machine.toml\n+++ machine.toml\n",
+        promotion=Promotion("autolog@2", "autolog@1", "autolog@1", checks, checks[0].text),
+    )
+    path = save_gap(tmp_path / "gap", result)
+    assert path.with_name("machine.diff").read_text() == result.machine_diff
     again = load_gap(tmp_path / "gap")
     assert again is not None
     assert replace(again, traces=()) == replace(result, traces=())

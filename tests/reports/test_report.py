@@ -12,7 +12,7 @@ import pytest
 from sample_crane import sample_gap, sample_unnamed
 
 from sysid.datasets.recording import Dataset
-from sysid.gap.result import GapResult
+from sysid.gap.result import Check, Evidence, Gap, GapResult, Promotion, WorldGap
 from sysid.machine import load_machine
 from sysid.reports import ReportInputs, VersionNote, build_report, display, write_report
 from sysid.reports.moments import worst_moment
@@ -264,3 +264,43 @@ def test_written_whole_into_a_new_folder(tmp_path: Path, crane: Dataset) -> None
     path = write_report(tmp_path / "a" / "b" / "report.html", ReportInputs(crane))
     assert path.read_text("utf-8").rstrip().endswith("</html>")
     assert [file.name for file in path.parent.iterdir()] == ["report.html"]
+
+
+def judged(gap: GapResult, *checks: Check) -> GapResult:
+    """The result with a promotion, refused where a check failed, and the same gap in a world in which the tool swings on."""
+    failed = [check.text for check in checks if check.status == "failed"]
+    promotion = Promotion("autolog@2", "autolog@1" if failed else "autolog@2", "autolog@1", checks, "; ".join(failed))
+    evidence = Evidence(6614.0, 2312.0, 0.000999, 11.5)
+    swinging = replace(gap.gap, after={s: (4.0 if s.startswith("tool") else 1.0) * v for s, v in gap.gap.after.items()})
+    return replace(
+        gap,
+        effects=tuple(replace(effect, evidence=evidence) for effect in gap.effects),
+        world_gap=WorldGap(swinging, gap.gap, ("manual-04",), 2.9),
+        machine_diff="--- machine.toml\n+++ machine.toml\n@@ -1 +1 @@\n+[[effects]]\n",
+        promotion=promotion,
+    )
+
+
+def test_the_proof_says_what_was_asked_and_what_is_in_use(crane: Dataset, gap: GapResult) -> None:
+    stages = Check("stages", "passed", "command stage of boom 259 → 0.99 noise floors")
+    page = Page(build_report(ReportInputs(crane, judged(gap, stages))))
+    assert "autolog@2 is in use." in page.text
+    assert "The stages that it repairs are better" in page.text
+    assert "259 → 0.99 noise floors" in page.text
+    assert "sysid models autolog@1 --promote" in page.text, "the way back"
+    assert ["Valve dead-band", "boom", "63\u202f%", "12\u202f×"] in page.rows
+    assert "The tool position is further off there than in the compiled plant" in page.text
+    assert "@@ -1 +1 @@" in page.text, "the change of machine.toml to copy"
+
+
+def test_a_refused_promotion_says_why_and_how_all_the_same(crane: Dataset, gap: GapResult) -> None:
+    grown = Check("free run", "failed", "further off than before: stick.joint 0.0009 → 0.0012 rad (at most 0.00095 rad)")
+    result = judged(gap, grown, Check("world", "left out", "not run"))
+    nothing = Gap({}, {}, {})
+    missing = WorldGap(nothing, nothing, (), 0.0, "pybullet is not installed (Python 3.12)")
+    page = Page(build_report(ReportInputs(crane, replace(result, world_gap=missing))))
+    assert "autolog@2 is stored, but not in use." in page.text
+    assert "Further off than before: stick.joint" in page.text
+    assert "alone goes on meaning autolog@1" in page.text
+    assert "sysid models autolog@2 --promote" in page.text
+    assert "Not run there: pybullet is not installed (Python 3.12)" in page.text

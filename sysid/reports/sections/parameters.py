@@ -21,7 +21,7 @@ def context(inputs: ReportInputs) -> dict[str, Any] | None:
     machine = inputs.dataset.machine
     rows = [row for effect in inputs.gap.effects for row in _rows(effect, machine)]
     toml = effects_toml([_as_known(effect) for effect in inputs.gap.effects])
-    return {"rows": rows, "toml": toml, "after": inputs.gap.plant_after}
+    return {"rows": rows, "toml": toml, "difference": inputs.gap.machine_diff, "after": inputs.gap.plant_after}
 
 
 def _as_known(effect: NamedEffect) -> KnownEffect:
