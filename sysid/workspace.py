@@ -163,7 +163,8 @@ class Workspace:
         """
         source = dataset.recording(recording)
         if plant is not None:
-            return {plant: free_run(self.plant(dataset, plant), source)}
+            named = self.plant(dataset, plant)
+            return {named.reference: free_run(named, source)}
         result = self.gap(dataset)
         for trace in result.traces if result is not None else ():
             if trace.recording == recording:

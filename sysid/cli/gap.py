@@ -62,6 +62,8 @@ def gap(
         raise SettingsError("sysid gap", "--plant and --simulator", "one of them")
     questioned = load_simulator(simulator) if simulator is not None else place.plant(dataset, plant)
     out = Printer(json_file)
+    if isinstance(questioned, Plant) and plant is not None and "@" not in plant:
+        out.line(f"`{plant}` means {questioned.reference}.")
     linked = questioned.linkages if isinstance(questioned, Plant) else dataset.machine.axis_names
     for axis in dataset.machine.axes:
         if axis.drives == "cylinder" and axis.name not in linked and f"{axis.name}.joint" in dataset.units:

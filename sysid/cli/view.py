@@ -47,6 +47,8 @@ def view(
         states = show_live(dataset, recording, moving, path)
         out = Printer(json_file)
         out.line(f"{path or 'viewer'}  ({states} states of {moving.reference or 'the nominal plant'}, {recording})")
+        if moving.machine.text != dataset.machine.text:
+            out.line(f"{moving.reference} was made from another machine.toml than that of {dataset.reference}.")
         write_json(
             json_file, {"schema": 1, "file": path, "dataset": dataset.reference, "recording": recording, "states": states}
         )

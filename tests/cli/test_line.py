@@ -208,3 +208,24 @@ def test_a_damaged_result_is_reported(answered: Path, tmp_path: Path, capsys: py
     (tmp_path / "ws" / "results" / "lift@1" / "gap" / "result.json").write_text('{"schema": 1}')
     assert run("--workspace", tmp_path / "ws", "report", "lift") == 2
     assert "Run `sysid gap` again" in capsys.readouterr().err
+
+
+def test_the_name_alone_means_what_is_promoted_and_can_be_set_back(answered: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    result = json.loads((answered / "g.json").read_text())
+    assert result["promotion"]["promoted"] is True
+    assert (result["promotion"]["previous"], result["promotion"]["current"]) == ("lift@1", "lift@2")
+    assert result["machine_diff"].startswith("--- machine.toml\n+++ machine.toml\n@@ ")
+    assert result["world_gap"]["skipped"].startswith("machine lift has no URDF")
+    assert result["effects"][0]["evidence"]["delta_bic"] > 10.0
+    assert (answered / "ws" / "results" / "lift@1" / "gap" / "machine.diff").read_text() == result["machine_diff"]
+    for reference, instead in (("lift@1", "lift@2"), ("lift@2", "lift@1")):
+        assert run("--workspace", answered / "ws", "models", reference, "--promote") == 0
+        assert f"`lift` alone means {reference} from now on instead of {instead}." in capsys.readouterr().out
+        assert run("--workspace", answered / "ws", "models", "lift") == 0
+        shown = capsys.readouterr().out
+        assert shown.startswith(f"{reference}  (promoted)  plant")
+        assert ("+[[effects]]" in shown) == (reference == "lift@2"), "the change of machine.toml is shown with its version"
+    assert run("--workspace", answered / "ws", "gap", "lift", "--plant", "lift", "--localise") == 0
+    assert "`lift` means lift@2." in capsys.readouterr().out
+    assert run("--workspace", answered / "ws", "models", "lift", "--promote") == 2
+    assert "expected one version, as in autolog@1" in capsys.readouterr().err
