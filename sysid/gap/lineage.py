@@ -47,6 +47,7 @@ def lineage_of(case: Case, outcome: Outcome, gap: Gap, stage_gap: Gap, settings:
                 for e in outcome.named
             ],
             "ties": outcome.ties,
+            "unnamed_residual": [" of ".join(item.key) for item in outcome.repaired.residuals],
             "proof": {"gap": asdict(gap), "stage_gap": asdict(stage_gap)},
             "notes": outcome.notes,
             "software": {

@@ -259,3 +259,5 @@ def test_stages_have_to_fall_and_names_have_to_be_there() -> None:
     failed = stages_check({"command stage of boom": (229.0, 0.96), "joint stage of boom": (3.0, 2.99)})
     assert (failed.status, failed.text) == ("failed", "does not fall: joint stage of boom 3 → 2.99 noise floors")
     assert names_check([], []).text == "no effect was named: it only adjusts parameters too little for a name"
+    carried = names_check([], [], ["command of boom"])
+    assert (carried.status, carried.text) == ("passed", "unnamed_residual at the command of boom")

@@ -81,11 +81,10 @@ def _world(found: WorldGap, inputs: ReportInputs) -> dict[str, Any]:
         values = [factor * v for v in (world.before, compiled.before, world.after, compiled.after, world.noise_floor)]
         decimals = display.decimals_for(values)
         rows.append({"name": world.name, "unit": unit, "values": [display.fixed(value, decimals) for value in values]})
-    assert inputs.gap is not None
     return {
         "rows": rows,
         "apart": [w.name for w, c in zip(there, plain, strict=True) if w.after > APART * max(c.after, c.noise_floor)],
-        "chart": Markup(dumbbells(there, repaired=bool(inputs.gap.machine_diff))),
+        "chart": Markup(dumbbells(there, repaired=found.world.after != found.world.before)),
         "recordings": found.recordings,
         "skipped": found.skipped,
     }
