@@ -239,7 +239,11 @@ def _checks(study: Study, proof: Proof, registry: Registry, version: str, until_
     }
     spread = floor_spread(case.runner(outcome.repaired), case.split.held_out, case.noise, case.seed)
     checks = [
-        names_check([f"{e.name} on {e.target}" for e in outcome.named], outcome.ties),
+        names_check(
+            [f"{e.name} on {e.target}" for e in outcome.named],
+            outcome.ties,
+            [" of ".join(item.key) for item in outcome.repaired.residuals],
+        ),
         stages_check(fallen),
         free_run_check(proof.gap, spread, units),
     ]
