@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import groupby, pairwise
 
 import numpy as np
@@ -148,7 +148,8 @@ def find_form(series: Sequence[Series], waves: Iterable[str], seed: int = 0) -> 
     Args:
         waves: variables over which it may repeat itself.
     """
-    over = tuple(waves)
+    series = _alike(series)
+    over = tuple(name for name in waves if name in series[0].variables)
     colour = colour_of([part.target for part in series])
     form = _search(_blocks(series), colour, over)
     left = colour_of([part.target - form.predict(part) for part in series])
@@ -164,6 +165,8 @@ def find_form(series: Sequence[Series], waves: Iterable[str], seed: int = 0) -> 
             there = np.isfinite(rest)
             before.append(plain[there] ** 2)
             after.append(rest[there] ** 2)
+    if not before:  # too short to leave anything out: nothing is known of how well it predicts
+        return Judged(Form(), 0.0, 1.0, colour)
     total, rest = np.concatenate(before), np.concatenate(after)
     share = 1.0 - float(rest.sum() / total.sum()) if total.sum() > 0.0 else 0.0
     return Judged(form, share, gain_p_value(total - rest, seed), colour)
@@ -371,6 +374,12 @@ def _blocks(series: Sequence[Series]) -> list[Series]:
         edges = np.linspace(0, len(part.target), count + 1).astype(int)
         found += [part.part(int(a), int(b), f"{part.name}#{k}") for k, (a, b) in enumerate(pairwise(edges))]
     return found
+
+
+def _alike(series: Sequence[Series]) -> list[Series]:
+    """With the variables that all recordings have: a form speaks of nothing else."""
+    shared = [name for name in series[0].variables if all(name in part.variables for part in series)]
+    return [replace(part, variables={name: part.variables[name] for name in shared}) for part in series]
 
 
 def _folds(series: Sequence[Series]) -> list[tuple[list[Series], list[Series]]]:

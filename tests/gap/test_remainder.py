@@ -202,3 +202,23 @@ def test_quasi_differences_are_white_where_the_colour_is_right() -> None:
         x[k] = 0.8 * x[k - 1] + rng.standard_normal()
     y = quasi_difference(x, 0.8)
     assert abs(np.corrcoef(y[1:], y[:-1])[0, 1]) < 0.04
+
+
+def test_recordings_that_measure_different_things_share_a_form() -> None:
+    rng = np.random.default_rng(3)
+    series = []
+    for k in range(3):
+        speed = np.repeat(np.sin(0.05 * np.arange(400)), PARTS)
+        extra = {"load of boom": rng.standard_normal(len(speed))} if k == 0 else {}
+        series.append(
+            Series(f"run-{k}", speed[::PARTS] + 0.1 * rng.standard_normal(400), {**extra, "speed of boom": speed}, False, BIN)
+        )
+    found = find_form(series, ["load of boom"])
+    assert found.share > 0.5
+    assert all("load" not in name for term in found.form.terms for name in term.variables)
+
+
+def test_what_is_too_short_to_leave_anything_out_has_no_form() -> None:
+    motion = np.repeat(np.sin(0.1 * np.arange(70)), PARTS)
+    found = find_form([Series("run", motion[::PARTS], {"speed of slide": motion}, False, BIN)], [])
+    assert (found.form.terms, found.share, found.p_value) == ((), 0.0, 1.0)
