@@ -60,6 +60,8 @@ def describe_remainder(problem: Problem, fit: Fit, recordings: Sequence[Recordin
 def describe(problem: Problem, rmse: float, signal: str, series: Sequence[Series], machine: Machine) -> Unnamed:
     """One output of a stage, from its remainder on each recording."""
     what = "rate of the residual" if series[0].rate else "residual"
+    # Where the axis stands still all the time there is no speed to ask about.
+    series = [part for part in series if f"speed of {problem.target}" in part.variables] or series
     judged = find_form(series, _waves(problem, machine))
     probes = cross_correlations(series, judged.colour)
     shown = probes[:SHOWN]

@@ -222,3 +222,10 @@ def test_what_is_too_short_to_leave_anything_out_has_no_form() -> None:
     motion = np.repeat(np.sin(0.1 * np.arange(70)), PARTS)
     found = find_form([Series("run", motion[::PARTS], {"speed of slide": motion}, False, BIN)], [])
     assert (found.form.terms, found.share, found.p_value) == ((), 0.0, 1.0)
+
+
+def test_recordings_in_which_the_axis_stands_still_are_passed_over() -> None:
+    seen = recordings(swelling)
+    still = seen[2].table.assign(**{"boom.command": 0.0, "boom.cylinder": seen[2].table["boom.cylinder"].iloc[0]})
+    found = described(DRIVE, [*seen[:2], replace(seen[2], table=still)])
+    assert "speed" in f"{found.depends_on} {found.form}"
