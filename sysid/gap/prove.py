@@ -13,7 +13,7 @@ from sysid.gap.candidates import Candidate
 from sysid.gap.case import Case, Stage
 from sysid.gap.fit import Data, Fit, fit_candidates
 from sysid.gap.floor import problem_floor
-from sysid.gap.intervals import covariance_of, intervals
+from sysid.gap.intervals import known_of
 from sysid.gap.localise import stage_rmse
 from sysid.gap.remainder import describe_remainder
 from sysid.gap.result import Alternative, Evidence, Gap, NamedEffect, Unnamed, Value
@@ -95,9 +95,10 @@ def _without(case: Case, stage: Stage, fit: Fit, candidate: Candidate) -> Fit:
 
 
 def _accept(case: Case, stage: Stage, outcome: Outcome) -> None:
-    finding = stage.found
-    covariance, count = covariance_of(Data(stage.problem, stage.split.seen, stage.sigma), case.theta, finding.fit)
-    limits = intervals(finding.fit, covariance, count)
+    seen = Data(stage.problem, stage.split.seen, stage.sigma)
+    known = known_of(seen, case.theta, stage.found.fit, case.noise, case.seed)
+    finding = replace(stage.found, fit=known.fit)
+    stage = replace(stage, finding=finding)
     for kept in finding.named:
         instance = kept.candidate.instance(finding.fit.values_of(kept.candidate))
         shown = ", ".join(f"{key} = {value}" for key, value in instance.parameters.items())
@@ -112,7 +113,7 @@ def _accept(case: Case, stage: Stage, outcome: Outcome) -> None:
             outcome.ties.append(tie)
             outcome.notes.append(f"{instance.name} on {instance.target} stands in the plant for {len(tie)} that tie: {shown}")
         else:
-            outcome.named.append(_named(case, stage, kept, limits))
+            outcome.named.append(_named(case, stage, kept, known.limits))
     for candidate in finding.adjusted:
         values = finding.fit.values_of(candidate)
         outcome.repaired = outcome.repaired.with_effect(candidate.instance(values))
@@ -120,7 +121,7 @@ def _accept(case: Case, stage: Stage, outcome: Outcome) -> None:
         what = f"{candidate.effect.name} on {candidate.target}"
         outcome.notes.append(f"{what} adjusted, too small or too poorly shown for a name: {shown}")
     if finding.fit.candidates:
-        outcome.repaired = outcome.repaired.with_uncertainty(_uncertainty(finding.fit, covariance))
+        outcome.repaired = outcome.repaired.with_uncertainty(_uncertainty(finding.fit, known.covariance))
 
 
 def _uncertainty(fit: Fit, covariance: Array) -> Uncertainty:

@@ -1,0 +1,91 @@
+"""What a parameter vector costs, in nats: the sum of softly winsorised squares of standardised residuals.
+
+Where the stage integrates, residuals are the prediction errors of the fit's drift model; the model is always applied, since at
+the least it forgives that a run starts from a noisy sample. Elsewhere they are the residuals themselves, as in the fit, and
+what wanders in them widens the intervals.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from sysid.gap.candidates import Unknown
+from sysid.gap.drift import Drift, robust_scale, whiten_lanes
+from sysid.gap.fit import Data, forgiveness, place
+
+Array = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Criterion:
+    """The cost around one fit.
+
+    Args:
+        theta: vector of the questioned plant.
+        drifts: of every signal, where the stage integrates.
+        scales: standard deviation of every signal's residuals in units of noise (d,).
+        forgiven: beyond so many standard deviations a residual is an outlier.
+    """
+
+    data: Data
+    theta: Array
+    unknowns: tuple[Unknown, ...]
+    drifts: tuple[Drift, ...]
+    scales: Array
+    forgiven: float
+
+    @property
+    def low(self) -> Array:
+        return np.array([u.bounds[0] for u in self.unknowns])
+
+    @property
+    def high(self) -> Array:
+        return np.array([u.bounds[1] for u in self.unknowns])
+
+    def errors(self, lanes: Array) -> Array:
+        """Standardised residuals of values (L, k) of the unknowns, (L, n); missing bins are zero."""
+        data = self.data
+        return self.joined(data.bins(place(self.theta, self.unknowns, lanes)), data.activities)
+
+    def joined(self, bins: Sequence[Array], activities: Sequence[Array]) -> Array:
+        """Binned residuals in units of noise, one (L, m, d) a recording → standardised ones, (L, n)."""
+        lanes = []
+        for part, activity in zip(bins, activities, strict=True):
+            for k, (drift, scale) in enumerate(zip(self.drifts, self.scales, strict=True)):
+                series = part[:, :, k]
+                lanes.append((whiten_lanes(series, activity, drift) if self.data.problem.integrates else series) / scale)
+        joined: Array = np.nan_to_num(np.concatenate(lanes, axis=1))
+        return joined
+
+    def weights(self, errors: Array) -> Array:
+        """Below one for outliers."""
+        return np.asarray(1.0 / np.sqrt(1.0 + (errors / self.forgiven) ** 2))
+
+    def costs(self, errors: Array) -> Array:
+        """(…, n) → (…), half the squares where there are no outliers."""
+        squared = self.forgiven**2
+        return np.asarray(squared * (np.sqrt(1.0 + errors**2 / squared) - 1.0).sum(axis=-1))
+
+    def lengths(self) -> list[int]:
+        """How many of the n residuals belong to each recording and signal, in order."""
+        rows = [len(activity) for activity in self.data.activities]
+        return [count for count in rows for _ in self.scales]
+
+
+def criterion_at(data: Data, theta: Array, unknowns: tuple[Unknown, ...], values: Array) -> Criterion:
+    """The cost with the noise and the drift that are left at ``values`` (k,)."""
+    at = place(theta, unknowns, values[None])
+    if data.problem.integrates:
+        drifts, _ = data.drifts(at[0])
+        scales = np.array([drift.noise for drift in drifts])
+    else:
+        drifts = (Drift(),) * len(data.sigma)
+        parts = data.bins(at)
+        series = [np.concatenate([part[0, :, k] for part in parts]) for k in range(len(data.sigma))]
+        scales = np.array([robust_scale(s[~np.isnan(s)]) if not np.isnan(s).all() else 1.0 for s in series])
+    rough = Criterion(data, theta, unknowns, drifts, np.maximum(scales, 1e-9), np.inf)
+    return Criterion(data, theta, unknowns, drifts, rough.scales, forgiveness(rough.errors(values[None])[0]))
