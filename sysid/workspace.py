@@ -168,7 +168,9 @@ class Workspace:
         result = self.gap(dataset)
         for trace in result.traces if result is not None else ():
             if trace.recording == recording:
-                return {"before": trace.before, "after": trace.after} if result and result.effects else {"before": trace.before}
+                return (
+                    {"before": trace.before, "after": trace.after} if result and result.repaired else {"before": trace.before}
+                )
         simulation = self.simulation(dataset)
         return {simulation.reference or "before": free_run(simulation, source)}
 

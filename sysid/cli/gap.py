@@ -29,6 +29,11 @@ Forms = Literal["all", "simple"]  # as sysid.gap.workflow has it; importing that
     "--world/--no-world", default=None, help="Prove it in the PyBullet world as well. With --add it is; else it is not."
 )
 @click.option(
+    "--carry",
+    is_flag=True,
+    help="Let a bounded residual network carry what has no name, where held-out errors fall with it. It is no physics.",
+)
+@click.option(
     "--forms",
     type=click.Choice(["all", "simple"]),
     default="all",
@@ -44,6 +49,7 @@ def gap(
     localise: bool,
     add: bool,
     world: bool | None,
+    carry: bool,
     forms: Forms,
     json_file: str | None,
 ) -> None:
@@ -60,6 +66,8 @@ def gap(
     dataset = place.dataset(reference)
     if simulator is not None and plant is not None:
         raise SettingsError("sysid gap", "--plant and --simulator", "one of them")
+    if localise and carry:
+        raise SettingsError("sysid gap", "--localise and --carry", "one of them", "What is carried is what a search leaves.")
     questioned = load_simulator(simulator) if simulator is not None else place.plant(dataset, plant)
     out = Printer(json_file)
     if isinstance(questioned, Plant) and plant is not None and "@" not in plant:
@@ -76,6 +84,7 @@ def gap(
             add=add,
             world=world,
             localise_only=localise,
+            carry=carry,
             forms=forms,
             progress=progress,
             planning=Planning(),
@@ -97,7 +106,7 @@ def gap(
         elif simulator is not None:
             for note in result.notes:
                 out.line(f"note: {note}")
-        elif result.effects:
+        elif result.repaired:
             out.line(
                 "The repair is not stored: --add stores it as a new plant version, and promotes it if the proof is good enough."
             )

@@ -3,10 +3,16 @@
 from __future__ import annotations
 
 import json
+from typing import TYPE_CHECKING
 
 import click
 
 from sysid.cli.output import Printer, json_option, write_json
+
+if TYPE_CHECKING:
+    from sysid.registry import ModelVersion
+
+CARRIES = "carries unnamed_residual: a bounded network learned from the recordings. It is no physics and names no cause."
 
 
 @click.command()
@@ -38,6 +44,8 @@ def models(workspace: str, reference: str | None, kind: str | None, promote: boo
         out.line(json.dumps(dict(version.lineage), indent=2, ensure_ascii=False))
         if "machine.diff" in version.sha256:
             out.line(registry.load(version.reference).files["machine.diff"].decode("utf-8"))
+        if _carries(version):
+            out.line(CARRIES)
         for name, value in version.metrics.items():
             out.line(f"{name} = {value:.6g}")
         write_json(json_file, {"schema": 1, **version.to_json()})
@@ -48,7 +56,20 @@ def models(workspace: str, reference: str | None, kind: str | None, promote: boo
         out.line(f"No models in {workspace} yet: sysid fit makes networks, sysid gap makes plants.")
         return
     rows = [
-        (version.reference, version.kind, version.lineage.get("dataset", "–"), ", ".join(version.aliases), version.digest[:12])
+        (
+            version.reference,
+            f"{version.kind}{' *' if _carries(version) else ''}",
+            version.lineage.get("dataset", "–"),
+            ", ".join(version.aliases),
+            version.digest[:12],
+        )
         for version in versions
     ]
     out.table(("model", "kind", "made from", "aliases", "content"), rows)
+    if any(map(_carries, versions)):
+        out.line(f"* {CARRIES}")
+
+
+def _carries(version: ModelVersion) -> bool:
+    """Whether a plant holds a residual network beside its effects."""
+    return version.kind == "plant" and "residuals.safetensors" in version.sha256

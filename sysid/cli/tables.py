@@ -114,10 +114,27 @@ def show_gap(out: Printer, result: GapResult, dataset: Dataset) -> None:
         out.line("  cannot be told apart: " + " / ".join(f"{name} ({target})" for name, target in tie))
     for item in result.unnamed:
         out.line(f"  left over without a name: {item.stage} of {item.target}, depends on {item.depends_on}: {item.form}")
+    show_carried(out, result, dataset)
     out.table(("held-out error", "before", "after", "noise floor", "closed"), gap_rows(result, dataset), right=(1, 2, 3, 4))
     for step in result.next_experiment:
         out.line(f"next: {step}")
     out.line(f"proved on {', '.join(result.held_out_recordings)}")
+
+
+def show_carried(out: Printer, result: GapResult, dataset: Dataset) -> None:
+    """Residual networks: what each does to the held-out error of its stage, or why there is none."""
+    from sysid.reports.display import quantity
+
+    for item in result.carried:
+        if not item.accepted:
+            out.line(f"  not carried: {item.text}")
+            continue
+        unit = dataset.units.get(item.signal) or dataset.machine.expected_unit(item.signal) or "1"
+        before, after, floor = (quantity(value, unit) for value in (item.before, item.after, item.noise_floor))
+        out.line(
+            f"  carried by a bounded network (unnamed_residual): {item.stage} of {item.target}, held-out error {before} → "
+            f"{after} (noise floor {floor}). It is learned from the recordings, no physics."
+        )
 
 
 def gap_rows(result: GapResult, dataset: Dataset) -> list[tuple[str, ...]]:
@@ -148,7 +165,13 @@ def show_repair(
     for line in result.machine_diff.splitlines():
         out.line(f"  {line}".rstrip())
     out.line()
-    if folder is not None:
+    for item in result.carried:
+        if item.accepted:
+            out.line(
+                f"It also carries unnamed_residual ({item.stage} of {item.target}): a network, no physics, which machine.toml "
+                f"cannot hold; it is in {result.plant_after} alone."
+            )
+    if folder is not None and result.machine_diff:
         out.line(f"Apply it: patch machine.toml {folder / 'machine.diff'}, and ingest again.")
     found = result.promotion
     if found is None:

@@ -16,7 +16,7 @@ from sysid.gap.floor import problem_floor
 from sysid.gap.intervals import known_of
 from sysid.gap.localise import stage_rmse
 from sysid.gap.remainder import describe_remainder
-from sysid.gap.result import Alternative, Evidence, Gap, NamedEffect, Unnamed, Value
+from sysid.gap.result import Alternative, Carried, Evidence, Gap, NamedEffect, Unnamed, Value
 from sysid.gap.search import Kept
 from sysid.plant import Place, Plant, Uncertainty
 
@@ -39,6 +39,7 @@ class Outcome:
     ties: list[tuple[tuple[str, str], ...]] = field(default_factory=list)
     unnamed: list[Unnamed] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
+    carried: list[Carried] = field(default_factory=list)
 
 
 def judge(case: Case, stages: Sequence[Stage]) -> Outcome:
@@ -170,6 +171,13 @@ def _share(case: Case, stage: Stage, candidate: Candidate) -> float:
 def held_out_score(stage: Stage, theta: Array) -> float:
     """Held-out RMSE of the stage in noise floors."""
     return float(np.sqrt(np.nanmean((stage_rmse(stage.problem, theta, stage.split.held_out) / stage.sigma) ** 2)))
+
+
+def with_carried(gap: Gap, outcome: Outcome) -> Gap:
+    """The gap by stage, after the residual networks where they were accepted."""
+    accepted = [item for item in outcome.carried if item.accepted]
+    after = {**gap.after, **{item.signal: item.after for item in accepted}}
+    return replace(gap, after=after, noise_floor={**gap.noise_floor, **{item.signal: item.noise_floor for item in accepted}})
 
 
 def stage_gap(case: Case, stages: Sequence[Stage], repaired: Array) -> Gap:

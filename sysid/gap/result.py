@@ -99,6 +99,33 @@ class Unnamed:
 
 
 @dataclass(frozen=True)
+class Carried:
+    """A residual network that carries what no effect explains at one stage (``unnamed_residual``), or why there is none.
+
+    It is learned from the recordings and is no physics; it never stands among the effects.
+
+    Args:
+        signal: the output that it acts on.
+        before, after, noise_floor: held-out RMSE of the stage without and with it, and what the true model would score.
+        accepted: whether the repaired plant carries it.
+        text: what it does, or why it was refused.
+        bound: it never adds more than this: to the speed (velocity axis), the position (servo), the joint, or the force.
+        inputs: what it looks at.
+    """
+
+    stage: str
+    target: str
+    signal: str
+    before: float
+    after: float
+    noise_floor: float
+    accepted: bool
+    text: str
+    bound: float = 0.0
+    inputs: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
 class Excitation:
     """Whether the data contain what an effect needs: ``have`` of ``need`` (``unit`` says of what)."""
 
@@ -275,6 +302,7 @@ class GapResult:
 
     ``experiments`` are recordings planned to answer what is left open; ``next_experiment`` says in words what to record.
     ``machine_diff`` is what the repair changes in ``machine.toml``, as a unified diff; one that is stored has a ``promotion``.
+    ``carried`` are residual networks; they are no effects.
     """
 
     dataset: str
@@ -301,6 +329,12 @@ class GapResult:
     world_gap: WorldGap | None = None
     machine_diff: str = ""
     promotion: Promotion | None = None
+    carried: tuple[Carried, ...] = ()
+
+    @property
+    def repaired(self) -> bool:
+        """Whether the plant after is another one: it has effects with a name, or carries what has none."""
+        return bool(self.effects) or any(item.accepted for item in self.carried)
 
     def to_json(self, folder: Path | None = None) -> dict[str, Any]:
         """The result in the shape of the contract (plus where they disagree, the candidates, the notes and the experiments).
@@ -331,6 +365,7 @@ class GapResult:
             "settings": dict(self.settings),
             "world_gap": None if self.world_gap is None else _world_json(self.world_gap),
             "machine_diff": self.machine_diff,
+            "carried": [asdict(item) for item in self.carried],
             "promotion": None if self.promotion is None else {"promoted": self.promotion.promoted, **asdict(self.promotion)},
         }
 

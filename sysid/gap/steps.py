@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from sysid.errors import SettingsError
+from sysid.files import plain
 from sysid.gap import localise as disagreement
 from sysid.gap.around import Around
 from sysid.gap.candidates import as_nuisance
@@ -28,7 +29,7 @@ from sysid.gap.floor import floor_spread, run_floor
 from sysid.gap.lineage import lineage_of
 from sysid.gap.promotion import first_promotion, free_run_check, names_check, stages_check, world_check
 from sysid.gap.promotion import promote as promote_version
-from sysid.gap.prove import Outcome, held_out_score, judge, stage_gap
+from sysid.gap.prove import Outcome, held_out_score, judge, stage_gap, with_carried
 from sysid.gap.result import Check, Excitation, Gap, Localised, Promotion, Traces, WorldGap
 from sysid.gap.search import Finding, Search, Strictness
 from sysid.gap.simulator import Simulator
@@ -137,18 +138,24 @@ def search(study: Study, strict: Strictness | None = None, forms: Forms = "all",
     return replace(study, stages=tuple(found), settings={"forms": forms, "strictness": asdict(strict)})
 
 
-def prove(study: Study, world: bool = False, progress: Progress = silent) -> Proof:
+def prove(study: Study, world: bool = False, progress: Progress = silent, *, carry: bool = False) -> Proof:
     """Judge what was found on held-out recordings. Once: what is tuned after looking at them is no proof any more.
 
     Args:
         world: run the held-out commands in the PyBullet world as well.
+        carry: what keeps no name is carried by residual networks where that helps (:mod:`sysid.gap.carry`).
 
     Raises:
-        SettingsError: the study was not searched.
+        SettingsError: the study was not searched; a simulator of one's own should carry.
     """
     if any(stage.finding is None for stage in study.stages):
         raise SettingsError("prove", "stages that were not searched", "a study that sysid.gap.steps.search returned")
-    return measure(study, judge(study.case, study.stages), world, progress)
+    outcome = judge(study.case, study.stages)
+    if carry:
+        from sysid.gap import carry as residual  # torch is loaded only where something is trained
+
+        outcome = residual.carry(study.case, study.stages, outcome, progress=progress)
+    return measure(study, outcome, world, progress)
 
 
 def measure(study: Study, outcome: Outcome, world: bool = False, progress: Progress = silent) -> Proof:
@@ -160,7 +167,7 @@ def measure(study: Study, outcome: Outcome, world: bool = False, progress: Progr
     scores = [disagreement.run_rmse(list(zip(held_out, runs, strict=True))) for runs in (before, after)]
     scores.append(run_floor(better, held_out, case.noise, case.seed))
     shared = [signal for signal in scores[0] if all(signal in score for score in scores)]
-    by_stage = stage_gap(case, study.stages, outcome.repaired.vector())
+    by_stage = with_carried(stage_gap(case, study.stages, outcome.repaired.vector()), outcome)
     free = Gap(*({signal: score[signal] for signal in shared} for score in scores))
     traces = (Traces(r.name, r.table, b, a) for r, b, a in zip(held_out, before, after, strict=True))
     there = None
@@ -211,6 +218,9 @@ def store(study: Study, proof: Proof, registry: Registry) -> str:
     if questioned.partition("@")[0] == repaired.machine.name:
         first_promotion(registry, questioned)
     evidence = {"plant": questioned, **lineage_of(case, proof.outcome, proof.gap, proof.stage_gap, study.settings)}
+    accepted = [asdict(item) for item in proof.outcome.carried if item.accepted]
+    if accepted:
+        evidence["carried"] = plain(accepted)
     return register(case, repaired, registry, evidence, machine_diff(study, proof))
 
 

@@ -38,6 +38,7 @@ def find_gap(
     add: bool = False,
     world: bool | None = None,
     localise_only: bool = False,
+    carry: bool = False,
     forms: Forms = "all",
     progress: Progress | None = None,
     strict: Strictness | None = None,
@@ -52,6 +53,8 @@ def find_gap(
         add: write the repaired plant as a new version, and promote it if the proof is good enough.
         world: prove it in the PyBullet world as well; by default where it is added.
         localise_only: stop after localising; the verdict is then ``unnamed`` wherever a stage is above its noise floor.
+        carry: what keeps no name is carried by bounded residual networks where held-out errors fall with them; they are learned
+            from the recordings, no physics, and never stand among the effects (:mod:`sysid.gap.carry`).
         forms: "simple" tries every effect in its simplest form only, e.g. one friction for both directions.
         planning: plan the recordings that would answer what these leave open (not around a simulator of one's own); by default
             they are only described.
@@ -60,7 +63,7 @@ def find_gap(
     Raises:
         ExcitationError: no stage is measured at both ends, or there is nothing to hold out.
         InputError: a simulator of one's own failed, or returned no table of signals.
-        SettingsError: what is found around such a simulator is to be added to the registry.
+        SettingsError: what is found around such a simulator is to be added to the registry, or it should carry a network.
     """
     begin = time.perf_counter()
     tell: Progress = progress or silent
@@ -69,6 +72,10 @@ def find_gap(
         raise SettingsError(
             f"simulator {name_of(plant)}", "cannot be stored", "a plant", "Take what is repaired from sysid.gap.steps.add."
         )
+    if carry and not isinstance(plant, Plant):
+        raise SettingsError(f"simulator {name_of(plant)}", "cannot carry a residual network", "a plant")
+    if carry and localise_only:
+        raise SettingsError("find_gap", "carry and localise_only", "one of them", "What is carried is what a search leaves.")
     study = steps.open_study(dataset, plant, seed)
     tell(0.02, "localising")
     located = steps.localise(study)
@@ -80,7 +87,7 @@ def find_gap(
     else:
         study = steps.search(study, strict, forms, part(tell, 0.05, 0.85))
         tell(0.87, "proving on held-out recordings")
-        proof = steps.prove(study, add if world is None else world, part(tell, 0.88, 0.92))
+        proof = steps.prove(study, add if world is None else world, part(tell, 0.88, 0.92), carry=carry)
     outcome, stages = proof.outcome, list(study.stages)
     if add and registry is not None and outcome.repaired is not case.plant:
         after_reference = steps.store(study, proof, registry)
@@ -110,6 +117,7 @@ def find_gap(
         localised=located,
         shares=shares_of(compile_plant(case.plant), case.split.seen) if case.around is None else (),
         maps=_maps(case, stages, better if outcome.repaired is not case.plant else None),
+        carried=tuple(outcome.carried),
         candidates=tuple(row for stage in stages if stage.finding for row in _rows(stage, stage.finding)),
         traces=proof.traces,
         notes=(
@@ -121,7 +129,7 @@ def find_gap(
         world_gap=proof.world,
         machine_diff=steps.machine_diff(study, proof),
         promotion=promotion,
-        settings={"seed": seed, "forms": forms, "noise": dict(case.noise), "localise_only": localise_only},
+        settings={"seed": seed, "forms": forms, "carry": carry, "noise": dict(case.noise), "localise_only": localise_only},
     )
 
 

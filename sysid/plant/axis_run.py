@@ -58,7 +58,7 @@ def _run(p, rig, i, s, command, load, share, first, last, start, dt, drive, join
                 wanted = chain.ask(command[k] - extra, p, s, m, size, rig.axes, i, load[k], dt)
             else:
                 wanted = chain.ask(command[k], p, s, m, size, rig.axes, i, load[k], dt)
-                wanted = (wanted * share[k] if fed else wanted) + extra
+                wanted = wanted * share[k] * (1.0 + extra) if fed else wanted + extra
                 if rig.axes[i, KIND] == POSITION:
                     wanted = min(max(wanted, rig.axes[i, LOW]), rig.axes[i, HIGH])
             drive[k] = chain.move(wanted, s, m, rig.axes, i, dt)

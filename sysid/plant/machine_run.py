@@ -77,7 +77,8 @@ def advance(p, rig, s, load, wanted, command, dt, nets, t):
             if nets is None:
                 chain.move(part * wanted[i], s, i * size, rig.axes, i, dt)
             else:
-                moved = part * wanted[i] + residual.added(nets, t, i, COMMAND)
+                extra = residual.added(nets, t, i, COMMAND)
+                moved = part * wanted[i] * (1.0 + extra) if rig.axes[i, KIND] == VELOCITY else wanted[i] + extra
                 chain.move(within(moved, rig.axes, i), s, i * size, rig.axes, i, dt)
 
 

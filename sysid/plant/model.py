@@ -213,7 +213,7 @@ class Model:
     @property
     def _weighed(self) -> bool:
         """Whether a network looks at a load."""
-        return self.nets is not None and bool(self.nets.scale[:, -1].any())
+        return self.nets is not None and bool(self.nets.scale[:, -3].any())
 
     def stretches(self, recording: Recording, axis: str, seconds: float = math.inf) -> Segments:
         """First and last+1 sample of the first ``seconds`` of each stretch with commands, (m, 2)."""

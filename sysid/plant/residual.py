@@ -6,8 +6,9 @@ behind a bound, gates in the order input, forget, cell, output::
 
     i, f, o = σ(W·x + U·h + b),  g = tanh(W·x + U·h + b),  c ← f·c + i·g,  h ← o·tanh(c),  r = bound·tanh(w·h + w₀)
 
-What it adds: to the speed of a velocity axis or the position of a servo (``command``), to the joint behind a cylinder
-(``joint``), or to the force that a motion needs (``force``). It looks at the beginning of a step, so the chain stays causal.
+What it adds: a share of the speed that a velocity axis asks for, so that it moves nothing that stands; to the position of a
+servo (both ``command``), to the joint behind a cylinder (``joint``), or to the force that a motion needs (``force``). It looks
+at the beginning of a step, so that the chain stays causal.
 """
 
 from __future__ import annotations
@@ -40,7 +41,7 @@ WARNING = "learned from the recordings, no physics: it says nothing about the ca
 REACH = 4.0
 
 # Columns of ``Nets.about``.
-AXIS, STAGE, UNITS, INTERVAL, BOUND = range(5)
+AXIS, STAGE, UNITS, INTERVAL, BOUND, PERIOD = range(6)
 # What a network keeps: what it adds now, seconds since it looked, the position then; then h, c and room for the next h.
 ADDS, SINCE, LAST, STATES = 0, 1, 2, 3
 _TENSORS = ("mean", "scale", "W", "U", "b", "w", "w0")
@@ -69,8 +70,9 @@ class Residual:
     """A trained network at one stage of one axis.
 
     Args:
-        bound: it never adds more than this, in the unit of what it adds to.
+        bound: it never adds more than this: share of the speed, or position, angle, force.
         interval: seconds between two looks.
+        period: of a ripple over the position; the network looks at its sine and cosine. Zero for none.
         mean, scale: of the inputs, ``x = clip((value − mean)·scale, ±REACH)``; a scale of zero leaves an input out, (F,).
         W, U, b: of the gates, (4H, F), (4H, H), (4H,).
         w, w0: of the output, (H,), (1,).
@@ -89,6 +91,7 @@ class Residual:
     w: Array
     w0: Array
     origin: Mapping[str, Any] = field(default_factory=dict)
+    period: float = 0.0
 
     @property
     def key(self) -> tuple[str, str]:
@@ -101,13 +104,14 @@ class Residual:
     def to_json(self) -> dict[str, Any]:
         """Everything but the weights."""
         said = {"name": NAME, "stage": self.stage, "target": self.target, "bound": self.bound, "interval": self.interval}
-        return {**said, "origin": dict(self.origin)}
+        return {**said, "period": self.period, "origin": dict(self.origin)}
 
 
 def inputs_of(machine: Machine, target: str) -> tuple[str, ...]:
-    """What a network of an axis looks at: the commands of all axes, then position, speed and load of its own."""
+    """What a network of an axis looks at: the commands of all axes, then position, speed and load of its own, and a ripple."""
     commands = (axis_signal(name, "command") for name in machine.axis_names)
-    return (*commands, machine.axis(target).driven, f"speed of {target}", f"load of {target}")
+    driven = machine.axis(target).driven
+    return (*commands, driven, f"speed of {target}", f"load of {target}", f"sine over {driven}", f"cosine over {driven}")
 
 
 def check_residual(machine: Machine, linked: Sequence[str], item: Residual) -> None:
@@ -134,6 +138,8 @@ def check_residual(machine: Machine, linked: Sequence[str], item: Residual) -> N
         values = getattr(item, name)
         if values.shape != shape or not np.isfinite(values).all():
             raise SettingsError(where, f"{name} of shape {values.shape}", f"finite numbers of shape {shape}")
+    if not (math.isfinite(item.period) and item.period >= 0.0):
+        raise SettingsError(where, f"period = {item.period}", "a length, or zero for none")
     for name in ("bound", "interval"):
         if not (math.isfinite(getattr(item, name)) and getattr(item, name) > 0.0):
             raise SettingsError(where, f"{name} = {getattr(item, name)}", "a positive number")
@@ -145,11 +151,11 @@ def nets_of(machine: Machine, residuals: Sequence[Residual]) -> Nets | None:
         return None
     flat = [np.concatenate([np.ravel(getattr(item, name)) for name in ("W", "U", "b", "w", "w0")]) for item in residuals]
     weights = np.zeros((len(residuals), max(map(len, flat))))
-    about = np.zeros((len(residuals), 5))
+    about = np.zeros((len(residuals), 6))
     for row, (item, values) in enumerate(zip(residuals, flat, strict=True)):
         weights[row, : len(values)] = values
         place = machine.axis_names.index(item.target)
-        about[row] = place, PLACES.index(item.stage), item.units, item.interval, item.bound
+        about[row] = place, PLACES.index(item.stage), item.units, item.interval, item.bound, item.period
     return Nets(about, np.array([r.mean for r in residuals]), np.array([r.scale for r in residuals]), weights)
 
 
@@ -220,7 +226,9 @@ def look(nets, r, s, command, x, load, dt):
     s[SINCE] = dt
     s[LAST] = x
     axes, units = len(command), int(nets.about[r, UNITS])
-    inputs = axes + 3
+    inputs = axes + 5
+    turn = 2.0 * math.pi * x / nets.about[r, PERIOD] if nets.about[r, PERIOD] > 0.0 else 0.0
+    sine, cosine = math.sin(turn), math.cos(turn)
     h, c, new = STATES, STATES + units, STATES + 2 * units
     U, b = 4 * units * inputs, 4 * units * (inputs + units)
     w = b + 4 * units
@@ -236,8 +244,10 @@ def look(nets, r, s, command, x, load, dt):
                 value = x
             elif j == axes + 1:
                 value = speed
-            else:
+            elif j == axes + 2:
                 value = load
+            else:
+                value = sine if j == axes + 3 else cosine
             value = min(max((value - nets.mean[r, j]) * nets.scale[r, j], -REACH), REACH)
             gate_i += nets.weights[r, k * inputs + j] * value
             gate_f += nets.weights[r, (units + k) * inputs + j] * value
@@ -292,7 +302,7 @@ def from_files(entries: Sequence[Mapping[str, Any]], files: Mapping[str, bytes],
         for entry in entries:
             prefix = f"{entry['stage']}.{entry['target']}/"
             arrays: dict[str, Any] = {name: np.asarray(tensors[prefix + name], dtype=np.float64) for name in _TENSORS}
-            about: dict[str, Any] = {key: entry[key] for key in ("stage", "target", "bound", "interval")}
+            about: dict[str, Any] = {key: entry[key] for key in ("stage", "target", "bound", "interval", "period")}
             found.append(Residual(**about, **arrays, origin=json.loads(json.dumps(entry["origin"]))))
         return tuple(found)
     except (KeyError, TypeError, ValueError, SafetensorError) as error:

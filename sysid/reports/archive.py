@@ -16,6 +16,7 @@ from sysid.gap.experiment import Experiment, read_experiment, write_experiment
 from sysid.gap.result import (
     EXPERIMENTS,
     Candidate,
+    Carried,
     Excitation,
     Gap,
     GapResult,
@@ -101,6 +102,7 @@ def _result(values: dict[str, Any], traces: tuple[Traces, ...], experiments: tup
         notes=tuple(values["notes"]),
         experiments=experiments,
         settings=values["settings"],
+        carried=_many(Carried, values.get("carried", [])),
         world_gap=_world_gap(values.get("world_gap")),
         machine_diff=values.get("machine_diff", ""),
         promotion=_promotion(values.get("promotion")),

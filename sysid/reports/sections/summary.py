@@ -9,7 +9,7 @@ from typing import Any
 
 from markupsafe import Markup
 
-from sysid.gap.result import GapResult, Localised, NamedEffect
+from sysid.gap.result import GapResult, Localised, NamedEffect, Unnamed
 from sysid.machine import Machine
 from sysid.reports import display, words
 from sysid.reports.effect_units import remainder_unit, shown_parameters
@@ -73,9 +73,9 @@ def context(inputs: ReportInputs) -> dict[str, Any]:
         "legend": _legend(
             machine, "" if not marks else "Numbers mark where they disagree." if only else "Numbers mark what was found."
         ),
-        "chart": Markup(dumbbells(lines, repaired=bool(gap.effects))),
+        "chart": Markup(dumbbells(lines, repaired=gap.repaired)),
         "held_out": gap.held_out_recordings,
-        "repaired": bool(gap.effects),
+        "repaired": gap.repaired,
         "next": [] if only else list(gap.next_experiment),
         "sure": _still_open(gap),
     }
@@ -153,8 +153,20 @@ def _cards(gap: GapResult, marks: Sequence[Mark], machine: Machine, units: Mappi
             if not item.depends_on.startswith("nothing")
             else "It follows nothing that was measured."
         )
-        cards.append(_card(len(cards) + 1, "Unexplained", words.owner_name(item.target), said, [known], sure=False))
+        quiet = [known, *_carried(gap, item, machine, units)]
+        cards.append(_card(len(cards) + 1, "Unexplained", words.owner_name(item.target), said, quiet, sure=False))
     return cards
+
+
+def _carried(gap: GapResult, item: Unnamed, machine: Machine, units: Mapping[str, str]) -> list[str]:
+    """What a residual network does about it; that it is no physics."""
+    unit = remainder_unit(item.stage, item.target, machine, units)
+    return [
+        f"Carried by a bounded network (unnamed_residual), learned from the recordings: it is no physics and names no cause. "
+        f"Held-out error of the stage: {display.quantity(c.before, unit, 2)} → {display.quantity(c.after, unit, 2)}."
+        for c in gap.carried
+        if c.accepted and (c.stage, c.target) == (item.stage, item.target)
+    ]
 
 
 def _card(number: int, title: str, target: str, sentence: str, quiet: list[str], sure: bool) -> dict[str, Any]:

@@ -1,0 +1,257 @@
+"""What no effect explains can be carried: a bounded residual network at its stage, accepted only where held-out errors fall.
+
+It is trained on the recordings to fit, stopped on those to select, and has to do better there before the held-out ones are
+looked at once. It gets no name but ``unnamed_residual``, never stands among the effects, and says nothing about a cause.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from sysid.datasets.recording import Dataset, Recording
+from sysid.errors import SettingsError
+from sysid.gap.case import Case, Stage
+from sysid.gap.drift import robust_scale
+from sysid.gap.evidence import gain_p_value
+from sysid.gap.floor import problem_floor
+from sysid.gap.localise import stage_rmse
+from sysid.gap.problem import Problem, problems_of
+from sysid.gap.prove import BETTER, Outcome
+from sysid.gap.result import Carried, Unnamed
+from sysid.networks.recurrent import Looks, RecurrentSettings, train_recurrent
+from sysid.plant import Model, Plant, compile_plant, gravity_load
+from sysid.plant.force import force_inputs, hold_of
+from sysid.plant.residual import PLACES, WARNING, Residual, inputs_of
+from sysid.progress import Progress, part, silent
+
+Array = npt.NDArray[np.float64]
+
+#: Columns of the inputs (:func:`sysid.plant.residual.inputs_of`), from the end.
+POSITION, SPEED = -5, -4
+#: Seconds between two looks: short against a stroke, long against a sample.
+INTERVAL, FORCE_INTERVAL = 0.05, 0.02
+#: It never adds more than this many robust standard deviations of what was left over.
+BOUND = 3.0
+#: A share of the speed never exceeds this, and is only known above this part of the fastest motion.
+MOST, MOVING = 0.9, 0.1
+#: Errors of speed are taken over this time [s], so that sensor noise does not set the bound.
+OVER = 0.2
+#: On the recordings to select the error has to fall to this share before held-out ones are looked at, and not by luck.
+SELECT, LUCK = 0.9, 0.05
+#: The position that a network looks at while it is trained follows what is measured within this time [s].
+SMOOTH = 0.25
+
+
+@dataclass(frozen=True)
+class _Left:
+    """A recording on its own grid: inputs of the network (n, F), what is left over (n,), and what is looked at and how often.
+
+    Args:
+        speed: what a network on a velocity axis says a share of (n,); None elsewhere.
+        stride: samples from one look to the next, ``interval`` seconds.
+    """
+
+    inputs: Array
+    left: Array
+    speed: Array | None
+    stride: int
+    interval: float
+
+    def looks(self) -> Looks:
+        count = (len(self.left) - 1) // self.stride
+        at = np.arange(count) * self.stride
+        inputs = self.inputs[at].copy()
+        inputs[0, SPEED] = 0.0
+        inputs[1:, SPEED] = np.diff(inputs[:, POSITION]) / self.interval
+        if self.speed is not None:
+            return Looks(inputs, self.left[at], _mean(self.speed[: count * self.stride], self.stride))
+        return Looks(inputs, _mean(self.left[1 : 1 + count * self.stride], self.stride), np.ones(count))
+
+
+def carry(
+    case: Case,
+    stages: Sequence[Stage],
+    outcome: Outcome,
+    settings: RecurrentSettings | None = None,
+    progress: Progress = silent,
+) -> Outcome:
+    """The outcome with a residual network wherever one helps, for each stage that keeps structure without a name.
+
+    Raises:
+        SettingsError: the questioned simulation is not a plant.
+    """
+    if case.around is not None:
+        raise SettingsError(
+            f"simulator {case.around.name}", "cannot carry a residual network", "a plant", "Add it inside the simulator itself."
+        )
+    repaired, found = outcome.repaired, list[Carried]()
+    for k, item in enumerate(outcome.unnamed):
+        (stage,) = [s for s in stages if (s.problem.stage, s.problem.target) == (item.stage, item.target)]
+        if item.stage not in PLACES:
+            text = f"the {stage.label} cannot carry one: only {', '.join(PLACES)} stages can"
+            found.append(Carried(item.stage, item.target, "", float("nan"), float("nan"), float("nan"), False, text))
+            continue
+        tell = part(progress, k / len(outcome.unnamed), (k + 1) / len(outcome.unnamed))
+        tell(0.0, f"{stage.label}: residual network")
+        said, repaired = _carried(case, stage, item, repaired, settings or RecurrentSettings(), tell)
+        found.append(said)
+    notes = [] if outcome.unnamed else ["nothing was left over that a residual network could carry"]
+    return replace(outcome, repaired=repaired, carried=found, notes=[*outcome.notes, *notes])
+
+
+def _carried(
+    case: Case, stage: Stage, left: Unnamed, repaired: Plant, settings: RecurrentSettings, progress: Progress
+) -> tuple[Carried, Plant]:
+    """Train one network and judge it."""
+    period = left.period if left.period_unit not in ("", "s") else 0.0
+    name, target, split = stage.problem.stage, stage.problem.target, stage.split
+    plain = repaired.without_residual(name, target)
+    problem, model = _problem(plain, case.dataset, name, target)
+    (signal,) = problem.signals
+    parts = {r.name: _left(problem, model, r, case.dataset, period) for r in split.seen}
+    fit, select = ([parts[r.name].looks() for r in rs] for rs in (split.fit, split.select))
+    interval = _interval(name, case.dataset.machine.rate_hz)
+    bound = _bound([parts[r.name].looks() for r in split.seen], problem.integrates, interval)
+    held_out = float(stage_rmse(problem, model.theta, split.held_out)[0])
+    floor = float(problem_floor(problem, model.theta, split.held_out, case.noise, case.seed)[0])
+
+    def refused(why: str, after: float = float("nan")) -> tuple[Carried, Plant]:
+        return Carried(name, target, signal, held_out, after, floor, False, f"{stage.label}: {why}", bound), repaired
+
+    if not bound > 0.0:
+        return refused("nothing is left over to learn from")
+    trained = train_recurrent(fit, select, bound, interval, problem.integrates, settings, case.seed, progress)
+    scale = trained.scale.copy()
+    origin: dict[str, Any] = {
+        "dataset": case.dataset.reference,
+        "dataset_digest": case.dataset.digest,
+        "plant": case.plant.reference or "nominal",
+        "fit": [r.name for r in split.fit],
+        "select": [r.name for r in split.select],
+        "seed": case.seed,
+        "epochs": trained.epochs,
+        "inputs": [n for n, s in zip(inputs_of(plain.machine, target), scale, strict=True) if s != 0.0],
+    }
+    weights: dict[str, Any] = {key: getattr(trained, key) for key in ("W", "U", "b", "w", "w0")}
+    item = Residual(name, target, bound, interval, trained.mean, scale, **weights, origin=origin, period=period)  # type: ignore[arg-type]
+    carrying = plain.with_residual(item)
+    better, loaded = _problem(carrying, case.dataset, name, target)
+    before, after = (float(stage_rmse(p, m.theta, split.select)[0]) for p, m in ((problem, model), (better, loaded)))
+    luck = _luck(problem, model.theta, better, loaded.theta, split.select, case.seed)
+    if not after < SELECT * before or luck > LUCK:
+        return refused(
+            f"a residual network does not predict recordings that it was not fitted to ({signal} {before:.3g} → {after:.3g} "
+            f"on those to select, luck {luck:.2f})"
+        )
+    now = float(stage_rmse(better, loaded.theta, split.held_out)[0])
+    if not now < BETTER * held_out:
+        return refused(f"a residual network did not help on held-out recordings ({signal} {held_out:.3g} → {now:.3g})", now)
+    text = f"{stage.label}: {WARNING}; held-out {signal} {held_out:.3g} → {now:.3g}"
+    floor = float(problem_floor(better, loaded.theta, split.held_out, case.noise, case.seed)[0])
+    inputs = tuple(origin["inputs"])
+    return Carried(name, target, signal, held_out, now, floor, True, text, bound, inputs), carrying
+
+
+def _problem(plant: Plant, dataset: Dataset, stage: str, target: str) -> tuple[Problem, Model]:
+    model = compile_plant(plant)
+    (problem,) = [p for p in problems_of(model, dataset) if (p.stage, p.target) == (stage, target)]
+    return problem, model
+
+
+def _interval(stage: str, rate_hz: float) -> float:
+    """A whole number of samples."""
+    wanted = FORCE_INTERVAL if stage == "force" else INTERVAL
+    return max(1, round(wanted * rate_hz)) / rate_hz
+
+
+def _left(problem: Problem, model: Model, recording: Recording, dataset: Dataset, period: float) -> _Left:
+    """What a network would have seen, and what it should have said (or its integral)."""
+    axis = model.machine.axis(problem.target)
+    i, rate = model.axis_index(axis.name), recording.rate_hz
+    interval = _interval(problem.stage, rate)
+    stride = round(interval * rate)
+    commands, speed = model.in_steps(recording, i), None
+    load = gravity_load(model.machine, recording)[:, i]
+    if not all(len(model.held(recording, name)[1]) for name in model.machine.axis_names):
+        load = np.zeros(len(recording))  # a free run would not know the pose; zero throughout leaves the input out
+    if problem.stage == "force":
+        inputs = force_inputs(recording, axis, hold=hold_of([r for r in dataset.recordings if r.kind == "motion"], axis))
+        left = np.full(len(recording), np.nan)
+        left[inputs.rows] = inputs.force - inputs.model_force(model, model.theta[None], axis.name)[0]
+        left = _nearest(left, 2 * stride)
+        position, commands, load = inputs.position, np.zeros_like(commands), np.zeros(len(recording))
+    else:
+        predicted = problem.predict(model.theta[None], recording)[0][:, 0]
+        left = problem.measured(recording)[:, 0] - predicted
+        if problem.stage == "command":
+            position = _bridged(predicted) + _smooth(_bridged(left), SMOOTH * rate)
+            speed = np.append(np.diff(_bridged(predicted)), 0.0) * rate if problem.integrates else None
+        else:
+            position, commands = _bridged(recording.values(axis.driven)), np.zeros_like(commands)
+    turn = 2.0 * np.pi * position / period if period > 0.0 else np.zeros(len(position))
+    waves = (np.sin(turn), np.cos(turn))
+    return _Left(np.column_stack([commands, position, np.zeros(len(load)), load, *waves]), left, speed, stride, interval)
+
+
+def _bound(parts: Sequence[Looks], integrates: bool, interval: float) -> float:
+    """A few robust standard deviations of what was left over; of its share in the speed where that is integrated."""
+    if not integrates:
+        joined = np.concatenate([part.left for part in parts])
+        joined = joined[np.isfinite(joined)]
+        return BOUND * robust_scale(joined) if len(joined) else 0.0
+    lag, shares = max(1, round(OVER / interval)), []
+    for looks in parts:
+        moved = interval * np.convolve(looks.size, np.ones(lag), mode="valid")[: len(looks.left) - lag]
+        rest = looks.left[lag:] - looks.left[:-lag]
+        moving = np.isfinite(rest) & (np.abs(moved) > MOVING * np.abs(moved).max(initial=0.0))
+        shares.append(rest[moving] / moved[moving])
+    joined = np.concatenate(shares)
+    return min(BOUND * robust_scale(joined), MOST) if len(joined) else 0.0
+
+
+def _mean(values: Array, stride: int) -> Array:
+    """Means over strides; NaN where nothing is there."""
+    blocks = values.reshape(-1, stride)
+    there = np.isfinite(blocks)
+    total = np.where(there, blocks, 0.0).sum(axis=1) / np.maximum(there.sum(axis=1), 1)
+    return np.where(there.any(axis=1), total, np.nan)
+
+
+def _luck(before: Problem, theta: Array, after: Problem, other: Array, recordings: Sequence[Recording], seed: int) -> float:
+    """Chance that what is gained on these recordings is none: squared errors in half seconds, of rates where they integrate."""
+    gains = []
+    for recording in recordings:
+        measured = before.measured(recording)[:, 0]
+        width = max(1, round(0.5 * before.rate(recording)))
+        squares = []
+        for problem, values in ((before, theta), (after, other)):
+            error = measured - problem.predict(values[None], recording)[0][:, 0]
+            error = error[: len(error) // width * width].reshape(-1, width)
+            means = np.nanmean(np.where(np.isfinite(error).any(axis=1, keepdims=True), error, 0.0), axis=1)
+            squares.append((np.diff(means) if problem.integrates else means) ** 2)
+        gains.append(squares[0] - squares[1])
+    return gain_p_value(np.concatenate(gains), seed)
+
+
+def _smooth(values: Array, width: float) -> Array:
+    from scipy.ndimage import gaussian_filter1d
+
+    return np.asarray(gaussian_filter1d(values, 0.5 * width, mode="nearest"))
+
+
+def _bridged(values: Array) -> Array:
+    there = np.flatnonzero(np.isfinite(values))
+    return np.interp(np.arange(len(values)), there, values[there]) if len(there) else np.zeros(len(values))
+
+
+def _nearest(values: Array, reach: int) -> Array:
+    """Each entry that is there, also at its neighbours within ``reach``."""
+    from scipy.ndimage import distance_transform_edt
+
+    away = np.asarray(distance_transform_edt(~np.isfinite(values)))
+    return np.where(away <= reach, _bridged(values), np.nan)

@@ -1,0 +1,196 @@
+"""What has no name is carried by a bounded network where that helps on held-out recordings, and nowhere else."""
+
+from __future__ import annotations
+
+import functools
+import re
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from plant_data import dataset_of, nominal
+from remainder_data import BASE, Rate, disturbed_dataset, heavy, ripple, white
+
+from sysid.datasets.recording import Dataset
+from sysid.errors import SettingsError
+from sysid.gap import find_gap, steps
+from sysid.gap.carry import carry
+from sysid.gap.prove import Outcome, with_carried
+from sysid.gap.result import Gap, GapResult, Unnamed
+from sysid.networks.recurrent import Looks, RecurrentSettings, train_recurrent
+from sysid.plant import free_run, plant_from_files
+from sysid.registry import Registry
+from sysid.reports.archive import load_gap, save_gap
+
+QUICK = RecurrentSettings(epochs=150)
+
+
+def unnamed(stage: str = "command", target: str = "boom", period: float = 0.0) -> Unnamed:
+    return Unnamed(stage, target, 1e-3, "boom.cylinder", "…", 0.9, period, "m" if period else "")
+
+
+@functools.cache
+def data(rate: Rate) -> Dataset:
+    return disturbed_dataset(rate, 3, 30.0)
+
+
+@functools.cache
+def carried(rate: Rate, period: float = 0.0) -> Outcome:
+    study = steps.open_study(data(rate), BASE)
+    return carry(study.case, study.stages, Outcome(BASE, unnamed=[unnamed(period=period)]), QUICK)
+
+
+@pytest.mark.parametrize(("rate", "period"), [(heavy, 0.0), (ripple, 0.03)])
+def test_held_out_errors_fall(rate: Rate, period: float) -> None:
+    outcome = carried(rate, period)
+    (item,) = outcome.carried
+    assert item.accepted
+    assert item.after < 0.35 * item.before
+    assert "no physics" in item.text
+    assert outcome.named == []
+    assert outcome.repaired.effects == BASE.effects
+    recording = data(rate).recording("run-4")
+    errors = [
+        np.sqrt(np.mean((free_run(plant, recording)["boom.cylinder"] - recording.values("boom.cylinder")) ** 2))
+        for plant in (BASE, outcome.repaired)
+    ]
+    assert errors[0] == pytest.approx(item.before, rel=0.05)
+    assert errors[1] == pytest.approx(item.after, rel=0.3), "the whole chain runs with it too"
+
+
+def test_its_bound_is_taken_from_the_data() -> None:
+    (item,) = carried(ripple, 0.03).carried
+    (residual,) = carried(ripple, 0.03).repaired.residuals
+    assert item.bound == residual.bound
+    assert 0.1 < item.bound < 0.4, "three standard deviations of a tenth of the speed, as a sine"
+    assert "sine over boom.cylinder" in item.inputs
+    assert residual.period == 0.03
+
+
+def test_it_knows_what_it_was_learned_from_and_nothing_held_out() -> None:
+    (residual,) = carried(heavy).repaired.residuals
+    assert residual.origin["dataset"] == "arm@1"
+    assert residual.origin["fit"] == ["run-1", "run-2"]
+    assert residual.origin["select"] == ["run-3"]
+    recordings = list(data(heavy).recordings)
+    spoiled = recordings[3].table.assign(**{"boom.cylinder": 0.06})
+    other = replace(data(heavy), recordings=(*recordings[:3], replace(recordings[3], table=spoiled)))
+    study = steps.open_study(other, BASE)
+    again = carry(study.case, study.stages, Outcome(BASE, unnamed=[unnamed()]), QUICK)
+    for found in again.repaired.residuals:
+        assert np.array_equal(found.W, residual.W)
+    assert again.carried[0].before != carried(heavy).carried[0].before
+
+
+def test_the_same_seed_gives_the_same_network() -> None:
+    study = steps.open_study(data(ripple), BASE)
+    again = carry(study.case, study.stages, Outcome(BASE, unnamed=[unnamed(period=0.03)]), QUICK)
+    assert again.repaired.to_files() == carried(ripple, 0.03).repaired.to_files()
+
+
+def test_a_random_disturbance_is_not_carried() -> None:
+    (item,) = carried(white).carried
+    assert not item.accepted
+    assert carried(white).repaired is BASE
+    assert re.search(r"command stage of boom: a residual network (does not predict|did not help)", item.text)
+
+
+def test_a_stage_that_cannot_carry_says_so() -> None:
+    study = steps.open_study(dataset_of(nominal(), 3.0), nominal())
+    outcome = carry(study.case, study.stages, Outcome(study.case.plant, unnamed=[unnamed("end_effector", "ee")]))
+    (item,) = outcome.carried
+    assert not item.accepted
+    assert item.text == "the end_effector stage of ee cannot carry one: only command, joint, force stages can"
+
+
+def test_nothing_left_over_is_nothing_to_carry() -> None:
+    study = steps.open_study(dataset_of(nominal(), 3.0), nominal())
+    outcome = carry(study.case, study.stages, Outcome(study.case.plant))
+    assert outcome.carried == []
+    assert outcome.notes == ["nothing was left over that a residual network could carry"]
+
+
+class Own:
+    """A simulator of one's own."""
+
+    name = "own"
+
+    def simulate(self, recording: object) -> object:
+        raise AssertionError("not asked")
+
+
+def test_simulators_and_localising_do_not_carry() -> None:
+    with pytest.raises(SettingsError, match="simulator own: cannot carry a residual network; expected a plant"):
+        find_gap(data(heavy), Own(), carry=True)  # type: ignore[arg-type]
+    with pytest.raises(SettingsError, match="carry and localise_only; expected one of them"):
+        find_gap(data(heavy), BASE, carry=True, localise_only=True)
+
+
+def test_gaps_by_stage_are_those_with_it() -> None:
+    outcome = carried(heavy)
+    gap = Gap({"boom.cylinder": 1.0, "x": 1.0}, {"boom.cylinder": 1.0, "x": 0.5}, {"boom.cylinder": 0.1, "x": 0.1})
+    after = with_carried(gap, outcome)
+    assert after.after == {"boom.cylinder": outcome.carried[0].after, "x": 0.5}
+    assert after.before == gap.before
+
+
+def test_a_registry_keeps_it_beside_the_effects(tmp_path: Path) -> None:
+    registry, study, outcome = Registry(tmp_path / "models"), steps.open_study(data(ripple), BASE), carried(ripple, 0.03)
+    proof = steps.measure(study, outcome)
+    (item,) = outcome.carried
+    assert proof.stage_gap.after["boom.cylinder"] == item.after < 0.5 * proof.stage_gap.before["boom.cylinder"]
+    assert proof.gap.after["boom.joint"] < 0.6 * proof.gap.before["boom.joint"]
+    reference = steps.store(study, proof, registry)
+    version = registry.load(reference)
+    assert "residuals.safetensors" in version.files
+    assert version.lineage["carried"][0]["after"] == item.after
+    assert version.lineage["dataset"] == "arm@1"
+    assert version.lineage["plant"] == "arm@1"
+    assert version.lineage["named"] == []
+    plant = plant_from_files(version.files, version.reference)
+    recording = data(ripple).recording("run-4")
+    error = free_run(plant, recording)["boom.cylinder"] - recording.values("boom.cylinder")
+    assert float(np.sqrt(np.mean(error**2))) == pytest.approx(proof.gap.after["boom.cylinder"], rel=1e-9)
+    assert steps.store(study, proof, registry) == reference, "the same again is the same version"
+    located = find_gap(data(ripple), plant, localise_only=True)
+    assert located.gap.before["boom.cylinder"] == pytest.approx(proof.gap.after["boom.cylinder"], rel=1e-9)
+
+
+@pytest.mark.slow
+def test_the_workflow_carries_what_it_cannot_name(tmp_path: Path) -> None:
+    result = find_gap(data(ripple), BASE, Registry(tmp_path), carry=True, add=True, world=False, forms="simple")
+    assert (result.effects, result.verdict, result.repaired) == ((), "unnamed", True)
+    assert [(item.stage, item.target, item.accepted) for item in result.carried] == [("command", "boom", True)]
+    assert "sin(2π·boom.cylinder/0.03" in result.unnamed[0].form
+    assert result.gap.after["boom.cylinder"] < 0.5 * result.gap.before["boom.cylinder"]
+    save_gap(tmp_path / "gap", result)
+    kept = load_gap(tmp_path / "gap")
+    assert isinstance(kept, GapResult)
+    assert kept.carried == result.carried
+    assert kept.unnamed == result.unnamed
+
+
+def looks(count: int, seed: int, of: str) -> Looks:
+    rng = np.random.default_rng(seed)
+    x = np.convolve(rng.standard_normal(count + 9), np.ones(10) / 3.0, mode="valid")[:count]
+    said = {"history": np.concatenate([np.zeros(5), 0.3 * np.tanh(x[:-5])]), "chance": 0.3 * rng.standard_normal(count)}[of]
+    return Looks(np.column_stack([x, np.zeros(count)]), said, np.ones(count))
+
+
+def trained(of: str) -> float:
+    parts: Sequence[Looks] = [looks(600, seed, of) for seed in range(3)]
+    found = train_recurrent(parts[:2], parts[2:], 0.6, 0.05, False, RecurrentSettings(units=8, epochs=60))
+    assert found.scale[1] == 0.0, "an input that never changes is left out"
+    return found.loss
+
+
+def test_history_is_learned_and_chance_is_not() -> None:
+    assert trained("history") < 0.3
+    assert trained("chance") > 0.95
+
+
+def test_too_little_to_learn_from_is_refused() -> None:
+    with pytest.raises(SettingsError, match="residual network: 20 looks to learn from; expected at least 40"):
+        train_recurrent([looks(20, 0, "chance")], [looks(20, 1, "chance")], 0.6, 0.05, False)
