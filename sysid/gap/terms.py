@@ -212,7 +212,10 @@ def _search(blocks: Sequence[Series], colour: float, waves: Sequence[str]) -> Fo
 
 def _leftover(columns: Sequence[Array], terms: Sequence[Term], y: Array) -> Array:
     """What the first group of terms leaves."""
-    Q = np.linalg.qr(np.column_stack([columns[k] for k in _order(columns, y, terms)[0]]))[0]
+    groups = _order(columns, y, terms)
+    if not groups:
+        return y
+    Q = np.linalg.qr(np.column_stack([columns[k] for k in groups[0]]))[0]
     return np.asarray(y - Q @ (Q.T @ y))
 
 
