@@ -108,7 +108,7 @@ def _carried(
     case: Case, stage: Stage, left: Unnamed, repaired: Plant, settings: RecurrentSettings, progress: Progress
 ) -> tuple[Carried, Plant]:
     """Train one network and judge it."""
-    period = left.period if left.period_unit not in ("", "s") else 0.0
+    period = left.period if left.period_unit != "s" else 0.0  # over the position of its axis
     name, target, split = stage.problem.stage, stage.problem.target, stage.split
     plain = repaired.without_residual(name, target)
     problem, model = _problem(plain, case.dataset, name, target)

@@ -12,16 +12,21 @@ import numpy as np
 import pytest
 from plant_data import dataset_of, nominal
 from remainder_data import BASE, Rate, disturbed_dataset, heavy, ripple, white
+from sample_crane import sample_dataset, sample_unnamed
 
+from sysid.cli import main
+from sysid.cli.output import Printer
+from sysid.cli.tables import show_carried
 from sysid.datasets.recording import Dataset
 from sysid.errors import SettingsError
 from sysid.gap import find_gap, steps
 from sysid.gap.carry import carry
 from sysid.gap.prove import Outcome, with_carried
-from sysid.gap.result import Gap, GapResult, Unnamed
+from sysid.gap.result import Carried, Gap, GapResult, Unnamed
 from sysid.networks.recurrent import Looks, RecurrentSettings, train_recurrent
 from sysid.plant import free_run, plant_from_files
 from sysid.registry import Registry
+from sysid.reports import ReportInputs, build_report
 from sysid.reports.archive import load_gap, save_gap
 
 QUICK = RecurrentSettings(epochs=150)
@@ -97,6 +102,22 @@ def test_a_random_disturbance_is_not_carried() -> None:
     assert re.search(r"command stage of boom: a residual network (does not predict|did not help)", item.text)
 
 
+def test_people_are_told_what_it_is_and_what_it_does(capsys: pytest.CaptureFixture[str]) -> None:
+    crane = sample_dataset(5.0)
+    gap = sample_unnamed(crane)
+    left = gap.unnamed[0]
+    item = Carried(left.stage, left.target, "boom.cylinder", 0.0012, 0.0003, 0.0001, True, "…")
+    refused = replace(item, accepted=False, text="stick: a residual network did not help")
+    show_carried(Printer(None), replace(gap, carried=(item, refused)), crane)
+    text = capsys.readouterr().out.replace("\u202f", " ")
+    assert "carried by a bounded network (unnamed_residual): command of boom, held-out error 1.20 mm → 0.300 mm" in text
+    assert "no physics" in text
+    assert "not carried: stick: a residual network did not help" in text
+    page = build_report(ReportInputs(crane, replace(gap, carried=(item,))))
+    assert "Carried by a bounded network (unnamed_residual), learned from the recordings: it is no physics" in page
+    assert "Carried by" not in build_report(ReportInputs(crane, replace(gap, carried=(refused,))))
+
+
 def test_a_stage_that_cannot_carry_says_so() -> None:
     study = steps.open_study(dataset_of(nominal(), 3.0), nominal())
     outcome = carry(study.case, study.stages, Outcome(study.case.plant, unnamed=[unnamed("end_effector", "ee")]))
@@ -136,7 +157,14 @@ def test_gaps_by_stage_are_those_with_it() -> None:
     assert after.before == gap.before
 
 
-def test_a_registry_keeps_it_beside_the_effects(tmp_path: Path) -> None:
+def _said(capsys: pytest.CaptureFixture[str], *args: str) -> str:
+    with pytest.raises(SystemExit) as stop:
+        main(list(args))
+    assert stop.value.code == 0
+    return capsys.readouterr().out
+
+
+def test_a_registry_keeps_it_beside_the_effects(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     registry, study, outcome = Registry(tmp_path / "models"), steps.open_study(data(ripple), BASE), carried(ripple, 0.03)
     proof = steps.measure(study, outcome)
     (item,) = outcome.carried
@@ -154,6 +182,11 @@ def test_a_registry_keeps_it_beside_the_effects(tmp_path: Path) -> None:
     error = free_run(plant, recording)["boom.cylinder"] - recording.values("boom.cylinder")
     assert float(np.sqrt(np.mean(error**2))) == pytest.approx(proof.gap.after["boom.cylinder"], rel=1e-9)
     assert steps.store(study, proof, registry) == reference, "the same again is the same version"
+    said = [_said(capsys, "--workspace", str(tmp_path / "models"), "models", *name) for name in ((), (reference,), ("arm@1",))]
+    assert "plant *" in said[0]
+    assert [("unnamed_residual: a bounded network" in text, "It is no physics" in text) for text in said] == [
+        (True, True), (True, True), (False, False),
+    ]  # fmt: skip
     located = find_gap(data(ripple), plant, localise_only=True)
     assert located.gap.before["boom.cylinder"] == pytest.approx(proof.gap.after["boom.cylinder"], rel=1e-9)
 
