@@ -97,7 +97,7 @@ def describe(problem: Problem, rmse: float, signal: str, series: Sequence[Series
 
 def _nothing(problem: Problem, what: str, series: Sequence[Series], probes: Sequence[Probe], judged: Judged) -> str:
     strongest = f" (the clearest is {probes[0].name}: ρ = {probes[0].correlation:.2f}, chance reaches {probes[0].bound:.2f})"
-    text = f"{what}: no dependence on any probe that stands out from chance{strongest if probes else ''}"
+    text = f"{what}: follows no probe to speak of{strongest if probes else ''}"
     if series[0].rate:
         share = _share_of_speed(series, f"speed of {problem.target}")
         return f"{text}; it looks like a random disturbance of about {100.0 * share:.1f} % of the speed"
