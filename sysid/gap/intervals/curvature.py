@@ -74,6 +74,10 @@ def curvature_at(criterion: Criterion, values: Array) -> Curvature:
         if wide.sum() > allowed.sum():
             best = sandwich
         allowed = np.maximum(allowed, wide)
+    # Slopes say little about what acts in steps; it is allowed what the others are.
+    stepwise = np.array([u.stepwise for u in criterion.unknowns])
+    if not stepwise.all():
+        allowed[stepwise] = allowed[~stepwise].max()
     return Curvature(errors, slopes, inverse, 0.5 * (best + best.T), allowed)
 
 

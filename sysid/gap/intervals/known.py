@@ -25,8 +25,9 @@ Array = npt.NDArray[np.float64]
 
 #: The noise of an input is known to about this share.
 NOISE_KNOWN = 0.15
-#: Nothing is known to a smaller share of itself, since plants compute no more exactly; nor to less of what is negligible.
-EXACT, EXACT_ZERO = 2e-4, 2e-3
+#: Nothing is known to a smaller share of itself, since plants compute no more exactly; nor to less of what is negligible (what
+#: acts in steps, to the second of these shares: between two samples of a command nothing tells where a threshold lies).
+EXACT, EXACT_ZERO, EXACT_STEP = 2e-4, 2e-3, 5e-2
 #: 95 % of a normal distribution lie within so many standard deviations.
 Z = float(stats.norm.ppf(0.975))
 
@@ -70,7 +71,8 @@ def known_of(data: Data, theta: Array, fit: Fit, noise: Mapping[str, float], see
         reach = np.hypot(reach, unsure[:, None])
         values = np.clip(values - added.shift, criterion.low, criterion.high)
         fit = replace(fit, values=values, theta=place(theta, fit.unknowns, values[None])[0])
-    least = np.array([EXACT * abs(v) + EXACT_ZERO * u.negligible for u, v in zip(fit.unknowns, values, strict=True)])
+    least = EXACT * np.abs(values)
+    least += np.array([(EXACT_STEP if u.stepwise else EXACT_ZERO) * u.negligible for u in fit.unknowns])
     ends = values[:, None] + np.maximum(reach, least[:, None]) * [-1.0, 1.0]
     limits = np.clip(ends, criterion.low[:, None], criterion.high[:, None])
     deviations = np.abs(limits - values[:, None]).max(axis=1) / Z
