@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -18,6 +18,7 @@ from sysid.gap.fit import Data, fit_candidates, spread_of
 from sysid.gap.floor import problem_floor
 from sysid.gap.noise import noise_levels
 from sysid.gap.problem import Problem, Split, pose_split, problems_of, split_of
+from sysid.gap.readings import reading_step
 from sysid.gap.result import Excitation
 from sysid.gap.search import Finding
 from sysid.gap.simulator import Simulator
@@ -143,26 +144,6 @@ def scales_of(plant: Plant, stage: Stage) -> Scales:
     read = [target for target in stage.problem.targets if target in signals_of(plant.machine.axis_names)]
     steps = {signal: reading_step([r.values(signal) for r in stage.split.fit]) for signal in read}
     return Scales(force, dict(zip(plant.machine.axis_names, map(float, typical), strict=True)), steps)
-
-
-def reading_step(parts: Sequence[Array]) -> float:
-    """The step of which nearly all readings are a whole multiple; zero where there is none.
-
-    The least change between neighbouring readings is a first guess of it, all of them together make it exact.
-    """
-    values = np.concatenate(parts)
-    values = values[~np.isnan(values)]
-    changes = np.concatenate([np.abs(np.diff(part)) for part in parts])
-    changes = changes[changes > 1e-9 * float(np.max(np.abs(values), initial=0.0))]  # NaN is not greater either
-    if not len(changes):
-        return 0.0
-    step = float(changes.min())
-    for _ in range(3):
-        whole = np.round(values / step)
-        if not whole.any():
-            return 0.0
-        step = float(values @ whole / (whole @ whole))
-    return step if np.mean(np.abs(values / step - np.round(values / step)) < 0.02) > 0.95 else 0.0
 
 
 def excitation(case: Case, stages: list[Stage]) -> tuple[Excitation, ...]:

@@ -4,12 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 from plant_data import CAPTURE, dataset_of, loaded_arm, nominal
 
 from sysid.gap.candidates import Candidate, Scales, candidates_at
-from sysid.gap.case import open_case, reading_step, scales_of, stage_candidates
+from sysid.gap.case import open_case, scales_of, stage_candidates
 from sysid.gap.search import starting_values
 from sysid.machine import KnownEffect
 from sysid.plant import Plant
@@ -65,21 +63,6 @@ def test_quantisation_is_tried_where_readings_come_in_steps() -> None:
     case, stages = open_case(dataset_of(plant, 5.0), plant, 0)
     (joint,) = (s for s in stages if s.problem.stage == "joint")
     assert scales_of(case.plant, joint).steps == {"boom.cylinder": 0.0, "boom.joint": pytest.approx(0.004, rel=1e-9)}
-
-
-@given(st.floats(1e-6, 1e-2), st.integers(0, 100))
-def test_the_step_of_readings(step: float, seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    places = np.cumsum(rng.integers(-3, 4, 400)) + 50
-    values = step * places.astype(float)
-    values[[3, 77]] = np.nan
-    assert reading_step([values[:200], values[200:]]) == pytest.approx(step, rel=1e-6)
-    assert reading_step([values + rng.normal(0.0, 0.3 * step, 400)]) == 0.0
-
-
-def test_what_never_changes_has_no_step() -> None:
-    assert reading_step([np.full(50, 0.3)]) == 0.0
-    assert reading_step([np.full(50, np.nan), np.empty(0)]) == 0.0
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,81 @@
+"""The steps in which a sensor reads, seen in its readings alone."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import numpy.typing as npt
+
+Array = npt.NDArray[np.float64]
+
+#: Share of readings at whole multiples of a step, and how close to them [steps].
+NEARLY_ALL, CLOSE = 0.95, 0.02
+#: Least resultant of the readings' phases within a step: noise of a fifth of the step leaves 0.45.
+RESULTANT = 0.4
+#: Fewer steps than these over the whole range are no steps of a sensor.
+FEWEST = 20
+#: Most steps over the range that are looked for: a power of two.
+MOST = 2**15
+
+
+def reading_step(parts: Sequence[Array]) -> float:
+    """The step of which the readings are whole multiples, but for noise that came after it; zero where there is none.
+
+    Args:
+        parts: readings of one sensor, one array a recording, NaN where missing.
+    """
+    return _exact_step(parts) or _noisy_step(parts)
+
+
+def _exact_step(parts: Sequence[Array]) -> float:
+    """The least change between neighbouring readings is a first guess, all of them together make it exact."""
+    values = np.concatenate(parts)
+    values = values[~np.isnan(values)]
+    changes = np.concatenate([np.abs(np.diff(part)) for part in parts])
+    changes = changes[changes > 1e-9 * float(np.max(np.abs(values), initial=0.0))]  # NaN is not greater either
+    if not len(changes):
+        return 0.0
+    step = float(changes.min())
+    for _ in range(3):
+        whole = np.round(values / step)
+        if not whole.any():
+            return 0.0
+        step = float(values @ whole / (whole @ whole))
+    return step if np.mean(np.abs(values / step - np.round(values / step)) < CLOSE) > NEARLY_ALL else 0.0
+
+
+def _noisy_step(parts: Sequence[Array]) -> float:
+    """The peak of the characteristic function of the readings in motion (Widrow & Kollár, Quantization Noise, 2008, ch. 4).
+
+    Readings of a sensor without steps are spread smoothly over what was travelled, so that their phases within any small step
+    cancel. Where the machine stands all readings are alike, whatever the sensor: rest does not count.
+    """
+    values = np.concatenate([_in_motion(part) for part in parts])
+    if len(values) < 10 * FEWEST:
+        return 0.0
+    low, span = float(values.min()), float(np.ptp(values))
+    if span <= 0.0:
+        return 0.0
+    # Cells of an eighth of the finest step, and four times the range, for a frequency axis that is finer than the peaks.
+    cells = np.bincount(((values - low) / span * (8 * MOST - 1)).astype(np.int64), minlength=8 * MOST)
+    resultants = np.abs(np.fft.rfft(cells, 32 * MOST))[: 4 * MOST] / len(values)
+    resultants[: 4 * FEWEST] = 0.0
+    if float(resultants.max()) < RESULTANT:
+        return 0.0
+    frequency = int(np.argmax(resultants)) / 4.0 / span
+    for reach in (0.25, 0.05, 0.01):  # in cycles over the range
+        near = frequency + np.linspace(-reach, reach, 21) / span
+        turns = np.exp(2j * np.pi * near[:, None] * (values - low))
+        frequency = float(near[int(np.argmax(np.abs(turns.sum(axis=1))))])
+    return 1.0 / frequency
+
+
+def _in_motion(part: Array) -> Array:
+    """Readings around which the sensor moved at more than a twentieth of its top speed."""
+    if len(part) < 12:
+        return np.empty(0)
+    moved = np.full(len(part), np.nan)
+    moved[5:-5] = np.abs(part[10:] - part[:-10])
+    most = np.nanmax(moved) if not np.isnan(moved).all() else 0.0
+    return np.asarray(part[(moved > 0.05 * most) & ~np.isnan(part)])
