@@ -13,11 +13,15 @@ from sysid.effects.effect import Stage
 from sysid.machine import KnownEffect, Machine
 from sysid.plant import Plant
 from sysid.plant.layout import neutral_vector, parameter_indices
+from sysid.signals import split_signal
 
 Array = npt.NDArray[np.float64]
 
 #: A value that is measured in one over the typical load is sought up to this multiple of its largest start.
 REACH = 50.0
+#: Of a sensor's effects the only one that shows where a velocity is integrated: a run starts at the sensor's zero, and its scale is
+#: that of the axis' gain. A servo stands where it is told to, and shows them all.
+INTEGRATED = ("sensor_quantisation",)
 
 
 @dataclass(frozen=True)
@@ -151,6 +155,9 @@ def _fits(effect: Effect, target: str, stage: Stage, plant: Plant) -> bool:
         return False
     if effect.sides:
         return bool(_sides(effect, stage, target, machine))
+    if effect.stage == "sensor" and stage == "command" and effect.target == "signal":
+        moves = machine.axis(split_signal(target)[0]).actuation == "velocity"
+        return not moves or effect.name in INTEGRATED
     return effect.stage == stage or effect.stage == "sensor"
 
 

@@ -26,6 +26,8 @@ Array = npt.NDArray[np.float64]
 BETTER = 0.98
 #: Without an effect that gets a name the held-out error of its stage has to grow by this factor.
 MATTERS = 1.05
+#: Where the recordings to select on miss it by more than this factor, the held-out ones, which may move otherwise, need not.
+CLEARLY = 1.5
 #: A stage that stays above this multiple of its noise floor has structure that nothing explains.
 UNEXPLAINED = 1.5
 
@@ -73,7 +75,7 @@ def _that_matter(case: Case, stage: Stage, outcome: Outcome) -> Stage:
         dropped = {kept: _without(case, stage, finding.fit, kept.candidate) for kept in finding.named}
         scores = {kept: held_out_score(stage, fit.theta) for kept, fit in dropped.items()}
         least = min(finding.named, key=lambda kept: scores[kept])
-        if scores[least] >= MATTERS * full:
+        if scores[least] >= MATTERS * full or (scores[least] >= full and least.comparison.ratio > CLEARLY):
             break
         what = f"{least.candidate.effect.name} on {least.candidate.target}"
         if not least.candidate.nuisance:

@@ -14,7 +14,7 @@ NEARLY_ALL, CLOSE = 0.95, 0.02
 #: Least resultant of the readings' phases within a step: noise of a fifth of the step leaves 0.45.
 RESULTANT = 0.4
 #: Fewer steps than these over the whole range are no steps of a sensor.
-FEWEST = 20
+FEWEST = 60
 #: Most steps over the range that are looked for: a power of two.
 MOST = 2**15
 
@@ -52,7 +52,7 @@ def _noisy_step(parts: Sequence[Array]) -> float:
     cancel. Where the machine stands all readings are alike, whatever the sensor: rest does not count.
     """
     values = np.concatenate([_in_motion(part) for part in parts])
-    if len(values) < 10 * FEWEST:
+    if len(values) < 5 * FEWEST:
         return 0.0
     low, span = float(values.min()), float(np.ptp(values))
     if span <= 0.0:

@@ -44,6 +44,9 @@ class Strictness:
         richer: an effect that contains a simpler one has to predict unseen recordings better than that by this factor.
         decides, explained: a departure that is small enough to be negligible gets a name where the stage is explained with it
             (unseen RMSE below ``explained`` noise floors) and this many times further off without it.
+        doubt: what is negligible grows with what stays unexplained (unseen RMSE in noise floors), up to this factor: a model that
+            is wrong in ways of its own moves its parameters a little wherever the machine is used otherwise.
+        clearer: where a stage stays unexplained, an effect has to be missed by this ratio of unseen RMSE.
         sensitivity: least share of an effect's influence that no other fitted parameter can imitate.
         most: largest number of effects at one stage.
         tried: so many of the candidates that promise most are fitted at a time.
@@ -62,6 +65,8 @@ class Strictness:
     richer: float = 1.05
     decides: float = 2.0
     explained: float = 1.5
+    doubt: float = 2.5
+    clearer: float = 1.25
     sensitivity: float = 0.02
     most: int = 6
     tried: int = 6
@@ -150,7 +155,9 @@ class Search:
         doubtful = [c for c in model.candidates if not c.nuisance or self._matters(c, model)]
         rivals = {c.key: self._rivals(model, c) for c in doubtful}  # while nuisances are free: they imitate much
         model, kept = self._backward(model)
-        ordinary = [c for c in model.candidates if not c.nuisance or (self._matters(c, model) and self._lasts(kept[c.label]))]
+        ordinary = [
+            c for c in model.candidates if not c.nuisance or (self._matters(c, model) and self._lasts(kept[c.label], model))
+        ]
         named = tuple(Kept(c, kept[c.label], *rivals.get(c.key, ((), ()))) for c in ordinary)
         adjusted = tuple(c for c in model.candidates if c not in ordinary)
         seen = Data(self.problem, self.split.seen, self.sigma)
@@ -210,7 +217,7 @@ class Search:
                 if candidate.nuisance:  # stays as an adjustment as long as it predicts better; a name needs more
                     lasting = self._merit(model) > self._merit(smaller) + self.strict.forward
                 else:
-                    lasting = self._lasts(comparison) and self._matters(candidate, model)
+                    lasting = self._lasts(comparison, model) and self._matters(candidate, model)
                 lasting &= shares[candidate.label] >= self.strict.sensitivity
                 if not lasting and (weakest is None or comparison.gain < weakest[0]):
                     weakest = (comparison.gain, smaller, candidate.label)
@@ -268,7 +275,10 @@ class Search:
 
     # -- parts ---------------------------------------------------------------------------------------------------
 
-    def _lasts(self, c: Comparison) -> bool:
+    def _lasts(self, c: Comparison, model: Fit) -> bool:
+        """Whether evidence for an effect of ``model`` is enough to keep it."""
+        if self._rmse(model) > self.strict.explained and c.ratio < self.strict.clearer:
+            return False
         sure = c.p_value < self.strict.p_value
         likely = c.gain > self.strict.delta_bic and (c.p_value < self.strict.likely or c.ratio > self.strict.ratio)
         halved = c.gain > self.strict.forward and c.ratio > self.strict.halves
@@ -281,12 +291,13 @@ class Search:
         """
         if _at_bound(candidate, model):
             return False
-        if _departs(candidate, model):
+        left = self._rmse(model)
+        if _departs(candidate, model, float(np.clip(left, 1.0, self.strict.doubt))):
             return True
-        if self._rmse(model) > self.strict.explained:
+        if left > self.strict.explained:
             return False
         without = self._fit(tuple(c for c in model.candidates if c is not candidate), (model,))
-        return self._rmse(without) > self.strict.decides * self._rmse(model)
+        return self._rmse(without) > self.strict.decides * left
 
     def _ordinary(self, model: Fit) -> list[Candidate]:
         return [c for c in model.candidates if not c.nuisance]
@@ -467,10 +478,10 @@ def _contains(one: Candidate, other: Candidate) -> bool:
     return other.effect.name in one.effect.generalises and other.target == one.target
 
 
-def _departs(candidate: Candidate, fit: Fit) -> bool:
-    """Whether any parameter moved by more than is negligible."""
+def _departs(candidate: Candidate, fit: Fit, times: float) -> bool:
+    """Whether any parameter moved by more than so many times what is negligible."""
     values = fit.values_of(candidate)
-    return any(abs(v - u.nominal) > u.negligible for u, v in zip(candidate.unknowns, values, strict=True))
+    return any(abs(v - u.nominal) > times * u.negligible for u, v in zip(candidate.unknowns, values, strict=True))
 
 
 def _at_bound(candidate: Candidate, fit: Fit) -> bool:
