@@ -51,7 +51,8 @@ class Candidate:
 
     A ``nuisance`` is free in every fit, since other effects would absorb it otherwise; its label ends in ``~``. It is named
     like any other effect where it departs from nominal by more than is negligible. An effect that the plant has already is
-    ``known``: what may be missing is another value of it, or a richer form.
+    ``known``: what may be missing is another value of it, or a richer form. ``aliases``: (name, target) of what no recording can
+    tell from it.
     """
 
     effect: Effect
@@ -62,6 +63,7 @@ class Candidate:
     starts: tuple[tuple[float, ...], ...]
     nuisance: bool = False
     known: bool = False
+    aliases: tuple[tuple[str, str], ...] = ()
 
     @property
     def key(self) -> tuple[str, str, str | None]:

@@ -11,6 +11,7 @@ import pandas as pd
 
 from sysid.datasets.recording import Dataset, Recording
 from sysid.errors import ExcitationError
+from sysid.gap.aliases import without_aliases
 from sysid.gap.around import Around, around_simulator
 from sysid.gap.candidates import Candidate, Scales, candidates_at
 from sysid.gap.excitation import excitation_of
@@ -118,7 +119,8 @@ def _stage(case: Case, problem: Problem) -> Stage:
 def stage_candidates(case: Case, stage: Stage) -> list[Candidate]:
     """Every effect that may be missing at the stage, whether the recordings show it or not."""
     problem = stage.problem
-    return candidates_at(case.plant, case.theta, problem.stage, problem.targets, scales_of(case.plant, stage))
+    found = candidates_at(case.plant, case.theta, problem.stage, problem.targets, scales_of(case.plant, stage))
+    return without_aliases(found, compile_plant(case.plant)) if problem.stage == "end_effector" else found
 
 
 def on_itself(finding: Finding, stage: Stage, theta: Array) -> Finding:

@@ -156,6 +156,7 @@ def _named(case: Case, stage: Stage, kept: Kept, limits: Array) -> NamedEffect:
         interval,
         _share(case, stage, candidate),
         tuple(Alternative(c.effect.name, c.target, why) for c, why in kept.rejected),
+        candidate.aliases,
         side=candidate.side,
         evidence=Evidence(compared.delta_bic, compared.gain, compared.p_value, compared.ratio),
     )

@@ -118,7 +118,13 @@ class Finding:
 
 @dataclass
 class Search:
-    """State of the search at one stage: a cache of fits and the table of trials."""
+    """State of the search at one stage: a cache of fits and the table of trials.
+
+    Args:
+        candidates: what may get a name; ``nuisances``: what is free in every fit.
+        gated: what the recordings cannot show well enough for a name. It may still be the reason of what is seen: where one
+            of these explains it as well as what was found, that gets no name either.
+    """
 
     problem: Problem
     theta: Array
@@ -126,6 +132,7 @@ class Search:
     sigma: Array
     candidates: Sequence[Candidate]
     nuisances: Sequence[Candidate]
+    gated: Sequence[Candidate] = ()
     strict: Strictness = field(default_factory=Strictness)
     seed: int = 0
     on_fit: Callable[[str], None] = lambda text: None
@@ -242,8 +249,10 @@ class Search:
     def _rivals(self, model: Fit, candidate: Candidate) -> tuple[tuple[tuple[Candidate, str], ...], tuple[Candidate, ...]]:
         """Every other effect in the place of this one: (those that lost and why, those that predict unseen data as well)."""
         rest = tuple(c for c in model.candidates if c is not candidate)
-        rivals = self._likely(model, rest, candidate)
+        rivals = self._likely(model, rest, candidate) + self._likely(model, rest, candidate, self.gated)
         fits = [self._fit(_joined(rest, rival), (model,)) for rival in rivals]
+        for fit in fits:
+            self._note(fit, model, f"in the place of {candidate.label}")
         # A rival ties only if neither the fitted nor the unseen recordings tell the two apart.
         near = [k for k, fit in enumerate(fits) if self._delta_bic(fit, model) < self.strict.delta_bic]
         surviving = confidence_set([-series for series in self._log_densities(model, *(fits[k] for k in near))], self.seed)
@@ -259,9 +268,15 @@ class Search:
         )
         return rejected, ties
 
-    def _likely(self, model: Fit, rest: tuple[Candidate, ...], old: Candidate | None = None) -> list[Candidate]:
+    def _likely(
+        self,
+        model: Fit,
+        rest: tuple[Candidate, ...],
+        old: Candidate | None = None,
+        pool: Sequence[Candidate] | None = None,
+    ) -> list[Candidate]:
         """Of what may be added to ``model`` the candidates that promise most beside ``rest``, the model without ``old``."""
-        free = [c for c in self._open(model) if old is None or c.key != old.key]
+        free = [c for c in self._open(model, pool) if old is None or c.key != old.key]
         if len(free) <= self.strict.tried:
             return free
         base = self._fit(rest, (model,))
@@ -302,11 +317,11 @@ class Search:
     def _ordinary(self, model: Fit) -> list[Candidate]:
         return [c for c in model.candidates if not c.nuisance]
 
-    def _open(self, model: Fit) -> list[Candidate]:
+    def _open(self, model: Fit, pool: Sequence[Candidate] | None = None) -> list[Candidate]:
         """Candidates that may be added: not in the model yet; another form only if it is richer than the one in use."""
         used = {c.key: c for c in model.candidates}
         free = []
-        for candidate in self.candidates:
+        for candidate in self.candidates if pool is None else pool:
             if any(_contains(other, candidate) for other in model.candidates):
                 continue
             present = used.get(candidate.key)

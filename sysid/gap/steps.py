@@ -281,15 +281,14 @@ def register(case: Case, plant: Plant, registry: Registry, evidence: dict[str, A
 
 def _found(case: Case, stage: Stage, strict: Strictness, forms: Forms, tell: Progress) -> Finding:
     tell(0.0, stage.label)
-    tried = [
-        c
-        for c in stage_candidates(case, stage)
-        if (forms == "all" or c.form is c.effect.forms[0]) and excitation_of(c, stage.split.fit, case.plant.machine).sufficient
-    ]
+    machine = case.plant.machine
+    offered = [c for c in stage_candidates(case, stage) if forms == "all" or c.form is c.effect.forms[0]]
+    tried = [c for c in offered if excitation_of(c, stage.split.fit, machine).sufficient]
+    gated = [c for c in offered if c not in tried]
     nuisances = [as_nuisance(c) for c in tried if c.effect.name in stage.problem.nuisances]
     problem = stage.problem if case.around is None else case.around.to_search(stage.problem)
     finding = Search(
-        problem, case.theta, stage.split, stage.sigma, tried, nuisances, strict, case.seed,
+        problem, case.theta, stage.split, stage.sigma, tried, nuisances, gated, strict, case.seed,
         on_fit=lambda text: tell(0.0, f"{stage.label}: {text}"),
     ).run()  # fmt: skip
     return finding if problem is stage.problem else on_itself(finding, stage, case.theta)
