@@ -1,0 +1,79 @@
+"""Effects of the kinematics that no pose can tell apart: they are tried and reported once, under one name.
+
+A stick that is longer and a telescope whose zero is off move the end effector in the same way in every pose. Whether two effects
+are such aliases is asked of the kinematics themselves, at poses all over the joints' ranges; that recordings happen not to tell
+two apart is another matter (a tie).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+import numpy.typing as npt
+import pandas as pd
+
+from sysid.datasets.recording import Recording
+from sysid.gap.candidates import Candidate
+from sysid.machine import Axis
+from sysid.plant import Model
+from sysid.signals import axis_signal
+
+Array = npt.NDArray[np.float64]
+
+#: Poses at which effects are compared.
+POSES = 24
+#: Sine of the angle between what two aliases do, at most.
+SAME = 1e-5
+#: The name that stays: a length before a telescope is that of the revolute axis that carries it (contract).
+ORDER = ("link_length_error", "joint_offset")
+#: Range of an axis without limits [rad or m].
+UNLIMITED = (-1.0, 1.0)
+
+
+def without_aliases(candidates: Sequence[Candidate], model: Model) -> list[Candidate]:
+    """The candidates of the end-effector stage, those that are the same as another in every pose folded into it."""
+    single = [c for c in candidates if c.effect.name in ORDER and len(c.unknowns) == 1]
+    if len(single) < 2 or not model.posed:
+        return list(candidates)
+    poses = _poses(model.machine.axes)
+    directions = np.array([_direction(model, poses, candidate) for candidate in single])
+    order = sorted(range(len(single)), key=lambda k: (ORDER.index(single[k].effect.name), k))
+    folded: dict[int, list[int]] = {}
+    for k in order:
+        for first in folded:
+            cosine = float(directions[k] @ directions[first])
+            if 1.0 - cosine**2 < SAME**2:
+                folded[first].append(k)
+                break
+        else:
+            folded[k] = []
+    found = []
+    for candidate in candidates:
+        at = next((k for k, c in enumerate(single) if c is candidate), None)
+        if at is None:
+            found.append(candidate)
+        elif at in folded:
+            aliases = tuple((single[k].effect.name, single[k].target) for k in folded[at])
+            found.append(replace(candidate, aliases=aliases) if aliases else candidate)
+    return found
+
+
+def _poses(axes: Sequence[Axis]) -> Recording:
+    draw = np.random.default_rng(0)
+    table = {"time": np.arange(POSES, dtype=np.float64)}
+    for axis in axes:
+        table[axis_signal(axis.name, "joint")] = draw.uniform(*(axis.limits or UNLIMITED), POSES)
+    return Recording("poses", pd.DataFrame(table), 1.0, kind="poses")
+
+
+def _direction(model: Model, poses: Recording, candidate: Candidate) -> Array:
+    """How the end effector moves with the candidate's parameter, as a unit vector; zero where it does not."""
+    (unknown,) = candidate.unknowns
+    thetas = np.repeat(model.theta[None], 2, axis=0)
+    thetas[1, list(unknown.places)] += unknown.negligible
+    ends = model.tip(thetas, poses)
+    moved: Array = (ends[1] - ends[0]).ravel()
+    length = float(np.linalg.norm(moved))
+    return moved / length if length > 0.0 else moved
