@@ -1,8 +1,8 @@
 """Effects of the kinematics that no pose can tell apart: they are tried and reported once, under one name.
 
-A stick that is longer and a telescope whose zero is off move the end effector in the same way in every pose. Whether two effects
-are such aliases is asked of the kinematics themselves, at poses all over the joints' ranges; that recordings happen not to tell
-two apart is another matter (a tie).
+A stick that is longer and a telescope whose zero is off move the end effector in the same way in every pose. Whether two
+are such aliases is asked of the kinematics themselves, at poses all over the joints' ranges; that recordings happen not to
+tell two apart is another matter (a tie).
 """
 
 from __future__ import annotations

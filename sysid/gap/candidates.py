@@ -19,8 +19,8 @@ Array = npt.NDArray[np.float64]
 
 #: A value that is measured in one over the typical load is sought up to this multiple of its largest start.
 REACH = 50.0
-#: Of a sensor's effects the only one that shows where a velocity is integrated: a run starts at the sensor's zero, and its scale is
-#: that of the axis' gain. A servo stands where it is told to, and shows them all.
+#: Of a sensor's effects the only one that shows where a velocity is integrated: a run starts at the sensor's zero, and its
+#: scale is that of the axis' gain. A servo stands where it is told to, and shows them all.
 INTEGRATED = ("sensor_quantisation",)
 
 
@@ -51,8 +51,8 @@ class Candidate:
 
     A ``nuisance`` is free in every fit, since other effects would absorb it otherwise; its label ends in ``~``. It is named
     like any other effect where it departs from nominal by more than is negligible. An effect that the plant has already is
-    ``known``: what may be missing is another value of it, or a richer form. ``aliases``: (name, target) of what no recording can
-    tell from it.
+    ``known``: what may be missing is another value of it, or a richer form. ``aliases``: (name, target) of what no recording
+    can tell from it.
     """
 
     effect: Effect

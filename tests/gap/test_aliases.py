@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
-from plant_data import dataset_of, nominal
+from pathlib import Path
 
-from sysid.gap.case import open_case, stage_candidates
+from sysid.gap.aliases import without_aliases
+from sysid.gap.candidates import candidates_at
+from sysid.machine import load_machine
+from sysid.plant import compile_plant, nominal_plant
+
+CRANE = Path(__file__).parents[2] / "datasets" / "autolog" / "machine.toml"
 
 
 def test_a_telescope_s_zero_is_the_length_before_it() -> None:
-    plant = nominal()
-    case, stages = open_case(dataset_of(plant, 5.0), plant, 0)
-    (tip,) = (s for s in stages if s.problem.stage == "end_effector")
-    found = {f"{c.effect.name}({c.target})": c for c in stage_candidates(case, tip)}
+    plant = nominal_plant(load_machine(CRANE))
+    offered = candidates_at(plant, plant.vector(), "end_effector", (*plant.machine.axis_names, "base"))
+    found = {f"{c.effect.name}({c.target})": c for c in without_aliases(offered, compile_plant(plant))}
     assert ("joint_offset", "telescope") in found["link_length_error(stick)"].aliases
     assert "joint_offset(telescope)" not in found
     for apart in ("joint_offset(slew)", "joint_offset(boom)", "joint_offset(stick)", "link_length_error(boom)"):
