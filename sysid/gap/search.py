@@ -44,8 +44,9 @@ class Strictness:
         richer: an effect that contains a simpler one has to predict unseen recordings better than that by this factor.
         decides, explained: a departure that is small enough to be negligible gets a name where the stage is explained with it
             (unseen RMSE below ``explained`` noise floors) and this many times further off without it.
-        doubt: what is negligible grows with what stays unexplained (unseen RMSE in noise floors), up to this factor: a model
-            that is wrong in ways of its own moves its parameters a little wherever the machine is used otherwise.
+        doubt: where errors add up over a run, what is negligible grows with what stays unexplained (unseen RMSE in noise
+            floors), up to this factor: a model that is wrong in ways of its own moves its parameters a little wherever the
+            machine is used otherwise.
         clearer: where a stage stays unexplained, an effect has to be missed by this ratio of unseen RMSE.
         sensitivity: least share of an effect's influence that no other fitted parameter can imitate.
         most: largest number of effects at one stage.
@@ -307,7 +308,8 @@ class Search:
         if _at_bound(candidate, model):
             return False
         left = self._rmse(model)
-        if _departs(candidate, model, float(np.clip(left, 1.0, self.strict.doubt))):
+        doubt = float(np.clip(left, 1.0, self.strict.doubt)) if self.problem.integrates else 1.0
+        if _departs(candidate, model, doubt):
             return True
         if left > self.strict.explained:
             return False
