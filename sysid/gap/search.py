@@ -47,7 +47,8 @@ class Strictness:
         doubt: where errors add up over a run, what is negligible grows with what stays unexplained (unseen RMSE in noise
             floors), up to this factor: a model that is wrong in ways of its own moves its parameters a little wherever the
             machine is used otherwise.
-        clearer: where a stage stays unexplained, an effect has to be missed by this ratio of unseen RMSE.
+        clearer: where a stage stays unexplained, an effect has to be missed by this ratio of unseen RMSE, and a rival has to
+            leave so many times more.
         sensitivity: least share of an effect's influence that no other fitted parameter can imitate.
         most: largest number of effects at one stage.
         tried: so many of the candidates that promise most are fitted at a time.
@@ -257,7 +258,8 @@ class Search:
         # A rival ties only if neither the fitted nor the unseen recordings tell the two apart.
         near = [k for k, fit in enumerate(fits) if self._delta_bic(fit, model) < self.strict.delta_bic]
         surviving = confidence_set([-series for series in self._log_densities(model, *(fits[k] for k in near))], self.seed)
-        ties = tuple(rivals[near[k - 1]] for k in surviving if k > 0)
+        tied = {near[k - 1] for k in surviving if k > 0} | {k for k, fit in enumerate(fits) if self._as_far(fit, model)}
+        ties = tuple(rivals[k] for k in sorted(tied))
         rejected = tuple(
             (
                 rival,
@@ -288,6 +290,17 @@ class Search:
             gains = likely_gains(self.folds[0][0], self.theta, base, new)
             known.update(zip((c.label for c in new), map(float, gains), strict=True))
         return sorted(free, key=lambda c: -known[c.label])[: self.strict.tried]
+
+    def _as_far(self, rival: Fit, model: Fit) -> bool:
+        """Whether a rival leaves about as much as ``model`` of a stage that stays unexplained.
+
+        What is left is then larger than noise and of unknown kind, so that it may decide between the two by chance, however
+        clear the evidence looks.
+        """
+        if self._rmse(model) < self.strict.explained:
+            return False
+        fitted = (spread_of(self.folds[0][0].residuals(fit.theta[None])) for fit in (rival, model))
+        return next(fitted) < self.strict.clearer * next(fitted) and self._rmse(rival) < self.strict.clearer * self._rmse(model)
 
     # -- parts ---------------------------------------------------------------------------------------------------
 
