@@ -10,7 +10,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
-from hidden.machines import VARIANTS, Family, Tables, hydraulic_axes
+from hidden.machines import COLD_VARIANTS, VARIANTS, Family, Tables, hydraulic_axes
 from sysid.bench.recipe import AXES
 
 Stage = Literal["command", "joint", "end_effector", "tool", "force"]
@@ -23,7 +23,7 @@ class Kind:
     """One effect at one place of one family; ``effect`` None = nothing the catalogue knows, told apart by ``label``.
 
     Args:
-        change: what a magnitude does; ``most``: the largest plausible one.
+        change: what a magnitude does; ``most``, ``least``: the largest and the smallest plausible one.
         named: what a repaired plant calls it, (effect, target); empty for an unknown one.
         stage, target: where it shows.
         variants: of the family that can have it. excitation: recordings that show it.
@@ -40,6 +40,7 @@ class Kind:
     variants: tuple[int, ...] = tuple(range(VARIANTS))
     excitation: str = "rich"
     judged: bool = True
+    least: float = 0.0
 
     @property
     def key(self) -> str:
@@ -150,6 +151,7 @@ def _mechanical_kinds() -> list[Kind]:
             lambda t, m, d: {"gripper": {"length": m, "damping_ratio": 0.04}},
             0.3,
             variants=(0, 2, 4),
+            least=0.03,  # a hook is longer than a thumb
         ),
     ]
     for axis in ("slew", "boom", "stick"):
@@ -174,6 +176,10 @@ def _slower_back(axis: str) -> Change:
     return change
 
 
+def _warming(tables: Tables, m: float, d: int) -> Tables:
+    return {"oil": {"end": tables["oil"]["start"] + m}}
+
+
 def _offset_of(axis: str) -> Callable[[float], dict[str, float]]:
     return lambda m: {axis: m}
 
@@ -196,9 +202,10 @@ def _hydraulic_kinds() -> list[Kind]:
         found += [
             kind("gain_error", lambda t, m, d: {"supply": {"pressure": 80e5 * (1.0 + d * m)}}, 0.4),
             kind("asymmetric_gain", _slower_back(axis), 0.4),
-            kind("temperature_drift", lambda t, m, d: {"oil": {"start": 40.0 - m}}, 45.0),
             kind("oil_compressibility", _circuit(axis, "dead_volume", lambda m: 2e-5 * (1.0 + m)), 200.0),
         ]
+        if variant in COLD_VARIANTS:
+            found.append(kind("temperature_drift", _warming, 45.0, excitation="long"))
     found.append(
         Kind(
             "pump_flow_limit(machine)",

@@ -29,6 +29,9 @@ PISTONS: Mapping[str, Tables] = {
     "stick": {"area": 4.91e-4, "area_rod": 3.14e-4, "retraction": 0.035},
     "telescope": {"area": 2.0e-4, "area_rod": 1.2e-4, "retraction": 0.1},
 }
+#: Oil of the hydraulic cranes, warm or just started [°C]; only cold oil can warm up enough to be felt.
+WARM, COLD = 40.0, 0.0
+COLD_VARIANTS = (0, 2)
 #: Programs of the recordings, the last one held out, and their length [s].
 EXCITATION: Mapping[str, tuple[tuple[str, ...], float]] = {
     "rich": (("operator", "steps", "stairs", "together", "operator", "operator"), 46.0),
@@ -36,6 +39,7 @@ EXCITATION: Mapping[str, tuple[tuple[str, ...], float]] = {
     "together": (("operator", "together", "steps", "operator", "together", "operator"), 46.0),
     "poor": (("operator", "operator", "operator"), 30.0),
     "flight": (("flight",) * 6, 46.0),
+    "long": (("operator",) * 4, 120.0),
 }
 
 
@@ -95,7 +99,8 @@ def _crane(family: Family, variant: int, draw: np.random.Generator) -> Tables:
             drive["hydraulics"]["retraction"] = tables["axes"][name]["valve"]["gain"]
         # The spool of the circuit is of second order and has a lag of its own.
         tables = overlaid(tables, {"axes": {name: {**drive, "valve": {"time_constant": 0.0}}}})
-    oil = {"start": 40.0, "end": 40.0, "warm_up": 60.0, "transition": 5e4}
+    degrees = COLD if variant in COLD_VARIANTS else WARM
+    oil = {"start": degrees, "end": degrees, "warm_up": 60.0, "transition": 5e4}
     return overlaid(tables, {"masses": {"balanced": 1.0}, "oil": oil, "supply": {"rated": 80e5, "flow_limit": 1.2e-4}})
 
 

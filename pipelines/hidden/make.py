@@ -42,7 +42,7 @@ def make_case(spec: CaseSpec, work: Path) -> dict[str, Any]:
     for each in spec.hidden:
         kind = BY_KEY[each.kind]
         limit = limit_of(kind, each.direction, visible, error_of(kind, visible, nominal))
-        magnitude = min(each.factor * limit.magnitude, kind.most)
+        magnitude = min(max(each.factor * limit.magnitude, kind.least), kind.most)
         real_tables = overlaid_lists(real_tables, kind.change(visible, magnitude, each.direction))
         hidden.append(_described(each, kind, limit, magnitude))
     real = parsed(real_tables, spec.name)
