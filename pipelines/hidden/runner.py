@@ -71,18 +71,18 @@ def run_all(
 
 def make_and_answer(spec: CaseSpec, place: Place, limit: float) -> str | None:
     """Leave an answer, which may be that there is none; returns why, if so."""
-    made = _process("hidden.make", [str(place.keep_spec(spec)), str(place.work)], MAKING)
+    made = run_process("hidden.make", [str(place.keep_spec(spec)), str(place.work)], MAKING)
     failure = f"not made: {made}" if made else None
     if failure is None:
         # The folder with the truth is not among what this process is told of.
-        failed = _process("hidden.solve", [str(place.site(spec)), str(place.answer(spec))], limit)
+        failed = run_process("hidden.solve", [str(place.site(spec)), str(place.answer(spec))], limit)
         failure = f"not answered: {failed}" if failed else None
     if failure is not None:
         place.answer(spec).write_text(json.dumps({"failure": failure}) + "\n", "utf-8")
     return failure
 
 
-def _process(module: str, arguments: list[str], limit: float) -> str | None:
+def run_process(module: str, arguments: list[str], limit: float) -> str | None:
     """Run a module of this package; what went wrong, if anything did."""
     here = Path(__file__).resolve().parents[1]
     environment = {**os.environ, **ONE_THREAD, "PYTHONPATH": os.pathsep.join((str(here), str(here.parent)))}

@@ -1,6 +1,6 @@
 """Runs the workflow on one site, blind: logs and description in, the workflow's answer out. Run as a process of its own.
 
-python -m hidden.solve SITE OUT.json
+python -m hidden.solve SITE OUT.json [STRICTNESS.json]
 """
 
 from __future__ import annotations
@@ -14,16 +14,17 @@ from typing import Any
 
 from sysid.datasets import ingest
 from sysid.gap import find_gap
+from sysid.gap.search import Strictness
 from sysid.plant import nominal_plant
 
 
-def solve(site: Path, out: Path) -> None:
+def solve(site: Path, out: Path, strict: Strictness) -> None:
     """Write what :func:`sysid.gap.find_gap` answers about the logs in ``site``, and the processor time of that."""
     begin = time.process_time()
     with tempfile.TemporaryDirectory() as workspace:
         dataset = ingest(site, workspace)
         ingested = time.process_time() - begin
-        result = find_gap(dataset, nominal_plant(dataset.machine))
+        result = find_gap(dataset, nominal_plant(dataset.machine), strict=strict)
     answer = {"ingest_seconds": ingested, "seconds": time.process_time() - begin, "answer": _without_maps(result.to_json())}
     beside = out.with_suffix(".part")
     beside.write_text(json.dumps(answer, indent=1) + "\n", "utf-8")
@@ -36,4 +37,5 @@ def _without_maps(answer: dict[str, Any]) -> dict[str, Any]:
 
 
 if __name__ == "__main__":
-    solve(Path(sys.argv[1]), Path(sys.argv[2]))
+    changed = json.loads(Path(sys.argv[3]).read_text("utf-8")) if len(sys.argv) > 3 else {}
+    solve(Path(sys.argv[1]), Path(sys.argv[2]), Strictness(**changed))

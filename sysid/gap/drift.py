@@ -125,6 +125,14 @@ def estimate_drift(series: Sequence[Array], activities: Sequence[Array], memory:
     return best
 
 
+def white_noise(series: Sequence[Array]) -> tuple[Drift, float]:
+    """The noise of series that do not wander, and the log-likelihood (up to a constant)."""
+    joined = np.concatenate(series)
+    joined = joined[~np.isnan(joined)]
+    noise = robust_scale(joined)
+    return Drift(noise=noise), float(_normal(joined / noise).sum() - len(joined) * np.log(noise))
+
+
 def _around(value: float) -> tuple[float, ...]:
     return (0.0,) if value == 0.0 else tuple(value * f for f in (0.3, 0.5, 0.7, 1.0, 1.5, 2.0, 3.0))
 

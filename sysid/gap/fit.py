@@ -15,7 +15,7 @@ from scipy.optimize import least_squares
 
 from sysid.datasets.recording import Recording
 from sysid.gap.candidates import Candidate, Unknown
-from sysid.gap.drift import Drift, estimate_drift, to_bins, whiten_lanes
+from sysid.gap.drift import BIN, Drift, estimate_drift, to_bins, white_noise, whiten_lanes
 from sysid.gap.problem import Problem
 
 Array = npt.NDArray[np.float64]
@@ -67,11 +67,17 @@ class Fit:
 
 @dataclass
 class Data:
-    """Recordings of a problem with what does not change between fits: noise, activity, how many bins are measured."""
+    """Recordings of a problem with what does not change between fits: noise, activity, how many bins are measured.
+
+    Args:
+        wanders: residuals may wander, and what wanders is no evidence. Without it every sample counts as independent, which is
+            what a naive BIC does; kept to measure what that would cost.
+    """
 
     problem: Problem
     recordings: Sequence[Recording]
     sigma: Array
+    wanders: bool = True
     activities: list[Array] = field(init=False)
     samples: int = field(init=False)
 
@@ -107,6 +113,11 @@ class Data:
         memory = 1.0 if self.problem.integrates else FORGETS
         found, total = [], 0.0
         for k in range(len(self.sigma)):
+            if not self.wanders:
+                white, log_likelihood = white_noise([part[0, :, k] for part in bins])
+                found.append(white)
+                total += log_likelihood * BIN * self.problem.rate(self.recordings[0])
+                continue
             drift, log_likelihood = estimate_drift([part[0, :, k] for part in bins], self.activities, memory)
             found.append(drift)
             total += log_likelihood

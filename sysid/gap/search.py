@@ -54,6 +54,8 @@ class Strictness:
         tried: so many of the candidates that promise most are fitted at a time.
         slight: an addition that hardly lowers the unseen RMSE needs as many nats.
         crossed: with less than this much to select on [s], fitting and selecting recordings change places as well.
+        whitened, gate, free: evidence is taken on whitened residuals and on unseen recordings; what is not excited gets no
+            name; gain and dead time are free in every fit. Off only to measure their worth (``pipelines/ablation.py``).
     """
 
     gap: float = 1.15
@@ -74,6 +76,9 @@ class Strictness:
     tried: int = 6
     slight: float = 30.0
     crossed: float = 90.0
+    whitened: bool = True
+    gate: bool = True
+    free: bool = True
 
 
 @dataclass(frozen=True)
@@ -144,7 +149,9 @@ class Search:
     _trials: list[Trial] = field(default_factory=list)
 
     def __post_init__(self) -> None:
-        fit, select = (Data(self.problem, part, self.sigma) for part in (self.split.fit, self.split.select))
+        fit, select = (
+            Data(self.problem, part, self.sigma, self.strict.whitened) for part in (self.split.fit, self.split.select)
+        )
         seconds = sum(len(r) / r.rate_hz for r in self.split.select)
         self.folds = ((fit, select), (select, fit)) if seconds < self.strict.crossed else ((fit, select),)
 
@@ -169,7 +176,7 @@ class Search:
         ]
         named = tuple(Kept(c, kept[c.label], *rivals.get(c.key, ((), ()))) for c in ordinary)
         adjusted = tuple(c for c in model.candidates if c not in ordinary)
-        seen = Data(self.problem, self.split.seen, self.sigma)
+        seen = Data(self.problem, self.split.seen, self.sigma, self.strict.whitened)
         final = fit_candidates(seen, self.theta, model.candidates, [model.values])
         return Finding(self.problem, named, adjusted, final, nominal_rmse, self._rmse(final), tuple(self._trials))
 
@@ -306,6 +313,8 @@ class Search:
 
     def _lasts(self, c: Comparison, model: Fit) -> bool:
         """Whether evidence for an effect of ``model`` is enough to keep it."""
+        if not self.strict.whitened:
+            return c.delta_bic > self.strict.delta_bic
         if self._rmse(model) > self.strict.explained and c.ratio < self.strict.clearer:
             return False
         sure = c.p_value < self.strict.p_value
@@ -419,7 +428,7 @@ class Search:
             f.log_likelihood - 0.5 * len(f.unknowns) * np.log(max(data.samples, 2))
             for (data, _), f in zip(self.folds, self._fits_of(fit), strict=True)
         )
-        return float(fitted) + self._density(fit)
+        return float(fitted) + self._density(fit) if self.strict.whitened else float(fitted)
 
     def _rmse(self, fit: Fit) -> float:
         return self._score(fit)[1]

@@ -283,9 +283,9 @@ def _found(case: Case, stage: Stage, strict: Strictness, forms: Forms, tell: Pro
     tell(0.0, stage.label)
     machine = case.plant.machine
     offered = [c for c in stage_candidates(case, stage) if forms == "all" or c.form is c.effect.forms[0]]
-    tried = [c for c in offered if excitation_of(c, stage.split.fit, machine).sufficient]
+    tried = [c for c in offered if not strict.gate or excitation_of(c, stage.split.fit, machine).sufficient]
     gated = [c for c in offered if c not in tried]
-    nuisances = [as_nuisance(c) for c in tried if c.effect.name in stage.problem.nuisances]
+    nuisances = [as_nuisance(c) for c in tried if strict.free and c.effect.name in stage.problem.nuisances]
     problem = stage.problem if case.around is None else case.around.to_search(stage.problem)
     finding = Search(
         problem, case.theta, stage.split, stage.sigma, tried, nuisances, gated, strict, case.seed,

@@ -144,7 +144,7 @@ def test_case_with_an_answer_is_not_run_again_and_a_crash_is_an_answer(
             return "took more than 180 s"
         return None
 
-    monkeypatch.setattr(runner, "_process", process)
+    monkeypatch.setattr(runner, "run_process", process)
     told: list[str] = []
     runner.run_all(specs, tmp_path, 1, False, told.append)
     assert calls == ["hidden.make", "hidden.solve"] * 2
@@ -255,7 +255,8 @@ def test_page_replaces_only_what_it_generated(hidden: dict[str, ModuleType], tmp
     assert "| any case: a wrong name | ≤ 2 % | 100.0 % |" in text
     assert "| backlash | stiction 1 |" in text
     page = tmp_path / "page.md"
-    page.write_text(f"# Title\n{hidden['page'].BEGIN}\nold\n{hidden['page'].END}\nrest\n", "utf-8")
+    begin, end = hidden["page"].MARKS
+    page.write_text(f"# Title\n{begin}\nold\n{end}\nrest\n", "utf-8")
     hidden["page"].write_page(page, text)
     written = page.read_text("utf-8")
     assert written.startswith("# Title\n")
