@@ -30,8 +30,7 @@ class Parameter:
         starts: values from which a fit starts.
         negligible: a departure from the neutral (or nominal) value that is not worth a name.
         scale: ``starts`` and ``negligible`` are multiples of the typical force, or of one over the typical gravity load, that
-            the data show; "" where they are the values themselves. ``step``: a fit starts from the step in which a sensor's
-            readings come, and is only tried where they do.
+            the data show; "" where they are the values themselves.
         stepwise: a small change may change nothing at all (a threshold between two samples of a command): a fit searches it.
         sets: for each component of the parameter, the slots that take its value; by default the slot of the same name.
     """
@@ -44,7 +43,7 @@ class Parameter:
     about: str
     sets: tuple[tuple[str, ...], ...] = ()
     stepwise: bool = False
-    scale: Literal["", "force", "1/load", "step"] = ""
+    scale: Literal["", "force", "1/load"] = ""
 
     @property
     def components(self) -> tuple[tuple[str, ...], ...]:

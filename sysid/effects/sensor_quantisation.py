@@ -23,7 +23,6 @@ EFFECT = Effect(
                     2e-5,
                     "between two readings",
                     stepwise=True,
-                    scale="step",
                 ),
             )
         ),

@@ -13,15 +13,13 @@ from sysid.effects.effect import Stage
 from sysid.machine import KnownEffect, Machine
 from sysid.plant import Plant
 from sysid.plant.layout import neutral_vector, parameter_indices
-from sysid.signals import split_signal
 
 Array = npt.NDArray[np.float64]
 
 #: A value that is measured in one over the typical load is sought up to this multiple of its largest start.
 REACH = 50.0
-#: Of a sensor's effects the only one that shows where a velocity is integrated: a run starts at the sensor's zero, and its
-#: scale is that of the axis' gain. A servo stands where it is told to, and shows them all.
-INTEGRATED = ("sensor_quantisation",)
+#: Seen in the readings themselves (:mod:`sysid.gap.readings`), not fitted.
+READ_OFF = ("sensor_quantisation",)
 
 
 @dataclass(frozen=True)
@@ -91,26 +89,18 @@ class Candidate:
 
 @dataclass(frozen=True)
 class Scales:
-    """Typical sizes that the data show: force [N or N·m], gravity load on each axis [N·m or N], step of each signal's readings.
-
-    Zero for no load, and where readings come in no steps.
-    """
+    """Typical sizes that the data show: force [N or N·m], gravity load on each axis [N·m or N], zero for no load."""
 
     force: float = 1.0
     loads: Mapping[str, float] = field(default_factory=dict)
-    steps: Mapping[str, float] = field(default_factory=dict)
 
     def offered(self, effect: Effect, target: str) -> bool:
-        """Whether the data show what the effect's parameters are measured in, and more of it than is negligible."""
+        """Whether the data show what the effect's parameters are measured in."""
         parameters = [parameter for form in effect.forms for parameter in form.parameters]
-        if any(p.scale == "1/load" for p in parameters) and not self.loads.get(target):
-            return False
-        return all(self.steps.get(target, 0.0) > p.negligible for p in parameters if p.scale == "step")
+        return bool(self.loads.get(target)) or not any(p.scale == "1/load" for p in parameters)
 
     def starts(self, parameter: Parameter, target: str) -> tuple[float, ...]:
         """Values from which a fit of the parameter starts."""
-        if parameter.scale == "step":
-            return (self.steps[target],)
         return tuple(start * self.unit(parameter, target) for start in parameter.starts)
 
     def unit(self, parameter: Parameter, target: str) -> float:
@@ -136,7 +126,7 @@ def candidates_at(
     found = []
     scales = scales or Scales()
     for effect in CATALOGUE:
-        for target in targets:
+        for target in targets if effect.name not in READ_OFF else ():
             if not _fits(effect, target, stage, plant) or not scales.offered(effect, target):
                 continue
             for side in _sides(effect, stage, target, plant.machine):
@@ -157,9 +147,6 @@ def _fits(effect: Effect, target: str, stage: Stage, plant: Plant) -> bool:
         return False
     if effect.sides:
         return bool(_sides(effect, stage, target, machine))
-    if effect.stage == "sensor" and stage == "command" and effect.target == "signal":
-        moves = machine.axis(split_signal(target)[0]).actuation == "velocity"
-        return not moves or effect.name in INTEGRATED
     return effect.stage == stage or effect.stage == "sensor"
 
 

@@ -19,12 +19,11 @@ from sysid.gap.fit import Data, fit_candidates, spread_of
 from sysid.gap.floor import problem_floor
 from sysid.gap.noise import noise_levels
 from sysid.gap.problem import Problem, Split, pose_split, problems_of, split_of
-from sysid.gap.readings import reading_step
+from sysid.gap.readings import Coarse, coarse_sensors, with_steps
 from sysid.gap.result import Excitation
 from sysid.gap.search import Finding
 from sysid.gap.simulator import Simulator
 from sysid.plant import Plant, compile_plant, free_run, gravity_load
-from sysid.plant.layout import signals_of
 
 Array = npt.NDArray[np.float64]
 
@@ -36,7 +35,7 @@ class Case:
     Args:
         plant: the questioned plant; around a simulator of one's own, the effects around it (none at first) and its linkages.
         theta: the plant's vector.
-        noise: standard deviation by signal.
+        noise: standard deviation by signal; ``coarse``: sensors whose steps exceed what they are said to have, counted in it.
         around: the simulator of one's own that is questioned.
     """
 
@@ -47,6 +46,7 @@ class Case:
     split: Split
     seed: int
     around: Around | None = None
+    coarse: tuple[Coarse, ...] = ()
 
     @property
     def reference(self) -> str:
@@ -103,7 +103,9 @@ def open_case(dataset: Dataset, simulation: Plant | Simulator, seed: int) -> tup
         raise ExcitationError(dataset.reference, "no stage is measured at both its ends", "commands and the motion they cause")
     if not split.fit or not split.select or not split.held_out:
         raise ExcitationError(dataset.reference, "too few recordings", "some to fit, to select and to hold out")
-    case = Case(dataset, plant, plant.vector(), noise_levels(dataset), split, seed, own)
+    said = noise_levels(dataset)
+    coarse = coarse_sensors(plant, split.seen, said)
+    case = Case(dataset, plant, plant.vector(), with_steps(plant, coarse, said), split, seed, own, coarse)
     return case, [_stage(case, problem) for problem in problems]
 
 
@@ -133,7 +135,7 @@ def on_itself(finding: Finding, stage: Stage, theta: Array) -> Finding:
 
 
 def scales_of(plant: Plant, stage: Stage) -> Scales:
-    """Median force and gravity loads in the recordings to fit, and the steps in which the stage's sensors read.
+    """Median force and gravity loads in the recordings to fit.
 
     A load that is a thousandth of the largest one is none.
     """
@@ -143,9 +145,7 @@ def scales_of(plant: Plant, stage: Stage) -> Scales:
     loads = np.nan_to_num(np.concatenate([gravity_load(plant.machine, r) for r in stage.split.fit]))
     typical = np.median(np.abs(loads), axis=0)
     typical[typical < 1e-3 * typical.max()] = 0.0
-    read = [target for target in stage.problem.targets if target in signals_of(plant.machine.axis_names)]
-    steps = {signal: reading_step([r.values(signal) for r in stage.split.fit]) for signal in read}
-    return Scales(force, dict(zip(plant.machine.axis_names, map(float, typical), strict=True)), steps)
+    return Scales(force, dict(zip(plant.machine.axis_names, map(float, typical), strict=True)))
 
 
 def excitation(case: Case, stages: list[Stage]) -> tuple[Excitation, ...]:

@@ -82,9 +82,14 @@ def floor_spread(
 
 
 def with_noise(recording: Recording, noise: Mapping[str, float], generator: np.random.Generator) -> Recording:
-    """A copy with white noise of the given standard deviation on every measured signal."""
+    """A copy with white noise of the given standard deviation on every measured signal.
+
+    A reading that repeats the one before repeats its error as well: that of a sensor that reads in steps lasts at rest.
+    """
     table = recording.table.copy()
     for signal in recording.signals:
         if signal in noise:
-            table[signal] = recording.values(signal) + generator.normal(0.0, noise[signal], len(table))
+            values = recording.values(signal)
+            fresh = np.cumsum(values[1:] != values[:-1])
+            table[signal] = values + generator.normal(0.0, noise[signal], len(values))[np.concatenate([[0], fresh])]
     return replace(recording, table=table)

@@ -67,11 +67,11 @@ def drive_problem(model: Model, axis: Axis, restart_every: float | None = None) 
         return model.drive(thetas, recording, axis.name, restart_every)[:, :, None]
 
     moves = axis.actuation == "velocity"
-    targets = (axis.name, axis.driven, "machine") if _shares_pump(model, axis) else (axis.name, axis.driven)
+    targets = (axis.name, "machine") if _shares_pump(model, axis) else (axis.name,)
     return Problem(
         "command",
         axis.name,
-        targets,
+        targets if moves else (*targets, axis.driven),  # a servo stands where it is told to, but for its sensor's zero
         (axis.driven,),
         predict,
         lambda recording: recording.values(axis.driven)[:, None],

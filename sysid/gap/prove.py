@@ -15,6 +15,7 @@ from sysid.gap.fit import Data, Fit, fit_candidates
 from sysid.gap.floor import problem_floor
 from sysid.gap.intervals import known_of
 from sysid.gap.localise import stage_rmse
+from sysid.gap.readings import Coarse
 from sysid.gap.remainder import describe_remainder
 from sysid.gap.result import Alternative, Carried, Evidence, Gap, NamedEffect, Unnamed, Value
 from sysid.gap.search import Kept
@@ -24,6 +25,10 @@ Array = npt.NDArray[np.float64]
 
 #: What was found has to bring the held-out error of its stage below this multiple of what it was.
 BETTER = 0.98
+#: Steps of a sensor matter where its stage is this far above the noise that the sensor is said to have.
+SHOWS = 1.15
+#: They are its explanation where they account for at least this share of what is above.
+MOST = 0.5
 #: Without an effect that gets a name the held-out error of its stage has to grow by this factor.
 MATTERS = 1.05
 #: Where the recordings to select on miss it by more than this factor, the held-out ones, which may move otherwise, need not.
@@ -47,6 +52,8 @@ class Outcome:
 def judge(case: Case, stages: Sequence[Stage]) -> Outcome:
     """Put what was found and proven into the plant, and say of the rest what it is."""
     outcome = Outcome(case.plant)
+    for coarse in case.coarse:
+        _read_off(case, stages, coarse, outcome)
     for found in stages:
         stage = _that_matter(case, found, outcome)
         finding = stage.found
@@ -61,6 +68,27 @@ def judge(case: Case, stages: Sequence[Stage]) -> Outcome:
             fit = finding.fit if proven else Fit((), (), np.empty(0), case.theta, (), 0.0, True)
             outcome.unnamed += describe_remainder(stage.problem, fit, stage.split.seen, case.plant.machine)
     return outcome
+
+
+def _read_off(case: Case, stages: Sequence[Stage], coarse: Coarse, outcome: Outcome) -> None:
+    """The steps of a sensor get a name where its stage would stay above the noise that it is said to have."""
+    outcome.repaired = outcome.repaired.with_effect(coarse.effect)
+    for stage in stages:
+        if coarse.signal not in stage.problem.signals:
+            continue
+        said = {**case.noise, coarse.signal: coarse.noise}
+        floor = problem_floor(stage.problem, case.theta, stage.split.fit, said, case.seed)
+        k = stage.problem.signals.index(coarse.signal)
+        off = float(stage_rmse(stage.problem, stage.found.fit.theta, stage.split.held_out)[k])
+        if off > SHOWS * floor[k] and stage.sigma[k] > SHOWS * floor[k]:
+            share = (min(off, float(stage.sigma[k])) - floor[k]) / (off - floor[k])
+            if share < MOST:
+                break
+            outcome.named.append(
+                NamedEffect(coarse.effect.name, coarse.signal, {"step": coarse.step}, {"step": coarse.interval95}, float(share))
+            )
+            return
+    outcome.notes.append(f"{coarse.signal} reads in steps of {coarse.step:.4g}, more than the noise that it is said to have")
 
 
 def _that_matter(case: Case, stage: Stage, outcome: Outcome) -> Stage:

@@ -1,11 +1,20 @@
-"""The steps in which a sensor reads, seen in its readings alone."""
+"""The steps in which a sensor reads, seen in its readings alone.
+
+They are no matter of fitting: readings lie on a lattice, or they do not. What they cost is noise, of a twelfth of the squared
+step (Widrow & Kollár, Quantization Noise, 2008, ch. 1), that a data sheet which promises less does not explain.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
+
+from sysid.datasets.recording import Recording
+from sysid.machine import KnownEffect
+from sysid.plant import Plant
 
 Array = npt.NDArray[np.float64]
 
@@ -17,6 +26,67 @@ RESULTANT = 0.4
 FEWEST = 60
 #: Most steps over the range that are looked for: a power of two.
 MOST = 2**15
+
+
+@dataclass(frozen=True)
+class Coarse:
+    """A sensor whose steps exceed the noise that it is said to have.
+
+    Args:
+        step, interval95: between two readings [SI unit of the signal].
+        noise: standard deviation that it is said to have.
+    """
+
+    signal: str
+    step: float
+    interval95: tuple[float, float]
+    noise: float
+
+    @property
+    def effect(self) -> KnownEffect:
+        """The effect as a plant takes it."""
+        return KnownEffect("sensor_quantisation", self.signal, {"step": self.step})
+
+
+def coarse_sensors(plant: Plant, recordings: Sequence[Recording], noise: Mapping[str, float]) -> tuple[Coarse, ...]:
+    """Sensors of drives and joints that read in steps which their noise does not explain and the plant does not know."""
+    found = []
+    for signal, level in noise.items():
+        parts = [r.values(signal) for r in recordings if r.kind == "motion" and signal in r.signals]
+        if not signal.endswith((".cylinder", ".joint")) or not parts or plant.effect("sensor_quantisation", signal) is not None:
+            continue
+        step = reading_step(parts)
+        if rounding(step) > level:
+            found.append(Coarse(signal, step, _interval(parts, step), level))
+    return tuple(found)
+
+
+def with_steps(plant: Plant, coarse: Sequence[Coarse], noise: Mapping[str, float]) -> dict[str, float]:
+    """Noise of every signal with that of rounding, where it is the larger one."""
+    steps = {item.signal: item.step for item in coarse}
+    for signal in noise:
+        known = plant.effect("sensor_quantisation", signal)
+        if known is not None:
+            steps[signal] = float(known.parameters["step"])  # type: ignore[arg-type]
+    return {
+        s: float(np.hypot(level, rounding(steps[s]))) if rounding(steps.get(s, 0.0)) > level else level
+        for s, level in noise.items()
+    }
+
+
+def rounding(step: float) -> float:
+    """Standard deviation of the error of rounding to whole steps."""
+    return float(step / np.sqrt(12.0))
+
+
+def _interval(parts: Sequence[Array], step: float) -> tuple[float, float]:
+    """95 % interval of the slope of readings over their number of steps."""
+    values = np.concatenate(parts)
+    values = values[~np.isnan(values)]
+    whole = np.round(values / step)
+    spread = float(np.std(values - step * whole)) / max(float(np.sqrt(np.sum((whole - whole.mean()) ** 2))), 1.0)
+    reach = max(1.96 * spread, 1e-9 * step)
+    return step - reach, step + reach
 
 
 def reading_step(parts: Sequence[Array]) -> float:

@@ -7,8 +7,11 @@ import numpy.typing as npt
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from plant_data import dataset_of, nominal
 
-from sysid.gap.readings import reading_step
+from sysid.gap.noise import noise_levels
+from sysid.gap.readings import coarse_sensors, reading_step, with_steps
+from sysid.machine import KnownEffect
 
 Array = npt.NDArray[np.float64]
 
@@ -50,3 +53,19 @@ def test_a_sensor_without_steps_has_none(seed: int) -> None:
     rng = np.random.default_rng(seed)
     assert reading_step([strokes(seed) + 2e-5 * rng.standard_normal(len(strokes(seed)))]) == 0.0
     assert reading_step([np.full(4000, 0.1) + 2e-5 * rng.standard_normal(4000)]) == 0.0
+
+
+def test_steps_that_a_data_sheet_does_not_promise_are_noise_with_a_name() -> None:
+    plant = nominal()
+    truth = KnownEffect("sensor_quantisation", "boom.cylinder", {"step": 1e-3})
+    dataset = dataset_of(plant.with_effect(truth), 20.0, noise=0.2)
+    noise = noise_levels(dataset)
+    (coarse,) = coarse_sensors(plant, dataset.recordings, noise)
+    assert coarse.signal == "boom.cylinder"
+    assert coarse.interval95[0] < 1e-3 < coarse.interval95[1]
+    assert coarse.interval95 == pytest.approx((1e-3, 1e-3), rel=1e-3)
+    level = np.hypot(noise["boom.cylinder"], 1e-3 / 12**0.5)
+    assert with_steps(plant, (coarse,), noise)["boom.cylinder"] == pytest.approx(level)
+    known = plant.with_effect(truth)
+    assert coarse_sensors(known, dataset.recordings, noise) == ()
+    assert with_steps(known, (), noise) == pytest.approx(with_steps(plant, (coarse,), noise))

@@ -24,6 +24,9 @@ TOLERANCE = {"gripper_sway": {"damping_ratio": 0.05}, "stiction": {"breakaway": 
 def fitted(truth: KnownEffect, plant: Plant, dataset: Dataset) -> KnownEffect:
     """The effect as :func:`fit_candidates` finds it, every other parameter as the plant has it."""
     case, stages = open_case(dataset, plant, 0)
+    for coarse in case.coarse:  # steps are read off, not fitted
+        if (truth.name, truth.target) == (coarse.effect.name, coarse.signal):
+            return coarse.effect
     for stage in stages:
         for candidate in stage_candidates(case, stage):
             same = (candidate.effect.name, candidate.target, candidate.side) == (truth.name, truth.target, truth.side)
