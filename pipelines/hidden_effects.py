@@ -46,7 +46,9 @@ def judged(specs: Sequence[CaseSpec], work: Path) -> list[Judgement]:
             if not sealed.exists():  # it could not be made
                 found.append(_unmade(spec, answer))
                 continue
-            found.append(judge(json.loads(sealed.read_text("utf-8")), answer))
+            reach = place.reach(spec)
+            reached = json.loads(reach.read_text("utf-8")) if reach.exists() else None
+            found.append(judge(json.loads(sealed.read_text("utf-8")), answer, reached))
     return found
 
 

@@ -124,7 +124,6 @@ FAMILIES = (
     Family("command", KnownEffect("flow_saturation", "boom", {"limit": 0.6})),
     Family("command", KnownEffect("stiction", "boom", {"breakaway": 0.2, "release": 0.1})),
     Family("command", KnownEffect("backlash", "slew", {"width": 0.012}, "drive"), REVERSALS),
-    Family("joint", KnownEffect("sensor_quantisation", "boom.joint", {"step": 0.01}), REVERSALS),
     Family("joint", KnownEffect("backlash", "boom", {"width": 0.01}, "drive"), REVERSALS),
     Family("joint", KnownEffect("backlash", "boom", {"width": 0.003}, "drive"), REVERSALS),
     Family("end_effector", KnownEffect("backlash", "slew", {"width": 0.012}, "structure"), REVERSALS),
@@ -242,8 +241,7 @@ def problem_of(family: Family, model: Model, recordings: Sequence[Recording]) ->
 def candidates_of(family: Family, known: Plant, problem: Problem) -> list[Candidate]:
     """The effect in the form of its true parameters, and the nuisances that every fit of the stage has."""
     effect, theta = family.effect, known.vector()
-    step = {effect.target: float(effect.parameters["step"])} if "step" in effect.parameters else {}  # type: ignore[arg-type]
-    every = candidates_at(known, theta, problem.stage, problem.targets, Scales(20.0, {"boom": 40.0}, step))
+    every = candidates_at(known, theta, problem.stage, problem.targets, Scales(20.0, {"boom": 40.0}))
     meant = [
         c for c in every if c.key == (effect.name, effect.target, effect.side) and set(c.form.names) == set(effect.parameters)
     ]

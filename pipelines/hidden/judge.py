@@ -61,7 +61,12 @@ class Judgement:
         return {**asdict(self), "spec": self.spec.to_json(), "exact": self.exact, "due": self.due}
 
 
-def judge(sealed: Mapping[str, Any], answered: Mapping[str, Any]) -> Judgement:
+def judge(sealed: Mapping[str, Any], answered: Mapping[str, Any], reach: Mapping[str, float] | None = None) -> Judgement:
+    """Compare an answer with the truth.
+
+    Args:
+        reach: what the true plant scores by signal; without it the noise floor stands for it.
+    """
     spec = CaseSpec.from_json(sealed["spec"])
     hidden = tuple((e["name"], e["target"]) for each in sealed["hidden"] for e in each["effects"])
     factor = min((each["factor"] for each in sealed["hidden"]), default=math.inf)
@@ -89,7 +94,7 @@ def judge(sealed: Mapping[str, Any], answered: Mapping[str, Any]) -> Judgement:
         missed=tuple(name for name in hidden if name not in found),
         errors=errors,
         covered=covered,
-        closed=_closed(answer["gap"]) if right else None,
+        closed=_closed(answer["gap"], reach or {}) if right else None,
         unnamed=bool(answer["unnamed"]),
         seconds=answered["seconds"],
     )
@@ -118,10 +123,12 @@ def _compare(
         covered[label] = bool(np.all((low <= true) & (true <= high)))
 
 
-def _closed(gap: Mapping[str, Mapping[str, float]]) -> float | None:
+def _closed(gap: Mapping[str, Mapping[str, float]], reach: Mapping[str, float]) -> float | None:
+    """Flow that fluctuates and what the plant's formulas cannot do stay with the true plant as well: they are not closable."""
+    least = {signal: max(floor, reach.get(signal, 0.0)) for signal, floor in gap["noise_floor"].items()}
     shares = [
-        (before - gap["after"][signal]) / (before - gap["noise_floor"][signal])
+        (before - gap["after"][signal]) / (before - least[signal])
         for signal, before in gap["before"].items()
-        if before > CLOSABLE * gap["noise_floor"][signal]
+        if before > CLOSABLE * least[signal]
     ]
     return min(shares, default=None)

@@ -43,6 +43,10 @@ class Place:
     def answer(self, spec: CaseSpec) -> Path:
         return self.work / "answers" / f"{spec.name}.json"
 
+    def reach(self, spec: CaseSpec) -> Path:
+        """What the true plant scores."""
+        return self.work / "reach" / f"{spec.name}.json"
+
     def keep_spec(self, spec: CaseSpec) -> Path:
         path = self.work / "specs" / f"{spec.name}.json"
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -77,6 +81,10 @@ def make_and_answer(spec: CaseSpec, place: Place, limit: float) -> str | None:
         # The folder with the truth is not among what this process is told of.
         failed = run_process("hidden.solve", [str(place.site(spec)), str(place.answer(spec))], limit)
         failure = f"not answered: {failed}" if failed else None
+    if failure is None and spec.hidden and spec.group != "unknown":
+        place.reach(spec).parent.mkdir(parents=True, exist_ok=True)
+        # A truth that the plant cannot take leaves nothing to compare with.
+        run_process("hidden.reach", [str(place.site(spec)), str(place.sealed(spec)), str(place.reach(spec))], limit)
     if failure is not None:
         place.answer(spec).write_text(json.dumps({"failure": failure}) + "\n", "utf-8")
     return failure

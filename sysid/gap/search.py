@@ -47,8 +47,8 @@ class Strictness:
         doubt: where errors add up over a run, what is negligible grows with what stays unexplained (unseen RMSE in noise
             floors), up to this factor: a model that is wrong in ways of its own moves its parameters a little wherever the
             machine is used otherwise.
-        clearer: where a stage stays unexplained, an effect has to be missed by this ratio of unseen RMSE, and a rival has to
-            leave so many times more.
+        clearer: where a stage stays unexplained, an effect has to be missed by this ratio of unseen RMSE; where it stays above
+            ``strange`` noise floors, a rival has to leave so many times more as well.
         sensitivity: least share of an effect's influence that no other fitted parameter can imitate.
         most: largest number of effects at one stage.
         tried: so many of the candidates that promise most are fitted at a time.
@@ -71,6 +71,7 @@ class Strictness:
     explained: float = 1.5
     doubt: float = 2.5
     clearer: float = 1.25
+    strange: float = 3.0
     sensitivity: float = 0.02
     most: int = 6
     tried: int = 6
@@ -265,7 +266,9 @@ class Search:
         # A rival ties only if neither the fitted nor the unseen recordings tell the two apart.
         near = [k for k, fit in enumerate(fits) if self._delta_bic(fit, model) < self.strict.delta_bic]
         surviving = confidence_set([-series for series in self._log_densities(model, *(fits[k] for k in near))], self.seed)
-        tied = {near[k - 1] for k in surviving if k > 0} | {k for k, fit in enumerate(fits) if self._as_far(fit, model)}
+        tied = {near[k - 1] for k in surviving if k > 0}
+        # What contains the effect as a special case leaves as much by itself.
+        tied |= {k for k, fit in enumerate(fits) if not _contains(rivals[k], candidate) and self._as_far(fit, model)}
         ties = tuple(rivals[k] for k in sorted(tied))
         rejected = tuple(
             (
@@ -299,12 +302,12 @@ class Search:
         return sorted(free, key=lambda c: -known[c.label])[: self.strict.tried]
 
     def _as_far(self, rival: Fit, model: Fit) -> bool:
-        """Whether a rival leaves about as much as ``model`` of a stage that stays unexplained.
+        """Whether a rival leaves about as much as ``model`` of a stage that stays far from explained.
 
-        What is left is then larger than noise and of unknown kind, so that it may decide between the two by chance, however
-        clear the evidence looks.
+        What is left is then much larger than noise and of unknown kind, so that it may decide between the two by chance,
+        however clear the evidence looks.
         """
-        if self._rmse(model) < self.strict.explained:
+        if self._rmse(model) < self.strict.strange or any(_at_bound(c, rival) for c in rival.candidates):
             return False
         fitted = (spread_of(self.folds[0][0].residuals(fit.theta[None])) for fit in (rival, model))
         return next(fitted) < self.strict.clearer * next(fitted) and self._rmse(rival) < self.strict.clearer * self._rmse(model)

@@ -15,7 +15,7 @@ from sysid.datasets.recording import Recording
 from sysid.effects import CATALOGUE, effect_named
 from sysid.effects.effect import Stage
 from sysid.gap import find_gap
-from sysid.gap.candidates import Candidate, Scales, candidates_at
+from sysid.gap.candidates import READ_OFF, Candidate, Scales, candidates_at
 from sysid.gap.excitation import advice, excitation_of, turning_points
 from sysid.plant import Plant
 
@@ -24,7 +24,7 @@ def candidate(name: str, target: str) -> Candidate:
     plant: Plant = nominal()
     if effect_named(name).target == "stream":
         plant = replace(plant, streams={target: ("boom.joint",)})
-    scales = Scales(loads=dict.fromkeys(arm().axis_names, 1.0), steps={target: 1e-3})
+    scales = Scales(loads=dict.fromkeys(arm().axis_names, 1.0))
     stages: tuple[Stage, ...] = ("command", "force", "joint", "end_effector", "tool")
     found = [c for s in stages for c in candidates_at(plant, plant.vector(), s, (target,), scales) if c.effect.name == name]
     return found[0]
@@ -95,7 +95,7 @@ def test_a_missing_signal_counts_as_nothing() -> None:
     empty = recording(slew_joint=np.full(100, np.nan))
     for effect in CATALOGUE:
         target = {"axis": "boom", "signal": "boom.joint", "stream": "capture"}.get(effect.target, effect.target)
-        if effect.stage != "force":
+        if effect.stage != "force" and effect.name not in READ_OFF:
             item = excitation_of(candidate(effect.name, target), [empty], arm())
             assert item.have <= 1.0, "rest is all that a still machine shows"
             assert not item.sufficient

@@ -1,0 +1,41 @@
+"""What the true plant scores on the held-out recordings of a case: nobody can close more. Run as a process of its own.
+
+python -m hidden.reach SITE SEALED.json OUT.json
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+import tempfile
+from pathlib import Path
+from typing import Any
+
+from sysid.datasets import ingest
+from sysid.gap.localise import run_rmse
+from sysid.machine import KnownEffect
+from sysid.plant import Plant, compile_plant, free_run, nominal_plant
+
+
+def reach(site: Path, sealed: Path, out: Path) -> None:
+    """Write the RMSE of free runs of the owner's plant with what is hidden put in, by signal."""
+    effects = json.loads(sealed.read_text("utf-8"))["effects"]
+    with tempfile.TemporaryDirectory() as workspace:
+        dataset = ingest(site, workspace)
+        plant = nominal_plant(dataset.machine)
+        for effect in effects:
+            plant = with_truth(plant, effect)
+        model = compile_plant(plant)
+        held_out = [r for r in dataset.recordings if dataset.splits[r.name] == "held_out" and r.kind == "motion"]
+        scores = run_rmse([(r, free_run(model, r)) for r in held_out])
+    out.write_text(json.dumps(scores) + "\n", "utf-8")
+
+
+def with_truth(plant: Plant, effect: dict[str, Any]) -> Plant:
+    """The plant with one sealed effect; a play of a drive or a cylinder is on that side of its sensor."""
+    side = "drive" if effect["name"] in ("backlash", "joint_compliance") else None
+    return plant.with_effect(KnownEffect(effect["name"], effect["target"], effect["parameters"], side))  # type: ignore[arg-type]
+
+
+if __name__ == "__main__":
+    reach(*(Path(each) for each in sys.argv[1:4]))
