@@ -7,13 +7,14 @@ off the values.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
 from scipy import stats
 
+from sysid.gap.candidates import Unknown
 from sysid.gap.fit import Data, Fit, place
 from sysid.gap.intervals.criterion import criterion_at
 from sysid.gap.intervals.curvature import Curvature, curvature_at
@@ -25,9 +26,12 @@ Array = npt.NDArray[np.float64]
 
 #: The noise of an input is known to about this share.
 NOISE_KNOWN = 0.15
-#: Nothing is known to a smaller share of itself, since plants compute no more exactly; nor to less of what is negligible (what
-#: acts in steps, to the second of these shares: between two samples of a command nothing tells where a threshold lies).
-EXACT, EXACT_ZERO, EXACT_STEP = 2e-4, 2e-3, 5e-2
+#: Nothing is known to a smaller share of itself, since plants compute no more exactly; nor to less of what is negligible, since
+#: clocks, the steps of an integration and samples stand behind it (of what can not be zero, at most the third share of itself).
+EXACT, EXACT_ZERO, EXACT_FORM = 2e-4, 0.1, 0.05
+#: What ingest takes as given (zeros of joints, mounts of bodies) is shared by all recordings, so that their scatter does not
+#: show it; where joints and bodies meet nothing is known to less than this share of what is negligible.
+GIVEN, MEETS = 0.3, ("joint", "end_effector")
 #: 95 % of a normal distribution lie within so many standard deviations.
 Z = float(stats.norm.ppf(0.975))
 
@@ -71,8 +75,7 @@ def known_of(data: Data, theta: Array, fit: Fit, noise: Mapping[str, float], see
         reach = np.hypot(reach, unsure[:, None])
         values = np.clip(values - added.shift, criterion.low, criterion.high)
         fit = replace(fit, values=values, theta=place(theta, fit.unknowns, values[None])[0])
-    least = EXACT * np.abs(values)
-    least += np.array([(EXACT_STEP if u.stepwise else EXACT_ZERO) * u.negligible for u in fit.unknowns])
+    least = _least(fit.unknowns, values, GIVEN if data.problem.stage in MEETS else EXACT_ZERO)
     ends = values[:, None] + np.maximum(reach, least[:, None]) * [-1.0, 1.0]
     limits = np.clip(ends, criterion.low[:, None], criterion.high[:, None])
     deviations = np.abs(limits - values[:, None]).max(axis=1) / Z
@@ -88,6 +91,15 @@ def _correlations(covariance: Array) -> Array:
     found: Array = np.where(np.outer(there, there), covariance, 0.0) / np.outer(unit, unit)
     np.fill_diagonal(found, 1.0)
     return found
+
+
+def _least(unknowns: Sequence[Unknown], values: Array, share: float) -> Array:
+    """Half widths below which no interval is drawn."""
+    least = EXACT * np.abs(values)
+    for k, unknown in enumerate(unknowns):
+        most = EXACT_FORM * abs(values[k]) if unknown.bounds[0] > 0.0 else np.inf
+        least[k] += min(share * unknown.negligible, most)
+    return np.asarray(least)
 
 
 def _with(curvature: Curvature, added: InputNoise) -> Curvature:
