@@ -16,6 +16,8 @@ Array = npt.NDArray[np.float64]
 
 #: For links that the URDF gives no mass [kg, kg·m²]: too little to be felt by what hangs on them.
 MASS, _INERTIA = 1e-3, 1e-6
+#: Density [kg/m³].
+WATER = 1000.0
 
 
 # -- the tree -------------------------------------------------------------------------------------------------------
@@ -143,9 +145,14 @@ def make_touchable(link: Element) -> None:
 
 
 def complete_inertia(link: Element, mass: float = MASS, inertia: float = _INERTIA) -> None:
-    """Give the link a mass where it has none."""
-    if mass_of(link) <= 0.0:
+    """Give the link a mass where it has none, and the inertia of a ball of water where it has a mass alone."""
+    own = mass_of(link)
+    if own <= 0.0:
         set_inertia(link, mass, inertia)
+    elif link.find("inertial/inertia") is None:
+        radius = (own / WATER / (4.0 / 3.0 * np.pi)) ** (1.0 / 3.0)
+        diagonal = dict.fromkeys(("ixx", "iyy", "izz"), repr(float(0.4 * own * radius**2)))
+        SubElement(link.find("inertial"), "inertia", {**diagonal, **dict.fromkeys(("ixy", "ixz", "iyz"), "0")})  # type: ignore[arg-type]
 
 
 def mass_of(link: Element) -> float:

@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 import pandas as pd
 import pytest
+from plant_data import loaded_arm, nominal
 
 from sysid.datasets.recording import Recording
 from sysid.errors import SettingsError
@@ -307,6 +308,13 @@ def test_mistakes_say_what_was_expected(monkeypatch: pytest.MonkeyPatch) -> None
     if sys.platform == "linux":
         with pytest.raises(SettingsError, match="no display for a window; expected DISPLAY"):
             World(plant, window=True)
+
+
+def test_a_mass_without_inertia_gets_one() -> None:
+    plant = nominal(machine=loaded_arm())
+    with World(plant) as world:
+        world.reset(np.zeros(len(plant.machine.axes)))
+        assert np.isfinite(world.step(np.zeros(len(plant.machine.axes))).joints).all()
 
 
 def test_a_missing_pybullet_is_explained(monkeypatch: pytest.MonkeyPatch) -> None:
