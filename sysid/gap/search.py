@@ -47,8 +47,8 @@ class Strictness:
         doubt: where errors add up over a run, what is negligible grows with what stays unexplained (unseen RMSE in noise
             floors), up to this factor: a model that is wrong in ways of its own moves its parameters a little wherever the
             machine is used otherwise.
-        clearer: where a stage stays unexplained, an effect has to be missed by this ratio of unseen RMSE; where it stays above
-            ``strange`` noise floors, a rival has to leave so many times more as well.
+        clearer: where such a stage stays unexplained, an effect has to be missed by this ratio of unseen RMSE; where it stays
+            above ``strange`` noise floors, a rival has to leave so many times more as well.
         sensitivity: least share of an effect's influence that no other fitted parameter can imitate.
         most: largest number of effects at one stage.
         tried: so many of the candidates that promise most are fitted at a time.
@@ -307,7 +307,9 @@ class Search:
         What is left is then much larger than noise and of unknown kind, so that it may decide between the two by chance,
         however clear the evidence looks.
         """
-        if self._rmse(model) < self.strict.strange or any(_at_bound(c, rival) for c in rival.candidates):
+        if not self.problem.integrates or self._rmse(model) < self.strict.strange:
+            return False
+        if any(_at_bound(c, rival) for c in rival.candidates):
             return False
         fitted = (spread_of(self.folds[0][0].residuals(fit.theta[None])) for fit in (rival, model))
         return next(fitted) < self.strict.clearer * next(fitted) and self._rmse(rival) < self.strict.clearer * self._rmse(model)
@@ -318,7 +320,7 @@ class Search:
         """Whether evidence for an effect of ``model`` is enough to keep it."""
         if not self.strict.whitened:
             return c.delta_bic > self.strict.delta_bic
-        if self._rmse(model) > self.strict.explained and c.ratio < self.strict.clearer:
+        if self.problem.integrates and self._rmse(model) > self.strict.explained and c.ratio < self.strict.clearer:
             return False
         sure = c.p_value < self.strict.p_value
         likely = c.gain > self.strict.delta_bic and (c.p_value < self.strict.likely or c.ratio > self.strict.ratio)

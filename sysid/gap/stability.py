@@ -19,7 +19,7 @@ class Repeat:
     """One effect over several runs of the workflow on the same machine.
 
     Args:
-        shown: runs whose recordings contain what the effect needs.
+        shown: runs whose recordings contain what the effect needs and tell it from others (it is in no tie there).
         named: those of them in which it was named.
         parameters: parameter → its value in each run of ``named``, in that order.
     """
@@ -66,6 +66,8 @@ def _repeat(name: str, target: str, results: Mapping[str, GapResult]) -> Repeat:
     shown, named = [], []
     values: dict[str, list[float]] = {}
     for run, result in results.items():
+        if any((name, target) in tie for tie in result.ambiguous):  # a recording that cannot tell says neither yes nor no
+            continue
         effect = next((e for e in result.effects if (e.name, e.target) == (name, target)), None)
         excited = any(x.sufficient for x in result.excitation if (x.name, x.target) == (name, target))
         if effect is not None or excited:

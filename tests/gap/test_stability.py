@@ -36,6 +36,13 @@ def test_a_run_that_shows_an_effect_and_does_not_name_it_counts_against_it() -> 
     assert once.verdict == "sometimes"  # one run alone repeats nothing
 
 
+def test_a_run_that_cannot_tell_counts_for_nothing() -> None:
+    named = {run_name: run(("backlash", {"width": 0.02})) for run_name in ("a", "b")}
+    tied = dataclasses.replace(run(excited=("backlash",)), ambiguous=((("backlash", "boom"), ("input_delay", "boom")),))
+    (play,) = stability({**named, "c": tied})
+    assert (play.shown, play.named, play.verdict) == (("a", "b"), ("a", "b"), "consistent")
+
+
 def test_one_parameter_that_moves_is_enough_to_say_so() -> None:
     runs = {
         "a": run(("valve_deadband", {"positive": 0.05, "negative": 0.02})),
