@@ -146,6 +146,7 @@ class Search:
     on_fit: Callable[[str], None] = lambda text: None
     _fits: dict[frozenset[str], tuple[Fit, ...]] = field(default_factory=dict)
     _scores: dict[frozenset[str], tuple[Array, float]] = field(default_factory=dict)
+    _fitted: dict[frozenset[str], float] = field(default_factory=dict)
     _gains: dict[frozenset[str], dict[str, float]] = field(default_factory=dict)
     _trials: list[Trial] = field(default_factory=list)
 
@@ -307,12 +308,10 @@ class Search:
         What is left is then much larger than noise and of unknown kind, so that it may decide between the two by chance,
         however clear the evidence looks.
         """
-        if not self.problem.integrates or self._rmse(model) < self.strict.strange:
+        if self._doubtful(model) < self.strict.strange or any(_at_bound(c, rival) for c in rival.candidates):
             return False
-        if any(_at_bound(c, rival) for c in rival.candidates):
-            return False
-        fitted = (spread_of(self.folds[0][0].residuals(fit.theta[None])) for fit in (rival, model))
-        return next(fitted) < self.strict.clearer * next(fitted) and self._rmse(rival) < self.strict.clearer * self._rmse(model)
+        more = self.strict.clearer
+        return self._fitted_rmse(rival) < more * self._fitted_rmse(model) and self._rmse(rival) < more * self._rmse(model)
 
     # -- parts ---------------------------------------------------------------------------------------------------
 
@@ -320,7 +319,7 @@ class Search:
         """Whether evidence for an effect of ``model`` is enough to keep it."""
         if not self.strict.whitened:
             return c.delta_bic > self.strict.delta_bic
-        if self.problem.integrates and self._rmse(model) > self.strict.explained and c.ratio < self.strict.clearer:
+        if self._doubtful(model) > self.strict.explained and c.ratio < self.strict.clearer:
             return False
         sure = c.p_value < self.strict.p_value
         likely = c.gain > self.strict.delta_bic and (c.p_value < self.strict.likely or c.ratio > self.strict.ratio)
@@ -335,13 +334,16 @@ class Search:
         if _at_bound(candidate, model):
             return False
         left = self._rmse(model)
-        doubt = float(np.clip(left, 1.0, self.strict.doubt)) if self.problem.integrates else 1.0
-        if _departs(candidate, model, doubt):
+        if _departs(candidate, model, float(np.clip(self._doubtful(model), 1.0, self.strict.doubt))):
             return True
         if left > self.strict.explained:
             return False
         without = self._fit(tuple(c for c in model.candidates if c is not candidate), (model,))
         return self._rmse(without) > self.strict.decides * left
+
+    def _doubtful(self, model: Fit) -> float:
+        """Noise floors that are left where errors add up over a run, so that they say less than they seem to; else none."""
+        return self._rmse(model) if self.problem.integrates else 0.0
 
     def _ordinary(self, model: Fit) -> list[Candidate]:
         return [c for c in model.candidates if not c.nuisance]
@@ -438,6 +440,13 @@ class Search:
     def _rmse(self, fit: Fit) -> float:
         return self._score(fit)[1]
 
+    def _fitted_rmse(self, fit: Fit) -> float:
+        """Of the recordings that are fitted, in noise floors."""
+        key = frozenset(fit.labels)
+        if key not in self._fitted:
+            self._fitted[key] = spread_of(self.folds[0][0].residuals(fit.theta[None]))
+        return self._fitted[key]
+
     def _compare(self, smaller: Fit, larger: Fit) -> Comparison:
         gain = -np.diff(self._log_densities(larger, smaller), axis=0)[0]
         p_value = gain_p_value(gain, self.seed)
@@ -462,7 +471,7 @@ class Search:
             Trial(
                 tuple(sorted(fit.labels)),
                 dict(zip(names, map(float, fit.values), strict=True)),
-                spread_of(self.folds[0][0].residuals(fit.theta[None])),
+                self._fitted_rmse(fit),
                 self._rmse(fit),
                 self._delta_bic(against, fit),
                 verdict,
