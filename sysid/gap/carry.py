@@ -126,7 +126,6 @@ def _carried(
     if not bound > 0.0:
         return refused("nothing is left over to learn from")
     trained = train_recurrent(fit, select, bound, interval, problem.integrates, settings, case.seed, progress)
-    scale = trained.scale.copy()
     origin: dict[str, Any] = {
         "dataset": case.dataset.reference,
         "dataset_digest": case.dataset.digest,
@@ -135,10 +134,9 @@ def _carried(
         "select": [r.name for r in split.select],
         "seed": case.seed,
         "epochs": trained.epochs,
-        "inputs": [n for n, s in zip(inputs_of(plain.machine, target), scale, strict=True) if s != 0.0],
+        "inputs": [n for n, s in zip(inputs_of(plain.machine, target), trained.weights["scale"], strict=True) if s != 0.0],
     }
-    weights: dict[str, Any] = {key: getattr(trained, key) for key in ("W", "U", "b", "w", "w0")}
-    item = Residual(name, target, bound, interval, trained.mean, scale, **weights, origin=origin, period=period)  # type: ignore[arg-type]
+    item = Residual(name, target, bound, interval, **trained.weights, origin=origin, period=period)  # type: ignore[arg-type]
     carrying = plain.with_residual(item)
     better, loaded = _problem(carrying, case.dataset, name, target)
     before, after = (float(stage_rmse(p, m.theta, split.select)[0]) for p, m in ((problem, model), (better, loaded)))

@@ -7,7 +7,7 @@ several lengths of time at once: short ones hold most of the detail, long ones a
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -62,19 +62,14 @@ class RecurrentSettings:
 
 @dataclass(frozen=True)
 class Recurrent:
-    """Weights by the names of :class:`sysid.plant.residual.Residual`, and losses on the recordings to select.
+    """A trained network.
 
     Args:
-        loss: with the network, in units of what it is without one.
+        weights: arrays by the names that :class:`sysid.plant.residual.Residual` gives them.
+        loss: with the network on the recordings to select, in units of what it is without one.
     """
 
-    mean: Array
-    scale: Array
-    W: Array
-    U: Array
-    b: Array
-    w: Array
-    w0: Array
+    weights: Mapping[str, Array]
     loss: float
     epochs: int
 
@@ -139,7 +134,8 @@ def train_recurrent(
                 if waited >= settings.patience:
                     break
         W, U, b_in, b_state, w, w0 = (part.numpy().astype(np.float64) for part in kept)
-    return Recurrent(mean, scale, W, U, b_in + b_state, w[0], w0, best / nothing if nothing > 0.0 else np.inf, epoch)
+    weights = {"mean": mean, "scale": scale, "W": W, "U": U, "b": b_in + b_state, "w": w[0], "w0": w0}
+    return Recurrent(weights, best / nothing if nothing > 0.0 else np.inf, epoch)
 
 
 def _loss(said: Any, left: Any, counts: Any, interval: float, integrates: bool, units: Sequence[float]) -> Any:
