@@ -153,5 +153,6 @@ def excitation(case: Case, stages: list[Stage]) -> tuple[Excitation, ...]:
     found = {}
     for stage in stages:
         for candidate in stage_candidates(case, stage):
-            found[candidate.key] = excitation_of(candidate, stage.split.seen, case.plant.machine)
+            if candidate.key not in found:  # the forms of an effect need the same
+                found[candidate.key] = excitation_of(candidate, stage.split.seen, case.plant.machine)
     return tuple(found.values())

@@ -73,22 +73,24 @@ def judge(case: Case, stages: Sequence[Stage]) -> Outcome:
 def _read_off(case: Case, stages: Sequence[Stage], coarse: Coarse, outcome: Outcome) -> None:
     """The steps of a sensor get a name where its stage would stay above the noise that it is said to have."""
     outcome.repaired = outcome.repaired.with_effect(coarse.effect)
-    for stage in stages:
-        if coarse.signal not in stage.problem.signals:
-            continue
-        said = {**case.noise, coarse.signal: coarse.noise}
-        floor = problem_floor(stage.problem, case.theta, stage.split.fit, said, case.seed)
-        k = stage.problem.signals.index(coarse.signal)
-        off = float(stage_rmse(stage.problem, stage.found.fit.theta, stage.split.held_out)[k])
-        if off > SHOWS * floor[k] and stage.sigma[k] > SHOWS * floor[k]:
-            share = (min(off, float(stage.sigma[k])) - floor[k]) / (off - floor[k])
-            if share < MOST:
-                break
-            outcome.named.append(
-                NamedEffect(coarse.effect.name, coarse.signal, {"step": coarse.step}, {"step": coarse.interval95}, float(share))
-            )
-            return
-    outcome.notes.append(f"{coarse.signal} reads in steps of {coarse.step:.4g}, more than the noise that it is said to have")
+    share = max((_explained(case, stage, coarse) for stage in stages if coarse.signal in stage.problem.signals), default=0.0)
+    if share >= MOST:
+        found = {"step": coarse.step}, {"step": coarse.interval95}
+        outcome.named.append(NamedEffect(coarse.effect.name, coarse.signal, *found, share))
+    else:
+        outcome.notes.append(
+            f"{coarse.signal} reads in steps of {coarse.step:.4g}, more than the noise that it is said to have"
+        )
+
+
+def _explained(case: Case, stage: Stage, coarse: Coarse) -> float:
+    """Share of what the sensor's stage leaves above the noise that it is said to have which its steps account for."""
+    k = stage.problem.signals.index(coarse.signal)
+    said = {**case.noise, coarse.signal: coarse.noise}
+    floor = float(problem_floor(stage.problem, case.theta, stage.split.fit, said, case.seed)[k])
+    off = float(stage_rmse(stage.problem, stage.found.fit.theta, stage.split.held_out)[k])
+    stepped = float(stage.sigma[k])
+    return (min(off, stepped) - floor) / (off - floor) if min(off, stepped) > SHOWS * floor else 0.0
 
 
 def _that_matter(case: Case, stage: Stage, outcome: Outcome) -> Stage:

@@ -22,7 +22,7 @@ from sysid.errors import SettingsError
 from sysid.files import plain
 from sysid.gap import localise as disagreement
 from sysid.gap.around import Around
-from sysid.gap.candidates import as_nuisance
+from sysid.gap.candidates import Candidate, as_nuisance
 from sysid.gap.case import Case, Stage, excitation, on_itself, open_case, stage_candidates
 from sysid.gap.excitation import advice, advice_on_tie, excitation_of
 from sysid.gap.floor import floor_spread, run_floor
@@ -283,8 +283,10 @@ def _found(case: Case, stage: Stage, strict: Strictness, forms: Forms, tell: Pro
     tell(0.0, stage.label)
     machine = case.plant.machine
     offered = [c for c in stage_candidates(case, stage) if forms == "all" or c.form is c.effect.forms[0]]
-    tried = [c for c in offered if not strict.gate or excitation_of(c, stage.split.fit, machine).sufficient]
-    gated = [c for c in offered if c not in tried]
+    tried, gated = list[Candidate](), list[Candidate]()
+    for candidate in offered:
+        shown = not strict.gate or excitation_of(candidate, stage.split.fit, machine).sufficient
+        (tried if shown else gated).append(candidate)
     nuisances = [as_nuisance(c) for c in tried if strict.free and c.effect.name in stage.problem.nuisances]
     problem = stage.problem if case.around is None else case.around.to_search(stage.problem)
     finding = Search(
