@@ -6,14 +6,9 @@ Reading of logs and the command line are here, the plant beside PyBullet and MuJ
 
 from __future__ import annotations
 
-import importlib.metadata
-import json
-import os
-import platform
 import subprocess
 import sys
 from collections.abc import Callable
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -22,12 +17,13 @@ from rosbags.highlevel import AnyReader
 
 from benchmarks.plant import plant_rows
 from benchmarks.rows import against_limit, in_turns, row, seconds
+from committed import provenance, write_result
 from sysid.logs import ReadOptions, reader_for
 
 ROOT = Path(__file__).resolve().parents[1]
 LOGS = sorted((ROOT / "datasets" / "autolog" / "logs").glob("manual-*/machine.mcap"))
 RESULT = ROOT / "reports" / "bench" / "result.json"
-PACKAGES = ("sysid", "mcap-ros2-support", "rosbags", "numpy", "numba", "pandas", "click", "mujoco-core", "pybullet")
+PACKAGES = ("mcap-ros2-support", "rosbags", "pandas", "click", "mujoco-core", "pybullet")
 #: `sysid --help` has to answer within this time [s].
 HELP_LIMIT = 0.5
 
@@ -78,12 +74,6 @@ def help_seconds() -> float:
     return seconds(lambda: subprocess.run(program, check=True, capture_output=True))
 
 
-def processor() -> str:
-    lines = Path("/proc/cpuinfo").read_text().splitlines() if Path("/proc/cpuinfo").exists() else []
-    name = next((line.partition(":")[2].strip() for line in lines if line.startswith("model name")), platform.processor())
-    return f"{name}, {os.cpu_count()} cores, {platform.system()}, Python {platform.python_version()}"
-
-
 def main() -> Path:
     counts = {read.__name__: read() for read in (ours_read, mcap_ros2_read, rosbags_read)}
     if len(set(counts.values())) != 1:
@@ -95,17 +85,7 @@ def main() -> Path:
         against_limit("cli_help", helps, HELP_LIMIT, "s"),
         *plant_rows(),
     ]
-    result = {
-        "command": "make bench",
-        "seed": None,
-        "versions": {name: importlib.metadata.version(name) for name in PACKAGES},
-        "machine": processor(),
-        "date": datetime.now(UTC).strftime("%Y-%m-%d"),
-        "messages": counts["ours_read"],
-        "rows": rows,
-    }
-    RESULT.parent.mkdir(parents=True, exist_ok=True)
-    RESULT.write_text(json.dumps(result, indent=2) + "\n", "utf-8")
+    write_result(RESULT, provenance("make bench", None, PACKAGES) | {"messages": counts["ours_read"], "rows": rows})
     for entry in rows:
         ratio = entry["ratio"]
         against = f"{entry['ours']:.4g} {entry['unit']} against {entry['theirs']:.4g} of {entry['peer']}"

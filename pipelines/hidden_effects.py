@@ -14,19 +14,16 @@ files alone), runner, judge, score, page.
 from __future__ import annotations
 
 import argparse
-import importlib.metadata
 import json
 import math
-import os
-import platform
 from collections.abc import Sequence
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
+from committed import provenance, write_result, write_tables
 from hidden.cases import COUNTS, GROUPS, SEED, CaseSpec, cases_of, listed
 from hidden.judge import Judgement, judge
-from hidden.page import page_tables, write_page
+from hidden.page import page_tables
 from hidden.runner import ANSWERING, Place, run_all
 from hidden.score import scored
 
@@ -59,12 +56,7 @@ def _unmade(spec: CaseSpec, answer: dict[str, Any]) -> Judgement:
 def result_of(tier: str, cases: Sequence[Judgement], command: str) -> dict[str, Any]:
     """The contents of the result file."""
     return {
-        "schema": 1,
-        "command": command,
-        "seed": SEED,
-        "versions": {name: importlib.metadata.version(name) for name in ("sysid", "numpy", "scipy", "numba")},
-        "machine": f"{os.cpu_count()} cores, {platform.system()}, Python {platform.python_version()}",
-        "date": datetime.now(UTC).strftime("%Y-%m-%d"),
+        **provenance(command, SEED),
         "tier": tier,
         "cases": len(cases),
         **scored(cases),
@@ -85,12 +77,11 @@ def main(
     specs = cases_of(tier, only)[:limit]  # type: ignore[arg-type]
     run_all(specs, work, workers, keep, lambda text: print(text, flush=True), ANSWERING)
     result = result_of(tier, judged(specs, work), f"python pipelines/hidden_effects.py --tier {tier}")
-    (work / f"result-{tier}.json").write_text(json.dumps(result, indent=1) + "\n", "utf-8")
+    write_result(work / f"result-{tier}.json", result)
     print(page_tables(result))
     if only is None and limit is None:
-        RESULT.parent.mkdir(parents=True, exist_ok=True)
-        RESULT.write_text(json.dumps(result, indent=1) + "\n", "utf-8")
-        write_page(PAGE, page_tables(result))
+        write_result(RESULT, result)
+        write_tables(PAGE, page_tables(result), "pipelines/hidden_effects.py")
     return result
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import importlib.util
 import json
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -16,8 +16,8 @@ ROOT = Path(__file__).parents[2]
 
 
 @pytest.fixture(scope="session")
-def pipeline() -> Callable[[str], ModuleType]:
-    """``pipeline("first_look")`` is the module in ``pipelines/first_look.py``."""
+def pipeline() -> Iterator[Callable[[str], ModuleType]]:
+    """``pipeline("first_look")`` is the module in ``pipelines/first_look.py``; it finds its neighbours as in a run."""
 
     def load(name: str) -> ModuleType:
         spec = importlib.util.spec_from_file_location(name, ROOT / "pipelines" / f"{name}.py")
@@ -28,7 +28,9 @@ def pipeline() -> Callable[[str], ModuleType]:
         spec.loader.exec_module(module)
         return module
 
-    return load
+    sys.path.insert(0, str(ROOT / "pipelines"))
+    yield load
+    sys.path.remove(str(ROOT / "pipelines"))
 
 
 @pytest.fixture(scope="module")

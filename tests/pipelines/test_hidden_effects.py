@@ -254,14 +254,6 @@ def test_page_replaces_only_what_it_generated(hidden: dict[str, ModuleType], tmp
     text = hidden["page"].page_tables(result)
     assert "| any case: a wrong name | ≤ 2 % | 100.0 % |" in text
     assert "| backlash | stiction 1 |" in text
-    page = tmp_path / "page.md"
-    begin, end = hidden["page"].MARKS
-    page.write_text(f"# Title\n{begin}\nold\n{end}\nrest\n", "utf-8")
-    hidden["page"].write_page(page, text)
-    written = page.read_text("utf-8")
-    assert written.startswith("# Title\n")
-    assert written.endswith("rest\n")
-    assert "\nold\n" not in written
 
 
 def test_crane_stages_are_silent_where_nothing_is_hidden(hidden: dict[str, ModuleType]) -> None:
