@@ -7,6 +7,8 @@ from collections.abc import Callable, Sequence
 import numpy as np
 import numpy.typing as npt
 
+from sysid.datasets.quality import use
+from sysid.datasets.quality.use import level_of
 from sysid.datasets.recording import Recording
 from sysid.effects import effect_named
 from sysid.gap.candidates import Candidate
@@ -55,48 +57,24 @@ def reversals(recordings: Sequence[Recording], machine: Machine, axis: str) -> f
             values = recording.values(signal)
             values = values[~np.isnan(values)]
             if len(values):
-                total += turning_points(values, 0.01 * float(np.ptp(values)))
+                total += use.reversals(values)
                 break
     return total
 
 
-def turning_points(values: Array, least: float) -> int:
-    """Reversals of a signal by more than ``least`` (so that noise does not count)."""
-    if least <= 0.0:
-        return 0
-    count, direction, extreme = 0, 0, values[0]
-    for value in values[1:]:
-        if (direction >= 0 and value > extreme) or (direction <= 0 and value < extreme):
-            if direction == 0 and abs(value - extreme) > least:
-                direction = 1 if value > extreme else -1
-                extreme = value
-            elif direction != 0:
-                extreme = value
-        elif abs(value - extreme) > least:
-            count += 1
-            direction = 1 if value > extreme else -1
-            extreme = value
-    return count
-
-
 def command_changes(recordings: Sequence[Recording], machine: Machine, axis: str) -> float:
     """Starts, stops and reversals of the command, or its turning points where it never comes to rest."""
-    total = 0
-    for recording in recordings:
-        level = _level(recording, axis)
-        u = np.nan_to_num(recording.values(axis_signal(axis, "command")))
-        turns = turning_points(u, 0.2 * float(np.ptp(np.percentile(u, (2.5, 97.5)))))
-        total += max(int(np.sum(np.diff(level) != 0)), turns)
-    return total
+    return sum(use.command_changes(r.values(axis_signal(axis, "command"))) for r in recordings)
 
 
 def small_commands(recordings: Sequence[Recording], machine: Machine, axis: str) -> float:
-    """Seconds with a command between 2 % and 40 % of full, on the side that has less of it."""
+    """Seconds with a small command (between 2 % and 40 % of full), on the side that has less of it."""
+    low, high = use.SMALL
     sides = [0.0, 0.0]
     for recording in recordings:
         u = recording.values(axis_signal(axis, "command"))
-        sides[0] += float(np.sum((u > 0.02) & (u < 0.4))) / recording.rate_hz
-        sides[1] += float(np.sum((u < -0.02) & (u > -0.4))) / recording.rate_hz
+        sides[0] += float(np.sum((u > low) & (u < high))) / recording.rate_hz
+        sides[1] += float(np.sum((u < -low) & (u > -high))) / recording.rate_hz
     return min(sides)
 
 
@@ -196,10 +174,8 @@ def tip_stops(recordings: Sequence[Recording], machine: Machine, axis: str) -> f
 
 
 def _level(recording: Recording, axis: str) -> Array:
-    """The command as −1, 0, +1, with what is below a fiftieth of its large values as 0 (a spike is none of them)."""
-    u = np.nan_to_num(recording.values(axis_signal(axis, "command")))
-    given = np.abs(u[u != 0.0])
-    return np.where(np.abs(u) > 0.02 * np.percentile(given, 95), np.sign(u), 0.0) if len(given) else np.zeros(len(u))
+    """The command as −1, 0, +1."""
+    return level_of(recording.values(axis_signal(axis, "command")))
 
 
 #: What an effect may need (:class:`sysid.effects.Need`): how it is counted, and in what.

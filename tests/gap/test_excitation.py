@@ -11,12 +11,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 from plant_data import KnownEffect, arm, dataset_of, nominal
 
+from sysid.datasets.quality.use import turning_points
 from sysid.datasets.recording import Recording
 from sysid.effects import CATALOGUE, effect_named
 from sysid.effects.effect import Stage
 from sysid.gap import find_gap
 from sysid.gap.candidates import READ_OFF, Candidate, Scales, candidates_at
-from sysid.gap.excitation import advice, excitation_of, turning_points
+from sysid.gap.excitation import advice, excitation_of
 from sysid.plant import Plant
 
 

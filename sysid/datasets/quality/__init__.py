@@ -1,0 +1,6 @@
+"""What a dataset is good for, in plain numbers."""
+
+from sysid.datasets.quality.describe import describe
+from sysid.datasets.quality.noise import noise_of
+
+__all__ = ["describe", "noise_of"]

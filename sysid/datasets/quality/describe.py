@@ -1,0 +1,104 @@
+"""What a dataset version keeps about its recordings: completeness, use of each axis, noise, jitter, and what looked wrong."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
+from typing import Any
+
+import numpy as np
+
+from sysid.datasets.channels import Reading
+from sysid.datasets.quality.remarks import axis_remarks, longest_run
+from sysid.datasets.quality.streams import cross_checks, key_of, stream_figures
+from sysid.datasets.quality.use import Scale, level_of, scales_of, use_of
+from sysid.datasets.recording import ClockRecord, Recording
+from sysid.machine import Machine
+from sysid.signals import axis_signal
+
+#: Bins over the range of a signal, for coverage.
+BINS = 20
+
+
+def describe(
+    recordings: Sequence[Recording], readings: Mapping[str, Reading], clocks: Sequence[ClockRecord], machine: Machine
+) -> dict[str, Any]:
+    """Quality of each recording and of what it was made from, as JSON-able values.
+
+    What the recordings are good for together is no part of it: :func:`sysid.datasets.quality.evidence_of`.
+
+    Returns:
+        ``recordings``: name → ``signals`` (signal → missing share, range, coverage, noise, longest gap), ``axes`` (axis →
+        :class:`~sysid.datasets.quality.use.AxisUse`), ``several_axes`` (share of the moving time in which more than one axis
+        is commanded), ``flags`` (texts). ``streams``: uncut recording → source/signal → rate, jitter, samples, repaired rows.
+        ``cross_checks``: uncut motion recording → secondary signal → how it differs from the primary one. ``dropped``: uncut
+        recording → flagged frames.
+    """
+    by_source = {(record.recording, record.stream): record for record in clocks}
+    still = {recording.name for recording in recordings if recording.kind == "poses"}
+    streams = {name: {key_of(c): stream_figures(c) for c in reading.channels} for name, reading in readings.items()}
+    scales = scales_of(recordings, machine)
+    result = {recording.name: _recording(recording, machine, scales) for recording in recordings}
+    for name, numbers in result.items():
+        uncut = name if name in readings else name.rpartition("#")[0]
+        for channel in readings[uncut].channels:
+            if channel.primary and channel.signal in numbers["signals"]:
+                numbers["signals"][channel.signal]["noise"] = streams[uncut][key_of(channel)]["noise"]
+    return {
+        "recordings": result,
+        "streams": streams,
+        "cross_checks": {
+            name: cross_checks(name, reading, by_source) for name, reading in readings.items() if name not in still
+        },
+        "dropped": {
+            name: [
+                {"body": f.body, "reason": f.reason, "from_s": f.start_s, "to_s": f.end_s, "frames": f.frames}
+                for f in reading.flags
+            ]
+            for name, reading in readings.items()
+        },
+    }
+
+
+def _recording(recording: Recording, machine: Machine, scales: Mapping[str, Scale]) -> dict[str, Any]:
+    flags: list[str] = []
+    signals = {signal: _signal(recording, signal) for signal in recording.signals}
+    result: dict[str, Any] = {"seconds": len(recording) / recording.rate_hz, "signals": signals, "flags": flags}
+    for signal, numbers in signals.items():
+        if numbers["missing"] == 1.0:
+            still = recording.kind == "poses"
+            flags.append(f"{signal}: stands still in no pose" if still else f"{signal}: nothing was measured")
+    if recording.kind == "poses":
+        return result | {"poses": len(recording)}
+    result["axes"] = {}
+    active = []
+    for axis in machine.axes:
+        command = recording.values(axis_signal(axis.name, "command"))
+        if np.isnan(command).all():
+            continue
+        result["axes"][axis.name] = asdict(use_of(recording, axis, scales[axis.name]))
+        active.append(level_of(command) != 0)
+        flags += axis_remarks(recording, axis.name, axis.driven, active[-1], axis.range)
+    if active:
+        together = np.sum(active, axis=0)
+        result["several_axes"] = float(np.mean(together[together > 0] > 1)) if np.any(together > 0) else 0.0
+    return result
+
+
+def _signal(recording: Recording, signal: str) -> dict[str, Any]:
+    values = recording.values(signal)
+    known = ~np.isnan(values)
+    if not known.any():
+        return {"missing": 1.0}
+    inside = values[known]
+    low, high = float(inside.min()), float(inside.max())
+    counts = np.histogram(inside, bins=BINS, range=(low, high if high > low else low + 1.0))[0]
+    numbers: dict[str, Any] = {
+        "missing": float(1.0 - known.mean()),
+        "min": low,
+        "max": high,
+        "coverage": float(np.mean(counts > 0)),
+    }
+    if recording.kind == "motion":
+        numbers["longest_gap_s"] = longest_run(~known) / recording.rate_hz
+    return numbers

@@ -1,0 +1,70 @@
+"""The streams as they came: rate, jitter, gaps, noise; and how far two sources of one signal differ."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from sysid.datasets.channel import Channel, seconds
+from sysid.datasets.channels import Reading
+from sysid.datasets.clocks import Clocked, machine_times
+from sysid.datasets.quality.noise import noise_of
+from sysid.datasets.recording import ClockRecord
+
+Array = npt.NDArray[np.float64]
+
+
+def key_of(channel: Channel) -> str:
+    return f"{channel.source}/{channel.signal}"
+
+
+def stream_figures(channel: Channel) -> dict[str, Any]:
+    steps = np.diff(channel.stamps) * 1e-9
+    period = float(np.median(steps)) if len(steps) else float("nan")
+    regular = steps[steps < 2.0 * period]
+    return {
+        "samples": len(channel.stamps),
+        "rate_hz": 1.0 / period if period > 0 else None,
+        "jitter_s": float(np.std(regular)) if len(regular) else None,
+        "longest_gap_s": float(steps.max()) if len(steps) else None,
+        "missing": float(np.isnan(channel.values).mean()),
+        "repaired_rows": channel.repaired,
+        "noise": noise_of(channel.values, 1.0 / period) if not channel.signal.endswith(".command") else None,
+        "primary": channel.primary,
+        "clock": channel.clock,
+    }
+
+
+def cross_checks(name: str, reading: Reading, clocks: Mapping[tuple[str, str], ClockRecord]) -> dict[str, Any]:
+    """Each secondary signal against the primary one, on the machine's clock: bias, RMS and largest difference."""
+    primary = {channel.signal: channel for channel in reading.channels if channel.primary}
+    checks = {}
+    for channel in reading.channels:
+        other = primary.get(channel.signal)
+        if channel.primary or other is None:
+            continue
+        times, values = _on_machine(name, channel, reading, clocks)
+        at, reference = _on_machine(name, other, reading, clocks)
+        known = ~np.isnan(reference)
+        inside = (times >= at[known][0]) & (times <= at[known][-1]) & ~np.isnan(values)
+        difference = values[inside] - np.interp(times[inside], at[known], reference[known])
+        if len(difference):
+            checks[key_of(channel)] = {
+                "against": key_of(other),
+                "bias": float(np.median(difference)),
+                "rms": float(np.sqrt(np.mean(difference**2))),
+                "p99": float(np.quantile(np.abs(difference), 0.99)),
+            }
+    return checks
+
+
+def _on_machine(
+    name: str, channel: Channel, reading: Reading, clocks: Mapping[tuple[str, str], ClockRecord]
+) -> tuple[Array, Array]:
+    start = Clocked(name, "motion", reading.channels).start_ns
+    record = clocks.get((name, channel.source)) if channel.domain != "machine" else None
+    times = machine_times(channel, start, record) if record is not None else seconds(channel.stamps, start)
+    return times, channel.values
