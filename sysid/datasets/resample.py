@@ -69,10 +69,10 @@ def interpolate(times: Array, values: Array, at: Array, max_gap_s: float, cubic:
     bridged = inside & (step <= max_gap_s + slack)
     s = np.clip((at - times[left]) / step, 0.0, 1.0)
     if cubic and len(times) > 2:
-        slopes = _slopes(times, values, max_gap_s)
+        gradients = slopes(times, values, max_gap_s)
         h00, h10 = (1 + 2 * s) * (1 - s) ** 2, s * (1 - s) ** 2
         h01, h11 = s**2 * (3 - 2 * s), s**2 * (s - 1)
-        between = h00 * values[left] + h10 * step * slopes[left] + h01 * values[right] + h11 * step * slopes[right]
+        between = h00 * values[left] + h10 * step * gradients[left] + h01 * values[right] + h11 * step * gradients[right]
     else:
         between = (1 - s) * values[left] + s * values[right]
     result[bridged] = between[bridged]
@@ -82,20 +82,20 @@ def interpolate(times: Array, values: Array, at: Array, max_gap_s: float, cubic:
     return result
 
 
-def _slopes(times: Array, values: Array, max_gap_s: float) -> Array:
+def slopes(times: Array, values: Array, max_gap_s: float) -> Array:
     """Slope at each sample from the parabola through it and its neighbours; one-sided beside a gap."""
     steps = np.diff(times)
     secants = np.diff(values) / steps
-    slopes = np.empty(len(times))
-    slopes[0], slopes[-1] = secants[0], secants[-1]
+    result = np.empty(len(times))
+    result[0], result[-1] = secants[0], secants[-1]
     before, after = steps[:-1], steps[1:]
-    slopes[1:-1] = (secants[:-1] * after + secants[1:] * before) / (before + after)
+    result[1:-1] = (secants[:-1] * after + secants[1:] * before) / (before + after)
     gap = steps > max_gap_s + 1e-9
     after_gap, before_gap = gap[:-1] & ~gap[1:], ~gap[:-1] & gap[1:]
-    inner = slopes[1:-1]
+    inner = result[1:-1]
     inner[after_gap] = secants[1:][after_gap]
     inner[before_gap] = secants[:-1][before_gap]
-    return slopes
+    return result
 
 
 def low_pass(times: Array, values: Array, cut_hz: float, max_gap_s: float) -> Array:
