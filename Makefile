@@ -1,5 +1,5 @@
-# demo · test · test-slow · lint · bench · hidden-effects · report · clean. Each makes .venv by itself when it is missing.
-.PHONY: demo test test-slow lint bench hidden-effects report clean
+# demo · test · test-slow · fuzz · lint · bench · hidden-effects · report · clean. Each makes .venv by itself when it is missing.
+.PHONY: demo test test-slow fuzz lint bench hidden-effects report clean
 .DEFAULT_GOAL := demo
 
 PYTHON ?= $(shell command -v python3.11 || command -v python3)
@@ -17,6 +17,12 @@ test: $(READY)
 # The default options leave the slow tests out; the later -m wins. Properties are tried on new examples here.
 test-slow: $(READY)
 	HYPOTHESIS_PROFILE=explore $(BIN)/python -m pytest -m "slow or hypothesis" --timeout 7200
+
+# Damaged bytes at every reader, guided by the code they reach; what is found is kept in the workspace.
+SECONDS ?= 60
+fuzz: $(READY)
+	$(BIN)/python -m pip install --quiet -c constraints.txt -e '.[fuzz]'
+	$(BIN)/python tests/fuzz/fuzz_readers.py --seconds $(SECONDS) --work $(WORKSPACE)/fuzz
 
 lint: $(READY)
 	$(BIN)/ruff check

@@ -5,6 +5,7 @@ Formats: Vector BLF and ASC, PEAK TRC, SocketCAN candump; python-can reads them.
 
 from __future__ import annotations
 
+import io
 import struct
 import zlib
 from collections.abc import Callable, Iterable
@@ -17,7 +18,7 @@ import numpy.typing as npt
 
 from sysid.errors import InputError
 from sysid.logs.limits import MAX_CHUNK, check_whole, too_large
-from sysid.logs.table import to_ns
+from sysid.logs.table import CUT_ROW, to_ns
 
 if TYPE_CHECKING:
     from can import Message
@@ -105,7 +106,7 @@ def _read_asc(path: Path) -> FrameLog:
                     path, "stamps relative to the event before", "absolute stamps", "Save the log again: `timestamps absolute`."
                 )
     # The file's date has no time zone, so stamps are counted from the start of the measurement.
-    with _opened(path, ASCReader, encoding="utf-8", errors="replace") as reader:
+    with _opened(path, ASCReader, text=True) as reader:
         log = _collect(path, reader)
         if not log.frames and not log.errors and not log.remotes and reader.date is None:
             raise InputError(path, "neither a date line nor a frame", "a Vector ASC log")
@@ -119,14 +120,14 @@ def _read_trc(path: Path) -> FrameLog:
         head = file.read(64).lstrip()
     if not head.startswith(b";"):
         raise InputError(path, f"starts with {head[:16].decode('latin-1')!r}", "';' as in a PEAK trace", "Is it a marker file?")
-    with _opened(path, TRCReader, encoding="utf-8", errors="replace") as reader:
+    with _opened(path, TRCReader, text=True) as reader:
         return _collect(path, reader)
 
 
 def _read_candump(path: Path) -> FrameLog:
     from can import CanutilsLogReader
 
-    with _opened(path, CanutilsLogReader, encoding="utf-8", errors="replace") as reader:
+    with _opened(path, CanutilsLogReader, text=True) as reader:
         return _collect(path, reader)
 
 
@@ -138,9 +139,25 @@ _OPENERS: dict[str, Callable[[Path], FrameLog]] = {
 }
 
 
-def _opened(path: Path, reader: Callable[..., Any], **text: str) -> Any:
+class _WholeLines(io.TextIOWrapper):
+    """Lines up to the last whole one; PEAK ends a trace without a line end, there a whole last byte is enough."""
+
+    cut = False
+
+    def __next__(self) -> str:  # type: ignore[override]  # as the base class itself does
+        line = super().__next__()
+        last = line.split()[-1:]
+        if line.endswith(("\n", "\r")) or (str(self.name).lower().endswith(".trc") and last and len(last[0]) == 2):
+            return line
+        self.cut = True
+        raise StopIteration
+
+
+def _opened(path: Path, reader: Callable[..., Any], text: bool = False) -> Any:
     """``reader`` on the opened file; it closes the file when it is left."""
-    file = path.open("r" if text else "rb", **text)  # type: ignore[call-overload]
+    file: Any = path.open("rb")
+    if text:
+        file = _WholeLines(file, encoding="utf-8", errors="replace")
     try:
         return reader(file)
     except Exception as error:  # the library raises many unrelated types, one even a bare Exception
@@ -179,6 +196,8 @@ def _collect(path: Path, messages: Iterable[Message], start_ns: int = 0, limit: 
                 group = groups[address] = _Collected()
             group.seconds.append(message.timestamp)
             group.payloads.append(bytes(message.data))
+    if isinstance(file := getattr(messages, "file", None), _WholeLines) and file.cut:
+        log.losses.append(f"{path.name}: {CUT_ROW}")
     log.frames = {address: group.frames(start_ns, str(path)) for address, group in groups.items()}
     return log
 

@@ -14,6 +14,7 @@ import pandas as pd
 
 from sysid.errors import InputError, nearest
 from sysid.logs.reader import ReadOptions
+from sysid.logs.table import CUT_ROW, without_line_end
 from sysid.units import si_factor
 
 _UNITS = {"meters": "m", "millimeters": "mm", "centimeters": "cm", "inches": "inch", "feet": "foot"}
@@ -78,16 +79,10 @@ def number_rows(
     if len(longer):
         losses.append(f"{path.name}: {len(longer)} rows are longer than the head; what has no name has been left out")
     numbers = table[list(range(width))].apply(pd.to_numeric, errors="coerce").to_numpy(dtype=np.float64)
-    if whole and len(numbers) and _without_line_end(path):
+    if whole and len(numbers) and without_line_end(path):
         numbers = numbers[:-1]
-        losses.append(f"{path.name}: the last row has no line end and may be cut: left out")
+        losses.append(f"{path.name}: {CUT_ROW}")
     return numbers, tuple(losses)
-
-
-def _without_line_end(path: Path) -> bool:
-    with path.open("rb") as file:
-        file.seek(-1, 2)
-        return file.read(1) not in (b"\n", b"\r")
 
 
 def length_factor(path: Path, stated: str, options: ReadOptions, default: str | None = None) -> float:

@@ -18,7 +18,7 @@ from sysid.errors import InputError
 from sysid.logs.limits import MAX_CELLS, check_whole
 from sysid.logs.reader import ReadOptions
 from sysid.logs.stream import Stream
-from sysid.logs.table import Columns, table_stream
+from sysid.logs.table import CUT_ROW, Columns, table_stream, without_line_end
 from sysid.units import split_header
 
 
@@ -56,6 +56,9 @@ class CsvReader:
             raise InputError(where, f"more than {len(headers)} cells", "as many cells as the header has", "Repair the row.")
         columns: list[tuple[str, npt.NDArray[np.float64]]] = []
         losses: list[str] = []
+        if len(table) and without_line_end(path):
+            table = table.iloc[:-1]
+            losses.append(f"{path.name}: {CUT_ROW}")
         for index, header in enumerate(headers):
             if _are_lists(table[index]):
                 elements, lost = _elements(path, header, table[index])

@@ -187,7 +187,7 @@ def _clock(name: str, stamps: npt.NDArray[np.int64], first: npt.NDArray[np.int64
     return ClockSummary(
         name=name,
         first_ns=int(stamps[0]),
-        seconds=float(stamps.max() - stamps.min()) * 1e-9,
+        seconds=(float(stamps.max()) - float(stamps.min())) * 1e-9,
         rate_hz=1.0 / usual if usual else float("nan"),
         jitter_s=float(np.quantile(np.abs(forward - usual), 0.95)) if len(forward) else float("nan"),
         gaps=len(long),

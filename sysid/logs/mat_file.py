@@ -7,6 +7,7 @@ Source: MathWorks, "MAT-File Format", level 5 and level 4.
 
 from __future__ import annotations
 
+import os
 import struct
 import zlib
 from collections.abc import Iterator
@@ -83,9 +84,7 @@ def _version_4(file: BinaryIO) -> Iterator[tuple[str, npt.NDArray[Any]]]:
         name = file.read(length).split(b"\0")[0].decode("latin-1")
         if size > MAX_TEXT:
             raise MatError(f"{name}: {rows} × {columns} numbers")
-        data = file.read(size)
-        if len(data) < size:
-            raise MatError(f"the file is cut off: {len(data)} of {size} bytes of {name!r}")
+        data = _read(file, size, repr(name))
         if is_complex:
             file.seek(size, 1)
         array = np.frombuffer(data, code).reshape((rows, columns), order="F").squeeze()
@@ -98,10 +97,15 @@ def _top_level(file: BinaryIO, order: str) -> Iterator[tuple[int, bytes]]:
         if len(tag) < 8:
             raise MatError("the file is cut off")
         kind, size = struct.unpack(f"{order}II", tag)
-        body = file.read(size)
-        if len(body) < size:
-            raise MatError(f"the file is cut off: {len(body)} of {size} bytes of a variable")
-        yield kind, body
+        yield kind, _read(file, size, "a variable")
+
+
+def _read(file: BinaryIO, size: int, what: str) -> bytes:
+    """``size`` bytes, asked for only where the file has them."""
+    left = os.fstat(file.fileno()).st_size - file.tell()
+    if left < size:
+        raise MatError(f"the file is cut off: {max(left, 0)} of {size} bytes of {what}")
+    return file.read(size)
 
 
 def _unpacked(packed: bytes, limit: int) -> bytes:

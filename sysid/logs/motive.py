@@ -161,12 +161,21 @@ def _values(path: Path, table: Array, columns: list[_Column], factor: float, rot
             values["error"] = cells * factor
         elif column.channel == "Marker Quality":
             values["quality"] = cells
-    return {**position, **_rotation(f"{path}: {columns[0].name}", angles, rotation), **values}
+    where = f"{path}: {columns[0].name}"
+    _check_axes(where, "position", position, "xyz")
+    return {**position, **_rotation(where, angles, rotation), **values}
+
+
+def _check_axes(where: str, what: str, found: Mapping[str, Array], axes: str) -> None:
+    """Raise where ``what`` is there, but not about all of its axes."""
+    if found and not set(axes) <= found.keys():
+        raise InputError(where, f"{what} {', '.join(found)}", ", ".join(axes), "Export the take again.")
 
 
 def _rotation(where: str, angles: Mapping[str, Array], rotation: str | None) -> dict[str, Array]:
     if not angles:
         return {}
+    _check_axes(where, "rotation", angles, "XYZ")
     if "W" in angles:
         return quaternion_columns(np.column_stack([angles[axis] for axis in "XYZW"]))
     order = euler_order(rotation)

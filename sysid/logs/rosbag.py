@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import bz2
 import struct
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -47,8 +47,12 @@ class Ros1Reader:
             raise InputError(path, found, "'#ROSBAG V2.0'", "Older bags: convert them with `rosbag fix`.")
         bag = _Bag(path, options, "ros1", "ros1msg")
         reader = Reader(path)
-        # The library checks a bag by assertions and by what its own parsing runs into: all of it means a damaged bag.
-        damage = (ReaderError, AssertionError, struct.error, ValueError, KeyError, IndexError, OverflowError, EOFError, OSError)
+        # The library checks a bag by assertions and by what its own parsing runs into: all of it means a damaged bag. It asks
+        # for as many bytes as a length word says before it looks whether the file has them (4 GiB at most).
+        damage = (
+            ReaderError, AssertionError, struct.error, ValueError, KeyError, IndexError, OverflowError, EOFError, OSError,
+            MemoryError,
+        )  # fmt: skip
         try:
             reader.open()
         except damage as error:
@@ -83,6 +87,7 @@ class Rosbag2Reader:
         check_not_empty(path, "a rosbag2 file")
         if path.suffix.lower() == ".zstd":
             raise InputError(path, "a file compressed as a whole", "the file itself", f"Unpack it: `zstd -d {path.name}`.")
+        _check_pages(path)
         bag = _Bag(path, options, "cdr", "ros2msg")
         try:
             reader = Reader(path)
@@ -91,7 +96,7 @@ class Rosbag2Reader:
             raise InputError(path, f"not readable as rosbag2 ({_short(error)})", "an sqlite file that rosbag2 wrote") from None
         try:
             connections = bag.define(reader.connections, _ros2_definition)
-            bag.take((c, stamp, _unpacked(data)) for c, stamp, data in reader.messages(connections) if connections)
+            bag.take(_stored(reader.messages(connections), bag) if connections else ())
         except (ReaderError, apsw.Error, ValueError, KeyError, TypeError) as error:
             bag.lose(f"damaged ({_short(error)}); what lies before has been read")
         finally:
@@ -179,7 +184,7 @@ class _Batch:
             return
         sizes = np.array([len(message) for message in self.messages], dtype=np.int64)
         starts = np.concatenate([[0], np.cumsum(sizes)[:-1]]).astype(np.int64)
-        self.topic.log.append(np.array(self.stamps, dtype=np.int64))
+        self.topic.log.extend(np.array(self.stamps, dtype=np.int64))
         self.topic.decoder.add(np.frombuffer(b"".join(self.messages), np.uint8), starts, sizes)
         self.stamps, self.messages, self.size = [], [], 0
 
@@ -197,6 +202,34 @@ def _limited(maker: Any) -> Any:
         return data
 
     return decompress
+
+
+def _check_pages(path: Path) -> None:
+    """Raise where an sqlite file is shorter than it says: what is missing would be read as zeros.
+
+    Source: SQLite, "Database File Format", 1.3.8 (the size is valid where the counter behind it agrees).
+    """
+    with path.open("rb") as file:
+        head = file.read(100)
+    if len(head) < 100 or not head.startswith(b"SQLite format 3\0"):
+        return  # said where it is opened
+    page, pages = int.from_bytes(head[16:18], "big"), int.from_bytes(head[28:32], "big")
+    size, there = (65536 if page == 1 else page) * pages, path.stat().st_size
+    if head[24:28] == head[92:96] and size > there:
+        remedy = f"Save what is left: sqlite3 {path.name} .recover | sqlite3 recovered.db3"
+        raise InputError(path, f"the file is cut off: {there} of {size} bytes", "a whole sqlite file", remedy)
+
+
+def _stored(rows: Iterable[tuple[Any, Any, Any]], bag: _Bag) -> Iterator[tuple[Any, int, bytes]]:
+    """Messages as they were written; rows whose cells are of another type (sqlite takes any) are left out and counted."""
+    others = 0
+    for connection, stamp, data in rows:
+        if isinstance(stamp, int) and isinstance(data, bytes):
+            yield connection, stamp, _unpacked(data)
+        else:
+            others += 1
+    if others:
+        bag.lose(f"{others} rows without a stamp and a message have been left out")
 
 
 def _unpacked(data: bytes) -> bytes:

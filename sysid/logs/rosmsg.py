@@ -100,6 +100,10 @@ def parse_definition(name: str, text: str, where: object) -> Definition:
             continue
         types[current] = tuple(_members(lines, current, where))
     root = _short(name)
+    if root not in types:
+        raise InputError(
+            f"{where}: schema {name}", "does not define that type", "its members first, then the types it contains"
+        )
     for owner, fields in types.items():
         for member in fields:
             if member.kind not in PRIMITIVES and member.kind not in ("string", "wstring") and member.kind not in types:

@@ -21,6 +21,19 @@ TIME_NAMES = ("time", "t", "Time", "timestamp")
 Columns: TypeAlias = Sequence[tuple[str, npt.NDArray[np.float64]]]
 
 
+#: What stands with a text log whose last row may be cut: it would give another number, not a missing one.
+CUT_ROW = "the last row has no line end and may be cut: left out"
+
+
+def without_line_end(path: Path) -> bool:
+    """Whether a text file ends within a row."""
+    with path.open("rb") as file:
+        if not file.seek(0, 2):
+            return False
+        file.seek(-1, 2)
+        return file.read(1) not in (b"\n", b"\r")
+
+
 def check_not_empty(path: Path, what: str) -> None:
     """Raise where ``path`` is missing or has no bytes."""
     if not path.is_file():

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Protocol
 
@@ -12,6 +12,7 @@ import numpy.typing as npt
 
 from sysid.errors import InputError, nearest
 from sysid.logs.cdr import ColumnDecoder
+from sysid.logs.growing import Growing
 from sysid.logs.layout import Bytes
 from sysid.logs.pieces import Pieces
 from sysid.logs.reader import ReadOptions
@@ -75,8 +76,8 @@ class Topic:
     name: str
     kind: str
     decoder: Decoder
-    log: list[npt.NDArray[np.int64]] = field(default_factory=list)
-    publish: list[npt.NDArray[np.int64]] = field(default_factory=list)
+    log: Growing = field(default_factory=lambda: Growing(0, np.dtype(np.int64)))
+    publish: Growing = field(default_factory=lambda: Growing(0, np.dtype(np.int64)))
 
     def stream(self, path: Path, losses: Iterable[str]) -> Stream:
         """What was read. Clocks: ``header`` where the messages carry a stamp, ``log``, ``publish`` where the file has it."""
@@ -85,15 +86,16 @@ class Topic:
         header = pieces.header_stamps()
         if header is not None:
             stamps["header"] = header
-        stamps["log"] = np.concatenate(self.log)
-        if self.publish:
-            stamps["publish"] = np.concatenate(self.publish)
+        stamps["log"] = self.log.whole(pieces.total)
+        if self.publish.found:
+            stamps["publish"] = self.publish.whole(pieces.total)
         columns = pieces.columns()
         losses = list(losses)
         if pieces.bad:
             readable = pieces.readable()
             stamps = {clock: values[readable] for clock, values in stamps.items()}
-            columns = {name: values[readable] for name, values in columns.items()}
+            for name in columns:  # one at a time: twice the table may be more than there is room for
+                columns[name] = columns[name][readable[: len(columns[name])]]
             count = len(pieces.bad)
             losses.append(
                 f"{path.name}: {self.name}: {count} messages do not follow their schema (the first: {self.decoder.reason})"
@@ -106,17 +108,21 @@ class Topic:
 def finished(
     topics: Iterable[Topic], known: Iterable[str], options: ReadOptions, path: Path, losses: list[str]
 ) -> tuple[Stream, ...]:
-    """The streams of a bag that has been read.
+    """The streams of a bag that has been read; what a topic without a single readable message lost stands with the others.
 
     Raises:
-        InputError: a wanted topic is not there, or no message could be read.
+        InputError: a wanted topic is not there, or no message of it, or of any, could be read.
     """
     check_topics(options, known, path, losses)
     streams = tuple(topic.stream(path, losses) for topic in topics if topic.decoder.pieces.total)
-    if not any(len(stream) for stream in streams):
-        lost = [loss for stream in streams for loss in stream.losses] + losses
-        raise InputError(path, lost[0] if lost else "no messages", "at least one readable message", "Record the log again.")
-    return streams
+    readable = tuple(stream for stream in streams if len(stream))
+    unreadable = tuple(dict.fromkeys(loss for stream in streams if not len(stream) for loss in stream.losses))
+    named = [stream.name for stream in streams if not len(stream) and stream.name in (options.streams or ())]
+    if not readable or named:
+        where = f"{path}: {named[0]}" if named and readable else path
+        lost = [*unreadable, *losses]
+        raise InputError(where, lost[0] if lost else "no messages", "at least one readable message", "Record the log again.")
+    return tuple(replace(stream, losses=tuple(dict.fromkeys((*stream.losses, *unreadable)))) for stream in readable)
 
 
 def check_topics(options: ReadOptions, known: Iterable[str], path: Path, losses: Iterable[str] = ()) -> None:

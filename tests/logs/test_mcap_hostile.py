@@ -164,6 +164,11 @@ def test_schemas_that_contain_themselves_are_refused() -> None:
         parse_definition("p/msg/M", f"uint8[{'9' * 5000}] x", "log.mcap")
 
 
+def test_a_schema_of_other_types_alone_is_refused() -> None:
+    with pytest.raises(InputError, match=r"log\.mcap: schema p/msg/M: does not define that type; expected its members first"):
+        parse_definition("p/msg/M", "MSG: p/A\nuint8 x\n", "log.mcap")
+
+
 @settings(max_examples=150, deadline=None)
 @given(st.text(alphabet="abM/[]<=3 \n#=:.uint8strng", max_size=120))
 def test_any_text_is_a_schema_or_refused(text: str) -> None:
