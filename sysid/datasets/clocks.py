@@ -17,6 +17,8 @@ from sysid.errors import AlignmentError, InputError
 
 Array = npt.NDArray[np.float64]
 
+#: Degrees of freedom of what earlier recordings say together.
+_MANY = 1000
 _LATENCY = "a constant latency of this device is part of the offset: it cannot be told apart"
 
 
@@ -49,11 +51,57 @@ class Clocked:
         return min(int(channel.stamps[0]) for channel in self.machine)
 
 
-def align(recordings: Sequence[Clocked]) -> tuple[ClockRecord, ...]:
+@dataclass(frozen=True)
+class KnownSkew:
+    """Skew of a device from recordings that were aligned before.
+
+    Args:
+        skew_ppm: as in their clock records, with its 95 % interval.
+        recordings: how many they were.
+    """
+
+    skew_ppm: float
+    interval95: tuple[float, float]
+    recordings: int
+
+    @property
+    def variance(self) -> float:
+        """Of the skew as a share, not ppm."""
+        return (1e-6 * _half(self.interval95) / _quantile(_MANY)) ** 2
+
+
+def _half(interval: tuple[float, float]) -> float:
+    return (interval[1] - interval[0]) / 2.0
+
+
+def known_skews(records: Sequence[ClockRecord], domains: Mapping[tuple[str, str], str]) -> dict[str, KnownSkew]:
+    """What earlier records say of the skew of each device, where they applied one and its recordings agree.
+
+    Args:
+        domains: (recording, source) → clock domain.
+    """
+    found: dict[str, list[ClockRecord]] = {}
+    for record in records:
+        domain = domains.get((record.recording, record.stream))
+        if domain is not None and record.applied and record.skew_ppm != 0.0 and all(map(math.isfinite, record.skew_interval95)):
+            found.setdefault(domain, []).append(record)
+    known = {}
+    for domain, own in found.items():
+        # Recordings that were added later share a skew that holds what was known before: the narrowest interval is of all.
+        best = min(own, key=lambda record: _half(record.skew_interval95))
+        if all(abs(r.skew_ppm - best.skew_ppm) <= _half(r.skew_interval95) + _half(best.skew_interval95) for r in own):
+            known[domain] = KnownSkew(best.skew_ppm, best.skew_interval95, len({record.recording for record in own}))
+    return known
+
+
+def align(recordings: Sequence[Clocked], known: Mapping[str, KnownSkew] | None = None) -> tuple[ClockRecord, ...]:
     """Clock records of all recordings.
 
     The skew is a property of two crystals: where the estimates of the recordings of one device agree, their weighted mean is
     applied to each; where they do not, each has its own. A skew whose interval is too wide is not applied.
+
+    Args:
+        known: clock domain → its skew from recordings that are not among these; counts as one more estimate.
 
     Raises:
         AlignmentError: nothing can be observed and the stamps do not even overlap, so the samples have no place in time.
@@ -63,7 +111,10 @@ def align(recordings: Sequence[Clocked]) -> tuple[ClockRecord, ...]:
         for clock, channels in recording.clocks().items():
             if recording.kind == "motion":
                 first[recording.name, clock] = estimate(_pairs(recording, channels))
-    pooled = {domain: _pool(first, domain) for domain in {_domain(clock) for _, clock in first}}
+    earlier = known if known is not None else {}
+    pooled = {
+        domain: _pool(first, domain, earlier.get(domain)) for domain in {_domain(clock) for _, clock in first} | {*earlier}
+    }
     records = []
     for recording in recordings:
         for clock, channels in recording.clocks().items():
@@ -110,26 +161,29 @@ def _quantile(degrees_of_freedom: int) -> float:
     return float(t.ppf(0.975, max(degrees_of_freedom, 1)))
 
 
-def _pool(estimates: Mapping[tuple[str, str], Estimate], domain: str) -> _Skew | None:
-    """The common skew of one device; None where the recordings contradict each other."""
+def _pool(estimates: Mapping[tuple[str, str], Estimate], domain: str, known: KnownSkew | None = None) -> _Skew | None:
+    """The common skew of one device; None where the recordings contradict each other, or what is known of the device."""
     own = [e for (_, clock), e in estimates.items() if _domain(clock) == domain and not e.refused]
-    if not own:
+    if not own and known is None:
         return _Skew(0.0, (-math.inf, math.inf), False, "no recording shows the skew")
-    skews = np.array([e.skew for e in own])
-    weights = np.array([1.0 / e.covariance[1, 1] for e in own])
+    before = [(1e-6 * known.skew_ppm, known.variance, _MANY)] if known is not None else []
+    shown = [(e.skew, e.covariance[1, 1], e.degrees_of_freedom) for e in own] + before
+    skews = np.array([skew for skew, _, _ in shown])
+    weights = np.array([1.0 / variance for _, variance, _ in shown])
     mean = float(np.sum(weights * skews) / np.sum(weights))
     error = float(1.0 / math.sqrt(np.sum(weights)))
-    freedom = sum(e.degrees_of_freedom for e in own)
-    if len(own) > 1:
+    freedom = sum(freedom for _, _, freedom in shown)
+    count = len(own) + (known.recordings if known is not None else 0)
+    if len(shown) > 1:
         from scipy.stats import chi2
 
         spread = float(np.sum(weights * (skews - mean) ** 2))
-        if spread > chi2.ppf(0.999, len(own) - 1):
+        if spread > chi2.ppf(0.999, len(shown) - 1):
             return None
         # Where the recordings scatter more than their errors say, the mean is less certain by that much.
-        error *= max(1.0, math.sqrt(spread / (len(own) - 1)))
+        error *= max(1.0, math.sqrt(spread / (len(shown) - 1)))
     half = _quantile(freedom) * error
-    return _judge(mean, half, f"common to {len(own)} recordings" if len(own) > 1 else "")
+    return _judge(mean, half, f"common to {count} recordings" if count > 1 else "")
 
 
 def _judge(skew: float, half: float, reason: str) -> _Skew:
