@@ -20,6 +20,8 @@ from sysid.logs.rosmsg import Definition
 MAX_LAYOUTS = 64
 #: Key of the layouts that begin messages of any size.
 _ANY_SIZE = -1
+#: Bytes of messages that are compared and cut at once.
+_GATHERED = 16 * 2**20
 
 
 @dataclass
@@ -48,10 +50,9 @@ class ColumnDecoder:
 
     def add(self, buffer: Bytes, starts: npt.NDArray[np.int64], sizes: npt.NDArray[np.int64]) -> None:
         """Take messages ``buffer[start : start + size]``; they are copied, the buffer may go."""
-        first = self.pieces.total
-        self.pieces.total += len(starts)
-        if self.preview is not None and first >= self.preview:
+        if self.preview is not None and self.pieces.total >= self.preview:
             self._stamps_only()
+        first = self.pieces.expect(len(starts))
         if self.wanted is not None and not self.wanted:
             return
         left = self._known(_ANY_SIZE, buffer, starts, sizes, np.arange(len(starts)), first)
@@ -65,6 +66,7 @@ class ColumnDecoder:
     def _stamps_only(self) -> None:
         """From here on no field but the stamps is read."""
         self.preview = None
+        self.pieces.stamps_only()
         self.wanted = self.definition.stamp_fields()
         self._layouts.clear()
 
@@ -120,19 +122,27 @@ class ColumnDecoder:
         first: int,
     ) -> npt.NDArray[np.intp]:
         """Cut the columns out of the messages that have ``layout``; returns those that do not."""
-        messages = gather(buffer, starts[left], layout.size)
+        most = max(1, _GATHERED // max(1, layout.span))
+        rest = [self._take_some(layout, buffer, starts, left[k : k + most], first) for k in range(0, len(left), most)]
+        return rest[0] if len(rest) == 1 else np.concatenate(rest)
+
+    def _take_some(
+        self,
+        layout: Layout,
+        buffer: Bytes,
+        starts: npt.NDArray[np.int64],
+        left: npt.NDArray[np.intp],
+        first: int,
+    ) -> npt.NDArray[np.intp]:
+        messages = gather(buffer, starts[left], layout.span)
         same = np.all(messages[:, layout.fixed] == layout.template, axis=1)
         everyone = bool(same.all())
         rows = (left if everyone else left[same]) + first
         if len(rows) and layout.numbers:
             records = layout.records(messages if everyone else messages[same])
-            by_number: dict[str, list[str]] = {}
-            for alias, path in layout.aliases.items():
-                by_number.setdefault(path, []).append(alias)
-            for path in layout.numbers:
-                names = (path, *by_number.get(path, ()))
+            for path, names in layout.names.items():
                 if self.wanted is None or any(name in self.wanted for name in names):
-                    values = np.ascontiguousarray(records[path])
+                    values = records[path]
                     for name in names:
                         self.pieces.put(name, rows, values)
                 else:

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
@@ -48,17 +49,34 @@ class Layout:
     fixed: npt.NDArray[np.intp]
     template: Bytes
 
-    def records(self, messages: Bytes) -> npt.NDArray[np.void]:
-        """``messages`` (n, size) as records with one named entry a number."""
-        kinds = np.dtype(
+    @cached_property
+    def span(self) -> int:
+        """Bytes from the beginning within which all of that lies; what comes later (pixels, points) is not looked at."""
+        ends = [position + int(code[-1]) for code, position in self.numbers.values()]
+        return max([*ends, int(self.fixed.max(initial=-1)) + 1])
+
+    @cached_property
+    def names(self) -> Mapping[str, tuple[str, ...]]:
+        """Path of each number → that path and its further ones."""
+        names = {path: [path] for path in self.numbers}
+        for alias, path in self.aliases.items():
+            names[path].append(alias)
+        return {path: tuple(own) for path, own in names.items()}
+
+    @cached_property
+    def _record(self) -> np.dtype[np.void]:
+        return np.dtype(
             {
                 "names": list(self.numbers),
                 "formats": [code for code, _ in self.numbers.values()],
                 "offsets": [position for _, position in self.numbers.values()],
-                "itemsize": self.size,
+                "itemsize": self.span,
             }
         )
-        return np.ascontiguousarray(messages).view(kinds).reshape(len(messages))
+
+    def records(self, messages: Bytes) -> npt.NDArray[np.void]:
+        """``messages`` (n, span or more) as records with one named entry a number."""
+        return np.ascontiguousarray(messages[:, : self.span]).view(self._record).reshape(len(messages))
 
 
 def learn_layout(data: bytes, definition: Definition, wanted: frozenset[str] | None = None, packed: bool = False) -> Layout:

@@ -88,8 +88,8 @@ class _Log:
             if topic is None:
                 continue
             own = heads["channel"] == number
-            topic.log.append(heads["log"][own].astype(np.int64))
-            topic.publish.append(heads["publish"][own].astype(np.int64))
+            topic.log.extend(heads["log"][own].astype(np.int64))
+            topic.publish.extend(heads["publish"][own].astype(np.int64))
             sizes = heads["length"][own].astype(np.int64) - MESSAGE_HEAD
             topic.decoder.add(data, block.starts[own] + RECORD + MESSAGE_HEAD, sizes)
 

@@ -17,6 +17,8 @@ from sysid.logs.pieces import STAMP_FIELDS, Pieces
 
 #: Objects inside of objects; deeper ones are not signals but traps.
 MAX_DEPTH = 32
+#: Messages whose numbers are Python objects at the same time.
+_BATCH = 4096
 
 #: The bytes of a message → nested dictionaries, lists, numbers; raises ValueError for a message that cannot be read.
 Parse = Callable[[bytes], Any]
@@ -37,9 +39,14 @@ class RowDecoder:
 
     def add(self, buffer: Bytes, starts: npt.NDArray[np.int64], sizes: npt.NDArray[np.int64]) -> None:
         """Take messages ``buffer[start : start + size]``."""
-        first = self.pieces.total
-        self.pieces.total += len(starts)
-        stamps_only = self.preview is not None and first >= self.preview
+        for begin in range(0, len(starts), _BATCH):
+            self._add(buffer, starts[begin : begin + _BATCH], sizes[begin : begin + _BATCH])
+
+    def _add(self, buffer: Bytes, starts: npt.NDArray[np.int64], sizes: npt.NDArray[np.int64]) -> None:
+        stamps_only = self.preview is not None and self.pieces.total >= self.preview
+        if stamps_only:
+            self.pieces.stamps_only()
+        first = self.pieces.expect(len(starts))
         rows: dict[str, list[int]] = {}
         values: dict[str, list[float]] = {}
         for offset, (start, size) in enumerate(zip(starts.tolist(), sizes.tolist(), strict=True)):

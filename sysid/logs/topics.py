@@ -12,6 +12,7 @@ import numpy.typing as npt
 
 from sysid.errors import InputError, nearest
 from sysid.logs.cdr import ColumnDecoder
+from sysid.logs.growing import Growing
 from sysid.logs.layout import Bytes
 from sysid.logs.pieces import Pieces
 from sysid.logs.reader import ReadOptions
@@ -75,8 +76,8 @@ class Topic:
     name: str
     kind: str
     decoder: Decoder
-    log: list[npt.NDArray[np.int64]] = field(default_factory=list)
-    publish: list[npt.NDArray[np.int64]] = field(default_factory=list)
+    log: Growing = field(default_factory=lambda: Growing(0, np.dtype(np.int64)))
+    publish: Growing = field(default_factory=lambda: Growing(0, np.dtype(np.int64)))
 
     def stream(self, path: Path, losses: Iterable[str]) -> Stream:
         """What was read. Clocks: ``header`` where the messages carry a stamp, ``log``, ``publish`` where the file has it."""
@@ -85,15 +86,16 @@ class Topic:
         header = pieces.header_stamps()
         if header is not None:
             stamps["header"] = header
-        stamps["log"] = np.concatenate(self.log)
-        if self.publish:
-            stamps["publish"] = np.concatenate(self.publish)
+        stamps["log"] = self.log.whole(pieces.total)
+        if self.publish.found:
+            stamps["publish"] = self.publish.whole(pieces.total)
         columns = pieces.columns()
         losses = list(losses)
         if pieces.bad:
             readable = pieces.readable()
             stamps = {clock: values[readable] for clock, values in stamps.items()}
-            columns = {name: values[readable] for name, values in columns.items()}
+            for name in columns:  # one at a time: twice the table may be more than there is room for
+                columns[name] = columns[name][readable[: len(columns[name])]]
             count = len(pieces.bad)
             losses.append(
                 f"{path.name}: {self.name}: {count} messages do not follow their schema (the first: {self.decoder.reason})"

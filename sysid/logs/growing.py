@@ -1,0 +1,69 @@
+"""A column that grows while a log is read, in one piece of memory: what it will never fill is never touched."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+_FIRST = 1024
+
+Rows = npt.NDArray[np.intp]
+Values = npt.NDArray[Any]
+
+
+@dataclass
+class Growing:
+    """Values by row.
+
+    Room doubles when it is used up, and only then are values copied. Room without values takes no memory, as the operating
+    system hands out a page when it is first written.
+
+    Args:
+        fill: of rows without a value.
+        kind: type of the values; integers of other types widen it, a float makes it float64.
+        found: values that were put.
+    """
+
+    fill: float
+    kind: np.dtype[Any] = field(default_factory=lambda: np.dtype(np.float64))
+    found: int = 0
+    _end: int = 0
+    _room: Values = field(init=False)
+
+    def __post_init__(self) -> None:
+        self._room = np.empty(0, self.kind)
+
+    def put(self, rows: Rows | slice, values: Values) -> None:
+        """Values of ``rows``, which rise."""
+        if not len(values):
+            return
+        if self.kind.kind in "iu" and values.dtype.newbyteorder("=") != self.kind:
+            self._widen(values.dtype)
+        self._reach(int(rows.stop if isinstance(rows, slice) else rows[-1] + 1))
+        self._room[rows] = values
+        self.found += len(values)
+
+    def extend(self, values: Values) -> None:
+        """Values of the next rows."""
+        self.put(slice(self._end, self._end + len(values)), values)
+
+    def whole(self, total: int) -> Values:
+        """The values of rows 0 to ``total`` - 1; they are not copied."""
+        self._reach(total)
+        return self._room[:total]
+
+    def _reach(self, end: int) -> None:
+        if end > len(self._room):
+            room = np.empty(max(_FIRST, 2 * len(self._room), end), self.kind)
+            room[: self._end] = self._room[: self._end]
+            self._room = room
+        if end > self._end:
+            self._room[self._end : end] = self.fill
+            self._end = end
+
+    def _widen(self, kind: np.dtype[Any]) -> None:
+        self.kind = np.promote_types(self.kind, kind).newbyteorder("=") if self.found else kind.newbyteorder("=")
+        self._room = self._room.astype(self.kind)
