@@ -29,8 +29,9 @@ from committed import provenance, write_result, write_tables
 from sysid.datasets import Recording
 from sysid.effects.effect import Stage
 from sysid.gap.candidates import Candidate, Scales, as_nuisance, candidates_at
+from sysid.gap.data import Data
 from sysid.gap.drift import BIN
-from sysid.gap.fit import Data, Fit, fit_candidates, jacobian
+from sysid.gap.fit import Fit, fit_candidates, jacobian
 from sysid.gap.floor import problem_floor
 from sysid.gap.intervals import known_of
 from sysid.gap.problem import Problem, drive_problem, force_problem, joint_problem, tip_problem, tool_problem

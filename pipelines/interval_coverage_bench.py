@@ -27,7 +27,8 @@ from sysid.bench.recipe import Recipe
 from sysid.datasets import Recording
 from sysid.effects.effect import Stage
 from sysid.gap.candidates import Candidate, Scales, as_nuisance, candidates_at
-from sysid.gap.fit import Data, Fit, fit_candidates, spread_of
+from sysid.gap.data import Data
+from sysid.gap.fit import Fit, fit_candidates, spread_of
 from sysid.gap.floor import problem_floor
 from sysid.gap.intervals import known_of
 from sysid.gap.problem import Problem

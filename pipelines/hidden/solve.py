@@ -14,7 +14,7 @@ from typing import Any
 
 from sysid.datasets import ingest
 from sysid.gap import find_gap
-from sysid.gap.search import Strictness
+from sysid.gap.strictness import Strictness
 from sysid.plant import nominal_plant
 
 

@@ -3,8 +3,8 @@
 from sysid.gap import steps
 from sysid.gap.around import Around, around_simulator
 from sysid.gap.result import GapResult
-from sysid.gap.search import Strictness
 from sysid.gap.simulator import BatchSimulator, Simulator, starting_value
+from sysid.gap.strictness import Strictness
 from sysid.gap.workflow import find_gap
 
 __all__ = [

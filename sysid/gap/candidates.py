@@ -75,6 +75,10 @@ class Candidate:
         form = "" if self.form is self.effect.forms[0] else f" [{', '.join(self.form.names)}]"
         return f"{self.effect.name}({self.target}{side}){form}{' ~' if self.nuisance else ''}"
 
+    def contains(self, other: Candidate) -> bool:
+        """Whether ``other`` is a special case of this one."""
+        return other.effect.name in self.effect.generalises and other.target == self.target
+
     def instance(self, values: Array) -> KnownEffect:
         """The effect with these values, as a plant takes it."""
         parameters: dict[str, float | list[float]] = {}

@@ -14,14 +14,15 @@ from sysid.errors import ExcitationError
 from sysid.gap.aliases import without_aliases
 from sysid.gap.around import Around, around_simulator
 from sysid.gap.candidates import Candidate, Scales, candidates_at
+from sysid.gap.data import Data
 from sysid.gap.excitation import excitation_of
-from sysid.gap.fit import Data, fit_candidates, spread_of
+from sysid.gap.finding import Finding
+from sysid.gap.fit import fit_candidates, spread_of
 from sysid.gap.floor import problem_floor
 from sysid.gap.noise import noise_levels
 from sysid.gap.problem import Problem, Split, pose_split, problems_of, split_of
 from sysid.gap.readings import Coarse, coarse_sensors, with_steps
 from sysid.gap.result import Excitation
-from sysid.gap.search import Finding
 from sysid.gap.simulator import Simulator
 from sysid.plant import Plant, compile_plant, free_run, gravity_load
 

@@ -7,23 +7,21 @@ neither pulls parameters nor counts as evidence.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 from scipy.optimize import least_squares
 
-from sysid.datasets.recording import Recording
 from sysid.gap.candidates import Candidate, Unknown
-from sysid.gap.drift import BIN, Drift, estimate_drift, to_bins, white_noise, whiten_lanes
+from sysid.gap.data import Data
+from sysid.gap.drift import Drift
 from sysid.gap.problem import Problem
 
 Array = npt.NDArray[np.float64]
 
 #: Residuals are winsorised softly beyond this many robust standard deviations.
 FORGIVE = 4.0
-#: What is left of a wandering 0.1 s later at a stage that does not integrate: it forgets within about a second.
-FORGETS = 0.9
 #: Half widths of the grids on which stepwise parameters are searched, in what is negligible of each.
 GRID = (20.0, 7.5, 2.5, 1.0, 0.375, 0.125)
 #: Starts from which a fit descends.
@@ -64,81 +62,19 @@ class Fit:
             at += len(known.unknowns)
         raise KeyError(candidate.label)
 
+    def departs(self, candidate: Candidate, times: float) -> bool:
+        """Whether any parameter of it moved by more than so many times what is negligible."""
+        values = self.values_of(candidate)
+        return any(abs(v - u.nominal) > times * u.negligible for u, v in zip(candidate.unknowns, values, strict=True))
 
-@dataclass
-class Data:
-    """Recordings of a problem with what does not change between fits: noise, activity, how many bins are measured.
-
-    Args:
-        wanders: residuals may wander, and what wanders is no evidence. Without it every sample counts as independent, which is
-            what a naive BIC does; kept to measure what that would cost.
-    """
-
-    problem: Problem
-    recordings: Sequence[Recording]
-    sigma: Array
-    wanders: bool = True
-    activities: list[Array] = field(init=False)
-    samples: int = field(init=False)
-
-    def __post_init__(self) -> None:
-        self.activities = [activity_of(self.problem, r) for r in self.recordings]
-        parts = [to_bins(self.problem.measured(r), self.problem.rate(r)) for r in self.recordings]
-        self.samples = sum(int((~np.isnan(part)).sum()) for part in parts)
-
-    def bins(self, thetas: Array, problem: Problem | None = None) -> list[Array]:
-        """Binned residuals in units of noise, one (lanes, m, d) a recording."""
-        at = problem or self.problem
-        return [to_bins(part, at.rate(r)) for part, r in zip(self.residuals(thetas, at), self.recordings, strict=True)]
-
-    def residuals(self, thetas: Array, problem: Problem | None = None) -> list[Array]:
-        """(measured − predicted)/σ, one (lanes, n, d) a recording, NaN where either is missing."""
-        at = problem or self.problem
-        return [(at.measured(r)[None] - at.predict(thetas, r)) / self.sigma for r in self.recordings]
-
-    def whitened(self, thetas: Array, drifts: Sequence[Drift], problem: Problem | None = None) -> Array:
-        """(lanes, all bins of all signals), missing ones as zero, so that the length never changes."""
-        lanes = []
-        for part, activity in zip(self.bins(thetas, problem), self.activities, strict=True):
-            for k, drift in enumerate(drifts):
-                series = part[:, :, k]
-                if drift.present:
-                    series = whiten_lanes(series, activity, drift)
-                lanes.append(series / drift.noise)
-        return np.nan_to_num(np.concatenate(lanes, axis=1))
-
-    def drifts(self, theta: Array) -> tuple[tuple[Drift, ...], float]:
-        """Drift of every signal under one parameter vector, and the log-likelihood."""
-        bins = self.bins(theta[None])
-        memory = 1.0 if self.problem.integrates else FORGETS
-        found, total = [], 0.0
-        for k in range(len(self.sigma)):
-            if not self.wanders:
-                white, log_likelihood = white_noise([part[0, :, k] for part in bins])
-                found.append(white)
-                total += log_likelihood * BIN * self.problem.rate(self.recordings[0])
-                continue
-            drift, log_likelihood = estimate_drift([part[0, :, k] for part in bins], self.activities, memory)
-            found.append(drift)
-            total += log_likelihood
-        return tuple(found), total
-
-
-def activity_of(problem: Problem, recording: Recording) -> Array:
-    """How much the stage moves in each bin, mean 1, (m,); constant where it does not move at all.
-
-    Flow disturbances grow with flow, so a drive drifts while it moves and hardly at rest.
-    """
-    measured = to_bins(problem.measured(recording), problem.rate(recording))
-    if not problem.integrates or len(measured) < 3:
-        return np.ones(len(measured))
-    rows = np.arange(len(measured))
-    there = ~np.isnan(measured[:, 0])
-    if there.sum() < 3:
-        return np.ones(len(measured))
-    moved = np.abs(np.gradient(np.interp(rows, rows[there], measured[there, 0])))
-    mean = float(moved.mean())
-    return moved / mean if mean > 0 else np.ones(len(measured))
+    def at_bound(self, candidate: Candidate) -> bool:
+        """Whether any parameter of it ends at a bound that does not mean "absent"."""
+        for value, unknown in zip(self.values_of(candidate), candidate.unknowns, strict=True):
+            for bound in unknown.bounds:
+                near = 1e-3 * min(unknown.bounds[1] - unknown.bounds[0], max(abs(bound), unknown.negligible))
+                if abs(value - bound) <= near and abs(bound - unknown.absent) > near:
+                    return True
+        return False
 
 
 def place(theta: Array, unknowns: Sequence[Unknown], lanes: Array) -> Array:

@@ -15,10 +15,11 @@ import numpy.typing as npt
 
 from sysid.datasets.recording import Recording
 from sysid.gap.candidates import Candidate, candidates_at
+from sysid.gap.data import Data
 from sysid.gap.feed import fed
-from sysid.gap.fit import Data, fit_candidates, place, spread_of
+from sysid.gap.fit import fit_candidates, place, spread_of
 from sysid.gap.problem import SHORT_RUN, Problem, drive_problem
-from sysid.gap.search import starting_values
+from sysid.gap.starts import starting_values
 from sysid.machine import Axis
 from sysid.plant import Model, Plant, axis_run, layout
 from sysid.plant.layout import AT, AXIS_WIDTH

@@ -11,14 +11,15 @@ import numpy.typing as npt
 
 from sysid.gap.candidates import Candidate
 from sysid.gap.case import Case, Stage
-from sysid.gap.fit import Data, Fit, fit_candidates
+from sysid.gap.data import Data
+from sysid.gap.finding import Kept
+from sysid.gap.fit import Fit, fit_candidates
 from sysid.gap.floor import problem_floor
 from sysid.gap.intervals import known_of
 from sysid.gap.localise import stage_rmse
 from sysid.gap.readings import Coarse
 from sysid.gap.remainder import describe_remainder
 from sysid.gap.result import Alternative, Carried, Evidence, Gap, NamedEffect, Unnamed, Value
-from sysid.gap.search import Kept
 from sysid.plant import Place, Plant, Uncertainty
 
 Array = npt.NDArray[np.float64]

@@ -14,8 +14,9 @@ import numpy as np
 import numpy.typing as npt
 
 from sysid.gap.candidates import Candidate
+from sysid.gap.data import Data
 from sysid.gap.drift import CLIP
-from sysid.gap.fit import Data, Fit, jacobian
+from sysid.gap.fit import Fit, jacobian
 
 Array = npt.NDArray[np.float64]
 

@@ -25,14 +25,16 @@ from sysid.gap.around import Around
 from sysid.gap.candidates import Candidate, as_nuisance
 from sysid.gap.case import Case, Stage, excitation, on_itself, open_case, stage_candidates
 from sysid.gap.excitation import advice, advice_on_tie, excitation_of
+from sysid.gap.finding import Finding
 from sysid.gap.floor import floor_spread, run_floor
 from sysid.gap.lineage import lineage_of
 from sysid.gap.promotion import first_promotion, free_run_check, names_check, stages_check, world_check
 from sysid.gap.promotion import promote as promote_version
 from sysid.gap.prove import Outcome, held_out_score, judge, stage_gap, with_carried
 from sysid.gap.result import Check, Excitation, Gap, Localised, Promotion, Traces, WorldGap
-from sysid.gap.search import Finding, Search, Strictness
+from sysid.gap.search import Search
 from sysid.gap.simulator import Simulator
+from sysid.gap.strictness import Strictness
 from sysid.gap.world_proof import world_gap
 from sysid.plant import Plant, machine_difference, plant_from_files
 from sysid.plant.uncertainty import NONE

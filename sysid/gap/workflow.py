@@ -13,13 +13,14 @@ from sysid.errors import SettingsError
 from sysid.gap import steps
 from sysid.gap.case import Case, Stage, excitation
 from sysid.gap.experiment import Planning, Proposal, propose, questions_of
+from sysid.gap.finding import Finding
 from sysid.gap.maps import maps_of
 from sysid.gap.prove import Outcome
 from sysid.gap.result import Candidate, Excitation, GapResult, Localised, Map, Verdict
-from sysid.gap.search import Finding, Strictness
 from sysid.gap.shares import shares_of
 from sysid.gap.simulator import Simulator, name_of
 from sysid.gap.steps import Forms
+from sysid.gap.strictness import Strictness
 from sysid.plant import Plant, compile_plant
 from sysid.progress import Progress, part, silent
 

@@ -9,10 +9,11 @@ import pytest
 from plant_data import KnownEffect, nominal
 from short_supply import coarse_arm, slow_dataset, tie
 
+from sysid.gap.data import Data
 from sysid.gap.experiment import Experiment, Planning, propose, rehearse
 from sysid.gap.experiment.information import Hypothesis, discrimination, noise_of_bin, precision
 from sysid.gap.experiment.question import Question
-from sysid.gap.fit import Data, fit_candidates
+from sysid.gap.fit import fit_candidates
 from sysid.plant import Plant
 
 NOISE = 6e-4

@@ -9,7 +9,8 @@ import pytest
 from plant_data import arm, dataset_of, nominal
 
 from sysid.gap.candidates import candidates_at
-from sysid.gap.fit import Data, Fit, fit_candidates, place
+from sysid.gap.data import Data
+from sysid.gap.fit import Fit, fit_candidates, place
 from sysid.gap.floor import problem_floor, run_floor, with_noise
 from sysid.gap.intervals import Known, known_of
 from sysid.gap.localise import run_rmse

@@ -10,11 +10,13 @@ from plant_data import _ARM, ROLES, URDF, arm_inputs, measured, slide_inputs
 
 from sysid.datasets.recording import Dataset, Recording
 from sysid.gap.case import Case, Stage, open_case, stage_candidates
+from sysid.gap.data import Data
 from sysid.gap.evidence import Comparison
 from sysid.gap.experiment import Experiment, Question, rehearse
 from sysid.gap.experiment.question import tie_between
-from sysid.gap.fit import Data, fit_candidates
-from sysid.gap.search import Finding, Kept, starting_values
+from sysid.gap.finding import Finding, Kept
+from sysid.gap.fit import fit_candidates
+from sysid.gap.starts import starting_values
 from sysid.machine import Machine, machine_from_files
 from sysid.plant import Plant
 

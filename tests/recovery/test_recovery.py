@@ -11,8 +11,9 @@ from sysid.datasets.recording import Dataset
 from sysid.effects import CATALOGUE
 from sysid.gap import find_gap
 from sysid.gap.case import open_case, stage_candidates
-from sysid.gap.fit import Data, fit_candidates
-from sysid.gap.search import starting_values
+from sysid.gap.data import Data
+from sysid.gap.fit import fit_candidates
+from sysid.gap.starts import starting_values
 from sysid.machine import KnownEffect
 from sysid.plant import Plant
 

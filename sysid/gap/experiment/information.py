@@ -18,8 +18,9 @@ import numpy.typing as npt
 from scipy.optimize import least_squares
 
 from sysid.gap.candidates import Candidate, Unknown
+from sysid.gap.data import FORGETS, Data
 from sysid.gap.drift import BIN, CLIP, Drift, estimate_drift
-from sysid.gap.fit import FORGETS, Data, jacobian, place
+from sysid.gap.fit import jacobian, place
 
 Array = npt.NDArray[np.float64]
 

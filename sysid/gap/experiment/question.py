@@ -11,13 +11,15 @@ import numpy.typing as npt
 
 from sysid.gap.candidates import Candidate
 from sysid.gap.case import Case, Stage, stage_candidates
+from sysid.gap.data import Data
 from sysid.gap.drift import Drift
 from sysid.gap.excitation import excitation_of
 from sysid.gap.experiment.experiment import EffectAt
 from sysid.gap.experiment.information import Hypothesis, hypothesis, noise_of_bin
-from sysid.gap.fit import Data, Fit, fit_candidates
+from sysid.gap.fit import Fit, fit_candidates
 from sysid.gap.prove import Outcome
-from sysid.gap.search import Strictness, starting_values
+from sysid.gap.starts import starting_values
+from sysid.gap.strictness import Strictness
 from sysid.plant import compile_plant
 
 Array = npt.NDArray[np.float64]

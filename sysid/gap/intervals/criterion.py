@@ -14,8 +14,9 @@ import numpy as np
 import numpy.typing as npt
 
 from sysid.gap.candidates import Unknown
+from sysid.gap.data import Data
 from sysid.gap.drift import Drift, robust_scale, whiten_lanes
-from sysid.gap.fit import Data, forgiveness, place
+from sysid.gap.fit import forgiveness, place
 
 Array = npt.NDArray[np.float64]
 

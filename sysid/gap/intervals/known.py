@@ -15,7 +15,8 @@ import numpy.typing as npt
 from scipy import stats
 
 from sysid.gap.candidates import Unknown
-from sysid.gap.fit import Data, Fit, place
+from sysid.gap.data import Data
+from sysid.gap.fit import Fit, place
 from sysid.gap.intervals.criterion import criterion_at
 from sysid.gap.intervals.curvature import Curvature, curvature_at
 from sysid.gap.intervals.input_noise import DRAWS, InputNoise, input_noise

@@ -12,7 +12,8 @@ from itertools import product
 import numpy as np
 import numpy.typing as npt
 
-from sysid.gap.fit import GRID, Data, Fit, place
+from sysid.gap.data import Data
+from sysid.gap.fit import GRID, Fit, place
 from sysid.gap.intervals.criterion import Criterion, criterion_at
 from sysid.gap.intervals.curvature import Curvature, curvature_at
 

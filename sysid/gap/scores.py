@@ -1,0 +1,132 @@
+"""Fits of sets of effects, each made once, and how well each does on what it was fitted to and on what it has not seen."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+import numpy.typing as npt
+
+from sysid.gap.candidates import Candidate
+from sysid.gap.data import Data
+from sysid.gap.drift import log_density
+from sysid.gap.evidence import Comparison, gain_p_value
+from sysid.gap.fit import Fit, fit_candidates, jacobian, spread_of
+from sysid.gap.starts import starting_values
+
+Array = npt.NDArray[np.float64]
+
+
+@dataclass
+class Scores:
+    """A cache of fits and of their figures.
+
+    Args:
+        theta: vector of the questioned plant.
+        folds: (fitted, unseen) recordings; more than one where they change places.
+        whitened: unseen recordings count as evidence; without it a naive BIC is all there is.
+    """
+
+    theta: Array
+    folds: tuple[tuple[Data, Data], ...]
+    whitened: bool = True
+    seed: int = 0
+    on_fit: Callable[[str], None] = lambda text: None
+    _fits: dict[frozenset[str], tuple[Fit, ...]] = field(default_factory=dict)
+    _scores: dict[frozenset[str], tuple[Array, float]] = field(default_factory=dict)
+    _fitted: dict[frozenset[str], float] = field(default_factory=dict)
+
+    @property
+    def fitted(self) -> Data:
+        """What the first fold is fitted to."""
+        return self.folds[0][0]
+
+    def fit(self, candidates: tuple[Candidate, ...], parents: tuple[Fit, ...]) -> Fit:
+        key = frozenset(c.label for c in candidates)
+        if key not in self._fits:
+            self.on_fit(", ".join(sorted(key)) or "nominal")
+            starts = starting_values(candidates, parents, self.seed)
+            fits = [fit_candidates(self.fitted, self.theta, candidates, starts)]
+            for data, _ in self.folds[1:]:
+                fits.append(fit_candidates(data, self.theta, candidates, [fits[0].values, *starts]))
+            self._fits[key] = tuple(fits)
+        return self._fits[key][0]
+
+    def _score(self, fit: Fit) -> tuple[Array, float]:
+        """(log predictive density of every unseen bin, NaN where there is none, and unseen RMSE in noise floors)."""
+        key = frozenset(fit.labels)
+        if key not in self._scores:
+            densities, left = [], []
+            for (_, unseen), fitted in zip(self.folds, self._fits_of(fit), strict=True):
+                for part, activity in zip(unseen.bins(fitted.theta[None]), unseen.activities, strict=True):
+                    densities += [log_density(part[0, :, k], activity, d) for k, d in enumerate(fitted.drifts)]
+                left += unseen.residuals(fitted.theta[None])
+            self._scores[key] = np.concatenate(densities), spread_of(left)
+        return self._scores[key]
+
+    def log_densities(self, *fits: Fit) -> Array:
+        """Of the unseen bins that all of them predict, (fits, m): a clock that is wrong loses some at the ends."""
+        table = np.array([self._score(fit)[0] for fit in fits])
+        return np.asarray(table[:, ~np.isnan(table).any(axis=0)])
+
+    def density(self, fit: Fit) -> float:
+        return float(np.nansum(self._score(fit)[0]))
+
+    def merit(self, fit: Fit) -> float:
+        """Log evidence from fitted recordings (penalised for parameters) and from unseen ones together."""
+        fitted = sum(
+            f.log_likelihood - 0.5 * len(f.unknowns) * np.log(max(data.samples, 2))
+            for (data, _), f in zip(self.folds, self._fits_of(fit), strict=True)
+        )
+        return float(fitted) + self.density(fit) if self.whitened else float(fitted)
+
+    def rmse(self, fit: Fit) -> float:
+        return self._score(fit)[1]
+
+    def fitted_rmse(self, fit: Fit) -> float:
+        """Of the recordings that are fitted, in noise floors."""
+        key = frozenset(fit.labels)
+        if key not in self._fitted:
+            self._fitted[key] = spread_of(self.fitted.residuals(fit.theta[None]))
+        return self._fitted[key]
+
+    def compare(self, smaller: Fit, larger: Fit) -> Comparison:
+        gain = -np.diff(self.log_densities(larger, smaller), axis=0)[0]
+        p_value = gain_p_value(gain, self.seed)
+        ratio = self.rmse(smaller) / max(self.rmse(larger), 1e-12)
+        return Comparison(self.delta_bic(smaller, larger), float(gain.sum()), p_value, ratio)
+
+    def delta_bic(self, one: Fit, other: Fit) -> float:
+        """BIC(one) − BIC(other) on the fitted recordings: above zero speaks for the other."""
+        extra = len(other.unknowns) - len(one.unknowns)
+        total = 0.0
+        for (data, _), a, b in zip(self.folds, self._fits_of(one), self._fits_of(other), strict=True):
+            total += 2.0 * (b.log_likelihood - a.log_likelihood) - extra * np.log(max(data.samples, 2))
+        return total
+
+    def own_shares(self, model: Fit) -> dict[str, float]:
+        """For each effect, the smallest share of a parameter's influence that the other parameters cannot imitate."""
+        if not model.unknowns:
+            return {}
+        _, slopes = jacobian(self.fitted, self.theta, model.unknowns, model.values, model.drifts)
+        norms = np.linalg.norm(slopes, axis=0)
+        shares = []
+        for k in range(slopes.shape[1]):
+            others = np.delete(slopes, k, axis=1)
+            left = slopes[:, k]
+            if others.shape[1]:
+                weights, *_ = np.linalg.lstsq(others, left, rcond=None)
+                left = left - others @ weights
+            shares.append(float(np.linalg.norm(left) / norms[k]) if norms[k] > 0 else 0.0)
+        result: dict[str, float] = {}
+        at = 0
+        for candidate in model.candidates:
+            width = len(candidate.unknowns)
+            result[candidate.label] = min(shares[at : at + width], default=0.0)
+            at += width
+        return result
+
+    def _fits_of(self, fit: Fit) -> tuple[Fit, ...]:
+        """The fits of the same effects on every fold."""
+        return self._fits[frozenset(fit.labels)]
