@@ -50,14 +50,14 @@ def _have(item: Excitation) -> str:
 
 
 def reversals(recordings: Sequence[Recording], machine: Machine, axis: str) -> float:
-    """Changes of direction of the joint (of what is driven, where no joint is measured), beyond a hundredth of its travel."""
+    """Changes of direction of the joint (of what is driven, where no joint is measured), beyond travel and noise."""
     total = 0
     for recording in recordings:
         for signal in (axis_signal(axis, "joint"), machine.axis(axis).driven):
             values = recording.values(signal)
             values = values[~np.isnan(values)]
             if len(values):
-                total += use.reversals(values)
+                total += use.reversals(values, recording.rate_hz if recording.kind == "motion" else None)
                 break
     return total
 

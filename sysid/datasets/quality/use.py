@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from sysid.datasets.quality.noise import noise_of
+from sysid.datasets.quality.noise import unsteadiness
 from sysid.datasets.recording import Recording
 from sysid.machine import Axis, Machine
 from sysid.signals import axis_signal
@@ -22,8 +22,9 @@ IDLE = 0.02
 SMALL = (0.02, 0.4)
 #: Cells over −full … full in which the time at each command is counted, and the time that makes a cell visited [s].
 CELLS, VISITED_S = 20, 0.2
-#: A turn of less than this share of a recording's travel is noise, no reversal.
-TURN = 0.01
+#: A turn of less than this share of a recording's travel, or of so many standard deviations of noise, is no reversal: thousands
+#: of samples of a sensor at rest lie within four standard deviations on either side.
+TURN, TURN_NOISE = 0.01, 8.0
 #: Slow is between these shares of the top speed. Dry friction falls with speed, and drives stick and slip, at small speeds only
 #: (Armstrong-Hélouvry, Dupont, Canudas de Wit, Automatica 30 (1994) 1083); where that ends differs: the tenth is a choice.
 SLOW = (0.02, 0.1)
@@ -73,9 +74,9 @@ class AxisUse:
 
 def scales_of(recordings: Sequence[Recording], machine: Machine) -> dict[str, Scale]:
     """Axis → what is large for it in these recordings; an axis without commands is left out."""
-    found = {}
+    found, recordings = {}, [recording for recording in recordings if recording.kind == "motion"]
     for axis in machine.axes:
-        parts = [r.values(axis_signal(axis.name, "command")) for r in recordings if r.kind == "motion"]
+        parts = [r.values(axis_signal(axis.name, "command")) for r in recordings]
         commands = np.concatenate([part[~np.isnan(part)] for part in parts]) if parts else np.empty(0)
         if not len(commands):
             continue
@@ -110,7 +111,7 @@ def use_of(recording: Recording, axis: Axis, scale: Scale) -> AxisUse:
         small_positive_s=lasting(small[0]),
         small_negative_s=lasting(small[1]),
         command_changes=command_changes(command),
-        reversals=reversals(moved),
+        reversals=reversals(moved, recording.rate_hz),
         slow_positive_s=lasting(slow & (speed > 0)),
         slow_negative_s=lasting(slow & (speed < 0)),
     )
@@ -162,10 +163,17 @@ def command_changes(command: Array) -> int:
     return max(int(np.sum(np.diff(level_of(command)) != 0)), turns)
 
 
-def reversals(values: Array) -> int:
-    """Changes of direction beyond :data:`TURN` of the travel."""
+def reversals(values: Array, rate_hz: float | None) -> int:
+    """Changes of direction beyond :data:`TURN` of the travel and :data:`TURN_NOISE` of the noise.
+
+    Args:
+        rate_hz: None for static poses: their rows are no motion from which noise could be told.
+    """
     known = values[~np.isnan(values)]
-    return turning_points(known, TURN * float(np.ptp(known))) if len(known) else 0
+    if not len(known):
+        return 0
+    noise = 0.0 if rate_hz is None else unsteadiness(known, rate_hz)
+    return turning_points(known, max(TURN * float(np.ptp(known)), TURN_NOISE * noise))
 
 
 def turning_points(values: Array, least: float) -> int:
@@ -198,5 +206,4 @@ def speed_of(values: Array, rate_hz: float) -> Array:
 
 def _unrest(values: Array, rate_hz: float) -> float:
     """The speed that noise alone may feign [unit/s]."""
-    noise = noise_of(values, rate_hz)
-    return 0.0 if np.isnan(noise) else UNREST * float(np.sqrt(2.0)) * noise / SLOPE_S
+    return UNREST * float(np.sqrt(2.0)) * unsteadiness(values, rate_hz) / SLOPE_S

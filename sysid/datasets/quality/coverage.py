@@ -1,0 +1,120 @@
+"""How much of joint space was visited: every axis over its range, and every pair of axes over both ranges."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from sysid.datasets.quality.use import VISITED_S
+from sysid.datasets.recording import Recording
+from sysid.machine import Machine
+from sysid.signals import axis_signal
+
+Array = npt.NDArray[np.float64]
+
+#: Cells over the range of an axis.
+GRID = 10
+
+
+@dataclass(frozen=True)
+class Span:
+    """The range of an axis, and what was visited of it.
+
+    Args:
+        signal: its joint; what is driven, where no recording has the joint.
+        low, high: the range [SI]; ``source`` says whether it is that of the machine description (``limits``) or, where it gives
+            none, only what was recorded (``recorded``: coverage then says nothing about the machine).
+        lowest, highest: that were measured.
+    """
+
+    axis: str
+    signal: str
+    low: float
+    high: float
+    source: Literal["limits", "recorded"]
+    lowest: float
+    highest: float
+
+    @property
+    def covered(self) -> float:
+        """Share of the range between the lowest and the highest measured value."""
+        ends = max(self.lowest, self.low), min(self.highest, self.high)
+        return max(ends[1] - ends[0], 0.0) / (self.high - self.low)
+
+    def cells(self, values: Array) -> Array:
+        """Cell of each value, 0 … GRID − 1; NaN where it is missing. What lies outside counts to the last cell."""
+        place = np.floor(GRID * (values - self.low) / (self.high - self.low))
+        return np.clip(place, 0, GRID - 1)
+
+
+@dataclass(frozen=True)
+class PairMap:
+    """Where two axes were at the same time.
+
+    Args:
+        seconds: of motion in each cell, (GRID, GRID), the first axis along the rows.
+        poses: static poses in each cell, (GRID, GRID).
+    """
+
+    first: Span
+    second: Span
+    seconds: tuple[tuple[float, ...], ...]
+    poses: tuple[tuple[int, ...], ...]
+
+    @property
+    def covered(self) -> float:
+        """Share of the cells in which the machine was for :data:`VISITED_S`, or in a pose.
+
+        Of the whole rectangle: what the machine cannot reach counts as not visited.
+        """
+        visited = (np.array(self.seconds) >= VISITED_S) | (np.array(self.poses) > 0)
+        return float(visited.mean())
+
+
+def spans_of(recordings: Sequence[Recording], machine: Machine) -> tuple[Span, ...]:
+    """The axes that are measured anywhere."""
+    spans = []
+    for axis in machine.axes:
+        for signal in dict.fromkeys((axis_signal(axis.name, "joint"), axis.driven)):
+            parts = [recording.values(signal) for recording in recordings]
+            values = np.concatenate(parts) if parts else np.empty(0)
+            values = values[~np.isnan(values)]
+            if not len(values):
+                continue
+            lowest, highest = float(values.min()), float(values.max())
+            ends = axis.range if signal == axis.driven else axis.limits
+            if ends is not None and np.isfinite(ends).all() and ends[1] > ends[0]:
+                spans.append(Span(axis.name, signal, float(ends[0]), float(ends[1]), "limits", lowest, highest))
+            else:
+                high = highest if highest > lowest else lowest + 1.0
+                spans.append(Span(axis.name, signal, lowest, high, "recorded", lowest, highest))
+            break
+    return tuple(spans)
+
+
+def pair_maps(recordings: Sequence[Recording], spans: Sequence[Span]) -> tuple[PairMap, ...]:
+    """One map for each pair of axes, over all recordings."""
+    found = []
+    for number, first in enumerate(spans):
+        for second in spans[number + 1 :]:
+            seconds, poses = np.zeros((GRID, GRID)), np.zeros((GRID, GRID), dtype=np.int64)
+            for recording in recordings:
+                counts = _counts(recording, first, second)
+                if recording.kind == "poses":
+                    poses += counts
+                else:
+                    seconds += counts / recording.rate_hz
+            rows = tuple(tuple(map(float, row)) for row in seconds), tuple(tuple(map(int, row)) for row in poses)
+            found.append(PairMap(first, second, *rows))
+    return tuple(found)
+
+
+def _counts(recording: Recording, first: Span, second: Span) -> npt.NDArray[np.int64]:
+    a, b = (span.cells(recording.values(span.signal)) for span in (first, second))
+    there = ~np.isnan(a) & ~np.isnan(b)
+    cells = (GRID * a[there] + b[there]).astype(np.int64)
+    return np.bincount(cells, minlength=GRID * GRID).reshape(GRID, GRID)

@@ -1,0 +1,98 @@
+"""Still phases: where the machine held which posture for how long. Leakage, sag and noise at rest show there."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from sysid.datasets.quality.coverage import Span
+from sysid.datasets.quality.noise import unsteadiness
+from sysid.datasets.quality.use import SLOPE_S, SLOW, Scale, level_of, speed_of
+from sysid.datasets.recording import Recording
+from sysid.machine import Machine
+from sysid.signals import axis_signal
+
+Array = npt.NDArray[np.float64]
+
+#: A phase counts from this length on [s].
+LEAST_S = 1.0
+#: Still is slower than this many standard deviations of noise (one in 10⁹ samples is faster by chance), or than what is slow.
+STILL = 6.0
+#: Postures differ where an axis differs by this share of its range.
+APART = 0.1
+
+
+@dataclass(frozen=True)
+class Rest:
+    """A phase in which nothing is commanded and nothing moves; ``posture``: axis → median [SI], of the axes measured in it."""
+
+    recording: str
+    from_s: float
+    to_s: float
+    posture: Mapping[str, float]
+
+    @property
+    def seconds(self) -> float:
+        return self.to_s - self.from_s
+
+
+def rests_of(recording: Recording, machine: Machine, spans: Sequence[Span], scales: Mapping[str, Scale]) -> list[Rest]:
+    """Still phases of a recording of motion. A servo or a force may hold: of those axes only the motion is looked at."""
+    still, known = np.ones(len(recording), dtype=bool), np.zeros(len(recording), dtype=bool)
+    for axis in machine.axes:
+        if axis.actuation == "velocity":
+            still &= level_of(recording.values(axis_signal(axis.name, "command"))) == 0
+    for span in spans:
+        values = recording.values(span.signal)
+        noise = unsteadiness(values, recording.rate_hz)
+        top = scales[span.axis].top_speed if span.axis in scales else 0.0
+        limit = max(SLOW[0] * top, STILL * np.sqrt(2.0) * noise / SLOPE_S, 1e-12)
+        speed = np.abs(speed_of(values, recording.rate_hz))
+        still &= ~(speed > limit)
+        known |= ~np.isnan(speed)
+    time = recording.values("time")
+    found = []
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], still & known, [False]]).astype(np.int8)))
+    for first, last in edges.reshape(-1, 2):
+        if last - first < LEAST_S * recording.rate_hz:
+            continue
+        parts = {span.axis: recording.values(span.signal)[first:last] for span in spans}
+        posture = {name: float(np.nanmedian(v)) for name, v in parts.items() if not np.isnan(v).all()}
+        found.append(Rest(recording.name, float(time[first]), float(time[last - 1]), posture))
+    return found
+
+
+def postures(rests: Sequence[Rest], spans: Sequence[Span]) -> tuple[Rest, ...]:
+    """The longest phase of each posture that is clearly another one (:data:`APART`), the longest first."""
+    kept: list[Rest] = []
+    for rest in sorted(rests, key=lambda rest: -rest.seconds):
+        if all(_apart(rest, other, spans) for other in kept):
+            kept.append(rest)
+    return tuple(kept)
+
+
+def _apart(one: Rest, other: Rest, spans: Sequence[Span]) -> bool:
+    return any(
+        abs(one.posture[s.axis] - other.posture[s.axis]) > APART * (s.high - s.low)
+        for s in spans
+        if s.axis in one.posture and s.axis in other.posture
+    )
+
+
+def noise_at_rest(recordings: Mapping[str, Recording], rests: Sequence[Rest], signal: str) -> float | None:
+    """Standard deviation of a signal about its straight line in still phases, the median of them; None where there are none."""
+    found = []
+    for rest in rests:
+        recording = recordings[rest.recording]
+        time = recording.values("time")
+        inside = recording.values(signal)[(time >= rest.from_s) & (time <= rest.to_s)]
+        inside = inside[~np.isnan(inside)]
+        if len(inside) >= LEAST_S * recording.rate_hz / 2.0 and len(inside) > 10:
+            rows = np.linspace(-1.0, 1.0, len(inside))
+            line = np.polynomial.polynomial.polyfit(rows, inside, 1)
+            left = inside - np.polynomial.polynomial.polyval(rows, line)
+            found.append(float(np.sqrt(np.sum(left**2) / (len(left) - 2))))
+    return float(np.median(found)) if found else None
