@@ -9,175 +9,48 @@ the joint's axis. Poses are arrays (n, 4, 4); a body that was not seen has NaN.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
 
-from sysid.datasets.recipe import Frame, Reference, StreamMap
+from sysid.datasets.channel import in_order, seconds
+from sysid.datasets.flag import Flag
+from sysid.datasets.mistakes import Dropped, without_mistakes
+from sysid.datasets.recipe import Reference, StreamMap
+from sysid.datasets.resample import GAP_PERIODS
+from sysid.datasets.rigid import body_poses, inverse, marker_poses, mean_pose, poses_at
 from sysid.errors import InputError, SettingsError, nearest
 from sysid.logs import Stream
 from sysid.machine import Kinematics, Machine
-from sysid.machine.kinematics import Joint, rotation_about
+from sysid.machine.kinematics import Joint
 
 Array = npt.NDArray[np.float64]
+Stamps = npt.NDArray[np.int64]
 
-#: No point of such a machine moves faster [m/s] or accelerates more [m/s²]; a body that seems to has been mistaken for another.
-MAX_SPEED, MAX_ACCELERATION = 3.0, 20.0
-#: Room for noise on top of that [m]; a smaller mistake is not seen as a jump.
-JUMP = 0.02
-#: How far a body can be after a mistake from where it was before [m], beyond what it moves at its own usual top speed.
-NEAR = 0.1
-#: A body whose markers do not fit its shape (mean marker error) is not where it seems to be: metres, and times its median.
-MAX_MARKER_ERROR, MARKER_ERROR_RATIO = 0.002, 8.0
 #: The machine counts as standing still in the reference pose while bodies stay within this [m].
 STILL = 2e-3
 
 
 @dataclass(frozen=True)
-class Flag:
-    """Frames of a body that have been set to missing; seconds on the capture clock from its first frame."""
+class Track:
+    """Where a link is in the base frame: stamps (n,) [ns] and poses (n, 4, 4). Without stamps it stands still, (4, 4)."""
 
-    body: str
-    reason: str
-    start_s: float
-    end_s: float
-    frames: int
-
-
-def body_poses(stream: Stream, frame: Frame) -> Array:
-    """Poses of one rigid body in the machine's base frame, (n, 4, 4)."""
-    columns = stream.columns
-    for name in ("x", "y", "z", "qx", "qy", "qz", "qw"):
-        if name not in columns:
-            raise InputError(f"{stream.source}: {stream.name}", f"no column {name!r}", "position and rotation of a rigid body")
-    pose = np.tile(np.eye(4), (len(stream), 1, 1))
-    pose[:, :3, :3] = matrices(np.column_stack([columns[f"q{axis}"] for axis in "xyzw"]))
-    pose[:, :3, 3] = np.column_stack([columns[axis] for axis in "xyz"])
-    pose[np.isnan(pose).any(axis=(1, 2))] = np.nan
-    return np.asarray(frame_pose(frame) @ pose)
+    stamps: Stamps | None
+    poses: Array
+    repaired: int = 0
+    flags: tuple[Flag, ...] = ()
 
 
-def marker_poses(stream: Stream, frame: Frame) -> Array:
-    """Poses (n, 4, 4) whose origins are a marker in the machine's base frame; their rotation means nothing."""
-    pose = np.tile(np.eye(4), (len(stream), 1, 1))
-    for index, axis in enumerate("xyz"):
-        if axis not in stream.columns:
-            raise InputError(f"{stream.source}: {stream.name}", f"no column {axis!r}", "the position of a marker")
-        pose[:, index, 3] = stream.columns[axis]
-    pose[np.isnan(pose).any(axis=(1, 2))] = np.nan
-    return np.asarray(frame_pose(frame) @ pose)
+@dataclass(frozen=True)
+class Seen:
+    """A signal that motion capture gives, on the stamps of the body it came from."""
 
-
-def frame_pose(frame: Frame) -> Array:
-    """The capture frame in the base frame, (4, 4)."""
-    pose = np.eye(4)
-    for axis, angle in zip(np.eye(3), frame.rpy, strict=True):
-        pose[:3, :3] = rotation_about(axis, np.array([angle]))[0] @ pose[:3, :3]
-    pose[:3, 3] = frame.translation
-    return pose
-
-
-def matrices(quaternions: Array) -> Array:
-    """Unit quaternions x y z w, (n, 4) → rotation matrices (n, 3, 3)."""
-    x, y, z, w = quaternions.T
-    rows = [
-        [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
-        [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
-        [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
-    ]
-    return np.asarray(np.moveaxis(np.array(rows), 2, 0))
-
-
-def mean_pose(poses: Array) -> Array:
-    """Mean translation, and the rotation nearest to the mean matrix (orthogonal Procrustes), (4, 4)."""
-    result = np.eye(4)
-    result[:3, 3] = poses[:, :3, 3].mean(axis=0)
-    u, _, vt = np.linalg.svd(poses[:, :3, :3].mean(axis=0))
-    result[:3, :3] = u @ np.diag([1.0, 1.0, np.linalg.det(u @ vt)]) @ vt
-    return result
-
-
-def inverse(poses: Array) -> Array:
-    """Inverse of rigid transforms (..., 4, 4)."""
-    result = np.zeros_like(poses)
-    result[..., :3, :3] = np.swapaxes(poses[..., :3, :3], -1, -2)
-    result[..., :3, 3] = -np.einsum("...ij,...j->...i", result[..., :3, :3], poses[..., :3, 3])
-    result[..., 3, 3] = 1.0
-    return result
-
-
-def without_mistakes(stream: Stream, poses: Array, seconds: Array) -> tuple[Array, tuple[Flag, ...]]:
-    """``poses`` with the frames set to NaN in which the body was mistaken (swapped markers or bodies), and what was dropped.
-
-    Two signs: the markers do not fit the body's shape (mean marker error), or the body jumps faster than a machine moves. After
-    a jump the frames are kept that form the longest sequence of moves a machine can make.
-    """
-    bad = np.zeros(len(poses), dtype=bool)
-    flags: list[Flag] = []
-    error = stream.columns.get("error")
-    if error is not None and np.isfinite(error).any():
-        limit = max(MAX_MARKER_ERROR, MARKER_ERROR_RATIO * float(np.nanmedian(error)))
-        misfit = np.nan_to_num(error) > limit
-        flags += _flags(stream.name, "markers do not fit the body", misfit, seconds)
-        bad |= misfit
-    seen = np.flatnonzero(~np.isnan(poses[:, 0, 3]) & ~bad)
-    jumped = np.zeros(len(poses), dtype=bool)
-    jumped[seen[~_plausible(poses[seen, :3, 3], seconds[seen])]] = True
-    flags += _flags(stream.name, "jumped further than a machine can move", jumped, seconds)
-    result = poses.copy()
-    result[bad | jumped] = np.nan
-    return result, tuple(flags)
-
-
-def _plausible(positions: Array, seconds: Array) -> npt.NDArray[np.bool_]:
-    """Frames on the heaviest chain of runs between which no jump is too large, (n,)."""
-    if len(positions) < 2:
-        return np.ones(len(positions), dtype=bool)
-    breaks = np.flatnonzero(_jumps(positions, seconds)) + 1
-    runs = np.split(np.arange(len(positions)), breaks)
-    usual = float(np.quantile(np.linalg.norm(np.diff(positions, axis=0), axis=1) / np.diff(seconds), 0.95))
-    weight = np.array([float(len(run)) for run in runs])
-    best = weight.copy()
-    before = np.full(len(runs), -1)
-    for i in range(1, len(runs)):
-        for j in range(max(0, i - 50), i - 1):  # neighbours are parted by a jump: never one after the other
-            gap = np.linalg.norm(positions[runs[i][0]] - positions[runs[j][-1]])
-            time = seconds[runs[i][0]] - seconds[runs[j][-1]]
-            # Time alone must not make a far jump plausible: a long mistake would be as near as any place.
-            if gap <= min(MAX_SPEED * time + JUMP, usual * time + NEAR) and best[j] + weight[i] > best[i]:
-                best[i], before[i] = best[j] + weight[i], j
-    keep = np.zeros(len(positions), dtype=bool)
-    run = int(np.argmax(best))
-    while run >= 0:
-        keep[runs[run]] = True
-        run = int(before[run])
-    return keep
-
-
-def _jumps(positions: Array, seconds: Array) -> npt.NDArray[np.bool_]:
-    """Which steps between neighbours no machine can make, (n − 1,).
-
-    Too far for its time; or, between frames without a gap, unlike the step before and the step after by more than an
-    acceleration explains: that sees a mistake alike whether it goes with or against the motion.
-    """
-    steps, times = np.diff(positions, axis=0), np.diff(seconds)
-    too_fast = np.linalg.norm(steps, axis=1) > MAX_SPEED * times + JUMP
-    regular = times < 1.5 * float(np.median(times))
-    change = np.full(len(steps) + 1, np.inf)
-    change[1:-1] = np.linalg.norm(np.diff(steps, axis=0), axis=1)
-    change[1:-1][~(regular[1:] & regular[:-1])] = np.inf
-    alone = np.minimum(change[:-1], change[1:])
-    sudden = regular & np.isfinite(alone) & (alone > MAX_ACCELERATION * times**2 + JUMP)
-    return np.asarray(too_fast | sudden)
-
-
-def _flags(body: str, reason: str, bad: npt.NDArray[np.bool_], seconds: Array) -> list[Flag]:
-    rows = np.flatnonzero(bad)
-    if not len(rows):
-        return []
-    groups = np.split(rows, np.flatnonzero(np.diff(rows) > 1) + 1)
-    return [Flag(body, reason, float(seconds[g[0]]), float(seconds[g[-1]]), len(g)) for g in groups]
+    signal: str
+    stamps: Stamps
+    values: Array
+    repaired: int
+    flags: tuple[Flag, ...]
 
 
 def find_mounts(streams: Sequence[Stream], mapping: StreamMap, machine: Machine) -> dict[str, list[Array]]:
@@ -195,10 +68,11 @@ def find_mounts(streams: Sequence[Stream], mapping: StreamMap, machine: Machine)
         )
     links = kinematics.link_poses(np.array([_reference_values(reference, machine)]))
     mounts: dict[str, list[Array]] = {}
+    origin = _origin(streams, mapping)
     for body, link in mapping.bodies.items():
         stream = _named(streams, body)
-        seconds = (stream.stamps["capture"] - stream.stamps["capture"][0]) * 1e-9
-        inside = (seconds >= reference.seconds[0]) & (seconds <= reference.seconds[1])
+        at = seconds(stamps_of(stream, mapping), origin)
+        inside = (at >= reference.seconds[0]) & (at <= reference.seconds[1])
         poses = body_poses(stream, mapping.frame)[inside]
         poses = poses[~np.isnan(poses[:, 0, 3])]
         where = f"{stream.source}: {body}"
@@ -235,40 +109,117 @@ def _named(streams: Sequence[Stream], body: str) -> Stream:
     raise SettingsError(f"{source}: bodies", f"no rigid body {body!r}", nearest(body, [stream.name for stream in streams]))
 
 
+def stamps_of(stream: Stream, mapping: StreamMap) -> Stamps:
+    """The stamps of a tracked body that the recipe chooses.
+
+    Raises:
+        InputError: the file does not have that clock.
+    """
+    clock = mapping.clock if mapping.clock is not None else next(iter(stream.stamps))
+    if clock not in stream.stamps:
+        where = f"{stream.source}: {stream.name}"
+        raise InputError(where, f"no {clock!r} stamps", nearest(clock, stream.stamps), "Correct `clock`.")
+    return stream.stamps[clock]
+
+
+def _origin(streams: Sequence[Stream], mapping: StreamMap) -> int:
+    """First stamp of all that is tracked [ns]: zero of the seconds in recipes and remarks."""
+    tracked = {*mapping.bodies, *(point.body or point.marker for point in mapping.points.values())}
+    return min((int(stamps_of(s, mapping).min()) for s in streams if s.name in tracked and len(s)), default=0)
+
+
 def joints_and_points(
     streams: Sequence[Stream], mapping: StreamMap, mounts: Mapping[str, Array], machine: Machine
-) -> tuple[dict[str, Array], tuple[Flag, ...]]:
-    """Signal → values (n,) on the frames of the export, and the frames that were dropped."""
-    signals: dict[str, Array] = {}
-    flags: dict[str, tuple[Flag, ...]] = {}
-    poses: dict[str, Array] = {}
+) -> tuple[list[Seen], tuple[Dropped, ...]]:
+    """The signals that tracked bodies and markers give, and the frames that were dropped.
+
+    Bodies of one export share their stamps. Where they do not (topics of a bag), the one seen more often is turned and moved
+    to the instants of the other before a joint is taken between them.
+    """
+    dropped: dict[str, tuple[Dropped, ...]] = {}
+    tracks: dict[str, Track] = {}
+    origin = _origin(streams, mapping)
     markers = [point.marker for point in mapping.points.values() if point.marker is not None]
     for name in (*mapping.bodies, *(point.body for point in mapping.points.values() if point.body is not None), *markers):
-        if name not in poses:
+        if name not in tracks:
             stream = _named(streams, name)
-            seconds = (stream.stamps["capture"] - stream.stamps["capture"][0]) * 1e-9
-            seen = marker_poses(stream, mapping.frame) if name in markers else body_poses(stream, mapping.frame)
-            poses[name], flags[name] = without_mistakes(stream, seen, seconds)
+            order, repaired = in_order(stamps_of(stream, mapping), f"{stream.source}: {name}")
+            stamps = stamps_of(stream, mapping)[order]
+            poses = marker_poses(stream, mapping.frame) if name in markers else body_poses(stream, mapping.frame)
+            errors = stream.columns.get("error")
+            cleaned, dropped[name] = without_mistakes(
+                name,
+                poses[order],
+                np.asarray((stamps - origin) * 1e-9, dtype=np.float64),
+                None if errors is None else errors[order],
+            )
+            swaps = tuple(_swap(item, (int(stamps[0]) - origin) * 1e-9) for item in dropped[name])
+            tracks[name] = Track(stamps, cleaned, repaired, swaps)
+    seen = []
     kinematics = machine.kinematics()
     if kinematics is not None and mapping.bodies:
-        links = {link: poses[body] @ inverse(mounts[body]) for body, link in mapping.bodies.items()}
+        links = {link: _moved(tracks[body], inverse(mounts[body])) for body, link in mapping.bodies.items()}
         for axis in machine.axes:
-            values = _joint_values(kinematics.joints[axis.joint or ""], links, kinematics, len(streams[0]))
-            if values is not None:
-                signals[f"{axis.name}.joint"] = values
+            joint = kinematics.joints[axis.joint or ""]
+            parent, child = _link_track(joint.parent, links, kinematics), _link_track(joint.child, links, kinematics)
+            if parent is not None and child is not None:
+                both = _together(parent, child, mapping.max_gap_s)
+                if both is not None:
+                    stamps, upper, lower, repaired, flags = both
+                    seen.append(_seen(f"{axis.name}.joint", stamps, _joint_values(joint, upper, lower), repaired, flags))
     for point, entry in mapping.points.items():
-        at = np.array([*entry.at, 1.0])
+        track = tracks[entry.body or entry.marker or ""]
+        places = track.poses @ np.array([*entry.at, 1.0])
         for index, axis_name in enumerate("xyz"):
-            signals[f"{point}.{axis_name}"] = (poses[entry.body or entry.marker or ""] @ at)[:, index]
-    return signals, tuple(flag for group in flags.values() for flag in group)
+            if track.stamps is not None:
+                seen.append(_seen(f"{point}.{axis_name}", track.stamps, places[:, index], track.repaired, track.flags))
+    return seen, tuple(item for group in dropped.values() for item in group)
 
 
-def _joint_values(joint: Joint, links: Mapping[str, Array], kinematics: Kinematics, frames: int) -> Array | None:
-    """Value of ``joint`` in each frame; None where no body sits on its parent or on its child."""
-    parent = _link_pose(joint.parent, links, kinematics, frames)
-    child = _link_pose(joint.child, links, kinematics, frames)
-    if parent is None or child is None:
-        return None
+def _seen(signal: str, stamps: Stamps, values: Array, repaired: int, flags: Sequence[Flag]) -> Seen:
+    return Seen(signal, stamps, values, repaired, tuple(replace(flag, signal=signal) for flag in flags))
+
+
+def _swap(item: Dropped, late_s: float) -> Flag:
+    """A dropped stretch as a flag; its seconds count from the first stamp of the body itself."""
+    text = f"{item.body}: {item.reason}; set to missing"
+    return Flag("", "marker_swap", item.start_s - late_s, item.end_s - late_s, item.frames, text)
+
+
+def _moved(track: Track, by: Array) -> Track:
+    return replace(track, poses=track.poses @ by)
+
+
+def _together(
+    parent: Track, child: Track, max_gap_s: float | None
+) -> tuple[Stamps, Array, Array, int, tuple[Flag, ...]] | None:
+    """Both at the same instants: stamps, poses of the parent and of the child, repaired rows, flags. None without any."""
+    repaired, flags = max(parent.repaired, child.repaired), (*parent.flags, *child.flags)
+    if parent.stamps is None or child.stamps is None:
+        stamps = child.stamps if child.stamps is not None else parent.stamps
+        return None if stamps is None else (stamps, parent.poses, child.poses, repaired, flags)
+    if np.array_equal(parent.stamps, child.stamps):
+        return child.stamps, parent.poses, child.poses, repaired, flags
+    if _period(parent.stamps) > _period(child.stamps):
+        return parent.stamps, parent.poses, _at(child, parent.stamps, max_gap_s), repaired, flags
+    return child.stamps, _at(parent, child.stamps, max_gap_s), child.poses, repaired, flags
+
+
+def _at(track: Track, stamps: Stamps, max_gap_s: float | None) -> Array:
+    """Poses of ``track`` at other stamps."""
+    if track.stamps is None:
+        return np.tile(track.poses, (len(stamps), 1, 1))
+    limit = max_gap_s if max_gap_s is not None else GAP_PERIODS * _period(track.stamps) * 1e-9
+    zero = track.stamps[0]
+    return poses_at(track.poses, (track.stamps - zero) * 1e-9, (stamps - zero) * 1e-9, limit)
+
+
+def _period(stamps: Stamps) -> float:
+    return float(np.median(np.diff(stamps))) if len(stamps) > 1 else np.inf
+
+
+def _joint_values(joint: Joint, parent: Array, child: Array) -> Array:
+    """Value of ``joint`` between poses of its parent, (n, 4, 4) or one that stands still, and of its child."""
     motion = inverse(joint.origin) @ inverse(parent) @ child
     if joint.prismatic:
         return np.asarray(motion[:, :3, 3] @ joint.axis)
@@ -293,16 +244,16 @@ def _continuous(angle: Array, limits: tuple[float, float]) -> Array:
     return angle
 
 
-def _link_pose(link: str, links: Mapping[str, Array], kinematics: Kinematics, frames: int) -> Array | None:
-    """Pose of ``link`` from the body on it, or on a link fixed to it; the root link is the base frame itself."""
+def _link_track(link: str, links: Mapping[str, Track], kinematics: Kinematics) -> Track | None:
+    """Where ``link`` is, from the body on it, or on a link fixed to it; the root link is the base frame itself."""
     if link in links:
         return links[link]
     if link == kinematics.chain[0].parent:
-        return np.tile(np.eye(4), (frames, 1, 1))
+        return Track(None, np.eye(4))
     for joint in kinematics.chain:
         if joint.kind == "fixed" and joint.child == link:
-            upper = _link_pose(joint.parent, links, kinematics, frames)
-            return None if upper is None else upper @ joint.origin
+            upper = _link_track(joint.parent, links, kinematics)
+            return None if upper is None else _moved(upper, joint.origin)
         if joint.kind == "fixed" and joint.parent == link and joint.child in links:
-            return links[joint.child] @ inverse(joint.origin)
+            return _moved(links[joint.child], inverse(joint.origin))
     return None

@@ -8,6 +8,7 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
+from sysid.datasets.flag import Flag
 from sysid.datasets.recipe import SignalMap
 from sysid.errors import InputError, nearest
 from sysid.logs import Stream
@@ -26,6 +27,7 @@ class Channel:
         values: SI, NaN where the source had none, (n,).
         unit: their SI unit.
         repaired: rows that were out of order or double and have been sorted or dropped.
+        flags: what was noticed while reading; their seconds count from the first stamp.
     """
 
     signal: str
@@ -38,6 +40,7 @@ class Channel:
     interpolation: Literal["linear", "cubic"] = "linear"
     max_gap_s: float | None = None
     repaired: int = 0
+    flags: tuple[Flag, ...] = ()
 
     @property
     def clock(self) -> str:

@@ -11,11 +11,14 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from sysid.datasets.bodies import Flag, find_mounts, joints_and_points, mean_pose
+from sysid.datasets.bodies import find_mounts, joints_and_points
 from sysid.datasets.channel import Channel, convert, in_order
 from sysid.datasets.discover import RecordingFiles
+from sysid.datasets.flags.stamps import repaired_stamps
 from sysid.datasets.marker_sets import with_marker_sets
+from sysid.datasets.mistakes import Dropped
 from sysid.datasets.recipe import SignalMap, StreamMap
+from sysid.datasets.rigid import POSE_FIELDS, mean_pose
 from sysid.errors import InputError, SettingsError, nearest
 from sysid.logs import ReadOptions, Stream, reader_for, reader_named
 from sysid.machine import Machine
@@ -30,7 +33,7 @@ class Reading:
 
     channels: tuple[Channel, ...]
     losses: Mapping[str, tuple[str, ...]]
-    flags: tuple[Flag, ...] = ()
+    flags: tuple[Dropped, ...] = ()
 
 
 def survey_mounts(found: Sequence[RecordingFiles], machine: Machine) -> Mounts:
@@ -68,7 +71,7 @@ def read_channels(files: RecordingFiles, machine: Machine, mounts: Mounts) -> Re
     """
     channels: list[Channel] = []
     losses: dict[str, tuple[str, ...]] = {}
-    flags: list[Flag] = []
+    flags: list[Dropped] = []
     for path, mapping in files.streams:
         streams = _read(path, mapping)
         said = (*losses.get(path.name, ()), *(loss for stream in streams for loss in stream.losses))
@@ -92,27 +95,26 @@ def _captured(
     mapping: StreamMap,
     machine: Machine,
     mounts: Mapping[str, npt.NDArray[np.float64]],
-) -> tuple[list[Channel], tuple[Flag, ...]]:
+) -> tuple[list[Channel], tuple[Dropped, ...]]:
     """Joints and points that the rigid bodies of an export give."""
-    signals, flags = joints_and_points(streams, mapping, mounts, machine)
-    stamps = streams[0].stamps["capture"]
-    order, repaired = in_order(stamps, str(path))
+    seen, dropped = joints_and_points(streams, mapping, mounts, machine)
     channels = [
         Channel(
-            signal=signal,
+            signal=item.signal,
             source=path.name,
             domain=mapping.domain,
-            stamps=stamps[order],
-            values=values[order],
-            unit=machine.expected_unit(signal) or "m",
-            primary=signal not in mapping.secondary,
+            stamps=item.stamps,
+            values=item.values,
+            unit=machine.expected_unit(item.signal) or "m",
+            primary=item.signal not in mapping.secondary,
             interpolation=mapping.interpolation,
             max_gap_s=mapping.max_gap_s,
-            repaired=repaired,
+            repaired=item.repaired,
+            flags=item.flags,
         )
-        for signal, values in signals.items()
+        for item in seen
     ]
-    return channels, flags
+    return channels, dropped
 
 
 def _read(path: Path, mapping: StreamMap | None) -> tuple[Stream, ...]:
@@ -127,6 +129,9 @@ def _read(path: Path, mapping: StreamMap | None) -> tuple[Stream, ...]:
     for signal in mapping.signals.values():
         if signal.topic is not None:
             fields.setdefault(signal.topic, set()).add(signal.field)
+    if fields:
+        for name in wanted & {*tracked, *(m for markers in mapping.marker_sets.values() for m in markers)}:
+            fields.setdefault(name, set()).update(POSE_FIELDS)
     options = ReadOptions(
         streams=frozenset(wanted) if wanted else None,
         fields={topic: frozenset(own) for topic, own in fields.items()} if fields else None,
@@ -179,6 +184,7 @@ def _channel(
         interpolation=mapping.interpolation,
         max_gap_s=mapping.max_gap_s,
         repaired=repaired,
+        flags=tuple(repaired_stamps(signal, stream.stamps[clock])) if repaired else (),
     )
 
 

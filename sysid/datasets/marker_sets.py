@@ -16,6 +16,7 @@ import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
 from sysid.datasets.recipe import StreamMap
+from sysid.datasets.rigid import marker_places
 from sysid.errors import InputError, SettingsError, nearest
 from sysid.logs import Stream
 
@@ -42,8 +43,12 @@ def with_marker_sets(streams: Sequence[Stream], mapping: StreamMap) -> tuple[Str
                 where = f"{streams[0].source if streams else mapping.files}: marker_sets.{body}"
                 raise SettingsError(where, f"no marker {name!r}", nearest(name, known), "Correct the recipe.")
         own = [known[name] for name in names]
-        markers = np.stack([np.column_stack([stream.columns[axis] for axis in "xyz"]) for stream in own], axis=1)
         first = own[0]
+        for other in own[1:]:
+            if not all(np.array_equal(stamps, other.stamps.get(clock, ())) for clock, stamps in first.stamps.items()):
+                found = f"marker {other.name!r} has other stamps than {first.name!r}"
+                raise InputError(f"{first.source}: {body}", found, "markers of one capture")
+        markers = np.stack([marker_places(stream) for stream in own], axis=1)
         try:
             rotation, position, error = rigid_body(markers)
         except ValueError as problem:

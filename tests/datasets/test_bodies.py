@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -11,8 +12,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from sysid.datasets.bodies import body_poses, find_mounts, frame_pose, inverse, joints_and_points, mean_pose, without_mistakes
+from sysid.datasets.bodies import Seen, find_mounts, joints_and_points
+from sysid.datasets.mistakes import without_mistakes
 from sysid.datasets.recipe import Frame, PointMap, Reference, StreamMap
+from sysid.datasets.rigid import body_poses, frame_pose, inverse, mean_pose, poses_at
 from sysid.errors import InputError, SettingsError
 from sysid.logs import Stream
 from sysid.machine import Machine, load_machine
@@ -56,6 +59,10 @@ def capture(machine: Machine, q: Array, rng: np.random.Generator, frame: Frame) 
     return [stream(body, to_capture @ links[link] @ random_pose(rng)) for body, link in BODIES.items()]
 
 
+def values_of(seen: list[Seen]) -> dict[str, Array]:
+    return {item.signal: item.values for item in seen}
+
+
 def mapping(frame: Frame | None = None, **changes: object) -> StreamMap:
     reference = Reference((0.0, 0.5), REFERENCE)
     values = {"files": "mocap.csv", "bodies": BODIES, "frame": frame or Frame(), "reference": reference} | changes
@@ -71,7 +78,7 @@ def test_joints_come_back_whatever_the_mounts_and_the_capture_frame(crane: Machi
     q[:31] = list(REFERENCE.values())
     streams = capture(crane, q, rng, frame)
     mounts = {body: mean_pose(np.stack(poses)) for body, poses in find_mounts(streams, mapping(frame), crane).items()}
-    signals, _ = joints_and_points(streams, mapping(frame), mounts, crane)
+    signals = values_of(joints_and_points(streams, mapping(frame), mounts, crane)[0])
     for index, axis in enumerate(crane.axis_names):
         values = signals[f"{axis}.joint"]
         known = ~np.isnan(values)
@@ -85,7 +92,7 @@ def test_a_point_in_a_body_frame_lands_in_the_base_frame(crane: Machine) -> None
     q = np.tile(list(REFERENCE.values()), (40, 1))
     streams = capture(crane, q, rng, frame)
     points = {"ee": PointMap("b3", POINT)}
-    signals, _ = joints_and_points(streams, mapping(frame, bodies={}, points=points), {}, crane)
+    signals = values_of(joints_and_points(streams, mapping(frame, bodies={}, points=points), {}, crane)[0])
     expected = body_poses(streams[3], frame)[0] @ np.array([*POINT, 1.0])
     np.testing.assert_allclose([signals[f"ee.{axis}"][0] for axis in "xyz"], expected[:3], atol=1e-12)
 
@@ -96,7 +103,7 @@ def test_axes_between_bodies_that_are_not_there_are_left_out(crane: Machine) -> 
     streams = capture(crane, q, rng, Frame())
     few = {"b0": "column", "b2": "stick", "b3": "tip"}
     mounts = {body: poses[0] for body, poses in find_mounts(streams, mapping(bodies=few), crane).items()}
-    signals, _ = joints_and_points(streams, mapping(bodies=few), mounts, crane)
+    signals = values_of(joints_and_points(streams, mapping(bodies=few), mounts, crane)[0])
     assert set(signals) == {"slew.joint", "telescope.joint"}
 
 
@@ -113,7 +120,7 @@ def test_swapped_bodies_are_flagged_and_set_to_missing() -> None:
     swapped[200:230, :3, 3] += [0.06, 0.0, 0.03]
     swapped[400, :3, 3] += [0.0, 2.0, 0.0]
     seconds = np.arange(600) / 60.0
-    cleaned, flags = without_mistakes(stream("b", swapped), swapped, seconds)
+    cleaned, flags = without_mistakes("b", swapped, seconds)
     bad = np.isnan(cleaned[:, 0, 0])
     np.testing.assert_array_equal(np.flatnonzero(bad), [*range(200, 230), 400])
     assert [(flag.frames, round(flag.start_s, 3)) for flag in flags] == [(30, 3.333), (1, 6.667)]
@@ -127,7 +134,7 @@ def test_a_jump_of_five_centimetres_is_seen_in_any_direction(seed: int, size: fl
     swapped = trajectory()
     swapped[:, :3, 3] += 2e-4 * rng.normal(size=(600, 3))
     swapped[start : start + length, :3, 3] += size * direction / np.linalg.norm(direction)
-    cleaned, _ = without_mistakes(stream("b", swapped), swapped, np.arange(600) / 60.0)
+    cleaned, _ = without_mistakes("b", swapped, np.arange(600) / 60.0)
     np.testing.assert_array_equal(np.flatnonzero(np.isnan(cleaned[:, 0, 0])), range(start, start + length))
 
 
@@ -135,7 +142,7 @@ def test_a_body_whose_markers_do_not_fit_is_missing() -> None:
     poses = trajectory()
     error = np.full(600, 2e-4)
     error[100:110] = 0.02
-    cleaned, flags = without_mistakes(stream("b", poses, error=error), poses, np.arange(600) / 60.0)
+    cleaned, flags = without_mistakes("b", poses, np.arange(600) / 60.0, error)
     np.testing.assert_array_equal(np.flatnonzero(np.isnan(cleaned[:, 0, 0])), range(100, 110))
     assert flags[0].reason == "markers do not fit the body"
 
@@ -144,9 +151,73 @@ def test_fast_motion_and_long_dropouts_are_no_mistakes() -> None:
     poses = trajectory()
     poses[:, :3, 3] *= 4.0  # 2 m/s
     poses[300:360] = np.nan
-    cleaned, flags = without_mistakes(stream("b", poses), poses, np.arange(600) / 60.0)
+    cleaned, flags = without_mistakes("b", poses, np.arange(600) / 60.0)
     assert flags == ()
     np.testing.assert_array_equal(np.isnan(cleaned), np.isnan(poses))
+
+
+def as_topic(body: Stream, stamps: Array) -> Stream:
+    """The body as a PoseStamped topic of a bag."""
+    names = {"x": "position.x", "y": "position.y", "z": "position.z"} | {f"q{axis}": f"orientation.{axis}" for axis in "xyzw"}
+    columns = {f"pose.{names[column]}": values for column, values in body.columns.items()}
+    return Stream(body.name, Path("poses.mcap"), {"header": stamps.astype(np.int64), "log": stamps.astype(np.int64)}, columns)
+
+
+@settings(max_examples=15, deadline=None)
+@given(seed=st.integers(0, 10_000))
+def test_bodies_on_stamps_of_their_own_are_turned_to_common_instants(crane: Machine, seed: int) -> None:
+    """Two topics at 100 and 73 Hz, fast rotation of parent and child: joints as good as the interpolation of rotations."""
+    rng = np.random.default_rng(seed)
+    frame = Frame((1.0, -2.0, 0.3), (0.3, 0.2, 1.0))
+    rates = {"b0": 100.0, "b1": 73.0, "b2": 90.0, "b3": 61.0}
+    topics = []
+    mount = {body: random_pose(rng) for body in BODIES}
+
+    def motion(time: npt.NDArray[Any]) -> Array:
+        late = np.clip(time - 1.0, 0.0, None)[:, None]
+        return np.asarray(list(REFERENCE.values()) + np.sin(1.2 * late) ** 2 * [0.8, 0.2, 0.3, 0.05])
+
+    kinematics = crane.kinematics()
+    assert kinematics is not None
+    for body, link in BODIES.items():
+        time = rng.uniform(0.0, 0.01) + np.arange(0.0, 6.0, 1.0 / rates[body])
+        poses = inverse(frame_pose(frame)) @ kinematics.link_poses(motion(time))[link] @ mount[body]
+        topics.append(as_topic(stream(body, poses), np.rint(1e9 * time) + 5e18))
+    own = mapping(frame, clock="header")
+    mounts = {body: poses[0] for body, poses in find_mounts(topics, own, crane).items()}
+    seen, _ = joints_and_points(topics, own, mounts, crane)
+    assert [item.signal for item in seen] == ["slew.joint", "boom.joint", "stick.joint", "telescope.joint"]
+    assert [round(1e9 / np.median(np.diff(item.stamps))) for item in seen] == [100, 73, 73, 61]
+    for index, item in enumerate(seen):
+        truth = motion((item.stamps - int(5e18)) * 1e-9)[:, index]
+        known = ~np.isnan(item.values)
+        assert known.mean() > 0.98
+        assert np.abs(item.values - truth)[known].max() < 1e-4  # between frames 14 ms apart, at up to 2 rad/s²
+
+
+def test_a_rotation_is_interpolated_as_one_and_not_across_a_gap() -> None:
+    times = np.array([0.0, 0.1, 0.2, 0.9, 1.0])
+    poses = np.tile(np.eye(4), (5, 1, 1))
+    poses[:, :3, :3] = Rotation.from_rotvec(np.outer(20.0 * times, [0.0, 0.0, 1.0])).as_matrix()  # 115° from frame to frame
+    poses[:, 0, 3] = times
+    at = np.array([-0.1, 0.0, 0.05, 0.1, 0.17, 0.5, 0.95, 1.0, 1.1])
+    made = poses_at(poses, times, at, 0.15)
+    inside = np.isin(at, [0.0, 0.05, 0.1, 0.17, 0.95, 1.0])
+    np.testing.assert_array_equal(~np.isnan(made[:, 0, 0]), inside)
+    expected = Rotation.from_rotvec(np.outer(20.0 * at[inside], [0.0, 0.0, 1.0])).as_matrix()
+    np.testing.assert_allclose(made[inside, :3, :3], expected, atol=1e-12)
+    np.testing.assert_allclose(made[inside, 0, 3], at[inside], atol=1e-12)
+
+
+def test_an_analog_stream_beside_the_bodies_does_not_disturb_them(crane: Machine) -> None:
+    """It may come first and has a rate of its own."""
+    rng = np.random.default_rng(5)
+    q = np.tile(list(REFERENCE.values()), (40, 1))
+    streams = capture(crane, q, rng, Frame())
+    analog = Stream("analog", Path("a.c3d"), {"capture": np.arange(4000, dtype=np.int64) * 1_000_000}, {"v": np.zeros(4000)})
+    mounts = {body: poses[0] for body, poses in find_mounts(streams, mapping(), crane).items()}
+    seen, _ = joints_and_points([analog, *streams], mapping(), mounts, crane)
+    assert {len(item.values) for item in seen} == {40}
 
 
 def test_mistakes_are_named(crane: Machine) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,9 +12,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from sysid.datasets.bodies import body_poses, joints_and_points
+from sysid.datasets.bodies import joints_and_points
 from sysid.datasets.marker_sets import rigid_body, with_marker_sets
 from sysid.datasets.recipe import Frame, PointMap, StreamMap, load_recipe
+from sysid.datasets.rigid import body_poses
 from sysid.errors import InputError, SettingsError
 from sysid.logs import Stream
 from sysid.machine import Machine, load_machine
@@ -122,7 +124,8 @@ def test_a_set_becomes_a_body_like_an_exported_one(crane: Machine) -> None:
     found = with_marker_sets(streams(markers, *names), mapping)
     assert [stream.name for stream in found] == [*names, "tip"]
     np.testing.assert_allclose(body_poses(found[-1], Frame())[:, :3, :3], rotation @ own_frame(SHAPE), atol=1e-9)
-    signals, flags = joints_and_points(found, mapping, {}, crane)
+    points, flags = joints_and_points(found, mapping, {}, crane)
+    signals = {item.signal: item.values for item in points}
     at = position + rotation @ (SHAPE.mean(axis=0) + own_frame(SHAPE) @ [0.1, 0.0, 0.2])
     for point, expected in (("ee", at), ("tool", markers[:, 3])):
         seen = np.column_stack([signals[f"{point}.{axis}"] for axis in "xyz"])
@@ -134,9 +137,21 @@ def test_a_marker_that_jumps_is_set_to_missing(crane: Machine) -> None:
     _, _, markers = motion(5)
     markers[100:110, 0] += 0.4
     mapping = StreamMap(files="*.c3d", points={"ee": PointMap(marker="m0")})
-    signals, (flag,) = joints_and_points(streams(markers), mapping, {}, crane)
-    np.testing.assert_array_equal(np.flatnonzero(np.isnan(signals["ee.x"])), np.arange(100, 110))
-    assert (flag.body, flag.frames) == ("m0", 10)
+    points, (dropped,) = joints_and_points(streams(markers), mapping, {}, crane)
+    assert [item.signal for item in points] == ["ee.x", "ee.y", "ee.z"]
+    np.testing.assert_array_equal(np.flatnonzero(np.isnan(points[0].values)), np.arange(100, 110))
+    assert (dropped.body, dropped.frames) == ("m0", 10)
+    (flag,) = points[1].flags
+    assert (flag.signal, flag.kind, flag.samples) == ("ee.y", "marker_swap", 10)
+    assert "m0: jumped further than a machine can move; set to missing" in flag.text
+
+
+def test_markers_with_stamps_of_their_own_make_no_body() -> None:
+    mapping = StreamMap(files="*.c3d", marker_sets={"body": ("m0", "m1", "m2")})
+    found = list(streams(np.tile(SHAPE, (5, 1, 1))))
+    found[1] = replace(found[1], stamps={name: stamps + 1 for name, stamps in found[1].stamps.items()})
+    with pytest.raises(InputError, match=r"body: marker 'm1' has other stamps than 'm0'; expected markers of one capture"):
+        with_marker_sets(found, mapping)
 
 
 def test_an_unknown_marker_is_named() -> None:

@@ -1,0 +1,121 @@
+"""Every channel of a recording through every detector; times on the recording's own axis."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict, replace
+from typing import Any
+
+import numpy as np
+
+from sysid.datasets.channel import Channel, seconds
+from sysid.datasets.flag import KINDS, Array, Flag, Mask
+from sysid.datasets.flags.stamps import dropouts, jitter
+from sysid.datasets.flags.standing import Witness, saturation, stuck
+from sysid.datasets.flags.values import jumps, outliers
+from sysid.datasets.resample import gap_limit, hold
+from sysid.machine import Machine
+from sysid.signals import split_signal
+
+#: A channel and its stamps on the time axis of the recording [s].
+Timed = tuple[Channel, Array]
+
+#: A command of more than this share of the largest is a command at all; more than the second moves the axis for certain.
+IDLE, DRIVEN = 0.02, 0.3
+#: On a position axis the command itself has to move: by this share of its range over this time [s].
+MOVING_SHARE, MOVING_S = 0.05, 0.5
+
+
+def find_flags(timed: Sequence[Timed], machine: Machine, hold_s: float) -> list[tuple[str, Flag]]:
+    """(source, flag) of all channels of one motion recording, by signal and time.
+
+    Args:
+        timed: primary and secondary channels, with their stamps on the recording's time axis [s].
+        machine: which axis a signal belongs to, and where it ends.
+        hold_s: how long a command counts.
+    """
+    timed = [(channel, at) for channel, at in timed if len(at)]
+    commands = [(channel, at) for channel, at in timed if channel.signal.endswith(".command")]
+    found: list[tuple[str, Flag]] = []
+    for channel, at in timed:
+        own = np.asarray(seconds(channel.stamps, int(channel.stamps[0])))
+        flags = [
+            replace(flag, from_s=float(np.interp(flag.from_s, own, at)), to_s=float(np.interp(flag.to_s, own, at)))
+            for flag in channel.flags
+        ]
+        flags += _of(channel, at, commands, machine, hold_s)
+        found += [(channel.source, flag) for flag in flags]
+    return sorted(found, key=lambda item: (item[1].signal, item[0], KINDS.index(item[1].kind), item[1].from_s))
+
+
+def flag_rows(recording: str, found: Sequence[tuple[str, Flag]]) -> list[dict[str, Any]]:
+    """Flags as JSON has them, see "What is flagged" in ``docs/recipes.md``."""
+    return [{"recording": recording, "source": source, **asdict(flag)} for source, flag in found]
+
+
+def _of(channel: Channel, at: Array, commands: Sequence[Timed], machine: Machine, hold_s: float) -> list[Flag]:
+    signal, values, unit = channel.signal, channel.values, channel.unit
+    if signal.endswith(".command"):
+        return [*jitter(signal, at), *dropouts(signal, at, values, hold_s)]
+    witness = _witness(signal, at, commands, machine, hold_s)
+    ends = _ends(signal, machine)
+    saturated = saturation(signal, at, values, witness, ends, unit)
+    standing = [
+        flag
+        for flag in stuck(signal, at, values, witness, unit)
+        if not any(flag.from_s <= other.to_s and other.from_s <= flag.to_s for other in saturated)
+    ]
+    return [
+        *outliers(signal, at, values, unit),
+        *jumps(signal, at, values, unit),
+        *standing,
+        *saturated,
+        *dropouts(signal, at, values, gap_limit(channel)),
+        *jitter(signal, at),
+    ]
+
+
+def _ends(signal: str, machine: Machine) -> tuple[float, float]:
+    """Range of the axis that ``signal`` measures; without ends where it is not known."""
+    owner, kind = split_signal(signal)
+    for axis in machine.axes:
+        if axis.name == owner:
+            if kind == "joint" and axis.limits is not None:
+                return axis.limits
+            if kind == "cylinder" and axis.stroke is not None:
+                return axis.stroke
+    return (-np.inf, np.inf)
+
+
+def _witness(signal: str, at: Array, commands: Sequence[Timed], machine: Machine, hold_s: float) -> Witness:
+    """When what moves ``signal`` is commanded: its own axis, for a point any axis."""
+    owner, _ = split_signal(signal)
+    commanded, driven = np.zeros(len(at), dtype=bool), np.zeros(len(at), dtype=bool)
+    period = float(np.median(np.diff(at))) if len(at) > 1 else 0.0
+    for axis in machine.axes:
+        own = [item for item in commands if item[0].signal == f"{axis.name}.command"]
+        if not own or (owner in machine.axis_names and owner != axis.name):
+            continue
+        command = np.full(len(at), np.nan)
+        for channel, sent in own:
+            part = hold(sent, channel.values, at, 0.0, hold_s)
+            command = np.where(np.isnan(part), command, part)
+        more = _moving(command, period) if axis.actuation == "position" else _beyond(command, DRIVEN)
+        commanded |= more if axis.actuation == "position" else _beyond(command, IDLE)
+        if axis.actuation != "force":  # a force may hold without moving
+            driven |= more
+    return Witness(commanded, driven)
+
+
+def _beyond(command: Array, share: float) -> Mask:
+    size = np.nan_to_num(np.abs(command))
+    return np.asarray(size > share * float(size.max(initial=0.0)))
+
+
+def _moving(command: Array, period: float) -> Mask:
+    known = np.nan_to_num(command, nan=float(np.nanmedian(command)) if np.isfinite(command).any() else 0.0)
+    width = max(round(MOVING_S / period), 1) if period > 0.0 else 1
+    moved = np.zeros(len(known), dtype=bool)
+    if len(known) > width:
+        moved[width:] = np.abs(known[width:] - known[:-width]) > MOVING_SHARE * float(np.ptp(known))
+    return moved

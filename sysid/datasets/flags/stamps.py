@@ -1,0 +1,70 @@
+"""Stamps that are uneven, double, out of order, or missing."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from sysid.datasets.flag import Array, Flag, thinned
+
+#: Stamps are uneven where nine intervals in ten spread over more than this share of the median one. Below it the instant a
+#: sample was taken at is known to a quarter of a period.
+JITTER_SHARE = 0.5
+#: Fewer intervals than this say nothing about evenness.
+MIN_INTERVALS = 20
+
+
+def dropouts(signal: str, times: Array, values: Array, limit_s: float) -> list[Flag]:
+    """Stretches longer than ``limit_s`` between two known samples: what is not bridged.
+
+    Args:
+        signal: its name.
+        times: rising, (n,) [s].
+        values: (n,), NaN where missing.
+        limit_s: the longest gap that is bridged, or for which a command is held [s].
+    """
+    times = times[np.isfinite(values)]
+    steps = np.diff(times)
+    if not len(steps):
+        return []
+    period = float(np.median(steps))
+    found = []
+    for index in np.flatnonzero(steps > limit_s + 1e-9):
+        lost = max(round(float(steps[index]) / period) - 1, 1)
+        text = f"nothing for {steps[index]:.3f} s"
+        found.append(Flag(signal, "dropout", float(times[index]), float(times[index + 1]), lost, text))
+    return thinned(found)
+
+
+def jitter(signal: str, times: Array) -> list[Flag]:
+    """Uneven stamps, as one flag over all of ``times`` (n,) [s]; gaps are left out."""
+    steps = np.diff(times)
+    if len(steps) < MIN_INTERVALS:
+        return []
+    period = float(np.median(steps))
+    regular = steps[steps < 3.0 * period]
+    low, high = (float(quantile) for quantile in np.quantile(regular, [0.05, 0.95]))
+    if high - low <= JITTER_SHARE * period:
+        return []
+    off = int(np.count_nonzero(np.abs(regular - period) > 0.5 * JITTER_SHARE * period))
+    spread = f"nine intervals in ten lie between {1e3 * low:.2f} and {1e3 * high:.2f} ms, the median is {1e3 * period:.2f}"
+    text = f"uneven stamps: {spread}"
+    return [Flag(signal, "jitter", float(times[0]), float(times[-1]), off, text)]
+
+
+def repaired_stamps(signal: str, stamps: npt.NDArray[np.int64]) -> list[Flag]:
+    """Stamps that go back or repeat, as one flag; seconds count from the earliest of ``stamps`` (n,) [ns], as in the file."""
+    steps = np.diff(stamps)
+    back = np.flatnonzero(steps < 0)
+    ordered = np.sort(stamps)
+    double = int(np.count_nonzero(np.diff(ordered) == 0))
+    if not len(back) and not double:
+        return []
+    first_double = ordered[1:][np.diff(ordered) == 0]
+    concerned = (np.concatenate([stamps[back], stamps[back + 1], first_double]) - ordered[0]) * 1e-9
+    parts = []
+    if len(back):
+        parts.append(f"{len(back)} stamps go back, by up to {-1e-6 * float(steps.min()):.3f} ms: put in order")
+    if double:
+        parts.append(f"{double} rows have the stamp of another: left out")
+    return [Flag(signal, "stamps", float(concerned.min()), float(concerned.max()), len(back) + double, "; ".join(parts))]

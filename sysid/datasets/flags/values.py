@@ -1,0 +1,151 @@
+"""Samples that no motion explains: spikes of a few samples, and steps from one sample to the next.
+
+Both are judged by the sensor's own noise and by the steps around: a motion has neighbours that move, too, whatever its speed;
+a spike or a jump stands alone.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
+
+from sysid.datasets.flag import Array, Flag, shown, thinned
+
+#: A spike is at most this many samples long; what lasts longer are two jumps.
+SPIKE_SAMPLES = 5
+#: Steps on each side that a spike or a jump is compared with.
+AROUND = 5
+#: A spike leaves the line between its neighbours by this many standard deviations of the noise. In Gaussian noise the line
+#: between two samples is missed by 1.22 σ, so that this is 6.5 of them: one false alarm in 10¹⁰ samples.
+SPIKE_NOISE = 8.0
+#: … and a jump is this many: its sides are averaged by nobody, and a sensor that jumps does so by far more.
+JUMP_NOISE = 12.0
+#: Both are at least this many times what a counting sensor counts in: neighbours flicker by one.
+STEPS_OF_SENSOR = 4.0
+#: How many times further than the steps around it a spike goes, out and back in a few samples.
+SPIKE_RATIO = 3.0
+#: The same for a jump: the largest of ten noisy steps is 2.4 σ, and a motion that begins with a jerk goes on as fast.
+JUMP_RATIO = 6.0
+#: Steps across more than this many sample periods say nothing: anything may have happened in between.
+GAP_PERIODS = 3.0
+#: A jump and one back by nearly as much (within this share) belong together when less than this time lies between [s].
+BACK_SHARE, BACK_S = 0.3, 20.0
+
+
+def noise_scale(values: Array) -> float:
+    """Standard deviation of the noise about the line between two neighbours, by the median; 0 where most samples repeat."""
+    if len(values) < 3:
+        return 0.0
+    middle = values[1:-1] - 0.5 * (values[:-2] + values[2:])
+    return float(1.4826 * np.median(np.abs(middle)) / np.sqrt(1.5))
+
+
+def sensor_step(values: Array) -> float:
+    """What the sensor counts in; 0 where its values do not repeat.
+
+    The smallest distance that some of its levels have, leaving out those of rounding.
+    """
+    levels = np.unique(values)
+    if len(levels) < 2 or len(levels) > len(values) / 4:
+        return 0.0
+    gaps = np.diff(levels)
+    return float(gaps[gaps > 1e-6 * (levels[-1] - levels[0])].min())
+
+
+def outliers(signal: str, times: Array, values: Array, unit: str = "1") -> list[Flag]:
+    """Spikes: one to :data:`SPIKE_SAMPLES` samples that leave the line between their neighbours and come back.
+
+    Args:
+        signal: its name.
+        times: rising, (n,) [s].
+        values: (n,); NaN is left out.
+        unit: of the values, for the text.
+    """
+    known = ~np.isnan(values)
+    times, values = times[known], values[known]
+    found: list[Flag] = []
+    if len(times) < 2 * AROUND + SPIKE_SAMPLES + 2:
+        return found
+    floor = max(SPIKE_NOISE * noise_scale(values), STEPS_OF_SENSOR * sensor_step(values))
+    if floor <= 0.0:
+        floor = 1e-9 * float(np.ptp(values))
+    period = float(np.median(np.diff(times)))
+    steps = np.abs(np.diff(values))
+    taken = np.zeros(len(values), dtype=bool)
+    for length in range(1, SPIKE_SAMPLES + 1):
+        before = np.arange(AROUND, len(values) - AROUND - length)
+        after = before + length + 1
+        whole = times[after] - times[before] <= GAP_PERIODS * (length + 1) * period
+        before, after = before[whole], after[whole]
+        off = _least_distance(times, values, before, length)
+        for index in np.flatnonzero(off > floor):
+            first, last = before[index] + 1, after[index]
+            if taken[first:last].any():
+                continue
+            around = np.concatenate([steps[first - 1 - AROUND : first - 1], steps[last : last + AROUND]])
+            # The two largest are left out: they may be those of another spike.
+            usual = float(np.sort(around)[-3])
+            if off[index] > SPIKE_RATIO * max(usual, abs(values[last] - values[first - 1]) / length):
+                taken[first:last] = True
+                text = f"{_count(length)} off by {shown(float(off[index]), unit)}, the steps around are {shown(usual, unit)}"
+                found.append(Flag(signal, "outlier", float(times[first]), float(times[last - 1]), length, text))
+    return thinned(sorted(found, key=lambda flag: flag.from_s))
+
+
+def _least_distance(times: Array, values: Array, before: np.typing.NDArray[np.intp], length: int) -> Array:
+    """Of the ``length`` samples after ``before``: how far the nearest is from the line between those on both sides, (m,)."""
+    after = before + length + 1
+    slope = (values[after] - values[before]) / (times[after] - times[before])
+    least = np.full(len(before), np.inf)
+    sides = np.zeros((2, len(before)), dtype=bool)
+    for offset in range(1, length + 1):
+        away = values[before + offset] - values[before] - slope * (times[before + offset] - times[before])
+        least = np.minimum(least, np.abs(away))
+        sides |= np.stack([away > 0, away < 0])
+    least[sides.all(axis=0)] = 0.0
+    return least
+
+
+def jumps(signal: str, times: Array, values: Array, unit: str = "1") -> list[Flag]:
+    """Steps between two samples that no step around comes near: swapped markers, a slipped or wrapped sensor, lost counts.
+
+    Arguments as for :func:`outliers`. A jump and the one back are one flag.
+    """
+    known = ~np.isnan(values)
+    times, values = times[known], values[known]
+    if len(times) < 2 * AROUND + 2:
+        return []
+    floor = max(JUMP_NOISE * noise_scale(values), STEPS_OF_SENSOR * sensor_step(values), 1e-9 * float(np.ptp(values)))
+    spans = np.diff(times)
+    period = float(np.median(spans))
+    # A message that came late moves further: by its rate it is as usual.
+    size = np.diff(values) * (period / np.maximum(spans, period))
+    size[spans > GAP_PERIODS * period] = 0.0
+    around = sliding_window_view(np.abs(size), AROUND).max(axis=1)
+    index = np.arange(AROUND, len(size) - AROUND)
+    usual = np.maximum(around[index - AROUND], around[index + 1])
+    far = index[(np.abs(size[index]) > floor) & (np.abs(size[index]) > JUMP_RATIO * usual)]
+    found: list[Flag] = []
+    number = 0
+    while number < len(far):
+        step = int(far[number])
+        by = float(values[step + 1] - values[step])
+        first, last = step + 1, step + 1
+        text = f"{'wraps' if _is_turn(by, unit) else 'jumps'} by {shown(by, unit)} between two samples"
+        if number + 1 < len(far):
+            back = int(far[number + 1])
+            returned = float(values[back + 1] - values[back])
+            if abs(by + returned) < BACK_SHARE * abs(by) and times[back] - times[step] < BACK_S:
+                last, number = back, number + 1
+                text += f" and back {times[back] - times[first]:.3f} s later"
+        found.append(Flag(signal, "jump", float(times[first]), float(times[last]), last - first + 1, text))
+        number += 1
+    return thinned(found)
+
+
+def _is_turn(by: float, unit: str) -> bool:
+    return unit == "rad" and abs(abs(by) - 2.0 * np.pi) < 0.1
+
+
+def _count(length: int) -> str:
+    return "a sample" if length == 1 else f"{length} samples"

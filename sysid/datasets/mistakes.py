@@ -1,0 +1,108 @@
+"""Frames in which a motion capture took one body, or one marker, for another."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+Array = npt.NDArray[np.float64]
+
+#: No point of such a machine moves faster [m/s] or accelerates more [m/s²]; a body that seems to has been mistaken for another.
+MAX_SPEED, MAX_ACCELERATION = 3.0, 20.0
+#: Room for noise on top of that [m]; a smaller mistake is not seen as a jump.
+JUMP = 0.02
+#: How far a body can be after a mistake from where it was before [m], beyond what it moves at its own usual top speed.
+NEAR = 0.1
+#: A body whose markers do not fit its shape (mean marker error) is not where it seems to be: metres, and times its median.
+MAX_MARKER_ERROR, MARKER_ERROR_RATIO = 0.002, 8.0
+
+
+@dataclass(frozen=True)
+class Dropped:
+    """Frames of a body that have been set to missing; seconds on the capture clock from its first frame."""
+
+    body: str
+    reason: str
+    start_s: float
+    end_s: float
+    frames: int
+
+
+def without_mistakes(body: str, poses: Array, seconds: Array, error: Array | None = None) -> tuple[Array, tuple[Dropped, ...]]:
+    """The poses without those frames in which the body was mistaken (swapped markers or bodies), and what was dropped.
+
+    Two signs: the markers do not fit the body's shape, or the body jumps faster than a machine moves. After a jump the frames
+    are kept that form the longest sequence of moves a machine can make.
+
+    Args:
+        body: its name.
+        poses: (n, 4, 4), NaN where not seen.
+        seconds: rising, (n,).
+        error: mean marker error (n,) [m], where the system gives it.
+    """
+    bad = np.zeros(len(poses), dtype=bool)
+    flags: list[Dropped] = []
+    if error is not None and np.isfinite(error).any():
+        limit = max(MAX_MARKER_ERROR, MARKER_ERROR_RATIO * float(np.nanmedian(error)))
+        misfit = np.nan_to_num(error) > limit
+        flags += _dropped(body, "markers do not fit the body", misfit, seconds)
+        bad |= misfit
+    seen = np.flatnonzero(~np.isnan(poses[:, 0, 3]) & ~bad)
+    jumped = np.zeros(len(poses), dtype=bool)
+    jumped[seen[~_plausible(poses[seen, :3, 3], seconds[seen])]] = True
+    flags += _dropped(body, "jumped further than a machine can move", jumped, seconds)
+    result = poses.copy()
+    result[bad | jumped] = np.nan
+    return result, tuple(flags)
+
+
+def _plausible(positions: Array, seconds: Array) -> npt.NDArray[np.bool_]:
+    """Frames on the heaviest chain of runs between which no jump is too large, (n,)."""
+    if len(positions) < 2:
+        return np.ones(len(positions), dtype=bool)
+    breaks = np.flatnonzero(_jumps(positions, seconds)) + 1
+    runs = np.split(np.arange(len(positions)), breaks)
+    usual = float(np.quantile(np.linalg.norm(np.diff(positions, axis=0), axis=1) / np.diff(seconds), 0.95))
+    weight = np.array([float(len(run)) for run in runs])
+    best = weight.copy()
+    before = np.full(len(runs), -1)
+    for i in range(1, len(runs)):
+        for j in range(max(0, i - 50), i - 1):  # neighbours are parted by a jump: never one after the other
+            gap = np.linalg.norm(positions[runs[i][0]] - positions[runs[j][-1]])
+            time = seconds[runs[i][0]] - seconds[runs[j][-1]]
+            # Time alone must not make a far jump plausible: a long mistake would be as near as any place.
+            if gap <= min(MAX_SPEED * time + JUMP, usual * time + NEAR) and best[j] + weight[i] > best[i]:
+                best[i], before[i] = best[j] + weight[i], j
+    keep = np.zeros(len(positions), dtype=bool)
+    run = int(np.argmax(best))
+    while run >= 0:
+        keep[runs[run]] = True
+        run = int(before[run])
+    return keep
+
+
+def _jumps(positions: Array, seconds: Array) -> npt.NDArray[np.bool_]:
+    """Which steps between neighbours no machine can make, (n − 1,).
+
+    Too far for its time; or, between frames without a gap, unlike the step before and the step after by more than an
+    acceleration explains: that sees a mistake alike whether it goes with or against the motion.
+    """
+    steps, times = np.diff(positions, axis=0), np.diff(seconds)
+    too_fast = np.linalg.norm(steps, axis=1) > MAX_SPEED * times + JUMP
+    regular = times < 1.5 * float(np.median(times))
+    change = np.full(len(steps) + 1, np.inf)
+    change[1:-1] = np.linalg.norm(np.diff(steps, axis=0), axis=1)
+    change[1:-1][~(regular[1:] & regular[:-1])] = np.inf
+    alone = np.minimum(change[:-1], change[1:])
+    sudden = regular & np.isfinite(alone) & (alone > MAX_ACCELERATION * times**2 + JUMP)
+    return np.asarray(too_fast | sudden)
+
+
+def _dropped(body: str, reason: str, bad: npt.NDArray[np.bool_], seconds: Array) -> list[Dropped]:
+    rows = np.flatnonzero(bad)
+    if not len(rows):
+        return []
+    groups = np.split(rows, np.flatnonzero(np.diff(rows) > 1) + 1)
+    return [Dropped(body, reason, float(seconds[g[0]]), float(seconds[g[-1]]), len(g)) for g in groups]
