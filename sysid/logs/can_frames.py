@@ -220,7 +220,7 @@ def _unpacked_size(path: Path) -> int:
         file.seek(int.from_bytes(head[4:8], "little"))
         while len(base := file.read(_OBJECT.size)) == _OBJECT.size:
             signature, _, _, size, kind = _OBJECT.unpack(base)
-            body = file.read(max(size - _OBJECT.size, 0))
+            body = file.read(max(min(size, path.stat().st_size) - _OBJECT.size, 0))
             file.read(size % 4)
             if signature != b"LOBJ" or kind != _CONTAINER_TYPE or len(body) < _CONTAINER.size:
                 continue

@@ -7,6 +7,7 @@ Source: MathWorks, "MAT-File Format", level 5 and level 4.
 
 from __future__ import annotations
 
+import math
 import os
 import struct
 import zlib
@@ -180,11 +181,8 @@ class _Reader:
             self.structure(name, parts, into, depth)
 
     def numeric(self, name: str, shape: tuple[int, ...], element: _Element | None, into: dict[str, npt.NDArray[Any]]) -> None:
-        count = 1
-        for size in shape:
-            count *= max(size, 0)
         values = self.numbers(element) if element is not None else np.zeros(0)
-        if len(values) != count:
+        if min(shape, default=0) < 0 or len(values) != math.prod(shape):
             raise MatError(f"{name}: {len(values)} numbers for a size of {' × '.join(map(str, shape))}")
         array = values.reshape(shape, order="F").squeeze()
         if array.ndim:

@@ -93,10 +93,8 @@ def _streams(path: Path, mdf: Any, options: ReadOptions) -> tuple[Stream, ...]:
         names[f"{title} {index}" if title in names else title] = index
     if not names and not buses:
         raise InputError(path, "no channel group with samples", "at least one", "Record the measurement again.")
-    found: list[Stream] = []
     if buses and (options.dbc is not None or not names):
-        found += frame_streams(path, _frames(path, mdf, buses, start_ns), options)
-        return tuple(found)
+        return frame_streams(path, _frames(path, mdf, buses, start_ns), options)
     for wanted in sorted(options.streams or ()):
         if wanted not in names:
             raise InputError(path, f"no channel group {wanted!r}", nearest(wanted, names), "Correct `topic` in the recipe.")
@@ -105,7 +103,10 @@ def _streams(path: Path, mdf: Any, options: ReadOptions) -> tuple[Stream, ...]:
     if cells > MAX_CELLS:
         raise InputError(path, f"{cells} samples in the groups asked for", f"at most {MAX_CELLS}", "Name fewer in the recipe.")
     streams = [_group_stream(path, mdf, name, index, start_ns) for name, index in chosen.items()]
-    return tuple(stream for stream in streams if stream is not None)
+    found = [stream for stream in streams if stream is not None]
+    if not found:
+        raise InputError(path, "no numbers in any channel group", "at least one channel with samples", "Record it again.")
+    return tuple(found)
 
 
 def _group_stream(path: Path, mdf: Any, name: str, index: int, start_ns: int) -> Stream | None:
@@ -135,7 +136,7 @@ def _group_stream(path: Path, mdf: Any, name: str, index: int, start_ns: int) ->
         columns[label] = values
         if unit:
             units[label] = unit
-    if seconds is None or not columns:
+    if seconds is None or not len(seconds) or not columns:
         return None
     losses = (f"{path.name}: {name}: no numbers in {', '.join(left_out[:5])}",) if left_out else ()
     stamps = to_ns(seconds, 1.0, f"{path}: {name}") + start_ns
