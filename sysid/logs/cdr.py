@@ -142,9 +142,7 @@ class ColumnDecoder:
             records = layout.records(messages if everyone else messages[same])
             for path, names in layout.names.items():
                 if self.wanted is None or any(name in self.wanted for name in names):
-                    values = records[path]
-                    for name in names:
-                        self.pieces.put(name, rows, values)
+                    self.pieces.put(names, rows, records[path])
                 else:
                     for name in names:
                         self.pieces.know(name)

@@ -36,13 +36,21 @@ class Growing:
     def __post_init__(self) -> None:
         self._room = np.empty(0, self.kind)
 
+    def __copy__(self) -> Growing:
+        twin = Growing(self.fill, self.kind, self.found, self._end)
+        twin._room = self._room[: self._end].copy()
+        return twin
+
     def put(self, rows: Rows | slice, values: Values) -> None:
         """Values of ``rows``, which rise."""
         if not len(values):
             return
         if self.kind.kind in "iu" and values.dtype.newbyteorder("=") != self.kind:
             self._widen(values.dtype)
-        self._reach(int(rows.stop if isinstance(rows, slice) else rows[-1] + 1))
+        if isinstance(rows, slice):
+            self._reach(rows.stop, rows.start)
+        else:
+            self._reach(int(rows[-1]) + 1)
         self._room[rows] = values
         self.found += len(values)
 
@@ -55,13 +63,14 @@ class Growing:
         self._reach(total)
         return self._room[:total]
 
-    def _reach(self, end: int) -> None:
+    def _reach(self, end: int, filled: int | None = None) -> None:
+        """Have rows up to ``end``, without values up to ``filled``; the caller writes the rest."""
         if end > len(self._room):
             room = np.empty(max(_FIRST, 2 * len(self._room), end), self.kind)
             room[: self._end] = self._room[: self._end]
             self._room = room
         if end > self._end:
-            self._room[self._end : end] = self.fill
+            self._room[self._end : end if filled is None else filled] = self.fill
             self._end = end
 
     def _widen(self, kind: np.dtype[Any]) -> None:

@@ -40,7 +40,7 @@ def too_large(packed: int, unpacked: int) -> str:
     return ""
 
 
-def unpack(packed: bytes, compression: str, size: int, cut_off: bool = False) -> bytes:
+def unpack(packed: bytes | memoryview, compression: str, size: int, cut_off: bool = False) -> bytes:
     """The ``size`` bytes that were compressed with zstd or lz4 (frames); fewer where the data are cut off.
 
     Raises:
@@ -56,7 +56,7 @@ def unpack(packed: bytes, compression: str, size: int, cut_off: bool = False) ->
     raise ValueError(f"compressed with {compression!r}; zstd, lz4 or none can be read")
 
 
-def _unzstd(packed: bytes, size: int, cut_off: bool) -> bytes:
+def _unzstd(packed: bytes | memoryview, size: int, cut_off: bool) -> bytes:
     import zstandard
 
     pieces: list[bytes] = []
@@ -76,7 +76,7 @@ def _unzstd(packed: bytes, size: int, cut_off: bool) -> bytes:
     return _checked(b"".join(pieces), size, cut_off)
 
 
-def _unlz4(packed: bytes, size: int, cut_off: bool) -> bytes:
+def _unlz4(packed: bytes | memoryview, size: int, cut_off: bool) -> bytes:
     import lz4.frame  # type: ignore[import-untyped]
 
     try:

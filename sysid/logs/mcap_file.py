@@ -1,4 +1,4 @@
-"""The records of an MCAP file, one chunk in memory at a time. A cut-off or damaged file gives what is left.
+"""The records of an MCAP file, a few chunks in memory at a time. A cut-off or damaged file gives what is left.
 
 Source: MCAP specification (mcap.dev/spec).
 """
@@ -7,10 +7,12 @@ from __future__ import annotations
 
 import struct
 import zlib
-from collections.abc import Iterator
+from collections import deque
+from collections.abc import Iterator, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import BinaryIO
+from typing import BinaryIO, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
@@ -27,6 +29,10 @@ RECORD, MESSAGE_HEAD = 9, 22
 _BLOCK = 8 * 2**20
 #: A definition, or the whole summary, is not longer than this.
 _MAX_DEFINITION = 64 * 2**20
+#: Chunks are unpacked in so many threads, which hold at most so many bytes beside the chunk in use.
+_THREADS, _AHEAD = 2, 32 * 2**20
+
+Buffer: TypeAlias = bytes | bytearray | memoryview
 
 HEAD = np.dtype(
     {
@@ -47,6 +53,15 @@ class Block:
     starts: npt.NDArray[np.int64]
 
 
+@dataclass(frozen=True)
+class _Chunk:
+    """A chunk as it stands in the file, and the message index behind it."""
+
+    body: bytes
+    index: tuple[bytes, ...] = ()
+    cut_off: bool = False
+
+
 @dataclass
 class McapFile:
     """Walks a file once; what could not be read stands in ``losses``, in words."""
@@ -64,65 +79,91 @@ class McapFile:
                 raise InputError(self.path, f"starts with {magic.hex()}", "the magic bytes of an MCAP file", remedy)
             yield Block(tuple(_summary(file, size)), _NOTHING, _NO_STARTS)
             file.seek(len(MAGIC))
-            yield from self._data_section(file, size)
+            yield from self._unpacked(_data_section(file, size))
 
-    def _lose(self, text: str) -> None:
-        self.losses.append(f"{self.path.name}: {text}")
+    def _unpacked(self, items: Iterator[_Chunk | Block | str]) -> Iterator[Block]:
+        """The blocks of ``items`` in order; the next chunks are unpacked in other threads while one is being used."""
+        waiting: deque[tuple[Future[Block | str] | Block | str, int]] = deque()
+        held = 0
+        with ThreadPoolExecutor(_THREADS) as pool:
+            for item in items:
+                size = _stated_size(item.body) if isinstance(item, _Chunk) else 0
+                waiting.append((pool.submit(_unpack, item) if isinstance(item, _Chunk) else item, size))
+                held += size
+                while waiting and (held > _AHEAD or len(waiting) > 2 * _THREADS):
+                    held -= waiting[0][1]
+                    yield from self._taken(waiting.popleft()[0])
+            while waiting:
+                yield from self._taken(waiting.popleft()[0])
 
-    def _data_section(self, file: BinaryIO, size: int) -> Iterator[Block]:
-        position = len(MAGIC)
-        loose = bytearray()
-        chunk: bytes | None = None
-        index: list[bytes] = []
-        while True:
-            head = file.read(RECORD)
-            opcode, length = struct.unpack("<BQ", head) if len(head) == RECORD else (0, 0)
-            if chunk is not None and opcode != MESSAGE_INDEX:
-                yield self._chunk(chunk, index)
-                chunk, index = None, []
-            if len(loose) > _BLOCK or (loose and opcode in (0, CHUNK, DATA_END, FOOTER)):
-                yield _block(bytes(loose))
-                loose.clear()
-            if opcode in (DATA_END, FOOTER):
-                return
-            if opcode == 0 and len(head) == RECORD:
-                self._lose(f"no record starts at byte {position}; what lies before has been read")
-                return
-            start = position + RECORD
-            if len(head) < RECORD or start + length > size:
-                self._lose(f"the file is cut off at byte {size}; what lies before has been read")
-                if opcode == CHUNK:
-                    yield self._chunk(file.read(min(size - start, MAX_CHUNK)), [], cut_off=True)
-                return
-            if opcode == CHUNK and length <= MAX_CHUNK:
-                chunk = file.read(length)
-            elif opcode == MESSAGE_INDEX and chunk is not None:
-                index.append(file.read(length))
-            elif opcode in (SCHEMA, CHANNEL, MESSAGE) and length <= (MAX_CHUNK if opcode == MESSAGE else _MAX_DEFINITION):
-                loose += head + file.read(length)
-            else:
-                if opcode in (CHUNK, MESSAGE, SCHEMA, CHANNEL):
-                    self._lose(f"a record of {length / 2**20:.0f} MiB at byte {position} is too large and has been left out")
-                file.seek(length, 1)
-            position = start + length
+    def _taken(self, item: Future[Block | str] | Block | str) -> Iterator[Block]:
+        found = item.result() if isinstance(item, Future) else item
+        if isinstance(found, str):
+            self.losses.append(f"{self.path.name}: {found}")
+        else:
+            yield found
 
-    def _chunk(self, body: bytes, index: list[bytes], cut_off: bool = False) -> Block:
-        """The records of a chunk; nothing where it is damaged."""
-        nothing = Block((), _NOTHING, _NO_STARTS)
-        if len(body) < 40:
-            return nothing
-        _, _, size, checksum, name_length = struct.unpack_from("<QQQII", body)
-        compression = body[32 : 32 + name_length].decode("ascii", errors="replace")
-        packed = body[32 + name_length + 8 :]
-        try:
-            records = unpack(packed, compression, size, cut_off) if compression else packed
-        except ValueError as error:
-            self._lose(f"a chunk of {size} bytes cannot be unpacked ({error})")
-            return nothing
-        if checksum and not cut_off and zlib.crc32(records) != checksum:
-            self._lose(f"a chunk of {size} bytes fails its checksum and has been left out")
-            return nothing
-        return _indexed_block(records, index) or _block(records)
+
+def _data_section(file: BinaryIO, size: int) -> Iterator[_Chunk | Block | str]:
+    """Chunks, the records outside of chunks, and what is lost, in the order of the file."""
+    position = len(MAGIC)
+    loose = bytearray()
+    chunk: bytes | None = None
+    index: list[bytes] = []
+    while True:
+        head = file.read(RECORD)
+        opcode, length = struct.unpack("<BQ", head) if len(head) == RECORD else (0, 0)
+        if chunk is not None and opcode != MESSAGE_INDEX:
+            yield _Chunk(chunk, tuple(index))
+            chunk, index = None, []
+        if len(loose) > _BLOCK or (loose and opcode in (0, CHUNK, DATA_END, FOOTER)):
+            yield _block(loose)
+            loose = bytearray()
+        if opcode in (DATA_END, FOOTER):
+            return
+        if opcode == 0 and len(head) == RECORD:
+            yield f"no record starts at byte {position}; what lies before has been read"
+            return
+        start = position + RECORD
+        if len(head) < RECORD or start + length > size:
+            yield f"the file is cut off at byte {size}; what lies before has been read"
+            if opcode == CHUNK:
+                yield _Chunk(file.read(min(size - start, MAX_CHUNK)), cut_off=True)
+            return
+        if opcode == CHUNK and length <= MAX_CHUNK:
+            chunk = file.read(length)
+        elif opcode == MESSAGE_INDEX and chunk is not None and length <= _MAX_DEFINITION:
+            index.append(file.read(length))
+        elif opcode in (SCHEMA, CHANNEL, MESSAGE) and length <= (MAX_CHUNK if opcode == MESSAGE else _MAX_DEFINITION):
+            loose += head
+            loose += file.read(length)
+        else:
+            if opcode in (CHUNK, MESSAGE, SCHEMA, CHANNEL):
+                yield f"a record of {length / 2**20:.0f} MiB at byte {position} is too large and has been left out"
+            file.seek(length, 1)
+        position = start + length
+
+
+def _stated_size(body: bytes) -> int:
+    """Bytes of a chunk, unpacked and packed."""
+    return len(body) + (min(int.from_bytes(body[16:24], "little"), MAX_CHUNK) if len(body) >= 40 else 0)
+
+
+def _unpack(chunk: _Chunk) -> Block | str:
+    """The records of a chunk, or why there are none."""
+    body = chunk.body
+    if len(body) < 40:
+        return Block((), _NOTHING, _NO_STARTS)
+    _, _, size, checksum, name_length = struct.unpack_from("<QQQII", body)
+    compression = body[32 : 32 + name_length].decode("ascii", errors="replace")
+    packed = memoryview(body)[32 + name_length + 8 :]
+    try:
+        records = unpack(packed, compression, size, chunk.cut_off) if compression else packed
+    except ValueError as error:
+        return f"a chunk of {size} bytes cannot be unpacked ({error})"
+    if checksum and not chunk.cut_off and zlib.crc32(records) != checksum:
+        return f"a chunk of {size} bytes fails its checksum and has been left out"
+    return _indexed_block(records, chunk.index) or _block(records)
 
 
 _NOTHING: Bytes = np.zeros(0, np.uint8)
@@ -145,7 +186,7 @@ def _summary(file: BinaryIO, size: int) -> Iterator[tuple[int, bytes]]:
             yield kind, records[position + RECORD : position + RECORD + extent]
 
 
-def walk(records: bytes, start: int = 0, end: int | None = None) -> Iterator[tuple[int, int, int]]:
+def walk(records: Buffer, start: int = 0, end: int | None = None) -> Iterator[tuple[int, int, int]]:
     """Position, opcode and length of every whole record."""
     unpack_head = struct.Struct("<BQ").unpack_from
     position, end = start, len(records) if end is None else end
@@ -158,7 +199,7 @@ def walk(records: bytes, start: int = 0, end: int | None = None) -> Iterator[tup
         position = after
 
 
-def _block(records: bytes) -> Block:
+def _block(records: Buffer) -> Block:
     """Records one after the other."""
     starts = []
     definitions = []
@@ -166,11 +207,11 @@ def _block(records: bytes) -> Block:
         if opcode == MESSAGE and length >= MESSAGE_HEAD:
             starts.append(position)
         elif opcode in (SCHEMA, CHANNEL):
-            definitions.append((opcode, records[position + RECORD : position + RECORD + length]))
+            definitions.append((opcode, bytes(records[position + RECORD : position + RECORD + length])))
     return Block(tuple(definitions), np.frombuffer(records, np.uint8), np.array(starts, dtype=np.int64))
 
 
-def _indexed_block(records: bytes, index: list[bytes]) -> Block | None:
+def _indexed_block(records: Buffer, index: Sequence[bytes]) -> Block | None:
     """The same by the message index behind the chunk; None unless the index accounts for every byte of the chunk."""
     entries = [np.frombuffer(body, "<u8", offset=6, count=(len(body) - 6) // 16 * 2)[1::2] for body in index if len(body) > 6]
     if not entries:
@@ -194,7 +235,7 @@ def _indexed_block(records: bytes, index: list[bytes]) -> Block | None:
             if opcode == MESSAGE:
                 return None
             if opcode in (SCHEMA, CHANNEL):
-                definitions.append((opcode, records[at + RECORD : at + RECORD + length]))
+                definitions.append((opcode, bytes(records[at + RECORD : at + RECORD + length])))
             position = at + RECORD + length
         if position != after[gap]:
             return None

@@ -7,6 +7,7 @@ wanted fields (``wanted = None``) everything is kept up to :data:`MAX_CELLS`.
 from __future__ import annotations
 
 from array import array
+from copy import copy
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -40,6 +41,8 @@ class Pieces:
     #: Messages of a preview, whose values have been read; None where those of all messages are.
     previewed: int | None = None
     _columns: dict[str, Growing] = field(default_factory=dict)
+    #: Names under which the same values came in every message (``position[2]``, ``position[boom]``) → their one column.
+    _sharing: dict[tuple[str, ...], Growing] = field(default_factory=dict)
     #: Whole numbers as they are: a stamp does not fit a float.
     _stamps: dict[str, Growing] = field(default_factory=dict)
 
@@ -48,8 +51,9 @@ class Pieces:
         first = self.total
         self.total += count
         if self.wanted is None and self.previewed is None:
-            while len(self._columns) > self._room():
-                self._columns.popitem()
+            while len(self._columns) > self._room() and len(self._sharing) > 1:
+                for name in self._sharing.popitem()[0]:
+                    del self._columns[name]
                 self.crowded = True
         return first
 
@@ -58,31 +62,52 @@ class Pieces:
         if self.previewed is None:
             self.previewed = self.total
 
-    def put(self, path: str, rows: Rows, values: Values) -> None:
-        """Values of one field in ``rows``, which rise."""
-        if path not in self.fields:
-            if len(self.fields) >= MAX_FIELDS:
-                self.crowded = True
-                return
-            self.fields[path] = None
+    def put(self, names: tuple[str, ...], rows: Rows, values: Values) -> None:
+        """Values in ``rows``, which rise, of one field under all its names."""
         if not len(rows):
             return
         begin, end = int(rows[0]), int(rows[-1]) + 1
         where = slice(begin, end) if end - begin == len(rows) else rows
-        if path in _STAMPS:
-            stamps = self._stamps.get(path)
-            if stamps is None:
-                stamps = self._stamps[path] = Growing(0, values.dtype.newbyteorder("="))
-            stamps.put(where, values)
-        if self.previewed is not None or (self.wanted is not None and path not in self.wanted):
-            return
-        column = self._columns.get(path)
-        if column is None:
-            if self.wanted is None and len(self._columns) >= self._room():
+        for column in self._kept(tuple(name for name in names if self._is_new_or_known(name))):
+            column.put(where, values)
+        for name in names:
+            if name in _STAMPS:
+                stamps = self._stamps.get(name)
+                if stamps is None:
+                    stamps = self._stamps[name] = Growing(0, values.dtype.newbyteorder("="))
+                stamps.put(where, values)
+
+    def _is_new_or_known(self, name: str) -> bool:
+        if name not in self.fields:
+            if len(self.fields) >= MAX_FIELDS:
                 self.crowded = True
-                return
-            column = self._columns[path] = Growing(np.nan)
-        column.put(where, values)
+                return False
+            self.fields[name] = None
+        return True
+
+    def _kept(self, names: tuple[str, ...]) -> list[Growing]:
+        """The columns that values under these names belong to: one where they have always been the same, else one a name."""
+        if self.previewed is not None:
+            return []
+        if self.wanted is not None:
+            names = tuple(name for name in names if name in self.wanted)
+        known = self._sharing.get(names)
+        if known is not None:
+            return [known]
+        if not any(name in self._columns for name in names):
+            if self.wanted is None and len(self._columns) + len(names) > self._room():
+                self.crowded = True
+                return []
+            column = Growing(np.nan)
+            self._columns.update(dict.fromkeys(names, column))
+            if names:
+                self._sharing[names] = column
+            return [column]
+        for others in [others for others in self._sharing if len(others) > 1 and not set(others).isdisjoint(names)]:
+            shared = self._sharing.pop(others)
+            for name in others:
+                self._columns[name] = self._sharing[(name,)] = copy(shared)
+        return [column for name in names for column in self._kept((name,))]
 
     def _room(self) -> int:
         """Columns that a table of so many messages may have."""
@@ -96,7 +121,11 @@ class Pieces:
     def columns(self) -> dict[str, npt.NDArray[np.float64]]:
         """Field → values (total,), of a preview (previewed,); NaN in messages without it. Given away: they can be had once."""
         rows = self.total if self.previewed is None else self.previewed
-        return {path: self._columns.pop(path).whole(rows) for path in list(self._columns)}
+        self._sharing.clear()
+        columns = {name: self._columns.pop(name).whole(rows) for name in list(self._columns)}
+        for values in columns.values():
+            values.setflags(write=False)  # two names may share them
+        return columns
 
     def integers(self, path: str) -> npt.NDArray[np.int64] | None:
         """One field of whole numbers, 0 in unreadable messages; None where a readable one lacks it."""

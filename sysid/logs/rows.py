@@ -62,7 +62,7 @@ class RowDecoder:
                     rows.setdefault(path, []).append(first + offset)
                     values.setdefault(path, []).append(value)
         for path, column in values.items():
-            self.pieces.put(path, np.array(rows[path], dtype=np.intp), _numbers(column))
+            self.pieces.put((path,), np.array(rows[path], dtype=np.intp), _numbers(column))
 
 
 _STAMPS = frozenset(path for pair in STAMP_FIELDS for path in pair)
