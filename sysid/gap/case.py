@@ -111,12 +111,18 @@ def open_case(dataset: Dataset, simulation: Plant | Simulator, seed: int) -> tup
 
 
 def _stage(case: Case, problem: Problem) -> Stage:
+    split = stage_split(case, problem)
+    sigma = problem_floor(problem, case.theta, split.fit, case.noise, case.seed)
+    return Stage(problem, split, np.maximum(sigma, 1e-12))
+
+
+def stage_split(case: Case, problem: Problem) -> Split:
+    """The recordings of a stage by role: those of motion, and static poses where they show it too."""
     split = case.split
     if problem.poses:  # static poses show kinematics best
         poses = pose_split(case.dataset)
         split = Split((*split.fit, *poses.fit), (*split.select, *poses.select), (*split.held_out, *poses.held_out))
-    sigma = problem_floor(problem, case.theta, split.fit, case.noise, case.seed)
-    return Stage(problem, split, np.maximum(sigma, 1e-12))
+    return split
 
 
 def stage_candidates(case: Case, stage: Stage) -> list[Candidate]:

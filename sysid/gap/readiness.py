@@ -1,0 +1,273 @@
+"""What recordings are good for, before anything is fitted: for each effect that the machine admits, whether they could show it.
+
+The counting is the gap workflow's own (:mod:`sysid.gap.excitation`), on the same recordings and the same candidates: what is
+said here is what :func:`sysid.gap.find_gap` will find of excitation.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from typing import Any, Literal
+
+import numpy as np
+
+from sysid.datasets.recording import Dataset, Recording
+from sysid.effects import CATALOGUE, Effect
+from sysid.gap.candidates import READ_OFF, Candidate
+from sysid.gap.case import Case, Stage, stage_candidates, stage_split
+from sysid.gap.excitation import COUNTS, advice, excitation_of
+from sysid.gap.problem import problems_of, split_of
+from sysid.gap.result import Excitation
+from sysid.machine import Machine
+from sysid.plant import Model, Plant, compile_plant
+from sysid.signals import axis_signal, point_signals, split_signal
+
+Status = Literal["ready", "lacking", "hidden"]
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """Whether the recordings could show one effect at one place.
+
+    Args:
+        stage: where it would be tried; ``side`` of the joint sensor where the effect has two places.
+        status: ``ready``; ``lacking``: more of the right motion would show it; ``hidden``: no motion does, with these sensors
+            and what is known of the machine.
+        have, need: of ``unit``, in the recordings that a fit may see; None where hidden.
+        text: the verdict in words: what there is and what to record, or why nothing shows it.
+        record: what to record; empty unless lacking.
+    """
+
+    name: str
+    target: str
+    stage: str
+    side: str | None
+    status: Status
+    have: float | None
+    need: float | None
+    unit: str
+    text: str
+    record: str = ""
+
+    @property
+    def excitation(self) -> Excitation | None:
+        """The same as an item of ``GapResult.excitation``."""
+        if self.have is None or self.need is None:
+            return None
+        return Excitation(self.name, self.target, self.status == "ready", self.have, self.need, self.unit)
+
+
+@dataclass(frozen=True)
+class Wish:
+    """One thing to record, and every effect that it would show: (name, target)."""
+
+    record: str
+    effects: tuple[tuple[str, str], ...]
+
+
+@dataclass(frozen=True)
+class Readiness:
+    """The verdicts of a dataset in the order of the signal chain.
+
+    Args:
+        counted: recordings in which was counted: those to fit and to select. What is held out shows nothing before the proof.
+        notes: what would stop the gap workflow altogether.
+    """
+
+    dataset: str
+    plant: str
+    counted: tuple[str, ...]
+    verdicts: tuple[Verdict, ...]
+    notes: tuple[str, ...] = ()
+
+    def of(self, status: Status) -> tuple[Verdict, ...]:
+        return tuple(verdict for verdict in self.verdicts if verdict.status == status)
+
+    @property
+    def wishes(self) -> tuple[Wish, ...]:
+        """What to record, that which shows most effects first; axes that need the same are named together."""
+        targets: dict[tuple[str, str], list[str]] = {}
+        for verdict in self.of("lacking"):
+            targets.setdefault((verdict.name, _advice(verdict.name)), []).append(verdict.target)
+        wanted: dict[tuple[str, tuple[str, ...]], list[str]] = {}
+        for (name, words), places in targets.items():
+            wanted.setdefault((words, tuple(dict.fromkeys(places))), []).append(name)
+        wishes = [
+            Wish(words.format(axis=_listed(places)), tuple((name, place) for name in names for place in places))
+            for (words, places), names in wanted.items()
+        ]
+        return tuple(sorted(wishes, key=lambda wish: -len(wish.effects)))
+
+    def to_json(self) -> dict[str, Any]:
+        return {
+            "schema": 1,
+            "dataset": self.dataset,
+            "plant": self.plant,
+            "counted": list(self.counted),
+            "verdicts": [asdict(verdict) for verdict in self.verdicts],
+            "record": [
+                {"text": wish.record, "effects": [{"name": name, "target": target} for name, target in wish.effects]}
+                for wish in self.wishes
+            ],
+            "notes": list(self.notes),
+        }
+
+
+def readiness(dataset: Dataset, plant: Plant) -> Readiness:
+    """Which effects the recordings could show.
+
+    Args:
+        plant: the simulation that is going to be questioned; what it knows of the machine (linkages) decides what can be tried.
+    """
+    model, split, notes = compile_plant(plant), split_of(dataset), []
+    if not split.fit or not split.select or not split.held_out:
+        notes.append("too few recordings: sysid gap needs some to fit, to select and to hold out")
+        everything = dataset.of_kind("motion")
+        split = replace(split, fit=everything, select=(), held_out=())
+    case = Case(dataset, plant, plant.vector(), {}, split, 0)
+    stages = []
+    for problem in problems_of(model, dataset):
+        stage = Stage(problem, stage_split(case, problem), np.ones(len(problem.signals)))
+        if stage.split.fit:
+            stages.append(stage)
+    if not stages:
+        notes.append("no stage is measured at both its ends: commands and the motion that they cause are needed")
+    judged: dict[tuple[str, str, str | None], Verdict] = {}
+    aliases: dict[tuple[str, str], tuple[str, str]] = {}
+    for stage in stages:
+        for candidate in stage_candidates(case, stage):
+            aliases |= dict.fromkeys(candidate.aliases, (candidate.effect.name, candidate.target))
+            if candidate.key not in judged:  # the forms of an effect need the same
+                judged[candidate.key] = _judged(candidate, stage, plant.machine)
+    seen = split.seen
+    verdicts = [*judged.values(), *(_read_off(signal, seen, plant.machine) for signal in _sensors(plant.machine, seen))]
+    there = {(verdict.name, verdict.target, verdict.side) for verdict in verdicts}
+    why = _Why(dataset, model, aliases)
+    for effect in CATALOGUE:
+        for target, side in _places(effect, plant.machine, dataset, seen):
+            if (effect.name, target, side) not in there:
+                verdicts.append(why.hidden(effect, target, side))
+    plant_name = plant.reference or "nominal"
+    return Readiness(dataset.reference, plant_name, tuple(r.name for r in seen), tuple(verdicts), tuple(notes))
+
+
+def _judged(candidate: Candidate, stage: Stage, machine: Machine) -> Verdict:
+    item = excitation_of(candidate, stage.split.seen, machine)
+    return _counted(item, candidate.effect, stage.problem.stage, candidate.side)
+
+
+def _counted(item: Excitation, effect: Effect, stage: str, side: str | None) -> Verdict:
+    status: Status = "ready" if item.sufficient else "lacking"
+    text, wanted = advice(item), effect.need.advice.format(axis=item.target)
+    if item.sufficient:
+        text, wanted = text.removesuffix(wanted).rstrip(" ."), ""
+    return Verdict(item.name, item.target, stage, side, status, item.have, item.need, item.unit, text, wanted)
+
+
+def _read_off(signal: str, seen: Sequence[Recording], machine: Machine) -> Verdict:
+    """A sensor's steps are no candidate of a fit: they are read off its readings (:mod:`sysid.gap.readings`)."""
+    effect = next(effect for effect in CATALOGUE if effect.name in READ_OFF)
+    count, unit = COUNTS[effect.need.count]
+    have = count(seen, machine, signal)
+    item = Excitation(effect.name, signal, have >= effect.need.least, float(have), float(effect.need.least), unit)
+    return _counted(item, effect, "sensor", None)
+
+
+def _sensors(machine: Machine, recordings: Sequence[Recording]) -> list[str]:
+    """Signals of drives and joints that are measured."""
+    names = [axis_signal(axis.name, quantity) for axis in machine.axes for quantity in ("cylinder", "joint")]
+    return [name for name in names if any(not np.isnan(r.values(name)).all() for r in recordings)]
+
+
+def _places(effect: Effect, machine: Machine, dataset: Dataset, seen: Sequence[Recording]) -> Iterator[tuple[str, str | None]]:
+    """Where the machine admits the effect, whether anything shows it there or not."""
+    if effect.target == "axis":
+        for axis in machine.axes:
+            if axis.actuation in effect.actuations:
+                yield from ((axis.name, side) for side in effect.sides or (None,))
+    elif effect.target == "signal":
+        yield from ((signal, None) for signal in _sensors(machine, seen))
+    elif effect.target == "stream":
+        for stream, signals in dataset.streams.items():
+            if not any(split_signal(signal)[1] == "command" for signal in signals):
+                yield stream, None
+    elif effect.target != "machine" or sum(axis.actuation == "velocity" for axis in machine.axes) > 1:
+        yield effect.target, None
+
+
+class _Why:
+    """Says why no recording with these sensors shows an effect."""
+
+    def __init__(self, dataset: Dataset, model: Model, aliases: Mapping[tuple[str, str], tuple[str, str]]) -> None:
+        self.machine, self.model, self.aliases = model.machine, model, aliases
+        everything = dataset.recordings
+        self.measured = {s for r in everything for s in r.signals if not np.isnan(r.values(s)).all()}
+
+    def hidden(self, effect: Effect, target: str, side: str | None) -> Verdict:
+        stage = self._stage(effect, target, side)
+        reason = self._missing(stage, target) or self._reason(effect, target, side)
+        return Verdict(effect.name, target, stage, side, "hidden", None, None, "", reason)
+
+    def _stage(self, effect: Effect, target: str, side: str | None) -> str:
+        if side == "structure":
+            return "end_effector"
+        if side == "drive":
+            axis = self.machine.axis(target)
+            return "joint" if axis.drives == "cylinder" else "force" if axis.actuation == "force" else "command"
+        return effect.stage
+
+    def _missing(self, stage: str, target: str) -> str:
+        """What the stage would need and is not there; empty where it is."""
+        machine = self.machine
+        if stage in ("command", "force"):
+            axes = [axis for axis in machine.axes if target in (axis.name, "machine")]
+            return self._not_measured([signal for axis in axes for signal in (axis_signal(axis.name, "command"), axis.driven)])
+        if stage == "joint":
+            missing = self._not_measured([axis_signal(target, "cylinder"), axis_signal(target, "joint")])
+            unlinked = (
+                f"how the cylinder of {target} moves the joint is not known: a linkage in machine.toml, or sysid fit actuator"
+            )
+            return missing or ("" if target in self.model.linked else unlinked)
+        if stage == "sensor":
+            owner = split_signal(target)[0]
+            return self._missing("joint", owner) if owner in machine.axis_names and target.endswith(".cylinder") else ""
+        if stage not in ("end_effector", "tool"):
+            return ""
+        if machine.kinematics() is None:
+            return "machine.toml names no URDF"
+        if stage == "tool":
+            no_tool = "" if machine.tool is not None else "machine.toml names no tool"
+            return no_tool or self._not_measured([*point_signals("ee"), *point_signals("tool")])
+        return self._not_measured([*(axis_signal(name, "joint") for name in machine.axis_names), *point_signals("ee")])
+
+    def _not_measured(self, signals: Sequence[str]) -> str:
+        missing = list(dict.fromkeys(signal for signal in signals if signal not in self.measured))
+        for point in ("ee", "tool"):
+            if set(point_signals(point)) <= set(missing):
+                missing = [point, *(s for s in missing if s not in point_signals(point))]
+        return f"{_listed(missing)} {'is' if len(missing) == 1 else 'are'} not measured" if missing else ""
+
+    def _reason(self, effect: Effect, target: str, side: str | None) -> str:
+        if (effect.name, target) in self.aliases:
+            name, place = self.aliases[effect.name, target]
+            return f"the same as {name} on {place} in every pose, which stands for it"
+        if any(parameter.scale == "1/load" for form in effect.forms for parameter in form.parameters):
+            return "gravity puts no load on it" if self.machine.kinematics() is not None else "machine.toml names no URDF"
+        if side == "drive" and self.machine.axis(target).actuation == "force":
+            return (
+                "a force axis is judged by its force at measured motion, which says nothing of what gives ahead of the sensor"
+            )
+        if effect.target == "signal":
+            return "nothing else measures the same: a wrong gain or zero of the simulation would look like it"
+        if effect.target == "stream":
+            return "no stage compares its signals with those of another clock"
+        return "its stage is not measured at both ends at the same time"
+
+
+def _advice(name: str) -> str:
+    return next(effect.need.advice for effect in CATALOGUE if effect.name == name)
+
+
+def _listed(names: Sequence[str]) -> str:
+    return " and ".join([", ".join(names[:-1]), names[-1]] if len(names) > 1 else names)

@@ -1,0 +1,133 @@
+"""The verdicts before a fit: they are those of the gap workflow, and say what to record."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+from plant_data import CAPTURE, KnownEffect, arm, dataset_of, loaded_arm, nominal, slide
+
+from sysid.datasets.recording import Dataset, Recording
+from sysid.effects import CATALOGUE
+from sysid.gap import find_gap
+from sysid.gap.candidates import READ_OFF
+from sysid.gap.readiness import Readiness, Verdict, readiness
+
+Array = npt.NDArray[np.float64]
+LAG = KnownEffect("first_order_lag", "slew", {"time_constant": 0.1})
+
+
+@pytest.fixture(scope="module")
+def short() -> Dataset:
+    return dataset_of(nominal(LAG), 8.0)
+
+
+def verdict(found: Readiness, name: str, target: str, side: str | None = None) -> Verdict:
+    (match,) = (v for v in found.verdicts if (v.name, v.target, v.side) == (name, target, side))
+    return match
+
+
+def changed(dataset: Dataset, change: Callable[[int, Recording], dict[str, Array]]) -> Dataset:
+    tables = (r.table.assign(**change(k, r)) for k, r in enumerate(dataset.recordings))
+    return replace(
+        dataset, recordings=tuple(replace(r, table=table) for r, table in zip(dataset.recordings, tables, strict=True))
+    )
+
+
+@pytest.mark.parametrize("machine", ["arm", "capture", "slide"])
+def test_the_verdicts_are_the_excitation_of_the_gap_workflow(machine: str, short: Dataset) -> None:
+    if machine == "slide":
+        plant, dataset = nominal(machine=slide()), dataset_of(nominal(machine=slide()), 6.0)
+    else:
+        plant = nominal(machine=arm(), streams=CAPTURE if machine == "capture" else None)
+        dataset = replace(short, streams=CAPTURE) if machine == "capture" else short
+    result = find_gap(dataset, plant, localise_only=True)
+    found = readiness(dataset, plant)
+    judged = [v.excitation for v in found.verdicts if v.excitation is not None and v.name not in READ_OFF]
+    assert tuple(judged) == result.excitation
+    lacking = [v.text for v in found.of("lacking") if v.name not in READ_OFF]
+    assert result.verdict == "no_gap" or lacking == list(result.next_experiment)
+
+
+def test_four_reversals_are_said_to_be_four(short: Dataset) -> None:
+    """The slew turns four times in the recordings to fit and to select; its sensor's noise turns thousands of times."""
+
+    def turned(k: int, recording: Recording) -> dict[str, Array]:
+        corners = ([0.0, 0.4, 0.0, 0.4], [0.4, 0.1, 0.4], [0.4, 0.0, 0.3], [0.3, 0.0, 0.3, 0.0])[k]
+        path = np.interp(np.linspace(0, len(corners) - 1, len(recording)), np.arange(len(corners)), corners)
+        return {"slew.joint": path + np.random.default_rng(k).normal(0.0, 2e-3, len(recording))}
+
+    found = readiness(changed(short, turned), nominal())
+    play = verdict(found, "backlash", "slew", "drive")
+    assert (play.status, play.have, play.need) == ("lacking", 4.0, 8.0)
+    assert play.text == (
+        "backlash on slew: 4 reversals, about 8 needed. "
+        "Record 20 slow reversals of slew, with at least 5 % of its range between them."
+    )
+    sides = [wish.effects.count(("backlash", "slew")) for wish in found.wishes]
+    assert sum(sides) == 1, "one wish for both sides of the sensor"
+
+
+def test_recordings_with_everything_are_ready_for_everything() -> None:
+    machine = loaded_arm()
+    plant = nominal(machine=machine, streams=CAPTURE)
+    found = readiness(replace(dataset_of(nominal(machine=machine), 90.0), streams=CAPTURE), plant)
+    assert [v.text for v in found.of("lacking")] == []
+    assert found.wishes == ()
+    names = {v.name for v in found.of("ready")}
+    force_only = {effect.name for effect in CATALOGUE if effect.actuations == ("force",)}
+    assert names == {effect.name for effect in CATALOGUE} - force_only
+
+
+def test_axes_that_need_the_same_are_named_together(short: Dataset) -> None:
+    found = readiness(short, nominal())
+    wish = next(wish for wish in found.wishes if ("temperature_drift", "slew") in wish.effects)
+    assert wish.record == "Record slew and boom moving evenly to and fro for ten minutes from a cold start."
+    served = [effect for wish in found.wishes for effect in wish.effects]
+    assert sorted(served) == sorted({(v.name, v.target) for v in found.of("lacking")})
+    assert [len(wish.effects) for wish in found.wishes] == sorted((len(w.effects) for w in found.wishes), reverse=True)
+
+
+def test_what_nothing_shows_says_why(short: Dataset) -> None:
+    unseen = changed(short, lambda k, r: {s: np.full(len(r), np.nan) for s in ("boom.joint", "tool.x", "tool.y", "tool.z")})
+    found = readiness(unseen, nominal())
+    assert verdict(found, "backlash", "boom", "drive").text == "boom.joint is not measured"
+    assert verdict(found, "gripper_sway", "tool").text == "tool is not measured"
+    assert verdict(found, "sensor_scale", "boom.cylinder").text == "boom.joint is not measured"
+    assert verdict(found, "sensor_bias", "slew.joint").text.startswith("nothing else measures the same")
+    sag = verdict(found, "joint_compliance", "slew", "structure")
+    assert sag.status == "hidden"
+    assert sag.excitation is None
+    bare = readiness(dataset_of(nominal(machine=slide()), 6.0), nominal(machine=slide()))
+    assert verdict(bare, "base_misalignment", "base").text == "machine.toml names no URDF"
+    assert "force at measured motion" in verdict(bare, "backlash", "slide", "drive").text
+    assert not [v for v in bare.verdicts if v.name == "valve_deadband"], "a force has no valve"
+
+
+def test_every_place_is_judged_once(short: Dataset) -> None:
+    found = readiness(short, nominal())
+    places = [(v.name, v.target, v.side) for v in found.verdicts]
+    assert len(places) == len(set(places))
+    assert all((v.have is None) == (v.status == "hidden") and v.text for v in found.verdicts)
+    assert all(bool(v.record) == (v.status == "lacking") for v in found.verdicts)
+
+
+def test_only_what_a_fit_may_see_is_counted(short: Dataset) -> None:
+    assert readiness(short, nominal()).counted == ("run-1", "run-2", "run-3")
+
+
+def test_too_few_recordings_are_counted_all_the_same(short: Dataset) -> None:
+    alone = replace(short, recordings=short.recordings[:1], splits={"run-1": "fit"})
+    found = readiness(alone, nominal())
+    assert found.notes == ("too few recordings: sysid gap needs some to fit, to select and to hold out",)
+    assert verdict(found, "input_delay", "slew").have is not None
+
+
+def test_json_has_the_words(short: Dataset) -> None:
+    found = readiness(short, nominal())
+    value = found.to_json()
+    assert value["verdicts"][0]["text"] == found.verdicts[0].text
+    assert {"text", "effects"} == set(value["record"][0])
