@@ -10,7 +10,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from sysid.datasets.channel import Channel
-from sysid.datasets.resample import grid, hold, interpolate, low_pass, resample
+from sysid.datasets.resample import LATE_SHARE, anti_aliased, grid, hold, interpolate, resample
 
 
 def channel(
@@ -95,10 +95,99 @@ def test_a_fast_source_is_low_passed_before_it_is_sampled() -> None:
     assert np.abs(filtered - np.sin(2 * np.pi * at)).max() < 0.02
 
 
+def at_frequency(rate: float, hz: float, uneven: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
+    """What is left on a grid of 100 Hz of a wave sampled at ``rate``, and the wave itself there (complex, ends cut)."""
+    rng = np.random.default_rng(3)
+    times = np.sort(np.arange(0.0, 4.0, 1.0 / rate) + 3e-4 + rng.uniform(-uneven, uneven, round(4.0 * rate)) / rate)
+    times = np.rint(times * 1e9) * 1e-9
+    wave, at = np.exp(2j * np.pi * hz * times), np.arange(0.0, 3.9, 0.01)
+    made = [resample(channel("boom.joint", times, part), times, at, 100.0, 0.5) for part in (wave.real, wave.imag)]
+    inside = slice(50, -50)
+    return (made[0] + 1j * made[1])[inside], np.exp(2j * np.pi * hz * at)[inside]
+
+
+@pytest.mark.parametrize("rate", [190.0, 240.0, 1000.0])
+@pytest.mark.parametrize("hz", [50.0, 52.0, 60.0, 75.0, 90.0])
+def test_the_stop_band_begins_at_the_nyquist_frequency_of_the_grid(rate: float, hz: float) -> None:
+    left, _ = at_frequency(rate, hz)
+    assert 20 * np.log10(np.abs(left).max()) < -53.0
+
+
+@pytest.mark.parametrize(("rate", "uneven"), [(190.0, 0.0), (240.0, 0.0), (1000.0, 0.0), (1000.0, 0.4)])
+@pytest.mark.parametrize(("hz", "loss"), [(1.0, 1e-6), (5.0, 1e-4), (20.0, 3e-3), (30.0, 2e-2)])
+def test_the_pass_band_is_flat_and_nothing_is_delayed(rate: float, uneven: float, hz: float, loss: float) -> None:
+    left, wave = at_frequency(rate, hz, uneven)
+    gain = np.vdot(wave, left) / len(wave)
+    assert abs(abs(gain) - 1.0) < loss
+    assert abs(np.angle(gain)) / (2 * np.pi * hz) < 1e-6  # seconds
+
+
+def test_a_steady_motion_on_uneven_stamps_stays_one() -> None:
+    rng = np.random.default_rng(2)
+    times = np.cumsum(rng.uniform(1e-3, 9e-3, 800))
+    at = np.arange(0.0, 3.5, 0.01)
+    made = resample(channel("boom.joint", times, 0.5 * times), times, at, 100.0, 0.5)
+    np.testing.assert_allclose(made[20:-20], 0.5 * at[20:-20], atol=1e-9)
+
+
 def test_filtering_does_not_reach_across_gaps() -> None:
     times = np.concatenate([np.arange(0.0, 1.0, 0.001), np.arange(2.0, 3.0, 0.001)])
     values = np.where(times < 1.5, 0.0, 1.0)
-    np.testing.assert_allclose(low_pass(times, values, 20.0, 0.01), values, atol=1e-9)
+    at = np.arange(0.0, 3.0, 0.01)
+    made = anti_aliased(times, values, at, 100.0, 20, 0.01)
+    gap = (at > 0.9995) & (at < 1.9995)
+    np.testing.assert_array_equal(np.isnan(made), gap)
+    np.testing.assert_allclose(made[~gap], np.where(at < 1.5, 0.0, 1.0)[~gap], atol=1e-12)
+
+
+@given(st.integers(1, 60), st.integers(0, 1000))
+def test_a_short_stretch_of_a_fast_source_stays_within_what_it_was(length: int, seed: int) -> None:
+    values = np.random.default_rng(seed).uniform(-1, 1, length)
+    times = np.arange(length) / 1000.0
+    made = anti_aliased(times, values, np.arange(10) / 100.0, 100.0, 20, 0.003)
+    assert np.isnan(made[at_or_after(length)]).all()
+    assert np.nanmax(np.abs(made), initial=0.0) < 3.0
+
+
+def at_or_after(length: int) -> slice:
+    """Grid instants after the last of ``length`` samples at 1 kHz."""
+    return slice((length - 1) // 10 + 1, None)
+
+
+values_strategy = st.lists(st.floats(-1e3, 1e3), min_size=3, max_size=60)
+
+
+@given(values_strategy, st.sampled_from(["linear", "cubic"]), st.sampled_from(["boom.joint", "boom.command"]))
+def test_resampling_twice_is_resampling_once(values: list[float], interpolation: Literal["linear", "cubic"], name: str) -> None:
+    rng = np.random.default_rng(len(values))
+    times = np.cumsum(rng.uniform(0.004, 0.03, len(values)))
+    at = np.arange(np.ceil(times[-1] * 100) + 1) / 100.0
+    once = resample(channel(name, times, np.array(values), interpolation), times, at, 100.0, 0.1)
+    twice = resample(channel(name, at, once, interpolation, gap=0.03), at, at, 100.0, 0.0)
+    np.testing.assert_allclose(twice, once, atol=1e-9)
+
+
+@given(values_strategy, st.integers(-(10**6), 10**6), st.sampled_from([25.0, 100.0, 430.0]), st.booleans())
+def test_a_shift_in_time_shifts_nothing_else(values: list[float], shift: int, rate: float, command: bool) -> None:
+    """Both the stamps and the grid later by whole nanoseconds: the same table."""
+    name = "boom.command" if command else "boom.joint"
+    times = np.arange(len(values)) / rate + 1.3e-3
+    at = np.arange(np.ceil(times[-1] * 100) + 1) / 100.0
+    made = [resample(channel(name, times + s, np.array(values)), times + s, at + s, 100.0, 0.1) for s in (0.0, shift * 1e-3)]
+    np.testing.assert_allclose(made[1], made[0], atol=1e-5)
+
+
+@given(st.lists(st.floats(1e-4, 0.4), min_size=1, max_size=40), st.floats(0.0, 0.3))
+def test_a_command_is_never_known_before_it_was_sent(steps: list[float], hold_s: float) -> None:
+    times = np.cumsum(steps)
+    at = np.arange(0.0, times[-1] + 1.0, 0.01)
+    held = hold(times, np.arange(len(times), dtype=np.float64), at, 0.01, hold_s)
+    known = ~np.isnan(held)
+    sent = times[held[known].astype(int)]
+    assert np.all(sent <= at[known] + LATE_SHARE * 0.01 + 1e-12)
+    assert np.all(at[known] - sent <= hold_s)
+    following = np.append(times, np.inf)[held[known].astype(int) + 1]
+    assert np.all(following > at[known])  # and it is the last one
 
 
 def test_commands_are_never_interpolated() -> None:

@@ -1,14 +1,11 @@
 """What a sensor should not do, found in the raw channels and written down; no value is changed."""
 
-from sysid.datasets.flags.collect import find_flags, flag_rows
 from sysid.datasets.flags.stamps import dropouts, jitter, repaired_stamps
 from sysid.datasets.flags.standing import saturation, stuck
 from sysid.datasets.flags.values import jumps, outliers
 
 __all__ = [
     "dropouts",
-    "find_flags",
-    "flag_rows",
     "jitter",
     "jumps",
     "outliers",

@@ -9,10 +9,13 @@ from typing import Any
 import numpy as np
 
 from sysid.datasets.channel import Channel, seconds
+from sysid.datasets.clocks import Clocked, by_source, machine_times
 from sysid.datasets.flag import KINDS, Array, Flag, Mask
 from sysid.datasets.flags.stamps import dropouts, jitter
 from sysid.datasets.flags.standing import Witness, saturation, stuck
 from sysid.datasets.flags.values import jumps, outliers
+from sysid.datasets.recipe import Recipe
+from sysid.datasets.recording import ClockRecord
 from sysid.datasets.resample import gap_limit, hold
 from sysid.machine import Machine
 from sysid.signals import split_signal
@@ -48,9 +51,20 @@ def find_flags(timed: Sequence[Timed], machine: Machine, hold_s: float) -> list[
     return sorted(found, key=lambda item: (item[1].signal, item[0], KINDS.index(item[1].kind), item[1].from_s))
 
 
-def flag_rows(recording: str, found: Sequence[tuple[str, Flag]]) -> list[dict[str, Any]]:
-    """Flags as JSON has them, see "What is flagged" in ``docs/recipes.md``."""
-    return [{"recording": recording, "source": source, **asdict(flag)} for source, flag in found]
+def flag_rows(
+    recording: Clocked, clocks: Sequence[ClockRecord], machine: Machine, hold_s: float = Recipe.hold_s
+) -> list[dict[str, Any]]:
+    """Flags of one recording as JSON has them, see "What is flagged" in ``docs/recipes.md``.
+
+    Static poses have none: between them nothing is recorded, and what moves within one is missing in its row.
+    """
+    if recording.kind == "poses":
+        return []
+    records = by_source(clocks, recording.name)
+    start = recording.start_ns
+    timed = [(channel, machine_times(channel, start, records.get(channel.source))) for channel in recording.channels]
+    found = find_flags(timed, machine, hold_s)
+    return [{"recording": recording.name, "source": source, **asdict(flag)} for source, flag in found]
 
 
 def _of(channel: Channel, at: Array, commands: Sequence[Timed], machine: Machine, hold_s: float) -> list[Flag]:

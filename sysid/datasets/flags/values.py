@@ -26,6 +26,8 @@ STEPS_OF_SENSOR = 4.0
 SPIKE_RATIO = 3.0
 #: The same for a jump: the largest of ten noisy steps is 2.4 σ, and a motion that begins with a jerk goes on as fast.
 JUMP_RATIO = 6.0
+#: A change is a multiple of a sensor's step within this share of it, and this many of all changes have to be.
+COUNT_SLACK, COUNTED = 0.05, 0.95
 #: Steps across more than this many sample periods say nothing: anything may have happened in between.
 GAP_PERIODS = 3.0
 #: A jump and one back by nearly as much (within this share) belong together when less than this time lies between [s].
@@ -41,15 +43,18 @@ def noise_scale(values: Array) -> float:
 
 
 def sensor_step(values: Array) -> float:
-    """What the sensor counts in; 0 where its values do not repeat.
+    """What the sensor counts in; 0 where its values are not counts.
 
-    The smallest distance that some of its levels have, leaving out those of rounding.
+    The smallest change, where (almost) all changes are whole multiples of it: of changes with noise one in ten is by chance.
     """
-    levels = np.unique(values)
-    if len(levels) < 2 or len(levels) > len(values) / 4:
+    changes = np.abs(np.diff(values))
+    changes = changes[changes > 1e-9 * float(np.ptp(values))] if len(values) else changes
+    if len(changes) < 3:
         return 0.0
-    gaps = np.diff(levels)
-    return float(gaps[gaps > 1e-6 * (levels[-1] - levels[0])].min())
+    step = float(changes.min())
+    counts = changes / step
+    whole = np.abs(counts - np.round(counts)) < COUNT_SLACK
+    return step if whole.mean() > COUNTED else 0.0
 
 
 def outliers(signal: str, times: Array, values: Array, unit: str = "1") -> list[Flag]:

@@ -1,0 +1,95 @@
+"""What stands behind every sample of an aligned table: measured, bridged, held, or missing.
+
+Nothing of it is stored: it follows from the raw channels that are kept beside the table, their clocks, and the holes of the
+table itself, for versions of any age.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+import pandas as pd
+
+from sysid.datasets.channel import Channel
+from sysid.datasets.clocks import by_source, machine_times
+from sysid.datasets.resample import LATE_SHARE
+from sysid.datasets.store import Store
+from sysid.errors import StoreError, nearest
+
+Array = npt.NDArray[np.float64]
+States = npt.NDArray[np.int8]
+
+#: What a code stands for.
+STATES = ("missing", "measured", "bridged", "held")
+MISSING, MEASURED, BRIDGED, HELD = range(4)
+#: Samples further apart than this many of the source's own periods have a gap between them.
+NEIGHBOURS = 1.5
+
+
+def states(values: Array, at: Array, times: Array, rate_hz: float, command: bool = False) -> States:
+    """The state of each sample of one signal, as index into :data:`STATES`, (n,).
+
+    - missing: NaN in the table;
+    - measured: on or between neighbouring samples of the source; of a command, one was sent since the instant before;
+    - bridged: between samples further apart than :data:`NEIGHBOURS` periods of the source, inside the allowed gap;
+    - held: no command was sent since the instant before, the last one still counts.
+
+    Args:
+        values: the signal in the table, (n,).
+        at: instants of the table, (n,) [s].
+        times: when the source has known values, rising, (m,) [s], same origin.
+        rate_hz: of the table.
+    """
+    result = np.full(len(values), MEASURED, dtype=np.int8)
+    if len(times):
+        if command:
+            slack = LATE_SHARE / rate_hz
+            last = np.searchsorted(times, at + slack, side="right") - 1
+            age = at - times[np.clip(last, 0, len(times) - 1)]
+            result[(last >= 0) & (age > 1.0 / rate_hz - slack)] = HELD
+        elif len(times) > 1:
+            right = np.clip(np.searchsorted(times, at, side="right"), 1, len(times) - 1)
+            steps = times[right] - times[right - 1]
+            on_sample = np.minimum(np.abs(at - times[right]), np.abs(at - times[right - 1])) < 1e-9
+            result[(steps > NEIGHBOURS * float(np.median(np.diff(times)))) & ~on_sample] = BRIDGED
+    result[np.isnan(values)] = MISSING
+    return result
+
+
+def validity_of(store: Store, reference: str, recording: str) -> pd.DataFrame:
+    """``time`` [s] and, for every signal of a recording, the categorical state of each of its samples.
+
+    Args:
+        reference: dataset version, ``"name"`` or ``"name@3"``.
+        recording: as the dataset names it; a block (``"manual#2"``) as well.
+
+    Raises:
+        StoreError: no such version or recording.
+    """
+    dataset = store.load(reference)
+    found = dataset.recording(recording)
+    channels = store.channels(dataset.reference)
+    names = set(channels["recording"].unique())
+    uncut = recording if recording in names else recording.rpartition("#")[0]
+    if uncut not in names:
+        raise StoreError(dataset.reference, f"no raw channels of {recording!r}", nearest(recording, names))
+    channels = channels[channels["recording"] == uncut]
+    start = int(channels.loc[channels["domain"] == "machine", "stamp_ns"].min())
+    records = by_source(dataset.clocks, uncut)
+    at = found.values("time") + (found.start_ns - start) * 1e-9
+    result = pd.DataFrame({"time": found.values("time")})
+    for signal in found.signals:
+        values = found.values(signal)
+        if found.kind == "poses":
+            codes = np.where(np.isnan(values), MISSING, MEASURED).astype(np.int8)
+        else:
+            own = channels[(channels["signal"] == signal) & channels["primary"] & channels["value"].notna()]
+            times = []
+            for (source, domain), part in own.groupby(["source", "domain"], observed=True):
+                stamps = part["stamp_ns"].to_numpy(dtype=np.int64)
+                channel = Channel(signal, str(source), str(domain), stamps, part["value"].to_numpy(dtype=np.float64))
+                times.append(machine_times(channel, start, records.get(channel.source)))
+            known = np.sort(np.concatenate(times)) if times else np.empty(0)
+            codes = states(values, at, known, found.rate_hz, signal.endswith(".command"))
+        result[signal] = pd.Categorical.from_codes(codes, categories=pd.Index(STATES))
+    return result
