@@ -177,13 +177,18 @@ class _Walk:
                 return
 
     def name_elements(self, arrays: list[tuple[str, int]], names: list[str]) -> list[tuple[str, int]]:
-        """Give the elements of arrays as long as ``names`` their second path; returns the arrays that are of another length."""
+        """Give the elements of arrays as long as ``names`` their second path; returns the arrays that are of another length.
+
+        A name that is a whole number gets none: ``position[2]`` is the third element, whatever it is called.
+        """
         left = []
         for path, count in arrays:
             if count != len(names):
                 left.append((path, count))
                 continue
             for index, name in enumerate(names):
+                if name.isdecimal():
+                    continue
                 alias, element = f"{path}[{name}]", f"{path}[{index}]"
                 if element in self.numbers:
                     self.aliases[alias] = element

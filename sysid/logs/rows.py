@@ -99,7 +99,7 @@ def _name_elements(value: dict[str, Any], path: str, into: dict[str, float]) -> 
     for key, array in value.items():
         if isinstance(array, list) and len(array) == len(names) <= MAX_ELEMENTS:
             for name, element in zip(names, array, strict=True):
-                if isinstance(element, int | float):
+                if isinstance(element, int | float) and not name.isdecimal():
                     into[f"{prefix}{key}[{name}]"] = element
 
 
