@@ -45,6 +45,10 @@ class StoreError(SysidError):
     """A dataset or model version is missing, damaged or in use."""
 
 
+class StorageError(StoreError):
+    """The disk or object store under the workspace failed: full, read-only, out of reach. No mistake of the user."""
+
+
 class ExcitationError(SysidError):
     """The data do not contain what a fit needs."""
 

@@ -12,7 +12,7 @@ from typing import NoReturn
 import click
 
 from sysid import __version__
-from sysid.errors import SysidError, nearest
+from sysid.errors import StorageError, SysidError, nearest
 
 
 @dataclass(frozen=True)
@@ -96,7 +96,7 @@ def _run(argv: list[str] | None) -> int:
     try:
         app.main(args=argv, prog_name="sysid", standalone_mode=False)
     except SysidError as error:
-        return _complain(str(error), 2)
+        return _complain(str(error), 1 if isinstance(error, StorageError) else 2)
     except click.ClickException as error:
         error.show()
         return error.exit_code

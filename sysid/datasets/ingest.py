@@ -2,23 +2,23 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import pandas as pd
 
 from sysid.datasets.channel import Channel
-from sysid.datasets.channels import Reading, concatenate, joined, read_channels, survey_mounts
-from sysid.datasets.clocks import Clocked, align, by_source, machine_times
+from sysid.datasets.channels import Mounts, Reading, concatenate, joined, read_channels, survey_mounts
+from sysid.datasets.clocks import Clocked, KnownSkew, align, by_source, machine_times
 from sysid.datasets.discover import RecordingFiles, discover, sha256
+from sysid.datasets.manifest import Made, digest_of
 from sysid.datasets.poses import pose_table, still_phases
 from sysid.datasets.quality import describe
 from sysid.datasets.recipe import Recipe, check_against_machine, load_recipe
-from sysid.datasets.recording import ClockRecord, Dataset, Recording, Source
-from sysid.datasets.resample import grid, resample
+from sysid.datasets.recording import ClockRecord, Dataset, Recording, Role, Source
+from sysid.datasets.resample import GAP_PERIODS, grid, resample
 from sysid.datasets.splits import split
 from sysid.datasets.store import Store
 from sysid.errors import InputError, SettingsError
@@ -65,67 +65,172 @@ def _ingest(
     name: str | None,
     report: Progress,
 ) -> Dataset:
+    plan = plan_of(paths, machine, recipe)
+    rules, description = plan.rules, plan.machine
+    title = name or (rules.name if rules is not None else None) or description.name
+    _check_name(title)
+
+    report(0.0, "reading file names")
+    found = discover(plan.roots, rules)
+    sources = sources_of(found)
+    digest = digest_of({**content_of(sources, rules), "machine": description.files()})
+    store = Store(workspace)
+    known = store.intact(title, digest)
+    if known is not None:
+        report(1.0, f"the same logs are {known.reference}")
+        return known
+
+    walked = walk(found, plan, survey_mounts(found, description), report)
+    settings = rules if rules is not None else Recipe(schema=1)
+    parts, roles = split(walked.recordings, settings.splits, plan.where)
+    dataset = walked.dataset(title, digest, description, parts, roles, sources)
+    report(0.95, "storing")
+    saved = store.save(dataset, walked.channels, walked.made)
+    report(1.0, f"stored {saved.reference}")
+    return saved
+
+
+@dataclass(frozen=True)
+class Plan:
+    """Which folders are read, by which recipe, for which machine; ``where`` is what a mistake in it is blamed on."""
+
+    roots: tuple[Path, ...]
+    rules: Recipe | None
+    machine: Machine
+    where: Path
+
+
+def plan_of(
+    paths: Sequence[Path | str] | Path | str,
+    machine: Path | str | None,
+    recipe: Path | str | None,
+    otherwise: tuple[Recipe | None, Machine] | None = None,
+) -> Plan:
+    """Find recipe and machine for ``paths``.
+
+    Args:
+        otherwise: recipe and machine where none is named and none lies beside the logs.
+
+    Raises:
+        InputError: a path that does not exist.
+        SettingsError: no machine, or a mistake in it or in the recipe.
+    """
     roots = [Path(path) for path in ([paths] if isinstance(paths, str | Path) else paths)]
     for root in roots:
         if not root.exists():
             raise InputError(root, "no such file or folder", "a folder of recordings or a log file", "Check the path.")
     recipe_path = _recipe_path(recipe, roots)
-    rules = load_recipe(recipe_path) if recipe_path is not None else None
-    description = load_machine(_machine_path(machine, rules, recipe_path, roots))
+    own = load_recipe(recipe_path) if recipe_path is not None else None
+    rules = own if own is not None or otherwise is None else otherwise[0]
+    machine_path = _machine_path(machine, own, recipe_path, roots)
+    if machine_path is not None:
+        description = load_machine(machine_path)
+    elif otherwise is not None:
+        description = otherwise[1]
+    else:
+        remedy = "Give one with --machine, or name it in the recipe."
+        raise SettingsError(roots[0], "no machine description", "machine.toml", remedy)
     where = recipe_path if recipe_path is not None else roots[0]
     if rules is not None:
         check_against_machine(rules, description, where)
         if rules.logs is not None and recipe_path is not None:
             same = [root.is_dir() and root.resolve() == recipe_path.parent.resolve() for root in roots]
-            roots = [root / rules.logs if own else root for root, own in zip(roots, same, strict=True)]
-    title = name or (rules.name if rules is not None else None) or description.name
-    _check_name(title)
+            roots = [root / rules.logs if here else root for root, here in zip(roots, same, strict=True)]
+    return Plan(tuple(roots), rules, description, where)
 
-    report(0.0, "reading file names")
-    found = discover(roots, rules)
-    sources = _sources(found)
-    digest = _digest(sources, rules, description)
-    store = Store(workspace)
-    known = store.find_digest(title, digest)
-    if known is not None:
-        report(1.0, f"the same logs are {title}@{known}")
-        return store.load(f"{title}@{known}")
 
-    settings = rules if rules is not None else Recipe(schema=1)
-    mounts = survey_mounts(found, description)
+@dataclass(frozen=True)
+class Walked:
+    """Logs on the machine's clock and grid, not yet split."""
+
+    readings: Mapping[str, Reading]
+    clocked: tuple[Clocked, ...]
+    clocks: tuple[ClockRecord, ...]
+    recordings: tuple[Recording, ...]
+    made: Made
+
+    @property
+    def channels(self) -> dict[str, tuple[Channel, ...]]:
+        return {name: reading.channels for name, reading in self.readings.items()}
+
+    def dataset(
+        self,
+        name: str,
+        digest: str,
+        machine: Machine,
+        parts: Sequence[Recording],
+        roles: Mapping[str, Role],
+        sources: Sequence[Source],
+    ) -> Dataset:
+        """The version to be stored, with recordings ``parts`` in ``roles``."""
+        units = _units(self.channels)
+        parts = tuple(_with_units(part, units) for part in parts)
+        losses = {f"{name}/{file}": items for name, reading in self.readings.items() for file, items in reading.losses.items()}
+        return Dataset(
+            name=name,
+            version=0,
+            digest=digest,
+            machine=machine,
+            recordings=parts,
+            units=units,
+            splits=roles,
+            sources=tuple(replace(source, losses=losses.get(source.path, ())) for source in sources),
+            clocks=self.clocks,
+            quality=describe(parts, self.readings, self.clocks, machine),
+            streams=_streams(self.clocked, parts),
+        )
+
+
+def walk(
+    found: Sequence[RecordingFiles],
+    plan: Plan,
+    mounts: Mounts,
+    report: Progress,
+    skews: Mapping[str, KnownSkew] | None = None,
+) -> Walked:
+    """Read, align, resample.
+
+    Args:
+        mounts: where the rigid bodies sit.
+        skews: what is known of the clocks from recordings that are not among ``found``.
+    """
+    settings = plan.rules if plan.rules is not None else Recipe(schema=1)
     readings: dict[str, Reading] = {}
     for number, files in enumerate(found):
         report(0.05 + 0.35 * number / len(found), f"reading {files.name}")
-        readings[files.name] = read_channels(files, description, mounts)
-    channels = {name: reading.channels for name, reading in readings.items()}
-    losses = {f"{name}/{file}": items for name, reading in readings.items() for file, items in reading.losses.items()}
-    clocked = [Clocked(files.name, files.kind, channels[files.name]) for files in found]
+        readings[files.name] = read_channels(files, plan.machine, mounts)
+    clocked = tuple(Clocked(files.name, files.kind, readings[files.name].channels) for files in found)
     report(0.4, "aligning clocks")
-    clocks = align(clocked)
+    clocks = align(clocked, skews)
     recordings = []
     for number, recording in enumerate(clocked):
         report(0.8 + 0.1 * number / len(found), f"resampling {recording.name}")
-        recordings.append(_recording(recording, by_source(clocks, recording.name), description, settings))
-    parts, roles = split(recordings, settings.splits, where)
-    units = _units(channels)
-    parts = tuple(_with_units(part, units) for part in parts)
-    dataset = Dataset(
-        name=title,
-        version=0,
-        digest=digest,
-        machine=description,
-        recordings=parts,
-        units=units,
-        splits=roles,
-        sources=tuple(replace(source, losses=losses.get(source.path, ())) for source in sources),
-        clocks=clocks,
-        quality=describe(parts, readings, clocks, description),
-        streams=_streams(clocked, parts),
+        recordings.append(_recording(recording, by_source(clocks, recording.name), plan.machine, settings))
+    made = Made(
+        INGEST_VERSION, plan.rules.text if plan.rules is not None else "", settings_of(plan), shared_mounts(found, mounts)
     )
-    report(0.95, "storing")
-    saved = store.save(dataset, channels, rules.text if rules is not None else "")
-    report(1.0, f"stored {saved.reference}")
-    return saved
+    return Walked(readings, clocked, clocks, tuple(recordings), made)
+
+
+def settings_of(plan: Plan) -> dict[str, Any]:
+    """What resampling was told, for the lineage."""
+    rules = plan.rules if plan.rules is not None else Recipe(schema=1)
+    streams = {
+        stream.files: {"domain": stream.domain, "interpolation": stream.interpolation, "max_gap_s": stream.max_gap_s}
+        for stream in rules.streams
+    }
+    still = {"still_seconds": rules.still.seconds, "still_tolerance": rules.still.tolerance} if rules.recordings.poses else {}
+    return {"rate_hz": plan.machine.rate_hz, "hold_s": rules.hold_s, "gap_periods": GAP_PERIODS, **still, "streams": streams}
+
+
+def shared_mounts(found: Sequence[RecordingFiles], mounts: Mounts) -> dict[str, dict[str, Any]]:
+    """Files of a stream → body → mount, where one reference pose holds for all recordings."""
+    shared: dict[str, dict[str, Any]] = {}
+    for files in found:
+        for _, stream in files.streams:
+            if stream is not None and stream.bodies and stream.reference is not None and stream.reference.recording is not None:
+                shared[stream.files] = {body: pose.tolist() for body, pose in mounts[files.name, stream.files].items()}
+    return shared
 
 
 def _recipe_path(recipe: Path | str | None, roots: Sequence[Path]) -> Path | None:
@@ -135,7 +240,9 @@ def _recipe_path(recipe: Path | str | None, roots: Sequence[Path]) -> Path | Non
     return beside[0] if len(beside) == 1 else None
 
 
-def _machine_path(machine: Path | str | None, rules: Recipe | None, recipe_path: Path | None, roots: Sequence[Path]) -> Path:
+def _machine_path(
+    machine: Path | str | None, rules: Recipe | None, recipe_path: Path | None, roots: Sequence[Path]
+) -> Path | None:
     if machine is not None:
         return Path(machine)
     if rules is not None and rules.machine is not None and recipe_path is not None:
@@ -144,9 +251,7 @@ def _machine_path(machine: Path | str | None, rules: Recipe | None, recipe_path:
         for folder in (root, root.parent):
             if (folder / "machine.toml").is_file():
                 return folder / "machine.toml"
-    raise SettingsError(
-        roots[0], "no machine description", "machine.toml", "Give one with --machine, or name it in the recipe."
-    )
+    return None
 
 
 def _check_name(name: str) -> None:
@@ -154,7 +259,7 @@ def _check_name(name: str) -> None:
         raise SettingsError("dataset name", repr(name), "letters, digits, '-', '_' and '.'", "Choose another --name.")
 
 
-def _sources(found: Sequence[RecordingFiles]) -> tuple[Source, ...]:
+def sources_of(found: Sequence[RecordingFiles]) -> tuple[Source, ...]:
     unique: dict[str, Source] = {}
     for recording in found:
         for path, _ in recording.streams:
@@ -164,17 +269,17 @@ def _sources(found: Sequence[RecordingFiles]) -> tuple[Source, ...]:
     return tuple(unique.values())
 
 
-def _digest(sources: Sequence[Source], rules: Recipe | None, machine: Machine) -> str:
-    content = {
+def content_of(sources: Sequence[Source], rules: Recipe | None) -> dict[str, Any]:
+    """What the tables are made from beside the machine, as plain JSON values: a part of every digest."""
+    content: dict[str, Any] = {
         "ingest": INGEST_VERSION,
         "sources": sorted((source.path, source.sha256) for source in sources),
         "recipe": rules.text if rules is not None else "",
-        "machine": machine.files(),
     }
     databases = {stream.dbc for stream in rules.streams if stream.dbc is not None} if rules is not None else set()
     if databases:
         content["databases"] = sorted(sha256(Path(database)) for database in databases)
-    return hashlib.sha256(json.dumps(content, sort_keys=True).encode("utf-8")).hexdigest()
+    return content
 
 
 def _recording(recording: Clocked, records: Mapping[str, ClockRecord], machine: Machine, rules: Recipe) -> Recording:

@@ -2,47 +2,80 @@
 
 A version is visible when its manifest is: data are written first, the manifest last and atomically. Folders::
 
-    datasets/<name>/data/<digest>/samples    Delta table: recording, row, stamp_ns, time, one column a signal
-    datasets/<name>/data/<digest>/channels   Delta table: recording, source, domain, signal, stamp_ns, value (own clocks)
-    datasets/<name>/versions/<number>.json   manifest: machine, units, splits, sources, clocks, quality, the two tables
+    datasets/<name>/data/<part>/samples              Delta table: recording, row, stamp_ns, time, one column a signal
+    datasets/<name>/data/<part>/channels             Delta table: raw channels on their own clocks
+    datasets/<name>/versions/<number>.json           manifest: machine, units, splits, sources, clocks, quality, the parts
+    datasets/<name>/versions/<number>.removed.json   what stays of a version that vacuum removed
+
+A part is what one ingest wrote, and is never written again. A version that was appended to names the parts of the version
+before and one more; one with other roles names the same parts.
 """
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
-import json
-from collections.abc import Mapping, Sequence
+import uuid
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pandas as pd
 
 from sysid.datasets.channel import Channel
-from sysid.datasets.files import Files, open_files
-from sysid.datasets.recording import ClockRecord, Dataset, Recording, Source
+from sysid.datasets.files import Files, TakenError, explained, open_files
+from sysid.datasets.manifest import (
+    Made,
+    Manifest,
+    appended,
+    clock_from,
+    from_text,
+    new_manifest,
+    new_part,
+    resplit,
+    split_digest,
+    to_text,
+)
+from sysid.datasets.recording import Dataset, Recording, Role, Source
+from sysid.datasets.tables import is_there, read_table, write_channels, write_samples
 from sysid.errors import StoreError, nearest
 from sysid.machine import machine_from_files
 
-SCHEMA = 1
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+#: What a failed write leaves, for its message.
+_STATE = "no version was made, those that are there are whole"
 
 
 @dataclass(frozen=True)
 class Entry:
-    """One line of :meth:`Store.list`."""
+    """One line of :meth:`Store.list`; ``damage`` says why a version cannot be read, and nothing else is known of it then."""
 
     name: str
     version: int
-    digest: str
-    created: str
-    machine: str
-    recordings: int
-    seconds: float
+    digest: str = ""
+    created: str = ""
+    machine: str = ""
+    recordings: int = 0
+    seconds: float = 0.0
+    damage: str = ""
 
     @property
     def reference(self) -> str:
         return f"{self.name}@{self.version}"
+
+
+@dataclass(frozen=True)
+class PartTables:
+    """Where other tools find the tables of some recordings: two Delta tables, by their paths or URLs."""
+
+    recordings: tuple[str, ...]
+    samples: str
+    channels: str
 
 
 @dataclass(frozen=True)
@@ -51,16 +84,19 @@ class Store:
 
     workspace: str | Path
 
-    @property
-    def _files(self) -> Files:
+    @cached_property
+    def files(self) -> Files:
         return open_files(self.workspace)
 
     def list(self) -> tuple[Entry, ...]:
         """All versions of all datasets, by name and number."""
         entries = []
-        for name in self._files.folders("datasets"):
-            for version in self._versions(name):
-                entries.append(_entry(self._manifest(name, version)))
+        for name in self.files.folders("datasets"):
+            for version in self.versions(name):
+                try:
+                    entries.append(_entry(self.read_manifest(name, version)))
+                except StoreError as error:
+                    entries.append(Entry(name, version, damage=str(error)))
         return tuple(entries)
 
     def load(self, reference: str) -> Dataset:
@@ -69,11 +105,202 @@ class Store:
         Raises:
             StoreError: no such dataset or version, or its files are damaged.
         """
-        manifest = self._find(reference)
-        table = self._read_table(manifest, "samples")
-        recordings = tuple(
-            _recording(number, item, table, manifest["units"]) for number, item in enumerate(manifest["recordings"])
+        return self._dataset(self.manifest(reference))
+
+    def channels(self, reference: str) -> pd.DataFrame:
+        """The raw channels, each on its own clock: recording, source, domain, signal, unit, primary, stamp_ns, value."""
+        import pyarrow as pa
+
+        manifest = self.manifest(reference)
+        tables = [self._table(manifest, part, "channels") for part in manifest["parts"]]
+        frame: pd.DataFrame = pa.concat_tables(tables, promote_options="default").to_pandas(ignore_metadata=True)
+        return frame
+
+    def clock_domains(self, reference: str) -> dict[tuple[str, str], str]:
+        """(recording before it was cut, source) → the clock domain of its stamps."""
+        manifest = self.manifest(reference)
+        columns = ("recording", "source", "domain")
+        found: dict[tuple[str, str], str] = {}
+        for part in manifest["parts"]:
+            rows = self._table(manifest, part, "channels", columns).group_by(list(columns)).aggregate([])
+            found |= {(row["recording"], row["source"]): row["domain"] for row in rows.to_pylist()}
+        return found
+
+    def tables(self, reference: str) -> tuple[PartTables, ...]:
+        """The Delta tables that make a version, for polars, DuckDB, Spark, Dask."""
+        manifest = self.manifest(reference)
+        return tuple(
+            PartTables(
+                tuple(item["name"] for item in manifest["recordings"] if item["part"] == number),
+                self.files.uri(f"{part['folder']}/samples"),
+                self.files.uri(f"{part['folder']}/channels"),
+            )
+            for number, part in enumerate(manifest["parts"])
         )
+
+    def manifest(self, reference: str) -> Manifest:
+        """What is written of a version, in the shape of the newest schema (``docs/guide/versions.md``).
+
+        Raises:
+            StoreError: no such dataset or version, or a manifest that is damaged.
+        """
+        name, _, number = reference.partition("@")
+        versions = self.versions(name)
+        if not versions and not self._removed(name):
+            names = [folder for folder in self.files.folders("datasets") if self.versions(folder)]
+            where = f"workspace {self.workspace}"
+            raise StoreError(where, f"no dataset {name!r}", nearest(name, names), "Run `sysid ingest`.")
+        if (number or not versions) and (not number.isdigit() or int(number) not in versions):
+            listed = ", ".join(map(str, versions)) or "none is left"
+            if number.isdigit() and int(number) in self._removed(name):
+                remedy = "Ingest the same logs again: they become a new version of the same content."
+                raise StoreError(f"dataset {name}", f"version {number} was removed by vacuum", f"one of: {listed}", remedy)
+            raise StoreError(f"dataset {name}", f"no version {number!r}", f"one of: {listed}")
+        return self.read_manifest(name, int(number) if number else versions[-1])
+
+    def read_manifest(self, name: str, version: int) -> Manifest:
+        """:meth:`manifest` of a version that is there."""
+        path = manifest_path(name, version)
+        try:
+            return from_text(self.files.read(path), path)
+        except FileNotFoundError:
+            raise StoreError(path, "is gone", "a manifest as it was written", "Another process has just removed it.") from None
+
+    def versions(self, name: str) -> Sequence[int]:
+        """Numbers of the versions of ``name``, rising."""
+        return _numbers(self.files.names(f"datasets/{name}/versions"), ".json")
+
+    def find_digest(self, name: str, digest: str) -> int | None:
+        """The newest version of ``name`` with this content and with all its tables there; None where there is none."""
+        for version in reversed(self.versions(name)):
+            with contextlib.suppress(StoreError):
+                manifest = self.read_manifest(name, version)
+                if manifest["digest"] == digest and self._has_tables(manifest):
+                    return version
+        return None
+
+    def intact(self, name: str, digest: str) -> Dataset | None:
+        """The newest version of ``name`` with this content that can be read to the end."""
+        for version in reversed(self.versions(name)):
+            with contextlib.suppress(StoreError):
+                if self.read_manifest(name, version)["digest"] == digest:
+                    return self.load(f"{name}@{version}")
+        return None
+
+    def save(self, dataset: Dataset, channels: Mapping[str, Sequence[Channel]], made: Made) -> Dataset:
+        """Store ``dataset`` as the next version of its name; the same digest again returns the version that is there.
+
+        Args:
+            dataset: its ``version`` is ignored.
+            channels: recording (before it was cut into blocks) → its raw channels.
+            made: what the tables came from, kept with the version.
+
+        Raises:
+            StorageError: the disk is full, or may not be written; nothing of the version is visible then.
+        """
+        version = self._store(dataset, channels, made, lambda number, part: new_manifest(dataset, number, part))
+        return version if isinstance(version, Dataset) else dataclasses.replace(dataset, version=version)
+
+    def append(self, base: str, addition: Dataset, channels: Mapping[str, Sequence[Channel]], made: Made) -> Dataset:
+        """Store the version ``base`` with the recordings of ``addition`` behind its own; no file of ``base`` is touched.
+
+        Args:
+            base: ``name@version``.
+            addition: the new recordings with their units, roles, sources, clocks and streams; the digest of the new version;
+                the quality of all recordings.
+            channels: of the new recordings.
+
+        Raises:
+            StorageError: the disk is full, or may not be written; nothing of the version is visible then.
+        """
+        manifest = self.manifest(base)
+        version = self._store(addition, channels, made, lambda number, part: appended(manifest, addition, number, part))
+        return version if isinstance(version, Dataset) else self.load(f"{addition.name}@{version}")
+
+    def resplit(self, reference: str, splits: Mapping[str, Role]) -> Dataset:
+        """A version with the same tables and other roles; the version there is, where one has these roles already.
+
+        Raises:
+            StorageError: the disk is full, or may not be written.
+        """
+        base = self.manifest(reference)
+        name = base["name"]
+        digest = split_digest(base, splits)
+        with self.files.lock(f"datasets/{name}"), explained(self.workspace, _STATE):
+            known = self.find_digest(name, digest)
+            number = known or self._publish(name, digest, lambda version: resplit(base, splits, digest, version))
+        return self.load(f"{name}@{number}")
+
+    def _store(
+        self,
+        dataset: Dataset,
+        channels: Mapping[str, Sequence[Channel]],
+        made: Made,
+        build: Callable[[int, Manifest], Manifest],
+    ) -> Dataset | int:
+        """Tables into a folder of their own, then the manifest that ``build(number, part)`` gives: its number, or the version
+        there is of this content.
+        """
+        name = dataset.name
+        with self.files.lock(f"datasets/{name}"), explained(self.workspace, _STATE):
+            known = self.intact(name, dataset.digest)
+            if known is not None:
+                return known
+            if self.files.locks:  # what a killed ingest of the same content left behind was never visible
+                for folder in self.leftovers(name):
+                    if folder.startswith(dataset.digest[:16]):
+                        self.files.remove(f"datasets/{name}/data/{folder}")
+            folder = f"datasets/{name}/data/{dataset.digest[:16]}-{uuid.uuid4().hex[:8]}"
+            try:
+                samples = write_samples(self.files, f"{folder}/samples", dataset)
+                raw = write_channels(self.files, f"{folder}/channels", channels)
+                self.files.settle(folder)
+                part = new_part(folder, samples, raw, made)
+                return self._publish(name, dataset.digest, lambda number: build(number, part))
+            except BaseException:
+                with contextlib.suppress(OSError):
+                    self.files.remove(folder)
+                raise
+
+    def _publish(self, name: str, digest: str, build: Callable[[int], Manifest]) -> int:
+        """The number under which the manifest was published; where nothing is locked another writer may take one first."""
+        while True:
+            taken = self.files.claimed(f"datasets/{name}/versions")
+            version = max([*_numbers(taken, ".json"), *_numbers(taken, ".removed.json")], default=0) + 1
+            try:
+                self.files.publish(manifest_path(name, version), to_text(build(version)))
+            except TakenError:
+                if self.files.locks:
+                    raise
+                known = self.find_digest(name, digest)
+                if known is not None:
+                    return known
+                continue
+            return version
+
+    def leftovers(self, name: str) -> Sequence[str]:
+        """Folders under ``data`` that no version refers to; none where a manifest cannot be read: it may refer to them."""
+        used = set()
+        try:
+            for version in self.versions(name):
+                used |= {part["folder"].rpartition("/")[2] for part in self.read_manifest(name, version)["parts"]}
+        except StoreError:
+            return ()
+        return [folder for folder in self.files.folders(f"datasets/{name}/data") if folder not in used]
+
+    def _removed(self, name: str) -> Sequence[int]:
+        return _numbers(self.files.names(f"datasets/{name}/versions"), ".removed.json")
+
+    def _has_tables(self, manifest: Manifest) -> bool:
+        return all(is_there(self.files, part, which) for part in manifest["parts"] for which in ("samples", "channels"))
+
+    def _table(self, manifest: Manifest, part: Manifest, which: str, columns: Sequence[str] | None = None) -> pa.Table:
+        return read_table(self.files, part, which, f"{manifest['name']}@{manifest['version']}: {which}", columns)
+
+    def _dataset(self, manifest: Manifest) -> Dataset:
+        reference = f"{manifest['name']}@{manifest['version']}"
+        tables = [_rows_of(self._table(manifest, part, "samples")) for part in manifest["parts"]]
+        recordings = tuple(_recording(item, tables[item["part"]], manifest["units"]) for item in manifest["recordings"])
         return Dataset(
             name=manifest["name"],
             version=manifest["version"],
@@ -83,190 +310,54 @@ class Store:
             units=manifest["units"],
             splits=manifest["splits"],
             sources=tuple(Source(**{**item, "losses": tuple(item["losses"])}) for item in manifest["sources"]),
-            clocks=tuple(_clock(item) for item in manifest["clocks"]),
-            streams={stream: tuple(signals) for stream, signals in manifest.get("streams", {}).items()},
+            clocks=tuple(clock_from(item) for item in manifest["clocks"]),
+            streams={stream: tuple(signals) for stream, signals in manifest["streams"].items()},
             quality=manifest["quality"],
         )
 
-    def channels(self, reference: str) -> pd.DataFrame:
-        """The raw channels of a version, each on its own clock: recording, source, domain, signal, primary, stamp_ns, value."""
-        return self._read_table(self._find(reference), "channels")
 
-    def find_digest(self, name: str, digest: str) -> int | None:
-        """The version of ``name`` with this content, None where there is none."""
-        for version in self._versions(name):
-            if self._manifest(name, version)["digest"] == digest:
-                return version
-        return None
-
-    def save(self, dataset: Dataset, channels: Mapping[str, Sequence[Channel]], recipe: str = "") -> Dataset:
-        """Store ``dataset`` as the next version of its name; the same digest again returns the version that is there.
-
-        Args:
-            dataset: its ``version`` is ignored.
-            channels: recording (before it was cut into blocks) → its raw channels.
-            recipe: text of the recipe, kept with the version.
-        """
-        with self._files.lock(f"datasets/{dataset.name}"):
-            known = self.find_digest(dataset.name, dataset.digest)
-            if known is not None:
-                return self.load(f"{dataset.name}@{known}")
-            version = max(self._versions(dataset.name), default=0) + 1
-            folder = f"datasets/{dataset.name}/data/{dataset.digest[:16]}"
-            # What a killed ingest of the same content left behind was never visible.
-            self._files.remove(folder)
-            self._write_table(f"{folder}/samples", _samples(dataset))
-            self._write_table(f"{folder}/channels", _channel_rows(channels))
-            manifest = _to_manifest(dataset, version, folder, recipe)
-            text = json.dumps(manifest, indent=1, allow_nan=False)
-            self._files.publish(f"datasets/{dataset.name}/versions/{version:06d}.json", text)
-        return dataclasses.replace(dataset, version=version)
-
-    def _versions(self, name: str) -> Sequence[int]:
-        names = self._files.names(f"datasets/{name}/versions")
-        return sorted(int(file[:-5]) for file in names if file.endswith(".json") and file[:-5].isdigit())
-
-    def _find(self, reference: str) -> dict[str, Any]:
-        name, _, number = reference.partition("@")
-        names = [folder for folder in self._files.folders("datasets") if self._versions(folder)]
-        if name not in names:
-            raise StoreError(f"workspace {self.workspace}", f"no dataset {name!r}", nearest(name, names), "Run `sysid ingest`.")
-        versions = self._versions(name)
-        if number and (not number.isdigit() or int(number) not in versions):
-            listed = ", ".join(map(str, versions))
-            raise StoreError(f"dataset {name}", f"no version {number!r}", f"one of: {listed}")
-        return self._manifest(name, int(number) if number else versions[-1])
-
-    def _manifest(self, name: str, version: int) -> dict[str, Any]:
-        path = f"datasets/{name}/versions/{version:06d}.json"
-        try:
-            manifest: dict[str, Any] = json.loads(self._files.read(path))
-        except ValueError as error:
-            raise StoreError(path, f"damaged ({error})", "a manifest as it was written", "Ingest the logs again.") from None
-        if manifest.get("schema") != SCHEMA:
-            raise StoreError(path, f"schema {manifest.get('schema')}", f"schema {SCHEMA}", "Use the sysid that wrote it.")
-        return manifest
-
-    def _read_table(self, manifest: dict[str, Any], which: str) -> pd.DataFrame:
-        from deltalake import DeltaTable
-        from deltalake.exceptions import DeltaError, TableNotFoundError
-
-        place = f"{manifest['name']}@{manifest['version']}: {which}"
-        try:
-            table = DeltaTable(self._files.uri(f"{manifest['folder']}/{which}"), version=0)
-            frame: pd.DataFrame = table.to_pyarrow_table().to_pandas(ignore_metadata=True)
-        except (TableNotFoundError, DeltaError, OSError) as error:
-            raise StoreError(place, f"not readable ({error})", "the table as written", "Ingest the logs again.") from None
-        return frame
-
-    def _write_table(self, path: str, frame: pd.DataFrame) -> None:
-        import pyarrow as pa
-        from deltalake import write_deltalake
-
-        table = pa.Table.from_pandas(frame, preserve_index=False)
-        write_deltalake(self._files.uri(path), table, mode="overwrite")
+def manifest_path(name: str, version: int, removed: bool = False) -> str:
+    """Path of a manifest in its workspace, or of what vacuum leaves of it."""
+    return f"datasets/{name}/versions/{version:06d}{'.removed' if removed else ''}.json"
 
 
-def _samples(dataset: Dataset) -> pd.DataFrame:
-    frames = []
-    for number, recording in enumerate(dataset.recordings):
-        table = recording.table
-        stamps = recording.start_ns + np.rint(table["time"].to_numpy(dtype=np.float64) * 1e9).astype(np.int64)
-        frame = pd.DataFrame({"recording": np.int32(number), "row": np.arange(len(table), dtype=np.int64), "stamp_ns": stamps})
-        frames.append(pd.concat([frame, table.reset_index(drop=True)], axis=1))
-    joined = pd.concat(frames, ignore_index=True)
-    joined.attrs = {}
-    return joined
+def _numbers(names: Sequence[str], ending: str) -> Sequence[int]:
+    numbers = [name.removesuffix(ending) for name in names if name.endswith(ending)]
+    return sorted(int(number) for number in numbers if number.isdigit())
 
 
-def _channel_rows(channels: Mapping[str, Sequence[Channel]]) -> pd.DataFrame:
-    frames = [
-        pd.DataFrame(
-            {
-                "recording": recording,
-                "source": channel.source,
-                "domain": channel.domain,
-                "signal": channel.signal,
-                "primary": channel.primary,
-                "stamp_ns": channel.stamps,
-                "value": channel.values,  # noqa: PD011
-            }
-        )
-        for recording, parts in channels.items()
-        for channel in parts
-    ]
-    return pd.concat(frames, ignore_index=True)
+@dataclass(frozen=True)
+class _Rows:
+    """Samples in the order of recording and row, and where the rows of each recording lie: key → first, end."""
+
+    table: pa.Table
+    places: Mapping[Any, tuple[int, int]]
 
 
-def _to_manifest(dataset: Dataset, version: int, folder: str, recipe: str) -> dict[str, Any]:
-    from datetime import UTC, datetime
-
-    from sysid import __version__
-
-    return {
-        "schema": SCHEMA,
-        "name": dataset.name,
-        "version": version,
-        "digest": dataset.digest,
-        "created": datetime.now(UTC).isoformat(timespec="seconds"),
-        "sysid": __version__,
-        "folder": folder,
-        "machine_name": dataset.machine.name,
-        "machine": dataset.machine.files(),
-        "recipe": recipe,
-        "recordings": [
-            {
-                "name": r.name,
-                "kind": r.kind,
-                "rate_hz": r.rate_hz,
-                "start_ns": r.start_ns,
-                "rows": len(r),
-                "signals": list(r.signals),
-            }
-            for r in dataset.recordings
-        ],
-        "units": dict(dataset.units),
-        "splits": dict(dataset.splits),
-        "sources": [dataclasses.asdict(source) for source in dataset.sources],
-        "streams": {stream: list(signals) for stream, signals in dataset.streams.items()},
-        "clocks": [_plain(dataclasses.asdict(clock)) for clock in dataset.clocks],
-        "quality": _plain(dataset.quality),
-    }
+def _rows_of(table: pa.Table) -> _Rows:
+    keys = table["recording"].combine_chunks().dictionary_encode()
+    numbers = keys.indices.to_numpy()
+    rows = table["row"].to_numpy()
+    order = np.lexsort((rows, numbers))
+    if not np.array_equal(order, np.arange(len(order))):
+        table, numbers = table.take(order), numbers[order]
+    names = keys.dictionary.to_pylist()
+    first = np.searchsorted(numbers, np.arange(len(names)), side="left")
+    end = np.searchsorted(numbers, np.arange(len(names)), side="right")
+    return _Rows(table, {name: (int(a), int(b)) for name, a, b in zip(names, first, end, strict=True)})
 
 
-def _plain(value: Any) -> Any:
-    """Mappings, tuples and NumPy numbers as JSON has them; NaN and infinity as None."""
-    if isinstance(value, Mapping):
-        return {str(key): _plain(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [_plain(item) for item in value]
-    if isinstance(value, np.generic):
-        value = value.item()
-    if isinstance(value, float) and not np.isfinite(value):
-        return None
-    return value
-
-
-def _clock(item: dict[str, Any]) -> ClockRecord:
-    values: dict[str, Any] = {key: float("nan") if value is None else value for key, value in item.items()}
-    for key in ("offset_interval95", "skew_interval95"):
-        low, high = (float("nan") if end is None else float(end) for end in item[key])
-        values[key] = (low, high)
-    values["used_signals"] = tuple(item["used_signals"])
-    return ClockRecord(**values)
-
-
-def _recording(number: int, item: dict[str, Any], table: pd.DataFrame, units: dict[str, str]) -> Recording:
-    rows = table[table["recording"] == number].sort_values("row")
-    if len(rows) != item["rows"]:
-        found, expected = f"{len(rows)} rows", f"{item['rows']} rows"
+def _recording(item: Mapping[str, Any], rows: _Rows, units: Mapping[str, str]) -> Recording:
+    first, end = rows.places.get(item["key"], (0, 0))
+    if end - first != item["rows"]:
+        found, expected = f"{end - first} rows", f"{item['rows']} rows"
         raise StoreError(f"recording {item['name']}", found, expected, "The table is damaged: ingest the logs again.")
-    part = rows[["time", *item["signals"]]].reset_index(drop=True)
+    part: pd.DataFrame = rows.table.slice(first, end - first).select(["time", *item["signals"]]).to_pandas(ignore_metadata=True)
     part.attrs = {"units": {"time": "s", **{signal: units[signal] for signal in item["signals"]}}}
     return Recording(item["name"], part, item["rate_hz"], item["kind"], item["start_ns"])
 
 
-def _entry(manifest: dict[str, Any]) -> Entry:
+def _entry(manifest: Manifest) -> Entry:
     motion = [item for item in manifest["recordings"] if item["kind"] == "motion"]
     return Entry(
         name=manifest["name"],

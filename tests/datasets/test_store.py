@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 import multiprocessing
-import signal
 import subprocess
 import sys
-import textwrap
 import time
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
+from killed import killed_at_every_step
 
-from sysid.datasets import Store, ingest
+from sysid.datasets import Dataset, Store, ingest
+from sysid.datasets.channel import Channel
+from sysid.datasets.manifest import Made
 from sysid.errors import StoreError
 
 MACHINE = """schema = 1
@@ -58,8 +59,8 @@ def test_damage_is_reported(tmp_path: Path) -> None:
     manifest.write_text(text[:100])
     with pytest.raises(StoreError, match=r"000001\.json: damaged"):
         Store(tmp_path / "ws").load("demo")
-    manifest.write_text(text.replace('"rows": 2000', '"rows": 1999', 1))
-    with pytest.raises(StoreError, match="recording r0: 2000 rows; expected 1999 rows"):
+    manifest.write_text(text.replace('"r1": "select"', '"r1": "fit"', 1))
+    with pytest.raises(StoreError, match="changed after it was written: its seal does not fit"):
         Store(tmp_path / "ws").load("demo")
     manifest.write_text(text)
     for path in (tmp_path / "ws/datasets/demo/data").rglob("*.parquet"):
@@ -83,56 +84,28 @@ def test_concurrent_writers_get_versions_of_their_own(tmp_path: Path) -> None:
     assert len(set(digests)) == 3
 
 
-PAUSED = """
-import sys, time
-from sysid.datasets import files, ingest, store
-
-def pause(*_, **__):
-    print("here", flush=True)
-    time.sleep(600)
-
-point = sys.argv[3]
-if point == "before data":
-    store.Store._write_table = pause
-elif point == "between tables":
-    write, seen = store.Store._write_table, []
-    def second(self, path, frame):
-        if seen:
-            pause()
-        seen.append(path)
-        write(self, path, frame)
-    store.Store._write_table = second
-elif point == "before manifest":
-    files.LocalFiles.publish = pause
-elif point == "manifest written, not published":
-    files.os.link = pause
-ingest(sys.argv[1], sys.argv[2])
-print("here", flush=True)
-time.sleep(600)
-"""
+def _save(workspace: Path, dataset: Dataset, channels: dict[str, tuple[Channel, ...]]) -> str:
+    return Store(workspace).save(dataset, channels, Made(1)).reference
 
 
-@pytest.mark.parametrize(
-    "point", ["before data", "between tables", "before manifest", "manifest written, not published", "at the end"]
-)
-def test_a_killed_ingest_leaves_a_whole_version_or_none(tmp_path: Path, point: str) -> None:
-    logs, workspace = make_logs(tmp_path / "logs", rows=500), tmp_path / "ws"
-    script = tmp_path / "killed.py"
-    script.write_text(textwrap.dedent(PAUSED))
-    with subprocess.Popen([sys.executable, script, logs, workspace, point], stdout=subprocess.PIPE, text=True) as process:
-        assert process.stdout is not None
-        assert process.stdout.readline() == "here\n"
-        process.send_signal(signal.SIGKILL)
-        process.wait()
+@pytest.mark.parametrize("every", [4, pytest.param(1, marks=pytest.mark.slow)])
+def test_a_writer_killed_at_any_step_leaves_a_whole_version_or_none(tmp_path: Path, every: int) -> None:
+    made = ingest(make_logs(tmp_path / "logs", rows=100), tmp_path / "made")
+    channels = {r.name: (Channel("a.joint", "log.csv", "machine", np.arange(5), np.zeros(5)),) for r in made.recordings}
+    workspace = tmp_path / "ws"
     store = Store(workspace)
-    seen = [entry.reference for entry in store.list()]
-    assert seen == (["demo@1"] if point == "at the end" else [])
-    again = ingest(logs, workspace)  # the lock of the dead process does not block, what it left does no harm
-    assert again.reference == "demo@1"
-    assert len(store.load("demo@1").recordings) == 3
+    seen = []
+    for _ in killed_at_every_step(_save, workspace, made, channels, every=every):
+        seen.append(len(store.list()))
+        assert all(len(store.load(entry.reference).recordings) == 3 for entry in store.list())
+    assert seen.count(0) > 5
+    assert set(seen) <= {0, 1}
+    assert _save(workspace, made, channels) == "demo@1"  # the locks of the dead do not block, what they left does no harm
     assert [entry.reference for entry in store.list()] == ["demo@1"]
+    assert len(list((workspace / "datasets/demo/data").iterdir())) == 1, "what the dead left is gone"
 
 
+@pytest.mark.slow
 def test_kills_at_random_moments(tmp_path: Path) -> None:
     logs, workspace = make_logs(tmp_path / "logs", rows=3000), tmp_path / "ws"
     code = f"from sysid.datasets import ingest; print('go', flush=True); ingest({str(logs)!r}, {str(workspace)!r})"

@@ -1,0 +1,234 @@
+"""The manifest of a dataset version: one JSON file that names its tables and all that led to them.
+
+It is written once. Its seal is the sha256 of all the rest, so that nobody changes roles or units under a model unseen.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import importlib.metadata
+import json
+import platform
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from typing import Any, Literal
+
+from sysid import __version__
+from sysid.datasets.recording import ClockRecord, Dataset
+from sysid.errors import StoreError
+from sysid.files import plain
+
+Manifest = dict[str, Any]
+
+#: Of the manifests written now; older ones are read through :data:`MIGRATIONS`.
+SCHEMA = 2
+#: What the tables depend on beside sysid itself.
+SOFTWARE = ("numpy", "scipy", "pandas", "pyarrow", "deltalake")
+
+Change = Literal["append", "split"]
+
+
+@dataclass(frozen=True)
+class Made:
+    """What turned raw files into tables.
+
+    Args:
+        ingest: ``INGEST_VERSION`` of the code.
+        recipe: text of the recipe, empty where the columns have canonical names.
+        settings: of resampling, by name.
+        mounts: files of the recipe's stream → rigid body → its pose on its link (4×4, row by row), where one reference pose
+            holds for all recordings.
+    """
+
+    ingest: int
+    recipe: str = ""
+    settings: Mapping[str, Any] = field(default_factory=dict)
+    mounts: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+
+
+def digest_of(content: Mapping[str, Any]) -> str:
+    """The content address of plain JSON values: their sha256, whatever the order of the keys."""
+    return hashlib.sha256(json.dumps(content, sort_keys=True).encode("utf-8")).hexdigest()
+
+
+def new_manifest(dataset: Dataset, version: int, part: Mapping[str, Any]) -> Manifest:
+    """A version of one part, made by one ingest."""
+    return {
+        "schema": SCHEMA,
+        "name": dataset.name,
+        "version": version,
+        "digest": dataset.digest,
+        "created": _now(),
+        "sysid": __version__,
+        "base": None,
+        "machine_name": dataset.machine.name,
+        "machine": dataset.machine.files(),
+        "parts": [part],
+        "recordings": _recordings(dataset, 0),
+        "units": dict(dataset.units),
+        "splits": dict(dataset.splits),
+        "sources": [dataclasses.asdict(source) for source in dataset.sources],
+        "streams": {stream: list(signals) for stream, signals in dataset.streams.items()},
+        "clocks": [plain(dataclasses.asdict(clock)) for clock in dataset.clocks],
+        "quality": plain(dataset.quality),
+    }
+
+
+def new_part(folder: str, samples: Mapping[str, Any], channels: Mapping[str, Any], made: Made) -> Manifest:
+    """The tables of one ingest, with what made them."""
+    return {
+        "folder": folder,
+        "samples": samples,
+        "channels": channels,
+        "made": {
+            "created": _now(),
+            "sysid": __version__,
+            "python": platform.python_version(),
+            "software": {name: importlib.metadata.version(name) for name in SOFTWARE},
+            **plain(dataclasses.asdict(made)),
+        },
+    }
+
+
+def appended(base: Manifest, addition: Dataset, version: int, part: Mapping[str, Any]) -> Manifest:
+    """``base`` with the recordings of ``addition`` behind its own; what ``base`` says stays as it is.
+
+    Args:
+        addition: the new recordings, their units, roles, sources, clocks and streams; its quality is that of all recordings.
+    """
+    streams = {stream: list(signals) for stream, signals in base["streams"].items()}
+    for stream, signals in addition.streams.items():
+        known = streams.setdefault(stream, [])
+        known += [signal for signal in signals if signal not in known]
+    more = new_manifest(addition, version, part)
+    return {
+        **_changed(base, version, addition.digest, "append"),
+        "parts": [*base["parts"], part],
+        "recordings": [*base["recordings"], *_recordings(addition, len(base["parts"]))],
+        "units": {**base["units"], **more["units"]},
+        "splits": {**base["splits"], **more["splits"]},
+        "sources": [*base["sources"], *more["sources"]],
+        "streams": dict(sorted(streams.items())),
+        "clocks": [*base["clocks"], *more["clocks"]],
+        "quality": more["quality"],
+    }
+
+
+def resplit(base: Manifest, splits: Mapping[str, str], digest: str, version: int) -> Manifest:
+    """``base`` with other roles; the tables are the same files."""
+    manifest = _changed(base, version, digest, "split")
+    manifest["base"]["origin"] = _before_splits(base)
+    return {**manifest, "splits": dict(splits)}
+
+
+def split_digest(base: Manifest, splits: Mapping[str, str]) -> str:
+    """Content address of ``base`` with other roles: the same however many steps led to them."""
+    origin = _before_splits(base)
+    if dict(splits) == origin["splits"]:
+        return str(origin["digest"])
+    return digest_of({"split": origin["digest"], "roles": dict(splits)})
+
+
+def _before_splits(manifest: Manifest) -> Manifest:
+    """Digest and roles of the version that first had these tables."""
+    if manifest["base"] is not None and manifest["base"]["by"] == "split":
+        return dict(manifest["base"]["origin"])
+    return {"digest": manifest["digest"], "splits": manifest["splits"]}
+
+
+def _changed(base: Manifest, version: int, digest: str, by: Change) -> Manifest:
+    return {
+        **base,
+        "version": version,
+        "digest": digest,
+        "created": _now(),
+        "sysid": __version__,
+        "base": {"version": base["version"], "digest": base["digest"], "by": by},
+    }
+
+
+def _recordings(dataset: Dataset, part: int) -> list[Manifest]:
+    """``key`` is what stands in column ``recording`` of the part's samples."""
+    return [
+        {
+            "name": r.name,
+            "kind": r.kind,
+            "rate_hz": r.rate_hz,
+            "start_ns": r.start_ns,
+            "rows": len(r),
+            "signals": list(r.signals),
+            "part": part,
+            "key": r.name,
+        }
+        for r in dataset.recordings
+    ]
+
+
+def _now() -> str:
+    return datetime.now(UTC).isoformat(timespec="seconds")
+
+
+def to_text(manifest: Manifest) -> str:
+    """The manifest as JSON, sealed."""
+    return json.dumps({**manifest, "seal": _seal(manifest)}, indent=1, allow_nan=False)
+
+
+def from_text(content: bytes, where: object) -> Manifest:
+    """A manifest of any schema up to :data:`SCHEMA`, in the shape of the newest.
+
+    Raises:
+        StoreError: cut off, changed after it was written, or of a newer sysid.
+    """
+    try:
+        manifest: Manifest = json.loads(content)
+        schema = manifest["schema"]
+    except (ValueError, TypeError, KeyError) as error:
+        raise _damaged(where, f"damaged ({error or type(error).__name__})") from None
+    if not isinstance(schema, int) or not 1 <= schema <= SCHEMA:
+        found, expected = f"schema {schema}, written by sysid {manifest.get('sysid', '?')}", f"schema 1 to {SCHEMA}"
+        raise StoreError(where, found, expected, "Use the sysid that wrote it, or a newer one.")
+    if schema > 1 and manifest.pop("seal", None) != _seal(manifest):
+        raise _damaged(where, "changed after it was written: its seal does not fit")
+    try:
+        for older, migrate in MIGRATIONS:
+            if manifest["schema"] == older:
+                manifest = migrate(manifest)
+    except (KeyError, TypeError) as error:
+        raise _damaged(where, f"damaged (without {error})") from None
+    return manifest
+
+
+def _seal(manifest: Manifest) -> str:
+    return digest_of({key: value for key, value in manifest.items() if key != "seal"})
+
+
+def _damaged(where: object, found: str) -> StoreError:
+    remedy = "The tables are untouched. Restore the file, or ingest the same logs again: they become a new version."
+    return StoreError(where, found, "a manifest as it was written", remedy)
+
+
+def _with_parts(old: Manifest) -> Manifest:
+    """1 → 2: one folder of tables becomes a list of parts; recordings are numbered in their tables, without sha256."""
+    manifest = {"base": None, "streams": {}, **old, "schema": 2}
+    folder, recipe = manifest.pop("folder"), manifest.pop("recipe")
+    made = {"created": old["created"], "sysid": old["sysid"], "ingest": 1, "recipe": recipe}
+    unknown = {"python": "", "software": {}, "settings": {}, "mounts": {}}
+    manifest["parts"] = [{"folder": folder, "samples": None, "channels": None, "made": {**made, **unknown}}]
+    manifest["recordings"] = [{**item, "part": 0, "key": number} for number, item in enumerate(old["recordings"])]
+    return manifest
+
+
+#: (schema that is read, what makes the next one of it), oldest first.
+MIGRATIONS: tuple[tuple[int, Callable[[Manifest], Manifest]], ...] = ((1, _with_parts),)
+
+
+def clock_from(item: Mapping[str, Any]) -> ClockRecord:
+    """A clock record as it was; JSON has null for NaN and infinity."""
+    values: dict[str, Any] = {key: float("nan") if value is None else value for key, value in item.items()}
+    for key in ("offset_interval95", "skew_interval95"):
+        low, high = (float("nan") if end is None else float(end) for end in item[key])
+        values[key] = (low, high)
+    values["used_signals"] = tuple(item["used_signals"])
+    return ClockRecord(**values)

@@ -1,0 +1,174 @@
+"""Samples and raw channels as Delta tables of one part: written once, addressed by the sha256 of their Parquet files.
+
+Plain Parquet with zstd beneath a Delta log of one commit: whatever reads Delta or Parquet reads them. Units are in the metadata
+of the columns. A missing value is null.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pandas as pd
+
+from sysid.datasets.channel import Channel
+from sysid.datasets.files import Files
+from sysid.datasets.recording import Dataset
+from sysid.errors import StoreError
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+FILE = "part-00000.zstd.parquet"
+#: Rows written at a time, so that a long recording needs no second copy of itself.
+ROWS = 1 << 20
+
+
+def write_samples(files: Files, folder: str, dataset: Dataset) -> dict[str, Any]:
+    """``recording, row, stamp_ns, time`` and one column a signal; the entry of the manifest."""
+    import pyarrow as pa
+
+    types: dict[str, Any] = {}
+    for recording in dataset.recordings:
+        for column in recording.table.columns:
+            types.setdefault(str(column), pa.from_numpy_dtype(recording.table[column].to_numpy().dtype))
+    fields = [pa.field("recording", pa.string()), pa.field("row", pa.int64()), pa.field("stamp_ns", pa.int64())]
+    fields += [pa.field(name, kind, metadata=_unit(dataset.units.get(name))) for name, kind in types.items()]
+    schema = pa.schema(fields)
+
+    def batches() -> Iterator[pa.RecordBatch]:
+        for recording in dataset.recordings:
+            for first in range(0, len(recording), ROWS):
+                yield _sample_batch(
+                    recording.name, recording.start_ns, recording.table.iloc[first : first + ROWS], schema, first
+                )
+
+    return _write(files, folder, schema, batches())
+
+
+def _sample_batch(name: str, start_ns: int, table: pd.DataFrame, schema: pa.Schema, first: int) -> pa.RecordBatch:
+    import pyarrow as pa
+
+    stamps = start_ns + np.rint(table["time"].to_numpy(dtype=np.float64) * 1e9).astype(np.int64)
+    columns = [_repeated(name, len(table)), pa.array(np.arange(first, first + len(table))), pa.array(stamps)]
+    for field in list(schema)[3:]:
+        if field.name in table.columns:
+            columns.append(pa.array(table[field.name].to_numpy(), field.type, from_pandas=True))
+        else:
+            columns.append(pa.nulls(len(table), field.type))
+    return pa.record_batch(columns, schema=schema)
+
+
+def write_channels(files: Files, folder: str, channels: Mapping[str, Sequence[Channel]]) -> dict[str, Any]:
+    """``recording, source, domain, signal, unit, primary, stamp_ns, value``; the entry of the manifest.
+
+    Args:
+        channels: recording (before it was cut into blocks) → its channels.
+    """
+    import pyarrow as pa
+
+    texts = [pa.field(name, pa.string()) for name in ("recording", "source", "domain", "signal", "unit")]
+    numbers = [pa.field("primary", pa.bool_()), pa.field("stamp_ns", pa.int64()), pa.field("value", pa.float64())]
+    schema = pa.schema([*texts, *numbers])
+
+    def batches() -> Iterator[pa.RecordBatch]:
+        for recording, parts in channels.items():
+            for c in parts:
+                count = len(c.stamps)
+                words = [_repeated(text, count) for text in (recording, c.source, c.domain, c.signal, c.unit)]
+                primary = pa.array(np.full(count, c.primary))
+                values = pa.array(c.values, from_pandas=True)
+                yield pa.record_batch([*words, primary, pa.array(c.stamps), values], schema=schema)
+
+    return _write(files, folder, schema, batches())
+
+
+def _unit(unit: str | None) -> dict[str, str] | None:
+    return {"unit": unit} if unit is not None else None
+
+
+def _repeated(text: str, count: int) -> pa.Array:
+    import pyarrow as pa
+
+    return pa.DictionaryArray.from_arrays(pa.array(np.zeros(count, dtype=np.int32)), [text]).dictionary_decode()
+
+
+def _write(files: Files, folder: str, schema: pa.Schema, batches: Iterable[pa.RecordBatch]) -> dict[str, Any]:
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+    from deltalake import convert_to_deltalake
+
+    texts = [field.name for field in schema if pa.types.is_string(field.type)]
+    with files.create(f"{folder}/{FILE}") as sink:
+        # Not pyarrow's own file: an error of the disk is then an OSError with its number.
+        with pq.ParquetWriter(sink, schema, compression="zstd", use_dictionary=texts) as writer:
+            for batch in batches:
+                writer.write_batch(batch)
+        sink.flush()
+    convert_to_deltalake(files.uri(folder), mode="error")
+    size, digest = files.address(f"{folder}/{FILE}")
+    return {"files": [{"path": FILE, "size": size, "sha256": digest}]}
+
+
+def read_table(files: Files, part: Mapping[str, Any], which: str, place: str, columns: Sequence[str] | None = None) -> pa.Table:
+    """One table of a part, its files checked against their sha256.
+
+    Raises:
+        StoreError: a file is gone, or is not what was written.
+    """
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    tables = []
+    folder = f"{part['folder']}/{which}"
+    try:
+        for path, expected in _files_of(files, folder, part[which]):
+            content = files.read(path)
+            if expected is not None:
+                _check(content, expected)
+            tables.append(pq.read_table(pa.BufferReader(content), columns=None if columns is None else list(columns)))
+    except FileNotFoundError as error:
+        raise _damaged(place, files.uri(folder), f"{error.filename or 'a file'} is gone") from None
+    except (OSError, ValueError, pa.ArrowException) as error:
+        raise _damaged(place, files.uri(folder), str(error).splitlines()[0]) from None
+    return pa.concat_tables(tables, promote_options="default")
+
+
+def is_there(files: Files, part: Mapping[str, Any], which: str) -> bool:
+    """Whether the files of a table are there, by their names."""
+    if part[which] is None:
+        return bool(files.names(f"{part['folder']}/{which}"))
+    return {item["path"] for item in part[which]["files"]} <= set(files.names(f"{part['folder']}/{which}"))
+
+
+def _files_of(files: Files, folder: str, entry: Mapping[str, Any] | None) -> list[tuple[str, Mapping[str, Any] | None]]:
+    """Path and address of each Parquet file; the Delta log names them where a manifest of schema 1 does not."""
+    if entry is not None:
+        return [(f"{folder}/{item['path']}", item) for item in entry["files"]]
+    from deltalake import DeltaTable
+    from deltalake.exceptions import DeltaError
+
+    try:
+        uris = DeltaTable(files.uri(folder), version=0).file_uris()
+    except DeltaError as error:
+        raise ValueError(str(error)) from None
+    return [(f"{folder}/{uri.rpartition('/')[2]}", None) for uri in uris]
+
+
+def _check(content: bytes, expected: Mapping[str, Any]) -> None:
+    import hashlib
+
+    if len(content) != expected["size"]:
+        raise ValueError(f"{expected['path']} has {len(content)} bytes, {expected['size']} were written")
+    if hashlib.sha256(content).hexdigest() != expected["sha256"]:
+        raise ValueError(f"{expected['path']} was changed after it was written: its sha256 is another one")
+
+
+def _damaged(place: str, folder: str, found: str) -> StoreError:
+    return StoreError(
+        place,
+        f"not readable ({found})",
+        "the table as written",
+        f"Restore {folder}, or ingest the same logs again: they become a new version of the same content.",
+    )
