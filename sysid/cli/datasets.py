@@ -15,11 +15,18 @@ if TYPE_CHECKING:
 
 @click.command()
 @click.argument("reference", metavar="[NAME[@VERSION]]", required=False)
+@click.option("--quality", is_flag=True, help="What NAME is good for: coverage, noise, and a verdict for every effect.")
 @json_option
 @click.pass_obj
-def datasets(workspace: str, reference: str | None, json_file: str | None) -> None:
+def datasets(workspace: str, reference: str | None, quality: bool, json_file: str | None) -> None:
     """List dataset versions, or show one."""
     from sysid.datasets import Store
+
+    if quality:
+        from sysid.cli.quality import show_quality
+
+        show_quality(workspace, reference, json_file)
+        return
 
     out = Printer(json_file)
     store = Store(workspace)

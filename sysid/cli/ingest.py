@@ -64,4 +64,5 @@ def ingest(
     out = Printer(json_file)
     show_dataset(out, dataset)
     out.line(f"{dataset.reference} in {workspace} ({seconds:.1f} s)")
+    out.line(f"What it is good for: sysid --workspace {workspace} datasets {dataset.reference} --quality")
     write_json(json_file, {**describe(dataset), "seconds": seconds})

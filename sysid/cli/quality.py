@@ -1,0 +1,143 @@
+"""``sysid datasets NAME --quality``: what a dataset is good for, before anything is fitted."""
+
+from __future__ import annotations
+
+from collections import Counter
+from typing import TYPE_CHECKING
+
+from sysid.cli.output import Printer, write_json
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+    from typing import Any
+
+    from sysid.datasets import Dataset
+    from sysid.datasets.quality import Evidence
+    from sysid.gap.readiness import Readiness
+
+#: Flags listed of one dataset; JSON has all of them.
+MOST_FLAGS = 12
+
+
+def show_quality(workspace: str, reference: str | None, json_file: str | None) -> None:
+    """Print evidence, flags and the verdict for every effect; the same as JSON where it is asked for."""
+    from sysid.datasets.quality import evidence_of
+    from sysid.gap.readiness import readiness
+    from sysid.workspace import open_workspace
+
+    place = open_workspace(workspace)
+    dataset = place.dataset(reference)
+    evidence = evidence_of(dataset)
+    verdicts = readiness(dataset, place.plant(dataset))
+    flags = list(dataset.quality.get("flags", ()))
+    out = Printer(json_file)
+    show_evidence(out, evidence, dataset)
+    show_flags(out, flags)
+    show_readiness(out, verdicts, dataset)
+    out.line(f"Pictures: sysid --workspace {workspace} report {dataset.reference}")
+    write_json(
+        json_file,
+        {
+            "schema": 1,
+            "dataset": dataset.reference,
+            "evidence": evidence.to_json(),
+            "flags": flags,
+            "readiness": verdicts.to_json(),
+        },
+    )
+
+
+def show_evidence(out: Printer, evidence: Evidence, dataset: Dataset) -> None:
+    """What each axis was asked to do and did, how much of joint space was visited, where the machine stood, how noisy it is."""
+    from sysid.reports.display import percent, quantity
+
+    spans = {span.axis: span for span in evidence.spans}
+    rows = []
+    for name, use in evidence.axes.items():
+        span = spans.get(name)
+        rows.append(
+            (
+                name,
+                "–" if span is None else percent(span.covered) if span.source == "limits" else "no limits",
+                f"{percent(use.covered(-1))} / {percent(use.covered(1))}",
+                f"{use.negative_s:.0f} / {use.positive_s:.0f}",
+                f"{use.small_negative_s:.1f} / {use.small_positive_s:.1f}",
+                use.command_changes,
+                use.reversals,
+                f"{use.slow_negative_s:.1f} / {use.slow_positive_s:.1f}",
+            )
+        )
+    if rows:
+        header = (
+            *("axis", "range driven", "commands − / +", "s − / +", "small s − / +"),
+            *("changes", "reversals", "slow s − / +"),
+        )
+        out.table(header, rows, right=range(1, 8))
+    if evidence.maps:
+        maps = sorted(evidence.maps, key=lambda item: item.covered)
+        listed = ", ".join(f"{m.first.axis}–{m.second.axis} {percent(m.covered)}" for m in maps[:6])
+        more = f" and {len(maps) - 6} more above" if len(maps) > 6 else ""
+        out.line(f"joint space, share of cells visited: {listed}{more}")
+    if evidence.together_s:
+        both = sorted(evidence.together_s.items(), key=lambda item: item[1])
+        listed = ", ".join(f"{a}+{b} {seconds:.0f} s" for (a, b), seconds in both[:6])
+        out.line(f"commanded together: {listed}{f' and {len(both) - 6} pairs longer' if len(both) > 6 else ''}")
+    phases = [phase for recording in evidence.recordings for phase in recording.rests]
+    if phases:
+        longest = max(phase.seconds for phase in phases)
+        out.line(
+            f"at rest: {len(phases)} phases, {sum(p.seconds for p in phases):.0f} s in all, the longest {longest:.1f} s, "
+            f"in {len(evidence.postures)} clearly different posture{'s' if len(evidence.postures) != 1 else ''}"
+        )
+    else:
+        out.line("at rest: no phase of a second or more")
+    noise = []
+    for signal, level in evidence.noise.items():
+        unit = dataset.units.get(signal)
+        values = (level.sheet, level.moving, level.still, level.repeats)
+        noise.append((signal, *("–" if value is None else quantity(value, unit) for value in values)))
+    out.table(("noise", "data sheet", "its samples", "at rest", "same commands again"), noise, right=range(1, 5))
+
+
+def show_flags(out: Printer, flags: Sequence[Mapping[str, Any]]) -> None:
+    """What ingest flagged: counted by kind, and the first of them."""
+    if not flags:
+        return
+    kinds = Counter(str(flag["kind"]).replace("_", " ") for flag in flags)
+    listed = ", ".join(f"{count} {kind}" for kind, count in kinds.items())
+    out.line(f"flagged, nothing changed: {listed}")
+    for flag in flags[:MOST_FLAGS]:
+        out.line(f"  {flag['recording']} {flag['from_s']:.2f} s  {flag['kind'].replace('_', ' ')}: {flag['text']}")
+    if len(flags) > MOST_FLAGS:
+        out.line(f"  … and {len(flags) - MOST_FLAGS} more (--json has them all)")
+
+
+def show_readiness(out: Printer, found: Readiness, dataset: Dataset) -> None:
+    """For every effect and place: ready, not enough, or not to be shown with these sensors."""
+    from sysid.reports.verdicts import amount, by_effect, by_reason, place, spread, wish_text
+
+    for note in found.notes:
+        out.line(f"note: {note}")
+    ready, lacking, hidden = (found.of(status) for status in ("ready", "lacking", "hidden"))
+    counted = (
+        f"counted in {', '.join(found.counted)}" if len(found.counted) < 8 else f"counted in {len(found.counted)} recordings"
+    )
+    out.line()
+    out.line(
+        f"Could the recordings show it? {len(ready)} ready, {len(lacking)} not enough, "
+        f"{len(hidden)} cannot be shown ({counted})"
+    )
+    if lacking:
+        rows = [(v.name, place(v), amount(v), v.unit) for v in lacking]
+        out.table(("not enough", "where", "have of need", "of what"), rows, right=(2,))
+        for wish in found.wishes:
+            out.line(f"  → {wish_text(wish, dataset.machine)}")
+        out.line()
+    if ready:
+        firsts = [(group, group.verdicts[0]) for group in by_effect(ready)]
+        lines = [(first.name, group.places, spread(group), f"{first.need:g}", first.unit) for group, first in firsts]
+        out.table(("ready", "where", "have", "need", "of what"), lines, right=(2, 3))
+    for reason, groups in by_reason(hidden):
+        out.line(f"cannot be shown: {reason}")
+        for group in groups:
+            out.line(f"  {group.verdicts[0].name}: {group.places}")

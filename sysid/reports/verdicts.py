@@ -1,0 +1,98 @@
+"""Verdicts on what recordings could show, grouped and worded for people: the terminal and the page say the same."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from sysid.gap.readiness import Verdict, Wish
+from sysid.machine import Axis, Machine
+from sysid.reports import display, words
+from sysid.signals import axis_signal
+
+#: Places of an effect that may sit on either side of the joint sensor.
+SIDES = {"drive": "ahead of the sensor", "structure": "behind the sensor"}
+_SHARE = re.compile(r"(?P<share>\d+ %|half) of (its|the) range")
+
+
+@dataclass(frozen=True)
+class Group:
+    """Verdicts with the same effect, or the same reason, as one line."""
+
+    title: str
+    verdicts: tuple[Verdict, ...]
+
+    @property
+    def places(self) -> str:
+        """``slew, boom ahead of the sensor; boom behind the sensor``."""
+        sides: dict[str, dict[str, None]] = {}
+        for verdict in self.verdicts:
+            sides.setdefault(SIDES.get(verdict.side or "", ""), {})[words.owner_name(verdict.target)] = None
+        return "; ".join(f"{', '.join(targets)} {side}".rstrip() for side, targets in sides.items())
+
+
+def place(verdict: Verdict) -> str:
+    """The target, and which side of its sensor where there are two."""
+    return f"{words.owner_name(verdict.target)} {SIDES.get(verdict.side or '', '')}".rstrip()
+
+
+def by_effect(verdicts: Sequence[Verdict]) -> list[Group]:
+    """One group for each effect, in the order of the chain."""
+    found: dict[str, list[Verdict]] = {}
+    for verdict in verdicts:
+        found.setdefault(verdict.name, []).append(verdict)
+    return [Group(words.effect_title(name), tuple(group)) for name, group in found.items()]
+
+
+def by_reason(verdicts: Sequence[Verdict]) -> list[tuple[str, list[Group]]]:
+    """Why nothing shows them: reason → its effects, the reason that hides most first."""
+    found: dict[str, list[Verdict]] = {}
+    for verdict in verdicts:
+        found.setdefault(verdict.text, []).append(verdict)
+    groups = [(reason, by_effect(group)) for reason, group in found.items()]
+    return sorted(groups, key=lambda item: -sum(len(group.verdicts) for group in item[1]))
+
+
+def amount(verdict: Verdict) -> str:
+    """``39 of 60``: what there is of what is needed, nothing rounded up to enough."""
+    if verdict.have is None or verdict.need is None:
+        return display.NOTHING
+    return f"{_count(verdict.have, verdict.need)} of {verdict.need:g}"
+
+
+def spread(group: Group) -> str:
+    """``35 to 98``: the least and the largest count of a group."""
+    counts = sorted({v.have for v in group.verdicts if v.have is not None})
+    if not counts:
+        return display.NOTHING
+    need = max(v.need or 0.0 for v in group.verdicts)
+    ends = list(dict.fromkeys(_count(value, need) for value in (counts[0], counts[-1])))
+    return " to ".join(ends)
+
+
+def wish_text(wish: Wish, machine: Machine) -> str:
+    """What to record, with shares of a range in degrees or millimetres behind them."""
+    axes = [machine.axis(name) for name in dict.fromkeys(target for _, target in wish.effects) if name in machine.axis_names]
+
+    def sized(match: re.Match[str]) -> str:
+        share = 0.5 if match["share"] == "half" else float(match["share"].split()[0]) / 100.0
+        sizes = [(axis.name, size) for axis in axes if (size := _size(axis, share, machine))]
+        listed = ", ".join(size if len(sizes) == 1 else f"{name} {size}" for name, size in sizes)
+        return f"{match[0]} ({listed})" if sizes else match[0]
+
+    return _SHARE.sub(sized, wish.record)
+
+
+def _size(axis: Axis, share: float, machine: Machine) -> str:
+    """A share of the axis's joint range, else of what it drives; empty where its range is not known."""
+    signal, ends = (axis_signal(axis.name, "joint"), axis.limits) if axis.limits is not None else (axis.driven, axis.range)
+    span = ends[1] - ends[0]
+    unit = machine.expected_unit(signal)
+    return display.quantity(share * span, unit, 2) if 0.0 < span < float("inf") and unit is not None else ""
+
+
+def _count(have: float, need: float) -> str:
+    """Whole numbers, but never one that says enough where it is not."""
+    whole = f"{have:.0f}"
+    return whole if (float(whole) >= need) == (have >= need) else display.number(have)
