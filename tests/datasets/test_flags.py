@@ -1,0 +1,197 @@
+"""What is flagged, what is not, and that nothing is changed by it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.signal import lfilter
+
+from sysid.datasets.channel import in_order
+from sysid.datasets.flag import KINDS, MAX_FLAGS, Flag
+from sysid.datasets.flags import dropouts, jitter, jumps, outliers, repaired_stamps, saturation, stuck
+from sysid.datasets.flags.standing import Witness
+from sysid.datasets.flags.values import SPIKE_SAMPLES, noise_scale, sensor_step
+
+Array = npt.NDArray[np.float64]
+SIGMA = 1e-3
+
+
+def command(seed: int, rate: float, seconds: float) -> Array:
+    """Speeds a machine is asked for, a new one every two seconds; often none."""
+    goals = np.random.default_rng(seed).choice([-0.3, 0.0, 0.0, 0.15, 0.3], round(seconds / 2.0) + 1)
+    return np.repeat(goals, round(2.0 * rate))[: round(seconds * rate)]
+
+
+def motion(seed: int, rate: float = 100.0, seconds: float = 60.0) -> tuple[Array, Array]:
+    """A machine that stands, starts, stops and turns round, up to 0.3 /s, seen with noise of :data:`SIGMA`."""
+    pole = np.exp(-1.0 / (0.08 * rate))
+    speed = lfilter([1.0 - pole], [1.0, -pole], command(seed, rate, seconds))
+    noise = SIGMA * np.random.default_rng(seed + 1).normal(size=len(speed))
+    return np.arange(len(speed)) / rate, np.cumsum(speed) / rate + noise
+
+
+def everything(times: Array, values: Array, commanded: Array) -> list[Flag]:
+    witness = Witness(np.abs(commanded) > 0.02, np.abs(commanded) > 0.1)
+    found = [*outliers("a", times, values), *jumps("a", times, values), *stuck("a", times, values, witness)]
+    found += [*saturation("a", times, values, witness), *jitter("a", times)]
+    return [*found, *dropouts("a", times, values, 3.0 * (times[1] - times[0]))]
+
+
+@settings(max_examples=40, deadline=None)
+@given(seed=st.integers(0, 10_000), rate=st.sampled_from([20.0, 50.0, 100.0, 200.0, 1000.0]), step=st.sampled_from([0, 1, 3]))
+def test_clean_sensors_are_not_flagged(seed: int, rate: float, step: int) -> None:
+    """At any rate, continuous or counting in steps of one or three standard deviations of the noise."""
+    times, values = motion(seed, rate, 30.0)
+    if step:
+        values = np.round(values / (step * SIGMA)) * step * SIGMA
+    assert everything(times, values, command(seed, rate, 30.0)) == []
+
+
+def test_a_noiseless_simulation_at_rest_is_not_stuck() -> None:
+    times = np.arange(3000) / 100.0
+    asked = np.where((times > 5.0) & (times < 12.0), 0.5, 0.0)
+    assert everything(times, np.cumsum(0.1 * asked) / 100.0, asked) == []
+
+
+@given(
+    seed=st.integers(0, 10_000),
+    length=st.integers(1, SPIKE_SAMPLES),
+    size=st.floats(0.03, 5.0),
+    up=st.booleans(),
+    start=st.integers(100, 5000),
+)
+def test_spikes_of_a_few_samples_are_found_where_they_are(seed: int, length: int, size: float, up: bool, start: int) -> None:
+    times, values = motion(seed)
+    values[start : start + length] += size if up else -size
+    (flag,) = outliers("boom.joint", times, values, "rad")
+    assert (flag.signal, flag.kind, flag.samples) == ("boom.joint", "outlier", length)
+    assert (flag.from_s, flag.to_s) == (times[start], times[start + length - 1])
+    assert f"{'a sample' if length == 1 else f'{length} samples'} off by" in flag.text
+    assert "rad" in flag.text
+    assert [item for item in everything(times, values, command(seed, 100.0, 60.0)) if item.kind != "outlier"] == []
+
+
+@given(seed=st.integers(0, 10_000), size=st.floats(0.06, 3.0), start=st.integers(100, 3000), length=st.integers(20, 900))
+def test_a_jump_and_the_one_back_are_one_flag(seed: int, size: float, start: int, length: int) -> None:
+    times, values = motion(seed)
+    values[start : start + length] += size
+    (flag,) = jumps("boom.joint", times, values, "rad")
+    assert (flag.from_s, flag.to_s, flag.samples) == (times[start], times[start + length - 1], length)
+    assert "and back" in flag.text
+    stays = motion(seed)[1]
+    stays[start:] -= size
+    (alone,) = jumps("boom.joint", times, stays, "rad")
+    assert (alone.from_s, alone.samples) == (times[start], 1)
+
+
+def test_a_turn_too_much_is_called_so() -> None:
+    times, values = motion(3)
+    values[2000:] -= 2.0 * np.pi
+    (flag,) = jumps("slew.joint", times, values, "rad")
+    assert flag.text.startswith("wraps by -6.28")
+
+
+@given(seed=st.integers(0, 10_000), start=st.integers(500, 4000), length=st.integers(15, 400))
+def test_a_sensor_with_noise_that_repeats_its_value_is_stuck(seed: int, start: int, length: int) -> None:
+    times, values = motion(seed)
+    values[start : start + length] = values[start]
+    witness = Witness(np.ones(len(times), dtype=bool), np.zeros(len(times), dtype=bool))
+    at_end = values[start] in (values.min(), values.max())
+    (flag,) = (saturation if at_end else stuck)("boom.joint", times, values, witness, unit="rad")
+    assert (flag.from_s, flag.to_s, flag.samples) == (times[start], times[start + length - 1], length)
+    idle = Witness(np.zeros(len(times), dtype=bool), np.zeros(len(times), dtype=bool))
+    assert stuck("boom.joint", times, values, idle) == []
+
+
+def test_a_counting_sensor_is_doubted_only_where_the_machine_has_to_move() -> None:
+    times, values = motion(7)
+    values = np.round(values / 0.004) * 0.004
+    values[2000:2400] = values[2000]
+    driven = np.zeros(len(times), dtype=bool)
+    barely = Witness(~driven, driven)
+    assert stuck("a", times, values, barely) == []
+    driven[2100:2300] = True
+    (flag,) = stuck("a", times, values, Witness(driven, driven))
+    assert flag.samples >= 400
+    assert "a stuck sensor, or an axis that stalls" in flag.text
+
+
+@pytest.mark.parametrize("step", [0.0, 0.004])
+def test_a_sensor_whose_range_ends_is_saturated_and_an_end_stop_is_not(step: float) -> None:
+    times = np.arange(6000) / 100.0
+    values = np.sin(0.4 * times) + SIGMA * np.random.default_rng(0).normal(size=6000)
+    if step:
+        values = np.round(values / step) * step
+    clipped = np.minimum(values, 0.7)
+    witness = Witness(np.ones(6000, dtype=bool), np.ones(6000, dtype=bool))
+    flags = saturation("a", times, clipped, witness, (-2.0, 2.0), "m")
+    assert len(flags) == 4
+    assert "stays at its highest value 0.7 m for" in flags[0].text
+    assert flags[0].from_s == pytest.approx(np.arcsin(0.7) / 0.4, abs=0.05)
+    if step:  # the axis ends there, or it is not known where it ends: nothing can be said
+        assert saturation("a", times, clipped, witness, (-1.0, 0.7)) == []
+        assert saturation("a", times, clipped, witness) == []
+    assert saturation("a", times, values, witness, (-2.0, 2.0)) == []
+
+
+def test_what_is_not_bridged_is_a_dropout() -> None:
+    times, values = motion(1)
+    values[1000:1010] = np.nan
+    kept = np.ones(len(times), dtype=bool)
+    kept[3000:3100] = False
+    flags = dropouts("a", times[kept], values[kept], 0.05)
+    assert [(f.from_s, f.to_s, f.samples) for f in flags] == [(9.99, 10.1, 10), (29.99, 31.0, 100)]
+    assert flags[1].text == "nothing for 1.010 s"
+    assert dropouts("a", times[kept], values[kept], 2.0) == []
+
+
+def test_uneven_stamps_are_flagged_once_and_a_gap_is_no_jitter() -> None:
+    rng = np.random.default_rng(0)
+    even = np.arange(1000) / 100.0
+    assert jitter("a", even + 1e-3 * rng.uniform(-1, 1, 1000)) == []
+    assert jitter("a", np.delete(even, np.arange(300, 500))) == []
+    (flag,) = jitter("a", even + 4e-3 * rng.uniform(-1, 1, 1000))
+    assert flag.from_s == pytest.approx(0.0, abs=5e-3)
+    assert flag.samples > 200
+    assert "nine intervals in ten lie between" in flag.text
+
+
+def test_stamps_that_go_back_or_repeat_are_told() -> None:
+    stamps = np.arange(100, dtype=np.int64) * 10_000_000
+    assert repaired_stamps("a", stamps) == []
+    stamps[50], stamps[51] = stamps[51], stamps[50]
+    stamps[80] = stamps[79]
+    (flag,) = repaired_stamps("a", stamps)
+    assert (flag.samples, flag.from_s, flag.to_s) == (2, 0.5, 0.79)
+    assert flag.text == "1 stamps go back, by up to 10.000 ms: put in order; 1 rows have the stamp of another: left out"
+    order, repaired = in_order(stamps, "here")
+    assert (len(order), repaired) == (99, 2)
+
+
+def test_many_flags_of_a_kind_are_told_as_one() -> None:
+    times, values = motion(2)
+    values[200:5800:100] += 1.0
+    (flag,) = outliers("a", times, values)
+    assert flag.samples == 56 > MAX_FLAGS
+    assert flag.text.startswith("56 times, 56 samples in all; the longest at ")
+
+
+@given(sigma=st.floats(1e-6, 1e-1), seed=st.integers(0, 1000))
+def test_the_scale_of_the_noise_and_the_step_of_a_counter(sigma: float, seed: int) -> None:
+    noise = sigma * np.random.default_rng(seed).normal(size=2000)
+    assert noise_scale(noise) == pytest.approx(sigma, rel=0.12)
+    assert sensor_step(noise) == 0.0
+    counts = np.cumsum(np.random.default_rng(seed).integers(-3, 4, 2000)) * 2 * np.pi / 4096 + 0.123
+    assert sensor_step(counts) == pytest.approx(2 * np.pi / 4096, rel=1e-6)
+
+
+def test_kinds_are_complete() -> None:
+    """Every detector says one of the kinds that the documentation lists."""
+    text = (Path(__file__).parents[2] / "docs/recipes.md").read_text("utf-8")
+    listed = text[text.index("| `kind` |") :].splitlines()[0]
+    assert [word.strip("`, ") for word in listed.split("|")[2].split()] == list(KINDS)
