@@ -13,6 +13,7 @@ from sysid.datasets.channel import Channel
 from sysid.datasets.channels import Mounts, Reading, concatenate, joined, read_channels, survey_mounts
 from sysid.datasets.clocks import Clocked, KnownSkew, align, by_source, machine_times
 from sysid.datasets.discover import RecordingFiles, discover, sha256
+from sysid.datasets.flags.collect import flag_rows
 from sysid.datasets.manifest import Made, digest_of
 from sysid.datasets.poses import pose_table, still_phases
 from sysid.datasets.quality import describe
@@ -148,6 +149,7 @@ class Walked:
     clocks: tuple[ClockRecord, ...]
     recordings: tuple[Recording, ...]
     made: Made
+    flags: tuple[dict[str, Any], ...] = ()
 
     @property
     def channels(self) -> dict[str, tuple[Channel, ...]]:
@@ -176,7 +178,7 @@ class Walked:
             splits=roles,
             sources=tuple(replace(source, losses=losses.get(source.path, ())) for source in sources),
             clocks=self.clocks,
-            quality=describe(parts, self.readings, self.clocks, machine),
+            quality={**describe(parts, self.readings, self.clocks, machine), "flags": list(self.flags)},
             streams=_streams(self.clocked, parts),
         )
 
@@ -209,7 +211,8 @@ def walk(
     made = Made(
         INGEST_VERSION, plan.rules.text if plan.rules is not None else "", settings_of(plan), shared_mounts(found, mounts)
     )
-    return Walked(readings, clocked, clocks, tuple(recordings), made)
+    flags = [row for recording in clocked for row in flag_rows(recording, clocks, plan.machine, settings.hold_s)]
+    return Walked(readings, clocked, clocks, tuple(recordings), made, tuple(flags))
 
 
 def settings_of(plan: Plan) -> dict[str, Any]:
