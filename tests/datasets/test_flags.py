@@ -6,11 +6,13 @@ from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
+import pandas as pd
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.signal import lfilter
 
+from sysid.datasets import Store, ingest
 from sysid.datasets.channel import in_order
 from sysid.datasets.flag import KINDS, MAX_FLAGS, Flag
 from sysid.datasets.flags import dropouts, jitter, jumps, outliers, repaired_stamps, saturation, stuck
@@ -188,6 +190,40 @@ def test_the_scale_of_the_noise_and_the_step_of_a_counter(sigma: float, seed: in
     assert sensor_step(noise) == 0.0
     counts = np.cumsum(np.random.default_rng(seed).integers(-3, 4, 2000)) * 2 * np.pi / 4096 + 0.123
     assert sensor_step(counts) == pytest.approx(2 * np.pi / 4096, rel=1e-6)
+
+
+def test_a_flagged_recording_keeps_every_raw_value_and_stamp(tmp_path: Path) -> None:
+    """Bit by bit, on the device's own clock; the flags name the samples on the recording's time axis."""
+    (tmp_path / "machine.toml").write_text(
+        'schema = 1\nname = "press"\nrate_hz = 100.0\n[[axes]]\nname = "ram"\nactuation = "velocity"\ndrives = "joint"\n'
+        "limits = [-9.0, 9.0]\n"
+    )
+    times, values = motion(4)
+    asked = command(4, 100.0, 60.0)
+    values[1500] += 0.5
+    values[3100:3180] = values[3100]
+    values[4000:4300] += 2.0
+    values[5000:5030] = np.nan
+    stamps = np.rint(times * 1e9).astype(np.int64) + 1_700_123_456_789
+    (tmp_path / "logs/run").mkdir(parents=True)
+    frame = pd.DataFrame({"time [ns]": stamps, "ram.command": asked, "ram.joint [rad]": values})
+    frame.to_parquet(tmp_path / "logs/run/log.parquet")
+    made = ingest(tmp_path / "logs", tmp_path / "ws", machine=tmp_path / "machine.toml")
+    raw = Store(tmp_path / "ws").channels(made.reference)
+    joint = raw[raw["signal"] == "ram.joint"]
+    np.testing.assert_array_equal(joint["stamp_ns"].to_numpy(), stamps)
+    assert joint["value"].to_numpy(dtype=np.float64).tobytes() == values.tobytes()
+    rows = made.quality["flags"]
+    assert [(row["signal"], row["kind"], row["samples"]) for row in rows] == [
+        ("ram.joint", "outlier", 1),
+        ("ram.joint", "jump", 1),  # where the stuck sensor is back
+        ("ram.joint", "jump", 300),
+        ("ram.joint", "stuck", 80),
+        ("ram.joint", "dropout", 30),
+    ]
+    np.testing.assert_allclose([row["from_s"] for row in rows], [15.0, 31.8, 40.0, 31.0, 49.99], atol=1e-9)
+    table = np.concatenate([recording.values("ram.joint") for recording in made.recordings])
+    assert np.nanmin(np.abs(table - values[1500])) < 1e-9  # it stays in the table
 
 
 def test_kinds_are_complete() -> None:

@@ -88,6 +88,37 @@ def test_occlusions_stay_gaps_and_the_swap_is_flagged(dataset: Dataset, truth: d
             assert np.isnan(recording.values("ee.x")[inside]).all()
 
 
+def test_the_flags_are_what_happened_and_nothing_else(dataset: Dataset, truth: dict[str, Any]) -> None:
+    """Every occlusion and the swap, in every signal that the body gives; no spike, jump, stuck sensor or jitter."""
+    rows = dataset.quality["flags"]
+    assert {row["kind"] for row in rows} == {"dropout", "marker_swap"}
+    seen_by = {
+        "column_body": ("slew.joint", "boom.joint"),
+        "boom_body": ("boom.joint", "stick.joint"),
+        "stick_body": ("stick.joint", "telescope.joint"),
+        "tip_body": ("telescope.joint", "ee.x", "ee.y", "ee.z"),
+        "gripper_body": ("tool.x", "tool.y", "tool.z"),
+    }
+    expected = []
+    for name in (recording.name for recording in dataset.of_kind("motion")):
+        shift = (truth[name]["start_ns"] - dataset.recording(name).start_ns) * 1e-9
+        clock = truth[name]["capture_clock"]
+        for kind, events in (("dropout", truth[name]["dropouts"]), ("marker_swap", truth[name].get("swaps", []))):
+            for event in events:
+                middle = 0.5 * (event["start"] + event["end"])
+                at = middle * (1.0 + 1e-6 * clock["skew_ppm"]) + clock["offset_s"] + shift
+                expected += [(name, signal, kind, at, event["end"] - event["start"]) for signal in seen_by[event["body"]]]
+    assert len(rows) == len(expected)
+    for name, signal, kind, at, seconds in expected:
+        (row,) = [
+            r
+            for r in rows
+            if (r["recording"], r["signal"], r["kind"]) == (name, signal, kind) and r["from_s"] <= at <= r["to_s"]
+        ]
+        assert row["to_s"] - row["from_s"] == pytest.approx(seconds, abs=0.04)
+        assert row["source"] == "mocap.csv"
+
+
 def test_the_second_sensor_is_checked_against_the_first(dataset: Dataset) -> None:
     for checks in dataset.quality["cross_checks"].values():
         if "machine.mcap/slew.joint" in checks:

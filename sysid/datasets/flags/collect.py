@@ -46,7 +46,8 @@ def find_flags(timed: Sequence[Timed], machine: Machine, hold_s: float) -> list[
             replace(flag, from_s=float(np.interp(flag.from_s, own, at)), to_s=float(np.interp(flag.to_s, own, at)))
             for flag in channel.flags
         ]
-        flags += _of(channel, at, commands, machine, hold_s)
+        swaps = [flag for flag in flags if flag.kind == "marker_swap"]
+        flags += [flag for flag in _of(channel, at, commands, machine, hold_s) if not _is_swap(flag, swaps, channel.period_s)]
         found += [(channel.source, flag) for flag in flags]
     return sorted(found, key=lambda item: (item[1].signal, item[0], KINDS.index(item[1].kind), item[1].from_s))
 
@@ -65,6 +66,12 @@ def flag_rows(
     timed = [(channel, machine_times(channel, start, records.get(channel.source))) for channel in recording.channels]
     found = find_flags(timed, machine, hold_s)
     return [{"recording": recording.name, "source": source, **asdict(flag)} for source, flag in found]
+
+
+def _is_swap(flag: Flag, swaps: Sequence[Flag], period: float) -> bool:
+    """Whether nothing is missing but the frames of one mistake, which is a flag already."""
+    slack = 1.5 * period
+    return flag.kind == "dropout" and any(s.from_s - slack <= flag.from_s and flag.to_s <= s.to_s + slack for s in swaps)
 
 
 def _of(channel: Channel, at: Array, commands: Sequence[Timed], machine: Machine, hold_s: float) -> list[Flag]:
