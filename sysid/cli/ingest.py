@@ -21,6 +21,7 @@ from sysid.errors import SettingsError
 @click.option(
     "--draft", type=click.Path(path_type=Path), default=None, metavar="R.toml", help="With --inspect: write the draft."
 )
+@click.option("--reader", default=None, help="With --inspect: read the files as this format.")
 @click.option("--dbc", type=click.Path(path_type=Path), default=None, help="With --inspect: the database of a CAN log.")
 @json_option
 @click.pass_obj
@@ -32,6 +33,7 @@ def ingest(
     name: str | None,
     inspect: bool,
     draft: Path | None,
+    reader: str | None,
     dbc: Path | None,
     json_file: str | None,
 ) -> None:
@@ -42,9 +44,9 @@ def ingest(
     if inspect:
         from sysid.cli.ingest_inspect import inspect_paths
 
-        inspect_paths(paths, machine, draft, dbc, json_file)
+        inspect_paths(paths, machine, draft, reader, dbc, json_file)
         return
-    for option, value in (("--draft", draft), ("--dbc", dbc)):
+    for option, value in (("--draft", draft), ("--reader", reader), ("--dbc", dbc)):
         if value is not None:
             raise SettingsError(option, "given without --inspect", "both, or neither", "Add --inspect.")
     from sysid import datasets

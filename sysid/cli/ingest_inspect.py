@@ -22,7 +22,12 @@ _UNIX = 631_152_000 * 10**9
 
 
 def inspect_paths(
-    paths: Sequence[Path], machine: Path | None, draft: Path | None, dbc: Path | None, json_file: str | None
+    paths: Sequence[Path],
+    machine: Path | None,
+    draft: Path | None,
+    reader: str | None,
+    dbc: Path | None,
+    json_file: str | None,
 ) -> None:
     """Show every log file below ``paths``, print the drafted recipe, and write it to ``draft`` where that is given.
 
@@ -45,7 +50,7 @@ def inspect_paths(
     with progress_bar("inspect") as progress:
         for number, path in enumerate(files):
             progress(number / len(files), path.name)
-            summaries.append(inspect_file(path, dbc=dbc))
+            summaries.append(inspect_file(path, reader, dbc))
     out = Printer(json_file)
     for summary in summaries:
         _show(out, summary)

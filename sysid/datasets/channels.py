@@ -173,6 +173,9 @@ def _channel(
     if clock not in stream.stamps:
         raise InputError(f"{path}: {stream.name}", f"no {clock!r} stamps", nearest(clock, stream.stamps), "Correct `clock`.")
     order, repaired = in_order(stream.stamps[clock], f"{path}: {stream.name}")
+    if len(order) < 2 and not signal.endswith(".command"):  # a command is held, a measurement without a rate is none
+        found = f"{len(stream)} sample{'s' if len(stream) > 1 else ''} with {len(order)} stamp in {stream.name!r}"
+        raise InputError(f"{path}: {signal}", found, "two at least", "Record longer, or leave the signal out of the recipe.")
     return Channel(
         signal=signal,
         source=path.name,

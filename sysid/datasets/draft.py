@@ -49,6 +49,11 @@ def draft_recipe(
     if len(folders) == 1 and (len(files) == 1 or len(groups) == 1):
         lines += ["", "[recordings.files]          # each file is a recording of its own"]
         lines += [f"{_key(file.path.stem)} = {_text(file.path.name)}" for file in files]
+        if len(files) < 3:
+            lines += [
+                "# [splits]                  # a recording is cut into parts for fit, selection and proof; too short for that:"
+            ]
+            lines += [f"# fit = [{', '.join(_text(file.path.stem) for file in files)}]"]
     taken: set[str] = set()
     for group in groups:
         lines += ["", *_stream(group, machine, taken)]
@@ -88,7 +93,11 @@ def _stream(group: Sequence[FileSummary], machine: Machine | None, taken: set[st
     yield f"files = {_text(_pattern(group))}"
     if by_suffix != file.reader:
         yield f"reader = {_text(file.reader)}"
-    if clocks:
+    first = {clock.name for stream in file.streams for clock in stream.clocks[:1]}
+    if len(first) > 1:
+        every = [clock for clock in clocks if all(clock in {c.name for c in stream.clocks} for stream in file.streams)]
+        yield f"# clock = {_text(every[0])}   # left out: header stamps where a topic has them"
+    elif clocks:
         others = f"   # or {', '.join(clocks[1:])}" if len(clocks) > 1 else ""
         yield f"clock = {_text(clocks[0])}{others}"
     else:

@@ -87,6 +87,19 @@ def _named_roles(names: list[str], splits: Splits, where: object) -> dict[str, R
     return roles
 
 
+def with_roles(roles: Mapping[str, Role], wanted: Mapping[Role, Sequence[str]], where: object) -> dict[str, Role]:
+    """``roles`` with those of the recordings (or blocks) that ``wanted`` names by glob; the others keep theirs.
+
+    Raises:
+        SettingsError: no such recording, two roles for one, or nothing wanted.
+    """
+    splits = Splits(*(tuple(wanted.get(role, ())) for role in ("fit", "select", "held_out")))
+    named = _named_roles(list(roles), splits, where)
+    if not named:
+        raise SettingsError(where, "no role", "--fit, --select or --held-out with recordings")
+    return {**roles, **named}
+
+
 def _share_out(names: list[str], roles: list[Role]) -> dict[str, Role]:
     """Recordings in order: fit first, the last ones held out."""
     count = len(names)
@@ -124,7 +137,8 @@ def cut(recording: Recording, blocks: Sequence[Block], guard_s: float, where: ob
             f"{where}: recording {recording.name!r}",
             f"{rows / recording.rate_hz:.1f} s are too short for {len(blocks)} blocks",
             f"at least {MIN_BLOCK_S:g} s a block and {guard_s:g} s of guard",
-            "Record longer, or record three times: then recordings are split whole.",
+            "Record longer, or three times: then recordings are split whole. To keep it in one piece without proof, write "
+            f'in the recipe: `[splits]`, `fit = ["{recording.name}"]`.',
         )
     edges = [0]
     total = 0.0

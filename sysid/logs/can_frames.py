@@ -6,8 +6,7 @@ Formats: Vector BLF and ASC, PEAK TRC, SocketCAN candump; python-can reads them.
 from __future__ import annotations
 
 import io
-import struct
-import zlib
+import re
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -17,7 +16,8 @@ import numpy as np
 import numpy.typing as npt
 
 from sysid.errors import InputError
-from sysid.logs.limits import MAX_CHUNK, check_whole, too_large
+from sysid.logs.blf_file import most_frames
+from sysid.logs.limits import check_whole
 from sysid.logs.table import CUT_ROW, to_ns
 
 if TYPE_CHECKING:
@@ -25,12 +25,7 @@ if TYPE_CHECKING:
 
 #: Bus, identifier, whether it has 29 bits.
 Address = tuple[str, int, bool]
-#: Headers of a BLF object (signature, header size and version, size, type) and of a container (method, unpacked size).
-_OBJECT, _CONTAINER = struct.Struct("<4sHHLL"), struct.Struct("<H6xL4x")
-_CONTAINER_TYPE, _ZLIB = 10, 2
 _LARGEST_STANDARD = 0x7FF
-#: No frame of a BLF file is smaller than its object header.
-_SMALLEST = 32
 
 
 @dataclass(frozen=True)
@@ -87,7 +82,7 @@ def read_frames(path: Path) -> FrameLog:
 def _read_blf(path: Path) -> FrameLog:
     from can import BLFReader
 
-    limit = _unpacked_size(path) // _SMALLEST
+    limit = most_frames(path)
     with _opened(path, BLFReader) as reader:
         # Stamps count from the start of the measurement: added as an integer, they keep their nanoseconds.
         start_ns = round(reader.start_timestamp * 1e3) * 1_000_000
@@ -139,15 +134,18 @@ _OPENERS: dict[str, Callable[[Path], FrameLog]] = {
 }
 
 
+#: A PEAK trace ends without a line end; its last byte is cut where one digit stands behind a byte or the number of bytes.
+_CUT_BYTE = re.compile(r"\s[0-9A-F]{1,2}\s+[0-9A-F]$", re.IGNORECASE)
+
+
 class _WholeLines(io.TextIOWrapper):
-    """Lines up to the last whole one; PEAK ends a trace without a line end, there a whole last byte is enough."""
+    """Lines up to the last whole one."""
 
     cut = False
 
     def __next__(self) -> str:  # type: ignore[override]  # as the base class itself does
         line = super().__next__()
-        last = line.split()[-1:]
-        if line.endswith(("\n", "\r")) or (str(self.name).lower().endswith(".trc") and last and len(last[0]) == 2):
+        if line.endswith(("\n", "\r")) or (str(self.name).lower().endswith(".trc") and _CUT_BYTE.search(line) is None):
             return line
         self.cut = True
         raise StopIteration
@@ -204,43 +202,3 @@ def _collect(path: Path, messages: Iterable[Message], start_ns: int = 0, limit: 
 
 def _words(error: Exception) -> str:
     return f"{type(error).__name__}: {error}" if str(error) else type(error).__name__
-
-
-def _unpacked_size(path: Path) -> int:
-    """Bytes of all containers of a BLF file once unpacked.
-
-    Raises:
-        InputError: no BLF file, or a container that unpacks to more than a log may.
-    """
-    total = 0
-    with path.open("rb") as file:
-        head = file.read(8)
-        if head[:4] != b"LOGG" or len(head) < 8:
-            raise InputError(path, f"starts with {head[:4].hex() or 'nothing'}", "the magic bytes 'LOGG' of a BLF log")
-        file.seek(int.from_bytes(head[4:8], "little"))
-        while len(base := file.read(_OBJECT.size)) == _OBJECT.size:
-            signature, _, _, size, kind = _OBJECT.unpack(base)
-            body = file.read(max(min(size, path.stat().st_size) - _OBJECT.size, 0))
-            file.read(size % 4)
-            if signature != b"LOBJ" or kind != _CONTAINER_TYPE or len(body) < _CONTAINER.size:
-                continue
-            method, _ = _CONTAINER.unpack_from(body)
-            packed = body[_CONTAINER.size :]
-            unpacked = len(packed) if method != _ZLIB else _inflated(packed)
-            reason = too_large(len(packed), unpacked)
-            if reason:
-                raise InputError(path, f"a container that {reason}", "a log", "The file is damaged or made to do harm.")
-            total += unpacked
-    return total
-
-
-def _inflated(packed: bytes) -> int:
-    """How many bytes ``packed`` unpacks to, counted piece by piece and not beyond what is allowed."""
-    unpacker, total, left = zlib.decompressobj(), 0, packed
-    try:
-        while left and total <= MAX_CHUNK:
-            total += len(unpacker.decompress(left, 2**20))
-            left = unpacker.unconsumed_tail
-    except zlib.error:
-        return total  # what cannot be unpacked is reported where the frames are read
-    return total

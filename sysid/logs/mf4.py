@@ -17,6 +17,7 @@ from sysid.errors import InputError, nearest
 from sysid.logs.can import frame_streams
 from sysid.logs.can_frames import Address, FrameLog, Frames
 from sysid.logs.limits import MAX_CELLS, check_whole
+from sysid.logs.mdf_links import linked_twice
 from sysid.logs.reader import ReadOptions
 from sysid.logs.stream import Stream
 from sysid.logs.table import to_ns
@@ -41,6 +42,11 @@ class Mf4Reader:
             if head not in (b"MDF     ", b"UnFinMF "):
                 raise InputError(path, f"starts with {head!r}", "'MDF     ' as in an MDF file")
             file.seek(0)
+            at = linked_twice(path)
+            if at is not None:
+                raise InputError(
+                    path, f"two links to the block at byte {at}", "chains of blocks that end", "The file is damaged."
+                )
             mdf = _open(path, file)
             try:
                 return _streams(path, mdf, options)
@@ -91,6 +97,9 @@ def _streams(path: Path, mdf: Any, options: ReadOptions) -> tuple[Stream, ...]:
             continue
         title = group.channel_group.acq_name or f"group {index}"
         names[f"{title} {index}" if title in names else title] = index
+    if options.dbc is not None and not buses:
+        remedy = "Leave `dbc` out: the channels have names."
+        raise InputError(path, "no logged CAN frames", f"frames that {options.dbc.name} describes", remedy)
     if not names and not buses:
         raise InputError(path, "no channel group with samples", "at least one", "Record the measurement again.")
     if buses and (options.dbc is not None or not names):
@@ -115,6 +124,7 @@ def _group_stream(path: Path, mdf: Any, name: str, index: int, start_ns: int) ->
     master = mdf.masters_db.get(index)
     if master is None or group.channels[master].sync_type != _TIME:
         return None
+    _check_record(f"{path}: {name}", mdf, group)
     columns: dict[str, npt.NDArray[np.float64]] = {}
     units: dict[str, str] = {}
     left_out = []
@@ -143,6 +153,15 @@ def _group_stream(path: Path, mdf: Any, name: str, index: int, start_ns: int) ->
     return Stream(name, path, {"log": stamps}, columns, units, losses)
 
 
+def _check_record(where: str, mdf: Any, group: Any) -> None:
+    """Raise where a channel lies outside of its record: the library cuts it out without looking, beyond what it has read."""
+    size = int(group.channel_group.samples_byte_nr) + int(group.channel_group.invalidation_bytes_nr)
+    for channel, entry in zip(group.channels, mdf._mdf._prepare_record(group), strict=False):
+        if entry is not None and not 0 <= entry[2] <= entry[2] + entry[1] <= size:
+            found = f"channel {channel.name!r} in bytes {entry[2]} to {entry[2] + entry[1]}"
+            raise InputError(where, found, f"a place in a record of {size} bytes", "The file is damaged.")
+
+
 def _samples(mdf: Any, group: int, index: int) -> tuple[npt.NDArray[np.float64] | None, npt.NDArray[np.float64], str]:
     """Values in the stated unit (raw ones where the file turns them into words), NaN where they are marked invalid."""
     signal: Any = mdf.get(group=group, index=index, ignore_invalidation_bits=True)
@@ -161,6 +180,7 @@ def _frames(path: Path, mdf: Any, buses: list[int], start_ns: int) -> FrameLog:
     """The logged data frames of all buses, grouped by bus and identifier."""
     parts: dict[Address, list[Frames]] = {}
     for index in buses:
+        _check_record(f"{path}: group {index}", mdf, mdf.groups[index])
         logged: Any = mdf.get(_BUS, group=index, raw=False)
         table = logged.samples
         stamps = to_ns(np.asarray(logged.timestamps, np.float64), 1.0, f"{path}: group {index}") + start_ns

@@ -53,6 +53,31 @@ SIGNATURES: tuple[tuple[re.Pattern[bytes], str], ...] = (
 )
 
 
+_CAN_DATABASE = "a database that says what is in CAN frames, not a log"
+_SHEET = ("a spreadsheet", "Save the sheet as CSV: one header row, one time column.")
+_PACKED = ("a packed file", "Unpack it first.")
+#: What lies beside logs, or is one that no reader takes: suffix → what it is and what to do.
+NO_LOGS: dict[str, tuple[str, str]] = {
+    ".dbc": (
+        _CAN_DATABASE,
+        'The recipe of the log names it: `dbc = "{name}"`; sysid ingest --inspect LOG --dbc {name} tries it.',
+    ),
+    ".arxml": (_CAN_DATABASE, "Export it as DBC; the recipe of the log names it with `dbc`."),
+    ".kcd": (_CAN_DATABASE, "Export it as DBC; the recipe of the log names it with `dbc`."),
+    ".yaml": ("what a recorder wrote about a log (rosbag2: metadata.yaml), not a log", "Give the .db3 or .mcap beside it."),
+    ".toml": ("a recipe or a machine description, not a log", "Give it with --recipe or --machine, and the logs as PATH."),
+    ".urdf": ("the description of a robot, not a log", "machine.toml names it with `urdf`."),
+    ".tak": ("a take of Motive", "Export it from Motive as CSV or C3D."),
+    ".h5": ("an HDF5 file", "Save its tables as Parquet or CSV."),
+    ".mdf": ("an MDF file of version 3", "Convert it to version 4 (.mf4)."),
+    ".json": ("no reader for '.json'", 'A list of records is read where the reader is named: `reader = "json"`.'),
+    ".log": ("no reader for '.log'", 'A candump log is read where the reader is named: `reader = "can"`.'),
+    **dict.fromkeys((".xlsx", ".xls", ".ods"), _SHEET),
+    **dict.fromkeys((".zip", ".gz", ".bz2", ".xz", ".7z", ".tar", ".zst"), _PACKED),
+}
+NO_LOGS |= {".yml": NO_LOGS[".yaml"], ".hdf5": NO_LOGS[".h5"]}
+
+
 def reader_named(name: str, where: object) -> LogReader:
     """The reader called ``name``; raises :class:`SettingsError` for an unknown one."""
     for reader in READERS:
@@ -70,7 +95,9 @@ def reader_for(path: Path) -> LogReader:
     takes = [reader for reader in READERS if path.suffix.lower() in reader.suffixes]
     if not takes:
         suffixes = sorted({suffix for reader in READERS for suffix in reader.suffixes})
-        raise InputError(path, f"no reader for {path.suffix or 'a file without suffix'!r}", f"one of {', '.join(suffixes)}")
+        unknown = (f"no reader for {path.suffix or 'a file without suffix'!r}", "")
+        found, remedy = NO_LOGS.get(path.suffix.lower(), unknown)
+        raise InputError(path, found, f"one of {', '.join(suffixes)}", remedy.format(name=path.name))
     name = _by_content(path)
     by_content = [reader for reader in READERS if reader.name == name]
     others = [reader for reader in takes if reader.name not in {name for _, name in SIGNATURES}]

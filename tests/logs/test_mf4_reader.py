@@ -7,10 +7,12 @@ from pathlib import Path
 import can
 import numpy as np
 import pytest
+from small_logs import write_log
 
 from sysid.errors import InputError
 from sysid.logs import ReadOptions, Stream, reader_for
 from sysid.logs.can_frames import read_frames
+from sysid.logs.mdf_links import linked_twice
 
 pytest.importorskip("asammdf", reason="the extra that reads MDF files is not installed")
 
@@ -90,3 +92,39 @@ def test_real_measurements(shared_data: Path) -> None:
     np.testing.assert_allclose(np.diff(demo["100ms_sync"].stamps["log"]), 100_000_000, atol=1000)
     (batch,) = read(shared_data / "can_logs" / "test_batch.mf4").values()
     assert (len(batch), len(batch.columns)) == (1051, 3)
+
+
+def test_a_chain_of_blocks_without_an_end_is_refused(tmp_path: Path) -> None:
+    path = write_log(tmp_path, "log.mf4")
+    data = bytearray(path.read_bytes())
+    assert linked_twice(path) is None
+    channels = [at for at in range(0, len(data), 8) if data[at : at + 4] == b"##CN"]
+    data[channels[-1] + 24 : channels[-1] + 32] = channels[0].to_bytes(8, "little")
+    path.write_bytes(bytes(data))
+    with pytest.raises(InputError, match=rf"log\.mf4: two links to the block at byte {channels[0]}; expected chains"):
+        read(path)
+
+
+def test_a_channel_outside_of_its_record_is_refused(tmp_path: Path) -> None:
+    path = write_log(tmp_path, "log.mf4")
+    data = bytearray(path.read_bytes())
+    (place,) = [at for at in range(0, len(data), 8) if data[at : at + 4] == b"##CG"]
+    links = int.from_bytes(data[place + 16 : place + 24], "little")
+    record = place + 24 + 8 * links + 24  # record id, cycles, flags, separator, reserved; then bytes of a record
+    assert int.from_bytes(data[record : record + 4], "little") == 16
+    channel = [at for at in range(0, len(data), 8) if data[at : at + 4] == b"##CN"][-1]
+    offset = channel + 24 + 8 * int.from_bytes(data[channel + 16 : channel + 24], "little") + 4
+    data[offset : offset + 4] = (1000).to_bytes(4, "little")
+    path.write_bytes(bytes(data))
+    with pytest.raises(
+        InputError, match=r"wires: channel 'ramp' in bytes 1000 to 1008; expected a place in a record of 16 bytes"
+    ):
+        read(path)
+
+
+def test_a_database_for_a_log_without_frames_is_refused(tmp_path: Path) -> None:
+    path = write_log(tmp_path, "log.mf4")
+    with pytest.raises(
+        InputError, match=r"log\.mf4: no logged CAN frames; expected frames that x\.dbc describes\. Leave `dbc` out"
+    ):
+        reader_for(path).read(path, ReadOptions(dbc=tmp_path / "x.dbc"))

@@ -203,7 +203,7 @@ def test_a_json_file_is_a_log_only_where_a_recipe_says_so() -> None:
 
 
 def test_unknown_formats_and_readers() -> None:
-    with pytest.raises(InputError, match=r"no reader for '\.xlsx'; expected one of \.\w+, .*\.csv, "):
+    with pytest.raises(InputError, match=r"a spreadsheet; expected one of \.\w+, .*\.csv, .*Save the sheet as CSV"):
         reader_for(Path("a.xlsx"))
     with pytest.raises(SettingsError, match=r"unknown reader 'mcp'; expected 'mcap'\?"):
         reader_named("mcp", "recipe.toml")

@@ -92,7 +92,8 @@ def _signal(recording: Recording, signal: str) -> dict[str, Any]:
         return {"missing": 1.0}
     inside = values[known]
     low, high = float(inside.min()), float(inside.max())
-    counts = np.histogram(inside, bins=BINS, range=(low, high if high > low else low + 1.0))[0]
+    rounded = high - low <= 1e-12 * max(abs(low), abs(high))  # interpolation alone
+    counts = np.histogram(inside, bins=BINS, range=(low, low + max(1.0, abs(low)) if rounded else high))[0]
     numbers: dict[str, Any] = {
         "missing": float(1.0 - known.mean()),
         "min": low,

@@ -1,0 +1,78 @@
+"""What a BLF file claims, checked before the library that reads it believes it: how containers unpack, how large objects are.
+
+A file is a header and objects; those of type 10 are containers that hold the logged objects, zlib-packed, one after the other
+and across their borders. Every object begins with ``LOBJ``, the size of its header, its version, its own size and its type.
+Source: python-can, ``can.io.blf``, which follows Vector's description of the format.
+"""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from pathlib import Path
+
+from sysid.errors import InputError
+from sysid.logs.limits import MAX_CHUNK, too_large
+
+#: Headers of an object (signature, header size and version, size, type) and of a container (method, unpacked size).
+_OBJECT, _CONTAINER = struct.Struct("<4sHHLL"), struct.Struct("<H6xL4x")
+_CONTAINER_TYPE, _ZLIB = 10, 2
+#: No frame is smaller than its object header; no object (frames, texts, settings) is larger than this.
+_SMALLEST, _LARGEST = 32, 16 * 2**20
+
+
+def most_frames(path: Path) -> int:
+    """More frames than this are not in the file.
+
+    Raises:
+        InputError: no BLF file, a container that unpacks to more than a log may, an object that does not end or never begins.
+    """
+    total, rest = 0, b""
+    size_of_file = path.stat().st_size
+    with path.open("rb") as file:
+        head = file.read(8)
+        if head[:4] != b"LOGG" or len(head) < 8:
+            raise InputError(path, f"starts with {head[:4].hex() or 'nothing'}", "the magic bytes 'LOGG' of a BLF log")
+        file.seek(int.from_bytes(head[4:8], "little"))
+        while len(base := file.read(_OBJECT.size)) == _OBJECT.size:
+            signature, _, _, size, kind = _OBJECT.unpack(base)
+            body = file.read(max(min(size, size_of_file) - _OBJECT.size, 0))
+            file.read(size % 4)
+            if signature != b"LOBJ" or kind != _CONTAINER_TYPE or len(body) < _CONTAINER.size:
+                continue
+            data = _unpacked(path, body)
+            total += len(data)
+            rest = _without_objects(path, rest + data)
+    return total // _SMALLEST
+
+
+def _unpacked(path: Path, body: bytes) -> bytes:
+    method, _ = _CONTAINER.unpack_from(body)
+    packed = body[_CONTAINER.size :]
+    if method != _ZLIB:
+        return packed
+    unpacker = zlib.decompressobj()
+    try:
+        data = unpacker.decompress(packed, MAX_CHUNK + 1)
+    except zlib.error:
+        return b""  # what cannot be unpacked is reported where the frames are read
+    reason = too_large(len(packed), len(data))
+    if reason:
+        raise InputError(path, f"a container that {reason}", "a log", "The file is damaged or made to do harm.")
+    return data
+
+
+def _without_objects(path: Path, data: bytes) -> bytes:
+    """What is left behind the last whole object: the beginning of one that goes on in the next container."""
+    position = 0
+    while True:
+        start = data.find(b"LOBJ", position, position + 8)
+        if start < 0 or start + _OBJECT.size > len(data):
+            return data[position:] if len(data) - position < _LARGEST else b""
+        size = int.from_bytes(data[start + 8 : start + 12], "little")
+        if not _OBJECT.size <= size <= _LARGEST:
+            expected = f"{_OBJECT.size} to {_LARGEST}"
+            raise InputError(path, f"an object of {size} bytes", expected, "The file is damaged.")
+        if start + size > len(data):
+            return data[position:]
+        position = start + size
