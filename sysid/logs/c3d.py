@@ -52,7 +52,9 @@ class C3dReader:
             unit = outputs.get(name, "m")
             values = trial.points[:, index] * (factor if name not in outputs else 1.0)
             columns = {axis: values[:, i] for i, axis in enumerate("xyz")}
-            streams.append(Stream(name, path, stamps, columns, dict.fromkeys(columns, unit) if unit else {}, losses))
+            units = dict.fromkeys(columns, unit) if unit else {}
+            kind = "Model Output" if name in outputs else "Marker"
+            streams.append(Stream(name, path, stamps, columns, units, losses, kind=kind))
         if trial.analog.size and (options.streams is None or ANALOG in options.streams):
             streams.append(_analog(path, trial, losses))
         return tuple(streams)
@@ -66,7 +68,8 @@ def _analog(path: Path, trial: C3dFile, losses: tuple[str, ...]) -> Stream:
     stated = trial.texts("ANALOG:UNITS")
     units = {name: unit for name, unit in zip(names, stated, strict=False) if unit}
     columns = {name: trial.analog[:, i] for i, name in enumerate(names)}
-    return Stream(ANALOG, path, {"capture": to_ns(samples / (trial.rate * each), 1.0, str(path))}, columns, units, losses)
+    stamps = {"capture": to_ns(samples / (trial.rate * each), 1.0, str(path))}
+    return Stream(ANALOG, path, stamps, columns, units, losses, kind="Analog")
 
 
 def _names(labels: Sequence[str], count: int, what: str) -> list[str]:

@@ -1,13 +1,14 @@
-"""Every real file of motion capture, bags and CAN is read or refused with a reason; none is passed over in silence."""
+"""Real files of motion capture and bags: what is read of each. All files: docs/formats.md, tests/pipelines/test_formats.py."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+from sysid.logs import ReadOptions, reader_for
 from sysid.logs.inspection import inspect_file
-from sysid.logs.readers import is_log
 
 #: File → (reader, streams, samples of the first one, what was lost).
 READ = {
@@ -24,8 +25,6 @@ READ = {
     "mcap_bags/tf_example.db3": ("rosbag2", 2, 1, ""),
     "mcap_bags/motor_data.csv": ("csv", 1, 756, ""),
 }
-#: What stands beside logs: what rosbag2 wrote about a bag, databases of CAN.
-NO_LOGS = {".yaml", ".dbc"}
 
 
 @pytest.mark.parametrize("name", sorted(READ))
@@ -37,15 +36,15 @@ def test_what_is_read_of_a_file(shared_data: Path, name: str) -> None:
     assert bool(lost) == bool(seen.losses)
 
 
-@pytest.mark.parametrize("folder", ["mocap_files", "mcap_bags", "can_logs"])
-def test_no_file_is_passed_over(shared_data: Path, folder: str) -> None:
-    files = sorted((shared_data / folder).iterdir())
-    assert len(files) > 5
-    for path in files:
-        if path.suffix in NO_LOGS:
-            continue
-        assert is_log(path), f"no reader takes {path.name}"
-        seen = inspect_file(path)
-        # Refused are logs in which nothing was measured: error frames, remote frames.
-        assert seen.streams or "nothing but" in seen.refusal, seen.refusal
-        assert all(stream.samples for stream in seen.streams)
+def test_the_text_export_of_a_trial_holds_what_its_c3d_file_holds(shared_data: Path) -> None:
+    """Two files of one Vicon trial, two readers: the same names, stamps and gaps, positions to the last digit of the text."""
+    folder = shared_data / "mocap_files"
+    text, binary = (
+        {stream.name: stream for stream in reader_for(folder / name).read(folder / name, ReadOptions())}
+        for name in ("markers.csv", "Vicon.c3d")
+    )
+    assert binary.keys() - text.keys() == {"analog"}
+    for name, stream in text.items():
+        np.testing.assert_array_equal(stream.stamps["capture"], binary[name].stamps["capture"])
+        for axis in "xyz":
+            np.testing.assert_allclose(stream.columns[axis], binary[name].columns[axis], atol=5.1e-6)
