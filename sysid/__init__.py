@@ -4,7 +4,22 @@ The public API is the sub-packages, in the order in which data walks through the
 
     sysid.logs → sysid.datasets → sysid.networks, sysid.plant → sysid.gap → sysid.reports, sysid.view
 
-Importing this package loads none of them.
+Importing this package loads none of them. :func:`load` alone stands here: a stored dataset version as one pandas table.
 """
 
+from __future__ import annotations
+
+import os
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    import pandas as pd
+
 __version__ = "0.1.0"
+
+
+def load(reference: str, workspace: str | os.PathLike[str] | None = None) -> pd.DataFrame:
+    """A stored dataset version as one table, with units in ``attrs["units"]``: see :func:`sysid.datasets.load`."""
+    from sysid.datasets import load as load_version
+
+    return load_version(reference, workspace)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import importlib.metadata
 import os
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime
 from functools import cached_property
@@ -18,7 +18,7 @@ from typing import Any
 import pandas as pd
 
 from sysid import __version__
-from sysid.datasets import Dataset, Store
+from sysid.datasets import Dataset, Store, Vacuumed, vacuum
 from sysid.errors import ExcitationError, SettingsError, StoreError
 from sysid.gap import GapResult
 from sysid.networks import ActuatorNetwork, ForwardNetwork, Model, NetworkRecipe, from_files, parse_recipe, to_files
@@ -70,6 +70,31 @@ class Workspace:
                 raise StoreError(f"workspace {self.location}", f"{len(names)} datasets ({listed})", "the name of one")
             reference = names[0]
         return self.datasets.load(reference)
+
+    def made_from(self, reference: str, digest: str) -> tuple[ModelVersion, ...]:
+        """The model versions that were made from a dataset version, directly or through another model."""
+        versions = self.models.list()
+        wanted = {reference, digest} - {""}
+        users = {v.reference for v in versions if wanted & {*_named_in(v.lineage, datasets=True)}}
+        parents = {v.reference: {*_named_in(v.lineage, datasets=False)} for v in versions}
+        while more := {name for name, own in parents.items() if name not in users and own & users}:
+            users |= more
+        return tuple(version for version in versions if version.reference in users)
+
+    def vacuum(self, references: Sequence[str] = (), keep: int | None = None, dry_run: bool = False) -> Vacuumed:
+        """Remove left-overs and dataset versions, but none that a registered model was made from.
+
+        Args:
+            references, keep, dry_run: see :func:`sysid.datasets.vacuum.vacuum`.
+
+        Raises:
+            StoreError: no such version, or the registry cannot be asked; nothing is removed then.
+        """
+
+        def users(reference: str, digest: str) -> list[str]:
+            return [f"{version.kind} {version.reference}" for version in self.made_from(reference, digest)]
+
+        return vacuum(self.datasets, users, references, keep, dry_run)
 
     def add_network(
         self, dataset: Dataset, model: Model, recipe: NetworkRecipe, report: ValidationReport | None = None
@@ -206,6 +231,21 @@ class Workspace:
             if "@" in reference:
                 notes.append(_note(self.models.find(reference)))
         return tuple(notes)
+
+
+def _named_in(value: Any, datasets: bool, key: str = "") -> Iterator[str]:
+    """The texts of a lineage at any depth: of its keys that speak of datasets, or of all others.
+
+    A plant and a dataset may have the same name, so that ``autolog@1`` alone does not say which of them is meant.
+    """
+    if isinstance(value, Mapping):
+        for name, item in value.items():
+            yield from _named_in(item, datasets, str(name))
+    elif isinstance(value, list | tuple):
+        for item in value:
+            yield from _named_in(item, datasets, key)
+    elif isinstance(value, str) and ("dataset" in key) == datasets:
+        yield value
 
 
 def _note(version: ModelVersion) -> VersionNote:

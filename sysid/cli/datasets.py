@@ -1,4 +1,4 @@
-"""``sysid datasets [NAME]``: what the workspace holds, or what one dataset version is made of."""
+"""``sysid datasets [NAME]``: what the workspace holds, what one version is made of, and what may be done with versions."""
 
 from __future__ import annotations
 
@@ -8,17 +8,36 @@ import click
 
 from sysid.cli.output import Printer, json_option, write_json
 from sysid.cli.tables import show_dataset
+from sysid.errors import SettingsError
 
 if TYPE_CHECKING:
-    from sysid.datasets import Dataset
+    from sysid.datasets import Dataset, Store
 
 
-@click.command()
+class ReferenceGroup(click.Group):
+    """A group whose first argument may be a reference instead of a verb: ``sysid datasets NAME`` is ``… show NAME``."""
+
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        if not args or (args[0] not in self.commands and args[0] not in ctx.help_option_names):
+            args = ["show", *args]
+        return super().parse_args(ctx, args)
+
+
+@click.group(cls=ReferenceGroup, subcommand_metavar="[NAME[@VERSION] | VERB …]")
+def datasets() -> None:
+    """List dataset versions, show one, or say what is to be done with them.
+
+    `sysid datasets` lists them, `sysid datasets NAME[@VERSION]` shows one, with --quality what it is good for. With --json FILE
+    the result is written as JSON as well.
+    """
+
+
+@datasets.command()
 @click.argument("reference", metavar="[NAME[@VERSION]]", required=False)
 @click.option("--quality", is_flag=True, help="What NAME is good for: coverage, noise, and a verdict for every effect.")
 @json_option
 @click.pass_obj
-def datasets(workspace: str, reference: str | None, quality: bool, json_file: str | None) -> None:
+def show(workspace: str, reference: str | None, quality: bool, json_file: str | None) -> None:
     """List dataset versions, or show one."""
     from sysid.datasets import Store
 
@@ -33,7 +52,7 @@ def datasets(workspace: str, reference: str | None, quality: bool, json_file: st
     if reference is not None:
         dataset = store.load(reference)
         show_dataset(out, dataset)
-        write_json(json_file, describe(dataset))
+        write_json(json_file, {**describe(dataset), "tables": tables(store, dataset.reference)})
         return
     entries = store.list()
     write_json(json_file, {"schema": 1, "datasets": [_entry(entry) for entry in entries]})
@@ -43,8 +62,114 @@ def datasets(workspace: str, reference: str | None, quality: bool, json_file: st
     rows = [
         (entry.reference, entry.machine, entry.recordings, f"{entry.seconds:.0f}", entry.created, entry.digest[:12])
         for entry in entries
+        if not entry.damage
     ]
     out.table(("dataset", "machine", "recordings", "seconds", "made", "content"), rows, right=(2, 3))
+    for entry in entries:
+        if entry.damage:
+            out.line(f"{entry.reference} cannot be read: {entry.damage}")
+
+
+@datasets.command(name="diff")
+@click.argument("before", metavar="A")
+@click.argument("after", metavar="B")
+@json_option
+@click.pass_obj
+def diff_versions(workspace: str, before: str, after: str, json_file: str | None) -> None:
+    """Say how version B differs from version A.
+
+    Raw files, recipe and machine, clocks, roles, signals and units, how far the tables differ, and figures of quality.
+    """
+    from sysid.cli.version_tables import show_diff
+    from sysid.datasets import Store
+
+    found = Store(workspace).diff(before, after)
+    show_diff(Printer(json_file), found)
+    write_json(json_file, found.to_json())
+
+
+@datasets.command()
+@click.argument("reference", metavar="NAME[@VERSION]")
+@click.option("--fit", multiple=True, metavar="GLOB", help="Recordings that fit; may be given several times.")
+@click.option("--select", multiple=True, metavar="GLOB", help="Recordings that select.")
+@click.option("--held-out", multiple=True, metavar="GLOB", help="Recordings that prove.")
+@json_option
+@click.pass_obj
+def split(
+    workspace: str,
+    reference: str,
+    fit: tuple[str, ...],
+    select: tuple[str, ...],
+    held_out: tuple[str, ...],
+    json_file: str | None,
+) -> None:
+    """Make a version with other roles of the recordings; the tables are not copied.
+
+    Recordings that no option names keep their roles. Roles of a version never change: this makes a new one.
+    """
+    from sysid.datasets import Store
+    from sysid.datasets.splits import with_roles
+
+    out = Printer(json_file)
+    store = Store(workspace)
+    manifest = store.manifest(reference)
+    base = f"{manifest['name']}@{manifest['version']}"
+    roles = with_roles(manifest["splits"], {"fit": fit, "select": select, "held_out": held_out}, base)
+    dataset = store.resplit(base, roles)
+    show_dataset(out, dataset)
+    out.line(f"{base} has these roles already." if dataset.reference == base else f"{dataset.reference}: the tables of {base}.")
+    write_json(json_file, {**describe(dataset), "base": base})
+
+
+@datasets.command()
+@click.argument("reference", metavar="NAME[@VERSION]")
+@json_option
+@click.pass_obj
+def lineage(workspace: str, reference: str, json_file: str | None) -> None:
+    """Show where a version comes from, and the models that were made from it."""
+    from sysid.cli.version_tables import show_lineage
+    from sysid.datasets import lineage as lineage_of
+    from sysid.workspace import open_workspace
+
+    place = open_workspace(workspace)
+    found = lineage_of(place.datasets, reference)
+    models = place.made_from(found.dataset, found.digest)
+    show_lineage(Printer(json_file), found, models)
+    write_json(json_file, {**found.to_json(), "models": [{"model": m.reference, "kind": m.kind} for m in models]})
+
+
+@datasets.command()
+@click.argument("references", metavar="[NAME[@VERSION]]…", nargs=-1)
+@click.option("--keep", type=int, default=None, metavar="N", help="Remove all but the newest N versions of each dataset.")
+@click.option("--dry-run", is_flag=True, help="Only say what would be removed.")
+@click.option("--yes", is_flag=True, help="Remove it. Not needed where versions are named.")
+@json_option
+@click.pass_obj
+def vacuum(
+    workspace: str, references: tuple[str, ...], keep: int | None, dry_run: bool, yes: bool, json_file: str | None
+) -> None:
+    """Remove left-overs of interrupted work, and versions; never one that a model was made from.
+
+    NAME@VERSION is removed; NAME alone limits the work to that dataset. Without a version named and without --yes nothing is
+    removed, only said.
+    """
+    from sysid.cli.version_tables import show_vacuumed
+    from sysid.workspace import open_workspace
+
+    if dry_run and yes:
+        raise SettingsError("sysid datasets vacuum", "--dry-run with --yes", "one of them")
+    named = any("@" in reference for reference in references)
+    if named and keep is not None and not (yes or dry_run):
+        raise SettingsError(
+            "sysid datasets vacuum", "versions and --keep", "--yes as well", "Add --yes, or look with --dry-run."
+        )
+    place = open_workspace(workspace)
+    asked = dry_run or not (named or yes)
+    found = place.vacuum(references, keep=keep, dry_run=asked)
+    show_vacuumed(Printer(json_file), found, place.models.uri, hint=asked and not dry_run)
+    removed = [{"what": item.what, "size": item.size} for item in found.removed]
+    kept = [{"what": item.what, "reason": item.reason} for item in found.kept]
+    write_json(json_file, {"schema": 1, "dry_run": found.dry_run, "size": found.size, "removed": removed, "kept": kept})
 
 
 def _entry(entry: Any) -> dict[str, Any]:
@@ -55,7 +180,16 @@ def _entry(entry: Any) -> dict[str, Any]:
         "seconds": entry.seconds,
         "created": entry.created,
         "digest": entry.digest,
+        "damage": entry.damage,
     }
+
+
+def tables(store: Store, reference: str) -> list[dict[str, Any]]:
+    """Where other tools find the Delta tables of a version."""
+    return [
+        {"recordings": list(part.recordings), "samples": part.samples, "channels": part.channels}
+        for part in store.tables(reference)
+    ]
 
 
 def describe(dataset: Dataset) -> dict[str, Any]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
@@ -11,12 +12,21 @@ from sysid.cli.output import Printer, json_option, progress_bar, write_json
 from sysid.cli.tables import show_dataset
 from sysid.errors import SettingsError
 
+if TYPE_CHECKING:
+    from sysid.datasets import Role
+
 
 @click.command()
 @click.argument("paths", metavar="PATH…", nargs=-1, required=True, type=click.Path(path_type=Path))
 @click.option("--machine", type=click.Path(path_type=Path), default=None, metavar="machine.toml", help="The machine.")
 @click.option("--recipe", type=click.Path(path_type=Path), default=None, metavar="R.toml", help="Which field is which signal.")
 @click.option("--name", default=None, help="Name of the dataset; else the recipe's, else the machine's.")
+@click.option(
+    "--append", "to", default=None, metavar="NAME[@VERSION]", help="Only read what NAME does not hold yet, and add it."
+)
+@click.option(
+    "--role", default=None, metavar="fit|select|held_out", help="With --append: role of the new recordings; else the recipe's."
+)
 @click.option("--inspect", is_flag=True, help="Only show what is in the files, and draft a recipe for them.")
 @click.option(
     "--draft", type=click.Path(path_type=Path), default=None, metavar="R.toml", help="With --inspect: write the draft."
@@ -31,6 +41,8 @@ def ingest(
     machine: Path | None,
     recipe: Path | None,
     name: str | None,
+    to: str | None,
+    role: Role | None,
     inspect: bool,
     draft: Path | None,
     reader: str | None,
@@ -40,6 +52,9 @@ def ingest(
     """Turn raw logs into a new dataset version.
 
     PATH is a folder DIR with DIR/<recording>/<log files>, or a log file. The same files again give the same version.
+
+    With --append the new version holds the recordings of NAME, untouched and in their roles, and those of PATH that NAME does
+    not hold: with --role, else by the splits of the recipe, else they fit. Machine and recipe are those of NAME.
     """
     if inspect:
         from sysid.cli.ingest_inspect import inspect_paths
@@ -49,22 +64,30 @@ def ingest(
     for option, value in (("--draft", draft), ("--reader", reader), ("--dbc", dbc)):
         if value is not None:
             raise SettingsError(option, "given without --inspect", "both, or neither", "Add --inspect.")
+    if to is not None and name is not None:
+        raise SettingsError("--name", f"{name!r} with --append", "one of them", "A version that is added to keeps its name.")
+    if role is not None and to is None:
+        raise SettingsError("--role", "given without --append", "both, or neither", "Name roles in the recipe's [splits].")
     from sysid import datasets
     from sysid.cli.datasets import describe
 
+    store = datasets.Store(workspace)
+    before = store.manifest(to)["version"] if to is not None else 0
     begin = time.perf_counter()
     with progress_bar("ingest") as progress:
-        dataset = datasets.ingest(
-            list(paths),
-            workspace,
-            machine=machine,
-            recipe=recipe,
-            name=name,
-            progress=progress,
-        )
+        if to is not None:
+            dataset = datasets.append(list(paths), workspace, to, machine, recipe, role, progress)
+        else:
+            dataset = datasets.ingest(list(paths), workspace, machine, recipe, name, progress)
     seconds = time.perf_counter() - begin
     out = Printer(json_file)
     show_dataset(out, dataset)
+    if to is not None and dataset.version == before:
+        out.line(f"{dataset.reference} holds all of these recordings: nothing was added.")
+    elif to is not None:
+        for added in store.tables(dataset.reference)[-1].recordings:
+            as_role = f" as {dataset.splits[added]}" if added in dataset.splits else ""
+            out.line(f"added to {dataset.name}@{before}: {added}{as_role}")
     out.line(f"{dataset.reference} in {workspace} ({seconds:.1f} s)")
     out.line(f"What it is good for: sysid --workspace {workspace} datasets {dataset.reference} --quality")
     write_json(json_file, {**describe(dataset), "seconds": seconds})

@@ -90,7 +90,8 @@ def known_skews(records: Sequence[ClockRecord], domains: Mapping[tuple[str, str]
         # Recordings that were added later share a skew that holds what was known before: the narrowest interval is of all.
         best = min(own, key=lambda record: _half(record.skew_interval95))
         if all(abs(r.skew_ppm - best.skew_ppm) <= _half(r.skew_interval95) + _half(best.skew_interval95) for r in own):
-            known[domain] = KnownSkew(best.skew_ppm, best.skew_interval95, len({record.recording for record in own}))
+            shown = {record.recording for record in own if math.isfinite(record.residual_rms)}  # static poses show none
+            known[domain] = KnownSkew(best.skew_ppm, best.skew_interval95, len(shown))
     return known
 
 

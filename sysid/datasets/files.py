@@ -14,6 +14,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from stat import S_ISREG
 from typing import Any, BinaryIO, Protocol, cast
 
 from sysid.errors import StorageError, StoreError
@@ -75,8 +76,8 @@ class Files(Protocol):
         """Give a file another name; a process killed on the way leaves the old one, the new one, or both."""
         ...
 
-    def age_s(self, folder: str) -> float:
-        """Seconds since something was last written below ``folder``."""
+    def weight(self, folder: str) -> tuple[int, float]:
+        """Bytes below ``folder``, and seconds since the last of them was written."""
         ...
 
     def remove(self, path: str) -> None:
@@ -183,9 +184,10 @@ class LocalFiles:
         (self.root / path).replace(self.root / to)
         _sync((self.root / to).parent)
 
-    def age_s(self, folder: str) -> float:
-        entries = [self.root / folder, *(self.root / folder).rglob("*")]
-        return time.time() - max(entry.stat().st_mtime for entry in entries)
+    def weight(self, folder: str) -> tuple[int, float]:
+        states = [entry.stat() for entry in (self.root / folder, *(self.root / folder).rglob("*"))]
+        size = sum(state.st_size for state in states if S_ISREG(state.st_mode))
+        return size, time.time() - max(state.st_mtime for state in states)
 
     def remove(self, path: str) -> None:
         place = self.root / path
@@ -321,12 +323,13 @@ class ObjectFiles:
         system.copy_file(f"{root}/{path}", f"{root}/{to}")
         system.delete_file(f"{root}/{path}")
 
-    def age_s(self, folder: str) -> float:
+    def weight(self, folder: str) -> tuple[int, float]:
         from pyarrow.fs import FileSelector
 
         system, root = self._open()
         entries = system.get_file_info(FileSelector(f"{root}/{folder}", recursive=True))
-        return time.time() - max((entry.mtime.timestamp() for entry in entries if entry.mtime), default=0.0)
+        last = max((entry.mtime.timestamp() for entry in entries if entry.mtime), default=0.0)
+        return sum(entry.size or 0 for entry in entries), time.time() - last
 
     def remove(self, path: str) -> None:
         system, root = self._open()

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -105,12 +105,14 @@ def plan_of(
     paths: Sequence[Path | str] | Path | str,
     machine: Path | str | None,
     recipe: Path | str | None,
-    otherwise: tuple[Recipe | None, Machine] | None = None,
+    otherwise: Callable[[], Recipe | None] = lambda: None,
+    same: Machine | None = None,
 ) -> Plan:
     """Find recipe and machine for ``paths``.
 
     Args:
-        otherwise: recipe and machine where none is named and none lies beside the logs.
+        otherwise: gives the recipe where none is named and none lies beside the logs.
+        same: the machine where none is named and none lies beside the logs.
 
     Raises:
         InputError: a path that does not exist.
@@ -122,12 +124,12 @@ def plan_of(
             raise InputError(root, "no such file or folder", "a folder of recordings or a log file", "Check the path.")
     recipe_path = _recipe_path(recipe, roots)
     own = load_recipe(recipe_path) if recipe_path is not None else None
-    rules = own if own is not None or otherwise is None else otherwise[0]
+    rules = own if own is not None else otherwise()
     machine_path = _machine_path(machine, own, recipe_path, roots)
     if machine_path is not None:
         description = load_machine(machine_path)
-    elif otherwise is not None:
-        description = otherwise[1]
+    elif same is not None:
+        description = same
     else:
         remedy = "Give one with --machine, or name it in the recipe."
         raise SettingsError(roots[0], "no machine description", "machine.toml", remedy)
@@ -135,8 +137,8 @@ def plan_of(
     if rules is not None:
         check_against_machine(rules, description, where)
         if rules.logs is not None and recipe_path is not None:
-            same = [root.is_dir() and root.resolve() == recipe_path.parent.resolve() for root in roots]
-            roots = [root / rules.logs if here else root for root, here in zip(roots, same, strict=True)]
+            own_folder = [root.is_dir() and root.resolve() == recipe_path.parent.resolve() for root in roots]
+            roots = [root / rules.logs if here else root for root, here in zip(roots, own_folder, strict=True)]
     return Plan(tuple(roots), rules, description, where)
 
 
@@ -208,6 +210,7 @@ def walk(
     for number, recording in enumerate(clocked):
         report(0.8 + 0.1 * number / len(found), f"resampling {recording.name}")
         recordings.append(_recording(recording, by_source(clocks, recording.name), plan.machine, settings))
+    report(0.9, "judging what was recorded")
     made = Made(
         INGEST_VERSION, plan.rules.text if plan.rules is not None else "", settings_of(plan), shared_mounts(found, mounts)
     )

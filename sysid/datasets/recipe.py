@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
+import tomllib
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 from sysid.config import STRICT, inside, parse_settings, read_toml
 from sysid.errors import SettingsError, nearest
@@ -81,6 +82,26 @@ class Reference:
 
 
 @dataclass(frozen=True)
+class Survey:
+    """What was recorded to find the capture frame; read by ``sysid ingest --propose-frame`` alone.
+
+    Args:
+        markers: static marker (or rigid body) → its known place in the base frame [m].
+        axis: the axis that turns alone in this recording, the first one that moves; ``turning`` are markers or bodies it carries.
+        recording: glob of the recording; None: the first one with such a file.
+        seconds: from, to, on the stream's own clock counted from its first stamp; None: all of it.
+    """
+
+    __pydantic_config__ = STRICT
+
+    markers: dict[str, tuple[float, float, float]] = field(default_factory=dict)
+    axis: str | None = None
+    turning: tuple[str, ...] = ()
+    recording: str | None = None
+    seconds: tuple[float, float] | None = None
+
+
+@dataclass(frozen=True)
 class StreamMap:
     """One kind of file in a recording's folder.
 
@@ -118,6 +139,7 @@ class StreamMap:
     marker_sets: dict[str, tuple[str, ...]] = field(default_factory=dict)
     points: dict[str, PointMap] = field(default_factory=dict)
     reference: Reference | None = None
+    survey: Survey | None = None
 
 
 @dataclass(frozen=True)
@@ -183,25 +205,43 @@ def load_recipe(path: Path) -> Recipe:
     Raises:
         SettingsError: an unknown key, reader or value, or a path that leaves the recipe's folder.
     """
-    values = read_toml(path)
-    if "text" in values:
-        raise SettingsError(path, "unknown key 'text'", "the keys of a recipe", "Remove it.")
-    recipe = parse_settings({**values, "text": path.read_text("utf-8")}, Recipe, path)
+    recipe = _checked(read_toml(path), path.read_text("utf-8"), path)
     for key in ("machine", "logs"):
         value = getattr(recipe, key)
         if value is not None:
             inside(path.parent, value, f"{path}: {key}")
+    return replace(recipe, streams=tuple(_with_database(stream, path) for stream in recipe.streams))
+
+
+def stored_recipe(text: str, where: object) -> Recipe:
+    """The recipe of a stored version again; the files that it names are not stored with it.
+
+    Raises:
+        SettingsError: it names a CAN database, which only its folder has.
+    """
+    recipe = _checked(tomllib.loads(text), text, where)
+    for stream in recipe.streams:
+        if stream.dbc is not None:
+            found = f"the recipe names the database {stream.dbc!r}, which is not stored with the version"
+            raise SettingsError(where, found, "the recipe's folder", "Name the recipe with --recipe.")
+    return recipe
+
+
+def _checked(values: dict[str, Any], text: str, where: object) -> Recipe:
+    if "text" in values:
+        raise SettingsError(where, "unknown key 'text'", "the keys of a recipe", "Remove it.")
+    recipe = parse_settings({**values, "text": text}, Recipe, where)
     for pattern in (*recipe.recordings.files.values(), *(stream.files for stream in recipe.streams)):
         if Path(pattern).is_absolute() or ".." in Path(pattern).parts:
             raise SettingsError(
-                f"{path}: files", f"path {pattern!r} leaves the folder of the logs", "a path inside that folder"
+                f"{where}: files", f"path {pattern!r} leaves the folder of the logs", "a path inside that folder"
             )
     for stream in recipe.streams:
-        _check_stream(stream, path)
+        _check_stream(stream, where)
     for name, share in recipe.splits.held_out_last.items():
         if not 0.0 < share < 1.0:
-            raise SettingsError(f"{path}: splits.held_out_last.{name}", str(share), "a share between 0 and 1")
-    return replace(recipe, streams=tuple(_with_database(stream, path) for stream in recipe.streams))
+            raise SettingsError(f"{where}: splits.held_out_last.{name}", str(share), "a share between 0 and 1")
+    return recipe
 
 
 def _with_database(stream: StreamMap, path: Path) -> StreamMap:
@@ -216,8 +256,8 @@ def _with_database(stream: StreamMap, path: Path) -> StreamMap:
     return replace(stream, dbc=str(database))
 
 
-def _check_stream(stream: StreamMap, path: Path) -> None:
-    where = f"{path}: streams {stream.files!r}"
+def _check_stream(stream: StreamMap, recipe: object) -> None:
+    where = f"{recipe}: streams {stream.files!r}"
     if stream.reader is not None:
         reader = reader_named(stream.reader, where)
         if stream.clock is not None and stream.clock not in reader.clocks:
@@ -236,6 +276,12 @@ def _check_stream(stream: StreamMap, path: Path) -> None:
             raise SettingsError(f"{where}: points.{point}", found, "one of them")
         if entry.marker is not None and any(entry.at):
             raise SettingsError(f"{where}: points.{point}", "`at` with a marker", "a body: a single marker has no rotation")
+    survey = stream.survey
+    if survey is not None and bool(survey.turning) != (survey.axis is not None):
+        found = "points that turn without an axis" if survey.turning else f"axis {survey.axis!r} without points that it turns"
+        raise SettingsError(f"{where}: survey", found, "both `axis` and `turning`")
+    if survey is not None and not survey.turning and not survey.markers:
+        raise SettingsError(f"{where}: survey", "nothing to go by", "`markers` with known places, or `axis` and `turning`")
     for body, markers in stream.marker_sets.items():
         if len(set(markers)) < 3 or len(set(markers)) < len(markers):
             raise SettingsError(f"{where}: marker_sets.{body}", f"markers {list(markers)}", "at least three different ones")
@@ -260,6 +306,8 @@ def check_against_machine(recipe: Recipe, machine: Machine, where: object) -> No
             _check_signal(signal, machine, f"{where}: streams {stream.files!r}: secondary")
         for axis in stream.reference.joints if stream.reference else ():
             machine.axis(axis)
+        if stream.survey is not None and stream.survey.axis is not None:
+            machine.axis(stream.survey.axis)
         kinematics = machine.kinematics()
         if stream.bodies and kinematics is None:
             raise SettingsError(f"{where}: bodies", "rigid bodies on links", "a machine with a urdf")

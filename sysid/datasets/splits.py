@@ -14,6 +14,7 @@ from sysid.datasets.recipe import Splits
 from sysid.datasets.recording import Recording, Role
 from sysid.errors import InputError, SettingsError, nearest
 
+ROLES: tuple[Role, ...] = ("fit", "select", "held_out")
 #: Blocks shorter than this are not cut [s].
 MIN_BLOCK_S = 4.0
 #: Recordings from this length on give two pairs of fit and select blocks, so that both see early and late conditions [s].
@@ -93,7 +94,8 @@ def with_roles(roles: Mapping[str, Role], wanted: Mapping[Role, Sequence[str]], 
     Raises:
         SettingsError: no such recording, two roles for one, or nothing wanted.
     """
-    splits = Splits(*(tuple(wanted.get(role, ())) for role in ("fit", "select", "held_out")))
+    fit, select, held_out = (tuple(wanted.get(role, ())) for role in ROLES)
+    splits = Splits(fit=fit, select=select, held_out=held_out)
     named = _named_roles(list(roles), splits, where)
     if not named:
         raise SettingsError(where, "no role", "--fit, --select or --held-out with recordings")

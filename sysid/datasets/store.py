@@ -47,6 +47,8 @@ from sysid.machine import machine_from_files
 if TYPE_CHECKING:
     import pyarrow as pa
 
+    from sysid.datasets.diff import DatasetDiff
+
 #: What a failed write leaves, for its message.
 _STATE = "no version was made, those that are there are whole"
 
@@ -138,6 +140,12 @@ class Store:
             for number, part in enumerate(manifest["parts"])
         )
 
+    def diff(self, before: str, after: str) -> DatasetDiff:
+        """How version ``after`` differs from version ``before``: see :func:`sysid.datasets.diff.diff`."""
+        from sysid.datasets.diff import diff
+
+        return diff(self, before, after)
+
     def manifest(self, reference: str) -> Manifest:
         """What is written of a version, in the shape of the newest schema (``docs/guide/versions.md``).
 
@@ -158,13 +166,13 @@ class Store:
             raise StoreError(f"dataset {name}", f"no version {number!r}", f"one of: {listed}")
         return self.read_manifest(name, int(number) if number else versions[-1])
 
-    def read_manifest(self, name: str, version: int) -> Manifest:
-        """:meth:`manifest` of a version that is there."""
-        path = manifest_path(name, version)
+    def read_manifest(self, name: str, version: int, removed: bool = False) -> Manifest:
+        """:meth:`manifest` of a version that is there, or what vacuum left of one that was removed."""
+        path = manifest_path(name, version, removed)
         try:
             return from_text(self.files.read(path), path)
         except FileNotFoundError:
-            raise StoreError(path, "is gone", "a manifest as it was written", "Another process has just removed it.") from None
+            raise StoreError(path, "is gone", "a manifest", "It was removed by hand, or just now.") from None
 
     def versions(self, name: str) -> Sequence[int]:
         """Numbers of the versions of ``name``, rising."""

@@ -88,6 +88,8 @@ def test_imports_point_downwards(path: Path) -> None:
         assert not wrong, f"{path.relative_to(ROOT)} may not import {wrong}"
         return
     floor_of = {name: number for number, floor in enumerate(FLOORS) for name in floor}
+    if path == PACKAGE / "__init__.py":  # the front door: `sysid.load` opens a room when it is called
+        return
     mine = floor_of.get(part, -1)
     wrong = [
         f"line {line}: sysid.{other}"

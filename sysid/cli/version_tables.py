@@ -1,0 +1,129 @@
+"""What is printed of two versions that differ, of where one comes from, and of what a vacuum removed."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from sysid.cli.output import Printer
+    from sysid.datasets import DatasetDiff, Lineage, Vacuumed
+    from sysid.datasets.diff import Change, Names
+    from sysid.registry import ModelVersion
+
+#: Lines of figures of quality before the rest is only counted; all of them are in the JSON.
+MOST_FIGURES = 20
+
+
+def show_diff(out: Printer, found: DatasetDiff) -> None:
+    """How two versions differ, what weighs most first."""
+    out.line(f"{found.before} → {found.after}")
+    if found.empty:
+        out.line("The same: nothing differs." if found.same_content else "Nothing differs but the way they were made.")
+        return
+    _names(out, "recording", found.recordings)
+    _names(out, "raw file", found.sources)
+    _names(out, "signal", found.signals)
+    for change in found.units:
+        out.line(f"unit of {change.what}: [{change.before}] → [{change.after}]")
+    for change in found.splits:
+        out.line(f"role of {change.what}: {change.before or 'none'} → {change.after or 'none'}")
+    for text in found.texts.values():
+        out.line(text)
+    _changes(out, "made with", found.settings)
+    rows: list[tuple[str, ...]] = []
+    for clock in found.clocks:
+        offset, skew = (f"{a:+.6g} → {b:+.6g}" for a, b in (clock.offset_s, clock.skew_ppm))
+        applied = "" if all(clock.applied) else f"{_applied(clock.applied[0])} → {_applied(clock.applied[1])}"
+        rows.append((clock.recording, clock.stream, offset, skew, f"{1e3 * clock.mid_shift_s:+.3f}", applied))
+    if rows:
+        out.table(("recording", "clock of", "offset [s]", "skew [ppm]", "mid-recording [ms]", ""), rows, right=(2, 3, 4))
+    rows = []
+    for item in sorted(found.tables, key=lambda item: (item.recording, item.signal)):
+        lengths = str(item.rows[0]) if item.rows[0] == item.rows[1] else f"{item.rows[0]} → {item.rows[1]}"
+        missing = str(item.missing[0]) if item.missing[0] == item.missing[1] else f"{item.missing[0]} → {item.missing[1]}"
+        numbers = (f"{item.largest:.3g}", f"{item.rms:.3g}") if item.compared else ("–", "–")
+        rows.append((item.recording, item.signal, lengths, missing, *numbers, item.unit))
+    if rows:
+        out.table(("recording", "signal", "rows", "missing", "largest", "rms", "unit"), rows, right=(2, 3, 4, 5))
+    _changes(out, "quality", found.quality)
+
+
+def _applied(applied: bool) -> str:
+    return "aligned" if applied else "not aligned"
+
+
+def _names(out: Printer, what: str, names: Names) -> None:
+    for word, items in (("added", names.added), ("removed", names.removed), ("changed", names.changed)):
+        if items:
+            out.line(f"{what} {word}: {', '.join(items)}")
+
+
+def _changes(out: Printer, what: str, changes: Sequence[Change]) -> None:
+    for change in changes[:MOST_FIGURES]:
+        out.line(f"{what} {change.what}: {_text(change.before)} → {_text(change.after)}")
+    if len(changes) > MOST_FIGURES:
+        out.line(f"{what}: {len(changes) - MOST_FIGURES} more differ (--json FILE has them all)")
+
+
+def _text(value: Any) -> str:
+    return f"{value:.6g}" if isinstance(value, float) else "none" if value is None else str(value)
+
+
+def show_lineage(out: Printer, found: Lineage, models: Sequence[ModelVersion]) -> None:
+    """The chain of a version, from the raw files to the models."""
+    out.line(f"{found.dataset}  {found.digest}  made {found.created}")
+    for step in found.steps:
+        gone = "" if step.there else ", removed since"
+        out.line(f"  by {step.by} from {step.reference}  {step.digest[:12]}{gone}")
+    for name, digest in found.machine.items():
+        out.line(f"  {name}  {digest[:12]}")
+    for number, part in enumerate(found.parts, start=1):
+        out.line()
+        out.line(f"part {number} of {len(found.parts)}: {', '.join(part.recordings)}")
+        for source in part.sources:
+            out.line(f"  raw       {source.sha256[:12]}  {source.path}  {source.size} bytes")
+        out.line(f"  recipe    {part.recipe_sha256[:12] or 'none: columns have canonical names'}")
+        for clock in part.clocks:
+            told = f"{clock.offset_s:+.6f} s, {clock.skew_ppm:+.1f} ppm" if clock.applied else f"not aligned: {clock.reason}"
+            out.line(f"  clock     {clock.stream} of {clock.recording}: {told}")
+        settings = ", ".join(f"{name} {value}" for name, value in part.settings.items() if name != "streams")
+        out.line(f"  resampled {settings or 'with settings that were not recorded'}")
+        software = ", ".join(f"{name} {version}" for name, version in part.software.items())
+        out.line(f"  by        sysid {part.sysid}, ingest {part.ingest}{', ' + software if software else ''}, {part.created}")
+        for place, digests in part.tables.items():
+            out.line(f"  table     {', '.join(digest[:12] for digest in digests) or '–'}  {place}")
+    roles: dict[str, list[str]] = {}
+    for recording, role in found.splits.items():
+        roles.setdefault(role, []).append(recording)
+    out.line()
+    for role, names in roles.items():
+        out.line(f"{role:<9} {', '.join(names)}")
+    for model in models:
+        aliases = f"  ({', '.join(model.aliases)})" if model.aliases else ""
+        out.line(f"model     {model.reference}  {model.kind}  {model.digest[:12]}{aliases}")
+    if not models:
+        out.line("model     none was made from it")
+
+
+def show_vacuumed(out: Printer, found: Vacuumed, registry: str, hint: bool) -> None:
+    """What was removed and kept; ``hint`` says how to have it removed."""
+    for item in found.removed:
+        out.line(f"{'would remove' if found.dry_run else 'removed'} {item.what}  {_size(item.size)}")
+    for kept in found.kept:
+        out.line(f"kept {kept.what}: {kept.reason}")
+    if not found.removed and not found.kept:
+        out.line("Nothing to remove.")
+        return
+    out.line(f"{_size(found.size)} {'would become' if found.dry_run else 'are'} free. Models were looked up in {registry}.")
+    if hint and found.removed:
+        out.line("Nothing was removed yet: the same command with --yes removes it.")
+
+
+def _size(count: int) -> str:
+    size = float(count)
+    for unit in ("bytes", "kB", "MB"):
+        if size < 1000.0:
+            return f"{size:.0f} {unit}" if unit == "bytes" else f"{size:.1f} {unit}"
+        size /= 1000.0
+    return f"{size:.1f} GB"

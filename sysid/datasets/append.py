@@ -1,0 +1,214 @@
+"""New recordings behind those of a version: only they are read and written, and what the version holds stays as it is."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from fnmatch import fnmatchcase
+from glob import escape
+from pathlib import Path
+from typing import Any, get_args
+
+import numpy as np
+
+from sysid.datasets.channels import Mounts, survey_mounts
+from sysid.datasets.clocks import known_skews
+from sysid.datasets.discover import RecordingFiles, discover
+from sysid.datasets.ingest import content_of, plan_of, sources_of, walk
+from sysid.datasets.manifest import Manifest, clock_from, digest_of
+from sysid.datasets.recipe import Splits, stored_recipe
+from sysid.datasets.recording import Dataset, Recording, Role, Source
+from sysid.datasets.splits import split
+from sysid.datasets.store import Store
+from sysid.errors import InputError, SettingsError, nearest
+from sysid.machine import Machine, machine_from_files
+from sysid.progress import Progress, silent
+
+#: Of new recordings where neither the caller nor the recipe gives one: what proves a model stays what it was.
+DEFAULT_ROLE: Role = "fit"
+
+
+def append(
+    paths: Sequence[Path | str] | Path | str,
+    workspace: Path | str,
+    to: str,
+    machine: Path | str | None = None,
+    recipe: Path | str | None = None,
+    role: Role | None = None,
+    progress: Progress | None = None,
+) -> Dataset:
+    """Read the recordings that ``to`` does not hold yet, and store it with them as the next version.
+
+    Nothing of ``to`` is read again or rewritten: the new version names its tables and one more. Its recordings keep their
+    roles. A new recording has ``role``, else what the splits of the recipe say, else :data:`DEFAULT_ROLE`. What ``to`` knows of
+    the devices (skew of their clocks, mounts of rigid bodies where one reference pose is for all) holds for the new recordings.
+
+    Args:
+        paths: folders of recordings or log files; recordings that ``to`` holds may be among them.
+        workspace: folder or object-store URL.
+        to: ``name`` (its newest version) or ``name@3``.
+        machine: has to be the description that ``to`` was made with; default: that one.
+        recipe: ``recipe.toml``; else the one beside the logs, else the one that ``to`` was last made with.
+        role: of the new recordings.
+        progress: called with the share done and a text.
+
+    Returns:
+        The new version; ``to`` itself where nothing is new.
+
+    Raises:
+        InputError: a log that cannot be used, or a recording that ``to`` holds with other content or under another name.
+        SettingsError: another machine, a mistake in the recipe, an unknown role.
+        StoreError: no such version.
+    """
+    from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]
+
+    if role is not None and role not in get_args(Role):
+        raise SettingsError("role", repr(role), nearest(role, get_args(Role)))
+    with threadpool_limits(limits=1):
+        return _append(paths, Store(workspace), to, machine, recipe, role, progress or silent)
+
+
+def _append(
+    paths: Sequence[Path | str] | Path | str,
+    store: Store,
+    to: str,
+    machine: Path | str | None,
+    recipe: Path | str | None,
+    role: Role | None,
+    report: Progress,
+) -> Dataset:
+    base = store.manifest(to)
+    name, reference = base["name"], f"{base['name']}@{base['version']}"
+    description = machine_from_files(base["machine"], f"dataset {reference}")
+    text = base["parts"][-1]["made"]["recipe"]
+    plan = plan_of(paths, machine, recipe, lambda: stored_recipe(text, f"{reference}: recipe") if text else None, description)
+    _check_machine(plan.machine, description, reference)
+    report(0.0, "reading file names")
+    found, sources = _new_recordings(discover(plan.roots, plan.rules), base["sources"], reference)
+    if not found:
+        report(1.0, f"{reference} holds all of these recordings")
+        return store.load(reference)
+    digest = digest_of({"base": base["digest"], "role": role, **content_of(sources, plan.rules)})
+    known = store.intact(name, digest)
+    if known is not None:
+        report(1.0, f"the same recordings on {reference} are {known.reference}")
+        return known
+
+    skews = known_skews([clock_from(item) for item in base["clocks"]], store.clock_domains(reference))
+    walked = walk(found, plan, _mounts(found, plan.machine, base), report, skews)
+    settings = plan.rules.splits if plan.rules is not None else Splits()
+    parts, roles = split(walked.recordings, _roles(walked.recordings, settings, role), plan.where)
+    addition = walked.dataset(name, digest, plan.machine, parts, roles, sources)
+    for signal, unit in addition.units.items():
+        if base["units"].get(signal, unit) != unit:
+            expected = f"[{base['units'][signal]}] as in {reference}"
+            raise InputError(f"{plan.where}: {signal}", f"[{unit}]", expected, "Correct the unit in the recipe.")
+    addition = replace(addition, quality=joined_quality(base["quality"], addition.quality))
+    report(0.95, "storing")
+    saved = store.append(reference, addition, walked.channels, walked.made)
+    report(1.0, f"stored {saved.reference}")
+    return saved
+
+
+def _check_machine(given: Machine, expected: Machine, reference: str) -> None:
+    ours, theirs = expected.files(), given.files()
+    if ours == theirs:
+        return
+    file = next(name for name in {**ours, **theirs} if ours.get(name) != theirs.get(name))
+    lines = difflib.ndiff(ours.get(file, "").splitlines(), theirs.get(file, "").splitlines())
+    first = next((line for line in lines if line.startswith(("- ", "+ "))), "")
+    raise SettingsError(
+        file,
+        f"another machine than in {reference}: {first!r}",
+        "the description that the version was made with",
+        "Ingest all recordings again with the new description, or leave --machine out and no machine.toml beside the logs.",
+    )
+
+
+def _new_recordings(
+    found: Sequence[RecordingFiles], held: Sequence[Mapping[str, Any]], reference: str
+) -> tuple[tuple[RecordingFiles, ...], tuple[Source, ...]]:
+    """The recordings that are not among the sources ``held``, with their own sources.
+
+    Raises:
+        InputError: a recording that is held with other content, or the same content under another name.
+    """
+    before: dict[str, dict[str, str]] = {}
+    for source in held:
+        recording, _, file = source["path"].rpartition("/")
+        before.setdefault(recording, {})[file] = source["sha256"]
+    names = {frozenset(files.values()): recording for recording, files in before.items()}
+    new: list[RecordingFiles] = []
+    sources: list[Source] = []
+    for files in found:
+        own = sources_of([files])
+        content = {source.path.rpartition("/")[2]: source.sha256 for source in own}
+        if before.get(files.name) == content:
+            continue
+        if files.name in before:
+            raise InputError(
+                f"recording {files.name}",
+                f"other content than in {reference}, which holds a recording of this name",
+                "a recording that is new",
+                "Give its folder another name; a version never changes.",
+            )
+        same = names.get(frozenset(content.values()))
+        if same is not None:
+            found_text = f"the same files as recording {same!r} of {reference}"
+            raise InputError(
+                f"recording {files.name}", found_text, "a recording that is new", "It would count twice: leave it out."
+            )
+        new.append(files)
+        sources += own
+    return tuple(new), tuple(sources)
+
+
+def _mounts(found: Sequence[RecordingFiles], machine: Machine, base: Manifest) -> Mounts:
+    """Where the bodies sit: as in ``base`` where one reference pose is for all recordings, else by the recordings' own."""
+    known: dict[str, dict[str, Any]] = {}
+    for part in base["parts"]:
+        known |= part["made"]["mounts"]
+    mounts: dict[tuple[str, str], dict[str, Any]] = {}
+    open_files = []
+    for files in found:
+        rest = []
+        for path, stream in files.streams:
+            shared = stream is not None and stream.reference is not None and stream.reference.recording is not None
+            if stream is not None and shared and {*stream.bodies} <= {*known.get(stream.files, ())}:
+                poses = known[stream.files]
+                mounts[files.name, stream.files] = {body: np.array(poses[body], dtype=np.float64) for body in stream.bodies}
+            else:
+                rest.append((path, stream))
+        open_files.append(replace(files, streams=tuple(rest)))
+    return {**survey_mounts(open_files, machine), **mounts}
+
+
+def _roles(recordings: Sequence[Recording], splits: Splits, role: Role | None) -> Splits:
+    """The splits of the recipe for ``recordings`` alone, ``role`` before them and the default behind them."""
+    names = [recording.name for recording in recordings if recording.kind == "motion"]
+    if role is not None:
+        return Splits(**{role: tuple(map(escape, names))}, guard_s=splits.guard_s)  # type: ignore[arg-type]
+    last = {name: share for name, share in splits.held_out_last.items() if name in names}
+    named: dict[str, list[str]] = {"fit": [], "select": [], "held_out": []}
+    for key, chosen in named.items():
+        patterns = getattr(splits, key)
+        chosen += [name for name in names if any(fnmatchcase(name, pattern) for pattern in patterns)]
+    taken = {name for chosen in named.values() for name in chosen} | {*last}
+    named[DEFAULT_ROLE] += [name for name in names if name not in taken]
+    fit, select, held_out = (tuple(map(escape, named[key])) for key in ("fit", "select", "held_out"))
+    return Splits(fit=fit, select=select, held_out=held_out, held_out_last=last, guard_s=splits.guard_s)
+
+
+def joined_quality(base: Mapping[str, Any], more: Mapping[str, Any]) -> dict[str, Any]:
+    """Figures by recording of both; lists one behind the other."""
+    joined = dict(base)
+    for key, value in more.items():
+        earlier = base.get(key)
+        if isinstance(earlier, Mapping) and isinstance(value, Mapping):
+            joined[key] = {**earlier, **value}
+        elif isinstance(earlier, list) and isinstance(value, list | tuple):
+            joined[key] = [*earlier, *value]
+        else:
+            joined[key] = value
+    return joined

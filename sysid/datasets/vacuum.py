@@ -1,0 +1,152 @@
+"""Removing versions and left-overs: never what a model was made from, the manifest first, the data after it.
+
+A process that is killed in between leaves tables that no version names; they are invisible, and the next vacuum removes them.
+The manifest of a removed version stays as ``<number>.removed.json``: its number is never given again, and what it was made of
+can still be read.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+
+from sysid.datasets.files import explained
+from sysid.datasets.store import Store, manifest_path
+from sysid.errors import SettingsError, StoreError, nearest
+
+#: Tables without a manifest may be those of a writer at work where nothing is locked: they are left alone for so long [s].
+YOUNG_S = 24 * 3600.0
+
+#: (reference, digest) of a version → who was made from it; the digest is empty where the manifest cannot be read.
+Users = Callable[[str, str], Sequence[str]]
+
+
+@dataclass(frozen=True)
+class Removed:
+    """A version (``autolog@1``), or a folder or file that no version refers to; ``size`` is what it alone takes [bytes]."""
+
+    what: str
+    size: int
+
+
+@dataclass(frozen=True)
+class Kept:
+    """What was asked for or found, and not removed."""
+
+    what: str
+    reason: str
+
+
+@dataclass(frozen=True)
+class Vacuumed:
+    """What a vacuum removed, or would remove where ``dry_run``."""
+
+    removed: tuple[Removed, ...]
+    kept: tuple[Kept, ...]
+    dry_run: bool
+
+    @property
+    def size(self) -> int:
+        """Bytes that became free."""
+        return sum(item.size for item in self.removed)
+
+
+def vacuum(
+    store: Store, users: Users, references: Sequence[str] = (), keep: int | None = None, dry_run: bool = False
+) -> Vacuumed:
+    """Remove left-overs of killed writers, and versions.
+
+    Args:
+        users: who was made from a version; a version that has users is kept.
+        references: versions to be removed (``name@3``); a ``name`` alone limits the work to this dataset.
+        keep: of each dataset, remove all versions but the newest so many.
+        dry_run: change nothing.
+
+    Raises:
+        SettingsError: ``keep`` is below 1.
+        StoreError: no such version.
+        StorageError: the workspace may not be written.
+    """
+    if keep is not None and keep < 1:
+        raise SettingsError("keep", str(keep), "at least 1", "Name versions to remove all of a dataset.")
+    there = store.files.folders("datasets")
+    wanted: dict[str, set[int]] = {}
+    for reference in references:
+        name, _, number = reference.partition("@")
+        if name not in there:
+            raise StoreError(f"workspace {store.workspace}", f"no dataset {name!r}", nearest(name, there))
+        wanted.setdefault(name, set())
+        if number:
+            if not number.isdigit() or int(number) not in store.versions(name):
+                store.manifest(reference)  # says what there is
+            wanted[name].add(int(number))
+    removed: list[Removed] = []
+    kept: list[Kept] = []
+    for name in sorted(wanted) or there:
+        with store.files.lock(f"datasets/{name}"):
+            some, others = _one(store, name, wanted.get(name, set()), users, keep, dry_run)
+            removed += some
+            kept += others
+    return Vacuumed(tuple(removed), tuple(kept), dry_run)
+
+
+def _one(
+    store: Store, name: str, named: Iterable[int], users: Users, keep: int | None, dry_run: bool
+) -> tuple[list[Removed], list[Kept]]:
+    """One dataset, whose lock is held."""
+    versions = store.versions(name)
+    kept: list[Kept] = []
+    going = []
+    folders: dict[int, frozenset[str] | None] = {}
+    for version in versions:
+        digest, folders[version] = _read(store, name, version)
+        if version in named or (keep is not None and version in versions[:-keep]):
+            by = users(f"{name}@{version}", digest)
+            if by:
+                kept.append(Kept(f"{name}@{version}", f"{', '.join(by)} was made from it"))
+            elif folders[version] is None and version not in named:
+                kept.append(Kept(f"{name}@{version}", "its manifest cannot be read: name the version to remove it"))
+            else:
+                going.append(version)
+    staying = [folders[version] for version in versions if version not in going]
+    data = f"datasets/{name}/data"
+    weights = {folder: store.files.weight(f"{data}/{folder}") for folder in store.files.folders(data)}
+    removed = []
+    loose: list[str] = []
+    if any(own is None for own in staying):
+        reason = "a manifest of this dataset cannot be read, and may refer to data that no other refers to"
+        kept.append(Kept(data, reason))
+        removed += [Removed(f"{name}@{version}", 0) for version in going]
+    else:
+        needed = {folder for own in staying for folder in own or ()}
+        free = {folder for folder in weights if folder not in needed}
+        for version in going:
+            own = {folder for folder in folders[version] or () if folder in free}
+            removed.append(Removed(f"{name}@{version}", sum(weights[folder][0] for folder in own)))
+            free -= own
+            loose += own
+        for folder in sorted(free):
+            size, age = weights[folder]
+            if not store.files.locks and age < YOUNG_S:
+                kept.append(Kept(f"{data}/{folder}", "younger than a day: a writer may be at work on it"))
+            else:
+                removed.append(Removed(f"{data}/{folder}", size))
+                loose.append(folder)
+    drafts = [f"datasets/{name}/versions/{file}" for file in store.files.names(f"datasets/{name}/versions") if file[0] == "."]
+    removed += [Removed(draft, 0) for draft in drafts]
+    if not dry_run:
+        with explained(store.workspace, "what was removed so far is gone whole, the rest is as it was"):
+            for version in going:
+                store.files.rename(manifest_path(name, version), manifest_path(name, version, removed=True))
+            for path in (*(f"{data}/{folder}" for folder in loose), *drafts):
+                store.files.remove(path)
+    return removed, kept
+
+
+def _read(store: Store, name: str, version: int) -> tuple[str, frozenset[str] | None]:
+    """Digest of a version and the folders of its data; empty and None where its manifest cannot be read."""
+    try:
+        manifest = store.read_manifest(name, version)
+    except StoreError:
+        return "", None
+    return manifest["digest"], frozenset(part["folder"].rpartition("/")[2] for part in manifest["parts"])
