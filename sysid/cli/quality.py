@@ -74,10 +74,12 @@ def show_evidence(out: Printer, evidence: Evidence, dataset: Dataset) -> None:
         )
         out.table(header, rows, right=range(1, 8))
     if evidence.maps:
-        maps = sorted(evidence.maps, key=lambda item: item.covered)
-        listed = ", ".join(f"{m.first.axis}–{m.second.axis} {percent(m.covered)}" for m in maps[:6])
+        maps = sorted(evidence.maps, key=lambda item: item.covered_moving)
+        listed = ", ".join(f"{m.first.axis}–{m.second.axis} {percent(m.covered_moving)}" for m in maps[:6])
         more = f" and {len(maps) - 6} more above" if len(maps) > 6 else ""
-        out.line(f"joint space, share of cells visited: {listed}{more}")
+        posed = min(m.covered for m in maps)
+        poses = f" (with the poses {percent(posed)} or more)" if posed > maps[0].covered_moving else ""
+        out.line(f"joint space, share of cells visited in motion: {listed}{more}{poses}")
     if evidence.together_s:
         both = sorted(evidence.together_s.items(), key=lambda item: item[1])
         listed = ", ".join(f"{a}+{b} {seconds:.0f} s" for (a, b), seconds in both[:6])

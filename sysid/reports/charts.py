@@ -67,7 +67,7 @@ def chart(
         parts.append(
             f'<rect class="noise" x="{LEFT:.0f}" y="{top:.1f}" width="{width - LEFT - RIGHT:.0f}" height="{bottom - top:.1f}"/>'
         )
-    parts += _grid(low, high, py, width)
+    parts += grid_lines(low, high, py, width)
     parts += _x_axis(first, last, px, names, x, height)
     for line in lines:
         parts.append(_curve(x, line, px, py))
@@ -108,7 +108,8 @@ def ticks(low: float, high: float, count: int = 4) -> list[float]:
     return found
 
 
-def _grid(low: float, high: float, py: Scale, width: float) -> list[str]:
+def grid_lines(low: float, high: float, py: Scale, width: float) -> list[str]:
+    """Horizontal lines at round values, with their numbers."""
     values = ticks(low, high)
     decimals = display.decimals_for([values[1] - values[0]] if len(values) > 1 else values, 1)
     parts = []

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from sysid.datasets.recording import Dataset
+from sysid.gap.readiness import Readiness
 from sysid.gap.result import GapResult
 from sysid.validate import ValidationReport
 
@@ -39,6 +40,7 @@ class ReportInputs:
         validations: error reports of the networks fitted on it.
         versions: lineage, oldest first.
         created: when the report was made, in the words to print; empty to leave it out (a report is then reproducible).
+        readiness: which effects the recordings could show.
         software: name → version of what computed the figures.
     """
 
@@ -48,3 +50,4 @@ class ReportInputs:
     versions: tuple[VersionNote, ...] = ()
     created: str = ""
     software: Mapping[str, str] = field(default_factory=dict)
+    readiness: Readiness | None = None

@@ -14,7 +14,19 @@ from markupsafe import Markup
 from sysid.files import written_whole
 from sysid.reports import display, words
 from sysid.reports.inputs import ReportInputs
-from sysid.reports.sections import evidence, experiments, networks, parameters, proof, quality, summary, traces, versions, where
+from sysid.reports.sections import (
+    evidence,
+    experiments,
+    networks,
+    parameters,
+    proof,
+    quality,
+    readiness,
+    summary,
+    traces,
+    versions,
+    where,
+)
 
 Context = dict[str, Any]
 
@@ -38,6 +50,7 @@ SECTIONS: tuple[Section, ...] = (
     Section("evidence", "Candidates and evidence", evidence.context),
     Section("experiments", "What to record next", experiments.context),
     Section("networks", "Networks", networks.context),
+    Section("readiness", "Excitation", readiness.context),
     Section("quality", "The recordings", quality.context),
     Section("versions", "Versions", versions.context),
 )

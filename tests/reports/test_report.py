@@ -12,8 +12,10 @@ import pytest
 from sample_crane import sample_gap, sample_unnamed
 
 from sysid.datasets.recording import Dataset
+from sysid.gap.readiness import readiness
 from sysid.gap.result import Check, Evidence, Gap, GapResult, Promotion, WorldGap
 from sysid.machine import load_machine
+from sysid.plant import nominal_plant
 from sysid.reports import ReportInputs, VersionNote, build_report, display, write_report
 from sysid.reports.moments import worst_moment
 from sysid.reports.picture import machine_picture
@@ -87,7 +89,8 @@ def gap(crane: Dataset) -> GapResult:
 @pytest.fixture(scope="module")
 def page(crane: Dataset, gap: GapResult) -> Page:
     notes = (VersionNote("autolog@3", "dataset", "ab" * 32), VersionNote("autolog@2", "plant", "cd" * 32, ("autolog@3",)))
-    return Page(build_report(ReportInputs(crane, gap, versions=notes, created="21 November 2026")))
+    found = readiness(crane, nominal_plant(crane.machine))
+    return Page(build_report(ReportInputs(crane, gap, versions=notes, created="21 November 2026", readiness=found)))
 
 
 def test_every_section_is_there_in_order(page: Page) -> None:

@@ -71,8 +71,12 @@ class PairMap:
 
         Of the whole rectangle: what the machine cannot reach counts as not visited.
         """
-        visited = (np.array(self.seconds) >= VISITED_S) | (np.array(self.poses) > 0)
-        return float(visited.mean())
+        return float(((np.array(self.seconds) >= VISITED_S) | (np.array(self.poses) > 0)).mean())
+
+    @property
+    def covered_moving(self) -> float:
+        """The same without the poses."""
+        return float((np.array(self.seconds) >= VISITED_S).mean())
 
 
 def spans_of(recordings: Sequence[Recording], machine: Machine) -> tuple[Span, ...]:

@@ -87,7 +87,12 @@ class Evidence:
             "together_s": _pairs(self.together_s),
             "ranges": {span.axis: {**asdict(span), "covered": span.covered} for span in self.spans},
             "coverage": {
-                f"{m.first.axis}+{m.second.axis}": {"covered": m.covered, "seconds": m.seconds, "poses": m.poses}
+                f"{m.first.axis}+{m.second.axis}": {
+                    "covered": m.covered,
+                    "covered_moving": m.covered_moving,
+                    "seconds": m.seconds,
+                    "poses": m.poses,
+                }
                 for m in self.maps
             },
             "postures": [{**asdict(rest), "seconds": rest.seconds} for rest in self.postures],

@@ -1,4 +1,4 @@
-"""What the recordings contain: length, completeness, range, clocks, files."""
+"""What the recordings contain: length, completeness, use of each axis, joint space, noise, clocks, files."""
 
 from __future__ import annotations
 
@@ -7,17 +7,43 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
+from markupsafe import Markup
 
+from sysid.datasets.quality import Evidence, evidence_of
+from sysid.datasets.quality.coverage import PairMap
+from sysid.datasets.quality.use import AxisUse
 from sysid.datasets.recording import ClockRecord, Dataset, Recording
 from sysid.reports import display, words
+from sysid.reports.charts import SMALL, WIDE
+from sysid.reports.coverage_pictures import command_picture, map_picture
 from sysid.reports.inputs import ReportInputs
 
+#: Maps of pairs of axes shown at once, those with most left to visit; the others are folded.
+SHOWN = 3
 _ROLES = {"fit": "fit", "select": "selection", "held_out": "held out (proof)"}
 
 
 def context(inputs: ReportInputs) -> dict[str, Any]:
     dataset = inputs.dataset
+    evidence = evidence_of(dataset)
+    paired = len(evidence.axes) in (2, 4)
+    maps = [_map(item, evidence, dataset) for item in sorted(evidence.maps, key=lambda item: item.covered_moving)]
     return {
+        "axes": [_axis(name, use, dataset, WIDE if paired else SMALL) for name, use in evidence.axes.items()],
+        "bands": any(dataset.machine.axis(name).actuation != "position" for name in evidence.axes),
+        "paired": paired,
+        "poses": any(recording.poses for recording in evidence.recordings),
+        "by_recording": _by_recording(evidence),
+        "maps": maps[:SHOWN],
+        "more_maps": maps[SHOWN:],
+        "together": [
+            {"pair": f"{a} + {b}", "seconds": display.fixed(s, 0)}
+            for (a, b), s in sorted(evidence.together_s.items(), key=lambda i: i[1])
+        ],
+        "rest": _rest(evidence),
+        "noise": _noise(evidence, dataset),
+        "repeats": len(evidence.repeats),
+        "flagged": _flagged(dataset.quality),
         "reference": dataset.reference,
         "recordings": [_recording(recording, dataset) for recording in dataset.recordings],
         "ranges": _ranges(dataset),
@@ -85,6 +111,94 @@ def _ranges(dataset: Dataset) -> list[dict[str, Any]]:
             }
         )
     return rows
+
+
+def _axis(name: str, use: AxisUse, dataset: Dataset, size: tuple[float, float]) -> dict[str, Any]:
+    axis = dataset.machine.axis(name)
+    small = axis.actuation != "position"
+    return {
+        "name": name,
+        "picture": Markup(command_picture(use, dataset.units.get(f"{name}.command", "1"), small, size)),
+        "small": _sides(use.small_negative_s, use.small_positive_s) if small else display.NOTHING,
+        "given": _sides(use.negative_s, use.positive_s),
+        "slow": _sides(use.slow_negative_s, use.slow_positive_s),
+        "idle": display.fixed(use.idle_s, 1),
+        "changes": use.command_changes,
+        "reversals": use.reversals,
+        "covered": f"{display.percent(use.covered(-1))} / {display.percent(use.covered(1))}",
+    }
+
+
+def _sides(negative: float, positive: float) -> str:
+    """Seconds in either direction."""
+    return f"{display.fixed(negative, 1)} / {display.fixed(positive, 1)}"
+
+
+def _by_recording(evidence: Evidence) -> list[dict[str, Any]]:
+    """The same figures, recording by recording: in which one an axis was used."""
+    rows = []
+    for recording in evidence.recordings:
+        for name, use in recording.axes.items():
+            rows.append(
+                {
+                    "recording": recording.name,
+                    "axis": name,
+                    "given": _sides(use.negative_s, use.positive_s),
+                    "small": _sides(use.small_negative_s, use.small_positive_s),
+                    "slow": _sides(use.slow_negative_s, use.slow_positive_s),
+                    "changes": use.command_changes,
+                    "reversals": use.reversals,
+                    "rests": len(recording.rests),
+                }
+            )
+    return rows
+
+
+def _map(item: PairMap, evidence: Evidence, dataset: Dataset) -> dict[str, Any]:
+    missing = " (no limits are known: of what was recorded)" if "recorded" in (item.first.source, item.second.source) else ""
+    visited = display.percent(item.covered_moving)
+    if item.covered > item.covered_moving:
+        visited += f" (with the poses {display.percent(item.covered)})"
+    return {
+        "picture": Markup(map_picture(item, evidence.postures, dataset.units)),
+        "caption": f"{item.first.axis} and {item.second.axis}: {visited} of the cells visited{missing}",
+    }
+
+
+def _rest(evidence: Evidence) -> str:
+    phases = [phase for recording in evidence.recordings for phase in recording.rests]
+    if not phases:
+        return "The machine never stood still for a second."
+    times, postures = len(phases), len(evidence.postures)
+    total, longest = sum(phase.seconds for phase in phases), max(phase.seconds for phase in phases)
+    return (
+        f"The machine stood still {times} time{'s' if times > 1 else ''}, {display.number(total)} s in all, at most "
+        f"{display.number(longest)} s, in {postures} clearly different posture{'s' if postures > 1 else ''}."
+    )
+
+
+def _noise(evidence: Evidence, dataset: Dataset) -> list[dict[str, str]]:
+    rows = []
+    for signal, noise in evidence.noise.items():
+        unit = dataset.units.get(signal)
+        values = {"sheet": noise.sheet, "moving": noise.moving, "still": noise.still, "repeats": noise.repeats}
+        shown = {key: display.NOTHING if value is None else display.quantity(value, unit) for key, value in values.items()}
+        rows.append({"signal": words.signal_name(signal), **shown})
+    return rows
+
+
+def _flagged(quality: Mapping[str, Any]) -> list[dict[str, str]]:
+    """What ingest flagged sample by sample; the values are in the tables all the same."""
+    return [
+        {
+            "recording": str(flag["recording"]),
+            "signal": words.signal_name(str(flag["signal"])),
+            "kind": str(flag["kind"]).replace("_", " "),
+            "when": f"{display.fixed(float(flag['from_s']), 2)} to {display.fixed(float(flag['to_s']), 2)}",
+            "text": str(flag["text"]),
+        }
+        for flag in quality.get("flags", ())
+    ]
 
 
 def _clock(clock: ClockRecord) -> dict[str, Any]:

@@ -1,0 +1,100 @@
+"""What the recordings could show: the verdict for every effect and place, and what to record where it is not enough."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from sysid.gap.readiness import Readiness, Verdict
+from sysid.machine import Machine
+from sysid.reports import display, words
+from sysid.reports.inputs import ReportInputs
+from sysid.reports.verdicts import SIDES, amount, by_reason, wish_text
+from sysid.signals import split_signal
+
+#: The need stands at this share of the length of a bar: what is to the right of it is more than enough.
+MARK = 50.0
+_ORDER = ("lacking", "ready", "hidden")
+
+
+def context(inputs: ReportInputs) -> dict[str, Any] | None:
+    found = inputs.readiness
+    if found is None:
+        return None
+    machine = inputs.dataset.machine
+    counted = {_column(v, machine) for v in found.verdicts if v.status != "hidden"}
+    columns, others = [name for name in machine.axis_names if name in counted], "" in counted
+    reasons = by_reason(found.of("hidden"))
+    return {
+        "ready": len(found.of("ready")),
+        "lacking": len(found.of("lacking")),
+        "hidden": len(found.of("hidden")),
+        "total": len(found.verdicts),
+        "counted": ", ".join(found.counted) if len(found.counted) <= 6 else f"{len(found.counted)} recordings",
+        "notes": list(found.notes),
+        "wishes": [
+            {
+                "text": wish_text(wish, machine),
+                "effects": ", ".join(dict.fromkeys(words.effect_title(n) for n, _ in wish.effects)),
+            }
+            for wish in found.wishes
+        ],
+        "columns": columns,
+        "others": others,
+        "rows": _rows(found, machine, columns, others),
+        "reasons": [
+            {"why": why, "effects": [{"title": group.title, "places": group.places} for group in groups]}
+            for why, groups in reasons
+        ],
+        "mark": MARK,
+    }
+
+
+def _rows(found: Readiness, machine: Machine, columns: Sequence[str], others: bool) -> list[dict[str, Any]]:
+    """One row for each effect and side of the sensor; what lacks something first."""
+    lines: dict[tuple[str, str | None], list[Verdict]] = {}
+    for verdict in found.verdicts:
+        lines.setdefault((verdict.name, verdict.side), []).append(verdict)
+    rows = []
+    for (name, side), verdicts in lines.items():
+        counted = [v for v in verdicts if v.need is not None]
+        if not counted:  # what nothing shows is listed with its reason
+            continue
+        names = [*columns, ""] if others else columns
+        cells = [_cell([v for v in verdicts if _column(v, machine) == column], named=column == "") for column in names]
+        title = words.effect_title(name)
+        rows.append(
+            {
+                "title": title,
+                "side": SIDES.get(side or "", ""),
+                "need": f"{counted[0].need:g} {counted[0].unit}",
+                "cells": cells,
+                "lacks": any(v.status == "lacking" for v in verdicts),
+            }
+        )
+    return sorted(rows, key=lambda row: not row["lacks"])
+
+
+def _column(verdict: Verdict, machine: Machine) -> str:
+    """The axis of a verdict; empty for the machine, its base, its tool and its clocks."""
+    owner = split_signal(verdict.target)[0] or verdict.target
+    return owner if owner in machine.axis_names else ""
+
+
+def _cell(verdicts: Sequence[Verdict], named: bool) -> dict[str, Any] | None:
+    """The worst of the verdicts of a place (two sensors of an axis share a cell); None where there is none.
+
+    Args:
+        named: say which place, where the column does not.
+    """
+    if not verdicts:
+        return None
+    worst = min(verdicts, key=lambda v: (_ORDER.index(v.status), (v.have or 0.0) / (v.need or 1.0)))
+    share = 0.0 if worst.have is None or not worst.need else worst.have / worst.need
+    return {
+        "status": worst.status,
+        "have": display.NOTHING if worst.have is None else amount(worst).split(" of ")[0],
+        "width": round(min(MARK * share, 100.0), 1),
+        "place": words.owner_name(worst.target) if named else "",
+        "title": "; ".join(v.text for v in verdicts),
+    }
