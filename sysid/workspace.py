@@ -21,6 +21,7 @@ from sysid import __version__
 from sysid.datasets import Dataset, Store, Vacuumed, vacuum
 from sysid.errors import ExcitationError, SettingsError, StoreError
 from sysid.gap import GapResult
+from sysid.gap.readiness import readiness
 from sysid.networks import ActuatorNetwork, ForwardNetwork, Model, NetworkRecipe, from_files, parse_recipe, to_files
 from sysid.plant import Plant, free_run, nominal_plant, plant_from_files
 from sysid.registry import ModelVersion, Registry
@@ -221,8 +222,15 @@ class Workspace:
             validations=tuple(validations),
             versions=self._notes(dataset, [version for version in versions if version is not None], result),
             created=f"{datetime.now().astimezone():%d %B %Y, %H:%M}".lstrip("0"),
+            readiness=readiness(dataset, self._questioned(dataset, result)),
             software={"sysid": __version__, **{name: importlib.metadata.version(name) for name in SOFTWARE}},
         )
+
+    def _questioned(self, dataset: Dataset, result: GapResult | None) -> Plant:
+        """The plant that a gap result questions; the nominal one where there is none, or a simulator of one's own."""
+        reference = result.plant_before if result is not None else ""
+        known = "@" in reference and any(version.reference == reference for version in self.models.list("plant"))
+        return self.plant(dataset, reference if known else None)
 
     def _notes(self, dataset: Dataset, networks: list[ModelVersion], result: GapResult | None) -> tuple[VersionNote, ...]:
         notes = [VersionNote(dataset.reference, "dataset", dataset.digest, note=f"{len(dataset.sources)} raw files")]
