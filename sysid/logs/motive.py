@@ -25,8 +25,9 @@ from sysid.logs.reader import ReadOptions
 from sysid.logs.stream import Stream
 from sysid.logs.table import to_ns
 
-#: Of the table format; 1.1 wrote records.
+#: Of the table format; 1.1 wrote records. A later one is read like the last of these, and said to be.
 VERSIONS = ("1.2", "1.20", "1.21", "1.22", "1.23", "1.24", "1.25")
+_LATER = re.compile(r"1\.(2[6-9]|[3-9]\d)")
 _BODIES = ("Rigid Body", "Bone")
 _MARKERS = ("Marker", "Rigid Body Marker", "Bone Marker")
 _KEYS = ("Format Version", "Rotation Type", "Length Units", "Coordinate Space")
@@ -43,6 +44,18 @@ class _Column:
 
 
 @dataclass(frozen=True)
+class _Head:
+    """What the first line states; the columns with data, which one is the time, how many there are; lines; what is not read."""
+
+    stated: Mapping[str, str]
+    columns: tuple[_Column, ...]
+    time: int
+    width: int
+    lines: int
+    unread: tuple[str, ...]
+
+
+@dataclass(frozen=True)
 class MotiveReader:
     """Streams are called as the rigid body, bone or marker in Motive."""
 
@@ -54,24 +67,24 @@ class MotiveReader:
         check_whole(path, "a Motive CSV export")
         if _first_cell(path).lower() in RECORD_TYPES:
             return read_records(path, options)
-        header, columns, time, rows = _head(path)
-        factor = length_factor(path, header.get("Length Units", ""), options)
-        space = header.get("Coordinate Space", "Global")
+        head = _head(path)
+        factor = length_factor(path, head.stated.get("Length Units", ""), options)
+        space = head.stated.get("Coordinate Space", "Global")
         if space not in ("Global", ""):
             raise InputError(path, f"coordinate space {space!r}", "'Global'", "Export again with world coordinates.")
-        names = list(dict.fromkeys(column.name for column in columns))
+        names = list(dict.fromkeys(column.name for column in head.columns))
         check_streams(path, options, names, "rigid body or marker")
-        width = 1 + max([time, *(column.index for column in columns)])
-        table, losses = number_rows(path, width, rows, ",")
+        table, losses = number_rows(path, head.width, head.lines, ",")
+        losses = (*losses, *head.unread)
         if not len(table):
             raise InputError(path, "a header but no frames", "at least one frame", "Export the take again.")
-        stamps = {"capture": to_ns(table[:, time], 1.0, f"{path}: Time")}
+        stamps = {"capture": to_ns(table[:, head.time], 1.0, f"{path}: Time")}
         streams = []
         for name in names:
             if options.streams is not None and name not in options.streams:
                 continue
-            own = [column for column in columns if column.name == name]
-            values = _values(path, table, own, factor, options.rotation or header.get("Rotation Type"))
+            own = [column for column in head.columns if column.name == name]
+            values = _values(path, table, own, factor, options.rotation or head.stated.get("Rotation Type"))
             units = {key: "m" for key in values if key in ("x", "y", "z", "error")}
             streams.append(Stream(name, path, stamps, values, units, losses, kind=own[0].kind))
         return tuple(streams)
@@ -81,10 +94,10 @@ def unstated(path: Path) -> dict[str, str]:
     """What a recipe has to state because the export does not, with a common value: ``length_unit``, ``rotation``."""
     if _first_cell(path).lower() in RECORD_TYPES:
         return {"length_unit": "m"}
-    header, columns, _, _ = _head(path)
-    result = {} if header.get("Length Units") else {"length_unit": "m"}
-    angles = {column.axis for column in columns if column.channel == "Rotation"}
-    if angles and "W" not in angles and euler_order(header.get("Rotation Type")) is None:
+    head = _head(path)
+    result = {} if head.stated.get("Length Units") else {"length_unit": "m"}
+    angles = {column.axis for column in head.columns if column.channel == "Rotation"}
+    if angles and "W" not in angles and euler_order(head.stated.get("Rotation Type")) is None:
         result["rotation"] = "XYZ"
     return result
 
@@ -94,8 +107,7 @@ def _first_cell(path: Path) -> str:
         return re.split(r"[,\r\n]", file.read(64).decode("utf-8-sig", errors="replace"))[0].strip().strip('"')
 
 
-def _head(path: Path) -> tuple[dict[str, str], list[_Column], int, int]:
-    """What the first line states, the columns with data, which column is the time, and how many head lines there are."""
+def _head(path: Path) -> _Head:
     try:
         with path.open(encoding="utf-8-sig", newline="") as file:
             lines = csv.reader(file)
@@ -106,15 +118,21 @@ def _head(path: Path) -> tuple[dict[str, str], list[_Column], int, int]:
             # By name, not in pairs: notes and take names may hold commas.
             header = {key: first[first.index(key) + 1] for key in _KEYS if key in first[:-1]}
             version = header.get("Format Version", "")
-            if version not in VERSIONS:
+            unread = []
+            if _LATER.fullmatch(version):
+                unread.append(f"{path.name}: format version {version} is newer than {VERSIONS[-1]} and has been read like it")
+            elif version not in VERSIONS:
                 expected = f"1.1 or one of {', '.join(VERSIONS)}"
                 raise InputError(path, f"format version {version!r}", expected, "Export the take with one of these.")
             head: list[list[str]] = []
             for row in lines:
                 cells = [cell.strip() for cell in row]
                 if cells and cells[0] == "Frame":
-                    columns, time = _columns(path, head, cells)
-                    return header, columns, time, lines.line_num
+                    columns, time, others = _columns(path, head, cells)
+                    if others:
+                        unread.append(f"{path.name}: columns of type {', '.join(others)} are not read")
+                    width = max(len(cells), 1 + max(column.index for column in columns))
+                    return _Head(header, tuple(columns), time, width, lines.line_num, tuple(unread))
                 if any(cells):
                     head.append(cells)
                 if len(head) > 8:
@@ -124,7 +142,7 @@ def _head(path: Path) -> tuple[dict[str, str], list[_Column], int, int]:
     raise InputError(path, "no row that starts with 'Frame'", "the head of a Motive CSV export")
 
 
-def _columns(path: Path, head: list[list[str]], axes: list[str]) -> tuple[list[_Column], int]:
+def _columns(path: Path, head: list[list[str]], axes: list[str]) -> tuple[list[_Column], int, list[str]]:
     if len(head) < 3:
         raise InputError(path, f"{len(head)} head rows", "type, name and channel", "Export again with all headers on.")
     labelled = {row[1]: row for row in head if len(row) > 1 and row[1] in _ROWS}
@@ -136,15 +154,25 @@ def _columns(path: Path, head: list[list[str]], axes: list[str]) -> tuple[list[_
     def at(row: list[str], index: int) -> str:
         return row[index] if index < len(row) else ""
 
-    columns = [
-        _Column(index, at(kinds, index), at(names, index), at(channels, index), axes[index])
-        for index in range(time + 1, len(axes))
-        if at(kinds, index) in (*_BODIES, *_MARKERS) and at(names, index)
-    ]
+    # Solved and reconstructed markers may share a name, as may two assets: type and id keep them apart.
+    numbers = labelled.get("ID", head[2] if len(head) > 3 else [])
+    objects: dict[tuple[str, str, str], str] = {}
+    columns = []
+    for index in range(time + 1, len(axes)):
+        kind, name = at(kinds, index), at(names, index)
+        if kind not in (*_BODIES, *_MARKERS) or not name:
+            continue
+        key = (kind, name, at(numbers, index))
+        if key not in objects:
+            twins = [other for other in objects if other[1] == name]
+            label = name if not twins else f"{name} ({kind})" if all(other[0] != kind for other in twins) else ""
+            objects[key] = label or f"{name}#{len(twins) + 1}"
+        columns.append(_Column(index, kind, objects[key], at(channels, index), axes[index]))
+    others = sorted({kind for kind in kinds[time + 1 :] if kind} - {*_BODIES, *_MARKERS})
     if not columns:
-        found = ", ".join(sorted({kind for kind in kinds[time + 1 :] if kind})) or "no columns"
+        found = ", ".join(others) or "no columns"
         raise InputError(path, f"only {found}", f"one of: {', '.join((*_BODIES, *_MARKERS))}", "Export these, too.")
-    return columns, time
+    return columns, time, others
 
 
 def _values(path: Path, table: Array, columns: list[_Column], factor: float, rotation: str | None) -> dict[str, Array]:
