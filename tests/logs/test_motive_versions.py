@@ -1,7 +1,7 @@
 """Motive exports as each version wrote them, made by hand: the same bodies and markers come out of all of them.
 
 Heads after OptiTrack's documentation of the CSV export and after real files of 1.21, 1.22 and 1.25: 1.20 to 1.22 do not say
-which head row is which, 1.23 and later do, 1.25 names parents. Units and rotation type stand in the first line where switched on.
+which head row is which, 1.23 and later do, 1.25 names parents. Units and rotation type stand in the first line where turned on.
 """
 
 from __future__ import annotations
