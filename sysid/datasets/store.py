@@ -115,7 +115,7 @@ class Store:
 
         manifest = self.manifest(reference)
         tables = [self._table(manifest, part, "channels") for part in manifest["parts"]]
-        frame: pd.DataFrame = pa.concat_tables(tables, promote_options="default").to_pandas(ignore_metadata=True)
+        frame: pd.DataFrame = pa.concat_tables(tables, promote_options="permissive").to_pandas(ignore_metadata=True)
         return frame
 
     def clock_domains(self, reference: str) -> dict[tuple[str, str], str]:
