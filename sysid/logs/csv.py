@@ -7,7 +7,8 @@ from __future__ import annotations
 
 import csv as csv_module
 import warnings
-from dataclasses import dataclass
+from collections.abc import Iterator
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -15,11 +16,15 @@ import numpy.typing as npt
 import pandas as pd
 
 from sysid.errors import InputError
+from sysid.logs.growing import Growing
 from sysid.logs.limits import MAX_CELLS, check_whole
 from sysid.logs.reader import ReadOptions
 from sysid.logs.stream import Stream
 from sysid.logs.table import CUT_ROW, Columns, table_stream, without_line_end
 from sysid.units import split_header
+
+#: Cells that are parsed at a time.
+_CELLS = 2**20
 
 
 @dataclass(frozen=True)
@@ -38,41 +43,94 @@ class CsvReader:
         """Header → numbers, in the order of the file, and what was lost."""
         check_whole(path, "a CSV file with one header row")
         headers, separator, skipped = _header(path)
-        try:
-            with warnings.catch_warnings():
-                warnings.simplefilter("ignore", pd.errors.ParserWarning)  # longer rows are looked for below
-                # One column more than the header has: it is empty in every row that fits.
-                table = pd.read_csv(
-                    path, sep=separator, skiprows=skipped, header=None, names=list(range(len(headers) + 1)), index_col=False,
-                    skipinitialspace=True, na_values=["", "NaN", "nan", "None"], encoding="utf-8-sig", low_memory=False,
-                )  # fmt: skip
-        except (pd.errors.ParserError, UnicodeDecodeError) as error:
-            raise InputError(
-                path, f"not readable as CSV ({' '.join(str(error).split())})", "rows with as many cells as the header has"
-            ) from None
-        longer = np.flatnonzero(table[len(headers)].notna().to_numpy())
-        if len(longer):
-            where = f"{path}: row {int(longer[0]) + 1} below the header"
-            raise InputError(where, f"more than {len(headers)} cells", "as many cells as the header has", "Repair the row.")
+        cells = [_Cells() for _ in headers]
+        rows = 0
+        losses = [f"{path.name}: {CUT_ROW}"] if without_line_end(path) else []
+        for table in _pieces(path, headers, separator, skipped):
+            longer = np.flatnonzero(table[len(headers)].notna().to_numpy())
+            if len(longer):
+                where, expected = f"{path}: row {rows + int(longer[0]) + 1} below the header", "as many cells as the header has"
+                raise InputError(where, f"more than {len(headers)} cells", expected, "Repair the row.")
+            for index, column in enumerate(cells):
+                column.take(table[index])
+            rows += len(table)
         columns: list[tuple[str, npt.NDArray[np.float64]]] = []
-        losses: list[str] = []
-        if len(table) and without_line_end(path):
-            table = table.iloc[:-1]
-            losses.append(f"{path.name}: {CUT_ROW}")
-        for index, header in enumerate(headers):
-            if _are_lists(table[index]):
-                elements, lost = _elements(path, header, table[index])
+        if not rows:
+            losses = []
+        for header, column in zip(headers, cells, strict=True):
+            if column.are_lists:
+                elements, lost = _elements(path, header, column.strings(rows))
                 columns += elements
                 losses += lost
                 continue
-            numbers = pd.to_numeric(table[index], errors="coerce").to_numpy(dtype=np.float64)
-            text = int(np.count_nonzero(np.isnan(numbers) & table[index].notna().to_numpy()))
-            if text and np.isnan(numbers).all():
+            numbers = column.numbers.whole(rows)
+            if column.text and np.isnan(numbers).all():
                 continue  # a column of labels
-            if text:
-                losses.append(f"{path.name}: column {header!r}: {text} cells are not numbers")
+            if column.text:
+                losses.append(f"{path.name}: column {header!r}: {column.text} cells are not numbers")
             columns.append((header, numbers))
         return columns, tuple(losses)
+
+
+@dataclass
+class _Cells:
+    """One column as it is read. ``text``: cells that are no numbers, ``listed`` of them in pieces of nothing but lists."""
+
+    numbers: Growing = field(default_factory=lambda: Growing(np.nan))
+    text: int = 0
+    listed: int = 0
+    lists: list[pd.Series] = field(default_factory=list)
+    filled: int = 0
+
+    def take(self, cells: pd.Series) -> None:
+        """The next rows; their index is their place in the file."""
+        filled = cells.notna().to_numpy()
+        numbers = pd.to_numeric(cells, errors="coerce").to_numpy(dtype=np.float64)
+        self.numbers.extend(numbers)
+        text = int(np.count_nonzero(np.isnan(numbers) & filled))
+        self.text += text
+        self.filled += int(np.count_nonzero(filled))
+        if text and _are_lists(cells):
+            self.lists.append(cells)
+            self.listed += text
+
+    @property
+    def are_lists(self) -> bool:
+        """Whether every cell that is not empty is a list in brackets."""
+        return 0 < self.listed == self.filled
+
+    def strings(self, rows: int) -> pd.Series:
+        """All cells of a column of lists."""
+        column: pd.Series = pd.concat(self.lists).reindex(range(rows))
+        return column
+
+
+def _pieces(path: Path, headers: list[str], separator: str, skipped: int) -> Iterator[pd.DataFrame]:
+    """The rows, some thousands at a time, numbered from 0 on; without a last one that is cut."""
+    before: pd.DataFrame | None = None
+    try:
+        # One column more than the header has: it is empty in every row that fits.
+        with pd.read_csv(
+            path, sep=separator, skiprows=skipped, header=None, names=list(range(len(headers) + 1)), index_col=False,
+            skipinitialspace=True, na_values=["", "NaN", "nan", "None"], encoding="utf-8-sig", low_memory=False,
+            chunksize=max(1, _CELLS // (len(headers) + 1)),
+        ) as pieces:  # fmt: skip
+            while (piece := _next(pieces)) is not None:
+                if before is not None:
+                    yield before
+                before = piece
+    except (pd.errors.ParserError, UnicodeDecodeError) as error:
+        raise InputError(
+            path, f"not readable as CSV ({' '.join(str(error).split())})", "rows with as many cells as the header has"
+        ) from None
+    if before is not None:
+        yield before.iloc[:-1] if without_line_end(path) else before
+
+
+def _next(pieces: Iterator[pd.DataFrame]) -> pd.DataFrame | None:
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", pd.errors.ParserWarning)  # longer rows are looked for by the caller
+        return next(pieces, None)
 
 
 def _are_lists(column: pd.Series) -> bool:

@@ -13,7 +13,8 @@ from scipy.io import savemat
 
 from sysid.errors import InputError, SettingsError
 from sysid.logs import ReadOptions, Stream, reader_for, reader_named
-from sysid.logs.table import to_ns
+from sysid.logs.csv import CsvReader
+from sysid.logs.table import CUT_ROW, to_ns
 
 
 def read(path: Path, **options: str) -> Stream:
@@ -207,3 +208,29 @@ def test_unknown_formats_and_readers() -> None:
         reader_for(Path("a.xlsx"))
     with pytest.raises(SettingsError, match=r"unknown reader 'mcp'; expected 'mcap'\?"):
         reader_named("mcp", "recipe.toml")
+
+
+def test_a_table_is_the_same_in_pieces_of_any_size(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "log.csv"
+    rows = [
+        f'{0.1 * k},{k if k % 7 else ""},{k if k % 5 else "x"},"[{k}, {k + 1}]",name{k % 2},{"[1]" if k > 50 else k},'
+        for k in range(100)
+    ]
+    path.write_text("time,a [mm],b,list,label,mixed,empty\n" + "\n".join(rows) + "\n1.5,2,3", "utf-8")
+    whole, losses = CsvReader().columns(path)
+    names = [name for name, _ in whole]
+    assert names == ["time", "a [mm]", "b", "list[0]", "list[1]", "mixed", "empty"]
+    assert [loss.partition(": ")[2] for loss in losses] == [
+        CUT_ROW, "column 'b': 20 cells are not numbers", "column 'mixed': 49 cells are not numbers"
+    ]  # fmt: skip
+    assert all(len(values) == 100 for _, values in whole)
+    for cells in (1, 70, 96, 500, 800):
+        monkeypatch.setattr("sysid.logs.csv._CELLS", cells)
+        pieces, said = CsvReader().columns(path)
+        assert said == losses
+        assert [name for name, _ in pieces] == names
+        for (_, found), (_, expected) in zip(pieces, whole, strict=True):
+            np.testing.assert_array_equal(found, expected)
+    path.write_text(path.read_text("utf-8") + ",4,5,6,7\n9,9,9,9,9,9,9,9\n", "utf-8")
+    with pytest.raises(InputError, match="row 102 below the header: more than 7 cells"):
+        CsvReader().columns(path)
