@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from typing import TYPE_CHECKING
 
 from sysid.cli.output import Printer, write_json
@@ -103,15 +102,16 @@ def show_evidence(out: Printer, evidence: Evidence, dataset: Dataset) -> None:
 
 def show_flags(out: Printer, flags: Sequence[Mapping[str, Any]]) -> None:
     """What ingest flagged: counted by kind, and the first of them."""
-    if not flags:
+    from sysid.reports.flags import flag_lines, kinds_of
+
+    lines = flag_lines(flags)
+    if not lines:
         return
-    kinds = Counter(str(flag["kind"]).replace("_", " ") for flag in flags)
-    listed = ", ".join(f"{count} {kind}" for kind, count in kinds.items())
-    out.line(f"flagged, nothing changed: {listed}")
-    for flag in flags[:MOST_FLAGS]:
-        out.line(f"  {flag['recording']} {flag['from_s']:.2f} s  {flag['kind'].replace('_', ' ')}: {flag['text']}")
-    if len(flags) > MOST_FLAGS:
-        out.line(f"  … and {len(flags) - MOST_FLAGS} more (--json has them all)")
+    out.line(f"flagged, nothing changed: {kinds_of(lines)}")
+    for line in lines[:MOST_FLAGS]:
+        out.line(f"  {line.recording} {line.from_s:.2f} s  {line.kind} of {line.signals}: {line.text}")
+    if len(lines) > MOST_FLAGS:
+        out.line(f"  … and {len(lines) - MOST_FLAGS} more (the report and --json have them all)")
 
 
 def show_readiness(out: Printer, found: Readiness, dataset: Dataset) -> None:

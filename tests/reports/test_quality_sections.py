@@ -17,6 +17,7 @@ from sysid.machine import Machine
 from sysid.plant import nominal_plant
 from sysid.reports import ReportInputs, build_report
 from sysid.reports.coverage_pictures import MAP, MAP_LEFT, MAP_TOP, command_picture, map_picture
+from sysid.reports.flags import flag_lines, kinds_of
 from sysid.reports.sections import quality
 from sysid.reports.sections import readiness as section
 from sysid.reports.verdicts import Group, amount, by_effect, by_reason, spread, wish_text
@@ -90,14 +91,25 @@ def test_two_sensors_of_an_axis_share_a_cell_that_shows_the_worse(crane: Dataset
     assert (row["cells"][0]["status"], row["cells"][0]["have"]) == ("lacking", "3")
 
 
+FLAG = {"recording": "manual-01", "source": "m.csv", "signal": "ee.x", "kind": "marker_swap", "from_s": 1.0, "to_s": 1.25}
+
+
 def test_flags_of_ingest_are_told(crane: Dataset) -> None:
-    flag = {"recording": "manual-01", "source": "m.csv", "signal": "ee.x", "kind": "marker_swap", "from_s": 1.0, "to_s": 1.25}
-    flagged = replace(crane, quality={**crane.quality, "flags": [{**flag, "samples": 2, "text": "two markers <swapped>"}]})
+    flagged = replace(crane, quality={**crane.quality, "flags": [{**FLAG, "samples": 2, "text": "two markers <swapped>"}]})
     text = build_report(ReportInputs(flagged))
-    assert "1 flag of ingest: looked at, not changed" in text
-    assert "marker swap" in text
+    assert "Flagged by ingest, not changed: 1 × marker swap" in text
     assert "two markers &lt;swapped&gt;" in text
-    assert "of ingest" not in build_report(ReportInputs(crane))
+    assert "Flagged by ingest" not in build_report(ReportInputs(crane))
+
+
+def test_a_gap_of_a_file_is_one_line_and_wrong_values_come_first() -> None:
+    gap = {**FLAG, "kind": "dropout", "text": "nothing for 0.3 s"}
+    flags = [{**gap, "signal": f"{name}.joint"} for name in ("slew", "boom", "stick", "boom", "telescope")]
+    lines = flag_lines([*flags, {**FLAG, "text": "swap"}, {**gap, "from_s": 0.5, "recording": "manual-02"}])
+    assert [line.kind for line in lines] == ["marker swap", "dropout", "dropout"]
+    assert lines[1].signals == "slew joint, boom joint and 2 more"
+    assert kinds_of(lines) == "1 × marker swap, 2 × dropout"
+    assert flag_lines([]) == []
 
 
 def test_a_dataset_without_motion_has_a_section_too(crane: Dataset) -> None:

@@ -16,6 +16,7 @@ from sysid.datasets.recording import ClockRecord, Dataset, Recording
 from sysid.reports import display, words
 from sysid.reports.charts import SMALL, WIDE
 from sysid.reports.coverage_pictures import command_picture, map_picture
+from sysid.reports.flags import flag_lines, kinds_of
 from sysid.reports.inputs import ReportInputs
 
 #: Maps of pairs of axes shown at once, those with most left to visit; the others are folded.
@@ -44,6 +45,7 @@ def context(inputs: ReportInputs) -> dict[str, Any]:
         "noise": _noise(evidence, dataset),
         "repeats": len(evidence.repeats),
         "flagged": _flagged(dataset.quality),
+        "flag_kinds": kinds_of(flag_lines(dataset.quality.get("flags", ()))),
         "reference": dataset.reference,
         "recordings": [_recording(recording, dataset) for recording in dataset.recordings],
         "ranges": _ranges(dataset),
@@ -188,16 +190,16 @@ def _noise(evidence: Evidence, dataset: Dataset) -> list[dict[str, str]]:
 
 
 def _flagged(quality: Mapping[str, Any]) -> list[dict[str, str]]:
-    """What ingest flagged sample by sample; the values are in the tables all the same."""
+    """What ingest flagged sample by sample."""
     return [
         {
-            "recording": str(flag["recording"]),
-            "signal": words.signal_name(str(flag["signal"])),
-            "kind": str(flag["kind"]).replace("_", " "),
-            "when": f"{display.fixed(float(flag['from_s']), 2)} to {display.fixed(float(flag['to_s']), 2)}",
-            "text": str(flag["text"]),
+            "recording": line.recording,
+            "signals": line.signals,
+            "kind": line.kind,
+            "when": f"{display.fixed(line.from_s, 2)} to {display.fixed(line.to_s, 2)}",
+            "text": line.text,
         }
-        for flag in quality.get("flags", ())
+        for line in flag_lines(quality.get("flags", ()))
     ]
 
 
