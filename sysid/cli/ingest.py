@@ -33,6 +33,9 @@ if TYPE_CHECKING:
 )
 @click.option("--reader", default=None, help="With --inspect: read the files as this format.")
 @click.option("--dbc", type=click.Path(path_type=Path), default=None, help="With --inspect: the database of a CAN log.")
+@click.option(
+    "--propose-frame", is_flag=True, help="Only print where the capture frame stands, from the survey named in the recipe."
+)
 @json_option
 @click.pass_obj
 def ingest(
@@ -47,6 +50,7 @@ def ingest(
     draft: Path | None,
     reader: str | None,
     dbc: Path | None,
+    propose_frame: bool,
     json_file: str | None,
 ) -> None:
     """Turn raw logs into a new dataset version.
@@ -56,6 +60,11 @@ def ingest(
     With --append the new version holds the recordings of NAME, untouched and in their roles, and those of PATH that NAME does
     not hold: with --role, else by the splits of the recipe, else they fit. Machine and recipe are those of NAME.
     """
+    if propose_frame:
+        from sysid.cli.ingest_frame import propose
+
+        propose(paths, machine, recipe, json_file)
+        return
     if inspect:
         from sysid.cli.ingest_inspect import inspect_paths
 
@@ -82,6 +91,8 @@ def ingest(
     seconds = time.perf_counter() - begin
     out = Printer(json_file)
     show_dataset(out, dataset)
+    for note in dataset.quality.get("notes", ()):
+        out.line(f"note: {note}")
     if to is not None and dataset.version == before:
         out.line(f"{dataset.reference} holds all of these recordings: nothing was added.")
     elif to is not None:

@@ -48,7 +48,7 @@ def survey_mounts(found: Sequence[RecordingFiles], machine: Machine) -> Mounts:
     for name, path, mapping in with_bodies:
         pattern = mapping.reference.recording if mapping.reference is not None else None
         if pattern is None or fnmatchcase(name, pattern):
-            own[name, mapping.files] = find_mounts(_read(path, mapping), mapping, machine)
+            own[name, mapping.files] = find_mounts(read_streams(path, mapping), mapping, machine)
     mounts: dict[tuple[str, str], dict[str, npt.NDArray[np.float64]]] = {}
     for name, _, mapping in with_bodies:
         shared = mapping.reference is not None and mapping.reference.recording is not None
@@ -73,7 +73,7 @@ def read_channels(files: RecordingFiles, machine: Machine, mounts: Mounts) -> Re
     losses: dict[str, tuple[str, ...]] = {}
     flags: list[Dropped] = []
     for path, mapping in files.streams:
-        streams = _read(path, mapping)
+        streams = read_streams(path, mapping)
         said = (*losses.get(path.name, ()), *(loss for stream in streams for loss in stream.losses))
         losses[path.name] = tuple(dict.fromkeys(said))
         if mapping is None:
@@ -117,7 +117,8 @@ def _captured(
     return channels, dropped
 
 
-def _read(path: Path, mapping: StreamMap | None) -> tuple[Stream, ...]:
+def read_streams(path: Path, mapping: StreamMap | None) -> tuple[Stream, ...]:
+    """The streams of a file that its mapping names, and the rigid bodies that it makes of markers; all without a mapping."""
     if mapping is None:
         return reader_for(path).read(path, ReadOptions())
     reader = reader_named(mapping.reader, path) if mapping.reader is not None else reader_for(path)

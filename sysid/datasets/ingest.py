@@ -12,6 +12,7 @@ import pandas as pd
 from sysid.datasets.channel import Channel
 from sysid.datasets.channels import Mounts, Reading, concatenate, joined, read_channels, survey_mounts
 from sysid.datasets.clocks import Clocked, KnownSkew, align, by_source, machine_times
+from sysid.datasets.degenerate import offset_notes
 from sysid.datasets.discover import RecordingFiles, discover, sha256
 from sysid.datasets.flags.collect import flag_rows
 from sysid.datasets.manifest import Made, digest_of
@@ -152,6 +153,7 @@ class Walked:
     recordings: tuple[Recording, ...]
     made: Made
     flags: tuple[dict[str, Any], ...] = ()
+    notes: tuple[str, ...] = ()
 
     @property
     def channels(self) -> dict[str, tuple[Channel, ...]]:
@@ -180,7 +182,11 @@ class Walked:
             splits=roles,
             sources=tuple(replace(source, losses=losses.get(source.path, ())) for source in sources),
             clocks=self.clocks,
-            quality={**describe(parts, self.readings, self.clocks, machine), "flags": list(self.flags)},
+            quality={
+                **describe(parts, self.readings, self.clocks, machine),
+                "flags": list(self.flags),
+                "notes": list(self.notes),
+            },
             streams=_streams(self.clocked, parts),
         )
 
@@ -215,7 +221,8 @@ def walk(
         INGEST_VERSION, plan.rules.text if plan.rules is not None else "", settings_of(plan), shared_mounts(found, mounts)
     )
     flags = [row for recording in clocked for row in flag_rows(recording, clocks, plan.machine, settings.hold_s)]
-    return Walked(readings, clocked, clocks, tuple(recordings), made, tuple(flags))
+    notes = offset_notes(settings.streams, mounts, plan.machine)
+    return Walked(readings, clocked, clocks, tuple(recordings), made, tuple(flags), tuple(notes))
 
 
 def settings_of(plan: Plan) -> dict[str, Any]:

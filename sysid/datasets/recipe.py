@@ -87,7 +87,9 @@ class Survey:
 
     Args:
         markers: static marker (or rigid body) → its known place in the base frame [m].
-        axis: the axis that turns alone in this recording, the first one that moves; ``turning`` are markers or bodies it carries.
+        axis: the one that turns alone in this recording, the first one that moves.
+        turning: markers or bodies that it carries.
+        sense: 1 where it turns in its positive direction first, else −1.
         recording: glob of the recording; None: the first one with such a file.
         seconds: from, to, on the stream's own clock counted from its first stamp; None: all of it.
     """
@@ -97,6 +99,7 @@ class Survey:
     markers: dict[str, tuple[float, float, float]] = field(default_factory=dict)
     axis: str | None = None
     turning: tuple[str, ...] = ()
+    sense: Literal[1, -1] = 1
     recording: str | None = None
     seconds: tuple[float, float] | None = None
 

@@ -54,6 +54,11 @@ def body_poses(stream: Stream, frame: Frame) -> Array:
     return np.asarray(frame_pose(frame) @ pose)
 
 
+def has_rotation(stream: Stream) -> bool:
+    """Whether the stream is a rigid body rather than a marker."""
+    return any(turn and all(turn.format(axis) in stream.columns for axis in "xyzw") for _, turn in _SPELLINGS)
+
+
 def marker_poses(stream: Stream, frame: Frame) -> Array:
     """Poses (n, 4, 4) whose origins are a marker in the machine's base frame; their rotation means nothing."""
     pose = np.tile(np.eye(4), (len(stream), 1, 1))

@@ -1,0 +1,88 @@
+"""``sysid ingest --propose-frame PATH…``: where the capture frame stands, from a survey. Nothing is stored."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from sysid.cli.output import Printer, write_json
+from sysid.errors import SettingsError
+
+if TYPE_CHECKING:
+    from sysid.datasets.survey import Surveyed
+
+
+def propose(paths: Sequence[Path], machine: Path | None, recipe: Path | None, json_file: str | None) -> None:
+    """Print a ``[streams.frame]`` for every survey in the recipe.
+
+    Raises:
+        SettingsError: no recipe, no survey in it, or no machine.
+        InputError: a survey that does not determine the frame.
+    """
+    from sysid.datasets.draft import default_machine
+    from sysid.datasets.recipe import check_against_machine, load_recipe
+    from sysid.datasets.survey import propose_frames
+    from sysid.machine import load_machine
+
+    recipe = recipe if recipe is not None else next((p / "recipe.toml" for p in paths if (p / "recipe.toml").is_file()), None)
+    if recipe is None:
+        raise SettingsError("--propose-frame", "no recipe", "a recipe with [streams.survey]", "Name it with --recipe.")
+    rules = load_recipe(recipe)
+    named = recipe.parent / rules.machine if rules.machine is not None else None
+    machine = machine if machine is not None else named if named is not None else default_machine([*paths, recipe])
+    if machine is None:
+        raise SettingsError(
+            recipe, "no machine description", "machine.toml", "Give one with --machine, or name it in the recipe."
+        )
+    description = load_machine(machine)
+    check_against_machine(rules, description, recipe)
+    found = propose_frames(paths, rules, description, recipe)
+    out = Printer(json_file)
+    for item in found:
+        _show(out, item)
+    write_json(json_file, {"schema": 1, "frames": [_plain(item) for item in found]})
+
+
+def _show(out: Printer, item: Surveyed) -> None:
+    proposal = item.proposal
+    what = "static markers" if proposal.method == "markers" else "points that turn"
+    left = f"{1e3 * proposal.rms_m:.2f} mm RMS left, {1e3 * proposal.max_m:.2f} mm at most"
+    out.line(f"{item.source}: from {len(proposal.names)} {what} ({', '.join(proposal.names)}): {left}")
+    rows = [
+        (
+            axis,
+            f"{1e3 * place:.2f}",
+            _half(1e3 * place95, ".2f"),
+            f"{math.degrees(turn):.3f}",
+            _half(math.degrees(turn95), ".3f"),
+        )
+        for axis, place, place95, turn, turn95 in zip(
+            "xyz", proposal.frame.translation, proposal.translation95, proposal.frame.rpy, proposal.rotation95, strict=True
+        )
+    ]
+    out.table(("base axis", "place [mm]", "± 95 %", "rpy [°]", "± 95 % about the axis"), rows, right=(1, 2, 3, 4))
+    for text in proposal.open:
+        out.line(f"open: {text}")
+    for text in proposal.notes:
+        out.line(f"note: {text}")
+    of = "frame" if proposal.method == "markers" else "axis"
+    out.line(f"The recipe's own {of} is {1e3 * item.moved_m:.2f} mm and {math.degrees(item.turned_rad):.3f}° from it.")
+    out.line("For the recipe, if you agree (it is never applied by itself):")
+    out.line()
+    out.line(proposal.lines)
+    out.line()
+
+
+def _half(value: float, spec: str) -> str:
+    return format(value, spec) if math.isfinite(value) else "open"
+
+
+def _plain(item: Surveyed) -> dict[str, Any]:
+    values = asdict(item.proposal)
+    for key in ("translation95", "rotation95"):
+        values[key] = [value if math.isfinite(value) else None for value in values[key]]
+    differs = {"moved_m": item.moved_m, "turned_rad": item.turned_rad}
+    return {"source": str(item.source), **values, "lines": item.proposal.lines, **differs}

@@ -1,0 +1,181 @@
+"""A survey named in the recipe → a proposal for the capture frame. Nothing is stored or applied."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from fnmatch import fnmatchcase
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from sysid.datasets.base_frame import Proposal, from_markers, from_turn
+from sysid.datasets.bodies import STILL, stamps_of
+from sysid.datasets.channel import in_order, seconds
+from sysid.datasets.channels import read_streams
+from sysid.datasets.recipe import Frame, Recipe, StreamMap, Survey
+from sysid.datasets.rigid import body_poses, frame_pose, has_rotation, inverse, marker_places
+from sysid.errors import InputError, SettingsError, nearest
+from sysid.logs import Stream
+from sysid.machine import Machine
+
+Array = npt.NDArray[np.float64]
+
+#: How far from the origin of a rigid body its rotation is looked at [m]: about the size of a machine's links.
+LEVER = 0.5
+
+
+@dataclass(frozen=True)
+class Surveyed:
+    """A proposal, the file it is from, and how far what it determines is from what the recipe says now [m, rad]."""
+
+    source: Path
+    proposal: Proposal
+    moved_m: float
+    turned_rad: float
+
+
+def propose_frames(paths: Sequence[Path], recipe: Recipe, machine: Machine, where: object) -> tuple[Surveyed, ...]:
+    """A proposal for every stream of the recipe that has a survey.
+
+    Args:
+        paths: files, folders of one recording, or folders of recordings.
+        where: the recipe, for messages.
+
+    Raises:
+        SettingsError: no survey in the recipe, an axis that other axes move, a marker that the file does not have.
+        InputError: no such file; markers that move; a survey that does not determine the frame.
+    """
+    surveys = [(stream, stream.survey) for stream in recipe.streams if stream.survey is not None]
+    if not surveys:
+        expected = "[streams.survey] with the known places of static markers, or an axis that turns alone"
+        raise SettingsError(where, "no survey", expected, 'See "The capture frame" in docs/recipes.md.')
+    return tuple(_proposal(paths, stream, survey, machine) for stream, survey in surveys)
+
+
+def _proposal(paths: Sequence[Path], mapping: StreamMap, survey: Survey, machine: Machine) -> Surveyed:
+    path = _file(paths, mapping, survey)
+    names = (*survey.turning, *survey.markers)
+    # Read as bodies: whatever has a place can be surveyed, and marker sets are made where they are named.
+    streams = read_streams(path, replace(mapping, signals={}, points={}, bodies=dict.fromkeys(names, "")))
+    known = {stream.name: stream for stream in streams}
+    for name in names:
+        if name not in known:
+            raise SettingsError(f"{path}: survey", f"no marker {name!r}", nearest(name, known), "Correct the recipe.")
+    origin = min(int(stamps_of(known[name], mapping).min()) for name in names)
+    places = {name: _places(known[name], mapping, survey, origin) for name in names}
+    if survey.axis is not None:
+        point, direction = _axis_line(machine, survey.axis)
+        moving: dict[str, Array] = {}
+        for name in survey.turning:
+            moving |= _levers(name, places[name], known[name], mapping, survey, origin)
+        proposal = from_turn(moving, point, survey.sense * direction, survey.axis, f"{path}: survey")
+        moved, turned = _axes_apart(mapping.frame, proposal.frame, point, direction)
+    else:
+        static = {name: _static(places[name], f"{path}: {name}") for name in survey.markers}
+        proposal = from_markers(static, survey.markers, f"{path}: survey")
+        moved, turned = _apart(mapping.frame, proposal.frame)
+    return Surveyed(path, proposal, moved, turned)
+
+
+def _file(paths: Sequence[Path], mapping: StreamMap, survey: Survey) -> Path:
+    """The file that was surveyed."""
+    found: list[Path] = []
+    for path in paths:
+        if not path.exists():
+            raise InputError(path, "no such file or folder", "the recording of the survey", "Check the path.")
+        inside = (
+            [path] if path.is_file() else sorted(entry for pattern in ("*", "*/*", "*/*/*") for entry in path.glob(pattern))
+        )
+        for entry in inside:
+            meant = survey.recording is None or fnmatchcase(entry.parent.name, survey.recording) or path == entry
+            if meant and entry.is_file() and fnmatchcase(entry.name, Path(mapping.files).name):
+                found.append(entry)
+    if not found:
+        within = f" in a recording {survey.recording!r}" if survey.recording is not None else ""
+        listed = ", ".join(map(str, paths))
+        raise InputError(listed, f"no file {mapping.files!r}{within}", "the recording of the survey", "Correct the path.")
+    return found[0]
+
+
+def _levers(name: str, places: Array, stream: Stream, mapping: StreamMap, survey: Survey, origin: int) -> dict[str, Array]:
+    """The places of a marker; of a rigid body also those of points :data:`LEVER` along its axes: it may sit on the axis."""
+    if not has_rotation(stream):
+        return {name: places}
+    stamps = stamps_of(stream, mapping)
+    order, _ = in_order(stamps, f"{stream.source}: {name}")
+    poses = body_poses(stream, Frame())[order][_within(seconds(stamps[order], origin), survey)]
+    return {name: places} | {
+        f"{name} {sign}{axis}": poses[:, :3, 3] + (LEVER if sign == "+" else -LEVER) * poses[:, :3, index]
+        for index, axis in enumerate("xyz")
+        for sign in "+-"
+    }
+
+
+def _within(at: Array, survey: Survey) -> npt.NDArray[np.bool_]:
+    if survey.seconds is None:
+        return np.ones(len(at), dtype=bool)
+    return np.asarray((at >= survey.seconds[0]) & (at <= survey.seconds[1]))
+
+
+def _places(stream: Stream, mapping: StreamMap, survey: Survey, origin: int) -> Array:
+    """Places within the seconds of the survey, in order, (n, 3)."""
+    stamps = stamps_of(stream, mapping)
+    order, _ = in_order(stamps, f"{stream.source}: {stream.name}")
+    places = marker_places(stream)[order]
+    return np.asarray(places[_within(seconds(stamps[order], origin), survey)])
+
+
+def _static(places: Array, where: str) -> Array:
+    """The place of a marker that stands still, (3,)."""
+    known = places[~np.isnan(places).any(axis=1)]
+    if not len(known):
+        raise InputError(where, "seen in no frame of the survey", "one at least", "Choose other seconds.")
+    parts = [np.median(part, axis=0) for part in np.array_split(known, min(5, len(known)))]
+    spread = float(np.ptp(parts, axis=0).max())
+    if spread > STILL:
+        found = f"moves by {1e3 * spread:.1f} mm during the survey"
+        raise InputError(where, found, "a marker that stands still", "Choose other seconds, or leave it out.")
+    return np.asarray(np.median(known, axis=0))
+
+
+def _axis_line(machine: Machine, axis: str) -> tuple[Array, Array]:
+    """A point on a revolute axis and its direction in the base frame; no other axis may move it."""
+    kinematics = machine.kinematics()
+    if kinematics is None:
+        raise SettingsError("survey.axis", repr(axis), "a machine with a urdf", "Survey static markers instead.")
+    pose = np.eye(4)
+    for joint in kinematics.chain:
+        pose = pose @ joint.origin
+        if joint.name == machine.axis(axis).joint:
+            if joint.prismatic:
+                raise SettingsError(
+                    "survey.axis", f"{axis!r} is prismatic", "a revolute axis", "Survey static markers instead."
+                )
+            return pose[:3, 3], pose[:3, :3] @ joint.axis
+        if joint.kind != "fixed":
+            raise SettingsError("survey.axis", f"{axis!r} is moved by other axes", f"the first one, {_first(machine)!r}")
+    raise SettingsError("survey.axis", repr(axis), nearest(axis, machine.axis_names))
+
+
+def _first(machine: Machine) -> str:
+    kinematics = machine.kinematics()
+    moved = [joint.name for joint in kinematics.chain if joint.kind != "fixed"] if kinematics is not None else []
+    return next((axis.name for axis in machine.axes if moved and axis.joint == moved[0]), machine.axis_names[0])
+
+
+def _apart(before: Frame, after: Frame) -> tuple[float, float]:
+    """Distance [m] and angle [rad] between two frames."""
+    first, second = frame_pose(before), frame_pose(after)
+    cosine = (np.trace(first[:3, :3].T @ second[:3, :3]) - 1.0) / 2.0
+    return float(np.linalg.norm(second[:3, 3] - first[:3, 3])), float(np.arccos(np.clip(cosine, -1.0, 1.0)))
+
+
+def _axes_apart(before: Frame, after: Frame, point: Array, direction: Array) -> tuple[float, float]:
+    """How far the axis moves across itself, at ``point`` [m], and by how much it tilts [rad]."""
+    change = frame_pose(after) @ inverse(frame_pose(before))
+    tilted = change[:3, :3] @ direction
+    shift = change[:3, :3] @ point + change[:3, 3] - point
+    across = shift - direction * float(direction @ shift)
+    return float(np.linalg.norm(across)), float(np.arccos(np.clip(tilted @ direction, -1.0, 1.0)))
