@@ -27,6 +27,8 @@ from sysid.errors import InputError, SettingsError
 from sysid.machine import Machine, load_machine
 from sysid.progress import Progress, silent
 
+#: A recording with more rows on the grid than this is a mistake in its stamps (a day at 1 kHz has 86 million).
+MAX_ROWS = 10**8
 #: Part of every digest: raise it when the same logs would give another table.
 INGEST_VERSION = 1
 
@@ -209,6 +211,7 @@ def walk(
     for number, files in enumerate(found):
         report(0.05 + 0.35 * number / len(found), f"reading {files.name}")
         readings[files.name] = read_channels(files, plan.machine, mounts)
+        files.check_unchanged()
     clocked = tuple(Clocked(files.name, files.kind, readings[files.name].channels) for files in found)
     report(0.4, "aligning clocks")
     clocks = align(clocked, skews)
@@ -221,7 +224,7 @@ def walk(
         INGEST_VERSION, plan.rules.text if plan.rules is not None else "", settings_of(plan), shared_mounts(found, mounts)
     )
     flags = [row for recording in clocked for row in flag_rows(recording, clocks, plan.machine, settings.hold_s)]
-    notes = offset_notes(settings.streams, mounts, plan.machine)
+    notes = (*offset_notes(settings.streams, mounts, plan.machine), *unmatched(found, plan.rules))
     return Walked(readings, clocked, clocks, tuple(recordings), made, tuple(flags), tuple(notes))
 
 
@@ -316,6 +319,10 @@ def _recording(recording: Clocked, records: Mapping[str, ClockRecord], machine: 
             start,
         )
     end = max(int(channel.stamps[-1]) for channel in recording.machine)
+    if (end - start) * 1e-9 * machine.rate_hz > MAX_ROWS:
+        found = f"stamps that span {(end - start) * 1e-9 / 86400.0:.3g} days"
+        expected = f"at most {MAX_ROWS} rows at {machine.rate_hz:g} Hz"
+        raise InputError(where, found, expected, "Choose another clock or time unit in the recipe, or cut the log.")
     at = grid(start, end, machine.rate_hz)
     columns = {"time": at}
     for name, channel in signals.items():
