@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 #: Imported once by the server that the processes are forked from.
-PRELOAD = ["sysid.datasets", "deltalake", "pyarrow.parquet", "filelock"]
+PRELOAD = ["sysid.datasets", "pyarrow.pandas_compat", "email.parser", "pytest", "deltalake", "pyarrow.parquet", "filelock"]
 
 
 def killed_at_every_step(work: Callable[..., object], *args: object, every: int = 1, first: int = 1) -> Iterator[int]:
