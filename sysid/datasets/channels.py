@@ -48,7 +48,8 @@ def survey_mounts(found: Sequence[RecordingFiles], machine: Machine) -> Mounts:
     for name, path, mapping in with_bodies:
         pattern = mapping.reference.recording if mapping.reference is not None else None
         if pattern is None or fnmatchcase(name, pattern):
-            own[name, mapping.files] = find_mounts(read_streams(path, mapping), mapping, machine)
+            until = mapping.reference.seconds[1] if mapping.reference is not None else None
+            own[name, mapping.files] = find_mounts(read_streams(path, mapping, until), mapping, machine)
     mounts: dict[tuple[str, str], dict[str, npt.NDArray[np.float64]]] = {}
     for name, _, mapping in with_bodies:
         shared = mapping.reference is not None and mapping.reference.recording is not None
@@ -117,8 +118,11 @@ def _captured(
     return channels, dropped
 
 
-def read_streams(path: Path, mapping: StreamMap | None) -> tuple[Stream, ...]:
-    """The streams of a file that its mapping names, and the rigid bodies that it makes of markers; all without a mapping."""
+def read_streams(path: Path, mapping: StreamMap | None, seconds: float | None = None) -> tuple[Stream, ...]:
+    """The streams of a file that its mapping names, and the rigid bodies that it makes of markers; all without a mapping.
+
+    ``seconds``: what comes later after the first stamp is not needed.
+    """
     if mapping is None:
         return reader_for(path).read(path, ReadOptions())
     reader = reader_named(mapping.reader, path) if mapping.reader is not None else reader_for(path)
@@ -136,6 +140,7 @@ def read_streams(path: Path, mapping: StreamMap | None) -> tuple[Stream, ...]:
     options = ReadOptions(
         streams=frozenset(wanted) if wanted else None,
         fields={topic: frozenset(own) for topic, own in fields.items()} if fields else None,
+        seconds=seconds,
         time=mapping.time,
         time_unit=mapping.time_unit,
         rate_hz=mapping.rate_hz,

@@ -19,6 +19,9 @@ from sysid.units import si_factor
 
 _UNITS = {"meters": "m", "millimeters": "mm", "centimeters": "cm", "inches": "inch", "feet": "foot"}
 
+#: Cells that are parsed at a time.
+_CELLS = 2**20
+
 Array = npt.NDArray[np.float64]
 
 
@@ -44,6 +47,7 @@ def number_rows(
     count: int | None = None,
     whole: bool = True,
     ragged: bool = False,
+    stop: tuple[int, float] | None = None,
 ) -> tuple[Array, tuple[str, ...]]:
     """Rows of numbers from physical line ``first`` (0 is the first line) on: (n, width), NaN in empty cells, and what was lost.
 
@@ -51,6 +55,7 @@ def number_rows(
         count: of physical lines; None to the end of the file.
         whole: the rows end with the file: a last one without a line end may be cut and is left out.
         ragged: rows may be longer than the head; what lies beyond is reported as lost.
+        stop: column, and by how much it rises until the rest of the file may be left unread.
 
     Raises:
         InputError: a row that is longer than the head, where that is not expected.
@@ -58,31 +63,56 @@ def number_rows(
     cells = width + 1  # one more than the head has: it is empty in every row that fits
     if ragged:
         cells = max(cells, *(line.count(separator) + 1 for line in islice(text_lines(path, "text"), first, None)), 0)
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", pd.errors.ParserWarning)  # longer rows are looked for below
-            table = pd.read_csv(
-                path, sep=separator, header=None, skiprows=first, names=list(range(cells)), index_col=False,
-                encoding="utf-8-sig", skip_blank_lines=count is None, low_memory=False, nrows=count,
-            )  # fmt: skip
-    except pd.errors.EmptyDataError:
-        return np.zeros((0, width)), ()
-    except (pd.errors.ParserError, UnicodeDecodeError) as error:
-        raise InputError(
-            path, f"rows that do not fit the head ({' '.join(str(error).split())})", f"{width} cells a row"
-        ) from None
     losses: list[str] = []
-    longer = np.flatnonzero(table[list(range(width, cells))].notna().any(axis=1).to_numpy())
-    if len(longer) and not ragged:
-        where = f"{path}: row {int(longer[0]) + 1} below the head"
-        raise InputError(where, f"more than {width} cells", f"{width} cells a row", "Repair the row, or export the take again.")
-    if len(longer):
-        losses.append(f"{path.name}: {len(longer)} rows are longer than the head; what has no name has been left out")
-    numbers = table[list(range(width))].apply(pd.to_numeric, errors="coerce").to_numpy(dtype=np.float64)
-    if whole and len(numbers) and without_line_end(path):
+    parts: list[Array] = []
+    rows = too_long = 0
+    stopped = False
+    for piece in _pieces(path, first, separator, cells, count):
+        longer = np.flatnonzero(piece[list(range(width, cells))].notna().any(axis=1).to_numpy())
+        if len(longer) and not ragged:
+            where = f"{path}: row {rows + int(longer[0]) + 1} below the head"
+            remedy = "Repair the row, or export the take again."
+            raise InputError(where, f"more than {width} cells", f"{width} cells a row", remedy)
+        too_long += len(longer)
+        table = piece[list(range(width))]
+        if not all(pd.api.types.is_numeric_dtype(kind) for kind in table.dtypes):
+            table = table.apply(pd.to_numeric, errors="coerce")
+        parts.append(table.to_numpy(dtype=np.float64))
+        rows += len(table)
+        stopped = stop is not None and parts[-1][-1, stop[0]] - parts[0][0, stop[0]] > stop[1]
+        if stopped:
+            break
+    if too_long:
+        losses.append(f"{path.name}: {too_long} rows are longer than the head; what has no name has been left out")
+    numbers = np.concatenate(parts) if parts else np.zeros((0, width))
+    if whole and len(numbers) and not stopped and without_line_end(path):
         numbers = numbers[:-1]
         losses.append(f"{path.name}: {CUT_ROW}")
     return numbers, tuple(losses)
+
+
+def _pieces(path: Path, first: int, separator: str, cells: int, count: int | None) -> Iterator[pd.DataFrame]:
+    """The rows, some thousands at a time: text takes several times the memory of its numbers."""
+    try:
+        with pd.read_csv(
+            path, sep=separator, header=None, skiprows=first, names=list(range(cells)), index_col=False,
+            encoding="utf-8-sig", skip_blank_lines=count is None, low_memory=False, nrows=count,
+            chunksize=max(1, _CELLS // cells),
+        ) as pieces:  # fmt: skip
+            while (piece := _next(pieces)) is not None and len(piece):
+                yield piece
+    except pd.errors.EmptyDataError:
+        return
+    except (pd.errors.ParserError, UnicodeDecodeError) as error:
+        raise InputError(
+            path, f"rows that do not fit the head ({' '.join(str(error).split())})", f"{cells - 1} cells a row"
+        ) from None
+
+
+def _next(pieces: Iterator[pd.DataFrame]) -> pd.DataFrame | None:
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", pd.errors.ParserWarning)  # longer rows are looked for by the caller
+        return next(pieces, None)
 
 
 def length_factor(path: Path, stated: str, options: ReadOptions, default: str | None = None) -> float:

@@ -74,7 +74,8 @@ class MotiveReader:
             raise InputError(path, f"coordinate space {space!r}", "'Global'", "Export again with world coordinates.")
         names = list(dict.fromkeys(column.name for column in head.columns))
         check_streams(path, options, names, "rigid body or marker")
-        table, losses = number_rows(path, head.width, head.lines, ",")
+        stop = (head.time, options.seconds) if options.seconds is not None else None
+        table, losses = number_rows(path, head.width, head.lines, ",", stop=stop)
         losses = (*losses, *head.unread)
         if not len(table):
             raise InputError(path, "a header but no frames", "at least one frame", "Export the take again.")

@@ -18,6 +18,7 @@ class ReadOptions:
         streams: read these streams (topics) alone; None reads all.
         fields: topic → fields to read of it (bags); None reads all. Memory is that of the fields read.
         preview: for a look into a bag: all stamps, but values of the first messages of a topic alone.
+        seconds: for a look at the beginning: a reader may leave unread what comes so many seconds after the first stamp.
         time: column or variable that holds the stamps (CSV, Parquet, MATLAB).
         time_unit: unit of that column.
         rate_hz: sample rate of a table that has no stamps at all; its rows are then evenly spaced, the first one at zero.
@@ -29,6 +30,7 @@ class ReadOptions:
     streams: frozenset[str] | None = None
     fields: Mapping[str, frozenset[str]] | None = None
     preview: bool = False
+    seconds: float | None = None
     time: str | None = None
     time_unit: str = "s"
     rate_hz: float | None = None

@@ -127,3 +127,25 @@ def test_other_csv_files_and_empty_ones_are_refused(tmp_path: Path, shared_data:
         read(empty)
     with pytest.raises(InputError, match="a header but no frames"):
         read(export(tmp_path / "n.csv", []))
+
+
+def test_an_export_is_the_same_in_pieces_and_may_be_left_after_its_first_seconds(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rows = [f"{k},{0.01 * k:.2f},0,0,0,1,{k},{'' if k % 9 == 4 else 'lost' if k % 9 == 7 else k},3,0.5" for k in range(200)]
+    path = export(tmp_path / "m.csv", rows)
+    (whole,) = read(path)
+    assert len(whole) == 200
+    for cells in (1, 100, 330, 5000):
+        monkeypatch.setattr("sysid.logs.capture._CELLS", cells)
+        (body,) = read(path)
+        for name, values in whole.columns.items():
+            np.testing.assert_array_equal(body.columns[name], values)
+        (begun,) = MotiveReader().read(path, ReadOptions(seconds=0.5))
+        assert 51 <= len(begun) <= max(52 + cells // 11, 51)
+        np.testing.assert_array_equal(begun.columns["x"], whole.columns["x"][: len(begun)])
+        assert begun.losses == whole.losses
+    path.write_text(path.read_text("utf-8") + "200,2.0,0,0,0,1,1,1,1,1,9\r\n", "utf-8")
+    monkeypatch.setattr("sysid.logs.capture._CELLS", 100)
+    with pytest.raises(InputError, match="row 201 below the head: more than 10 cells"):
+        read(path)
