@@ -115,5 +115,6 @@ def inside(root: Path, relative: str, where: object) -> Path:
     """
     path = (root / relative).resolve()
     if not path.is_relative_to(root.resolve()):
-        raise SettingsError(where, f"path {relative!r} leaves the folder {root}", "a path inside that folder")
+        remedy = "Copy it there: links out of the folder are not followed." if Path(relative).is_absolute() else ""
+        raise SettingsError(where, f"path {relative!r} leaves the folder {root}", "a path inside that folder", remedy)
     return path

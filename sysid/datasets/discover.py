@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from fnmatch import fnmatchcase
 from pathlib import Path
 
@@ -12,17 +12,36 @@ from sysid.config import inside
 from sysid.datasets.recipe import Recipe, Recordings, StreamMap
 from sysid.datasets.recording import Kind
 from sysid.errors import InputError, nearest
-from sysid.logs.readers import is_log
+from sysid.logs.readers import is_log, reader_for
 
 
 @dataclass(frozen=True)
 class RecordingFiles:
-    """The files of one recording; ``streams`` pairs each with its entry of the recipe, None in a canonical folder."""
+    """The files of one recording.
+
+    Args:
+        streams: each file with its entry of the recipe, None in a canonical folder.
+        written: file → size and time of its last change when it was found.
+    """
 
     name: str
     kind: Kind
     root: Path
     streams: tuple[tuple[Path, StreamMap | None], ...]
+    written: Mapping[Path, tuple[int, int]] = field(default_factory=dict)
+
+    def check_unchanged(self) -> None:
+        """Raise where a file is another one than when it was found.
+
+        Raises:
+            InputError: it has grown, was written anew, or is gone.
+        """
+        for path, before in self.written.items():
+            now = _written(path)
+            if now != before:
+                found = f"{'written' if now[1] >= 0 else 'removed'} while it was read"
+                remedy = "Wait until it is recorded or copied, then run the command again."
+                raise InputError(path, found, "a log that nobody writes to", remedy)
 
 
 def discover(paths: Sequence[Path], recipe: Recipe | None) -> tuple[RecordingFiles, ...]:
@@ -42,9 +61,41 @@ def discover(paths: Sequence[Path], recipe: Recipe | None) -> tuple[RecordingFil
     for name in names:
         if names.count(name) > 1:
             raise InputError(", ".join(map(str, paths)), f"two recordings are named {name!r}", "one recording a name")
+    if found and not any(recording.streams for recording in found):
+        raise _nothing(paths, recipe)
     if not found:
         raise InputError(", ".join(map(str, paths)), "no recordings", "sub-folders with log files", "Check the path.")
-    return tuple(found)
+    return tuple(replace(files, written={path: _written(path) for path, _ in files.streams}) for files in found)
+
+
+def unmatched(found: Sequence[RecordingFiles], recipe: Recipe | None) -> tuple[str, ...]:
+    """What the recipe says about files that no recording has, in words."""
+    used = {id(stream) for files in found for _, stream in files.streams}
+    streams = recipe.streams if recipe is not None else ()
+    return tuple(
+        f"no recording has a file {stream.files!r}: nothing of it is read" for stream in streams if id(stream) not in used
+    )
+
+
+def _written(path: Path) -> tuple[int, int]:
+    try:
+        status = path.stat()
+    except FileNotFoundError:
+        return -1, -1
+    return status.st_size, status.st_mtime_ns
+
+
+def _nothing(paths: Sequence[Path], recipe: Recipe | None) -> InputError:
+    """Why single files are no recordings."""
+    where = ", ".join(map(str, paths))
+    if recipe is not None and recipe.streams:
+        patterns = [stream.files for stream in recipe.streams]
+        return InputError(where, "no entry of the recipe is for it", f"files {', '.join(patterns)}", "Correct `files`.")
+    try:
+        reader_for(paths[0])
+    except InputError as error:
+        return error
+    return InputError(where, "no log file", "a log file or a folder of recordings", "Check the path.")
 
 
 def sha256(path: Path) -> str:
@@ -58,20 +109,25 @@ def _in_path(path: Path, recipe: Recipe | None) -> list[RecordingFiles]:
     if recordings.files:
         return _single_files(path, recordings, recipe)
     if path.is_file():
-        return [
-            RecordingFiles(path.stem, _kind(path.stem, recordings, path), path.parent, _matched([path], path.parent, recipe))
-        ]
+        home = path.resolve().parent  # who names a link means the file
+        streams = _matched([path], home, recipe)
+        return [RecordingFiles(path.stem, _kind(path.stem, recordings, path), home, streams)]
     folders = sorted(entry for entry in path.iterdir() if entry.is_dir() and not entry.name.startswith("."))
     result = []
     for folder in folders:
         wanted = [*recordings.motion, *recordings.poses]
         if not any(fnmatchcase(folder.name, pattern) for pattern in wanted):
             continue
+        inside(path, str(folder.resolve()), folder)
         streams = _matched(sorted(folder.iterdir()), folder, recipe)
         if streams:
             result.append(RecordingFiles(folder.name, _kind(folder.name, recordings, path), folder, streams))
     if not result:  # the path is itself one recording
         streams = _matched(sorted(path.iterdir()), path, recipe)
+        if not streams and recipe is not None and recipe.streams:
+            present = {entry.name for entry in (*path.iterdir(), *path.glob("*/*")) if is_log(entry)}
+            patterns = ", ".join(repr(stream.files) for stream in recipe.streams)
+            raise InputError(path, f"no file {patterns} as the recipe's `files` say", nearest("", present), "Correct `files`.")
         if not streams:
             expected = "recordings " + ", ".join(map(repr, (*recordings.motion, *recordings.poses)))
             raise InputError(path, "no log files", expected, "Each sub-folder with log files is one recording.")
@@ -95,6 +151,8 @@ def _single_files(path: Path, recordings: Recordings, recipe: Recipe | None) -> 
 def _matched(files: Sequence[Path], folder: Path, recipe: Recipe | None) -> tuple[tuple[Path, StreamMap | None], ...]:
     """Each log file with the recipe's entry for it; where no recipe names streams, every file that some reader takes."""
     if recipe is None or not recipe.streams:
+        for file in files:
+            inside(folder, str(file.resolve()), file)
         return tuple((file, None) for file in files if is_log(file))
     pairs = []
     for stream in recipe.streams:

@@ -13,7 +13,7 @@ from sysid.datasets.channel import Channel
 from sysid.datasets.channels import Mounts, Reading, concatenate, joined, read_channels, survey_mounts
 from sysid.datasets.clocks import Clocked, KnownSkew, align, by_source, machine_times
 from sysid.datasets.degenerate import offset_notes
-from sysid.datasets.discover import RecordingFiles, discover, sha256
+from sysid.datasets.discover import RecordingFiles, discover, sha256, unmatched
 from sysid.datasets.flags.collect import flag_rows
 from sysid.datasets.manifest import Made, digest_of
 from sysid.datasets.poses import pose_table, still_phases
@@ -30,7 +30,7 @@ from sysid.progress import Progress, silent
 #: A recording with more rows on the grid than this is a mistake in its stamps (a day at 1 kHz has 86 million).
 MAX_ROWS = 10**8
 #: Part of every digest: raise it when the same logs would give another table.
-INGEST_VERSION = 1
+INGEST_VERSION = 2
 
 
 def ingest(

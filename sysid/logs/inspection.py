@@ -117,6 +117,8 @@ def inspect_file(path: Path, reader: str | None = None, dbc: Path | None = None)
         streams = chosen.read(path, options)
     except InputError as error:
         return FileSummary(path, chosen.name, size, _bare(path, chosen), stated=stated, refusal=str(error))
+    except PermissionError:
+        return FileSummary(path, chosen.name, size, stated=stated, refusal=f"{path}: may not be read (permission denied)")
     losses = tuple(dict.fromkeys(loss for stream in streams for loss in stream.losses))
     return FileSummary(path, chosen.name, size, tuple(summarise(stream) for stream in streams), losses, stated)
 

@@ -107,8 +107,11 @@ def reader_for(path: Path) -> LogReader:
 def _by_content(path: Path) -> str | None:
     if not path.is_file():
         return None
-    with path.open("rb") as file:
-        head = file.read(4096).removeprefix(b"\xef\xbb\xbf")
+    try:
+        with path.open("rb") as file:
+            head = file.read(4096).removeprefix(b"\xef\xbb\xbf")
+    except PermissionError:  # said where it is read
+        return None
     return next((name for pattern, name in SIGNATURES if pattern.match(head)), None)
 
 
