@@ -100,9 +100,12 @@ def _write(files: Files, folder: str, schema: pa.Schema, batches: Iterable[pa.Re
     from deltalake import convert_to_deltalake
 
     texts = [field.name for field in schema if pa.types.is_string(field.type)]
+    counted = {field.name: "DELTA_BINARY_PACKED" for field in schema if pa.types.is_integer(field.type)}
     with files.create(f"{folder}/{FILE}") as sink:
         # Not pyarrow's own file: an error of the disk is then an OSError with its number.
-        with pq.ParquetWriter(sink, schema, compression="zstd", use_dictionary=texts) as writer:
+        with pq.ParquetWriter(
+            sink, schema, compression="zstd", compression_level=3, use_dictionary=texts, column_encoding=counted
+        ) as writer:
             for batch in batches:
                 writer.write_batch(batch)
         sink.flush()
