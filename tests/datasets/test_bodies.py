@@ -13,8 +13,9 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from sysid.datasets.bodies import Seen, find_mounts, joints_and_points
+from sysid.datasets.channels import read_streams
 from sysid.datasets.mistakes import without_mistakes
-from sysid.datasets.recipe import Frame, PointMap, Reference, StreamMap
+from sysid.datasets.recipe import Frame, PointMap, Reference, SignalMap, StreamMap
 from sysid.datasets.rigid import body_poses, frame_pose, inverse, mean_pose, poses_at
 from sysid.errors import InputError, SettingsError
 from sysid.logs import Stream
@@ -238,3 +239,22 @@ def test_mistakes_are_named(crane: Machine) -> None:
         find_mounts(moving, mapping(), crane)
     with pytest.raises(SettingsError, match="link 'gripper' is not moved by an axis"):
         find_mounts(streams, mapping(bodies={"b0": "gripper"}), crane)
+
+
+@pytest.mark.parametrize(
+    ("file", "topic", "frames"),
+    [
+        ("rigid_body_motion_ros1.bag", "/vicon/t265_tracker/t265_tracker", 57),  # TransformStamped
+        ("rigid_body_motion_ros1.bag", "/camera/odom/sample", 228),  # Odometry
+        ("nav2_turtlebot.mcap", "/amcl_pose", 135),  # PoseWithCovarianceStamped
+    ],
+)
+def test_poses_of_real_bags_are_tracked_beside_other_fields(
+    shared_data: Path, crane: Machine, file: str, topic: str, frames: int
+) -> None:
+    own = StreamMap(file, signals={"slew.joint": SignalMap("header.seq", topic)}, points={"ee": PointMap(topic)})
+    streams = read_streams(shared_data / "mcap_bags" / file, own)
+    seen, dropped = joints_and_points(streams, own, {}, crane)
+    assert [(item.signal, len(item.values)) for item in seen] == [("ee.x", frames), ("ee.y", frames), ("ee.z", frames)]
+    assert all(np.isfinite(item.values).all() for item in seen)
+    assert dropped == ()
