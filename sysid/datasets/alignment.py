@@ -6,60 +6,76 @@ Model, for every signal pair p that shares its cause (the same joint, or a cylin
 
 with ``x_p`` measured on the machine's clock, ``y_p`` on the other one, and ``f_p`` an unknown smooth map (a polynomial: the
 linkage between cylinder and joint, the systematic error of a sensor). ``o``, ``s`` and all maps are estimated together by
-robust least squares (soft-L1 by reweighting); the maps are projected out of every step (variable projection). Commands are
-never used: between a command and the motion lies the dead time of the plant. A start comes from the cross-correlation of the
-rates.
+robust least squares (soft-L1 by reweighting). Commands are never used: between a command and the motion lies the dead time of
+the plant. A start comes from the cross-correlation of the rates. From there the window in which the two are compared grows to
+the whole overlap, so that a skew that is not known yet never moves the ends of a long log out of the reach of a Gauss-Newton
+step; until the last steps on every sample, a thinned stream is enough.
 
 Intervals are cluster-robust: scores are summed over blocks of :data:`BLOCK_S`, so autocorrelated residuals widen them. What is
 estimated is the offset of the *stamps*: a constant latency of the other device is part of it and cannot be told apart.
 
-Source: variable projection: Golub and Pereyra (1973); sandwich with clusters: Liang and Zeger (1986).
+Source: the maps are eliminated from every step, which is variable projection: Golub and Pereyra (1973); sandwich with clusters:
+Liang and Zeger (1986).
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import numpy.typing as npt
 
 from sysid.datasets.channel import Channel, seconds
-from sysid.datasets.resample import interpolate, low_pass
+from sysid.datasets.coarse import Pair, coarse_lag
+from sysid.datasets.motion_fit import PairFit, Sums, prepared
+from sysid.datasets.resample import low_pass
 from sysid.signals import split_signal
+
+__all__ = ["Estimate", "Pair", "conditional", "estimate", "pairs_of"]
 
 Array = npt.NDArray[np.float64]
 
 #: Length over which residuals may be correlated [s].
 BLOCK_S = 2.0
+#: So many of them are summed for the widths of intervals, where at least this number is left.
+BLOCKS_TOGETHER, FEWEST_BLOCKS = (1, 3), 12
 #: Degree of the polynomial map of a pair: a sensor's error curve, a linkage.
 DEGREE_SAME, DEGREE_LINKAGE = 7, 9
-#: The skew is applied where its 95 % interval is no wider than this to either side [ppm].
-MAX_SKEW_HALF_WIDTH = 30.0
-#: A coarse match counts where the rates correlate this well and no other lag comes near.
-MIN_CORRELATION, MAX_RIVAL = 0.5, 0.85
 #: Share of the variance of y that f(x) has to explain, and the largest skew that a clock has (a share, not ppm).
 MIN_EXPLAINED, MAX_SKEW = 0.95, 2e-3
-_COARSE_HZ = 50.0
+#: The first window [s], and by how much each one is longer than the one before.
+WINDOW_S, GROWTH = 120.0, 3.0
+#: Samples of a pair that are enough to iterate on.
+THINNED = 20_000
+#: Motion ends where its power falls to this many times that of the noise, in sections of some seconds; margin and least band.
+BAND_S, BAND_RATIO, BAND_MARGIN, LOWEST_BAND_HZ = 20.0, 3.0, 1.5, 0.5
+#: The longest step [s] that the linearisation is trusted for.
+REACH_S = 0.05
 
 
 @dataclass(frozen=True)
-class Pair:
-    """One cause measured on both clocks; times in seconds from the start of the recording (x) and of the stream (y)."""
+class Blocks:
+    """What the fit says of itself, block by block of :data:`BLOCK_S`: arrays (b,).
 
-    name: str
-    x_times: Array
-    x: Array
-    y_times: Array
-    y: Array
-    degree: int
-    x_gap_s: float
+    Args:
+        times: middle of the block on the stream's clock [s].
+        shift: offset that the block alone asks for beyond the fit [s].
+        weight: how sure of it the block is, 1/variance [1/s²].
+        energy: mean square of the residual in variances of the noise.
+    """
+
+    times: Array
+    shift: Array
+    weight: Array
+    energy: Array
 
 
 @dataclass(frozen=True)
 class Estimate:
-    """Result of :func:`estimate`: ``t_machine = t + mid_offset + skew·(t − mid_time)``; standard errors beside.
+    """Result of :func:`estimate`: ``t_machine = t + mid_offset + skew·(t − mid_time)``; covariance of (offset, skew) beside.
 
+    ``normal`` is the curvature (2, 2) that :func:`conditional` needs. ``span`` is the part of the stream that was compared [s].
     ``refused`` says why nothing could be estimated (then the numbers are NaN).
     """
 
@@ -71,6 +87,18 @@ class Estimate:
     residual: float = float("nan")
     used: tuple[str, ...] = ()
     refused: str = ""
+    normal: Array = field(default_factory=lambda: np.full((2, 2), np.nan))
+    span: tuple[float, float] = (float("nan"), float("nan"))
+    blocks: Blocks | None = None
+
+    def at(self, time: float) -> float:
+        """The offset at a time of the stream [s]."""
+        return self.mid_offset + self.skew * (time - self.mid_time)
+
+    def variance_at(self, time: float) -> float:
+        """Of :meth:`at` [s²]."""
+        row = np.array([1.0, time - self.mid_time])
+        return float(row @ self.covariance @ row)
 
 
 def pairs_of(machine: Sequence[Channel], other: Sequence[Channel], start_ns: int, other_start_ns: int) -> tuple[Pair, ...]:
@@ -82,21 +110,23 @@ def pairs_of(machine: Sequence[Channel], other: Sequence[Channel], start_ns: int
             x_axis, x_quantity = split_signal(x.signal)
             if axis != x_axis or "command" in (quantity, x_quantity) or axis in ("ee", "tool"):
                 continue
+            if min(len(x.stamps), len(y.stamps)) < 2:
+                continue
             degree = DEGREE_SAME if quantity == x_quantity else DEGREE_LINKAGE
             x_times, y_times = seconds(x.stamps, start_ns), seconds(y.stamps, other_start_ns)
             pairs.append(Pair(f"{x.signal}~{y.signal}", x_times, x.values, y_times, y.values, degree, 3.5 * x.period_s))
     return tuple(pairs)
 
 
-def estimate(pairs: Sequence[Pair], skew: float | None = None, start: float | None = None) -> Estimate:
+def estimate(pairs: Sequence[Pair], start: float | None = None) -> Estimate:
     """Offset and skew from ``pairs``.
 
     Args:
-        skew: fixes the skew (a share, not ppm); None estimates it.
         start: offset to start from, within a few samples; None searches all lags.
 
     Returns:
-        The estimate; ``refused`` where no pair moves, no lag stands out, or too little is left after dropping gaps.
+        The estimate; ``refused`` where no pair moves, no lag stands out, or too little is left after dropping gaps. Where the
+        motions resemble each other but do not agree, ``mid_offset`` still holds the best lag and ``blocks`` where it fits.
     """
     if not pairs:
         return Estimate(refused="no joint or cylinder is measured on both clocks")
@@ -104,19 +134,30 @@ def estimate(pairs: Sequence[Pair], skew: float | None = None, start: float | No
     if not moving:
         names = ", ".join(pair.name for pair in pairs)
         return Estimate(refused=f"nothing moves that both clocks have seen ({names})")
+    centre, doubt = None, ""
     if start is None:
-        start, refused = coarse_offset(moving)
-        if refused:
-            return Estimate(refused=refused)
-    smoothed = [_smoothed(pair) for pair in moving]
-    result, explained = _refine(smoothed, start, skew)
-    good = [pair for pair, share in zip(smoothed, explained, strict=True) if share >= MIN_EXPLAINED]
-    if good and len(good) < len(smoothed):  # a broken sensor must not spoil what the others know
-        result, explained = _refine(good, start, skew)
+        lag = coarse_lag(moving)
+        start, centre, doubt = lag.offset, lag.centre, lag.refused
+    ready = [smoothed(pair) for pair in moving]
+    result, explained = _refine(ready, start, centre)
+    if doubt:
+        return replace(result, refused=doubt)
+    good = [pair for pair, share in zip(ready, explained, strict=True) if share >= MIN_EXPLAINED]
+    if good and len(good) < len(ready):  # a broken sensor must not spoil what the others know
+        result, explained = _refine(good, start, centre)
     if not result.refused and (min(explained) < MIN_EXPLAINED or abs(result.skew) > MAX_SKEW):
-        listed = ", ".join(f"{pair.name}: {share:.2f}" for pair, share in zip(good or smoothed, explained, strict=True))
-        return Estimate(refused=f"the motions do not agree at the best lag (explained shares {listed})")
+        listed = ", ".join(f"{pair.name}: {share:.2f}" for pair, share in zip(good or ready, explained, strict=True))
+        return replace(result, refused=f"the motions do not agree at the best lag (explained shares {listed})")
     return result
+
+
+def conditional(found: Estimate, skew: float) -> Estimate:
+    """The estimate if the skew is known to be ``skew``: the offset that is best then, its variance without that of the skew."""
+    normal = found.normal
+    offset = found.mid_offset + normal[0, 1] / normal[0, 0] * (found.skew - skew)
+    meat = normal @ found.covariance @ normal
+    covariance = np.array([[meat[0, 0] / normal[0, 0] ** 2, 0.0], [0.0, 0.0]])
+    return replace(found, mid_offset=float(offset), skew=skew, covariance=covariance)
 
 
 def _moves(values: Array) -> bool:
@@ -124,165 +165,157 @@ def _moves(values: Array) -> bool:
     known = values[~np.isnan(values)]
     if len(known) < 50:
         return False
-    noise = float(np.median(np.abs(np.diff(known, n=2)))) / 1.65
-    steps = np.abs(np.diff(np.unique(known)))
+    noise = float(np.median(np.abs(np.diff(known[: 10 * THINNED], n=2)))) / 1.65
+    thinned = known[:: max(1, len(known) // THINNED)]
+    steps = np.diff(np.unique(thinned))
     quantum = float(steps.min()) if len(steps) else 0.0
-    spread = float(np.quantile(known, 0.99) - np.quantile(known, 0.01))
+    spread = float(np.quantile(thinned, 0.99) - np.quantile(thinned, 0.01))
     return spread > 20.0 * max(noise, quantum)
 
 
-def coarse_offset(pairs: Sequence[Pair]) -> tuple[float, str]:
-    """The lag [s] at which the rates of all pairs correlate best, or why none stands out.
+def smoothed(pair: Pair) -> Pair:
+    """``x`` without what is noise alone, and the samples of y that are known.
 
-    The sign of a map is unknown (a cylinder may close its joint), so magnitudes of the correlations are summed.
+    Noise in the rate of x would make the offset look surer than it is, and between samples interpolation would shrink it and so
+    prefer such lags.
     """
-    step = 1.0 / _COARSE_HZ
-    start_x = min(float(pair.x_times[0]) for pair in pairs)
-    start_y = min(float(pair.y_times[0]) for pair in pairs)
-    count_x = int((max(float(pair.x_times[-1]) for pair in pairs) - start_x) / step) + 1
-    count_y = int((max(float(pair.y_times[-1]) for pair in pairs) - start_y) / step) + 1
-    size = 1 << (count_x + count_y).bit_length()
-    total = np.zeros(size)
-    for pair in pairs:
-        rate_x, known_x = _rates(pair.x_times, pair.x, start_x, count_x)
-        rate_y, known_y = _rates(pair.y_times, pair.y, start_y, count_y)
-        fx, fy = np.fft.rfft(rate_x, size), np.conj(np.fft.rfft(rate_y, size))
-        cross = np.fft.irfft(fx * fy, size)
-        # Normalised by the energy that overlaps at that lag, with a floor so that a sliver at the end cannot win.
-        energy_x = np.fft.irfft(np.fft.rfft(rate_x**2, size) * np.conj(np.fft.rfft(known_y, size)), size)
-        energy_y = np.fft.irfft(np.fft.rfft(known_x, size) * np.conj(np.fft.rfft(rate_y**2, size)), size)
-        floor = 0.25 * np.sqrt(np.sum(rate_x**2) * np.sum(rate_y**2)) + 1e-300
-        total += np.abs(cross) / np.maximum(np.sqrt(np.clip(energy_x, 0, None) * np.clip(energy_y, 0, None)), floor)
-    total /= len(pairs)
-    best = int(np.argmax(total))
-    lags = np.where(np.arange(size) > size // 2, np.arange(size) - size, np.arange(size)) * step
-    rival = float(np.max(total[np.abs(lags - lags[best]) > 2.0], initial=0.0))
-    if total[best] < MIN_CORRELATION:
-        return 0.0, f"the motions do not resemble each other at any lag (correlation {total[best]:.2f} at best)"
-    if rival > MAX_RIVAL * total[best]:
-        return (
-            0.0,
-            f"two lags fit almost equally well (correlations {total[best]:.2f} and {rival:.2f}): the motion repeats itself",
-        )
-    return float(lags[best] + start_x - start_y), ""
-
-
-def _rates(times: Array, values: Array, start: float, count: int) -> tuple[Array, Array]:
-    """Rate on the coarse grid, zero where nothing was measured, and a mask of where it was."""
-    grid = start + np.arange(count) / _COARSE_HZ
-    period = float(np.median(np.diff(times)))
-    on_grid = interpolate(times, values, grid, max(3.5 * period, 0.2))
-    width = max(round(0.08 * _COARSE_HZ), 1)
-    rate = np.full(count, np.nan)
-    rate[width:-width] = (on_grid[2 * width :] - on_grid[: -2 * width]) * (_COARSE_HZ / (2 * width))
-    known = ~np.isnan(rate)
-    return np.where(known, rate, 0.0), known.astype(np.float64)
-
-
-def _smoothed(pair: Pair) -> Pair:
-    """Noise of ``x`` above a fifth of its rate off: between samples interpolation would shrink it and so prefer such lags."""
     rate = 1.0 / float(np.median(np.diff(pair.x_times)))
-    x = low_pass(pair.x_times, pair.x, 0.2 * rate, pair.x_gap_s)
+    x = low_pass(pair.x_times, pair.x, min(0.2 * rate, motion_band(pair.x, rate)), pair.x_gap_s)
     known = ~np.isnan(pair.y)
-    return Pair(pair.name, pair.x_times, x, pair.y_times[known], pair.y[known], pair.degree, pair.x_gap_s)
+    return replace(pair, x=x, y_times=pair.y_times[known], y=pair.y[known])
 
 
-def _refine(pairs: Sequence[Pair], start: float, fixed_skew: float | None) -> tuple[Estimate, list[float]]:
-    """Gauss-Newton on (offset, skew) with the maps projected out and soft-L1 weights; explained share of each pair beside."""
-    overlap = [t for p in pairs for t in (max(p.y_times[0], p.x_times[0] - start), min(p.y_times[-1], p.x_times[-1] - start))]
-    mid = (min(overlap) + max(overlap)) / 2.0
-    offset, skew = start, fixed_skew or 0.0
-    scales = [0.0] * len(pairs)
-    for iteration in range(40):
-        settled = iteration > 5
-        parts = []
-        for index, pair in enumerate(pairs):
-            part = _linearise(pair, offset, skew, mid, scales[index] if settled else 0.0)
-            if part is None:
-                return Estimate(refused=f"too little of {pair.name} overlaps"), [0.0] * len(pairs)
-            scales[index] = part.scale
-            parts.append(part)
-        normal = np.sum([part.normal for part in parts], axis=0)
-        score = np.sum([part.scores.sum(axis=0) for part in parts], axis=0)
-        size = np.sqrt(np.diag(normal))
-        if size.min() <= 0.0 or float(np.linalg.det(normal / np.outer(size, size))) < 1e-10:
-            return Estimate(refused="too little motion lies where both clocks have seen it"), [0.0] * len(pairs)
-        bread = np.linalg.inv(normal) if fixed_skew is None else np.diag([1.0 / normal[0, 0], 0.0])
-        # A start from the coarse grid is within its step: larger moves mean that the linearisation does not hold.
-        step = np.clip(bread @ score, [-0.05, -5e-4], [0.05, 5e-4])
-        offset, skew = offset + float(step[0]), skew + float(step[1])
-        if settled and abs(step[0]) < 1e-8 and abs(step[1]) < 1e-10:
+def motion_band(values: Array, rate: float) -> float:
+    """Frequency [Hz] above which a signal (n,) at ``rate`` is hardly more than its noise."""
+    known = values[~np.isnan(values)]
+    length = min(len(known), round(BAND_S * rate))
+    count = len(known) // length if length else 0
+    if count < 1 or length < 64:
+        return rate
+    window = np.hanning(length)
+    sections = known[: count * length].reshape(count, length)
+    power = np.mean(np.abs(np.fft.rfft((sections - sections.mean(axis=1, keepdims=True)) * window, axis=1)) ** 2, axis=0)
+    frequencies = np.fft.rfftfreq(length, 1.0 / rate)
+    # Smoothed over so many lines that noise alone never comes near the ratio.
+    lines = max(3, -(-24 // count))
+    smooth = np.convolve(power, np.ones(lines) / lines, mode="same")
+    floor = float(np.median(smooth[frequencies > 0.3 * rate]))
+    above = np.flatnonzero(smooth > BAND_RATIO * floor)
+    top = float(frequencies[above[-1]]) if len(above) else 0.0
+    return max(BAND_MARGIN * top, LOWEST_BAND_HZ)
+
+
+def _refine(pairs: Sequence[Pair], start: float, centre: float | None) -> tuple[Estimate, list[float]]:
+    """Gauss-Newton on (offset, skew) in windows that grow around ``centre``; explained share of each pair beside."""
+    nothing = [0.0] * len(pairs)
+    ends = [
+        t
+        for p in pairs
+        if len(p.y)
+        for t in (max(p.y_times[0], p.x_times[0] - start), min(p.y_times[-1], p.x_times[-1] - start))
+    ]
+    if not ends:
+        return Estimate(refused="too little overlaps"), nothing
+    first, last = float(min(ends)), float(max(ends))
+    mid = (first + last) / 2.0
+    centre = mid if centre is None else centre
+    fits = [PairFit(prepared(pair)) for pair in pairs]
+    offset, skew, width = start - 0.0, 0.0, WINDOW_S
+    reference = centre  # where ``offset`` holds
+    while True:
+        low, high = centre - width / 2.0, centre + width / 2.0
+        whole = low <= first and high >= last
+        offset, skew = _converge(fits, offset, skew, reference, (-np.inf, np.inf) if whole else (low, high), thin=True)
+        if whole:
             break
-    blocks: dict[int, Array] = {}
-    for part in parts:
-        for block, total in _block_sums(part.times, part.scores):
-            blocks[block] = blocks.get(block, np.zeros(2)) + total
-    count = len(blocks)
+        width *= GROWTH
+    offset, reference = offset + skew * (mid - reference), mid
+    offset, skew = _converge(fits, offset, skew, reference, (-np.inf, np.inf), thin=False)
+    sums = [fit.sums(offset, skew, mid, BLOCK_S) for fit in fits]
+    there = [s for s in sums if s is not None]
+    if not there:
+        return Estimate(refused=f"too little of {' and of '.join(pair.name for pair in pairs)} overlaps"), nothing
+    explained = [0.0 if s is None else s.explained for s in sums]
+    used = [pair for pair, s in zip(pairs, sums, strict=True) if s is not None]
+    result = _estimate(there, used, offset, skew, mid, (first, last))
+    return result, [share if s is not None else 1.0 for share, s in zip(explained, sums, strict=True)]
+
+
+def _converge(
+    fits: Sequence[PairFit], offset: float, skew: float, reference: float, window: tuple[float, float], thin: bool
+) -> tuple[float, float]:
+    """(offset, skew) after Gauss-Newton steps on the samples in ``window``; as they were where nothing there can tell."""
+    length = max(fit.pair.y_times[-1] - fit.pair.y_times[0] for fit in fits)
+    reach = max(min(window[1] - window[0], length), 1.0)
+    limit = np.array([REACH_S, 2.0 * REACH_S / reach])
+    for fit in fits:
+        fit.choose(window, THINNED if thin else None)
+    if thin:
+        for fit in fits:
+            fit.begin(offset, skew, reference)
+    for iteration in range(30 if thin else 4):
+        sums = [s for s in (fit.sums(offset, skew, reference) for fit in fits) if s is not None]
+        if not sums:
+            break
+        normal, score = np.sum([s.normal for s in sums], axis=0), np.sum([s.score for s in sums], axis=0)
+        if _singular(normal):
+            break
+        step = np.clip(np.linalg.solve(normal, score), -limit, limit)
+        offset, skew = offset + float(step[0]), skew + float(step[1])
+        for fit in fits:
+            fit.settle(step, hold=not thin or iteration > 5)
+        error = np.sqrt(np.diag(np.linalg.inv(normal)))
+        if (not thin or iteration > 6) and bool(np.all(np.abs(step) < (0.02 if not thin else 0.05) * error + [1e-9, 1e-12])):
+            break
+    return offset, skew
+
+
+def _singular(normal: Array) -> bool:
+    size = np.sqrt(np.diag(normal))
+    return bool(size.min() <= 0.0 or float(np.linalg.det(normal / np.outer(size, size))) < 1e-10)
+
+
+def _estimate(
+    sums: Sequence[Sums], pairs: Sequence[Pair], offset: float, skew: float, mid: float, span: tuple[float, float]
+) -> Estimate:
+    normal = np.sum([s.curvature for s in sums], axis=0)
+    if _singular(normal):
+        return Estimate(refused="too little motion lies where both clocks have seen it")
+    numbers = np.unique(np.concatenate([s.blocks for s in sums]))
+    scores, weight, squares, counts = (np.zeros((len(numbers), *shape)) for shape in ((2,), (), (), ()))
+    for s in sums:
+        row = np.searchsorted(numbers, s.blocks)
+        scores[row] += s.block_scores
+        weight[row] += s.block_weight
+        squares[row] += s.block_squares
+        counts[row] += s.block_counts
+    count = len(numbers)
     if count < 4:
-        return Estimate(refused=f"only {count} blocks of {BLOCK_S:g} s overlap: too short for an interval"), [0.0] * len(pairs)
-    meat = np.sum([np.outer(total, total) for total in blocks.values()], axis=0)
-    covariance = bread @ meat @ bread * count / (count - 2)
+        return Estimate(refused=f"only {count} blocks of {BLOCK_S:g} s overlap: too short for an interval")
+    covariance, freedom = _covariance(np.linalg.inv(normal), np.sum([s.white for s in sums], axis=0), numbers, scores)
     used = tuple(sorted({name for pair in pairs for name in pair.name.split("~")}))
-    squares = np.concatenate([part.weight * (part.residual / part.scale) ** 2 for part in parts])
-    explained = [1.0 - float(np.average(part.residual**2, weights=part.weight)) / part.variance for part in parts]
-    return Estimate(float(mid), offset, skew, covariance, count - 2, float(np.sqrt(squares.mean())), used), explained
+    residual = float(np.sqrt(sum(s.weighted_squares for s in sums) / sum(s.count for s in sums)))
+    seen = weight > 0.0
+    blocks = Blocks((numbers[seen] + 0.5) * BLOCK_S, scores[seen, 0] / weight[seen], weight[seen], squares[seen] / counts[seen])
+    return Estimate(mid, offset, skew, covariance, freedom, residual, used, "", normal, span, blocks)
 
 
-@dataclass(frozen=True)
-class _Part:
-    """One pair linearised: residual ``y − f(x)``, weights (n,), noise scale, variance of y, J'WJ, rows of J'Wr (n, 2)."""
+def _covariance(bread: Array, white: Array, numbers: npt.NDArray[np.int64], scores: Array) -> tuple[Array, int]:
+    """Covariance of (offset, skew), and its degrees of freedom: the widest of what blocks of several lengths say.
 
-    times: Array
-    residual: Array
-    weight: Array
-    scale: float
-    variance: float
-    normal: Array
-    scores: Array
-
-
-def _linearise(pair: Pair, offset: float, skew: float, mid: float, scale: float) -> _Part | None:
-    """``pair`` at (offset, skew) with its map fitted and projected out; None where too little overlaps.
-
-    ``scale`` is the noise's standard deviation; 0 estimates it. It is held while the iteration converges.
+    Scores of blocks show residuals that are correlated, but of a few blocks they scatter: no block length may promise more than
+    uncorrelated residuals would.
     """
-    at = pair.y_times + offset + skew * (pair.y_times - mid)
-    half = 0.5 * float(np.median(np.diff(pair.x_times)))
-    x, later, earlier = (interpolate(pair.x_times, pair.x, at + d, pair.x_gap_s, cubic=True) for d in (0.0, half, -half))
-    rate = (later - earlier) / (2.0 * half)
-    known = ~np.isnan(x) & ~np.isnan(rate)
-    if np.count_nonzero(known) < 20 * (pair.degree + 3):
-        return None
-    times, y, x, rate = pair.y_times[known], pair.y[known], x[known], rate[known]
-    low, high = float(x.min()), float(x.max())
-    if high <= low:
-        return None
-    u = 2.0 * (x - low) / (high - low) - 1.0
-    basis = np.polynomial.chebyshev.chebvander(u, pair.degree)
-    weight, residual, coefficients = np.ones(len(y)), y, np.zeros(pair.degree + 1)
-    for _ in range(4):
-        weighted = basis * weight[:, None]
-        coefficients = _solve(weighted.T @ basis, weighted.T @ y)
-        residual = y - basis @ coefficients
-        sigma = scale or 1.4826 * float(np.median(np.abs(residual))) + 1e-15
-        # Soft-L1 with its knee at two standard deviations: noise counts in full, mistaken frames hardly.
-        weight = 1.0 / np.sqrt(1.0 + (residual / (2.0 * sigma)) ** 2)
-    slope = np.polynomial.chebyshev.chebval(u, np.polynomial.chebyshev.chebder(coefficients)) * (2.0 / (high - low))
-    jacobian = np.column_stack([slope * rate, slope * rate * (times - mid)])
-    weighted = basis * weight[:, None]
-    jacobian = jacobian - basis @ _solve(weighted.T @ basis, weighted.T @ jacobian)
-    scores = jacobian * (weight / sigma**2 * residual)[:, None]
-    normal = (jacobian * (weight / sigma**2)[:, None]).T @ jacobian
-    return _Part(times, residual, weight, sigma, max(float(np.var(y)), 1e-30), normal, scores)
-
-
-def _solve(matrix: Array, right: Array) -> Array:
-    """Normal equations of a Chebyshev basis; a ridge far below the noise keeps a sparse range solvable."""
-    return np.asarray(np.linalg.solve(matrix + 1e-12 * np.trace(matrix) * np.eye(len(matrix)), right))
-
-
-def _block_sums(times: Array, contributions: Array) -> list[tuple[int, Array]]:
-    blocks = np.floor(times / BLOCK_S).astype(np.int64)
-    starts = np.flatnonzero(np.diff(blocks, prepend=blocks[0] - 1))
-    sums = np.add.reduceat(contributions, starts, axis=0)
-    return [(int(blocks[start]), total) for start, total in zip(starts, sums, strict=True)]
+    found = [(bread @ white @ bread, len(numbers) - 2)]
+    for together in BLOCKS_TOGETHER:
+        starts = np.flatnonzero(np.diff(numbers // together, prepend=numbers[0] // together - 1))
+        count = len(starts)
+        if together > 1 and count < FEWEST_BLOCKS:
+            continue
+        sums = np.add.reduceat(scores, starts, axis=0)
+        found.append((bread @ (sums.T @ sums) @ bread * count / (count - 2), count - 2))
+    errors = np.sqrt(np.max([np.diag(covariance) for covariance, _ in found], axis=0))
+    first = found[1][0]
+    correlation = first[0, 1] / np.sqrt(first[0, 0] * first[1, 1])
+    inner = errors[0] * errors[1] * correlation
+    return np.array([[errors[0] ** 2, inner], [inner, errors[1] ** 2]]), found[1][1]

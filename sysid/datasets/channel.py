@@ -10,6 +10,7 @@ import numpy.typing as npt
 
 from sysid.datasets.flag import Flag
 from sysid.datasets.recipe import SignalMap
+from sysid.datasets.set_clocks import set_back_rows
 from sysid.errors import InputError, nearest
 from sysid.logs import Stream
 from sysid.machine import Machine
@@ -104,7 +105,7 @@ def in_order(stamps: npt.NDArray[np.int64], where: str) -> tuple[npt.NDArray[np.
     """Rows in the order of their stamps without doubles, and how many rows were out of order or double.
 
     Raises:
-        InputError: too many steps back in time, or one too large, to be late messages.
+        InputError: too many steps back in time, or one too large, to be late messages; the clock was set back.
     """
     steps = np.diff(stamps)
     back = np.flatnonzero(steps < 0)
@@ -113,6 +114,15 @@ def in_order(stamps: npt.NDArray[np.int64], where: str) -> tuple[npt.NDArray[np.
         raise InputError(
             where,
             f"stamps go back in time {len(back)} times, first in row {row} by {-steps[row - 2] * 1e-9:.6g} s",
+            "stamps that rise",
+            "Cut the log where its clock was set, or choose another clock in the recipe.",
+        )
+    set_back = set_back_rows(stamps).tolist() if len(back) else []
+    if set_back:
+        row = set_back[0]
+        raise InputError(
+            where,
+            f"its clock was set back by {(stamps[row - 1] - stamps[row]) * 1e-9:.3f} s in row {row + 1}",
             "stamps that rise",
             "Cut the log where its clock was set, or choose another clock in the recipe.",
         )

@@ -19,6 +19,7 @@ from sysid.datasets.marker_sets import with_marker_sets
 from sysid.datasets.mistakes import Dropped
 from sysid.datasets.recipe import SignalMap, StreamMap
 from sysid.datasets.rigid import POSE_FIELDS, mean_pose
+from sysid.datasets.set_clocks import with_stamps_carried_on
 from sysid.errors import InputError, SettingsError, nearest
 from sysid.logs import ReadOptions, Stream, reader_for, reader_named
 from sysid.machine import Machine
@@ -148,7 +149,8 @@ def read_streams(path: Path, mapping: StreamMap | None, seconds: float | None = 
         rotation=mapping.rotation,
         dbc=Path(mapping.dbc) if mapping.dbc is not None else None,
     )
-    return with_marker_sets(reader.read(path, options), mapping)
+    streams = with_stamps_carried_on(reader.read(path, options), mapping.clock, mapping.domain == "machine")
+    return with_marker_sets(streams, mapping)
 
 
 def _mapped(path: Path, streams: Sequence[Stream], mapping: StreamMap, machine: Machine) -> list[Channel]:

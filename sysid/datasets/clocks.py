@@ -1,25 +1,34 @@
-"""Clock records: one for each file of another device in each recording, and what they do to its stamps."""
+"""Clock records, for each file of another device in each recording, and what they do to its stamps.
+
+A file has one record, or one for each piece where its clock was set or paused while it recorded. A piece begins with the sample
+whose stamp is the record's ``stream_start_ns`` and ends where the next one begins.
+"""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 import numpy.typing as npt
 
-from sysid.datasets.alignment import MAX_SKEW_HALF_WIDTH, Estimate, Pair, estimate, pairs_of
+from sysid.datasets.alignment import Pair, conditional, pairs_of
 from sysid.datasets.bursts import match_bursts
 from sysid.datasets.channel import Channel, seconds
 from sysid.datasets.recording import ClockRecord, Kind
+from sysid.datasets.resets import Piece, pieces
+from sysid.datasets.skews import KnownSkew, Skew, alone, known_skews, pooled, quantile
 from sysid.errors import AlignmentError, InputError
 
 Array = npt.NDArray[np.float64]
 
-#: Degrees of freedom of what earlier recordings say together.
-_MANY = 1000
+__all__ = ["Clocked", "KnownSkew", "align", "by_source", "known_skews", "machine_times"]
+
 _LATENCY = "a constant latency of this device is part of the offset: it cannot be told apart"
+#: A pause of the machine's stamps is taken for a step of its clock where the jump of another one agrees with it to this share.
+_STEP_SHARE = 0.2
 
 
 @dataclass(frozen=True)
@@ -51,87 +60,72 @@ class Clocked:
         return min(int(channel.stamps[0]) for channel in self.machine)
 
 
-@dataclass(frozen=True)
-class KnownSkew:
-    """Skew of a device from recordings that were aligned before.
-
-    Args:
-        skew_ppm: as in their clock records, with its 95 % interval.
-        recordings: how many they were.
-    """
-
-    skew_ppm: float
-    interval95: tuple[float, float]
-    recordings: int
-
-    @property
-    def variance(self) -> float:
-        """Of the skew as a share, not ppm."""
-        return (1e-6 * _half(self.interval95) / _quantile(_MANY)) ** 2
-
-
-def _half(interval: tuple[float, float]) -> float:
-    return (interval[1] - interval[0]) / 2.0
-
-
-def known_skews(records: Sequence[ClockRecord], domains: Mapping[tuple[str, str], str]) -> dict[str, KnownSkew]:
-    """What earlier records say of the skew of each device, where they applied one and its recordings agree.
-
-    Args:
-        domains: (recording, source) → clock domain.
-    """
-    found: dict[str, list[ClockRecord]] = {}
-    for record in records:
-        domain = domains.get((record.recording, record.stream))
-        if domain is not None and record.applied and record.skew_ppm != 0.0 and all(map(math.isfinite, record.skew_interval95)):
-            found.setdefault(domain, []).append(record)
-    known = {}
-    for domain, own in found.items():
-        # Recordings that were added later share a skew that holds what was known before: the narrowest interval is of all.
-        best = min(own, key=lambda record: _half(record.skew_interval95))
-        if all(abs(r.skew_ppm - best.skew_ppm) <= _half(r.skew_interval95) + _half(best.skew_interval95) for r in own):
-            shown = {record.recording for record in own if math.isfinite(record.residual_rms)}  # static poses show none
-            known[domain] = KnownSkew(best.skew_ppm, best.skew_interval95, len(shown))
-    return known
-
-
 def align(recordings: Sequence[Clocked], known: Mapping[str, KnownSkew] | None = None) -> tuple[ClockRecord, ...]:
     """Clock records of all recordings.
 
     The skew is a property of two crystals: where the estimates of the recordings of one device agree, their weighted mean is
-    applied to each; where they do not, each has its own. A skew whose interval is too wide is not applied.
+    applied to each; where they do not, each has its own. A skew whose interval is too wide, or that was seen for too short a
+    time, is not applied.
 
     Args:
         known: clock domain → its skew from recordings that are not among these; counts as one more estimate.
 
     Raises:
-        AlignmentError: nothing can be observed and the stamps do not even overlap, so the samples have no place in time.
+        AlignmentError: nothing can be observed and the stamps do not even overlap, so the samples have no place in time; or the
+            machine's own clock was set.
     """
-    first: dict[tuple[str, str], Estimate] = {}
+    found: dict[tuple[str, str], tuple[Piece, ...]] = {}
     for recording in recordings:
         for clock, channels in recording.clocks().items():
             if recording.kind == "motion":
-                first[recording.name, clock] = estimate(_pairs(recording, channels))
+                found[recording.name, clock] = pieces(_pairs(recording, channels))
+        if recording.kind == "motion":
+            _check_machine(recording, {clock: found[recording.name, clock] for clock in recording.clocks()})
     earlier = known if known is not None else {}
-    pooled = {
-        domain: _pool(first, domain, earlier.get(domain)) for domain in {_domain(clock) for _, clock in first} | {*earlier}
-    }
-    records = []
+    skews = {}
+    for domain in {_domain(clock) for _, clock in found} | {*earlier}:
+        own = [(name, p.estimate) for (name, clock), parts in found.items() if _domain(clock) == domain for p in parts]
+        skews[domain] = pooled(own, earlier.get(domain))
+    records: list[ClockRecord] = []
     for recording in recordings:
         for clock, channels in recording.clocks().items():
-            shared = pooled.get(_domain(clock))
+            shared = skews.get(_domain(clock))
             if recording.kind == "poses":
-                records.append(_static(recording, clock, channels, shared))
+                records += _static(recording, channels, shared)
             else:
-                records.append(_moving(recording, clock, channels, first[recording.name, clock], shared))
+                records += _moving(recording, channels, found[recording.name, clock], shared)
     return tuple(records)
 
 
-def machine_times(channel: Channel, start_ns: int, record: ClockRecord | None) -> Array:
-    """Stamps of ``channel`` as seconds on the machine's clock from ``start_ns``."""
-    if record is None:
+def machine_times(channel: Channel, start_ns: int, records: Sequence[ClockRecord] | ClockRecord | None) -> Array:
+    """Stamps of ``channel`` as seconds on the machine's clock from ``start_ns``, rising.
+
+    Args:
+        records: of the channel's file in its recording, see :func:`by_source`; None for the machine's own clock.
+    """
+    if records is None:
         return seconds(channel.stamps, start_ns)
-    return seconds(channel.stamps, record.stream_start_ns) * (1.0 + 1e-6 * record.skew_ppm) + record.offset_s
+    own = [records] if isinstance(records, ClockRecord) else sorted(records, key=lambda record: record.stream_start_ns)
+    rows = np.searchsorted(channel.stamps, [record.stream_start_ns for record in own[1:]])
+    edges = [0, *rows.tolist(), len(channel.stamps)]
+    parts = [
+        seconds(channel.stamps[first:last], record.stream_start_ns) * (1.0 + 1e-6 * record.skew_ppm) + record.offset_s
+        for record, (first, last) in zip(own, pairwise(edges), strict=True)
+    ]
+    times = np.concatenate(parts)
+    if len(own) > 1 and np.any(np.diff(times) <= 0.0):
+        # What a clock repeats after it was set back lies behind what it had shown: a nanosecond each keeps the order.
+        times = np.maximum.accumulate(times) + 1e-9 * np.arange(len(times))
+    return times
+
+
+def by_source(records: Sequence[ClockRecord], recording: str) -> dict[str, tuple[ClockRecord, ...]]:
+    """Source file → its records, one a piece, for one recording."""
+    found: dict[str, list[ClockRecord]] = {}
+    for record in records:
+        if record.recording == recording:
+            found.setdefault(record.stream, []).append(record)
+    return {source: tuple(own) for source, own in found.items()}
 
 
 def _pairs(recording: Clocked, channels: Sequence[Channel]) -> tuple[Pair, ...]:
@@ -142,98 +136,110 @@ def _stream_start(channels: Sequence[Channel]) -> int:
     return min(int(channel.stamps[0]) for channel in channels)
 
 
+def _piece_start(channels: Sequence[Channel], first_s: float) -> int:
+    """Stamp of the first sample of a piece [ns]."""
+    start = _stream_start(channels)
+    if not math.isfinite(first_s):
+        return start
+    begin = start + round(first_s * 1e9) - 1  # of a float: within a nanosecond of the stamp
+    after = [int(c.stamps[row]) for c in channels if (row := int(np.searchsorted(c.stamps, begin))) < len(c.stamps)]
+    return min(after)
+
+
 def _domain(clock: str) -> str:
     return clock.partition(":")[0]
 
 
-@dataclass(frozen=True)
-class _Skew:
-    """Skew shared by the recordings of a device, or why it is not applied (``value`` is a share, not ppm)."""
+def _check_machine(recording: Clocked, found: Mapping[str, tuple[Piece, ...]]) -> None:
+    """The machine's own clock must not have been set.
 
-    value: float
-    interval: tuple[float, float]
-    applied: bool
-    reason: str
-
-
-def _quantile(degrees_of_freedom: int) -> float:
-    from scipy.stats import t
-
-    return float(t.ppf(0.975, max(degrees_of_freedom, 1)))
-
-
-def _pool(estimates: Mapping[tuple[str, str], Estimate], domain: str, known: KnownSkew | None = None) -> _Skew | None:
-    """The common skew of one device; None where the recordings contradict each other, or what is known of the device."""
-    own = [e for (_, clock), e in estimates.items() if _domain(clock) == domain and not e.refused]
-    if not own and known is None:
-        return _Skew(0.0, (-math.inf, math.inf), False, "no recording shows the skew")
-    before = [(1e-6 * known.skew_ppm, known.variance, _MANY)] if known is not None else []
-    shown = [(e.skew, e.covariance[1, 1], e.degrees_of_freedom) for e in own] + before
-    skews = np.array([skew for skew, _, _ in shown])
-    weights = np.array([1.0 / variance for _, variance, _ in shown])
-    mean = float(np.sum(weights * skews) / np.sum(weights))
-    error = float(1.0 / math.sqrt(np.sum(weights)))
-    freedom = sum(freedom for _, _, freedom in shown)
-    count = len(own) + (known.recordings if known is not None else 0)
-    if len(shown) > 1:
-        from scipy.stats import chi2
-
-        spread = float(np.sum(weights * (skews - mean) ** 2))
-        if spread > chi2.ppf(0.999, len(shown) - 1):
-            return None
-        # Where the recordings scatter more than their errors say, the mean is less certain by that much.
-        error *= max(1.0, math.sqrt(spread / (len(shown) - 1)))
-    half = _quantile(freedom) * error
-    return _judge(mean, half, f"common to {count} recordings" if count > 1 else "")
+    Raises:
+        AlignmentError: it was: another device that recorded on without a pause steps against it where its stamps leave a gap
+            of that length, or several devices step against it at once.
+    """
+    steps = [
+        (clock, after.first_s + after.estimate.at(after.first_s), before.last_s, _step(before, after))
+        for clock, parts in found.items()
+        for before, after in pairwise(parts)
+    ]
+    for clock, at, on_stream, size in steps:
+        channels = recording.clocks()[clock]
+        begin = _stream_start(channels)
+        paused = max(_gap(c, begin, on_stream, 1.0) for c in channels)
+        gaps = [_gap(c, recording.start_ns, at, 1.0 + abs(size)) for c in recording.machine]
+        alone = bool(gaps) and size > 0.0 and abs(min(gaps) - size) < _STEP_SHARE * size and paused < 0.5 * size
+        others = [s for s in steps if s[0] != clock and abs(s[1] - at) < 2.0 and abs(s[3] - size) < 0.01 + 0.05 * abs(size)]
+        if alone or others:
+            seen = "its stamps leave a gap in which" if alone else "there, and only against it,"
+            names = ", ".join(dict.fromkeys([channels[0].source, *(s[0].partition(":")[2] for s in others)]))
+            raise AlignmentError(
+                f"recording {recording.name}: the machine's clock",
+                f"it was set by {size:+.3f} s at about {at:.2f} s: {seen} {names} went on evenly",
+                "a machine's clock that is not set while it records",
+                "Cut the log there into two recordings, or choose another clock of the machine's log in the recipe.",
+            )
 
 
-def _judge(skew: float, half: float, reason: str) -> _Skew:
-    interval = (skew - half, skew + half)
-    if half * 1e6 <= MAX_SKEW_HALF_WIDTH:
-        return _Skew(skew, interval, True, reason)
-    wide = f"skew not applied: known to ±{half * 1e6:.0f} ppm only (limit {MAX_SKEW_HALF_WIDTH:g}): record longer"
-    return _Skew(0.0, interval, False, wide)
+def _step(before: Piece, after: Piece) -> float:
+    """By how much the machine's time of the stream steps between two pieces [s]."""
+    return after.estimate.at(after.first_s) - before.estimate.at(after.first_s)
 
 
-def _moving(recording: Clocked, clock: str, channels: Sequence[Channel], first: Estimate, shared: _Skew | None) -> ClockRecord:
-    if first.refused:
-        return _refused(recording, clock, channels, first.refused)
-    half = _quantile(first.degrees_of_freedom) * math.sqrt(first.covariance[1, 1])
-    skew = shared if shared is not None else _judge(first.skew, half, "differs between recordings: each has its own")
-    result = estimate(_pairs(recording, channels), skew=skew.value, start=first.mid_offset)
-    if result.refused:
-        return _refused(recording, clock, channels, result.refused)
-    # Offset at the stream's first stamp; its error holds that of the offset at mid-recording and of the skew up to there.
-    offset = result.mid_offset - skew.value * result.mid_time
-    skew_error = (skew.interval[1] - skew.interval[0]) / 2.0 if skew.applied else 0.0
-    quantile = _quantile(result.degrees_of_freedom)
-    width = math.hypot(quantile * math.sqrt(result.covariance[0, 0]), skew_error * result.mid_time)
-    reasons = [reason for reason in (skew.reason, _LATENCY) if reason]
-    return ClockRecord(
-        recording=recording.name,
-        stream=channels[0].source,
-        offset_s=offset,
-        skew_ppm=1e6 * skew.value,
-        offset_interval95=(offset - width, offset + width),
-        skew_interval95=(1e6 * skew.interval[0], 1e6 * skew.interval[1]),
-        residual_rms=result.residual,
-        used_signals=result.used,
-        applied=True,
-        reason="; ".join(reasons),
-        stream_start_ns=_stream_start(channels),
-    )
+def _gap(channel: Channel, origin_ns: int, at_s: float, reach_s: float) -> float:
+    """The longest step between stamps of ``channel`` around ``at_s``, beyond its period [s]."""
+    times = seconds(channel.stamps, origin_ns)
+    first, last = np.searchsorted(times, (at_s - reach_s, at_s + reach_s))
+    near = times[max(int(first) - 1, 0) : int(last) + 1]
+    return float(np.max(np.diff(near), initial=0.0)) - channel.period_s if len(near) > 1 else 0.0
 
 
-def _static(recording: Clocked, clock: str, channels: Sequence[Channel], shared: _Skew | None) -> ClockRecord:
+def _moving(recording: Clocked, channels: Sequence[Channel], parts: Sequence[Piece], shared: Skew | None) -> list[ClockRecord]:
+    records = []
+    for number, piece in enumerate(parts):
+        if piece.estimate.refused:
+            return [_refused(recording, channels, piece.estimate.refused)]
+        skew = shared if shared is not None else alone(piece.estimate)
+        result = conditional(piece.estimate, skew.value)
+        start = _piece_start(channels, piece.first_s)
+        shift = (start - _stream_start(channels)) * 1e-9
+        # Offset at the first stamp; its error holds that of the offset at mid-recording and of the skew up to there.
+        offset = shift + result.at(shift)
+        error = quantile(result.degrees_of_freedom) * math.sqrt(result.covariance[0, 0])
+        width = math.hypot(error, skew.doubt * (result.mid_time - shift))
+        set_there = ""
+        if number:
+            size = -_step(parts[number - 1], piece)
+            set_there = (
+                f"piece {number + 1} of {len(parts)}: at {offset:.3f} s its clock was set by {size:+.4f} s, or it paused"
+            )
+        records.append(
+            ClockRecord(
+                recording=recording.name,
+                stream=channels[0].source,
+                offset_s=offset,
+                skew_ppm=1e6 * skew.value,
+                offset_interval95=(offset - width, offset + width),
+                skew_interval95=(1e6 * skew.interval[0], 1e6 * skew.interval[1]),
+                residual_rms=result.residual,
+                used_signals=result.used,
+                applied=True,
+                reason="; ".join(reason for reason in (set_there, skew.reason, _LATENCY) if reason),
+                stream_start_ns=start,
+            )
+        )
+    return records
+
+
+def _static(recording: Clocked, channels: Sequence[Channel], shared: Skew | None) -> list[ClockRecord]:
     """Static poses: bursts of samples are matched; nothing moves in them, so a fraction of a hold is near enough."""
     match = match_bursts(recording.machine, channels, recording.start_ns, _stream_start(channels))
     if match.refused:
         # A log that runs on between the poses shows motion, and that says more than the poses would.
-        record = _moving(recording, clock, channels, estimate(_pairs(recording, channels)), shared)
-        return record if record.applied else replace(record, reason=f"{match.refused}; {record.reason}")
+        records = _moving(recording, channels, pieces(_pairs(recording, channels)), shared)
+        return [r if r.applied else replace(r, reason=f"{match.refused}; {r.reason}") for r in records]
     skew = shared.value if shared is not None and shared.applied else 0.0
     interval = shared.interval if shared is not None and shared.applied else (-math.inf, math.inf)
-    return ClockRecord(
+    record = ClockRecord(
         recording=recording.name,
         stream=channels[0].source,
         offset_s=match.offset - skew * match.mid_time,
@@ -249,9 +255,10 @@ def _static(recording: Clocked, clock: str, channels: Sequence[Channel], shared:
         reason=f"static poses: {match.matched} of {match.total} holds matched by their values; skew from the motion recordings",
         stream_start_ns=_stream_start(channels),
     )
+    return [record]
 
 
-def _refused(recording: Clocked, clock: str, channels: Sequence[Channel], reason: str) -> ClockRecord:
+def _refused(recording: Clocked, channels: Sequence[Channel], reason: str) -> ClockRecord:
     """No estimate. Stamps that overlap the machine's are taken as they are; others have no place in time."""
     start, end = _stream_start(channels), max(int(channel.stamps[-1]) for channel in channels)
     machine_end = max(int(channel.stamps[-1]) for channel in recording.machine)
@@ -276,8 +283,3 @@ def _refused(recording: Clocked, clock: str, channels: Sequence[Channel], reason
         reason=f"{reason}; its stamps overlap the machine's and are taken as they are",
         stream_start_ns=start,
     )
-
-
-def by_source(records: Sequence[ClockRecord], recording: str) -> dict[str, ClockRecord]:
-    """Source file → record, for one recording."""
-    return {record.stream: record for record in records if record.recording == recording}

@@ -298,7 +298,7 @@ def content_of(sources: Sequence[Source], rules: Recipe | None) -> dict[str, Any
     return content
 
 
-def _recording(recording: Clocked, records: Mapping[str, ClockRecord], machine: Machine, rules: Recipe) -> Recording:
+def _recording(recording: Clocked, records: Mapping[str, Sequence[ClockRecord]], machine: Machine, rules: Recipe) -> Recording:
     """The aligned table of one recording."""
     start = recording.start_ns
     where = f"recording {recording.name}"
@@ -309,7 +309,7 @@ def _recording(recording: Clocked, records: Mapping[str, ClockRecord], machine: 
         sensors = [c for c in recording.machine if not c.signal.endswith(".command")]
         measured = {c.signal: (machine_times(c, start, None), c.values) for c in sensors}  # noqa: PD011
         phases = still_phases(measured, rules.still, where)
-        slack = {name: _slack(records[c.source]) for name, c in signals.items() if c.source in records}
+        slack = {name: max(map(_slack, records[c.source])) for name, c in signals.items() if c.source in records}
         values = {n: (times[n], c.values) for n, c in signals.items() if not n.endswith(".command")}  # noqa: PD011
         return Recording(
             recording.name,

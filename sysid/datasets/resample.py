@@ -122,7 +122,9 @@ def low_pass(times: Array, values: Array, cut_hz: float, max_gap_s: float) -> Ar
         rate = (len(stretch) - 1) / (times[stretch[-1]] - times[stretch[0]])
         if cut_hz < 0.45 * rate:
             sections = butter(4, cut_hz, fs=rate, output="sos")
-            result[stretch] = sosfiltfilt(sections, values[stretch])
+            # Both ends are continued for as long as the filter remembers.
+            padding = min(len(stretch) - 1, max(15, int(3.0 * rate / cut_hz)))
+            result[stretch] = sosfiltfilt(sections, values[stretch], padlen=padding)
     return result
 
 

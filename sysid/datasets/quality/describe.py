@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from sysid.datasets.channels import Reading
+from sysid.datasets.clocks import by_source
 from sysid.datasets.quality.remarks import axis_remarks, longest_run
 from sysid.datasets.quality.streams import cross_checks, key_of, stream_figures
 from sysid.datasets.quality.use import Scale, level_of, scales_of, use_of
@@ -34,7 +35,6 @@ def describe(
         ``cross_checks``: uncut motion recording → secondary signal → how it differs from the primary one. ``dropped``: uncut
         recording → flagged frames.
     """
-    by_source = {(record.recording, record.stream): record for record in clocks}
     still = {recording.name for recording in recordings if recording.kind == "poses"}
     streams = {name: {key_of(c): stream_figures(c) for c in reading.channels} for name, reading in readings.items()}
     scales = scales_of(recordings, machine)
@@ -48,7 +48,9 @@ def describe(
         "recordings": result,
         "streams": streams,
         "cross_checks": {
-            name: cross_checks(name, reading, by_source) for name, reading in readings.items() if name not in still
+            name: cross_checks(name, reading, by_source(clocks, name))
+            for name, reading in readings.items()
+            if name not in still
         },
         "dropped": {
             name: [

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from sysid.datasets.channel import Channel, seconds
+from sysid.datasets.channel import Channel
 from sysid.datasets.channels import Reading
 from sysid.datasets.clocks import Clocked, machine_times
 from sysid.datasets.quality.noise import noise_of
@@ -38,7 +38,7 @@ def stream_figures(channel: Channel) -> dict[str, Any]:
     }
 
 
-def cross_checks(name: str, reading: Reading, clocks: Mapping[tuple[str, str], ClockRecord]) -> dict[str, Any]:
+def cross_checks(name: str, reading: Reading, clocks: Mapping[str, Sequence[ClockRecord]]) -> dict[str, Any]:
     """Each secondary signal against the primary one, on the machine's clock: bias, RMS and largest difference."""
     primary = {channel.signal: channel for channel in reading.channels if channel.primary}
     checks = {}
@@ -62,9 +62,8 @@ def cross_checks(name: str, reading: Reading, clocks: Mapping[tuple[str, str], C
 
 
 def _on_machine(
-    name: str, channel: Channel, reading: Reading, clocks: Mapping[tuple[str, str], ClockRecord]
+    name: str, channel: Channel, reading: Reading, clocks: Mapping[str, Sequence[ClockRecord]]
 ) -> tuple[Array, Array]:
     start = Clocked(name, "motion", reading.channels).start_ns
-    record = clocks.get((name, channel.source)) if channel.domain != "machine" else None
-    times = machine_times(channel, start, record) if record is not None else seconds(channel.stamps, start)
-    return times, channel.values
+    records = clocks.get(channel.source) if channel.domain != "machine" else None
+    return machine_times(channel, start, records), channel.values

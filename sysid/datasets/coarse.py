@@ -1,0 +1,118 @@
+"""Where to begin: the lag at which two clocks' motions resemble each other best, by cross-correlation of their rates."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from sysid.datasets.resample import interpolate
+
+Array = npt.NDArray[np.float64]
+
+#: A lag counts where the rates correlate this well and no other one comes near.
+MIN_CORRELATION, MAX_RIVAL = 0.5, 0.85
+#: Of a long stream a stretch of this length is looked for [s]: over hours a skew would smear the correlation.
+STRETCH_S = 240.0
+_HZ = 50.0
+#: Width of the differences that the rates are [s].
+_WIDTH_S = 0.08
+
+
+@dataclass(frozen=True)
+class Pair:
+    """One cause measured on both clocks; times in seconds from the start of the recording (x) and of the stream (y)."""
+
+    name: str
+    x_times: Array
+    x: Array
+    y_times: Array
+    y: Array
+    degree: int
+    x_gap_s: float
+
+
+@dataclass(frozen=True)
+class Lag:
+    """``t_machine = t + offset`` around ``centre`` [s of the stream]; ``refused`` says why no lag stands out."""
+
+    offset: float = 0.0
+    centre: float = 0.0
+    refused: str = ""
+
+
+def coarse_lag(pairs: Sequence[Pair]) -> Lag:
+    """The lag at which the rates of all pairs correlate best, or why none stands out (then ``offset`` is the best one still).
+
+    The sign of a map is unknown (a cylinder may close its joint), so magnitudes of the correlations are summed.
+    """
+    step = 1.0 / _HZ
+    start_x = min(float(pair.x_times[0]) for pair in pairs)
+    start_y = min(float(pair.y_times[0]) for pair in pairs)
+    count_x = int((max(float(pair.x_times[-1]) for pair in pairs) - start_x) / step) + 1
+    count_y = int((max(float(pair.y_times[-1]) for pair in pairs) - start_y) / step) + 1
+    rates = [(_rates(p.x_times, p.x, start_x, count_x), _rates(p.y_times, p.y, start_y, count_y)) for p in pairs]
+    if (count_x - 1) * step > 2.0 * STRETCH_S and (count_y - 1) * step > 2.0 * STRETCH_S:
+        first, last = _liveliest([rate for _, (rate, _) in rates], round(STRETCH_S * _HZ))
+    else:
+        first, last = 0, count_y
+    size = 1 << (count_x + last - first).bit_length()
+    total = np.zeros(size)
+    for (rate_x, known_x), (whole_y, known) in rates:
+        rate_y, known_y = whole_y[first:last], known[first:last]
+        cross = np.fft.irfft(np.fft.rfft(rate_x, size) * np.conj(np.fft.rfft(rate_y, size)), size)
+        # Normalised by the energy that overlaps at that lag, with a floor so that a sliver at the end cannot win.
+        energy_x = np.fft.irfft(np.fft.rfft(rate_x**2, size) * np.conj(np.fft.rfft(known_y, size)), size)
+        energy_y = np.fft.irfft(np.fft.rfft(known_x, size) * np.conj(np.fft.rfft(rate_y**2, size)), size)
+        share = np.sum(rate_x**2) * min(1.0, (last - first) / count_x)
+        floor = 0.25 * np.sqrt(share * np.sum(rate_y**2)) + 1e-300
+        total += np.abs(cross) / np.maximum(np.sqrt(np.clip(energy_x, 0, None) * np.clip(energy_y, 0, None)), floor)
+    total /= len(pairs)
+    best = int(np.argmax(total))
+    signed = best if best < count_x else best - size
+    centre = start_y + (first + last) / 2.0 * step
+    offset = signed * step - first * step + start_x - start_y
+    rival = _rival(total, best)
+    refused = ""
+    if total[best] < MIN_CORRELATION:
+        refused = f"the motions do not resemble each other at any lag (correlation {total[best]:.2f} at best)"
+    elif rival > MAX_RIVAL * total[best]:
+        refused = (
+            f"two lags fit almost equally well (correlations {total[best]:.2f} and {rival:.2f}): the motion repeats itself"
+        )
+    return Lag(float(offset), float(centre), refused)
+
+
+def _rival(total: Array, best: int) -> float:
+    """The highest correlation outside of the lobe around the best one: up to where it has fallen well below."""
+    turned = np.roll(total, -best)
+    low = turned < 0.7 * turned[0]
+    if not low.any():
+        return float(turned[0])
+    after, before = int(np.argmax(low)), len(turned) - int(np.argmax(low[::-1]))
+    return float(np.max(turned[after:before], initial=0.0))
+
+
+def _liveliest(rates: Sequence[Array], count: int) -> tuple[int, int]:
+    """From, to of the ``count`` samples with the most motion, each signal weighed by its own."""
+    energy = np.sum([rate**2 / max(float(np.sum(rate**2)), 1e-300) for rate in rates], axis=0)
+    sums = np.concatenate([[0.0], np.cumsum(energy)])
+    first = int(np.argmax(sums[count:] - sums[:-count]))
+    return first, first + count
+
+
+def _rates(times: Array, values: Array, start: float, count: int) -> tuple[Array, Array]:
+    """Rate on the coarse grid, zero where nothing was measured, and a mask of where it was."""
+    grid = start + np.arange(count) / _HZ
+    period = float(np.median(np.diff(times)))
+    on_grid = interpolate(times, values, grid, max(3.5 * period, 0.2))
+    width = round(_WIDTH_S * _HZ)
+    rate = np.full(count, np.nan)
+    rate[width:-width] = (on_grid[2 * width :] - on_grid[: -2 * width]) * (_HZ / (2 * width))
+    known = ~np.isnan(rate)
+    if known.any():  # mistaken frames must not outweigh the motion
+        limit = 1.5 * float(np.quantile(np.abs(rate[known]), 0.95))
+        rate = np.clip(rate, -limit, limit)
+    return np.where(known, rate, 0.0), known.astype(np.float64)

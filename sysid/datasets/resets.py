@@ -1,0 +1,194 @@
+"""Clocks that were set while they recorded: one estimate for each piece of a stream, found from the motion.
+
+Where the offset steps, the blocks after the step ask for another one than those before, or do not fit at all. A suspected
+step is believed when both sides can be aligned by themselves and their offsets differ by much more than their errors, and by
+more than half a frame. It is then placed on the sample at which the one side stops fitting and the other one begins, or on an
+uneven stamp beside it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+import numpy.typing as npt
+
+from sysid.datasets.alignment import BLOCK_S, Blocks, Estimate, Pair, estimate, smoothed
+from sysid.datasets.motion_fit import PairFit, prepared
+
+Array = npt.NDArray[np.float64]
+
+#: Blocks on either side of a step.
+FEWEST_BLOCKS = 4
+#: A suspicion: gain in χ² of a step in the offset, of one in the energy of the residuals, and the least contrast of that (ln).
+SHIFT_GAIN, ENERGY_GAIN, ENERGY_CONTRAST = 45.0, 60.0, 0.7
+#: A step is believed from this many standard errors, and this share of a sample period of the stream.
+STEP_ERRORS, STEP_PERIODS = 6.0, 0.5
+#: No stream is parted into more pieces than 2 to this power.
+DEPTH = 4
+
+
+@dataclass(frozen=True)
+class Piece:
+    """Part of a stream, from ``first_s`` up to ``last_s`` on its own clock, with the clock that holds there."""
+
+    first_s: float
+    last_s: float
+    estimate: Estimate
+
+
+def pieces(pairs: Sequence[Pair]) -> tuple[Piece, ...]:
+    """The stream in pieces of one clock each; one piece where nothing speaks for more, or nothing can be estimated."""
+    if not pairs:
+        return (Piece(-np.inf, np.inf, estimate(pairs)),)
+    found = _parted(pairs, -np.inf, np.inf, DEPTH)
+    if len(found) == 1:
+        return found
+    cuts = [_located(pairs, before, after) for before, after in pairwise(found)]
+    edges = [-np.inf, *cuts, np.inf]
+    fresh = [Piece(a, b, estimate(_cut(pairs, a, b))) for a, b in pairwise(edges)]
+    if any(piece.estimate.refused for piece in fresh):
+        return found
+    return _joined(pairs, fresh)
+
+
+def _parted(pairs: Sequence[Pair], first: float, last: float, depth: int) -> tuple[Piece, ...]:
+    own = _cut(pairs, first, last)
+    whole = Piece(first, last, estimate(own))
+    at = suspected(whole.estimate.blocks, _period(pairs)) if depth > 0 else None
+    if at is None:
+        return (whole,)
+    before, after = _parted(pairs, first, at, depth - 1), _parted(pairs, at, last, depth - 1)
+    if any(piece.estimate.refused for piece in (*before, *after)):
+        if whole.estimate.refused:
+            reason = f"{whole.estimate.refused}; its clock may have been set at {at:.0f} s, but not every part can be aligned"
+            return (replace(whole, estimate=replace(whole.estimate, refused=reason)),)
+        return (whole,)
+    if len(before) == len(after) == 1 and not _stepped(before[-1], after[0], _period(pairs)):
+        return (whole,)
+    return (*before, *after)
+
+
+def _joined(pairs: Sequence[Pair], parts: Sequence[Piece]) -> tuple[Piece, ...]:
+    """Pieces between which nothing steps are one."""
+    period = _period(pairs)
+    done = [parts[0]]
+    for piece in parts[1:]:
+        if _stepped(done[-1], piece, period):
+            done.append(piece)
+            continue
+        both = Piece(done[-1].first_s, piece.last_s, estimate(_cut(pairs, done[-1].first_s, piece.last_s)))
+        if both.estimate.refused:
+            done.append(piece)
+        else:
+            done[-1] = both
+    return tuple(done)
+
+
+def _cut(pairs: Sequence[Pair], first: float, last: float) -> list[Pair]:
+    """The pairs with the stream's samples in [first, last) alone; a pair without any is left out."""
+    found = []
+    for pair in pairs:
+        a, b = np.searchsorted(pair.y_times, (first, last))
+        if b - a > 1:
+            found.append(replace(pair, y_times=pair.y_times[a:b], y=pair.y[a:b]))
+    return found
+
+
+def _period(pairs: Sequence[Pair]) -> float:
+    return min(float(np.median(np.diff(pair.y_times))) for pair in pairs)
+
+
+def suspected(blocks: Blocks | None, period: float) -> float | None:
+    """Time of the stream at which the offset seems to step; None where nothing speaks for it."""
+    if blocks is None or len(blocks.times) < 2 * FEWEST_BLOCKS:
+        return None
+    candidates = []
+    row, gain, size = _shift_step(blocks)
+    if gain > SHIFT_GAIN and abs(size) > STEP_PERIODS * period:
+        candidates.append((gain, row))
+    row, gain, size = _energy_step(blocks)
+    if gain > ENERGY_GAIN and abs(size) > ENERGY_CONTRAST:
+        candidates.append((gain, row))
+    return float(blocks.times[max(candidates)[1]] - BLOCK_S / 2.0) if candidates else None
+
+
+def _shift_step(blocks: Blocks) -> tuple[int, float, float]:
+    """First block after the likeliest step, its gain in χ² over a straight line, and its size [s]."""
+    t, w = blocks.times - blocks.times.mean(), blocks.weight
+    line = np.column_stack([np.ones_like(t), t])
+    gram = line.T @ (w[:, None] * line)
+    if not w.max() > 0.0 or np.linalg.det(gram) <= 0.0:
+        return 0, 0.0, 0.0
+    residual = blocks.shift - line @ np.linalg.solve(gram, line.T @ (w * blocks.shift))
+    scatter = np.sqrt(w) * residual
+    dispersion = max(1.0, (1.4826 * float(np.median(np.abs(scatter)))) ** 2)
+    after = np.cumsum((w[:, None] * line)[::-1], axis=0)[::-1]
+    ours = np.cumsum((w * residual)[::-1])[::-1]
+    room = after[:, 0] - np.einsum("ki,ij,kj->k", after, np.linalg.inv(gram), after)
+    gain = np.where(room > 1e-9 * after[0, 0], ours**2 / np.maximum(room, 1e-300), 0.0) / dispersion
+    gain[:FEWEST_BLOCKS] = gain[len(gain) - FEWEST_BLOCKS + 1 :] = 0.0
+    row = int(np.argmax(gain))
+    return row, float(gain[row]), float(ours[row] / max(room[row], 1e-300))
+
+
+def _energy_step(blocks: Blocks) -> tuple[int, float, float]:
+    """First block after the likeliest step of the residual's logarithm, its gain in χ², and its size."""
+    level = np.log(np.clip(blocks.energy, 1e-2, 1e6))
+    count = len(level)
+    rows = np.arange(1, count)
+    sums = np.cumsum(level)[:-1]
+    before, after = sums / rows, (level.sum() - sums) / (count - rows)
+    gain = rows * (count - rows) / count * (after - before) ** 2
+    gain[: FEWEST_BLOCKS - 1] = gain[count - FEWEST_BLOCKS :] = 0.0
+    best = int(np.argmax(gain))
+    row = int(rows[best])
+    inner = np.concatenate([level[:row] - np.median(level[:row]), level[row:] - np.median(level[row:])])
+    variance = max((1.4826 * float(np.median(np.abs(inner)))) ** 2, 0.05**2)
+    return row, float(gain[best] / variance), float(after[best] - before[best])
+
+
+def _stepped(before: Piece, after: Piece, period: float) -> bool:
+    """Whether the offset differs between two pieces where they meet."""
+    at = after.first_s
+    size = abs(after.estimate.at(at) - before.estimate.at(at))
+    error = np.sqrt(before.estimate.variance_at(at) + after.estimate.variance_at(at))
+    return bool(size > max(STEP_PERIODS * period, STEP_ERRORS * error))
+
+
+def _located(pairs: Sequence[Pair], before: Piece, after: Piece) -> float:
+    """Time of the first sample that the piece after fits better than the one before."""
+    guess, reach = after.first_s, 3.0 * BLOCK_S
+    low, high = max(guess - reach, before.first_s), min(guess + reach, after.last_s)
+    times, costs, uneven = [], [], []
+    for pair in _cut(pairs, before.first_s, after.last_s):
+        ready = prepared(smoothed(pair))
+        costs_of = []
+        for piece in (before, after):
+            fit = PairFit(ready)
+            fit.choose((max(piece.first_s, low - 120.0), min(piece.last_s, high + 120.0)), 20_000)
+            found = piece.estimate
+            fit.begin(found.mid_offset, found.skew, found.mid_time)
+            costs_of.append(fit.squares((low, high), found.mid_offset, found.skew, found.mid_time))
+        own = ready.y_times[slice(*np.searchsorted(ready.y_times, (low, high)))]
+        both = np.isfinite(costs_of[0]) & np.isfinite(costs_of[1])
+        times.append(own[both])
+        costs.append(np.clip(costs_of[0][both], 0.0, 25.0) - np.clip(costs_of[1][both], 0.0, 25.0))
+        steps = np.diff(pair.y_times)
+        uneven.append(pair.y_times[1:][np.abs(steps / np.median(steps) - 1.0) > 0.5])
+    joined = np.concatenate(times)
+    if not len(joined):
+        return guess
+    order = np.argsort(joined, kind="stable")
+    joined = joined[order]
+    total = np.concatenate([[0.0], np.cumsum(np.concatenate(costs)[order])])[:-1]
+    best = float(total.min())
+    near = np.unique(np.concatenate(uneven))
+    near = near[(near >= joined[0]) & (near <= joined[-1])]
+    if len(near):
+        there = total[np.searchsorted(joined, near)]
+        if there.min() < best + 2.0 * SHIFT_GAIN:
+            return float(near[int(np.argmin(there))])
+    return float(joined[int(np.argmin(total))])
