@@ -40,7 +40,9 @@ def test_the_guide_works_word_by_word(tmp_path: Path, shared_data: Path) -> None
         assert f'# "{axis.lower()}.command" = {{ {values} }}   # {low} … {high}' in draft
     head, mark, _ = draft.partition("[streams.signals]\n")
     (folder / "recipe.toml").write_text(head + mark + blocks[3][1], "utf-8")
-    assert "excavator@1" in shell(blocks[4][1])
+    stored = shell(blocks[4][1])
+    assert "excavator@1" in stored
+    assert "40 ready, 3 not enough, 29 cannot be shown" in stored
     listed = json.loads(shell("sysid datasets excavator --json - 2>/dev/null"))
     roles = {recording["name"]: recording["role"] for recording in listed["recordings"]}
     assert sum(role == "held_out" for name, role in roles.items() if name.startswith("steps_")) == 9

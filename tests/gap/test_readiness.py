@@ -4,16 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 import pytest
 from plant_data import CAPTURE, KnownEffect, arm, dataset_of, loaded_arm, nominal, slide
 
+from sysid.datasets.quality.evidence import THRESHOLDS
 from sysid.datasets.recording import Dataset, Recording
 from sysid.effects import CATALOGUE
 from sysid.gap import find_gap
 from sysid.gap.candidates import READ_OFF
+from sysid.gap.excitation import COUNTS
 from sysid.gap.readiness import Readiness, Verdict, readiness
 
 Array = npt.NDArray[np.float64]
@@ -131,3 +134,13 @@ def test_json_has_the_words(short: Dataset) -> None:
     value = found.to_json()
     assert value["verdicts"][0]["text"] == found.verdicts[0].text
     assert {"text", "effects"} == set(value["record"][0])
+
+
+def test_the_guide_explains_every_count_and_threshold() -> None:
+    guide = " ".join((Path(__file__).parents[2] / "docs" / "guide" / "quality.md").read_text("utf-8").split())
+    counted = guide[guide.index("| counted in") : guide.index("How much each effect needs")]
+    for _, unit in COUNTS.values():
+        assert all(word in counted for word in unit.split()), unit
+    for name, value in THRESHOLDS.items():
+        assert f"`{name}`" in guide, name
+        assert value is not None
