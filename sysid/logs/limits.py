@@ -31,9 +31,12 @@ def check_whole(path: Path, what: str, limit: int = MAX_TEXT) -> None:
         raise InputError(path, f"{size / 2**30:.1f} GiB", f"at most {limit / 2**30:g} GiB for {what}", "Export it in parts.")
 
 
-def too_large(packed: int, unpacked: int) -> str:
-    """Why ``packed`` bytes may not be unpacked to ``unpacked`` bytes; empty where they may."""
-    if unpacked > MAX_CHUNK:
+def too_large(packed: int, unpacked: int, limit: bool = True) -> str:
+    """Why ``packed`` bytes may not be unpacked to ``unpacked`` bytes; empty where they may.
+
+    ``limit``: at once, as one chunk.
+    """
+    if limit and unpacked > MAX_CHUNK:
         return f"unpacks to {unpacked / 2**20:.0f} MiB, more than {MAX_CHUNK / 2**20:.0f} MiB"
     if unpacked > max(FREE, packed * MAX_RATIO):
         return f"{packed} bytes unpack to {unpacked}, more than {MAX_RATIO} times as many"

@@ -17,7 +17,7 @@ from sysid.errors import InputError, nearest
 from sysid.logs.can import frame_streams
 from sysid.logs.can_frames import Address, FrameLog, Frames
 from sysid.logs.limits import MAX_CELLS, check_whole
-from sysid.logs.mdf_links import linked_twice
+from sysid.logs.mdf_links import check_blocks
 from sysid.logs.reader import ReadOptions
 from sysid.logs.stream import Stream
 from sysid.logs.table import to_ns
@@ -42,11 +42,7 @@ class Mf4Reader:
             if head not in (b"MDF     ", b"UnFinMF "):
                 raise InputError(path, f"starts with {head!r}", "'MDF     ' as in an MDF file")
             file.seek(0)
-            at = linked_twice(path)
-            if at is not None:
-                raise InputError(
-                    path, f"two links to the block at byte {at}", "chains of blocks that end", "The file is damaged."
-                )
+            check_blocks(path)
             mdf = _open(path, file)
             try:
                 return _streams(path, mdf, options)

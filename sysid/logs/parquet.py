@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -38,11 +39,16 @@ class ParquetReader:
                 cells = file.metadata.num_rows * file.metadata.num_columns
                 if cells > MAX_CELLS:  # a few bytes can say so
                     raise InputError(path, f"{cells} cells", f"at most {MAX_CELLS}", "Export it in parts.")
-            table = pq.read_table(path)
-            for index, name in enumerate(table.column_names):
-                kind = table.schema.field(index).type
-                if pa.types.is_floating(kind) or pa.types.is_integer(kind) or pa.types.is_boolean(kind):
-                    columns.append((name, table.column(index).cast(pa.float64()).to_numpy().astype(np.float64)))
+                # Texts are not even unpacked: they may be as large as they like.
+                table = file.read([field.name for field in file.schema_arrow if _is_number(field.type)])
+            for name, values in zip(table.column_names, table.columns, strict=True):
+                columns.append((name, values.cast(pa.float64()).to_numpy().astype(np.float64)))
         except (pa.ArrowException, OSError, ValueError, KeyError) as error:  # also names that are no text
             raise InputError(path, f"not readable as Parquet ({error})", "a Parquet file") from None
         return columns, ()
+
+
+def _is_number(kind: Any) -> bool:
+    import pyarrow as pa
+
+    return bool(pa.types.is_floating(kind) or pa.types.is_integer(kind) or pa.types.is_boolean(kind))

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from sysid.errors import InputError
-from sysid.logs.limits import MAX_CHUNK, unpack
+from sysid.logs.limits import FREE, MAX_CHUNK, MAX_RATIO, unpack
 from sysid.logs.reader import ReadOptions
 from sysid.logs.stream import Stream
 from sysid.logs.table import check_not_empty
@@ -193,12 +193,13 @@ def _limited(maker: Any) -> Any:
     """A decompressor that stops at the limit of a chunk."""
 
     def decompress(packed: bytes) -> bytes:
+        most = min(MAX_CHUNK, max(FREE, MAX_RATIO * len(packed)))
         try:
-            data: bytes = maker().decompress(packed, max_length=MAX_CHUNK + 1)
+            data: bytes = maker().decompress(packed, max_length=most + 1)
         except RuntimeError as error:  # what the lz4 library raises for damage
             raise ValueError(str(error)) from None
-        if len(data) > MAX_CHUNK:
-            raise ValueError(f"a chunk unpacks to more than {MAX_CHUNK / 2**20:.0f} MiB")
+        if len(data) > most:
+            raise ValueError(f"a chunk unpacks to more than {most / 2**20:.0f} MiB")
         return data
 
     return decompress
