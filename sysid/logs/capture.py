@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from itertools import islice
 from pathlib import Path
 
@@ -48,6 +48,7 @@ def number_rows(
     whole: bool = True,
     ragged: bool = False,
     stop: tuple[int, float] | None = None,
+    columns: Sequence[int] | None = None,
 ) -> tuple[Array, tuple[str, ...]]:
     """Rows of numbers from physical line ``first`` (0 is the first line) on: (n, width), NaN in empty cells, and what was lost.
 
@@ -55,7 +56,8 @@ def number_rows(
         count: of physical lines; None to the end of the file.
         whole: the rows end with the file: a last one without a line end may be cut and is left out.
         ragged: rows may be longer than the head; what lies beyond is reported as lost.
-        stop: column, and by how much it rises until the rest of the file may be left unread.
+        stop: column of the result, and by how much it rises until the rest of the file may be left unread.
+        columns: those of the file that the result has, in rising order; all of them where none are given.
 
     Raises:
         InputError: a row that is longer than the head, where that is not expected.
@@ -63,6 +65,7 @@ def number_rows(
     cells = width + 1  # one more than the head has: it is empty in every row that fits
     if ragged:
         cells = max(cells, *(line.count(separator) + 1 for line in islice(text_lines(path, "text"), first, None)), 0)
+    wanted = list(range(width) if columns is None else columns)
     losses: list[str] = []
     parts: list[Array] = []
     rows = too_long = 0
@@ -74,7 +77,7 @@ def number_rows(
             remedy = "Repair the row, or export the take again."
             raise InputError(where, f"more than {width} cells", f"{width} cells a row", remedy)
         too_long += len(longer)
-        table = piece[list(range(width))]
+        table = piece[wanted]
         if not all(pd.api.types.is_numeric_dtype(kind) for kind in table.dtypes):
             table = table.apply(pd.to_numeric, errors="coerce")
         parts.append(table.to_numpy(dtype=np.float64))
@@ -84,7 +87,7 @@ def number_rows(
             break
     if too_long:
         losses.append(f"{path.name}: {too_long} rows are longer than the head; what has no name has been left out")
-    numbers = np.concatenate(parts) if parts else np.zeros((0, width))
+    numbers = np.concatenate(parts) if parts else np.zeros((0, len(wanted)))
     if whole and len(numbers) and not stopped and without_line_end(path):
         numbers = numbers[:-1]
         losses.append(f"{path.name}: {CUT_ROW}")

@@ -12,7 +12,7 @@ from __future__ import annotations
 import csv
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -74,17 +74,20 @@ class MotiveReader:
             raise InputError(path, f"coordinate space {space!r}", "'Global'", "Export again with world coordinates.")
         names = list(dict.fromkeys(column.name for column in head.columns))
         check_streams(path, options, names, "rigid body or marker")
-        stop = (head.time, options.seconds) if options.seconds is not None else None
-        table, losses = number_rows(path, head.width, head.lines, ",", stop=stop)
+        chosen = [column for column in head.columns if options.streams is None or column.name in options.streams]
+        used = sorted({head.time, *(column.index for column in chosen)})
+        time = used.index(head.time)
+        stop = (time, options.seconds) if options.seconds is not None else None
+        table, losses = number_rows(path, head.width, head.lines, ",", stop=stop, columns=used)
         losses = (*losses, *head.unread)
         if not len(table):
             raise InputError(path, "a header but no frames", "at least one frame", "Export the take again.")
-        stamps = {"capture": to_ns(table[:, head.time], 1.0, f"{path}: Time")}
+        stamps = {"capture": to_ns(table[:, time], 1.0, f"{path}: Time")}
         streams = []
         for name in names:
-            if options.streams is not None and name not in options.streams:
+            own = [replace(column, index=used.index(column.index)) for column in chosen if column.name == name]
+            if not own:
                 continue
-            own = [column for column in head.columns if column.name == name]
             values = _values(path, table, own, factor, options.rotation or head.stated.get("Rotation Type"))
             units = {key: "m" for key in values if key in ("x", "y", "z", "error")}
             streams.append(Stream(name, path, stamps, values, units, losses, kind=own[0].kind))
