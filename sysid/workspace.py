@@ -74,13 +74,7 @@ class Workspace:
 
     def made_from(self, reference: str, digest: str) -> tuple[ModelVersion, ...]:
         """The model versions that were made from a dataset version, directly or through another model."""
-        versions = self.models.list()
-        wanted = {reference, digest} - {""}
-        users = {v.reference for v in versions if wanted & {*_named_in(v.lineage, datasets=True)}}
-        parents = {v.reference: {*_named_in(v.lineage, datasets=False)} for v in versions}
-        while more := {name for name, own in parents.items() if name not in users and own & users}:
-            users |= more
-        return tuple(version for version in versions if version.reference in users)
+        return _made_from(self.models.list(), reference, digest)
 
     def vacuum(self, references: Sequence[str] = (), keep: int | None = None, dry_run: bool = False) -> Vacuumed:
         """Remove left-overs and dataset versions, but none that a registered model was made from.
@@ -91,9 +85,10 @@ class Workspace:
         Raises:
             StoreError: no such version, or the registry cannot be asked; nothing is removed then.
         """
+        versions = self.models.list()
 
         def users(reference: str, digest: str) -> list[str]:
-            return [f"{version.kind} {version.reference}" for version in self.made_from(reference, digest)]
+            return [f"{version.kind} {version.reference}" for version in _made_from(versions, reference, digest)]
 
         return vacuum(self.datasets, users, references, keep, dry_run)
 
@@ -239,6 +234,15 @@ class Workspace:
             if "@" in reference:
                 notes.append(_note(self.models.find(reference)))
         return tuple(notes)
+
+
+def _made_from(versions: Sequence[ModelVersion], reference: str, digest: str) -> tuple[ModelVersion, ...]:
+    wanted = {reference, digest} - {""}
+    users = {v.reference for v in versions if wanted & {*_named_in(v.lineage, datasets=True)}}
+    parents = {v.reference: {*_named_in(v.lineage, datasets=False)} for v in versions}
+    while more := {name for name, own in parents.items() if name not in users and own & users}:
+        users |= more
+    return tuple(version for version in versions if version.reference in users)
 
 
 def _named_in(value: Any, datasets: bool, key: str = "") -> Iterator[str]:

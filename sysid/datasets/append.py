@@ -59,7 +59,7 @@ def append(
     Raises:
         InputError: a log that cannot be used, or a recording that ``to`` holds with other content or under another name.
         SettingsError: another machine, a mistake in the recipe, an unknown role.
-        StoreError: no such version.
+        StoreError: no such version; or ``to`` has no number, and another version came in the meantime.
     """
     from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]
 
@@ -106,7 +106,7 @@ def _append(
             raise InputError(f"{plan.where}: {signal}", f"[{unit}]", expected, "Correct the unit in the recipe.")
     addition = replace(addition, quality=joined_quality(base["quality"], addition.quality))
     report(0.95, "storing")
-    saved = store.append(reference, addition, walked.channels, walked.made)
+    saved = store.append(reference, addition, walked.channels, walked.made, newest="@" not in to)
     report(1.0, f"stored {saved.reference}")
     return saved
 
@@ -144,7 +144,7 @@ def _new_recordings(
     for files in found:
         own = sources_of([files])
         content = {source.path.rpartition("/")[2]: source.sha256 for source in own}
-        if before.get(files.name) == content:
+        if content.items() <= before.get(files.name, {}).items():  # the recipe may map fewer of its files now
             continue
         if files.name in before:
             raise InputError(

@@ -175,7 +175,8 @@ class LocalFiles:
             raise TakenError(final, "another writer has just published this version", remedy="Run the command again.") from None
         finally:
             draft.unlink(missing_ok=True)
-        _sync(final.parent)
+        with contextlib.suppress(OSError):  # it is published; a power cut could take it back whole, nothing worse
+            _sync(final.parent)
 
     def claimed(self, folder: str) -> list[str]:
         return self.names(folder)
@@ -298,8 +299,11 @@ class ObjectFiles:
         taken = TakenError(self.uri(path), "another writer has just published this version", remedy="Run the command again.")
         if name in self.names(folder) or not self._claim(_claim_of(path)):
             raise taken
-        with self.create(path) as file:
+        draft = f"{folder}/.{name}.{uuid.uuid4().hex}"
+        with self.create(draft) as file:
             file.write(text.encode("utf-8"))
+        system, root = self._open()
+        system.move(f"{root}/{draft}", f"{root}/{path}")
 
     def _claim(self, folder: str) -> bool:
         """Whether this writer is the first; Delta's first commit of a table is written by one writer alone."""

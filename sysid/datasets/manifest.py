@@ -195,9 +195,18 @@ def from_text(content: bytes, where: object) -> Manifest:
         for older, migrate in MIGRATIONS:
             if manifest["schema"] == older:
                 manifest = migrate(manifest)
+        outside = [part["folder"] for part in manifest["parts"] if not _inside(part["folder"], manifest["name"])]
     except (KeyError, TypeError) as error:
         raise _damaged(where, f"damaged (without {error})") from None
+    if outside:
+        raise _damaged(where, f"names the folder {outside[0]!r}, which is not of this dataset")
     return manifest
+
+
+def _inside(folder: str, name: str) -> bool:
+    """Whether a part lies where the store writes the parts of this dataset."""
+    parent, _, last = folder.rpartition("/")
+    return parent == f"datasets/{name}/data" and last not in ("", ".", "..")
 
 
 def _seal(manifest: Manifest) -> str:

@@ -124,8 +124,11 @@ class Store:
         columns = ("recording", "source", "domain")
         found: dict[tuple[str, str], str] = {}
         for part in manifest["parts"]:
-            rows = self._table(manifest, part, "channels", columns).group_by(list(columns)).aggregate([])
-            found |= {(row["recording"], row["source"]): row["domain"] for row in rows.to_pylist()}
+            if part["channels"] is not None:
+                rows = part["channels"]["clocks"]
+            else:
+                rows = self._table(manifest, part, "channels", columns).group_by(list(columns)).aggregate([]).to_pylist()
+            found |= {(row["recording"], row["source"]): row["domain"] for row in rows}
         return found
 
     def tables(self, reference: str) -> tuple[PartTables, ...]:
@@ -209,7 +212,9 @@ class Store:
         version = self._store(dataset, channels, made, lambda number, part: new_manifest(dataset, number, part))
         return version if isinstance(version, Dataset) else dataclasses.replace(dataset, version=version)
 
-    def append(self, base: str, addition: Dataset, channels: Mapping[str, Sequence[Channel]], made: Made) -> Dataset:
+    def append(
+        self, base: str, addition: Dataset, channels: Mapping[str, Sequence[Channel]], made: Made, newest: bool = False
+    ) -> Dataset:
         """Store the version ``base`` with the recordings of ``addition`` behind its own; no file of ``base`` is touched.
 
         Args:
@@ -217,12 +222,24 @@ class Store:
             addition: the new recordings with their units, roles, sources, clocks and streams; the digest of the new version;
                 the quality of all recordings.
             channels: of the new recordings.
+            newest: ``base`` was meant as the newest version, so that nothing may have come after it.
 
         Raises:
+            StoreError: ``base`` was removed, or is the newest no more where it has to be.
             StorageError: the disk is full, or may not be written; nothing of the version is visible then.
         """
-        manifest = self.manifest(base)
-        version = self._store(addition, channels, made, lambda number, part: appended(manifest, addition, number, part))
+
+        def build(number: int, part: Manifest) -> Manifest:
+            manifest = self._whole(base)
+            last = self.versions(addition.name)[-1]
+            if newest and last != manifest["version"]:
+                found = f"{addition.name}@{last} was stored in the meantime"
+                remedy = "Run the command again: it adds to that one."
+                raise StoreError(f"dataset {addition.name}", found, f"{base} to be the newest version", remedy)
+            return appended(manifest, addition, number, part)
+
+        self.manifest(base)  # before anything is written
+        version = self._store(addition, channels, made, build)
         return version if isinstance(version, Dataset) else self.load(f"{addition.name}@{version}")
 
     def resplit(self, reference: str, splits: Mapping[str, Role]) -> Dataset:
@@ -231,13 +248,21 @@ class Store:
         Raises:
             StorageError: the disk is full, or may not be written.
         """
-        base = self.manifest(reference)
-        name = base["name"]
-        digest = split_digest(base, splits)
+        name = self.manifest(reference)["name"]
         with self.files.lock(f"datasets/{name}"), explained(self.workspace, _STATE):
-            known = self.find_digest(name, digest)
-            number = known or self._publish(name, digest, lambda version: resplit(base, splits, digest, version))
+            base = self._whole(reference)
+            digest = split_digest(base, splits)
+            number = self.find_digest(name, digest)
+            if number is None:
+                number = self._publish(name, digest, lambda version: resplit(base, splits, digest, version))
         return self.load(f"{name}@{number}")
+
+    def _whole(self, reference: str) -> Manifest:
+        """The manifest of a version whose tables are all there."""
+        manifest = self.manifest(reference)
+        if not self._has_tables(manifest):
+            raise StoreError(f"dataset {reference}", "its tables are gone", "the tables as written", "Ingest the logs again.")
+        return manifest
 
     def _store(
         self,
@@ -267,7 +292,8 @@ class Store:
                 return self._publish(name, dataset.digest, lambda number: build(number, part))
             except BaseException:
                 with contextlib.suppress(OSError):
-                    self.files.remove(folder)
+                    if folder.rpartition("/")[2] in self.leftovers(name):  # else it was published before it was interrupted
+                        self.files.remove(folder)
                 raise
 
     def _publish(self, name: str, digest: str, build: Callable[[int], Manifest]) -> int:

@@ -61,7 +61,7 @@ def _sample_batch(name: str, start_ns: int, table: pd.DataFrame, schema: pa.Sche
 
 
 def write_channels(files: Files, folder: str, channels: Mapping[str, Sequence[Channel]]) -> dict[str, Any]:
-    """``recording, source, domain, signal, unit, primary, stamp_ns, value``; the entry of the manifest.
+    """``recording, source, domain, signal, unit, primary, stamp_ns, value``; the entry of the manifest, with the clocks.
 
     Args:
         channels: recording (before it was cut into blocks) → its channels.
@@ -81,7 +81,11 @@ def write_channels(files: Files, folder: str, channels: Mapping[str, Sequence[Ch
                 values = pa.array(c.values, from_pandas=True)
                 yield pa.record_batch([*words, primary, pa.array(c.stamps), values], schema=schema)
 
-    return _write(files, folder, schema, batches())
+    clocks = {(name, c.source, c.domain): None for name, parts in channels.items() for c in parts}
+    return {
+        **_write(files, folder, schema, batches()),
+        "clocks": [dict(zip(("recording", "source", "domain"), key, strict=True)) for key in clocks],
+    }
 
 
 def _unit(unit: str | None) -> dict[str, str] | None:

@@ -133,6 +133,7 @@ def _one(
                 removed.append(Removed(f"{data}/{folder}", size))
                 loose.append(folder)
     drafts = [f"datasets/{name}/versions/{file}" for file in store.files.names(f"datasets/{name}/versions") if file[0] == "."]
+    drafts = drafts if store.files.locks else []  # there, a writer may be at work on them
     removed += [Removed(draft, 0) for draft in drafts]
     if not dry_run:
         with explained(store.workspace, "what was removed so far is gone whole, the rest is as it was"):

@@ -19,9 +19,9 @@ import pytest
 from killed import PRELOAD, killed_at_every_step
 from stored import small_dataset
 
-from sysid.datasets import Store
+from sysid.datasets import Store, vacuum
 from sysid.datasets.files import LocalFiles
-from sysid.datasets.manifest import Made
+from sysid.datasets.manifest import Made, to_text
 from sysid.errors import StorageError, StoreError
 
 BETWEEN = multiprocessing.get_context("forkserver")
@@ -191,6 +191,49 @@ def test_a_cut_off_manifest_hides_one_version_alone(store: Store) -> None:
         store.load("demo")
     assert len(store.load("demo@1").recordings) == 2
     assert store.save(*small_dataset(2), Made(1)).reference == "demo@3"
+
+
+def test_an_interrupt_after_the_version_is_visible_leaves_it_whole(store: Store, monkeypatch: pytest.MonkeyPatch) -> None:
+    publish = LocalFiles.publish
+
+    def interrupted(self: LocalFiles, path: str, text: str) -> None:
+        publish(self, path, text)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(LocalFiles, "publish", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        store.save(*small_dataset(2), Made(1))
+    assert len(store.load("demo@2").recordings) == 2
+
+
+def test_who_adds_to_the_newest_adds_to_the_newest(store: Store) -> None:
+    """Two that read ``demo@1`` as the newest: the second would hide what the first added."""
+    store.append("demo@1", *small_dataset(2, recordings=1), Made(1), newest=True)
+    before = files(store)
+    with pytest.raises(StoreError, match=r"demo@2 was stored in the meantime; expected demo@1 to be the newest.*again"):
+        store.append("demo@1", *small_dataset(3, recordings=1), Made(1), newest=True)
+    assert files(store) == before
+    assert store.append("demo@1", *small_dataset(3, recordings=1), Made(1)).reference == "demo@3", "a number is what it says"
+
+
+def test_a_version_that_is_gone_is_not_built_on(store: Store) -> None:
+    vacuum(store, lambda reference, digest: (), ["demo@1"])
+    for work in (
+        lambda: store.append("demo@1", *small_dataset(2, recordings=1), Made(1)),
+        lambda: store.resplit("demo@1", {"s1-r0": "fit"}),
+    ):
+        with pytest.raises(StoreError, match="version 1 was removed by vacuum"):
+            work()
+    assert store.files.folders("datasets/demo/data") == []
+
+
+def test_a_manifest_does_not_lead_out_of_its_dataset(store: Store) -> None:
+    path = Path(store.workspace) / "datasets/demo/versions/000001.json"
+    manifest = store.manifest("demo@1")
+    manifest["parts"][0]["folder"] = "datasets/demo/data/../../../elsewhere"
+    path.write_text(to_text(manifest))
+    with pytest.raises(StoreError, match=r"names the folder .* which is not of this dataset"):
+        store.load("demo@1")
 
 
 def _append(workspace: Path) -> str:
