@@ -51,13 +51,14 @@ def inspect_paths(
         for number, path in enumerate(files):
             progress(number / len(files), path.name)
             summaries.append(inspect_file(path, reader, dbc))
+    text = draft_recipe(summaries, description, _machine_entry(machine_path, draft), _logs_entry(paths, draft))
+    if draft is not None:  # before anything is shown: who pages through it may stop early
+        with written_whole(draft) as half:
+            half.write_text(text, "utf-8")
     out = Printer(json_file)
     for summary in summaries:
         _show(out, summary)
-    text = draft_recipe(summaries, description, _machine_entry(machine_path, draft), _logs_entry(paths, draft))
     if draft is not None:
-        with written_whole(draft) as half:
-            half.write_text(text, "utf-8")
         out.line(f"drafted {draft}: fill in what stands in <…>, then sysid ingest PATH --recipe {draft}")
     else:
         out.line("A recipe to fill in (--draft R.toml writes it to a file):")
