@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 from sysid.datasets import ingest
 from sysid.datasets.quality import evidence_of
 from sysid.datasets.quality.noise import noise_of, unsteadiness
-from sysid.datasets.quality.use import AxisUse, Scale, level_of, reversals, together, use_of
+from sysid.datasets.quality.use import AxisUse, Scale, level_of, reversals, together, turning_points, use_of
 from sysid.datasets.recording import Dataset, Kind, Recording
 from sysid.machine import Machine, machine_from_files
 
@@ -107,6 +107,25 @@ def test_recordings_add_up(first: list[tuple[float, int]], second: list[tuple[fl
     assert both.idle_s == pytest.approx(uses[0].idle_s + uses[1].idle_s)
     np.testing.assert_allclose(both.seconds, np.add(uses[0].seconds, uses[1].seconds))
     assert both.full == 1.0
+
+
+def plain_turning_points(values: list[float], least: float) -> int:
+    """The definition, sample by sample: a turn is a way back of more than ``least`` from the furthest point so far."""
+    turns, direction, furthest = 0, 0, values[0]
+    for value in values:
+        away = (value - furthest) * direction
+        if direction == 0 and abs(value - furthest) > least:
+            direction, furthest = (1 if value > furthest else -1), value
+        elif direction != 0 and away > 0.0:
+            furthest = value
+        elif direction != 0 and -away > least:
+            turns, direction, furthest = turns + 1, -direction, value
+    return turns
+
+
+@given(st.lists(st.integers(-5, 5), min_size=1, max_size=60), st.sampled_from([0.5, 1.0, 2.5, 4.0]))
+def test_turning_points_are_those_of_the_definition(values: list[int], least: float) -> None:
+    assert turning_points(np.array(values, dtype=float), least) == plain_turning_points([float(v) for v in values], least)
 
 
 def test_nothing_cannot_be_added_up() -> None:

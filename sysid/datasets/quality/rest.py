@@ -87,8 +87,8 @@ def noise_at_rest(recordings: Mapping[str, Recording], rests: Sequence[Rest], si
     found = []
     for rest in rests:
         recording = recordings[rest.recording]
-        time = recording.values("time")
-        inside = recording.values(signal)[(time >= rest.from_s) & (time <= rest.to_s)]
+        first, last = np.searchsorted(recording.values("time"), (rest.from_s, rest.to_s))
+        inside = recording.values(signal)[first : last + 1]
         inside = inside[~np.isnan(inside)]
         if len(inside) >= LEAST_S * recording.rate_hz / 2.0 and len(inside) > 10:
             rows = np.linspace(-1.0, 1.0, len(inside))

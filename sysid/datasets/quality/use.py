@@ -178,10 +178,10 @@ def reversals(values: Array, rate_hz: float | None) -> int:
 
 def turning_points(values: Array, least: float) -> int:
     """Reversals of a signal by more than ``least`` (so that noise does not count)."""
-    if least <= 0.0:
+    if least <= 0.0 or not len(values):
         return 0
-    count, direction, extreme = 0, 0, values[0]
-    for value in values[1:]:
+    count, direction, extreme = 0, 0, float(values[0])
+    for value in _corners(values):
         if (direction >= 0 and value > extreme) or (direction <= 0 and value < extreme):
             if direction == 0 and abs(value - extreme) > least:
                 direction = 1 if value > extreme else -1
@@ -193,6 +193,14 @@ def turning_points(values: Array, least: float) -> int:
             direction = 1 if value > extreme else -1
             extreme = value
     return count
+
+
+def _corners(values: Array) -> list[float]:
+    """The ends of all stretches in which the signal only rises or only falls: nothing between them can be a turn."""
+    changed = values[np.concatenate([[True], np.diff(values) != 0.0])]
+    up = np.diff(changed) > 0.0
+    ends: list[float] = changed[1:][np.concatenate([up[1:] != up[:-1], [True]])].tolist() if len(up) else []
+    return ends
 
 
 def speed_of(values: Array, rate_hz: float) -> Array:
