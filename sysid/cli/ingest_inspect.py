@@ -51,7 +51,8 @@ def inspect_paths(
         for number, path in enumerate(files):
             progress(number / len(files), path.name)
             summaries.append(inspect_file(path, reader, dbc))
-    text = draft_recipe(summaries, description, _machine_entry(machine_path, draft), _logs_entry(paths, draft))
+    in_folders = any(file not in paths and file.parent not in paths for file in files)
+    text = draft_recipe(summaries, description, _machine_entry(machine_path, draft), _logs_entry(paths, draft), in_folders)
     if draft is not None:  # before anything is shown: who pages through it may stop early
         with written_whole(draft) as half:
             half.write_text(text, "utf-8")
@@ -113,7 +114,13 @@ def _show(out: Printer, file: FileSummary) -> None:
         out.table(header, [_stream_row(stream) for stream in timed[:MAX_STREAMS]], right=(2, 3, 4, 5))
         if len(timed) > MAX_STREAMS:
             out.line(f"{len(timed) - MAX_STREAMS} more streams")
-    rows = [(stream.name, *_field_row(field)) for stream in file.streams for field in stream.fields]
+    fields = [(stream.name, field) for stream in file.streams for field in stream.fields]
+    if len(fields) > MAX_FIELDS and any(field.high > field.low for _, field in fields):
+        still = sum(not field.high > field.low for _, field in fields)
+        if still:
+            out.line(f"{_count(still, 'field')} that never change or hold no number are not shown")
+        fields = [(stream, field) for stream, field in fields if field.high > field.low]
+    rows = [(stream, *_field_row(field)) for stream, field in fields]
     if rows:
         out.table(("stream", "field", "unit", "lowest", "highest", "missing"), _thinned(rows), right=(3, 4, 5))
     if len(rows) > MAX_FIELDS:
@@ -133,7 +140,8 @@ def _stream_row(stream: StreamSummary) -> tuple[str, ...]:
     if first.backwards:
         gaps += f"; back in time {first.backwards} times"
     clocks = "; ".join(_clock(clock) for clock in stream.clocks)
-    numbers = (f"{first.seconds:.1f}", f"{first.rate_hz:.2f}", f"{1e3 * first.jitter_s:.2f}")
+    steady = (f"{first.rate_hz:.2f}", f"{1e3 * first.jitter_s:.2f}") if first.rate_hz > 0.0 else ("", "")
+    numbers = (f"{first.seconds:.1f}", *steady)
     return (stream.name, stream.kind, str(stream.samples), *numbers, gaps, clocks)
 
 

@@ -55,8 +55,12 @@ class Clocked:
     def start_ns(self) -> int:
         """First stamp on the machine's clock: time zero of the recording."""
         if not self.machine:
+            if not self.channels:
+                remedy = 'Map fields to signals in the recipe; its lines that begin with "#" are not read.'
+                raise InputError(f"recording {self.name}", "no signal of the machine", "commands or sensors", remedy)
+            remedy = 'Write `domain = "machine"` for the stream whose clock all others are aligned to.'
             found = "no samples on the machine's clock"
-            raise InputError(f"recording {self.name}", found, "commands or sensors of the machine")
+            raise InputError(f"recording {self.name}", found, "commands or sensors of the machine", remedy)
         return min(int(channel.stamps[0]) for channel in self.machine)
 
 

@@ -20,6 +20,8 @@ _WORDS = {
 }
 #: Messages of these packages are in SI (ROS REP 103).
 _SI_PACKAGES = ("sensor_msgs/", "geometry_msgs/", "nav_msgs/", "tf2_msgs/")
+#: Fields that change and are no signals.
+_NO_SIGNAL = re.compile(r"covariance|(^|\.)stamp\.(sec|nanosec|nsec|secs|nsecs)$")
 #: More fields of one stream than this are summed up in a line.
 MAX_LINES = 80
 _HEAD = """\
@@ -35,10 +37,12 @@ def draft_recipe(
     machine: Machine | None = None,
     machine_path: str = "machine.toml",
     logs: str | None = None,
+    in_folders: bool = False,
 ) -> str:
     """TOML of a recipe for ``files``; with ``machine`` its axes are looked for in the names of the fields.
 
     ``machine_path`` and ``logs`` (the folder of the recordings) are as the recipe names them, relative to itself.
+    ``in_folders``: each recording has a folder of its own; else files in one folder may be one each.
     """
     lines = [_HEAD.format(names=", ".join(sorted({_plain(file.path.name) for file in files})[:6]) or "nothing")]
     lines.append(f"{'' if machine is not None else '# '}machine = {_text(machine_path)}")
@@ -46,14 +50,16 @@ def draft_recipe(
         lines.append(f"logs = {_text(logs)}")
     folders = {file.path.parent for file in files}
     groups = _groups(files)
-    if len(folders) == 1 and (len(files) == 1 or len(groups) == 1):
+    if not in_folders and len(folders) == 1 and (len(files) == 1 or len(groups) == 1):
         lines += ["", "[recordings.files]          # each file is a recording of its own"]
         lines += [f"{_key(file.path.stem)} = {_text(file.path.name)}" for file in files]
-        if len(files) < 3:
-            lines += [
-                "# [splits]                  # a recording is cut into parts for fit, selection and proof; too short for that:"
-            ]
-            lines += [f"# fit = [{', '.join(_text(file.path.stem) for file in files)}]"]
+    recordings = dict.fromkeys(file.path.parent.name if in_folders else file.path.stem for file in files)
+    if len(recordings) < 3 and (in_folders or len(groups) == 1):
+        lines += [
+            "",
+            "# [splits]                  # a recording is cut into parts for fit, selection and proof; too short for that:",
+        ]
+        lines += [f"# fit = [{', '.join(map(_text, recordings))}]"]
     taken: set[str] = set()
     for group in groups:
         lines += ["", *_stream(group, machine, taken)]
@@ -118,7 +124,7 @@ def _stream(group: Sequence[FileSummary], machine: Machine | None, taken: set[st
 def _signals(file: FileSummary, streams: Sequence[StreamSummary], machine: Machine | None, taken: set[str]) -> Iterator[str]:
     tables = len(file.streams) == 1 and not file.streams[0].kind and file.reader in ("csv", "parquet", "mat")
     for stream in streams:
-        moving = [field for field in stream.fields if field.high > field.low and "covariance" not in field.name]
+        moving = [field for field in stream.fields if field.high > field.low and not _NO_SIGNAL.search(field.name)]
         if not tables:
             kind = f" ({_plain(stream.kind)})" if stream.kind else ""
             yield f"# {_plain(stream.name)}{kind}: {stream.samples} samples"
@@ -126,7 +132,7 @@ def _signals(file: FileSummary, streams: Sequence[StreamSummary], machine: Machi
             yield _line("" if tables else stream.name, field, machine, stream.kind, taken)
         still = len(stream.fields) - len(moving)
         if still:
-            yield f"# {still} more fields never change or are covariances"
+            yield f"# {still} more fields never change, or are covariances or stamps"
         if len(moving) > MAX_LINES:
             yield f"# {len(moving) - MAX_LINES} more fields"
 
