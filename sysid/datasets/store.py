@@ -20,18 +20,17 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-import numpy as np
 import pandas as pd
 
+from sysid.datasets.assemble import Entry, dataset_of, entry_of
 from sysid.datasets.channel import Channel
 from sysid.datasets.files import Files, TakenError, explained, open_files
 from sysid.datasets.manifest import (
     Made,
     Manifest,
     appended,
-    clock_from,
     from_text,
     new_manifest,
     new_part,
@@ -39,10 +38,9 @@ from sysid.datasets.manifest import (
     split_digest,
     to_text,
 )
-from sysid.datasets.recording import Dataset, Recording, Role, Source
-from sysid.datasets.tables import is_there, read_table, write_channels, write_samples
+from sysid.datasets.recording import Dataset, Role
+from sysid.datasets.tables import PartTables, is_there, read_table, write_channels, write_samples
 from sysid.errors import StoreError, nearest
-from sysid.machine import machine_from_files
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -51,33 +49,6 @@ if TYPE_CHECKING:
 
 #: What a failed write leaves, for its message.
 _STATE = "no version was made, those that are there are whole"
-
-
-@dataclass(frozen=True)
-class Entry:
-    """One line of :meth:`Store.list`; ``damage`` says why a version cannot be read, and nothing else is known of it then."""
-
-    name: str
-    version: int
-    digest: str = ""
-    created: str = ""
-    machine: str = ""
-    recordings: int = 0
-    seconds: float = 0.0
-    damage: str = ""
-
-    @property
-    def reference(self) -> str:
-        return f"{self.name}@{self.version}"
-
-
-@dataclass(frozen=True)
-class PartTables:
-    """Where other tools find the tables of some recordings: two Delta tables, by their paths or URLs."""
-
-    recordings: tuple[str, ...]
-    samples: str
-    channels: str
 
 
 @dataclass(frozen=True)
@@ -96,7 +67,7 @@ class Store:
         for name in self.files.folders("datasets"):
             for version in self.versions(name):
                 try:
-                    entries.append(_entry(self.read_manifest(name, version)))
+                    entries.append(entry_of(self.read_manifest(name, version)))
                 except StoreError as error:
                     entries.append(Entry(name, version, damage=str(error)))
         return tuple(entries)
@@ -107,7 +78,8 @@ class Store:
         Raises:
             StoreError: no such dataset or version, or its files are damaged.
         """
-        return self._dataset(self.manifest(reference))
+        manifest = self.manifest(reference)
+        return dataset_of(manifest, [self._table(manifest, part, "samples") for part in manifest["parts"]])
 
     def channels(self, reference: str) -> pd.DataFrame:
         """The raw channels, each on its own clock: recording, source, domain, signal, unit, primary, stamp_ns, value."""
@@ -331,24 +303,6 @@ class Store:
     def _table(self, manifest: Manifest, part: Manifest, which: str, columns: Sequence[str] | None = None) -> pa.Table:
         return read_table(self.files, part, which, f"{manifest['name']}@{manifest['version']}: {which}", columns)
 
-    def _dataset(self, manifest: Manifest) -> Dataset:
-        reference = f"{manifest['name']}@{manifest['version']}"
-        tables = [_rows_of(self._table(manifest, part, "samples")) for part in manifest["parts"]]
-        recordings = tuple(_recording(item, tables[item["part"]], manifest["units"]) for item in manifest["recordings"])
-        return Dataset(
-            name=manifest["name"],
-            version=manifest["version"],
-            digest=manifest["digest"],
-            machine=machine_from_files(manifest["machine"], f"dataset {reference}"),
-            recordings=recordings,
-            units=manifest["units"],
-            splits=manifest["splits"],
-            sources=tuple(Source(**{**item, "losses": tuple(item["losses"])}) for item in manifest["sources"]),
-            clocks=tuple(clock_from(item) for item in manifest["clocks"]),
-            streams={stream: tuple(signals) for stream, signals in manifest["streams"].items()},
-            quality=manifest["quality"],
-        )
-
 
 def manifest_path(name: str, version: int, removed: bool = False) -> str:
     """Path of a manifest in its workspace, or of what vacuum leaves of it."""
@@ -358,47 +312,3 @@ def manifest_path(name: str, version: int, removed: bool = False) -> str:
 def _numbers(names: Sequence[str], ending: str) -> Sequence[int]:
     numbers = [name.removesuffix(ending) for name in names if name.endswith(ending)]
     return sorted(int(number) for number in numbers if number.isdigit())
-
-
-@dataclass(frozen=True)
-class _Rows:
-    """Samples in the order of recording and row, and where the rows of each recording lie: key → first, end."""
-
-    table: pa.Table
-    places: Mapping[Any, tuple[int, int]]
-
-
-def _rows_of(table: pa.Table) -> _Rows:
-    keys = table["recording"].combine_chunks().dictionary_encode()
-    numbers = keys.indices.to_numpy()
-    rows = table["row"].to_numpy()
-    order = np.lexsort((rows, numbers))
-    if not np.array_equal(order, np.arange(len(order))):
-        table, numbers = table.take(order), numbers[order]
-    names = keys.dictionary.to_pylist()
-    first = np.searchsorted(numbers, np.arange(len(names)), side="left")
-    end = np.searchsorted(numbers, np.arange(len(names)), side="right")
-    return _Rows(table, {name: (int(a), int(b)) for name, a, b in zip(names, first, end, strict=True)})
-
-
-def _recording(item: Mapping[str, Any], rows: _Rows, units: Mapping[str, str]) -> Recording:
-    first, end = rows.places.get(item["key"], (0, 0))
-    if end - first != item["rows"]:
-        found, expected = f"{end - first} rows", f"{item['rows']} rows"
-        raise StoreError(f"recording {item['name']}", found, expected, "The table is damaged: ingest the logs again.")
-    part: pd.DataFrame = rows.table.slice(first, end - first).select(["time", *item["signals"]]).to_pandas(ignore_metadata=True)
-    part.attrs = {"units": {"time": "s", **{signal: units[signal] for signal in item["signals"]}}}
-    return Recording(item["name"], part, item["rate_hz"], item["kind"], item["start_ns"])
-
-
-def _entry(manifest: Manifest) -> Entry:
-    motion = [item for item in manifest["recordings"] if item["kind"] == "motion"]
-    return Entry(
-        name=manifest["name"],
-        version=manifest["version"],
-        digest=manifest["digest"],
-        created=manifest["created"],
-        machine=manifest["machine_name"],
-        recordings=len(manifest["recordings"]),
-        seconds=sum(item["rows"] / item["rate_hz"] for item in motion),
-    )

@@ -7,6 +7,7 @@ of the columns. A missing value is null.
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -23,6 +24,15 @@ if TYPE_CHECKING:
 FILE = "part-00000.zstd.parquet"
 #: Rows written at a time, so that a long recording needs no second copy of itself.
 ROWS = 1 << 20
+
+
+@dataclass(frozen=True)
+class PartTables:
+    """Where other tools find the tables of some recordings: two Delta tables, by their paths or URLs."""
+
+    recordings: tuple[str, ...]
+    samples: str
+    channels: str
 
 
 def write_samples(files: Files, folder: str, dataset: Dataset) -> dict[str, Any]:

@@ -1,0 +1,104 @@
+"""Manifest and tables → the version in memory, and the line of a list."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pandas as pd
+
+from sysid.datasets.manifest import Manifest, clock_from
+from sysid.datasets.recording import Dataset, Recording, Source
+from sysid.errors import StoreError
+from sysid.machine import machine_from_files
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One line of :meth:`Store.list`; ``damage`` says why a version cannot be read, and nothing else is known of it then."""
+
+    name: str
+    version: int
+    digest: str = ""
+    created: str = ""
+    machine: str = ""
+    recordings: int = 0
+    seconds: float = 0.0
+    damage: str = ""
+
+    @property
+    def reference(self) -> str:
+        return f"{self.name}@{self.version}"
+
+
+def entry_of(manifest: Manifest) -> Entry:
+    motion = [item for item in manifest["recordings"] if item["kind"] == "motion"]
+    return Entry(
+        name=manifest["name"],
+        version=manifest["version"],
+        digest=manifest["digest"],
+        created=manifest["created"],
+        machine=manifest["machine_name"],
+        recordings=len(manifest["recordings"]),
+        seconds=sum(item["rows"] / item["rate_hz"] for item in motion),
+    )
+
+
+def dataset_of(manifest: Manifest, samples: Sequence[pa.Table]) -> Dataset:
+    """The version that ``manifest`` describes; ``samples`` is one table a part.
+
+    Raises:
+        StoreError: a recording that is not whole.
+    """
+    reference = f"{manifest['name']}@{manifest['version']}"
+    tables = [_rows_of(table) for table in samples]
+    recordings = tuple(_recording(item, tables[item["part"]], manifest["units"]) for item in manifest["recordings"])
+    return Dataset(
+        name=manifest["name"],
+        version=manifest["version"],
+        digest=manifest["digest"],
+        machine=machine_from_files(manifest["machine"], f"dataset {reference}"),
+        recordings=recordings,
+        units=manifest["units"],
+        splits=manifest["splits"],
+        sources=tuple(Source(**{**item, "losses": tuple(item["losses"])}) for item in manifest["sources"]),
+        clocks=tuple(clock_from(item) for item in manifest["clocks"]),
+        streams={stream: tuple(signals) for stream, signals in manifest["streams"].items()},
+        quality=manifest["quality"],
+    )
+
+
+@dataclass(frozen=True)
+class _Rows:
+    """Samples in the order of recording and row, and where the rows of each recording lie: key → first, end."""
+
+    table: pa.Table
+    places: Mapping[Any, tuple[int, int]]
+
+
+def _rows_of(table: pa.Table) -> _Rows:
+    keys = table["recording"].combine_chunks().dictionary_encode()
+    numbers = keys.indices.to_numpy()
+    rows = table["row"].to_numpy()
+    order = np.lexsort((rows, numbers))
+    if not np.array_equal(order, np.arange(len(order))):
+        table, numbers = table.take(order), numbers[order]
+    names = keys.dictionary.to_pylist()
+    first = np.searchsorted(numbers, np.arange(len(names)), side="left")
+    end = np.searchsorted(numbers, np.arange(len(names)), side="right")
+    return _Rows(table, {name: (int(a), int(b)) for name, a, b in zip(names, first, end, strict=True)})
+
+
+def _recording(item: Mapping[str, Any], rows: _Rows, units: Mapping[str, str]) -> Recording:
+    first, end = rows.places.get(item["key"], (0, 0))
+    if end - first != item["rows"]:
+        found, expected = f"{end - first} rows", f"{item['rows']} rows"
+        raise StoreError(f"recording {item['name']}", found, expected, "The table is damaged: ingest the logs again.")
+    part: pd.DataFrame = rows.table.slice(first, end - first).select(["time", *item["signals"]]).to_pandas(ignore_metadata=True)
+    part.attrs = {"units": {"time": "s", **{signal: units[signal] for signal in item["signals"]}}}
+    return Recording(item["name"], part, item["rate_hz"], item["kind"], item["start_ns"])

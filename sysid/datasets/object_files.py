@@ -1,0 +1,131 @@
+"""The files of a workspace in an object store: nothing is locked, a number is claimed before it is published."""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import time
+import uuid
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Any, BinaryIO, cast
+
+from sysid.datasets.files import TakenError
+
+
+@dataclass(frozen=True)
+class ObjectFiles:
+    """An object store. A put is atomic there, and nothing is locked: a number is claimed before it is published.
+
+    The claim is the first commit of a Delta table of its own, which the object store accepts from one writer only (put if
+    absent, also on S3). A writer that dies between claim and publication leaves a number that is never used.
+    """
+
+    url: str
+    locks: bool = False
+
+    def _open(self) -> tuple[Any, str]:
+        from pyarrow.fs import FileSystem
+
+        system, root = FileSystem.from_uri(self.url)
+        return system, str(root).rstrip("/")
+
+    def uri(self, path: str) -> str:
+        return f"{self.url}/{path}"
+
+    def _entries(self, folder: str, kind: str) -> list[str]:
+        from pyarrow.fs import FileSelector
+
+        system, root = self._open()
+        selector = FileSelector(f"{root}/{folder}", allow_not_found=True)
+        return sorted(entry.base_name for entry in system.get_file_info(selector) if entry.type.name == kind)
+
+    def names(self, folder: str) -> list[str]:
+        return self._entries(folder, "File")
+
+    def folders(self, folder: str) -> list[str]:
+        return self._entries(folder, "Directory")
+
+    def read(self, path: str) -> bytes:
+        system, root = self._open()
+        with system.open_input_stream(f"{root}/{path}") as file:
+            return bytes(file.read())
+
+    def address(self, path: str) -> tuple[int, str]:
+        system, root = self._open()
+        digest, size = hashlib.sha256(), 0
+        with system.open_input_stream(f"{root}/{path}") as file:
+            while block := file.read(1 << 22):
+                digest.update(block)
+                size += len(block)
+        return size, digest.hexdigest()
+
+    def create(self, path: str) -> BinaryIO:
+        system, root = self._open()
+        system.create_dir(f"{root}/{path}".rpartition("/")[0], recursive=True)
+        return cast("BinaryIO", system.open_output_stream(f"{root}/{path}"))
+
+    def settle(self, folder: str) -> None:
+        """A put has reached the store when it returns."""
+
+    def publish(self, path: str, text: str) -> None:
+        folder, _, name = path.rpartition("/")
+        taken = TakenError(self.uri(path), "another writer has just published this version", remedy="Run the command again.")
+        if name in self.names(folder) or not self._claim(_claim_of(path)):
+            raise taken
+        draft = f"{folder}/.{name}.{uuid.uuid4().hex}"
+        with self.create(draft) as file:
+            file.write(text.encode("utf-8"))
+        system, root = self._open()
+        system.move(f"{root}/{draft}", f"{root}/{path}")
+
+    def _claim(self, folder: str) -> bool:
+        """Whether this writer is the first; Delta's first commit of a table is written by one writer alone."""
+        import pyarrow as pa
+        from deltalake import DeltaTable, Schema
+        from deltalake.exceptions import DeltaError
+
+        token = uuid.uuid4().hex
+        empty = Schema.from_arrow(pa.schema([pa.field("claim", pa.string())]))
+        # That the table is there says the error; where it was made at the same moment, ours became its second commit.
+        with contextlib.suppress(DeltaError):
+            DeltaTable.create(self.uri(folder), empty, mode="error", description=token)
+        return token.encode() in self.read(f"{folder}/_delta_log/{0:020d}.json")
+
+    def claimed(self, folder: str) -> list[str]:
+        parent, _, name = folder.rpartition("/")
+        return sorted({*self.names(folder), *self.folders(f"{parent}/claims/{name}")})
+
+    def rename(self, path: str, to: str) -> None:
+        system, root = self._open()
+        system.copy_file(f"{root}/{path}", f"{root}/{to}")
+        system.delete_file(f"{root}/{path}")
+
+    def weight(self, folder: str) -> tuple[int, float]:
+        from pyarrow.fs import FileSelector
+
+        system, root = self._open()
+        entries = system.get_file_info(FileSelector(f"{root}/{folder}", recursive=True))
+        last = max((entry.mtime.timestamp() for entry in entries if entry.mtime), default=0.0)
+        return sum(entry.size or 0 for entry in entries), time.time() - last
+
+    def remove(self, path: str) -> None:
+        system, root = self._open()
+        kind = system.get_file_info(f"{root}/{path}").type.name
+        if kind == "Directory":
+            system.delete_dir(f"{root}/{path}")
+        elif kind == "File":
+            system.delete_file(f"{root}/{path}")
+
+    @contextmanager
+    def lock(self, folder: str) -> Iterator[None]:
+        """Nothing: numbers are claimed instead, and vacuum leaves what is young."""
+        yield
+
+
+def _claim_of(path: str) -> str:
+    """``datasets/a/versions/000001.json`` → ``datasets/a/claims/versions/000001.json``."""
+    parent, _, name = path.rpartition("/")
+    above, _, folder = parent.rpartition("/")
+    return f"{above}/claims/{folder}/{name}"
