@@ -29,8 +29,10 @@ lint: $(READY)
 	$(BIN)/ruff format --check
 	$(BIN)/mypy
 
+# PARTS="readers memory" measures some of it; the rest stays as it was.
+PARTS ?=
 bench: $(READY)
-	$(BIN)/python pipelines/bench.py
+	$(BIN)/python pipelines/bench.py $(PARTS)
 
 # How often the gap workflow is right; TIER=full takes a night and goes on where it was stopped.
 TIER ?= quick

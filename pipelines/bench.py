@@ -2,16 +2,19 @@
 
 The figures are ratios of times measured in turn on one machine (above 1: ours is better); absolute times depend on the machine.
 The command line is measured here, logs and the plant in benchmarks/. docs/speed.md shows the result.
+`make bench PARTS="readers memory"` measures some of it and leaves the rest as it was.
 """
 
 from __future__ import annotations
 
+import json
 import subprocess
 import sys
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-from benchmarks.logs import log_rows
+from benchmarks.logs import ingest_rows, memory_rows, reader_rows
 from benchmarks.plant import plant_rows
 from benchmarks.rows import against_limit, seconds
 from committed import provenance, write_result, write_tables
@@ -29,35 +32,62 @@ def help_seconds() -> float:
     return seconds(lambda: subprocess.run(program, check=True, capture_output=True))
 
 
-def tables(rows: list[dict[str, Any]], memory: list[dict[str, Any]]) -> str:
-    """The result as two tables of a page."""
+def cli_rows() -> list[dict[str, Any]]:
+    helps = [help_seconds() for _ in range(6)][1:]
+    return [against_limit("cli_help", helps, HELP_LIMIT, "s")]
+
+
+#: Part → what measures it. A part can be measured alone: the rows of the others then stay as they were, with their date.
+PARTS: dict[str, Callable[[], list[dict[str, Any]]]] = {
+    "readers": reader_rows,
+    "memory": memory_rows,
+    "ingest": ingest_rows,
+    "cli": cli_rows,
+    "plant": plant_rows,
+}
+
+
+def tables(rows: list[dict[str, Any]]) -> str:
+    """The result as two tables of a page: ratios, and memory against the size of a bag."""
     lines = ["| work | beside | ratio (lowest to highest) | ours | theirs |", "| --- | --- | --- | --- | --- |"]
+    sizes = ["", "| bag | size | messages | read | most memory | for each message |", "| --- | --- | --- | --- | --- | --- |"]
     for entry in rows:
         ratio, unit = entry["ratio"], entry["unit"]
+        if "bag" in entry:
+            bag = entry["bag"]
+            each = f"{bag['bytes_a_message']:.0f} B" if bag["content"] == "joint states" else ""
+            size = f"{bag['size_gb']:.2f} GB | {bag['messages']} | {bag['read']}"
+            sizes.append(f"| {bag['content']} | {size} | {entry['ours']:.0f} MiB | {each} |")
+            continue
         figures = " | ".join(f"{entry[side]:.3g} {unit}" for side in ("ours", "theirs"))
         spread = f"**{ratio['median']:.3g}** ({ratio['min']:.3g} to {ratio['max']:.3g})"
         lines.append(f"| {entry['work'].replace('_', ' ')} | {entry['peer']} | {spread} | {figures} |")
-    lines += ["", "| bag | size | messages | read | most memory | for each message |", "| --- | --- | --- | --- | --- | --- |"]
-    for entry in memory:
-        size = f"{entry['size_gb']:.2f} GB | {entry['messages']} | {entry['read']}"
-        each = f"{entry['bytes_a_message']:.0f} B" if entry["bag"] == "joint states" else ""
-        lines.append(f"| {entry['bag']} | {size} | {entry['peak_mib']:.0f} MiB | {each} |")
-    return "\n".join(lines)
+    return "\n".join([*lines, *sizes])
 
 
-def main() -> Path:
-    helps = [help_seconds() for _ in range(6)][1:]
-    of_logs, memory = log_rows()
-    rows = [*of_logs, against_limit("cli_help", helps, HELP_LIMIT, "s"), *plant_rows()]
-    write_result(RESULT, provenance("make bench", None, PACKAGES) | {"rows": rows, "memory": memory})
-    write_tables(PAGE, tables(rows, memory), "make bench")
-    for entry in rows:
-        ratio = entry["ratio"]
-        against = f"{entry['ours']:.4g} {entry['unit']} against {entry['theirs']:.4g} of {entry['peer']}"
-        print(f"{entry['work']:22s} {against}: {ratio['median']:.2f} × ({ratio['min']:.2f} to {ratio['max']:.2f})")
+def main(parts: Sequence[str]) -> Path:
+    """Measure ``parts``, all of them where none is named."""
+    unknown = set(parts) - set(PARTS)
+    if unknown:
+        raise SystemExit(f"no part {', '.join(sorted(unknown))}; expected some of: {', '.join(PARTS)}")
+    known = json.loads(RESULT.read_text("utf-8"))["rows"] if parts and RESULT.exists() else []
+    head = provenance("make bench", None, PACKAGES)
+    rows: list[dict[str, Any]] = []
+    for part, measure in PARTS.items():
+        if parts and part not in parts:
+            rows += [entry for entry in known if entry["part"] == part]
+            continue
+        fresh = [{"part": part, "date": head["date"], **entry} for entry in measure()]
+        for entry in fresh:
+            ratio = entry["ratio"]
+            against = f"{entry['ours']:.4g} {entry['unit']} against {entry['theirs']:.4g} of {entry['peer']}"
+            print(f"{entry['work']:22s} {against}: {ratio['median']:.2f} × ({ratio['min']:.2f} to {ratio['max']:.2f})")
+        rows += fresh
+    write_result(RESULT, head | {"rows": rows})
+    write_tables(PAGE, tables(rows), "make bench")
     print(RESULT.relative_to(ROOT))
     return RESULT
 
 
 if __name__ == "__main__":
-    main()
+    main(sys.argv[1:])

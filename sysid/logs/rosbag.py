@@ -22,8 +22,8 @@ from sysid.logs.table import check_not_empty
 from sysid.logs.topics import Topic, check_topics, finished, make_decoder
 
 _ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
-#: Messages are handed on in batches of this size.
-_BATCH = 4 * 2**20
+#: Messages of a topic are handed on in batches of this size, and all of them when so much is held together.
+_BATCH, _HELD = 4 * 2**20, 32 * 2**20
 
 
 @dataclass(frozen=True)
@@ -152,11 +152,16 @@ class _Bag:
     def take(self, messages: Iterable[tuple[Any, int, bytes]]) -> None:
         """Hand messages to their topics in batches; those that came before an error are handed on, too."""
         batches: dict[tuple[str, str], _Batch] = {}
+        held = 0
         try:
             for connection, stamp, data in messages:
                 key = (connection.topic, connection.msgtype)
                 batch = batches.setdefault(key, _Batch(self.topics[key]))
-                batch.add(stamp, data)
+                held += batch.add(stamp, data)
+                if held > _HELD:
+                    for batch in batches.values():
+                        batch.flush()
+                    held = 0
         finally:
             for batch in batches.values():
                 batch.flush()
@@ -172,12 +177,15 @@ class _Batch:
     messages: list[bytes] = field(default_factory=list)
     size: int = 0
 
-    def add(self, stamp: int, data: bytes) -> None:
+    def add(self, stamp: int, data: bytes) -> int:
+        """Take a message; returns by how much the memory held has grown."""
+        before = self.size
         self.stamps.append(stamp)
         self.messages.append(data)
         self.size += len(data) + 64
         if self.size > _BATCH:
             self.flush()
+        return self.size - before
 
     def flush(self) -> None:
         if not self.messages:
