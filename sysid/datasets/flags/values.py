@@ -7,7 +7,6 @@ a spike or a jump stands alone.
 from __future__ import annotations
 
 import numpy as np
-from numpy.lib.stride_tricks import sliding_window_view
 
 from sysid.datasets.flag import Array, Flag, shown, thinned
 
@@ -76,23 +75,27 @@ def outliers(signal: str, times: Array, values: Array, unit: str = "1") -> list[
         floor = 1e-9 * float(np.ptp(values))
     period = float(np.median(np.diff(times)))
     steps = np.abs(np.diff(values))
+    # The line between the ends is at most a third as steep as the spike is high (SPIKE_RATIO): the step into it is larger.
+    begins = np.flatnonzero(steps > (1.0 - 1.0 / SPIKE_RATIO) * floor)
     taken = np.zeros(len(values), dtype=bool)
     for length in range(1, SPIKE_SAMPLES + 1):
-        before = np.arange(AROUND, len(values) - AROUND - length)
+        before = begins[(begins >= AROUND) & (begins < len(values) - AROUND - length)]
         after = before + length + 1
         whole = times[after] - times[before] <= GAP_PERIODS * (length + 1) * period
         before, after = before[whole], after[whole]
         off = _least_distance(times, values, before, length)
-        for index in np.flatnonzero(off > floor):
+        high = np.flatnonzero(off > np.maximum(floor, SPIKE_RATIO * np.abs(values[after] - values[before]) / length))
+        sides = np.concatenate([np.arange(-AROUND, 0), length + 1 + np.arange(AROUND)])
+        # The two largest steps around are left out: they may be those of another spike.
+        usual = np.sort(steps[before[high][:, None] + sides], axis=1)[:, -3]
+        alone = off[high] > SPIKE_RATIO * usual
+        for index, step in zip(high[alone], usual[alone], strict=True):
             first, last = before[index] + 1, after[index]
-            if taken[first:last].any():
-                continue
-            around = np.concatenate([steps[first - 1 - AROUND : first - 1], steps[last : last + AROUND]])
-            # The two largest are left out: they may be those of another spike.
-            usual = float(np.sort(around)[-3])
-            if off[index] > SPIKE_RATIO * max(usual, abs(values[last] - values[first - 1]) / length):
+            if not taken[first:last].any():
                 taken[first:last] = True
-                text = f"{_count(length)} off by {shown(float(off[index]), unit)}, the steps around are {shown(usual, unit)}"
+                text = (
+                    f"{_count(length)} off by {shown(float(off[index]), unit)}, the steps around are {shown(float(step), unit)}"
+                )
                 found.append(Flag(signal, "outlier", float(times[first]), float(times[last - 1]), length, text))
     return thinned(sorted(found, key=lambda flag: flag.from_s))
 
@@ -126,10 +129,10 @@ def jumps(signal: str, times: Array, values: Array, unit: str = "1") -> list[Fla
     # A message that came late moves further: by its rate it is as usual.
     size = np.diff(values) * (period / np.maximum(spans, period))
     size[spans > GAP_PERIODS * period] = 0.0
-    around = sliding_window_view(np.abs(size), AROUND).max(axis=1)
-    index = np.arange(AROUND, len(size) - AROUND)
-    usual = np.maximum(around[index - AROUND], around[index + 1])
-    far = index[(np.abs(size[index]) > floor) & (np.abs(size[index]) > JUMP_RATIO * usual)]
+    far = np.flatnonzero(np.abs(size) > floor)
+    far = far[(far >= AROUND) & (far < len(size) - AROUND)]
+    around = far[:, None] + np.concatenate([np.arange(-AROUND, 0), np.arange(1, AROUND + 1)])
+    far = far[np.abs(size[far]) > JUMP_RATIO * np.abs(size[around]).max(axis=1)]
     found: list[Flag] = []
     number = 0
     while number < len(far):
