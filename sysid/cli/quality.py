@@ -107,7 +107,7 @@ def show_flags(out: Printer, flags: Sequence[Mapping[str, Any]]) -> None:
     lines = flag_lines(flags)
     if not lines:
         return
-    out.line(f"flagged, nothing changed: {kinds_of(lines)}")
+    out.line(f"flagged (values stay as they are, unless it says otherwise): {kinds_of(lines)}")
     for line in lines[:MOST_FLAGS]:
         out.line(f"  {line.recording} {line.from_s:.2f} s  {line.kind} of {line.signals}: {line.text}")
     if len(lines) > MOST_FLAGS:

@@ -88,7 +88,7 @@ def test_flags_are_counted_and_the_first_are_told(capsys: pytest.CaptureFixture[
     flag = {"recording": "run-1", "source": "a.csv", "signal": "boom.joint", "kind": "marker_swap", "from_s": 1.5, "to_s": 2.0}
     show_flags(Printer(), [{**flag, "samples": 3, "text": f"swap {k:02}"} for k in range(15)])
     lines = capsys.readouterr().out.splitlines()
-    assert lines[0] == "flagged, nothing changed: 15 × marker swap"
+    assert lines[0] == "flagged (values stay as they are, unless it says otherwise): 15 × marker swap"
     assert lines[1] == "  run-1 1.50 s  marker swap of boom joint: swap 00"
     assert lines[-1] == "  … and 3 more (the report and --json have them all)"
     assert len(lines) == 14
