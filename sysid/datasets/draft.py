@@ -102,7 +102,9 @@ def _stream(group: Sequence[FileSummary], machine: Machine | None, taken: set[st
     first = {clock.name for stream in file.streams for clock in stream.clocks[:1]}
     if len(first) > 1:
         every = [clock for clock in clocks if all(clock in {c.name for c in stream.clocks} for stream in file.streams)]
-        yield f"# clock = {_text(every[0])}   # left out: header stamps where a topic has them"
+        named = [_plain(stream.name) for stream in file.streams if stream.clocks and stream.clocks[0].name != every[0]]
+        others = f"; {clocks[0]} stamps: an entry of its own for {', '.join(named[:4])}{' …' if len(named) > 4 else ''}"
+        yield f"clock = {_text(every[0])}   # all topics have it{others if named else ''}"
     elif clocks:
         others = f"   # or {', '.join(clocks[1:])}" if len(clocks) > 1 else ""
         yield f"clock = {_text(clocks[0])}{others}"

@@ -106,21 +106,35 @@ def inspect_file(path: Path, reader: str | None = None, dbc: Path | None = None)
     stated: dict[str, str] = {}
     try:
         stated = _unstated(path, chosen)
-        options = ReadOptions(
-            preview=True,
-            time=stated.get("time"),
-            time_unit=stated.get("time_unit", "s"),
-            length_unit=stated.get("length_unit"),
-            rotation=stated.get("rotation"),
-            dbc=dbc,
-        )
-        streams = chosen.read(path, options)
+        streams = chosen.read(path, _preview(stated, dbc))
+        if "length_unit" in stated and (likely := _likely_unit(streams)) != stated["length_unit"]:
+            stated["length_unit"] = likely
+            streams = chosen.read(path, _preview(stated, dbc))
     except InputError as error:
         return FileSummary(path, chosen.name, size, _bare(path, chosen), stated=stated, refusal=str(error))
     except PermissionError:
         return FileSummary(path, chosen.name, size, stated=stated, refusal=f"{path}: may not be read (permission denied)")
     losses = tuple(dict.fromkeys(loss for stream in streams for loss in stream.losses))
     return FileSummary(path, chosen.name, size, tuple(summarise(stream) for stream in streams), losses, stated)
+
+
+def _preview(stated: Mapping[str, str], dbc: Path | None) -> ReadOptions:
+    return ReadOptions(
+        preview=True,
+        time=stated.get("time"),
+        time_unit=stated.get("time_unit", "s"),
+        length_unit=stated.get("length_unit"),
+        rotation=stated.get("rotation"),
+        dbc=dbc,
+    )
+
+
+def _likely_unit(streams: Iterable[Stream]) -> str:
+    """What positions that were read as metres seem to be in: no capture volume is 50 m wide, few are 10 m."""
+    places = [values for stream in streams for axis, values in stream.columns.items() if axis in ("x", "y", "z")]
+    seen = [np.abs(values[np.isfinite(values)]) for values in places]
+    reach = max((float(np.median(values)) for values in seen if len(values)), default=0.0)
+    return "m" if reach < 50.0 else "cm" if reach < 1000.0 else "mm"
 
 
 def _bare(path: Path, reader: LogReader) -> tuple[StreamSummary, ...]:

@@ -113,8 +113,43 @@ def test_what_an_export_does_not_state_is_asked_for(shared_data: Path, capsys: p
     path = shared_data / "mocap_files/motive_1.22_two_rigid_bodies.csv"
     assert run("ingest", "--inspect", path) == 0
     text = capsys.readouterr().out
-    assert "the recipe has to state length_unit; shown here with 'm'" in text
+    # Read as metres the bodies would be 175 m away.
+    assert "the recipe has to state length_unit; shown here with 'cm'" in text
+    assert 'length_unit = "cm"   # not stated in the file: check it' in text
     assert 'rotation = "XYZ"   # not stated in the file: check it' in text
+
+
+def test_the_draft_for_a_recording_in_its_folder_is_accepted(
+    tmp_path: Path, shared_data: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """``logs/<recording>/<file>``: the layout of the guide; topics with and without header stamps in one bag."""
+    bag = tmp_path / "logs/run1/nav2_turtlebot.mcap"
+    bag.parent.mkdir(parents=True)
+    bag.write_bytes((shared_data / "mcap_bags/nav2_turtlebot.mcap").read_bytes())
+    axis = '[[axes]]\nname = "drive"\nactuation = "velocity"\ndrives = "joint"\n'
+    (tmp_path / "machine.toml").write_text(f'schema = 1\nname = "turtle"\nrate_hz = 20.0\n{axis}')
+    draft = tmp_path / "recipe.toml"
+    assert run("ingest", "--inspect", tmp_path / "logs", "--draft", draft) == 0
+    shown = capsys.readouterr().out
+    assert "fields that never change or hold no number are not shown" in shown
+    text = draft.read_text("utf-8")
+    assert '# fit = ["run1"]' in text
+    assert "recordings.files" not in text
+    # Header stamps count from the start of a simulation here, those of the log are Unix time: they are never mixed unasked.
+    assert 'clock = "log"   # all topics have it; header stamps: an entry of its own for /odom, /amcl_pose\n' in text
+    assert "stamp.sec" not in text
+    assert run("--workspace", tmp_path / "ws", "ingest", tmp_path) == 2
+    assert "recording run1: no signal of the machine; expected commands or sensors. Map fields" in capsys.readouterr().err
+    lines = {"/odom": "pose.pose.position.x", "/tf": "transforms[0].transform.translation.y"}
+    for (topic, field), signal in zip(lines.items(), ("drive.joint", "drive.cylinder"), strict=True):
+        entry = f'{{ topic = "{topic}", field = "{field}"'
+        found = re.search(rf'^# "[^"]*" = {re.escape(entry)}', text, flags=re.MULTILINE)
+        assert found is not None
+        text = text.replace(found[0], f'"{signal}" = {entry}, unit = "m"')
+    draft.write_text(text, "utf-8")
+    assert run("--workspace", tmp_path / "ws", "ingest", tmp_path, "--json", "-") == 0
+    made = json.loads(capsys.readouterr().out)
+    assert {signal for recording in made["recordings"] for signal in recording["signals"]} == {"drive.joint", "drive.cylinder"}
 
 
 def test_gaps_and_a_time_column_of_another_name_are_found(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
