@@ -8,7 +8,7 @@ uneven stamp beside it.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
@@ -57,18 +57,62 @@ def pieces(pairs: Sequence[Pair]) -> tuple[Piece, ...]:
 def _parted(pairs: Sequence[Pair], first: float, last: float, depth: int) -> tuple[Piece, ...]:
     own = _cut(pairs, first, last)
     whole = Piece(first, last, estimate(own))
-    at = suspected(whole.estimate.blocks, _period(pairs)) if depth > 0 else None
-    if at is None:
+    if depth == 0:
         return (whole,)
-    before, after = _parted(pairs, first, at, depth - 1), _parted(pairs, at, last, depth - 1)
-    if any(piece.estimate.refused for piece in (*before, *after)):
-        if whole.estimate.refused:
-            reason = f"{whole.estimate.refused}; its clock may have been set at {at:.0f} s, but not every part can be aligned"
-            return (replace(whole, estimate=replace(whole.estimate, refused=reason)),)
-        return (whole,)
-    if len(before) == len(after) == 1 and not _stepped(before[-1], after[0], _period(pairs)):
-        return (whole,)
-    return (*before, *after)
+    tried = []
+    for at in _suspicions(own, whole.estimate):
+        if any(abs(at - other) < BLOCK_S for other in tried):
+            continue
+        tried.append(at)
+        before, after = _parted(pairs, first, at, depth - 1), _parted(pairs, at, last, depth - 1)
+        if any(piece.estimate.refused for piece in (*before, *after)):
+            continue
+        if len(before) == len(after) == 1 and not _stepped(before[-1], after[0], _period(pairs)):
+            return (whole,)
+        return (*before, *after)
+    if tried and whole.estimate.refused:
+        reason = f"{whole.estimate.refused}; its clock may have been set, but not every part of it can be aligned"
+        return (replace(whole, estimate=replace(whole.estimate, refused=reason)),)
+    return (whole,)
+
+
+def _suspicions(pairs: Sequence[Pair], whole: Estimate) -> Iterator[float]:
+    """Where the clock may have been set, the likeliest first: from the fit of all, and where that is refused from parts."""
+    at = suspected(whole.blocks, _period(pairs)) if pairs else None
+    if at is not None:
+        yield at
+    if not whole.refused or whole.blocks is None:
+        return
+    first, last = min(float(p.y_times[0]) for p in pairs), max(float(p.y_times[-1]) for p in pairs)
+    length = last - first
+    if length < 4.0 * FEWEST_BLOCKS * BLOCK_S:
+        return
+    for a, b in ((first, first + 0.4 * length), (last - 0.4 * length, last)):
+        part = estimate(_cut(pairs, a, b))
+        at = suspected(_reach(pairs, part, a, b), _period(pairs)) if not part.refused else None
+        if at is not None:
+            yield at
+
+
+def _reach(pairs: Sequence[Pair], part: Estimate, first: float, last: float) -> Blocks:
+    """How well the clock and the maps of a part hold for all of the stream, block by block."""
+    sums: dict[int, list[float]] = {}
+    for pair in pairs:
+        ready = prepared(smoothed(pair))
+        fit = PairFit(ready)
+        fit.choose((first, last), 20_000)
+        fit.begin(part.mid_offset, part.skew, part.mid_time)
+        squares = fit.squares((-np.inf, np.inf), part.mid_offset, part.skew, part.mid_time)
+        known = np.isfinite(squares)
+        numbers = np.floor(ready.y_times[known] / BLOCK_S).astype(np.int64)
+        for number, value in zip(numbers.tolist(), np.clip(squares[known], 0.0, 400.0).tolist(), strict=True):
+            entry = sums.setdefault(number, [0.0, 0.0])
+            entry[0] += value
+            entry[1] += 1.0
+    numbers_seen = sorted(sums)
+    energy = np.array([sums[number][0] / sums[number][1] for number in numbers_seen])
+    times = (np.array(numbers_seen, dtype=np.float64) + 0.5) * BLOCK_S
+    return Blocks(times, np.zeros_like(times), np.zeros_like(times), energy)
 
 
 def _joined(pairs: Sequence[Pair], parts: Sequence[Piece]) -> tuple[Piece, ...]:
