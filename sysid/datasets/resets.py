@@ -59,7 +59,7 @@ def _parted(pairs: Sequence[Pair], first: float, last: float, depth: int) -> tup
     whole = Piece(first, last, estimate(own))
     if depth == 0:
         return (whole,)
-    tried = []
+    tried: list[float] = []
     for at in _suspicions(own, whole.estimate):
         if any(abs(at - other) < BLOCK_S for other in tried):
             continue
