@@ -10,7 +10,9 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from sysid.datasets.base_frame import Proposal, from_markers, from_turn
+from sysid.datasets.base_frame import Proposal
+from sysid.datasets.base_markers import from_markers
+from sysid.datasets.base_turn import from_turn
 from sysid.datasets.bodies import STILL, stamps_of
 from sysid.datasets.channel import in_order, seconds
 from sysid.datasets.channels import read_streams

@@ -15,7 +15,9 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from sysid.cli.app import main
-from sysid.datasets.base_frame import from_markers, from_turn
+from sysid.datasets.base_frame import frame_of
+from sysid.datasets.base_markers import from_markers
+from sysid.datasets.base_turn import from_turn
 from sysid.datasets.degenerate import offset_notes
 from sysid.datasets.recipe import Frame, PointMap, Reference, StreamMap, load_recipe
 from sysid.datasets.rigid import frame_pose, inverse
@@ -51,6 +53,12 @@ def test_markers_give_the_frame_back_whatever_it_is(seed: int, count: int) -> No
     np.testing.assert_allclose(frame_pose(proposal.frame), pose, atol=1e-9)
     assert proposal.rms_m < 1e-12
     assert proposal.open == ()
+
+
+@given(yaw=st.floats(-3.1, 3.1), up=st.booleans())
+def test_a_frame_that_looks_straight_up_or_down_has_angles_as_well(yaw: float, up: bool) -> None:
+    pose = frame_pose(Frame((1.0, 2.0, 3.0), (0.0, math.pi / 2 if up else -math.pi / 2, yaw)))
+    np.testing.assert_allclose(frame_pose(frame_of(pose)), pose, atol=1e-9)
 
 
 def test_the_interval_of_markers_covers_as_often_as_it_says() -> None:
