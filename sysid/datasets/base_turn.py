@@ -69,7 +69,10 @@ def from_turn(
         f"the turn about the axis of {axis!r} (yaw): survey one more marker away from the axis, or one direction",
         f"the place along the axis of {axis!r} (height): measure one height",
     )
-    notes = (f"{axis!r} is taken to turn as the recipe says first (sense = 1 or −1): the other way the frame is upside down",)
+    notes = (
+        f"{axis!r} is taken to turn as the recipe says first (sense = 1 or −1): the other way the frame is upside down",
+        "the interval of the place holds at the height of the points that turned",
+    )
     return Proposal(
         frame_of(pose), "turn", tuple(used), rms, float(np.abs(off).max()), three(place), three(tilt), opened, notes
     )
