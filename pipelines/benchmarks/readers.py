@@ -41,7 +41,7 @@ def ours(path: Path) -> Tables:
     tables = {}
     for stream in reader_for(path).read(path, ReadOptions()):
         found = {"log": stream.stamps["log"], "header": stream.stamps["header"], **stream.columns}
-        tables[stream.name] = pd.DataFrame({name: found[name] for name in COLUMNS[stream.name]})
+        tables[stream.name] = pd.DataFrame({name: found[name] for name in COLUMNS[stream.name]}, copy=False)
     return tables
 
 
@@ -81,7 +81,7 @@ def _flattened(topic: str, batches: list[Any]) -> pd.DataFrame:
             values = message.field(array).flatten().to_numpy().reshape(len(message), -1)
             for place, joint in enumerate(JOINTS):
                 columns[f"{array}[{joint}]"].append(values[:, place])
-    return pd.DataFrame({name: np.concatenate(column) for name, column in columns.items()})
+    return pd.DataFrame({name: np.concatenate(column) for name, column in columns.items()}, copy=False)
 
 
 def mcap_ros2(path: Path) -> Tables:

@@ -25,12 +25,14 @@ class Growing:
         fill: of rows without a value.
         kind: type of the values; integers of other types widen it, a float makes it float64.
         found: values that were put.
+        expected: rows there will be, where that is known; a wrong number costs copies, or room that is never touched.
     """
 
     fill: float
     kind: np.dtype[Any] = field(default_factory=lambda: np.dtype(np.float64))
     found: int = 0
     _end: int = 0
+    expected: int = 0
     _room: Values = field(init=False)
 
     def __post_init__(self) -> None:
@@ -66,7 +68,7 @@ class Growing:
     def _reach(self, end: int, filled: int | None = None) -> None:
         """Have rows up to ``end``, without values up to ``filled``; the caller writes the rest."""
         if end > len(self._room):
-            room = np.empty(max(_FIRST, 2 * len(self._room), end), self.kind)
+            room = np.empty(max(_FIRST, 2 * len(self._room), end, self.expected), self.kind)
             room[: self._end] = self._room[: self._end]
             self._room = room
         if end > self._end:

@@ -9,11 +9,13 @@ import numpy as np
 
 from sysid.errors import InputError
 from sysid.logs.layout import Bytes
-from sysid.logs.mcap_file import CHANNEL, HEAD, MESSAGE_HEAD, RECORD, SCHEMA, Block, McapFile
+from sysid.logs.mcap_file import CHANNEL, HEAD, MESSAGE_HEAD, RECORD, SCHEMA, STATISTICS, Block, McapFile
 from sysid.logs.reader import ReadOptions
 from sysid.logs.stream import Stream
 from sysid.logs.table import check_not_empty
 from sysid.logs.topics import Topic, finished, make_decoder
+
+_COUNT = np.dtype([("channel", "<u2"), ("messages", "<u8")])
 
 
 @dataclass(frozen=True)
@@ -49,8 +51,11 @@ class _Log:
     topics: dict[tuple[str, str, str], Topic] = field(default_factory=dict)
 
     def define(self, opcode: int, body: bytes) -> None:
-        """Take a schema or channel record; those already known are not looked at again."""
+        """Take a schema or channel record, of which those already known are not looked at again, or the statistics."""
         reader = _Fields(body)
+        if opcode == STATISTICS:
+            self._expect(body)
+            return
         number = reader.integer(2)
         if opcode == SCHEMA:
             self.schemas.setdefault(number, (reader.text(), reader.text(), reader.block()))
@@ -75,6 +80,14 @@ class _Log:
             others = sum(name == topic for name, _, _ in self.topics)
             self.topics[key] = Topic(f"{topic}#{others + 1}" if others else topic, kind, decoder)
         self.channels[number] = self.topics[key]
+
+    def _expect(self, body: bytes) -> None:
+        """Channel numbers and their messages, from byte 46 on; no more than would fit into the file are believed."""
+        counts = np.frombuffer(body[46 : len(body) - (len(body) - 46) % 10], _COUNT) if len(body) > 46 else ()
+        most = self.path.stat().st_size // (RECORD + MESSAGE_HEAD)
+        for number, count in counts:
+            if int(number) in self.channels:
+                self.channels[int(number)].expect(min(int(count), most))
 
     def take(self, block: Block) -> None:
         """Hand the messages of ``block`` to their topics."""

@@ -23,6 +23,7 @@ from sysid.logs.limits import MAX_CHUNK, unpack
 
 MAGIC = b"\x89MCAP0\r\n"
 FOOTER, SCHEMA, CHANNEL, MESSAGE, CHUNK, MESSAGE_INDEX, DATA_END = 0x02, 0x03, 0x04, 0x05, 0x06, 0x07, 0x0F
+STATISTICS = 0x0B
 #: Opcode and length before every record; channel, sequence, log and publish time before the data of a message.
 RECORD, MESSAGE_HEAD = 9, 22
 #: Records outside of chunks are handed on in blocks of this size.

@@ -40,6 +40,8 @@ class Pieces:
     crowded: bool = False
     #: Messages of a preview, whose values have been read; None where those of all messages are.
     previewed: int | None = None
+    #: Messages that the file says it has.
+    stated: int = 0
     _columns: dict[str, Growing] = field(default_factory=dict)
     #: Names under which the same values came in every message (``position[2]``, ``position[boom]``) → their one column.
     _sharing: dict[tuple[str, ...], Growing] = field(default_factory=dict)
@@ -74,7 +76,7 @@ class Pieces:
             if name in _STAMPS:
                 stamps = self._stamps.get(name)
                 if stamps is None:
-                    stamps = self._stamps[name] = Growing(0, values.dtype.newbyteorder("="))
+                    stamps = self._stamps[name] = Growing(0, values.dtype.newbyteorder("="), expected=self.stated)
                 stamps.put(where, values)
 
     def _is_new_or_known(self, name: str) -> bool:
@@ -98,7 +100,7 @@ class Pieces:
             if self.wanted is None and len(self._columns) + len(names) > self._room():
                 self.crowded = True
                 return []
-            column = Growing(np.nan)
+            column = Growing(np.nan, expected=self.stated)
             self._columns.update(dict.fromkeys(names, column))
             if names:
                 self._sharing[names] = column

@@ -79,6 +79,12 @@ class Topic:
     log: Growing = field(default_factory=lambda: Growing(0, np.dtype(np.int64)))
     publish: Growing = field(default_factory=lambda: Growing(0, np.dtype(np.int64)))
 
+    def expect(self, count: int) -> None:
+        """The file says that it has so many more messages of this topic."""
+        pieces = self.decoder.pieces
+        pieces.stated += count
+        self.log.expected = self.publish.expected = pieces.stated
+
     def stream(self, path: Path, losses: Iterable[str]) -> Stream:
         """What was read. Clocks: ``header`` where the messages carry a stamp, ``log``, ``publish`` where the file has it."""
         pieces = self.decoder.pieces

@@ -202,3 +202,19 @@ def test_deep_json_does_not_exhaust_the_stack() -> None:
 def test_any_packed_bytes_are_unpacked_or_refused(compression: str, packed: bytes, size: int, cut_off: bool) -> None:
     records, refusal = attempt(ValueError, lambda: unpack(packed, compression, size, cut_off))
     assert refusal if records is None else len(records) <= size
+
+
+@pytest.mark.parametrize("count", [0, 7, 10**6, 2**63, 2**64 - 1])
+def test_a_number_of_messages_that_the_file_does_not_hold_does_no_harm(tmp_path: Path, count: int) -> None:
+    path = tmp_path / "log.mcap"
+    write_states(path, [state(t, ["boom"], [0.5 * t]) for t in range(50)], chunk_size=500)
+    data = bytearray(path.read_bytes())
+    head = b"\x0b" + (56).to_bytes(8, "little")  # the statistics of a file with one channel
+    assert data.count(head) == 1
+    at = data.index(head) + len(head) + 46 + 2
+    assert int.from_bytes(data[at : at + 8], "little") == 50
+    data[at : at + 8] = count.to_bytes(8, "little")
+    path.write_bytes(data)
+    (stream,) = McapReader().read(path, ReadOptions())
+    np.testing.assert_array_equal(stream.columns["position[boom]"], 0.5 * np.arange(50))
+    assert all(len(stamps) == 50 for stamps in stream.stamps.values())
