@@ -8,7 +8,7 @@ import click
 
 from sysid.cli.output import Printer, json_option, write_json
 from sysid.cli.tables import show_dataset
-from sysid.errors import SettingsError
+from sysid.errors import SettingsError, StoreError
 
 if TYPE_CHECKING:
     from sysid.datasets import Dataset, Store
@@ -170,6 +170,9 @@ def vacuum(
     removed = [{"what": item.what, "size": item.size} for item in found.removed]
     kept = [{"what": item.what, "reason": item.reason} for item in found.kept]
     write_json(json_file, {"schema": 1, "dry_run": found.dry_run, "size": found.size, "removed": removed, "kept": kept})
+    refused = [item for item in found.kept if item.what in references]
+    if refused:
+        raise StoreError(refused[0].what, f"not removed: {refused[0].reason}", "a version that nothing was made from")
 
 
 def _entry(entry: Any) -> dict[str, Any]:

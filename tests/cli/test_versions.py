@@ -120,7 +120,9 @@ def test_vacuum_says_first_and_keeps_what_models_need(
     assert run(*workspace, "datasets", "vacuum", "--keep", "1", "--yes", "--json", place / "v.json") == 0
     assert [item["what"] for item in json.loads((place / "v.json").read_text())["removed"]] == ["demo@2"]
     assert [entry.version for entry in Store(place / "ws").list()] == [1, 3]
-    assert run(*workspace, "datasets", "vacuum", "demo@1") == 0
+    capsys.readouterr()
+    assert run(*workspace, "datasets", "vacuum", "demo@1") == 2
+    assert "demo@1: not removed: plant crane@1 was made from it" in capsys.readouterr().err
     assert [entry.version for entry in Store(place / "ws").list()] == [1, 3]
     assert run(*workspace, "datasets", "vacuum", "demo@3") == 0, "a version that is named needs no further word"
     assert [entry.version for entry in Store(place / "ws").list()] == [1]
