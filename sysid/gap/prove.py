@@ -36,6 +36,8 @@ MATTERS = 1.05
 CLEARLY = 1.5
 #: A stage that stays above this multiple of its noise floor has structure that nothing explains.
 UNEXPLAINED = 1.5
+#: Where errors add up over a run and it stays above this one, how clear something looked on other recordings says little.
+STRANGE = 3.0
 
 
 @dataclass
@@ -101,12 +103,14 @@ def _that_matter(case: Case, stage: Stage, outcome: Outcome) -> Stage:
     changes what the plant predicts, it gets no name.
     """
     finding = stage.found
+    strange = stage.problem.integrates and finding.final_rmse > STRANGE
     while finding.named:
         full = held_out_score(stage, finding.fit.theta)
         dropped = {kept: _without(case, stage, finding.fit, kept.candidate) for kept in finding.named}
         scores = {kept: held_out_score(stage, fit.theta) for kept, fit in dropped.items()}
         least = min(finding.named, key=lambda kept: scores[kept])
-        if scores[least] >= MATTERS * full or (scores[least] >= full and least.comparison.ratio > CLEARLY):
+        clear = not strange and scores[least] >= full and least.comparison.ratio > CLEARLY
+        if clear or scores[least] >= MATTERS * full:
             break
         what = f"{least.candidate.effect.name} on {least.candidate.target}"
         if not least.candidate.nuisance:

@@ -239,13 +239,11 @@ class Search:
         """
         if model.at_bound(candidate):
             return False
-        left = self.scores.rmse(model)
         if model.departs(candidate, float(np.clip(self._doubtful(model), 1.0, self.strict.doubt))):
             return True
-        if left > self.strict.explained:
-            return False
+        left = self.scores.rmse(model)
         without = self.scores.fit(tuple(c for c in model.candidates if c is not candidate), (model,))
-        return self.scores.rmse(without) > self.strict.decides * left
+        return self.scores.rmse(without) > self.strict.decides * left * max(1.0, left / self.strict.explained)
 
     def _doubtful(self, model: Fit) -> float:
         """Noise floors that are left where errors add up over a run, so that they say less than they seem to; else none."""
