@@ -19,6 +19,7 @@ import pandas as pd
 
 from sysid import __version__
 from sysid.datasets import Dataset, Store, Vacuumed, vacuum
+from sysid.datasets.clock_residual import clock_residuals
 from sysid.errors import ExcitationError, SettingsError, StoreError
 from sysid.gap import GapResult
 from sysid.gap.readiness import readiness
@@ -218,6 +219,7 @@ class Workspace:
             versions=self._notes(dataset, [version for version in versions if version is not None], result),
             created=f"{datetime.now().astimezone():%d %B %Y, %H:%M}".lstrip("0"),
             readiness=readiness(dataset, self._questioned(dataset, result)),
+            clocks=clock_residuals(self.datasets.channels(dataset.reference), dataset.clocks),
             software={"sysid": __version__, **{name: importlib.metadata.version(name) for name in SOFTWARE}},
         )
 

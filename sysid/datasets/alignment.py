@@ -27,7 +27,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sysid.datasets.channel import Channel, seconds
-from sysid.datasets.coarse import Pair, coarse_lag
+from sysid.datasets.coarse import Pair, coarse_lag, noise_of
 from sysid.datasets.motion_fit import PairFit, Sums, prepared
 from sysid.datasets.resample import low_pass
 from sysid.signals import split_signal
@@ -165,7 +165,7 @@ def _moves(values: Array) -> bool:
     known = values[~np.isnan(values)]
     if len(known) < 50:
         return False
-    noise = float(np.median(np.abs(np.diff(known[: 10 * THINNED], n=2)))) / 1.65
+    noise = noise_of(known)
     thinned = known[:: max(1, len(known) // THINNED)]
     steps = np.diff(np.unique(thinned))
     quantum = float(steps.min()) if len(steps) else 0.0

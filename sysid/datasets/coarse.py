@@ -16,9 +16,11 @@ Array = npt.NDArray[np.float64]
 MIN_CORRELATION, MAX_RIVAL = 0.5, 0.85
 #: Of a long stream a stretch of this length is looked for [s]: over hours a skew would smear the correlation.
 STRETCH_S = 240.0
+#: Neighbours that the noise of a signal is told from.
+NOISE_SAMPLES = 200_000
 _HZ = 50.0
-#: Width of the differences that the rates are [s].
-_WIDTH_S = 0.08
+#: Half widths that the differences may have that are the rates [s], and the share of noise in a rate that is good enough.
+_WIDTHS_S, _NOISE_SHARE = (0.08, 0.16, 0.32, 0.64), 0.3
 
 
 @dataclass(frozen=True)
@@ -53,7 +55,11 @@ def coarse_lag(pairs: Sequence[Pair]) -> Lag:
     start_y = min(float(pair.y_times[0]) for pair in pairs)
     count_x = int((max(float(pair.x_times[-1]) for pair in pairs) - start_x) / step) + 1
     count_y = int((max(float(pair.y_times[-1]) for pair in pairs) - start_y) / step) + 1
-    rates = [(_rates(p.x_times, p.x, start_x, count_x), _rates(p.y_times, p.y, start_y, count_y)) for p in pairs]
+    rates = []
+    for p in pairs:
+        x, y = _on_grid(p.x_times, p.x, start_x, count_x), _on_grid(p.y_times, p.y, start_y, count_y)
+        half = max(_half_width(x, noise_of(p.x)), _half_width(y, noise_of(p.y)))
+        rates.append((_rates(x, half), _rates(y, half)))
     if (count_x - 1) * step > 2.0 * STRETCH_S and (count_y - 1) * step > 2.0 * STRETCH_S:
         first, last = _liveliest([rate for _, (rate, _) in rates], round(STRETCH_S * _HZ))
     else:
@@ -103,14 +109,38 @@ def _liveliest(rates: Sequence[Array], count: int) -> tuple[int, int]:
     return first, first + count
 
 
-def _rates(times: Array, values: Array, start: float, count: int) -> tuple[Array, Array]:
-    """Rate on the coarse grid, zero where nothing was measured, and a mask of where it was."""
-    grid = start + np.arange(count) / _HZ
+def noise_of(values: Array) -> float:
+    """Standard deviation of the noise of a signal (n,), from the differences of neighbours; a smooth motion leaves none."""
+    known = values[~np.isnan(values)][:NOISE_SAMPLES]
+    return float(np.median(np.abs(np.diff(known, n=2)))) / 1.65 if len(known) > 2 else 0.0
+
+
+def _on_grid(times: Array, values: Array, start: float, count: int) -> Array:
+    """Values on the coarse grid, NaN where nothing was measured."""
     period = float(np.median(np.diff(times)))
-    on_grid = interpolate(times, values, grid, max(3.5 * period, 0.2))
-    width = round(_WIDTH_S * _HZ)
-    rate = np.full(count, np.nan)
-    rate[width:-width] = (on_grid[2 * width :] - on_grid[: -2 * width]) * (_HZ / (2 * width))
+    return interpolate(times, values, start + np.arange(count) / _HZ, max(3.5 * period, 0.2))
+
+
+def _difference(values: Array, half: int) -> Array:
+    rate = np.full(len(values), np.nan)
+    rate[half:-half] = (values[2 * half :] - values[: -2 * half]) * (_HZ / (2 * half))
+    return rate
+
+
+def _half_width(values: Array, noise: float) -> int:
+    """The shortest half width [samples] at which the rate is motion rather than noise: the slower, the longer."""
+    for width in _WIDTHS_S:
+        half = round(width * _HZ)
+        rate = _difference(values, half)
+        known = rate[~np.isnan(rate)]
+        if noise / (np.sqrt(2.0) * width) < _NOISE_SHARE * (float(np.std(known)) if len(known) else np.inf):
+            break
+    return half
+
+
+def _rates(values: Array, half: int) -> tuple[Array, Array]:
+    """Rate on the coarse grid, zero where nothing was measured, and a mask of where it was."""
+    rate = _difference(values, half)
     known = ~np.isnan(rate)
     if known.any():  # mistaken frames must not outweigh the motion
         limit = 1.5 * float(np.quantile(np.abs(rate[known]), 0.95))

@@ -170,6 +170,11 @@ class PairFit:
             block_counts=table[:, size + 4],
         )
 
+    def residuals(self, offset: float, skew: float, reference: float) -> tuple[Array, Array]:
+        """x and the residual of y at every sample in use where x is known."""
+        chunks = [(x, y - self.coefficients @ self._basis(x)) for _, y, x, _ in self._chunks(offset, skew, reference)]
+        return np.concatenate([x for x, _ in chunks]), np.concatenate([residual for _, residual in chunks])
+
     def squares(self, window: tuple[float, float], offset: float, skew: float, reference: float) -> Array:
         """Squared residuals in variances of the noise, of each sample in ``window``; NaN where x is not known."""
         first, last = np.searchsorted(self.pair.y_times, window)

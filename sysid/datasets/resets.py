@@ -167,15 +167,18 @@ def _shift_step(blocks: Blocks) -> tuple[int, float, float]:
     if not w.max() > 0.0 or np.linalg.det(gram) <= 0.0:
         return 0, 0.0, 0.0
     residual = blocks.shift - line @ np.linalg.solve(gram, line.T @ (w * blocks.shift))
-    scatter = np.sqrt(w) * residual
-    dispersion = max(1.0, (1.4826 * float(np.median(np.abs(scatter)))) ** 2)
     after = np.cumsum((w[:, None] * line)[::-1], axis=0)[::-1]
     ours = np.cumsum((w * residual)[::-1])[::-1]
     room = after[:, 0] - np.einsum("ki,ij,kj->k", after, np.linalg.inv(gram), after)
-    gain = np.where(room > 1e-9 * after[0, 0], ours**2 / np.maximum(room, 1e-300), 0.0) / dispersion
+    gain = np.where(room > 1e-9 * after[0, 0], ours**2 / np.maximum(room, 1e-300), 0.0)
     gain[:FEWEST_BLOCKS] = gain[len(gain) - FEWEST_BLOCKS + 1 :] = 0.0
     row = int(np.argmax(gain))
-    return row, float(gain[row]), float(ours[row] / max(room[row], 1e-300))
+    # What scatters beyond a line with that step in it, so that a large step does not hide itself.
+    stepped = np.column_stack([line, np.arange(len(t)) >= row])
+    solution = np.linalg.lstsq(np.sqrt(w)[:, None] * stepped, np.sqrt(w) * blocks.shift, rcond=None)[0]
+    rest = np.sqrt(w) * (blocks.shift - stepped @ solution)
+    dispersion = max(1.0, (1.4826 * float(np.median(np.abs(rest)))) ** 2)
+    return row, float(gain[row]) / dispersion, float(solution[2])
 
 
 def _energy_step(blocks: Blocks) -> tuple[int, float, float]:
@@ -217,9 +220,10 @@ def _located(pairs: Sequence[Pair], before: Piece, after: Piece) -> float:
             fit.begin(found.mid_offset, found.skew, found.mid_time)
             costs_of.append(fit.squares((low, high), found.mid_offset, found.skew, found.mid_time))
         own = ready.y_times[slice(*np.searchsorted(ready.y_times, (low, high)))]
-        both = np.isfinite(costs_of[0]) & np.isfinite(costs_of[1])
-        times.append(own[both])
-        costs.append(np.clip(costs_of[0][both], 0.0, 25.0) - np.clip(costs_of[1][both], 0.0, 25.0))
+        # What the machine has not measured fits worse than noise and better than another motion.
+        bounded = [np.clip(np.nan_to_num(cost, nan=4.0), 0.0, 25.0) for cost in costs_of]
+        times.append(own)
+        costs.append(bounded[0] - bounded[1])
         steps = np.diff(pair.y_times)
         uneven.append(pair.y_times[1:][np.abs(steps / np.median(steps) - 1.0) > 0.5])
     joined = np.concatenate(times)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
+from sysid.datasets.clock_residual import ClockResidual
 from sysid.datasets.recording import Dataset
 from sysid.gap.readiness import Readiness
 from sysid.gap.result import GapResult
@@ -42,6 +43,7 @@ class ReportInputs:
         created: when the report was made, in the words to print; empty to leave it out (a report is then reproducible).
         readiness: which effects the recordings could show.
         software: name → version of what computed the figures.
+        clocks: what the aligned motions still differ by.
     """
 
     dataset: Dataset
@@ -51,3 +53,4 @@ class ReportInputs:
     created: str = ""
     software: Mapping[str, str] = field(default_factory=dict)
     readiness: Readiness | None = None
+    clocks: tuple[ClockResidual, ...] = ()

@@ -15,6 +15,7 @@ from sysid.files import written_whole
 from sysid.reports import display, words
 from sysid.reports.inputs import ReportInputs
 from sysid.reports.sections import (
+    clocks,
     evidence,
     experiments,
     networks,
@@ -52,6 +53,7 @@ SECTIONS: tuple[Section, ...] = (
     Section("networks", "Networks", networks.context),
     Section("readiness", "Excitation", readiness.context),
     Section("quality", "The recordings", quality.context),
+    Section("clocks", "The clocks", clocks.context),
     Section("versions", "Versions", versions.context),
 )
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import numpy.typing as npt
 import pytest
@@ -186,6 +188,46 @@ def test_a_skew_that_cannot_be_known_is_not_applied() -> None:
     assert record.skew_ppm == 0.0
     assert "skew not applied: known to ±" in record.reason
     assert record.skew_interval95[0] < 100.0 < record.skew_interval95[1]
+
+
+def test_a_log_of_half_a_minute_is_too_short_for_a_skew_however_sure_it_looks() -> None:
+    source = clocked("short", 30.0, 0.3, 100e-6, seed=3)
+    rng = np.random.default_rng(0)
+    clean = [replace(c, values=np.asarray(c.values) - 0.0) for c in source.channels]
+    time, truth = motion(30.0, rng, 3.0)
+    for k, channel in enumerate(clean):
+        at = (channel.stamps - channel.stamps[0]) * 1e-9
+        at = at if k == 0 else at * (1.0 + 100e-6) + 0.3
+        clean[k] = replace(channel, values=np.interp(at, time, truth) + 1e-4 * rng.normal(size=len(at)))
+    (record,) = align([replace(source, channels=tuple(clean))])
+    assert record.skew_ppm == 0.0
+    assert record.skew_interval95[1] - record.skew_interval95[0] < 60.0
+    assert "30 s are too short for one (at least 45 s)" in record.reason
+    assert record.offset_interval95[0] < 0.3 < record.offset_interval95[1], "what the skew may be widens the offset"
+
+
+def test_a_log_that_is_too_short_is_refused_with_the_reason() -> None:
+    source = pair(60.0, 0.3, 0.0, seed=3)
+    part = Pair(source.name, source.x_times, source.x, source.y_times[:600], source.y[:600], 7, 0.035)
+    assert "only 3 blocks of 2 s overlap: too short for an interval" in estimate([part]).refused
+
+
+def test_an_hour_with_a_large_skew_is_followed_to_its_ends() -> None:
+    """At 2 Hz a skew of 180 ppm moves the ends of an hour by more than half a period."""
+    result = estimate([pair(3600.0, 0.7, 180e-6, seed=4, bandwidth=2.0)])
+    assert abs(error_at(result, 0.0, 0.7, 180e-6)) < 0.1e-3
+    assert abs(error_at(result, 3600.0, 0.7, 180e-6)) < 0.1e-3
+
+
+def test_slow_motion_with_noise_has_honest_errors() -> None:
+    """Noise in the rate of slow motion is larger than the rate: it must not count as knowledge."""
+    errors = []
+    for seed in range(12):
+        result = estimate([pair(60.0, 0.3, 0.0, seed=300 + seed, noise=0.03, bandwidth=0.2)])
+        if not result.refused:
+            errors.append(error_at(result, result.mid_time, 0.3, 0.0) / np.sqrt(result.covariance[0, 0]))
+    assert len(errors) >= 10
+    assert np.sqrt(np.mean(np.square(errors))) < 2.0
 
 
 def test_stamps_without_shared_motion_are_refused_or_taken_as_they_are() -> None:

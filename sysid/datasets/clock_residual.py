@@ -1,0 +1,152 @@
+"""What aligned motions still differ by: over time and over the motion, from the raw channels of a stored version.
+
+A clock that wanders, a step that was not found or a latency that depends on the speed shows over time; a map that is too
+simple, or a sensor that sticks, shows over the motion.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+import pandas as pd
+
+from sysid.datasets.alignment import BLOCK_S, pairs_of, smoothed
+from sysid.datasets.channel import Channel
+from sysid.datasets.coarse import Pair
+from sysid.datasets.motion_fit import PairFit, Sums, prepared
+from sysid.datasets.recording import ClockRecord
+
+Array = npt.NDArray[np.float64]
+
+#: Blocks that say nothing of the offset are left out: those with less than this share of the median block's weight.
+LEAST_WEIGHT = 0.05
+#: Places of a motion at which its residual is shown.
+PLACES = 24
+
+
+@dataclass(frozen=True)
+class PairResidual:
+    """Residual of one pair over its motion.
+
+    Args:
+        name: machine's signal ~ the other device's.
+        motion: machine's signal at the middle of each place (m,) [SI].
+        mean, spread: of the residual there (m,) [SI of the other device's signal].
+        noise: standard deviation of the residual [same].
+    """
+
+    name: str
+    motion: Array
+    mean: Array
+    spread: Array
+    noise: float
+
+
+@dataclass(frozen=True)
+class ClockResidual:
+    """One clock record beside what each stretch of :data:`~sysid.datasets.alignment.BLOCK_S` says alone.
+
+    Args:
+        times: of the blocks on the machine's clock (b,) [s].
+        shift, error: offset that a block asks for beyond the record, and its standard error (b,) [s].
+        residual: root mean square of the residuals in standard deviations of their noise (b,).
+    """
+
+    record: ClockRecord
+    times: Array
+    shift: Array
+    error: Array
+    residual: Array
+    pairs: tuple[PairResidual, ...]
+
+
+def clock_residuals(channels: pd.DataFrame, clocks: Sequence[ClockRecord]) -> tuple[ClockResidual, ...]:
+    """The residual of every record that was estimated from motion.
+
+    Args:
+        channels: raw channels as :meth:`sysid.datasets.Store.channels` gives them.
+        clocks: of the same version.
+    """
+    found = []
+    for name in dict.fromkeys(record.recording for record in clocks):
+        own = channels[channels["recording"] == name]
+        for record in clocks:
+            if record.recording == name and record.applied and np.isfinite(record.residual_rms):
+                later = [r.stream_start_ns for r in clocks if (r.recording, r.stream) == (name, record.stream)]
+                end = min((ns for ns in later if ns > record.stream_start_ns), default=np.iinfo(np.int64).max)
+                residual = _residual(own, record, end)
+                if residual is not None:
+                    found.append(residual)
+    return tuple(found)
+
+
+def _residual(channels: pd.DataFrame, record: ClockRecord, end_ns: int) -> ClockResidual | None:
+    start = int(channels.loc[channels["domain"] == "machine", "stamp_ns"].min())
+    machine = _channels(channels[(channels["domain"] == "machine") & channels["signal"].isin(record.used_signals)])
+    stamps = channels["stamp_ns"]
+    piece = (stamps >= record.stream_start_ns) & (stamps < end_ns)
+    other = _channels(channels[piece & (channels["source"] == record.stream) & (channels["domain"] != "machine")])
+    pairs = [
+        pair
+        for pair in pairs_of(machine, other, start, record.stream_start_ns)
+        if set(pair.name.split("~")) <= set(record.used_signals)
+    ]
+    sums, shown = [], []
+    for pair in pairs:
+        fit = PairFit(prepared(smoothed(pair)))
+        fit.begin(record.offset_s, 1e-6 * record.skew_ppm, 0.0)
+        own = fit.sums(record.offset_s, 1e-6 * record.skew_ppm, 0.0, BLOCK_S)
+        if own is not None:
+            sums.append(own)
+            shown.append(_over_motion(pair, fit, record))
+    if not sums:
+        return None
+    return _over_time(record, sums, shown)
+
+
+def _over_time(record: ClockRecord, sums: Sequence[Sums], pairs: Sequence[PairResidual]) -> ClockResidual:
+    numbers = np.unique(np.concatenate([s.blocks for s in sums]))
+    score, weight, squares, counts = (np.zeros(len(numbers)) for _ in range(4))
+    for s in sums:
+        row = np.searchsorted(numbers, s.blocks)
+        score[row] += s.block_scores[:, 0]
+        weight[row] += s.block_weight
+        squares[row] += s.block_squares
+        counts[row] += s.block_counts
+    seen = weight > LEAST_WEIGHT * float(np.median(weight))
+    times = (numbers[seen] + 0.5) * BLOCK_S * (1.0 + 1e-6 * record.skew_ppm) + record.offset_s
+    size = np.sqrt(squares / counts)[seen]
+    return ClockResidual(record, times, score[seen] / weight[seen], np.sqrt(1.0 / weight[seen]), size, tuple(pairs))
+
+
+def _over_motion(pair: Pair, fit: PairFit, record: ClockRecord) -> PairResidual:
+    x, residual = fit.residuals(record.offset_s, 1e-6 * record.skew_ppm, 0.0)
+    edges = np.linspace(float(x.min()), float(x.max()), PLACES + 1)
+    place = np.clip(np.searchsorted(edges, x, side="right") - 1, 0, PLACES - 1)
+    counts = np.bincount(place, minlength=PLACES)
+    order = np.argsort(place, kind="stable")
+    parts = np.split(residual[order], np.cumsum(counts)[:-1])
+    enough = counts >= 20
+    # Medians, so that mistaken frames do not make the picture.
+    middle = np.array([float(np.median(part)) if there else np.nan for part, there in zip(parts, enough, strict=True)])
+    spread = np.array(
+        [
+            1.4826 * float(np.median(np.abs(part - m))) if there else np.nan
+            for part, m, there in zip(parts, middle, enough, strict=True)
+        ]
+    )
+    return PairResidual(pair.name, (edges[1:] + edges[:-1]) / 2.0, middle, spread, fit.scale)
+
+
+def _channels(rows: pd.DataFrame) -> list[Channel]:
+    """Channels of one recording from the rows of the stored table, as far as alignment needs them."""
+    found: list[Channel] = []
+    for (source, domain, signal), part in rows.groupby(["source", "domain", "signal"], sort=False, observed=True):
+        stamps = part["stamp_ns"].to_numpy(dtype=np.int64)
+        order = np.argsort(stamps, kind="stable")  # parts of one signal may follow each other
+        values = part["value"].to_numpy(dtype=np.float64)
+        found.append(Channel(str(signal), str(source), str(domain), stamps[order], values[order]))
+    return found

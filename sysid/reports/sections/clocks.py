@@ -1,0 +1,62 @@
+"""How well the clocks were aligned: what the motions still differ by, over time and over the motion."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from markupsafe import Markup
+
+from sysid.datasets.clock_residual import ClockResidual, PairResidual
+from sysid.datasets.recording import Dataset
+from sysid.reports import display, words
+from sysid.reports.charts import Line, chart
+from sysid.reports.inputs import ReportInputs
+
+#: Points of a curve over time; more of them cannot be told apart.
+POINTS = 300
+
+
+def context(inputs: ReportInputs) -> dict[str, Any] | None:
+    if not inputs.clocks:
+        return None
+    return {"records": [_record(item, inputs.dataset) for item in inputs.clocks]}
+
+
+def _record(item: ClockResidual, dataset: Dataset) -> dict[str, Any]:
+    record = item.record
+    half = 0.5e3 * (record.offset_interval95[1] - record.offset_interval95[0])
+    step = max(1, -(-len(item.times) // POINTS))
+    times = item.times[::step]
+    shift, spread = 1e3 * item.shift[::step], 1e3 * item.error[::step]
+    drawn = chart(
+        times, [Line(shift, "before", dots=len(times) < 80, spread=spread)], ("time [s]", "offset asked for [ms]"), half
+    )
+    rest = chart(times, [Line(item.residual[::step], "before")], ("time [s]", "residual [noise]"))
+    return {
+        "recording": record.recording,
+        "stream": record.stream,
+        "offset": display.fixed(record.offset_s, 6),
+        "half": display.fixed(half, 3),
+        "interval": f"{display.fixed(record.offset_interval95[0], 6)} … {display.fixed(record.offset_interval95[1], 6)}",
+        "skew": display.fixed(record.skew_ppm, 1),
+        "reason": record.reason,
+        "pictures": [
+            {"picture": Markup(drawn), "caption": "what every 2 s ask for beyond the record; grey: its 95 % interval"},
+            {"picture": Markup(rest), "caption": "residual of every 2 s in standard deviations of its noise"},
+            *[_pair(pair, dataset) for pair in item.pairs],
+        ],
+    }
+
+
+def _pair(pair: PairResidual, dataset: Dataset) -> dict[str, Any]:
+    ours, other = pair.name.split("~")
+    x_factor, x_unit = display.shown_unit(dataset.units.get(ours, dataset.machine.expected_unit(ours)))
+    factor, unit = display.shown_unit(dataset.units.get(other, dataset.machine.expected_unit(other)))
+    seen = np.isfinite(pair.mean)
+    line = Line(factor * pair.mean[seen], "before", dots=True, spread=factor * pair.spread[seen])
+    labels = (f"{words.signal_name(ours)} [{x_unit}]", f"residual [{unit}]")
+    return {
+        "picture": Markup(chart(x_factor * pair.motion[seen], [line], labels)),
+        "caption": f"{words.signal_name(other)} against {words.signal_name(ours)}, over the motion",
+    }
