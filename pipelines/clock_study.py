@@ -1,0 +1,291 @@
+"""Offset and skew of a second device's clock, recovered from simulated recordings whose truth is known.
+
+    .venv/bin/python pipelines/clock_study.py [--full] [--only gaps] [--workers 1]
+
+A grid of durations, motions and mishaps, over and over with other noise: errors at mid-log and at its end, how often the 95 %
+intervals hold the truth, what is refused without need, and what is not refused although it must be. In the same run the usual
+ways of finding an offset stand beside it, on recordings of 300 s at 1 Hz. Writes ``reports/clock_study/result.json``, the
+tables of ``docs/clocks.md`` and its picture.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from collections.abc import Callable, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from clock_peers import PEERS, peer_rows
+from clock_picture import picture
+from clock_room import EPOCH, KINDS, MACHINE_HZ, NOISE, OTHER_HZ, Room, motion, room
+from committed import provenance, write_result, write_tables
+from sysid.datasets.channel import Channel
+from sysid.datasets.clocks import Clocked, align, machine_times
+from sysid.errors import AlignmentError
+
+Array = npt.NDArray[np.float64]
+ROOT = Path(__file__).resolve().parents[1]
+PAGE, RESULT = ROOT / "docs" / "clocks.md", ROOT / "reports" / "clock_study" / "result.json"
+PICTURE = ROOT / "docs" / "images" / "clocks.svg"
+SEED = 20251121
+DURATIONS, MOTIONS = (30.0, 120.0, 300.0, 3600.0), (0.2, 0.5, 1.0, 2.0)
+#: Recordings of each cell of the grid, and those of a shorter run.
+SEEDS = 20
+FEWER = {30.0: 20, 120.0: 20, 300.0: 20, 3600.0: 6}
+NAMES = {30.0: "30 s", 120.0: "2 min", 300.0: "5 min", 3600.0: "1 h"}
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """One recording. Errors [ms, ppm] are NaN where nothing was applied.
+
+    Args:
+        holds: whether the offset's interval at the first stamp, and that of the skew, hold the truth.
+        misplaced: samples between the true and the found step of a clock that was set.
+    """
+
+    seconds: float
+    hertz: float
+    kind: str
+    refused: str
+    mid_ms: float = float("nan")
+    end_ms: float = float("nan")
+    skew_ppm: float = float("nan")
+    skew_applied: bool = False
+    offset_holds: bool = False
+    skew_holds: bool = False
+    parted_rightly: bool = True
+    misplaced: int = 0
+    taken_s: float = 0.0
+
+
+def recovered(seconds: float, hertz: float, kind: str, seed: int) -> Outcome:
+    """Simulate one recording, align it, and compare with the truth."""
+    made = room(seconds, hertz, kind, SEED + seed)
+    begin = time.process_time()
+    try:
+        records = align([made.clocked])
+    except AlignmentError as error:
+        return Outcome(seconds, hertz, kind, error.found)
+    taken = time.process_time() - begin
+    if not records[0].applied:
+        return Outcome(seconds, hertz, kind, records[0].reason)
+    channel = next(c for c in made.clocked.channels if c.domain != "machine")
+    errors = machine_times(channel, EPOCH, records) - made.machine_s
+    first, misplaced = records[0], 0
+    stamps = channel.stamps
+    if kind == "reset":
+        true = int(np.searchsorted(made.machine_s, made.reset_s - 1e-9))
+        found = int(np.searchsorted(stamps, records[1].stream_start_ns)) if made.pieces == len(records) == 2 else true
+        misplaced = abs(found - true)
+        errors[min(true, found) : max(true, found)] = np.nan
+    inside = errors[np.isfinite(errors)]
+    offset = made.machine_s[0] - (made.stream_s[0] - (first.stream_start_ns - int(stamps[0])) * 1e-9)
+    return Outcome(
+        seconds,
+        hertz,
+        kind,
+        "",
+        mid_ms=1e3 * float(inside[len(inside) // 2]),
+        end_ms=1e3 * float(inside[-1]),
+        skew_ppm=float(np.mean(first.skew_interval95)) - made.skew_ppm,
+        skew_applied=first.skew_ppm != 0.0,
+        offset_holds=bool(first.offset_interval95[0] <= offset <= first.offset_interval95[1]),
+        skew_holds=bool(first.skew_interval95[0] <= made.skew_ppm <= first.skew_interval95[1]),
+        parted_rightly=len(records) == made.pieces,
+        misplaced=misplaced,
+        taken_s=taken,
+    )
+
+
+def rms(values: Sequence[float]) -> float | None:
+    known = np.array([v for v in values if np.isfinite(v)])
+    return float(np.sqrt(np.mean(known**2))) if len(known) else None
+
+
+def cell(found: Sequence[Outcome]) -> dict[str, Any]:
+    """One row of the grid."""
+    done = [o for o in found if not o.refused]
+    right = [o for o in done if o.parted_rightly]
+    return {
+        "seconds": found[0].seconds,
+        "hertz": found[0].hertz,
+        "kind": found[0].kind,
+        "recordings": len(found),
+        "refused": len(found) - len(done),
+        "parted_wrongly": len(done) - len(right),
+        "misplaced": max((o.misplaced for o in right), default=0),
+        "mid_ms": rms([o.mid_ms for o in right]),
+        "end_ms": rms([o.end_ms for o in right]),
+        "skew_ppm": rms([o.skew_ppm for o in right]),
+        "skew_applied": sum(o.skew_applied for o in right),
+        "offset_holds": sum(o.offset_holds for o in right),
+        "skew_holds": sum(o.skew_holds for o in right),
+        "seconds_taken": float(np.median([o.taken_s for o in done])) if done else None,
+        "reasons": sorted({o.refused.partition("(")[0].strip() for o in found if o.refused}),
+    }
+
+
+# ---- What has to be refused ----------------------------------------------------------------------------------------------
+
+
+def _still(made: Room, rng: np.random.Generator) -> Clocked:
+    """Both devices see a machine that stands still."""
+    return _with(made.clocked, lambda c: NOISE * rng.normal(size=len(c.values)))
+
+
+def _repeating(made: Room, rng: np.random.Generator) -> Clocked:
+    """The machine repeats one motion of 6 s over and over."""
+    curve = motion(12.0, 1.0, rng)
+    start = {c.domain: int(c.stamps[0]) for c in made.clocked.channels}
+    blend = lambda t: 0.5 - 0.5 * np.cos(np.clip(t % 6.0, 0.0, 6.0) / 6.0 * 2.0 * np.pi)  # noqa: E731
+
+    def repeated(channel: Channel) -> Array:
+        t = (channel.stamps - start[channel.domain]) * 1e-9
+        return np.asarray(curve(t % 6.0) * blend(t) + NOISE * rng.normal(size=len(t)))
+
+    return _with(made.clocked, repeated)
+
+
+def _unrelated(made: Room, rng: np.random.Generator) -> Clocked:
+    """The other device looked at another machine."""
+    other = room(120.0, 1.0, "plain", int(rng.integers(1 << 30))).clocked
+    return replace(made.clocked, channels=(*made.clocked.machine, *(c for c in other.channels if c.domain != "machine")))
+
+
+def _nothing_shared(made: Room, rng: np.random.Generator) -> Clocked:
+    """No joint is measured on both clocks."""
+    names = {"boom.cylinder": "stick.cylinder", "slew.joint": "telescope.joint"}
+    return replace(
+        made.clocked,
+        channels=tuple(replace(c, signal=names[c.signal]) if c.domain == "machine" else c for c in made.clocked.channels),
+    )
+
+
+def _short(made: Room, rng: np.random.Generator) -> Clocked:
+    """The other device recorded for 5 s."""
+    return replace(
+        made.clocked,
+        channels=tuple(
+            c if c.domain == "machine" else replace(c, stamps=c.stamps[6000:6600], values=c.values[6000:6600])
+            for c in made.clocked.channels
+        ),
+    )
+
+
+def _with(clocked: Clocked, values: Callable[[Channel], Array]) -> Clocked:
+    return replace(clocked, channels=tuple(replace(c, values=values(c)) for c in clocked.channels))
+
+
+MUST_REFUSE: dict[str, Callable[[Room, np.random.Generator], Clocked]] = {
+    "nothing moves": _still,
+    "the motion repeats": _repeating,
+    "another machine was seen": _unrelated,
+    "nothing is shared": _nothing_shared,
+    "5 s only": _short,
+}
+
+
+def refusals(case: str, seeds: int) -> dict[str, Any]:
+    """How often a recording that cannot be aligned is refused."""
+    said: dict[str, int] = {}
+    for seed in range(seeds):
+        made = room(120.0, 1.0, "plain", SEED + seed)
+        try:
+            record = align([MUST_REFUSE[case](made, np.random.default_rng([SEED, seed]))])[0]
+            text = "" if record.applied else record.reason
+        except AlignmentError as error:
+            text = error.found
+        said[text.partition(": ")[2].partition("(")[0].strip()] = (
+            said.get(text.partition(": ")[2].partition("(")[0].strip(), 0) + 1
+        )
+    return {"case": case, "recordings": seeds, "missed": said.get("", 0), "reasons": [key for key in said if key]}
+
+
+# ---- The page ------------------------------------------------------------------------------------------------------------
+
+
+def tables(rows: Sequence[dict[str, Any]], refused: Sequence[dict[str, Any]], peers: Sequence[dict[str, Any]]) -> str:
+    lines = [
+        "| way | mid [ms] | end [ms] | mid, with gaps [ms] | end, with gaps [ms] |",
+        "| --- | ---: | ---: | ---: | ---: |",
+    ]
+    for row in peers:
+        values = " | ".join(f"{row[key]:.3f}" for key in ("mid_ms", "end_ms", "gaps_mid_ms", "gaps_end_ms"))
+        lines.append(f"| {row['way']} | {values} |")
+    lines += [
+        "",
+        "| log | motion | with | n | refused | mid [ms] | end [ms] | skew [ppm] | skew applied | offset held | skew held |",
+        "| --- | ---: | --- | ---: | ---: | ---: | ---: | ---: | ---: | ---: | ---: |",
+    ]
+    for r in rows:
+        right = r["recordings"] - r["refused"] - r["parted_wrongly"]
+        figures = [_shown(r[key]) for key in ("mid_ms", "end_ms", "skew_ppm")]
+        counts = [f"{r[key]}/{right}" for key in ("skew_applied", "offset_holds", "skew_holds")]
+        cells = [
+            NAMES[r["seconds"]],
+            f"{r['hertz']:g} Hz",
+            r["kind"],
+            str(r["recordings"]),
+            str(r["refused"]),
+            *figures,
+            *counts,
+        ]
+        lines.append("| " + " | ".join(cells) + " |")
+    lines += ["", "| log | offset held | skew held | refused | parted wrongly |", "| --- | ---: | ---: | ---: | ---: |"]
+    for seconds in (*DURATIONS, None):
+        part = [r for r in rows if seconds in (r["seconds"], None)]
+        if not part:
+            continue
+        total = sum(r["recordings"] for r in part)
+        refusals_of, wrong = sum(r["refused"] for r in part), sum(r["parted_wrongly"] for r in part)
+        right = max(total - refusals_of - wrong, 1)
+        held = [f"{sum(r[key] for r in part) / right:.1%}" for key in ("offset_holds", "skew_holds")]
+        name = NAMES[seconds] if seconds is not None else "all"
+        lines.append(f"| {name} | {' | '.join(held)} | {refusals_of}/{total} | {wrong}/{total} |")
+    lines += ["", "| must be refused | recordings | missed | reason given |", "| --- | ---: | ---: | --- |"]
+    lines += [f"| {r['case']} | {r['recordings']} | {r['missed']} | {'; '.join(r['reasons'])} |" for r in refused]
+    return "\n".join(lines)
+
+
+def _shown(value: float | None) -> str:
+    return "–" if value is None else f"{value:.3g}"
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--full", action="store_true", help=f"{SEEDS} recordings of every cell, an hour's as well")
+    parser.add_argument("--only", default="", help="one mishap; nothing is written then")
+    parser.add_argument("--workers", type=int, default=1)
+    args = parser.parse_args()
+    kinds = [kind for kind in KINDS if args.only in ("", kind)]
+    grid = [(t, h, k) for t in DURATIONS for h in MOTIONS for k in kinds]
+    jobs = [(*where, seed) for where in grid for seed in range(SEEDS if args.full else FEWER[where[0]])]
+    with ProcessPoolExecutor(args.workers) as pool:
+        found = list(pool.map(recovered, *zip(*jobs, strict=True), chunksize=2))
+    rows = [cell([o for o in found if (o.seconds, o.hertz, o.kind) == where]) for where in grid]
+    refused = [refusals(case, SEEDS if args.full else 6) for case in MUST_REFUSE]
+    peers = peer_rows(SEED, SEEDS)
+    text = tables(rows, refused, peers)
+    print(text)
+    if args.only:
+        return
+    command = f"python pipelines/clock_study.py{' --full' if args.full else ''} --workers {args.workers}"
+    conditions = {
+        "noise": NOISE, "machine_hz": MACHINE_HZ, "other_hz": OTHER_HZ, "skew_ppm": [-100, 100], "pairs": 2,
+        "peers": PEERS,
+    }  # fmt: skip
+    head = provenance(command, SEED)
+    write_result(RESULT, {**head, "conditions": conditions, "peers": peers, "rows": rows, "must_refuse": refused})
+    PICTURE.write_text(picture(rows, DURATIONS, MOTIONS, NAMES), "utf-8")
+    write_tables(PAGE, text, "pipelines/clock_study.py")
+
+
+if __name__ == "__main__":
+    main()
