@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import Any
 
-import numpy as np
 from markupsafe import Markup
 
 from sysid.datasets.clock_residual import ClockResidual, PairResidual
@@ -40,7 +39,7 @@ def _record(item: ClockResidual, dataset: Dataset) -> dict[str, Any]:
         "half": display.fixed(half, 3),
         "interval": f"{display.fixed(record.offset_interval95[0], 6)} … {display.fixed(record.offset_interval95[1], 6)}",
         "skew": display.fixed(record.skew_ppm, 1),
-        "reason": record.reason,
+        "reason": record.reason[:1].upper() + record.reason[1:],
         "pictures": [
             {"picture": Markup(drawn), "caption": "what every 2 s ask for beyond the record; grey: its 95 % interval"},
             {"picture": Markup(rest), "caption": "residual of every 2 s in standard deviations of its noise"},
@@ -53,10 +52,9 @@ def _pair(pair: PairResidual, dataset: Dataset) -> dict[str, Any]:
     ours, other = pair.name.split("~")
     x_factor, x_unit = display.shown_unit(dataset.units.get(ours, dataset.machine.expected_unit(ours)))
     factor, unit = display.shown_unit(dataset.units.get(other, dataset.machine.expected_unit(other)))
-    seen = np.isfinite(pair.mean)
-    line = Line(factor * pair.mean[seen], "before", dots=True, spread=factor * pair.spread[seen])
+    line = Line(factor * pair.mean, "before", dots=True, spread=factor * pair.spread)
     labels = (f"{words.signal_name(ours)} [{x_unit}]", f"residual [{unit}]")
     return {
-        "picture": Markup(chart(x_factor * pair.motion[seen], [line], labels)),
+        "picture": Markup(chart(x_factor * pair.motion, [line], labels)),
         "caption": f"{words.signal_name(other)} against {words.signal_name(ours)}, over the motion",
     }
