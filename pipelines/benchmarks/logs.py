@@ -17,9 +17,14 @@ from benchmarks.rows import against_limit, row
 
 CHILD = Path(__file__).with_name("readers.py")
 WHOLE, PART, WARM_UP = Bag(200_000, 200_000), Bag(20_000, 20_000), Bag(200, 200)
-PEERS = {"mcap_ros2": "mcap-ros2-support", "rosbags": "rosbags", "rerun": "Rerun McapReader"}
+PEERS = {
+    "mcap_ros2": "mcap-ros2-support",
+    "mcap_ros2_file_order": "mcap-ros2-support, in file order",
+    "rosbags": "rosbags",
+    "rerun": "Rerun McapReader",
+}
 #: Readers of messages take minutes: they get a bag of a tenth, scaled.
-SLOW = ("mcap_ros2", "rosbags")
+SLOW = ("mcap_ros2", "mcap_ros2_file_order", "rosbags")
 #: Sizes [GB] of the bags whose reading may not take more memory than the limit [MiB]; bytes of an image and of a joint state.
 SIZES, MEMORY_LIMIT, IMAGE, STATE = (0.5, 1.0, 2.0), 2048.0, 2**20, 290
 MIB = 2**20

@@ -2,7 +2,7 @@
 
 ``ours`` and its neighbours make pandas tables of states and poses; ``mapped``, ``inspect`` and ``everything`` are ours alone.
 
-.venv/bin/python pipelines/benchmarks/readers.py ours|rerun|mcap_ros2|rosbags|mapped|inspect|everything BAG WARM_UP_BAG
+.venv/bin/python pipelines/benchmarks/readers.py ours|rerun|mcap_ros2|…|rosbags|mapped|inspect|everything BAG WARM_UP_BAG
 """
 
 from __future__ import annotations
@@ -85,11 +85,21 @@ def _flattened(topic: str, batches: list[Any]) -> pd.DataFrame:
 
 
 def mcap_ros2(path: Path) -> Tables:
+    """As it is called without a word: in the order of the log times."""
+    return _mcap_ros2(path, log_time_order=True)
+
+
+def mcap_ros2_file_order(path: Path) -> Tables:
+    """As the messages stand in the file, which is what ours does."""
+    return _mcap_ros2(path, log_time_order=False)
+
+
+def _mcap_ros2(path: Path, log_time_order: bool) -> Tables:
     from mcap.reader import make_reader
     from mcap_ros2.decoder import DecoderFactory
 
     with path.open("rb") as file:
-        messages = make_reader(file, decoder_factories=[DecoderFactory()]).iter_decoded_messages(log_time_order=False)
+        messages = make_reader(file, decoder_factories=[DecoderFactory()]).iter_decoded_messages(log_time_order=log_time_order)
         return _from_objects((channel.topic, message.log_time, value) for _, channel, message, value in messages)
 
 
@@ -133,7 +143,9 @@ def everything(path: Path) -> int:
     return sum(len(stream) for stream in reader_for(path).read(path, ReadOptions()))
 
 
-TABLES: dict[str, Callable[[Path], Tables]] = {reader.__name__: reader for reader in (ours, rerun, mcap_ros2, rosbags)}
+TABLES: dict[str, Callable[[Path], Tables]] = {
+    reader.__name__: reader for reader in (ours, rerun, mcap_ros2, mcap_ros2_file_order, rosbags)
+}
 STREAMS: dict[str, Callable[[Path], int]] = {reader.__name__: reader for reader in (mapped, inspect, everything)}
 
 

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import json
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from types import ModuleType
 
@@ -32,7 +33,7 @@ def test_all_readers_give_the_same_tables(benchmarks: dict[str, ModuleType], tmp
     bags, readers = benchmarks["bags"], benchmarks["readers"]
     path = bags.write_bag(tmp_path / "log.mcap", bags.Bag(300, 200))
     tables = {name: read(path) for name, read in readers.TABLES.items()}
-    assert set(tables) == {"ours", "rerun", "mcap_ros2", "rosbags"}
+    assert set(tables) == {"ours", "rerun", "mcap_ros2", "mcap_ros2_file_order", "rosbags"}
     for topic, rows in (("/joint_states", 300), ("/pose", 200)):
         ours = tables["ours"][topic]
         assert len(ours) == rows
@@ -74,6 +75,15 @@ def test_a_reader_that_fails_is_told(benchmarks: dict[str, ModuleType], tmp_path
     (tmp_path / "log.mcap").write_bytes(b"nothing")
     with pytest.raises(SystemExit, match=r"readers\.py ours failed(.|\n)*log\.mcap.*magic bytes of an MCAP file"):
         benchmarks["logs"].measured("ours", tmp_path / "log.mcap", tmp_path / "log.mcap")
+
+
+def test_the_page_shows_the_committed_result_and_parts_are_named(pipeline: Callable[[str], ModuleType]) -> None:
+    bench = pipeline("bench")
+    rows = json.loads(bench.RESULT.read_text("utf-8"))["rows"]
+    assert {row["part"] for row in rows} == set(bench.PARTS)
+    assert bench.tables(rows) in bench.PAGE.read_text("utf-8")
+    with pytest.raises(SystemExit, match="no part reader; expected some of: readers, memory, ingest, cli, plant"):
+        bench.main(["reader", "cli"])
 
 
 @pytest.mark.slow
