@@ -52,13 +52,13 @@ def _panel(
         parts.append(f'<text x="{shift + LEFT - 6:.1f}" y="{y + 4:.1f}" text-anchor="end">{10.0**power:g}</text>')
     for seconds in durations:
         parts.append(f'<text x="{px(seconds):.1f}" y="{HEIGHT - ROOM + 18:.1f}" text-anchor="middle">{names[seconds]}</text>')
-    for colour, hertz in zip(COLOURS, motions, strict=True):
+    for colour, hertz in zip(COLOURS, motions, strict=False):
         for kind in dict.fromkeys(row["kind"] for row in rows):
             own = [r for r in rows if r["hertz"] == hertz and r["kind"] == kind and r[key]]
             points = " ".join(f"{px(r['seconds']):.1f},{py(r[key]):.1f}" for r in own)
             look = "" if kind == "plain" else ' class="mishap"'
             parts.append(f'<polyline points="{points}" stroke="{colour}"{look}/>')
-    for k, (colour, hertz) in enumerate(zip(COLOURS, motions, strict=True)):
+    for k, (colour, hertz) in enumerate(zip(COLOURS, motions, strict=False)):
         parts.append(
             f'<text x="{shift + LEFT + 90 * k:.0f}" y="{HEIGHT - 8:.0f}"><tspan fill="{colour}">●</tspan> {hertz:g} Hz</text>'
         )

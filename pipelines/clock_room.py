@@ -30,7 +30,7 @@ class Room:
     Args:
         clocked: machine: boom.cylinder, slew.joint; other device: boom.joint, slew.joint.
         stream_s: of the other device's samples on its own clock, carried on where it was set back (n,) [s].
-        machine_s: when they were really taken, from the machine's first sample (n,) [s].
+        machine_s: machine's time, from its first sample, when the other clock showed them (n,) [s].
         skew_ppm: true, without resets.
         reset_s: machine time at which the clock was set; NaN without.
         reset_by: by how much its stamps then stepped, beyond the time that passed [s].
@@ -97,6 +97,7 @@ def room(seconds: float, hertz: float, kind: str, seed: int, skew_ppm: float | N
     channels += [Channel(name, "mocap.csv", "mocap", carried_on[rows], values[rows]) for name, values in y.items()]
     clocked = Clocked("log", "motion", tuple(channels))
     times = (carried_on[rows] - OTHER) * 1e-9
+    truth = truth + (stamps - stream) * (1.0 + skew)  # of the stamps: when the frames were taken, jitter hides
     parts = 2 if kind == "reset" and not found.rows else 1
     return Room(clocked, times, truth[rows], 1e6 * skew, reset_s, reset_by, parts)
 

@@ -96,7 +96,7 @@ def _suspicions(pairs: Sequence[Pair], whole: Estimate) -> Iterator[float]:
 
 def _reach(pairs: Sequence[Pair], part: Estimate, first: float, last: float) -> Blocks:
     """How well the clock and the maps of a part hold for all of the stream, block by block."""
-    sums: dict[int, list[float]] = {}
+    seen = []
     for pair in pairs:
         ready = prepared(smoothed(pair))
         fit = PairFit(ready)
@@ -104,14 +104,11 @@ def _reach(pairs: Sequence[Pair], part: Estimate, first: float, last: float) -> 
         fit.begin(part.mid_offset, part.skew, part.mid_time)
         squares = fit.squares((-np.inf, np.inf), part.mid_offset, part.skew, part.mid_time)
         known = np.isfinite(squares)
-        numbers = np.floor(ready.y_times[known] / BLOCK_S).astype(np.int64)
-        for number, value in zip(numbers.tolist(), np.clip(squares[known], 0.0, 400.0).tolist(), strict=True):
-            entry = sums.setdefault(number, [0.0, 0.0])
-            entry[0] += value
-            entry[1] += 1.0
-    numbers_seen = sorted(sums)
-    energy = np.array([sums[number][0] / sums[number][1] for number in numbers_seen])
-    times = (np.array(numbers_seen, dtype=np.float64) + 0.5) * BLOCK_S
+        seen.append((np.floor(ready.y_times[known] / BLOCK_S).astype(np.int64), np.clip(squares[known], 0.0, 400.0)))
+    every = np.concatenate([rows for rows, _ in seen])
+    numbers, place = np.unique(every, return_inverse=True)
+    energy = np.bincount(place, np.concatenate([values for _, values in seen])) / np.bincount(place)
+    times = (numbers + 0.5) * BLOCK_S
     return Blocks(times, np.zeros_like(times), np.zeros_like(times), energy)
 
 

@@ -131,6 +131,7 @@ def test_a_start_that_leads_nowhere_is_refused_not_a_crash() -> None:
     still_there = Pair("a~a", source.x_times, x, source.y_times, source.y, 7, 0.035)
     for start in (-200.0, 45.0, 35.0):
         assert estimate([still_there], start=start).refused
+    assert estimate([still_there], start=-200.0).refused == "too little of a~a overlaps"
 
 
 def test_a_broken_sensor_does_not_spoil_what_the_others_know() -> None:
