@@ -35,6 +35,8 @@ def show_dataset(out: Printer, dataset: Dataset) -> None:
         if clock.applied:
             half = 0.5e3 * (clock.offset_interval95[1] - clock.offset_interval95[0])
             text = f"{clock.offset_s:+.6f} s ± {half:.3f} ms, skew {clock.skew_ppm:+.1f} ppm"
+            if clock.reason.startswith("piece "):  # it was set while it recorded
+                text = f"{text} ({clock.reason.partition(';')[0]})"
         else:
             text = f"not aligned: {clock.reason}"
         out.line(f"clock {clock.stream} of {clock.recording}: {text}")
