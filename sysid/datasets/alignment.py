@@ -27,9 +27,9 @@ import numpy as np
 import numpy.typing as npt
 
 from sysid.datasets.channel import Channel, seconds
-from sysid.datasets.coarse import Pair, coarse_lag, noise_of
+from sysid.datasets.coarse import Pair, coarse_lag
+from sysid.datasets.motion_band import moves, smoothed
 from sysid.datasets.motion_fit import PairFit, Sums, prepared
-from sysid.datasets.resample import low_pass
 from sysid.signals import split_signal
 
 __all__ = ["Estimate", "Pair", "conditional", "estimate", "pairs_of"]
@@ -48,8 +48,6 @@ MIN_EXPLAINED, MAX_SKEW = 0.95, 2e-3
 WINDOW_S, GROWTH = 120.0, 3.0
 #: Samples of a pair that are enough to iterate on.
 THINNED = 20_000
-#: Motion ends where its power falls to this many times that of the noise, in sections of some seconds; margin and least band.
-BAND_S, BAND_RATIO, BAND_MARGIN, LOWEST_BAND_HZ = 20.0, 3.0, 1.5, 0.5
 #: The longest step [s] that the linearisation is trusted for.
 REACH_S = 0.05
 
@@ -130,7 +128,7 @@ def estimate(pairs: Sequence[Pair], start: float | None = None) -> Estimate:
     """
     if not pairs:
         return Estimate(refused="no joint or cylinder is measured on both clocks")
-    moving = [pair for pair in pairs if _moves(pair.x) and _moves(pair.y)]
+    moving = [pair for pair in pairs if moves(pair)]
     if not moving:
         names = ", ".join(pair.name for pair in pairs)
         return Estimate(refused=f"nothing moves that both clocks have seen ({names})")
@@ -160,51 +158,6 @@ def conditional(found: Estimate, skew: float) -> Estimate:
     return replace(found, mid_offset=float(offset), skew=skew, covariance=covariance)
 
 
-def _moves(values: Array) -> bool:
-    """Whether a signal moves by much more than its noise (differences of neighbours) and its quantum."""
-    known = values[~np.isnan(values)]
-    if len(known) < 50:
-        return False
-    noise = noise_of(known)
-    thinned = known[:: max(1, len(known) // THINNED)]
-    steps = np.diff(np.unique(thinned))
-    quantum = float(steps.min()) if len(steps) else 0.0
-    spread = float(np.quantile(thinned, 0.99) - np.quantile(thinned, 0.01))
-    return spread > 20.0 * max(noise, quantum)
-
-
-def smoothed(pair: Pair) -> Pair:
-    """``x`` without what is noise alone, and the samples of y that are known.
-
-    Noise in the rate of x would make the offset look surer than it is, and between samples interpolation would shrink it and so
-    prefer such lags.
-    """
-    rate = 1.0 / float(np.median(np.diff(pair.x_times)))
-    x = low_pass(pair.x_times, pair.x, min(0.2 * rate, motion_band(pair.x, rate)), pair.x_gap_s)
-    known = ~np.isnan(pair.y)
-    return replace(pair, x=x, y_times=pair.y_times[known], y=pair.y[known])
-
-
-def motion_band(values: Array, rate: float) -> float:
-    """Frequency [Hz] above which a signal (n,) at ``rate`` is hardly more than its noise."""
-    known = values[~np.isnan(values)]
-    length = min(len(known), round(BAND_S * rate))
-    count = len(known) // length if length else 0
-    if count < 1 or length < 64:
-        return rate
-    window = np.hanning(length)
-    sections = known[: count * length].reshape(count, length)
-    power = np.mean(np.abs(np.fft.rfft((sections - sections.mean(axis=1, keepdims=True)) * window, axis=1)) ** 2, axis=0)
-    frequencies = np.fft.rfftfreq(length, 1.0 / rate)
-    # Smoothed over so many lines that noise alone never comes near the ratio.
-    lines = max(3, -(-24 // count))
-    smooth = np.convolve(power, np.ones(lines) / lines, mode="same")
-    floor = float(np.median(smooth[frequencies > 0.3 * rate]))
-    above = np.flatnonzero(smooth > BAND_RATIO * floor)
-    top = float(frequencies[above[-1]]) if len(above) else 0.0
-    return max(BAND_MARGIN * top, LOWEST_BAND_HZ)
-
-
 def _refine(pairs: Sequence[Pair], start: float, centre: float | None) -> tuple[Estimate, list[float]]:
     """Gauss-Newton on (offset, skew) in windows that grow around ``centre``; explained share of each pair beside."""
     nothing = [0.0] * len(pairs)
@@ -220,7 +173,7 @@ def _refine(pairs: Sequence[Pair], start: float, centre: float | None) -> tuple[
     mid = (first + last) / 2.0
     centre = mid if centre is None else centre
     fits = [PairFit(prepared(pair)) for pair in pairs]
-    offset, skew, width = start - 0.0, 0.0, WINDOW_S
+    offset, skew, width = start, 0.0, WINDOW_S
     reference = centre  # where ``offset`` holds
     while True:
         low, high = centre - width / 2.0, centre + width / 2.0
@@ -235,10 +188,9 @@ def _refine(pairs: Sequence[Pair], start: float, centre: float | None) -> tuple[
     there = [s for s in sums if s is not None]
     if not there:
         return Estimate(refused=f"too little of {' and of '.join(pair.name for pair in pairs)} overlaps"), nothing
-    explained = [0.0 if s is None else s.explained for s in sums]
     used = [pair for pair, s in zip(pairs, sums, strict=True) if s is not None]
     result = _estimate(there, used, offset, skew, mid, (first, last))
-    return result, [share if s is not None else 1.0 for share, s in zip(explained, sums, strict=True)]
+    return result, [s.explained if s is not None else 1.0 for s in sums]  # a pair that does not overlap contradicts nobody
 
 
 def _converge(

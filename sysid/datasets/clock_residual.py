@@ -13,9 +13,10 @@ import numpy as np
 import numpy.typing as npt
 import pandas as pd
 
-from sysid.datasets.alignment import BLOCK_S, pairs_of, smoothed
+from sysid.datasets.alignment import BLOCK_S, pairs_of
 from sysid.datasets.channel import Channel
 from sysid.datasets.coarse import Pair
+from sysid.datasets.motion_band import moves, smoothed
 from sysid.datasets.motion_fit import PairFit, Sums, prepared
 from sysid.datasets.recording import ClockRecord
 
@@ -92,7 +93,7 @@ def _residual(channels: pd.DataFrame, record: ClockRecord, end_ns: int) -> Clock
     pairs = [
         pair
         for pair in pairs_of(machine, other, start, record.stream_start_ns)
-        if set(pair.name.split("~")) <= set(record.used_signals)
+        if set(pair.name.split("~")) <= set(record.used_signals) and moves(pair)
     ]
     sums, shown = [], []
     for pair in pairs:

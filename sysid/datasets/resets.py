@@ -15,7 +15,8 @@ from itertools import pairwise
 import numpy as np
 import numpy.typing as npt
 
-from sysid.datasets.alignment import BLOCK_S, Blocks, Estimate, Pair, estimate, smoothed
+from sysid.datasets.alignment import BLOCK_S, Blocks, Estimate, Pair, estimate
+from sysid.datasets.motion_band import moves, smoothed
 from sysid.datasets.motion_fit import PairFit, prepared
 
 Array = npt.NDArray[np.float64]
@@ -97,7 +98,7 @@ def _suspicions(pairs: Sequence[Pair], whole: Estimate) -> Iterator[float]:
 def _reach(pairs: Sequence[Pair], part: Estimate, first: float, last: float) -> Blocks:
     """How well the clock and the maps of a part hold for all of the stream, block by block."""
     seen = []
-    for pair in pairs:
+    for pair in filter(moves, pairs):
         ready = prepared(smoothed(pair))
         fit = PairFit(ready)
         fit.choose((first, last), 20_000)
@@ -207,7 +208,7 @@ def _located(pairs: Sequence[Pair], before: Piece, after: Piece) -> float:
     guess, reach = after.first_s, 3.0 * BLOCK_S
     low, high = max(guess - reach, before.first_s), min(guess + reach, after.last_s)
     times, costs, uneven = [], [], []
-    for pair in _cut(pairs, before.first_s, after.last_s):
+    for pair in filter(moves, _cut(pairs, before.first_s, after.last_s)):
         ready = prepared(smoothed(pair))
         costs_of = []
         for piece in (before, after):
