@@ -86,6 +86,9 @@ def _read_blf(path: Path) -> FrameLog:
     with _opened(path, BLFReader) as reader:
         # Stamps count from the start of the measurement: added as an integer, they keep their nanoseconds.
         start_ns = round(reader.start_timestamp * 1e3) * 1_000_000
+        if not abs(start_ns) < 2**62:  # to_ns holds the stamps themselves within 64 bits
+            remedy = "The file is damaged."
+            raise InputError(path, f"a start {reader.start_timestamp:.3g} s from 1970", "a date of this century", remedy)
         reader.start_timestamp = 0.0
         return _collect(path, reader, start_ns, limit)
 

@@ -254,6 +254,16 @@ def test_a_container_that_is_a_bomb_is_refused(tmp_path: Path) -> None:
         read(path)
 
 
+def test_a_log_that_starts_in_the_far_future_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "late.blf"
+    write_log(path, 1.7e9)
+    data = bytearray(path.read_bytes())
+    data[40:42] = struct.pack("<H", 9000)  # the year in the header
+    path.write_bytes(bytes(data))
+    with pytest.raises(InputError, match=r"late\.blf: a start 2\.\d+e\+11 s from 1970; expected a date of this century"):
+        read(path)
+
+
 def test_an_object_without_a_size_does_not_hang(tmp_path: Path) -> None:
     payload = struct.pack("<LHHQ", 2, 0, 0, 0) + struct.pack("<HBBL8s", 1, 0, 8, 1, b"")
     path = tmp_path / "loop.blf"
