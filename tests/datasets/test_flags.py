@@ -78,6 +78,17 @@ def test_spikes_of_a_few_samples_are_found_where_they_are(seed: int, length: int
     assert [item for item in everything(times, values, command(seed, 100.0, 60.0)) if item.kind != "outlier"] == []
 
 
+@pytest.mark.parametrize("from_end", range(1, 12))
+def test_a_spike_near_either_end_is_found_or_left_alone(from_end: int) -> None:
+    times, values = motion(3, seconds=20.0)
+    for at in (len(values) - from_end, from_end - 1):
+        spoiled = values.copy()
+        spoiled[at] += 1.0
+        found = outliers("boom.joint", times, spoiled)
+        assert all(flag.from_s == times[at] for flag in found)
+        assert len(found) == (6 <= at < len(values) - 6)
+
+
 @given(seed=st.integers(0, 10_000), size=st.floats(0.06, 3.0), start=st.integers(100, 3000), length=st.integers(20, 900))
 def test_a_jump_and_the_one_back_are_one_flag(seed: int, size: float, start: int, length: int) -> None:
     times, values = motion(seed)

@@ -79,7 +79,7 @@ def outliers(signal: str, times: Array, values: Array, unit: str = "1") -> list[
     begins = np.flatnonzero(steps > (1.0 - 1.0 / SPIKE_RATIO) * floor)
     taken = np.zeros(len(values), dtype=bool)
     for length in range(1, SPIKE_SAMPLES + 1):
-        before = begins[(begins >= AROUND) & (begins < len(values) - AROUND - length)]
+        before = begins[(begins >= AROUND) & (begins < len(steps) - AROUND - length)]
         after = before + length + 1
         whole = times[after] - times[before] <= GAP_PERIODS * (length + 1) * period
         before, after = before[whole], after[whole]
