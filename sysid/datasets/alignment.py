@@ -44,6 +44,8 @@ BLOCKS_TOGETHER, FEWEST_BLOCKS = (1, 3), 12
 DEGREE_SAME, DEGREE_LINKAGE = 7, 9
 #: Share of the variance of y that f(x) has to explain, and the largest skew that a clock has (a share, not ppm).
 MIN_EXPLAINED, MAX_SKEW = 0.95, 2e-3
+#: Of two lags one is taken where it leaves less than this share of what the other leaves unexplained.
+CLEAR = 0.25
 #: The first window [s], and by how much each one is longer than the one before.
 WINDOW_S, GROWTH = 120.0, 3.0
 #: Samples of a pair that are enough to iterate on.
@@ -132,12 +134,22 @@ def estimate(pairs: Sequence[Pair], start: float | None = None) -> Estimate:
     if not moving:
         names = ", ".join(pair.name for pair in pairs)
         return Estimate(refused=f"nothing moves that both clocks have seen ({names})")
-    centre, doubt = None, ""
+    centre, doubt, rival = None, "", None
     if start is None:
         lag = coarse_lag(moving)
-        start, centre, doubt = lag.offset, lag.centre, lag.refused
+        start, centre, doubt, rival = lag.offset, lag.centre, lag.refused, lag.rival
     ready = [smoothed(pair) for pair in moving]
     result, explained = _refine(ready, start, centre)
+    if doubt and rival is not None:
+        # Rates of a motion that nearly repeats itself look alike; what the positions leave unexplained does not.
+        second, share = _refine(ready, rival, centre)
+        left, left_second = (
+            1.0 - min(shares) if not found.refused else 1.0 for found, shares in ((result, explained), (second, share))
+        )
+        if left_second < CLEAR * left:
+            result, explained, start, doubt = second, share, rival, ""
+        elif left < CLEAR * left_second:
+            doubt = ""
     if doubt:
         return replace(result, refused=doubt)
     good = [pair for pair, share in zip(ready, explained, strict=True) if share >= MIN_EXPLAINED]

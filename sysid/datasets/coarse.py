@@ -38,11 +38,15 @@ class Pair:
 
 @dataclass(frozen=True)
 class Lag:
-    """``t_machine = t + offset`` around ``centre`` [s of the stream]; ``refused`` says why no lag stands out."""
+    """``t_machine = t + offset`` around ``centre`` [s of the stream]; ``refused`` says why no lag stands out.
+
+    ``rival`` is the offset of another lag that comes near, where that is the reason.
+    """
 
     offset: float = 0.0
     centre: float = 0.0
     refused: str = ""
+    rival: float | None = None
 
 
 def coarse_lag(pairs: Sequence[Pair]) -> Lag:
@@ -77,10 +81,10 @@ def coarse_lag(pairs: Sequence[Pair]) -> Lag:
         total += np.abs(cross) / np.maximum(np.sqrt(np.clip(energy_x, 0, None) * np.clip(energy_y, 0, None)), floor)
     total /= len(pairs)
     best = int(np.argmax(total))
-    signed = best if best < count_x else best - size
     centre = start_y + (first + last) / 2.0 * step
-    offset = signed * step - first * step + start_x - start_y
-    rival = _rival(total, best)
+    other = _rival(total, best)
+    offset, other_offset = (((at if at < count_x else at - size) - first) * step + start_x - start_y for at in (best, other))
+    rival = float(total[other]) if other != best else 0.0
     refused = ""
     if total[best] < MIN_CORRELATION:
         refused = f"the motions do not resemble each other at any lag (correlation {total[best]:.2f} at best)"
@@ -88,17 +92,18 @@ def coarse_lag(pairs: Sequence[Pair]) -> Lag:
         refused = (
             f"two lags fit almost equally well (correlations {total[best]:.2f} and {rival:.2f}): the motion repeats itself"
         )
+        return Lag(float(offset), float(centre), refused, float(other_offset))
     return Lag(float(offset), float(centre), refused)
 
 
-def _rival(total: Array, best: int) -> float:
-    """The highest correlation outside of the lobe around the best one: up to where it has fallen well below."""
+def _rival(total: Array, best: int) -> int:
+    """Where the correlation is highest outside of the lobe around the best one: up to where it has fallen well below."""
     turned = np.roll(total, -best)
     low = turned < 0.7 * turned[0]
     if not low.any():
-        return float(turned[0])
+        return (best + 1) % len(total)
     after, before = int(np.argmax(low)), len(turned) - int(np.argmax(low[::-1]))
-    return float(np.max(turned[after:before], initial=0.0))
+    return (best + after + int(np.argmax(turned[after:before]))) % len(total)
 
 
 def _liveliest(rates: Sequence[Array], count: int) -> tuple[int, int]:

@@ -12,6 +12,7 @@ from scipy.signal import butter, sosfiltfilt
 from sysid.datasets.alignment import Estimate, Pair, estimate
 from sysid.datasets.channel import Channel
 from sysid.datasets.clocks import Clocked, align, machine_times
+from sysid.datasets.coarse import coarse_lag
 from sysid.errors import AlignmentError
 
 Array = npt.NDArray[np.float64]
@@ -238,3 +239,18 @@ def test_stamps_without_shared_motion_are_refused_or_taken_as_they_are() -> None
     assert not record.applied
     assert record.offset_s == pytest.approx(2.0)
     assert "taken as they are" in record.reason
+
+
+def test_of_two_lags_that_look_alike_the_one_whose_positions_agree_is_taken() -> None:
+    """Strokes of one second that differ in length alone: their rates repeat themselves, where they end does not."""
+    rng = np.random.default_rng(11)
+    times = np.arange(0.0, 60.0, 0.01)
+    strokes = 1.0 + 0.15 * rng.standard_normal(60)
+    x = np.cumsum(np.sin(2 * np.pi * times) * strokes[times.astype(int)]) * 0.01
+    y_times = np.arange(0.0, 55.0, 1.0 / 60.0)
+    y = np.interp(y_times + 2.4, times, x) + 1e-4 * rng.standard_normal(len(y_times))
+    pair = Pair("boom.joint~boom.joint", times, x + 1e-4 * rng.standard_normal(len(x)), y_times, y, 7, 0.035)
+    assert "the motion repeats itself" in coarse_lag([pair]).refused
+    found = estimate([pair])
+    assert not found.refused
+    assert found.at(30.0) == pytest.approx(2.4, abs=2e-3)
