@@ -14,6 +14,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
+from benchmarks.gap import gap_rows
 from benchmarks.logs import ingest_rows, memory_rows, reader_rows
 from benchmarks.plant import plant_rows
 from benchmarks.rows import against_limit, seconds
@@ -44,6 +45,7 @@ PARTS: dict[str, Callable[[], list[dict[str, Any]]]] = {
     "ingest": ingest_rows,
     "cli": cli_rows,
     "plant": plant_rows,
+    "gap": gap_rows,
 }
 
 

@@ -40,6 +40,7 @@ EXCITATION: Mapping[str, tuple[tuple[str, ...], float]] = {
     "poor": (("operator", "operator", "operator"), 30.0),
     "flight": (("flight",) * 6, 46.0),
     "long": (("operator",) * 4, 120.0),
+    "ten minutes": (("operator", "steps", "stairs", "together", "operator", "operator"), 100.0),
 }
 
 
