@@ -10,14 +10,18 @@ import numpy as np
 import numpy.typing as npt
 
 from sysid.errors import StoreError
+from sysid.machine.kinematics import Kinematics
 from sysid.networks.actuator import DIRECTIONS, ActuatorNetwork
+from sysid.networks.calibration import Calibration
 from sysid.networks.forward import ForwardNetwork
+from sysid.networks.geometry import Geometry
 from sysid.networks.mlp import Mlp, Normalisation
+from sysid.networks.structured import StructuredForward
 from sysid.networks.training import Course
 
 WEIGHTS, STRUCTURE = "weights.safetensors", "network.json"
 
-Model = Mapping[str, ActuatorNetwork] | ForwardNetwork
+Model = Mapping[str, ActuatorNetwork] | ForwardNetwork | StructuredForward
 Tensors = dict[str, npt.NDArray[Any]]
 
 
@@ -27,7 +31,7 @@ def to_files(model: Model) -> tuple[str, dict[str, bytes]]:
 
     tensors: Tensors = {}
     structure: dict[str, Any]
-    if isinstance(model, ForwardNetwork):
+    if isinstance(model, ForwardNetwork | StructuredForward):
         kind = "forward"
         for number, member in enumerate(model.members):
             _put(tensors, f"member.{number}", member)
@@ -35,10 +39,14 @@ def to_files(model: Model) -> tuple[str, dict[str, bytes]]:
         structure = {
             "joints": list(model.joints),
             "revolute": list(model.revolute),
-            "features": model.features,
             "members": [len(member.weights) for member in model.members],
             "courses": [course.to_json() for course in model.courses],
         }
+        if isinstance(model, ForwardNetwork):
+            structure["features"] = model.features
+        else:
+            tensors |= {"geometry": model.calibration.values, "covariance": model.calibration.covariance}
+            structure["calibrated"] = _calibrated(model)
     else:
         kind = "actuator"
         axes = {}
@@ -83,7 +91,47 @@ def from_files(files: Mapping[str, bytes], where: object) -> Model:
         raise StoreError(where, f"not a network ({type(error).__name__}: {error})", f"{WEIGHTS} and {STRUCTURE}") from None
 
 
-def _forward(structure: dict[str, Any], tensors: Tensors, where: object) -> ForwardNetwork:
+def _calibrated(model: StructuredForward) -> dict[str, Any]:
+    """What the tensors do not say of a calibrated geometry; its parameters stand there for people who read the file."""
+    calibration = model.calibration
+    kinematics = calibration.geometry.kinematics
+    return {
+        "urdf": model.urdf,
+        "actuated": list(kinematics.actuated),
+        "tip": kinematics.tip,
+        "bound": model.bound,
+        "noise": calibration.noise,
+        "open": [[list(part) for part in combination] for combination in calibration.open_combinations],
+        "parameters": [found.parameter.key for found in calibration.parameters],
+    }
+
+
+def _structured(structure: dict[str, Any], tensors: Tensors, where: object) -> StructuredForward:
+    entry = structure["calibrated"]
+    geometry = Geometry(Kinematics.from_urdf(entry["urdf"], tuple(entry["actuated"]), entry["tip"]))
+    keys = [parameter.key for parameter in geometry.parameters]
+    values, covariance = tensors["geometry"], tensors["covariance"]
+    if keys != entry["parameters"] or values.shape != (len(keys),) or covariance.shape != (len(keys), len(keys)):
+        found = f"a geometry of {values.shape} and {covariance.shape} for {len(entry['parameters'])} parameters"
+        raise StoreError(where, found, f"the {len(keys)} parameters of its URDF", "Fit it again.")
+    combinations = tuple(tuple((str(key), float(weight)) for key, weight in part) for part in entry["open"])
+    layers = enumerate(structure["members"])
+    return StructuredForward(
+        joints=tuple(structure["joints"]),
+        revolute=tuple(structure["revolute"]),
+        urdf=entry["urdf"],
+        calibration=Calibration(geometry, values, covariance, float(entry["noise"]), combinations),
+        members=tuple(_take(tensors, f"member.{number}", count, where) for number, count in layers),
+        bound=float(entry["bound"]),
+        low=tensors["low"],
+        high=tensors["high"],
+        courses=tuple(_course(course) for course in structure["courses"]),
+    )
+
+
+def _forward(structure: dict[str, Any], tensors: Tensors, where: object) -> ForwardNetwork | StructuredForward:
+    if "calibrated" in structure:
+        return _structured(structure, tensors, where)
     layers = enumerate(structure["members"])
     return ForwardNetwork(
         joints=tuple(structure["joints"]),
