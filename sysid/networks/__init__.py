@@ -3,6 +3,7 @@
 from sysid.networks.actuator import ActuatorNetwork, RoundTrip, fit_actuator
 from sysid.networks.artifacts import Model, from_files, to_files
 from sysid.networks.calibration import Calibrated, Calibration, calibrate
+from sysid.networks.chain import Chain, fit_chain
 from sysid.networks.forward import ForwardModel, ForwardNetwork, learn_forward
 from sysid.networks.forward_models import AnyForward, fit_forward
 from sysid.networks.geometry import Geometry, GeometryParameter
@@ -18,6 +19,7 @@ __all__ = [
     "AnyForward",
     "Calibrated",
     "Calibration",
+    "Chain",
     "Course",
     "ForwardModel",
     "ForwardNetwork",
@@ -35,6 +37,7 @@ __all__ = [
     "TrainingSettings",
     "calibrate",
     "fit_actuator",
+    "fit_chain",
     "fit_forward",
     "fit_structured",
     "from_files",

@@ -13,4 +13,4 @@ AnyForward = ForwardNetwork | StructuredForward
 
 def fit_forward(dataset: Dataset, recipe: NetworkRecipe, progress: Progress | None = None) -> AnyForward:
     """:func:`learn_forward` or :func:`fit_structured`, as ``recipe.forward.model`` says; they raise the same errors."""
-    return (fit_structured if recipe.forward.model == "structured" else learn_forward)(dataset, recipe, progress)
+    return (learn_forward if recipe.forward.model == "network" else fit_structured)(dataset, recipe, progress)

@@ -1,8 +1,9 @@
-"""The structured forward model: the URDF's kinematics with its geometry calibrated, plus a small bounded network for the rest.
+"""Structured forward models: what is known of the machine first, and a small bounded network for the rest.
 
-A network of joints → end effector has to learn what the URDF knows already. Here poses only correct it: some thirty numbers of
-geometry (:mod:`sysid.networks.calibration`), and what no geometry explains (links that bend under load) by perceptrons behind a
-bound, ``bound·tanh(f(sin q, cos q)/bound)``, kept only where they predict poses better that they have not seen.
+A network of joints → end effector has to learn what geometry says already. With a URDF poses only correct it, some thirty
+numbers (:mod:`sysid.networks.calibration`); without one they weigh the products that any open chain is made of
+(:mod:`sysid.networks.chain`). What no geometry explains, links that bend under load, is left to perceptrons behind a bound,
+``bound·tanh(f(sin q, cos q)/bound)``, kept only where they predict poses better that they have not seen.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ import numpy.typing as npt
 from sysid.datasets.recording import Dataset
 from sysid.errors import InputError, SettingsError
 from sysid.networks.calibration import Calibration, calibrate
+from sysid.networks.chain import Chain, fit_chain
 from sysid.networks.forward import feature_names, forward_joints, is_angle, taught_rows, to_features
 from sysid.networks.geometry import Geometry
 from sysid.networks.mlp import Mlp
@@ -38,8 +40,8 @@ class StructuredForward:
     Args:
         joints: signals of the inputs, in kinematic order.
         revolute: which of them are angles.
-        urdf: text of the one that was calibrated.
-        calibration: its geometry.
+        structure: the geometry calibrated from a URDF, or the products of a chain.
+        urdf: text of what was calibrated; empty for a chain.
         members: perceptrons of the rest, averaged; none where they were not worth it.
         bound: the most that they correct [m].
         low, high: range of each joint in the rows it was fitted on, (n_axes,) [rad or m].
@@ -48,8 +50,8 @@ class StructuredForward:
 
     joints: tuple[str, ...]
     revolute: tuple[bool, ...]
+    structure: Calibration | Chain
     urdf: str
-    calibration: Calibration
     members: tuple[Mlp, ...]
     bound: float
     low: Array
@@ -63,12 +65,12 @@ class StructuredForward:
             InputError: another number of joints.
         """
         values = self._checked(q)
-        return np.asarray(self.calibration.predict(values) + self._rest(values).mean(axis=0))
+        return np.asarray(self.structure.predict(values) + self._rest(values).mean(axis=0))
 
     def spread(self, q: npt.ArrayLike) -> Array:
         """Standard deviation of the prediction by what the poses leave open, (n, 3) [m]."""
         values = self._checked(q)
-        return np.asarray(np.hypot(self.calibration.spread(values), self._rest(values).std(axis=0)))
+        return np.asarray(np.hypot(self.structure.spread(values), self._rest(values).std(axis=0)))
 
     def _rest(self, q: Array) -> Array:
         if not self.members:
@@ -86,40 +88,46 @@ class StructuredForward:
 
 
 def fit_structured(dataset: Dataset, recipe: NetworkRecipe, progress: Progress | None = None) -> StructuredForward:
-    """Calibrate the machine's URDF on the dataset's static poses, and teach a network what is left.
+    """Calibrate the machine's URDF (or weigh the products of its chain) on static poses, and teach a network what is left.
 
     Raises:
         ExcitationError: too few poses, or a joint or the end effector that was not measured.
-        SettingsError: the machine has no URDF, or training diverges.
+        SettingsError: the machine has no URDF to calibrate, or training diverges.
     """
-    machine = dataset.machine
-    kinematics = machine.kinematics()
-    if kinematics is None:
-        found = f"machine {machine.name!r} has no URDF"
-        raise SettingsError("recipe: forward.model", found, "urdf = … and tip = … in machine.toml, or model = 'network'")
     fit, select = taught_rows(dataset, recipe)
     joints = forward_joints(dataset)
     count = len(joints)
-    noise = [
-        np.array([machine.noise.get(signal, np.nan) for signal in signals], dtype=np.float64)
-        for signals in (joints, point_signals("ee"))
-    ]
-    q, tip = fit.values[:, :count], fit.values[:, count:]
-    calibration = calibrate(Geometry(kinematics), q, tip, *noise)
     revolute = tuple(is_angle(dataset, signal) for signal in joints)
-    left, unseen = tip - calibration.predict(q), select.values[:, count:] - calibration.predict(select.values[:, :count])
-    members, courses, bound = _rest(recipe, (q, left), (select.values[:, :count], unseen), revolute, joints, progress)
+    q, tip = fit.values[:, :count], fit.values[:, count:]
+    q_unseen, tip_unseen = select.values[:, :count], select.values[:, count:]
+    structure = fit_chain(q, tip, revolute) if recipe.forward.model == "chain" else _calibrated(dataset, q, tip)
+    left, unseen = tip - structure.predict(q), tip_unseen - structure.predict(q_unseen)
+    members, courses, bound = _rest(recipe, (q, left), (q_unseen, unseen), revolute, joints, progress)
     return StructuredForward(
         joints=joints,
         revolute=revolute,
-        urdf=machine.urdf_text or "",
-        calibration=calibration,
+        structure=structure,
+        urdf=(dataset.machine.urdf_text or "") if isinstance(structure, Calibration) else "",
         members=members,
         bound=bound,
         low=q.min(axis=0),
         high=q.max(axis=0),
         courses=courses,
     )
+
+
+def _calibrated(dataset: Dataset, q: Array, tip: Array) -> Calibration:
+    machine = dataset.machine
+    kinematics = machine.kinematics()
+    if kinematics is None:
+        found = f"machine {machine.name!r} has no URDF"
+        expected = "urdf = … and tip = … in machine.toml, or model = 'chain'"
+        raise SettingsError("recipe: forward.model = 'structured'", found, expected)
+    joint_noise, tip_noise = (
+        np.array([machine.noise.get(signal, np.nan) for signal in signals], dtype=np.float64)
+        for signals in (forward_joints(dataset), point_signals("ee"))
+    )
+    return calibrate(Geometry(kinematics), q, tip, joint_noise, tip_noise)
 
 
 def _rest(

@@ -14,10 +14,22 @@ from hypothesis import strategies as st
 from sysid.datasets.recording import Dataset
 from sysid.errors import ExcitationError, InputError, SettingsError, StoreError
 from sysid.machine import Machine
-from sysid.networks import Geometry, StructuredForward, calibrate, fit_forward, from_files, parse_recipe, to_files
+from sysid.networks import (
+    Calibration,
+    Chain,
+    Geometry,
+    StructuredForward,
+    calibrate,
+    fit_chain,
+    fit_forward,
+    from_files,
+    parse_recipe,
+    to_files,
+)
 from sysid.networks.structured import bounded
 
 Array = npt.NDArray[np.float64]
+ANGLES = (True, True, True, False)
 RECIPE = parse_recipe({"forward": {"model": "structured", "residual": False}}, "test")
 JOINTS, TIP = np.full(4, JOINT_NOISE), np.full(3, POINT_NOISE)
 
@@ -134,7 +146,9 @@ def test_files_bring_back_the_same_model(data: Dataset) -> None:
     q = taken(20, 8)
     np.testing.assert_array_equal(again.predict(q), model.predict(q))
     np.testing.assert_array_equal(again.spread(q), model.spread(q))
-    assert again.calibration.open_combinations == model.calibration.open_combinations
+    assert isinstance(again.structure, Calibration)
+    assert isinstance(model.structure, Calibration)
+    assert again.structure.open_combinations == model.structure.open_combinations
     assert to_files(again) == (kind, files)
     other = files["network.json"].replace(b'"telescope_joint.scale"', b'"wrist_joint.scale"')
     with pytest.raises(StoreError, match="parameters of its URDF"):
@@ -180,5 +194,53 @@ def test_a_bound_is_one(value: float, bound: float) -> None:
 
 def test_without_a_urdf_there_is_nothing_to_calibrate(data: Dataset) -> None:
     bare: Machine = replace(data.machine, urdf_text=None)
-    with pytest.raises(SettingsError, match=r"recipe: forward\.model: machine 'crane' has no URDF"):
+    with pytest.raises(SettingsError, match=r"recipe: forward\.model = 'structured': machine 'crane' has no URDF"):
         fit_forward(replace(data, machine=bare), RECIPE)
+
+
+# ---- Without a URDF -----------------------------------------------------------------------------------------------------
+
+
+def test_any_open_chain_is_linear_in_products_of_its_joints() -> None:
+    """Whatever the geometry, as long as angles are angles: with exact poses nothing is left but rounding."""
+    model = geometry()
+    rng = np.random.default_rng(2)
+    values = model.priors * rng.standard_normal(len(model.priors))
+    values[[parameter.unit == "1" for parameter in model.parameters]] = 0.0
+    q, unseen = taken(200, 1), taken(200, 2)
+    chain = fit_chain(q, model.tip(q, values), ANGLES)
+    np.testing.assert_allclose(chain.predict(unseen), model.tip(unseen, values), atol=1e-5)
+
+
+def test_a_chain_says_how_sure_it_is() -> None:
+    model, rng, errors = geometry(), np.random.default_rng(4), []
+    for seed in range(10):
+        q, unseen = taken(150, seed), taken(300, 100 + seed)
+        chain = fit_chain(q, model.kinematics.tip_position(q) + POINT_NOISE * rng.standard_normal((150, 3)), ANGLES)
+        assert chain.noise == pytest.approx(POINT_NOISE, rel=0.3)
+        errors.append((chain.predict(unseen) - model.kinematics.tip_position(unseen)) / chain.spread(unseen))
+    assert 0.85 < np.sqrt(np.mean(np.square(errors))) < 1.15
+
+
+def test_a_chain_needs_more_poses_than_products() -> None:
+    model, q = geometry(), taken(72, 0)
+    with pytest.raises(ExcitationError, match="72 poses for 53 products of joints; expected at least 73"):
+        fit_chain(q, model.kinematics.tip_position(q), ANGLES)
+    with pytest.raises(SettingsError, match="7 joints make 2186 products; expected at most 400"):
+        fit_chain(np.zeros((3000, 7)), np.zeros((3000, 3)), (True,) * 7)
+
+
+def test_a_recipe_may_ask_for_the_chain_of_a_machine_without_a_urdf(data: Dataset) -> None:
+    bare = replace(data, machine=replace(data.machine, urdf_text=None))
+    recipe = parse_recipe({"forward": {"model": "chain", "residual": False}}, "test")
+    model = fit_forward(bare, recipe)
+    assert isinstance(model, StructuredForward)
+    assert isinstance(model.structure, Chain)
+    q = taken(300, 7)
+    kinematics = crane().kinematics()
+    assert kinematics is not None
+    assert np.sqrt(np.mean((model.predict(q) - kinematics.tip_position(q)) ** 2)) < 1e-3
+    again = from_files(to_files(model)[1], "crane-forward@1")
+    assert isinstance(again, StructuredForward)
+    np.testing.assert_array_equal(again.predict(q), model.predict(q))
+    np.testing.assert_array_equal(again.spread(q), model.spread(q))
