@@ -23,7 +23,16 @@ from sysid.datasets.clock_residual import clock_residuals
 from sysid.errors import ExcitationError, SettingsError, StoreError
 from sysid.gap import GapResult
 from sysid.gap.readiness import readiness
-from sysid.networks import ActuatorNetwork, ForwardNetwork, Model, NetworkRecipe, from_files, parse_recipe, to_files
+from sysid.networks import (
+    ActuatorNetwork,
+    ForwardNetwork,
+    Model,
+    NetworkRecipe,
+    StructuredForward,
+    from_files,
+    parse_recipe,
+    to_files,
+)
 from sysid.plant import Plant, free_run, nominal_plant, plant_from_files
 from sysid.registry import ModelVersion, Registry
 from sysid.reports import ReportInputs, VersionNote
@@ -123,7 +132,7 @@ class Workspace:
         """The fitted cylinder ↔ joint maps of the dataset by axis; empty where none were fitted."""
         version = self.network_version(dataset, "actuator")
         model = self.network(version.reference) if version is not None else {}
-        return {} if isinstance(model, ForwardNetwork) else dict(model)
+        return {} if isinstance(model, ForwardNetwork | StructuredForward) else dict(model)
 
     def validation(self, reference: str, dataset: Dataset) -> ValidationReport:
         """Judge a registered network on a dataset, with the recipe it was fitted by."""

@@ -8,7 +8,7 @@ from pathlib import Path
 import click
 
 from sysid.cli.output import Printer, json_option, progress_bar, write_json
-from sysid.cli.tables import show_errors
+from sysid.cli.tables import show_calibration, show_errors
 
 
 @click.command()
@@ -22,7 +22,7 @@ from sysid.cli.tables import show_errors
 def fit(workspace: str, kind: str, reference: str, recipe: Path | None, json_file: str | None) -> None:
     """Fit the actuator networks (cylinder ↔ joint) or the forward network (joints → boom tip) of a dataset."""
     from sysid.errors import ExcitationError
-    from sysid.networks import fit_actuator, fit_forward, load_recipe
+    from sysid.networks import Calibration, StructuredForward, fit_actuator, fit_forward, load_recipe
     from sysid.validate import validate_model
     from sysid.workspace import open_workspace
 
@@ -40,6 +40,8 @@ def fit(workspace: str, kind: str, reference: str, recipe: Path | None, json_fil
         report, unjudged = None, str(reason)
     version = place.add_network(dataset, model, settings, report)
     out = Printer(json_file)
+    if isinstance(model, StructuredForward) and isinstance(model.structure, Calibration):
+        show_calibration(out, model.structure)
     if report is not None:
         show_errors(out, report)
     else:

@@ -11,6 +11,7 @@ if TYPE_CHECKING:
     from sysid.cli.output import Printer
     from sysid.datasets import Dataset
     from sysid.gap import GapResult
+    from sysid.networks import Calibration
     from sysid.validate import ValidationReport
 
 #: Below this multiple of the noise floor there was nothing to close.
@@ -64,6 +65,24 @@ def show_errors(out: Printer, *reports: ValidationReport, paper: Mapping[str, fl
     beside = [] if paper is None else ["paper's max"]
     header = ("network output", "rows", "rmse", "95 %", "max", *beside, "noise", "unit", "best simple model")
     out.table(header, rows, right=range(2, 6 + len(beside)))
+
+
+def show_calibration(out: Printer, calibration: Calibration) -> None:
+    """How the calibrated geometry differs from the URDF, as far as the poses say, and what they leave open."""
+    from sysid.reports.display import digits_for, quantity
+
+    rows = []
+    for found in calibration.parameters:
+        if found.known:
+            low, high = found.interval95
+            texts = (quantity(value, found.parameter.unit, digits_for(low, high)) for value in (found.value, low, high))
+            value, *ends = texts
+            rows.append((found.parameter.key, value, " … ".join(ends)))
+    out.table(("geometry", "differs from the URDF by", "95 % interval"), rows, right=(1, 2))
+    for combination in calibration.open_combinations:
+        names = ", ".join(name for name, _ in combination)
+        many = "cannot be told apart at these poses" if len(combination) > 1 else "does not move the tip"
+        out.line(f"  {names}: {many}")
 
 
 def show_localised(out: Printer, result: GapResult, dataset: Dataset) -> None:

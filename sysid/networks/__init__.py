@@ -2,29 +2,46 @@
 
 from sysid.networks.actuator import ActuatorNetwork, RoundTrip, fit_actuator
 from sysid.networks.artifacts import Model, from_files, to_files
-from sysid.networks.forward import ForwardNetwork, fit_forward
+from sysid.networks.calibration import Calibrated, Calibration, calibrate
+from sysid.networks.chain import Chain, fit_chain
+from sysid.networks.forward import ForwardModel, ForwardNetwork, learn_forward
+from sysid.networks.forward_models import AnyForward, fit_forward
+from sysid.networks.geometry import Geometry, GeometryParameter
 from sysid.networks.mlp import Mlp, Normalisation
 from sysid.networks.recipe import PAPER_MAX, ActuatorRecipe, ForwardRecipe, NetworkRecipe, load_recipe, parse_recipe
+from sysid.networks.structured import StructuredForward, fit_structured
 from sysid.networks.training import Course, Member, Trained, TrainingSettings, train
 
 __all__ = [
     "PAPER_MAX",
     "ActuatorNetwork",
     "ActuatorRecipe",
+    "AnyForward",
+    "Calibrated",
+    "Calibration",
+    "Chain",
     "Course",
+    "ForwardModel",
     "ForwardNetwork",
     "ForwardRecipe",
+    "Geometry",
+    "GeometryParameter",
     "Member",
     "Mlp",
     "Model",
     "NetworkRecipe",
     "Normalisation",
     "RoundTrip",
+    "StructuredForward",
     "Trained",
     "TrainingSettings",
+    "calibrate",
     "fit_actuator",
+    "fit_chain",
     "fit_forward",
+    "fit_structured",
     "from_files",
+    "learn_forward",
     "load_recipe",
     "parse_recipe",
     "to_files",

@@ -10,14 +10,21 @@ import numpy as np
 import numpy.typing as npt
 
 from sysid.errors import StoreError
+from sysid.machine.kinematics import Kinematics
 from sysid.networks.actuator import DIRECTIONS, ActuatorNetwork
+from sysid.networks.calibration import Calibration
+from sysid.networks.chain import Chain, products
 from sysid.networks.forward import ForwardNetwork
+from sysid.networks.geometry import Geometry
 from sysid.networks.mlp import Mlp, Normalisation
+from sysid.networks.structured import StructuredForward
 from sysid.networks.training import Course
 
 WEIGHTS, STRUCTURE = "weights.safetensors", "network.json"
+#: Arrays of a :class:`Chain`.
+CHAIN = ("mean", "scale", "weights", "level", "covariance", "noise")
 
-Model = Mapping[str, ActuatorNetwork] | ForwardNetwork
+Model = Mapping[str, ActuatorNetwork] | ForwardNetwork | StructuredForward
 Tensors = dict[str, npt.NDArray[Any]]
 
 
@@ -27,7 +34,7 @@ def to_files(model: Model) -> tuple[str, dict[str, bytes]]:
 
     tensors: Tensors = {}
     structure: dict[str, Any]
-    if isinstance(model, ForwardNetwork):
+    if isinstance(model, ForwardNetwork | StructuredForward):
         kind = "forward"
         for number, member in enumerate(model.members):
             _put(tensors, f"member.{number}", member)
@@ -35,10 +42,14 @@ def to_files(model: Model) -> tuple[str, dict[str, bytes]]:
         structure = {
             "joints": list(model.joints),
             "revolute": list(model.revolute),
-            "features": model.features,
             "members": [len(member.weights) for member in model.members],
             "courses": [course.to_json() for course in model.courses],
         }
+        if isinstance(model, ForwardNetwork):
+            structure["features"] = model.features
+        else:
+            own, structure["structure"] = _put_structure(model)
+            tensors |= {f"structure.{name}": values for name, values in own.items()} | {"bound": np.array([model.bound])}
     else:
         kind = "actuator"
         axes = {}
@@ -83,7 +94,60 @@ def from_files(files: Mapping[str, bytes], where: object) -> Model:
         raise StoreError(where, f"not a network ({type(error).__name__}: {error})", f"{WEIGHTS} and {STRUCTURE}") from None
 
 
-def _forward(structure: dict[str, Any], tensors: Tensors, where: object) -> ForwardNetwork:
+def _put_structure(model: StructuredForward) -> tuple[Tensors, dict[str, Any]]:
+    """Tensors of a structure, and what they do not say; parameters are named for people who read the file."""
+    found = model.structure
+    if isinstance(found, Chain):
+        return {key: getattr(found, key) for key in CHAIN}, {"kind": "chain"}
+    kinematics = found.geometry.kinematics
+    return {"values": found.values, "covariance": found.covariance, "noise": np.array([found.noise])}, {
+        "kind": "calibration",
+        "urdf": model.urdf,
+        "actuated": list(kinematics.actuated),
+        "tip": kinematics.tip,
+        "open": [[list(part) for part in combination] for combination in found.open_combinations],
+        "parameters": [parameter.key for parameter in found.geometry.parameters],
+    }
+
+
+def _take_structure(entry: dict[str, Any], revolute: tuple[bool, ...], tensors: Tensors, where: object) -> Calibration | Chain:
+    own = {key.removeprefix("structure."): value for key, value in tensors.items() if key.startswith("structure.")}
+    if entry["kind"] == "chain":
+        chain = Chain(revolute, **{key: own[key] for key in CHAIN})
+        count = products(np.zeros((1, len(revolute))), revolute).shape[1]
+        shapes = (chain.mean.shape, chain.scale.shape, chain.weights.shape, chain.covariance.shape)
+        if shapes != ((count,), (count,), (count, 3), (count + 1, count + 1)):
+            raise StoreError(where, f"a chain of shapes {shapes}", f"those of {count} products", "Fit it again.")
+        return chain
+    geometry = Geometry(Kinematics.from_urdf(entry["urdf"], tuple(entry["actuated"]), entry["tip"]))
+    count = len(geometry.parameters)
+    same = [parameter.key for parameter in geometry.parameters] == entry["parameters"]
+    if not same or own["values"].shape != (count,) or own["covariance"].shape != (count, count):
+        found = f"a geometry of {own['values'].shape} and {own['covariance'].shape} for {len(entry['parameters'])} parameters"
+        raise StoreError(where, found, f"the {count} parameters of its URDF", "Fit it again.")
+    combinations = tuple(tuple((str(key), float(weight)) for key, weight in part) for part in entry["open"])
+    return Calibration(geometry, own["values"], own["covariance"], float(own["noise"][0]), combinations)
+
+
+def _structured(structure: dict[str, Any], tensors: Tensors, where: object) -> StructuredForward:
+    revolute = tuple(structure["revolute"])
+    layers = enumerate(structure["members"])
+    return StructuredForward(
+        joints=tuple(structure["joints"]),
+        revolute=revolute,
+        structure=_take_structure(structure["structure"], revolute, tensors, where),
+        urdf=structure["structure"].get("urdf", ""),
+        members=tuple(_take(tensors, f"member.{number}", count, where) for number, count in layers),
+        bound=float(tensors["bound"][0]),
+        low=tensors["low"],
+        high=tensors["high"],
+        courses=tuple(_course(course) for course in structure["courses"]),
+    )
+
+
+def _forward(structure: dict[str, Any], tensors: Tensors, where: object) -> ForwardNetwork | StructuredForward:
+    if "structure" in structure:
+        return _structured(structure, tensors, where)
     layers = enumerate(structure["members"])
     return ForwardNetwork(
         joints=tuple(structure["joints"]),

@@ -7,6 +7,7 @@ revolute joint enters as sine and cosine, which spares the network from learning
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -28,6 +29,23 @@ MIN_POSES = 30
 STILL_SPEED = 0.02
 #: … for at least this long [s].
 STILL_S = 0.2
+
+
+class ForwardModel(Protocol):
+    """What every model of joints → end effector has, learned or calibrated."""
+
+    @property
+    def joints(self) -> tuple[str, ...]: ...
+
+    @property
+    def low(self) -> Array: ...
+
+    @property
+    def high(self) -> Array: ...
+
+    def predict(self, q: npt.ArrayLike) -> Array: ...
+
+    def spread(self, q: npt.ArrayLike) -> Array: ...
 
 
 @dataclass(frozen=True)
@@ -73,24 +91,14 @@ class ForwardNetwork:
         return np.stack([member.predict(inputs) for member in self.members])
 
 
-def fit_forward(dataset: Dataset, recipe: NetworkRecipe, progress: Progress | None = None) -> ForwardNetwork:
+def learn_forward(dataset: Dataset, recipe: NetworkRecipe, progress: Progress | None = None) -> ForwardNetwork:
     """Fit the forward network on the dataset's ``poses`` recordings; without any, on the still phases of its motion.
 
     Raises:
         ExcitationError: a joint or the end effector was not measured, too few poses, a joint that did not move.
         SettingsError: training diverges.
     """
-    fit, select = forward_rows(dataset, "fit"), forward_rows(dataset, "select")
-    for rows, role, need in ((fit, "to fit", MIN_POSES), (select, "to decide when to stop", MIN_POSES // 10)):
-        if len(rows) < need:
-            raise ExcitationError(
-                f"dataset {dataset.reference}",
-                f"{len(rows)} static poses {role}",
-                f"at least {need}",
-                "Record the calibration routine: several hundred random poses, each held still.",
-            )
-    share = min(1.0, recipe.forward.poses / (len(fit) + len(select)))
-    fit, select = thin(fit, max(MIN_POSES, round(share * len(fit)))), thin(select, max(1, round(share * len(select))))
+    fit, select = taught_rows(dataset, recipe)
     joints = forward_joints(dataset)
     count = len(joints)
     revolute = tuple(is_angle(dataset, signal) for signal in joints)
@@ -117,6 +125,26 @@ def fit_forward(dataset: Dataset, recipe: NetworkRecipe, progress: Progress | No
         high=fit.values[:, :count].max(axis=0),
         courses=tuple(result.course for result in trained),
     )
+
+
+def taught_rows(dataset: Dataset, recipe: NetworkRecipe) -> tuple[Rows, Rows]:
+    """The rows that a forward model learns from and those that decide when it stops, as many as the recipe says.
+
+    Raises:
+        ExcitationError: too few of either, or a joint or the end effector that was not measured.
+    """
+    fit, select = forward_rows(dataset, "fit"), forward_rows(dataset, "select")
+    for rows, role, need in ((fit, "to fit", MIN_POSES), (select, "to decide when to stop", MIN_POSES // 10)):
+        if len(rows) < need:
+            raise ExcitationError(
+                f"dataset {dataset.reference}",
+                f"{len(rows)} static poses {role}",
+                f"at least {need}",
+                "Record the calibration routine: several hundred random poses, each held still.",
+            )
+    share = min(1.0, recipe.forward.poses / (len(fit) + len(select)))
+    fit, select = thin(fit, max(MIN_POSES, round(share * len(fit)))), thin(select, max(1, round(share * len(select))))
+    return fit, select
 
 
 def forward_joints(dataset: Dataset) -> tuple[str, ...]:

@@ -58,6 +58,9 @@ class ForwardRecipe:
         features: ``joints`` (the paper) or ``sincos``: sine and cosine of every revolute joint instead of its angle.
         members: networks with different initial weights whose predictions are averaged (the paper: one).
         training: how.
+        model: ``network`` (the paper), or ``structured``: the URDF's kinematics with its geometry calibrated on the poses,
+            or ``chain``: any open chain, linear in products of sines and cosines, where there is no URDF.
+        residual: whether a small network may correct what the calibrated geometry leaves; ``residual_hidden``: its layers.
     """
 
     __pydantic_config__ = STRICT
@@ -67,6 +70,9 @@ class ForwardRecipe:
     features: Features = "joints"
     members: int = 1
     training: TrainingSettings = _FORWARD_TRAINING
+    model: Literal["network", "structured", "chain"] = "network"
+    residual: bool = True
+    residual_hidden: tuple[int, ...] = (32, 32)
 
 
 @dataclass(frozen=True)

@@ -12,9 +12,10 @@ from sysid.datasets.recording import Dataset, Kind, Role
 from sysid.errors import ExcitationError
 from sysid.networks.actuator import ActuatorNetwork, actuator_rows
 from sysid.networks.artifacts import Model
-from sysid.networks.forward import ForwardNetwork, forward_rows, is_angle
+from sysid.networks.forward import ForwardModel, ForwardNetwork, forward_rows, is_angle
 from sysid.networks.recipe import NetworkRecipe
 from sysid.networks.split import Rows, gather, measures, segments, thin
+from sysid.networks.structured import StructuredForward
 from sysid.signals import axis_signal, point_signals
 from sysid.validate.baselines import learned, urdf_kinematics
 from sysid.validate.error_analysis import Profile, Ranges, direction_profile, profile, speeds, spikes
@@ -33,7 +34,7 @@ def validate_model(
     model: Model, dataset: Dataset, role: Role = "held_out", recipe: NetworkRecipe | None = None, name: str = ""
 ) -> ValidationReport:
     """:func:`validate_actuator` or :func:`validate_forward`, whichever fits the model."""
-    if isinstance(model, ForwardNetwork):
+    if isinstance(model, ForwardNetwork | StructuredForward):
         return validate_forward(model, dataset, role, name)
     return validate_actuator(model, dataset, role, recipe, name)
 
@@ -83,7 +84,7 @@ def validate_actuator(
     return ValidationReport("actuator", name, dataset.reference, role, tuple(outputs), round_trips)
 
 
-def validate_forward(network: ForwardNetwork, dataset: Dataset, role: Role = "held_out", name: str = "") -> ValidationReport:
+def validate_forward(network: ForwardModel, dataset: Dataset, role: Role = "held_out", name: str = "") -> ValidationReport:
     """End effector on the static poses of ``role``, and on its motion where that was measured as well.
 
     Raises:

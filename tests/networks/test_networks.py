@@ -19,8 +19,8 @@ from sysid.networks import (
     ForwardNetwork,
     NetworkRecipe,
     fit_actuator,
-    fit_forward,
     from_files,
+    learn_forward,
     load_recipe,
     parse_recipe,
     to_files,
@@ -50,7 +50,7 @@ def actuators(data: Dataset) -> dict[str, ActuatorNetwork]:
 
 @pytest.fixture(scope="module")
 def forward(data: Dataset) -> ForwardNetwork:
-    return fit_forward(data, QUICK)
+    return learn_forward(data, QUICK)
 
 
 def test_actuator_networks_learn_both_linkages_both_ways(actuators: dict[str, ActuatorNetwork]) -> None:
@@ -89,7 +89,7 @@ def test_the_forward_network_learns_the_kinematics(forward: ForwardNetwork, data
 
 def test_sine_and_cosine_inputs_and_several_members(data: Dataset) -> None:
     recipe = parse_recipe({"forward": {"features": "sincos", "members": 2, "training": {"epochs": 20}}}, "test")
-    network = fit_forward(data, recipe)
+    network = learn_forward(data, recipe)
     q = np.random.default_rng(6).uniform(LOW, HIGH, (20, 4))
     turned = q + np.array([2 * np.pi, -2 * np.pi, 0.0, 0.0])
     np.testing.assert_allclose(network.predict(q), network.predict(turned), atol=1e-9)
@@ -114,7 +114,7 @@ def test_only_fit_and_select_rows_matter(data: Dataset, actuators: dict[str, Act
         ),
     )
     assert to_files(fit_actuator(changed, QUICK)) == to_files(actuators)
-    assert to_files(fit_forward(changed, QUICK)) == to_files(forward)
+    assert to_files(learn_forward(changed, QUICK)) == to_files(forward)
 
 
 def test_the_seed_decides(data: Dataset, actuators: dict[str, ActuatorNetwork]) -> None:
@@ -271,7 +271,7 @@ def test_data_that_cannot_teach_an_actuator_are_refused(data: Dataset, broken, m
 )
 def test_data_that_cannot_teach_the_forward_network_are_refused(data: Dataset, broken, message: str) -> None:  # type: ignore[no-untyped-def]
     with pytest.raises(ExcitationError, match=message):
-        fit_forward(broken(data), QUICK)
+        learn_forward(broken(data), QUICK)
 
 
 # --- recipe
