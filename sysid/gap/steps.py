@@ -14,37 +14,31 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, replace
-from typing import TYPE_CHECKING, Any, Literal
-
-import numpy as np
+from typing import TYPE_CHECKING, Any
 
 from sysid.errors import SettingsError
 from sysid.files import plain
 from sysid.gap import localise as disagreement
 from sysid.gap.around import Around
-from sysid.gap.candidates import Candidate, as_nuisance
-from sysid.gap.case import Case, Stage, excitation, on_itself, open_case, stage_candidates
+from sysid.gap.case import Case, Stage, excitation, open_case, stage_candidates
 from sysid.gap.excitation import advice, advice_on_tie, excitation_of
-from sysid.gap.finding import Finding
 from sysid.gap.floor import floor_spread, run_floor
 from sysid.gap.lineage import lineage_of
 from sysid.gap.promotion import first_promotion, free_run_check, names_check, stages_check, world_check
 from sysid.gap.promotion import promote as promote_version
 from sysid.gap.prove import Outcome, held_out_score, judge, stage_gap, with_carried
 from sysid.gap.result import Check, Excitation, Gap, Localised, Promotion, Traces, WorldGap
-from sysid.gap.search import Search
 from sysid.gap.simulator import Simulator
+from sysid.gap.stage_search import Forms, search_stages
 from sysid.gap.strictness import Strictness
 from sysid.gap.world_proof import world_gap
 from sysid.plant import Plant, machine_difference, plant_from_files
 from sysid.plant.uncertainty import NONE
-from sysid.progress import Progress, part, silent
+from sysid.progress import Progress, silent
 
 if TYPE_CHECKING:
     from sysid.datasets.recording import Dataset
     from sysid.registry import ModelVersion, Registry
-
-Forms = Literal["all", "simple"]
 
 #: File of a repaired plant's version: what the repair changes in ``machine.toml``.
 MACHINE_DIFF = "machine.diff"
@@ -128,16 +122,8 @@ def search(study: Study, strict: Strictness | None = None, forms: Forms = "all",
         forms: "simple" tries every effect in its simplest form only.
     """
     strict = strict or Strictness()
-    case, found, theta = study.case, list[Stage](), study.case.theta
-    for k, stage in enumerate(study.stages):
-        tell = part(progress, k / len(study.stages), (k + 1) / len(study.stages))
-        problem = stage.problem if case.around is None else case.around.settled(stage.problem, theta)
-        settled = replace(stage, problem=problem)
-        found.append(replace(settled, finding=_found(case, settled, strict, forms, tell)))
-        if problem.stage == "command":
-            fitted = found[-1].found.fit.theta
-            theta = np.where(fitted != case.theta, fitted, theta)
-    return replace(study, stages=tuple(found), settings={"forms": forms, "strictness": asdict(strict)})
+    found = search_stages(study.case, study.stages, strict, forms, progress)
+    return replace(study, stages=found, settings={"forms": forms, "strictness": asdict(strict)})
 
 
 def prove(study: Study, world: bool = False, progress: Progress = silent, *, carry: bool = False) -> Proof:
@@ -279,23 +265,6 @@ def register(case: Case, plant: Plant, registry: Registry, evidence: dict[str, A
     beside = {MACHINE_DIFF: difference.encode("utf-8")} if difference else {}
     version = registry.register(plant.machine.name, "plant", {**plant.to_files(), **beside}, lineage, {})
     return f"{version.name}@{version.version}"
-
-
-def _found(case: Case, stage: Stage, strict: Strictness, forms: Forms, tell: Progress) -> Finding:
-    tell(0.0, stage.label)
-    machine = case.plant.machine
-    offered = [c for c in stage_candidates(case, stage) if forms == "all" or c.form is c.effect.forms[0]]
-    tried, gated = list[Candidate](), list[Candidate]()
-    for candidate in offered:
-        shown = not strict.gate or excitation_of(candidate, stage.split.fit, machine).sufficient
-        (tried if shown else gated).append(candidate)
-    nuisances = [as_nuisance(c) for c in tried if strict.free and c.effect.name in stage.problem.nuisances]
-    problem = stage.problem if case.around is None else case.around.to_search(stage.problem)
-    finding = Search(
-        problem, case.theta, stage.split, stage.sigma, tried, nuisances, gated, strict, case.seed,
-        on_fit=lambda text: tell(0.0, f"{stage.label}: {text}"),
-    ).run()  # fmt: skip
-    return finding if problem is stage.problem else on_itself(finding, stage, case.theta)
 
 
 def _with_forces(gap: Gap, by_stage: Gap) -> Gap:

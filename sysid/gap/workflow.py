@@ -19,7 +19,7 @@ from sysid.gap.prove import Outcome
 from sysid.gap.result import Candidate, Excitation, GapResult, Localised, Map, Verdict
 from sysid.gap.shares import shares_of
 from sysid.gap.simulator import Simulator, name_of
-from sysid.gap.steps import Forms
+from sysid.gap.stage_search import Forms
 from sysid.gap.strictness import Strictness
 from sysid.plant import Plant, compile_plant
 from sysid.progress import Progress, part, silent
