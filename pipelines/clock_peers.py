@@ -9,7 +9,7 @@ import numpy.typing as npt
 from scipy.optimize import least_squares
 
 from clock_room import OTHER_HZ, motion
-from sysid.datasets.alignment import Pair, estimate
+from sysid.datasets.clocks.alignment import Pair, estimate
 
 Array = npt.NDArray[np.float64]
 

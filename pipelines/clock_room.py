@@ -10,8 +10,8 @@ from scipy.interpolate import CubicSpline
 from scipy.signal import butter, sosfiltfilt
 
 from sysid.datasets.channel import Channel, in_order
-from sysid.datasets.clocks import Clocked
-from sysid.datasets.set_clocks import continued
+from sysid.datasets.clocks.records import Clocked
+from sysid.datasets.clocks.set_clocks import continued
 
 Array = npt.NDArray[np.float64]
 

@@ -26,7 +26,7 @@ from clock_picture import picture
 from clock_room import EPOCH, KINDS, MACHINE_HZ, NOISE, OTHER_HZ, Room, motion, room
 from committed import provenance, write_result, write_tables
 from sysid.datasets.channel import Channel
-from sysid.datasets.clocks import Clocked, align, machine_times
+from sysid.datasets.clocks.records import Clocked, align, machine_times
 from sysid.errors import AlignmentError
 
 Array = npt.NDArray[np.float64]

@@ -19,7 +19,7 @@ import pandas as pd
 
 from sysid import __version__
 from sysid.datasets import Dataset, Store, Vacuumed, vacuum
-from sysid.datasets.clock_residual import clock_residuals
+from sysid.datasets.clocks.residual import clock_residuals
 from sysid.errors import ExcitationError, SettingsError, StoreError
 from sysid.gap import GapResult
 from sysid.gap.readiness import readiness
@@ -90,7 +90,7 @@ class Workspace:
         """Remove left-overs and dataset versions, but none that a registered model was made from.
 
         Args:
-            references, keep, dry_run: see :func:`sysid.datasets.vacuum.vacuum`.
+            references, keep, dry_run: see :func:`sysid.datasets.versions.vacuum.vacuum`.
 
         Raises:
             StoreError: no such version, or the registry cannot be asked; nothing is removed then.

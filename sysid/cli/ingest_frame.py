@@ -12,7 +12,7 @@ from sysid.cli.output import Printer, write_json
 from sysid.errors import SettingsError
 
 if TYPE_CHECKING:
-    from sysid.datasets.survey import Surveyed
+    from sysid.datasets.frames.survey import Surveyed
 
 
 def propose(paths: Sequence[Path], machine: Path | None, recipe: Path | None, json_file: str | None) -> None:
@@ -23,8 +23,8 @@ def propose(paths: Sequence[Path], machine: Path | None, recipe: Path | None, js
         InputError: a survey that does not determine the frame.
     """
     from sysid.datasets.draft import default_machine
+    from sysid.datasets.frames.survey import propose_frames
     from sysid.datasets.recipe import check_against_machine, load_recipe
-    from sysid.datasets.survey import propose_frames
     from sysid.machine import load_machine
 
     recipe = recipe if recipe is not None else next((p / "recipe.toml" for p in paths if (p / "recipe.toml").is_file()), None)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from sysid.cli.output import Printer
     from sysid.datasets import DatasetDiff, Lineage, Vacuumed
-    from sysid.datasets.diff import Change, Names
+    from sysid.datasets.versions.diff import Change, Names
     from sysid.registry import ModelVersion
 
 #: Lines of figures of quality before the rest is only counted; all of them are in the JSON.

@@ -1,15 +1,15 @@
 """Streams → immutable dataset versions: aligned, resampled, described, stored."""
 
-from sysid.datasets.append import append
-from sysid.datasets.assemble import Entry
-from sysid.datasets.diff import DatasetDiff, diff
-from sysid.datasets.frame import frame_of, load
 from sysid.datasets.ingest import ingest
-from sysid.datasets.lineage import Lineage, lineage
 from sysid.datasets.recording import ClockRecord, Dataset, Kind, Recording, Role, Source
-from sysid.datasets.store import Store
-from sysid.datasets.tables import PartTables
-from sysid.datasets.vacuum import Vacuumed, vacuum
+from sysid.datasets.versions.append import append
+from sysid.datasets.versions.assemble import Entry
+from sysid.datasets.versions.diff import DatasetDiff, diff
+from sysid.datasets.versions.frame import frame_of, load
+from sysid.datasets.versions.lineage import Lineage, lineage
+from sysid.datasets.versions.store import Store
+from sysid.datasets.versions.tables import PartTables
+from sysid.datasets.versions.vacuum import Vacuumed, vacuum
 
 __all__ = [
     "ClockRecord",

@@ -8,9 +8,9 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
-from sysid.datasets.flag import Flag
+from sysid.datasets.clocks.set_clocks import set_back_rows
+from sysid.datasets.flags.flag import Flag
 from sysid.datasets.recipe import SignalMap
-from sysid.datasets.set_clocks import set_back_rows
 from sysid.errors import InputError, nearest
 from sysid.logs import Stream
 from sysid.machine import Machine

@@ -11,15 +11,15 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from sysid.datasets.bodies import find_mounts, joints_and_points
 from sysid.datasets.channel import Channel, convert, in_order
+from sysid.datasets.clocks.set_clocks import with_stamps_carried_on
 from sysid.datasets.discover import RecordingFiles
 from sysid.datasets.flags.stamps import repaired_stamps
-from sysid.datasets.marker_sets import with_marker_sets
-from sysid.datasets.mistakes import Dropped
+from sysid.datasets.frames.bodies import find_mounts, joints_and_points
+from sysid.datasets.frames.marker_sets import with_marker_sets
+from sysid.datasets.frames.mistakes import Dropped
+from sysid.datasets.frames.rigid import POSE_FIELDS, mean_pose
 from sysid.datasets.recipe import SignalMap, StreamMap
-from sysid.datasets.rigid import POSE_FIELDS, mean_pose
-from sysid.datasets.set_clocks import with_stamps_carried_on
 from sysid.errors import InputError, SettingsError, nearest
 from sysid.logs import ReadOptions, Stream, reader_for, reader_named
 from sysid.machine import Machine

@@ -11,11 +11,10 @@ import pandas as pd
 
 from sysid.datasets.channel import Channel
 from sysid.datasets.channels import Mounts, Reading, concatenate, joined, read_channels, survey_mounts
-from sysid.datasets.clocks import Clocked, KnownSkew, align, by_source, machine_times
-from sysid.datasets.degenerate import offset_notes
+from sysid.datasets.clocks.records import Clocked, KnownSkew, align, by_source, machine_times
 from sysid.datasets.discover import RecordingFiles, discover, unmatched
 from sysid.datasets.flags.collect import flag_rows
-from sysid.datasets.manifest import Made, digest_of
+from sysid.datasets.frames.degenerate import offset_notes
 from sysid.datasets.plan import INGEST_VERSION, Plan, content_of, plan_of, settings_of, shared_mounts, sources_of
 from sysid.datasets.poses import pose_table, still_phases
 from sysid.datasets.quality import describe
@@ -23,7 +22,8 @@ from sysid.datasets.recipe import Recipe
 from sysid.datasets.recording import ClockRecord, Dataset, Recording, Role, Source
 from sysid.datasets.resample import grid, resample
 from sysid.datasets.splits import split
-from sysid.datasets.store import Store
+from sysid.datasets.versions.manifest import Made, digest_of
+from sysid.datasets.versions.store import Store
 from sysid.errors import InputError, SettingsError
 from sysid.machine import Machine
 from sysid.progress import Progress, silent

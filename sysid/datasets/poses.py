@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 import pandas as pd
 
-from sysid.datasets.bursts import BURST_PERIODS
+from sysid.datasets.clocks.bursts import BURST_PERIODS
 from sysid.datasets.recipe import StillPhases
 from sysid.errors import InputError
 

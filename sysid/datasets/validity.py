@@ -11,9 +11,9 @@ import numpy.typing as npt
 import pandas as pd
 
 from sysid.datasets.channel import Channel
-from sysid.datasets.clocks import by_source, machine_times
+from sysid.datasets.clocks.records import by_source, machine_times
 from sysid.datasets.resample import LATE_SHARE
-from sysid.datasets.store import Store
+from sysid.datasets.versions.store import Store
 from sysid.errors import StoreError, nearest
 
 Array = npt.NDArray[np.float64]

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from sysid.datasets.clock_residual import ClockResidual
+from sysid.datasets.clocks.residual import ClockResidual
 from sysid.datasets.recording import Dataset
 from sysid.gap.readiness import Readiness
 from sysid.gap.result import GapResult

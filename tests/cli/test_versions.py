@@ -14,7 +14,7 @@ from stored import MACHINE, small_dataset
 
 from sysid.cli import main
 from sysid.datasets import Store
-from sysid.datasets.manifest import Made
+from sysid.datasets.versions.manifest import Made
 from sysid.registry import ModelVersion, Registry
 from sysid.workspace import Workspace
 
@@ -173,7 +173,7 @@ def test_a_disk_that_fails_is_no_mistake_of_the_user(
         raise OSError(28, "No space left on device")
 
     record(place / "logs/r3", 3)
-    monkeypatch.setattr("sysid.datasets.local_files.LocalFiles.publish", full)
+    monkeypatch.setattr("sysid.datasets.versions.local_files.LocalFiles.publish", full)
     capsys.readouterr()
     assert run("--workspace", place / "ws", "ingest", place / "logs", "--append", "demo") == 1
     error = capsys.readouterr().err

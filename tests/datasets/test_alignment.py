@@ -9,10 +9,10 @@ import numpy.typing as npt
 import pytest
 from scipy.signal import butter, sosfiltfilt
 
-from sysid.datasets.alignment import Estimate, Pair, estimate
 from sysid.datasets.channel import Channel
-from sysid.datasets.clocks import Clocked, align, machine_times
-from sysid.datasets.coarse import coarse_lag
+from sysid.datasets.clocks.alignment import Estimate, Pair, estimate
+from sysid.datasets.clocks.coarse import coarse_lag
+from sysid.datasets.clocks.records import Clocked, align, machine_times
 from sysid.errors import AlignmentError
 
 Array = npt.NDArray[np.float64]

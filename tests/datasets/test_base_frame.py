@@ -15,12 +15,12 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from sysid.cli.app import main
-from sysid.datasets.base_frame import frame_of
-from sysid.datasets.base_markers import from_markers
-from sysid.datasets.base_turn import from_turn
-from sysid.datasets.degenerate import offset_notes
+from sysid.datasets.frames.base_frame import frame_of
+from sysid.datasets.frames.base_markers import from_markers
+from sysid.datasets.frames.base_turn import from_turn
+from sysid.datasets.frames.degenerate import offset_notes
+from sysid.datasets.frames.rigid import frame_pose, inverse
 from sysid.datasets.recipe import Frame, PointMap, Reference, StreamMap, load_recipe
-from sysid.datasets.rigid import frame_pose, inverse
 from sysid.errors import InputError, SettingsError
 from sysid.machine import Machine, load_machine
 
@@ -214,7 +214,7 @@ def test_the_axis_of_the_crane_is_found_where_the_recipe_has_it(survey: Path, ca
 def test_surveyed_bodies_of_the_crane_give_the_recipe_s_frame_back(survey: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """The bodies stand still in the reference pose: their places in the base frame serve as the survey."""
     from sysid.datasets.channels import read_streams
-    from sysid.datasets.rigid import body_poses
+    from sysid.datasets.frames.rigid import body_poses
 
     (mapping,) = [stream for stream in load_recipe(survey / "recipe.toml").streams if stream.bodies]
     known = {}
@@ -277,7 +277,7 @@ def test_an_offset_along_the_last_link_is_said_to_hide_its_length(crane: Machine
 
 
 def test_a_prismatic_axis_cannot_be_surveyed_by_turning(crane: Machine) -> None:
-    from sysid.datasets.survey import _axis_line
+    from sysid.datasets.frames.survey import _axis_line
 
     with pytest.raises(SettingsError, match="is moved by other axes"):
         _axis_line(crane, "telescope")

@@ -12,11 +12,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from sysid.datasets.bodies import Seen, find_mounts, joints_and_points
 from sysid.datasets.channels import read_streams
-from sysid.datasets.mistakes import without_mistakes
+from sysid.datasets.frames.bodies import Seen, find_mounts, joints_and_points
+from sysid.datasets.frames.mistakes import without_mistakes
+from sysid.datasets.frames.rigid import body_poses, frame_pose, inverse, mean_pose, poses_at
 from sysid.datasets.recipe import Frame, PointMap, Reference, SignalMap, StreamMap
-from sysid.datasets.rigid import body_poses, frame_pose, inverse, mean_pose, poses_at
 from sysid.errors import InputError, SettingsError
 from sysid.logs import Stream
 from sysid.machine import Machine, load_machine

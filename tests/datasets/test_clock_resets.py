@@ -9,8 +9,8 @@ import numpy.typing as npt
 import pytest
 
 from sysid.datasets.channel import Channel, in_order
-from sysid.datasets.clocks import Clocked, align, by_source, machine_times
-from sysid.datasets.set_clocks import continued, with_stamps_carried_on
+from sysid.datasets.clocks.records import Clocked, align, by_source, machine_times
+from sysid.datasets.clocks.set_clocks import continued, with_stamps_carried_on
 from sysid.errors import AlignmentError, InputError
 from sysid.logs import Stream
 from tests.datasets.test_alignment import EPOCH, motion

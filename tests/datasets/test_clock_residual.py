@@ -10,8 +10,8 @@ import pandas as pd
 import pytest
 
 from sysid.datasets import ClockRecord
-from sysid.datasets.clock_residual import clock_residuals
-from sysid.datasets.clocks import Clocked, align
+from sysid.datasets.clocks.records import Clocked, align
+from sysid.datasets.clocks.residual import clock_residuals
 from tests.datasets.test_clock_resets import set_clock
 
 

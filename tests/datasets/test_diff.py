@@ -11,7 +11,7 @@ import pytest
 from stored import MACHINE, small_dataset
 
 from sysid.datasets import ClockRecord, Recording, Store, diff, lineage
-from sysid.datasets.manifest import Made
+from sysid.datasets.versions.manifest import Made
 from sysid.errors import StoreError
 from sysid.machine import machine_from_files
 

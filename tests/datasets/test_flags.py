@@ -14,8 +14,8 @@ from scipy.signal import lfilter
 
 from sysid.datasets import Store, ingest
 from sysid.datasets.channel import in_order
-from sysid.datasets.flag import KINDS, MAX_FLAGS, Flag
 from sysid.datasets.flags import dropouts, jitter, jumps, outliers, repaired_stamps, saturation, stuck
+from sysid.datasets.flags.flag import KINDS, MAX_FLAGS, Flag
 from sysid.datasets.flags.standing import Witness
 from sysid.datasets.flags.values import SPIKE_SAMPLES, noise_scale, sensor_step
 

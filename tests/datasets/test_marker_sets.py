@@ -12,10 +12,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from sysid.datasets.bodies import joints_and_points
-from sysid.datasets.marker_sets import rigid_body, with_marker_sets
+from sysid.datasets.frames.bodies import joints_and_points
+from sysid.datasets.frames.marker_sets import rigid_body, with_marker_sets
+from sysid.datasets.frames.rigid import body_poses
 from sysid.datasets.recipe import Frame, PointMap, StreamMap, load_recipe
-from sysid.datasets.rigid import body_poses
 from sysid.errors import InputError, SettingsError
 from sysid.logs import Stream
 from sysid.machine import Machine, load_machine

@@ -15,7 +15,7 @@ from killed import killed_at_every_step
 
 from sysid.datasets import Dataset, Store, ingest
 from sysid.datasets.channel import Channel
-from sysid.datasets.manifest import Made
+from sysid.datasets.versions.manifest import Made
 from sysid.errors import StoreError
 
 MACHINE = """schema = 1

@@ -20,8 +20,8 @@ from killed import PRELOAD, killed_at_every_step
 from stored import small_dataset
 
 from sysid.datasets import Store, vacuum
-from sysid.datasets.local_files import LocalFiles
-from sysid.datasets.manifest import Made, to_text
+from sysid.datasets.versions.local_files import LocalFiles
+from sysid.datasets.versions.manifest import Made, to_text
 from sysid.errors import StorageError, StoreError
 
 BETWEEN = multiprocessing.get_context("forkserver")

@@ -11,7 +11,7 @@ from killed import killed_at_every_step
 from stored import small_dataset
 
 from sysid.datasets import Store, lineage, vacuum
-from sysid.datasets.manifest import Made
+from sysid.datasets.versions.manifest import Made
 from sysid.errors import SettingsError, StoreError
 
 

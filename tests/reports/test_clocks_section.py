@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from sysid.datasets import Dataset
-from sysid.datasets.clock_residual import clock_residuals
-from sysid.datasets.clocks import align
+from sysid.datasets.clocks.records import align
+from sysid.datasets.clocks.residual import clock_residuals
 from sysid.reports import ReportInputs, build_report
 from sysid.reports.sections import clocks
 from tests.datasets.test_clock_resets import set_clock

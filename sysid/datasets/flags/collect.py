@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from sysid.datasets.channel import Channel, seconds
-from sysid.datasets.clocks import Clocked, by_source, machine_times
-from sysid.datasets.flag import KINDS, Array, Flag, Mask
+from sysid.datasets.clocks.records import Clocked, by_source, machine_times
+from sysid.datasets.flags.flag import KINDS, Array, Flag, Mask
 from sysid.datasets.flags.stamps import dropouts, jitter
 from sysid.datasets.flags.standing import Witness, saturation, stuck
 from sysid.datasets.flags.values import jumps, outliers

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from sysid.datasets.flag import Array, Flag, thinned
+from sysid.datasets.flags.flag import Array, Flag, thinned
 
 #: Stamps are uneven where nine intervals in ten spread over more than this share of the median one. Below it the instant a
 #: sample was taken at is known to a quarter of a period.

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sysid.datasets.flag import Array, Flag, Mask, shown, thinned
+from sysid.datasets.flags.flag import Array, Flag, Mask, shown, thinned
 from sysid.datasets.flags.values import sensor_step
 
 #: A noisy sensor that repeats its value this often, and this long, is stuck [samples, s]; ten equal values of a sensor that

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from sysid.datasets.flag import Array, Flag, shown, thinned
+from sysid.datasets.flags.flag import Array, Flag, shown, thinned
 
 #: A spike is at most this many samples long; what lasts longer are two jumps.
 SPIKE_SAMPLES = 5

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from sysid.datasets.channels import Reading
-from sysid.datasets.clocks import by_source
+from sysid.datasets.clocks.records import by_source
 from sysid.datasets.quality.remarks import axis_remarks, longest_run
 from sysid.datasets.quality.streams import cross_checks, key_of, stream_figures
 from sysid.datasets.quality.use import Scale, level_of, scales_of, use_of

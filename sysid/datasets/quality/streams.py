@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from sysid.datasets.channel import Channel
 from sysid.datasets.channels import Reading
-from sysid.datasets.clocks import Clocked, machine_times
+from sysid.datasets.clocks.records import Clocked, machine_times
 from sysid.datasets.quality.noise import noise_of
 from sysid.datasets.recording import ClockRecord
 

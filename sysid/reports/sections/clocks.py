@@ -6,7 +6,7 @@ from typing import Any
 
 from markupsafe import Markup
 
-from sysid.datasets.clock_residual import ClockResidual, PairResidual
+from sysid.datasets.clocks.residual import ClockResidual, PairResidual
 from sysid.datasets.recording import Dataset
 from sysid.reports import display, words
 from sysid.reports.charts import Line, chart

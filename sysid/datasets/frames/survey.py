@@ -10,14 +10,14 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from sysid.datasets.base_frame import Proposal
-from sysid.datasets.base_markers import from_markers
-from sysid.datasets.base_turn import from_turn
-from sysid.datasets.bodies import STILL, stamps_of
 from sysid.datasets.channel import in_order, seconds
 from sysid.datasets.channels import read_streams
+from sysid.datasets.frames.base_frame import Proposal
+from sysid.datasets.frames.base_markers import from_markers
+from sysid.datasets.frames.base_turn import from_turn
+from sysid.datasets.frames.bodies import STILL, stamps_of
+from sysid.datasets.frames.rigid import body_poses, frame_pose, has_rotation, inverse, marker_places
 from sysid.datasets.recipe import Frame, Recipe, StreamMap, Survey
-from sysid.datasets.rigid import body_poses, frame_pose, has_rotation, inverse, marker_places
 from sysid.errors import InputError, SettingsError, nearest
 from sysid.logs import Stream
 from sysid.machine import Machine

@@ -13,11 +13,11 @@ import numpy as np
 import numpy.typing as npt
 import pandas as pd
 
-from sysid.datasets.alignment import BLOCK_S, pairs_of
 from sysid.datasets.channel import Channel
-from sysid.datasets.coarse import Pair
-from sysid.datasets.motion_band import moves, smoothed
-from sysid.datasets.motion_fit import PairFit, Sums, prepared
+from sysid.datasets.clocks.alignment import BLOCK_S, pairs_of
+from sysid.datasets.clocks.coarse import Pair
+from sysid.datasets.clocks.motion_band import moves, smoothed
+from sysid.datasets.clocks.motion_fit import PairFit, Sums, prepared
 from sysid.datasets.recording import ClockRecord
 
 Array = npt.NDArray[np.float64]
@@ -48,7 +48,7 @@ class PairResidual:
 
 @dataclass(frozen=True)
 class ClockResidual:
-    """One clock record beside what each stretch of :data:`~sysid.datasets.alignment.BLOCK_S` says alone.
+    """One clock record beside what each stretch of :data:`~sysid.datasets.clocks.alignment.BLOCK_S` says alone.
 
     Args:
         times: of the blocks on the machine's clock (b,) [s].

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pandas as pd
 
-from sysid.datasets.manifest import Manifest, clock_from
 from sysid.datasets.recording import Dataset, Recording, Source
+from sysid.datasets.versions.manifest import Manifest, clock_from
 from sysid.errors import StoreError
 from sysid.machine import machine_from_files
 

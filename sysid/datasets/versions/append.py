@@ -13,15 +13,15 @@ from typing import Any, get_args
 import numpy as np
 
 from sysid.datasets.channels import Mounts, survey_mounts
-from sysid.datasets.clocks import known_skews
+from sysid.datasets.clocks.records import known_skews
 from sysid.datasets.discover import RecordingFiles, discover
 from sysid.datasets.ingest import walk
-from sysid.datasets.manifest import Manifest, clock_from, digest_of
 from sysid.datasets.plan import content_of, plan_of, sources_of
 from sysid.datasets.recipe import Splits, stored_recipe
 from sysid.datasets.recording import Dataset, Recording, Role, Source
 from sysid.datasets.splits import split
-from sysid.datasets.store import Store
+from sysid.datasets.versions.manifest import Manifest, clock_from, digest_of
+from sysid.datasets.versions.store import Store
 from sysid.errors import InputError, SettingsError, nearest
 from sysid.machine import Machine, machine_from_files
 from sysid.progress import Progress, silent

@@ -7,9 +7,9 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from typing import Any
 
-from sysid.datasets.manifest import Manifest, clock_from
 from sysid.datasets.recording import ClockRecord, Source
-from sysid.datasets.store import Store
+from sysid.datasets.versions.manifest import Manifest, clock_from
+from sysid.datasets.versions.store import Store
 from sysid.errors import StoreError
 
 

@@ -10,8 +10,8 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
-from sysid.datasets.files import explained
-from sysid.datasets.store import Store, manifest_path
+from sysid.datasets.versions.files import explained
+from sysid.datasets.versions.store import Store, manifest_path
 from sysid.errors import SettingsError, StoreError, nearest
 
 #: Tables without a manifest may be those of a writer at work where nothing is locked: they are left alone for so long [s].

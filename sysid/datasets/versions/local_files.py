@@ -16,7 +16,7 @@ from pathlib import Path
 from stat import S_ISREG
 from typing import BinaryIO
 
-from sysid.datasets.files import TakenError, explained
+from sysid.datasets.versions.files import TakenError, explained
 from sysid.errors import StoreError
 
 #: How long a writer waits for another one [s].

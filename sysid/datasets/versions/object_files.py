@@ -11,7 +11,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any, BinaryIO, cast
 
-from sysid.datasets.files import TakenError
+from sysid.datasets.versions.files import TakenError
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ from itertools import pairwise
 import numpy as np
 import numpy.typing as npt
 
-from sysid.datasets.base_frame import Proposal, frame_of, main_extents, rms_of, three
+from sysid.datasets.frames.base_frame import Proposal, frame_of, main_extents, rms_of, three
 from sysid.errors import InputError
 
 Array = npt.NDArray[np.float64]

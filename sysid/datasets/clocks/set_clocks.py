@@ -1,7 +1,7 @@
 """Stamps of a clock that was set back, or ran over, while it recorded: told from late messages, and carried on.
 
 Stamps after a step back are shifted so that they follow the ones before by one sample period, as if nothing had happened. If
-the device paused meanwhile, its offset steps there, and the motion shows by how much: see :mod:`sysid.datasets.resets`.
+the device paused meanwhile, its offset steps there, and the motion shows by how much: see :mod:`sysid.datasets.clocks.resets`.
 """
 
 from __future__ import annotations

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 
-from sysid.datasets.coarse import Pair
+from sysid.datasets.clocks.coarse import Pair
 from sysid.datasets.resample import slopes
 
 Array = npt.NDArray[np.float64]

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sysid.datasets.alignment import Estimate
+from sysid.datasets.clocks.alignment import Estimate
 from sysid.datasets.recording import ClockRecord
 
 #: The skew is applied where its 95 % interval is no wider than this to either side [ppm], and where this long a motion has

@@ -14,8 +14,8 @@ import numpy as np
 import pandas as pd
 
 from sysid.datasets.channel import Channel
-from sysid.datasets.files import Files
 from sysid.datasets.recording import Dataset
+from sysid.datasets.versions.files import Files
 from sysid.errors import StoreError
 
 if TYPE_CHECKING:

@@ -80,8 +80,8 @@ class Files(Protocol):
 
 def open_files(workspace: str | Path) -> Files:
     """Files of a local workspace, or of an object store where ``workspace`` is a URL."""
-    from sysid.datasets.local_files import LocalFiles
-    from sysid.datasets.object_files import ObjectFiles
+    from sysid.datasets.versions.local_files import LocalFiles
+    from sysid.datasets.versions.object_files import ObjectFiles
 
     if "://" not in str(workspace):
         return LocalFiles(Path(workspace))

@@ -24,10 +24,11 @@ from typing import TYPE_CHECKING
 
 import pandas as pd
 
-from sysid.datasets.assemble import Entry, dataset_of, entry_of
 from sysid.datasets.channel import Channel
-from sysid.datasets.files import Files, TakenError, explained, open_files
-from sysid.datasets.manifest import (
+from sysid.datasets.recording import Dataset, Role
+from sysid.datasets.versions.assemble import Entry, dataset_of, entry_of
+from sysid.datasets.versions.files import Files, TakenError, explained, open_files
+from sysid.datasets.versions.manifest import (
     Made,
     Manifest,
     appended,
@@ -38,14 +39,13 @@ from sysid.datasets.manifest import (
     split_digest,
     to_text,
 )
-from sysid.datasets.recording import Dataset, Role
-from sysid.datasets.tables import PartTables, is_there, read_table, write_channels, write_samples
+from sysid.datasets.versions.tables import PartTables, is_there, read_table, write_channels, write_samples
 from sysid.errors import StoreError, nearest
 
 if TYPE_CHECKING:
     import pyarrow as pa
 
-    from sysid.datasets.diff import DatasetDiff
+    from sysid.datasets.versions.diff import DatasetDiff
 
 #: What a failed write leaves, for its message.
 _STATE = "no version was made, those that are there are whole"
@@ -116,8 +116,8 @@ class Store:
         )
 
     def diff(self, before: str, after: str) -> DatasetDiff:
-        """How version ``after`` differs from version ``before``: see :func:`sysid.datasets.diff.diff`."""
-        from sysid.datasets.diff import diff
+        """How version ``after`` differs from version ``before``: see :func:`sysid.datasets.versions.diff.diff`."""
+        from sysid.datasets.versions.diff import diff
 
         return diff(self, before, after)
 

@@ -15,11 +15,11 @@ import numpy as np
 import numpy.typing as npt
 
 from sysid.datasets.channel import in_order, seconds
-from sysid.datasets.flag import Flag
-from sysid.datasets.mistakes import Dropped, without_mistakes
+from sysid.datasets.flags.flag import Flag
+from sysid.datasets.frames.mistakes import Dropped, without_mistakes
+from sysid.datasets.frames.rigid import body_poses, inverse, marker_poses, mean_pose, poses_at
 from sysid.datasets.recipe import Reference, StreamMap
 from sysid.datasets.resample import GAP_PERIODS
-from sysid.datasets.rigid import body_poses, inverse, marker_poses, mean_pose, poses_at
 from sysid.errors import InputError, SettingsError, nearest
 from sysid.logs import Stream
 from sysid.machine import Kinematics, Machine

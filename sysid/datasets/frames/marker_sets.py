@@ -15,8 +15,8 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
+from sysid.datasets.frames.rigid import marker_places
 from sysid.datasets.recipe import StreamMap
-from sysid.datasets.rigid import marker_places
 from sysid.errors import InputError, SettingsError, nearest
 from sysid.logs import Stream
 

@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 
 from sysid.datasets.recording import Dataset
-from sysid.datasets.store import Store
+from sysid.datasets.versions.store import Store
 
 
 def load(reference: str, workspace: str | os.PathLike[str] | None = None) -> pd.DataFrame:

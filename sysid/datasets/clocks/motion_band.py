@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
-from sysid.datasets.coarse import Pair, noise_of
+from sysid.datasets.clocks.coarse import Pair, noise_of
 from sysid.datasets.resample import low_pass
 
 Array = npt.NDArray[np.float64]

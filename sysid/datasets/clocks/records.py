@@ -14,12 +14,12 @@ from itertools import pairwise
 import numpy as np
 import numpy.typing as npt
 
-from sysid.datasets.alignment import Pair, conditional, pairs_of
-from sysid.datasets.bursts import match_bursts
 from sysid.datasets.channel import Channel, seconds
+from sysid.datasets.clocks.alignment import Pair, conditional, pairs_of
+from sysid.datasets.clocks.bursts import match_bursts
+from sysid.datasets.clocks.resets import Piece, pieces
+from sysid.datasets.clocks.skews import KnownSkew, Skew, alone, known_skews, pooled, quantile
 from sysid.datasets.recording import ClockRecord, Kind
-from sysid.datasets.resets import Piece, pieces
-from sysid.datasets.skews import KnownSkew, Skew, alone, known_skews, pooled, quantile
 from sysid.errors import AlignmentError, InputError
 
 Array = npt.NDArray[np.float64]

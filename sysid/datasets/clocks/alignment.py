@@ -27,9 +27,9 @@ import numpy as np
 import numpy.typing as npt
 
 from sysid.datasets.channel import Channel, seconds
-from sysid.datasets.coarse import Pair, coarse_lag
-from sysid.datasets.motion_band import moves, smoothed
-from sysid.datasets.motion_fit import PairFit, Sums, prepared
+from sysid.datasets.clocks.coarse import Pair, coarse_lag
+from sysid.datasets.clocks.motion_band import moves, smoothed
+from sysid.datasets.clocks.motion_fit import PairFit, Sums, prepared
 from sysid.signals import split_signal
 
 __all__ = ["Estimate", "Pair", "conditional", "estimate", "pairs_of"]

@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from sysid.datasets.manifest import Manifest
 from sysid.datasets.recording import Recording
-from sysid.datasets.store import Store
+from sysid.datasets.versions.manifest import Manifest
+from sysid.datasets.versions.store import Store
 
 #: Numbers of the quality that differ by less than this share are the same.
 SAME_SHARE = 1e-9

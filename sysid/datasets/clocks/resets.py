@@ -15,9 +15,9 @@ from itertools import pairwise
 import numpy as np
 import numpy.typing as npt
 
-from sysid.datasets.alignment import BLOCK_S, Blocks, Estimate, Pair, estimate
-from sysid.datasets.motion_band import moves, smoothed
-from sysid.datasets.motion_fit import PairFit, prepared
+from sysid.datasets.clocks.alignment import BLOCK_S, Blocks, Estimate, Pair, estimate
+from sysid.datasets.clocks.motion_band import moves, smoothed
+from sysid.datasets.clocks.motion_fit import PairFit, prepared
 
 Array = npt.NDArray[np.float64]
 

@@ -1,0 +1,1 @@
+"""Dataset versions: written once, addressed by content, appended to, compared, traced and cleared away."""
