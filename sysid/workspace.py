@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import importlib.metadata
 import os
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime
 from functools import cached_property
@@ -34,7 +34,7 @@ from sysid.networks import (
     to_files,
 )
 from sysid.plant import Plant, free_run, nominal_plant, plant_from_files
-from sysid.registry import ModelVersion, Registry
+from sysid.registry import CHAMPION, ModelVersion, Registry, made_from_dataset
 from sysid.reports import ReportInputs, VersionNote
 from sysid.reports.archive import load_gap, save_gap
 from sysid.validate import ValidationReport, validate_model
@@ -84,7 +84,7 @@ class Workspace:
 
     def made_from(self, reference: str, digest: str) -> tuple[ModelVersion, ...]:
         """The model versions that were made from a dataset version, directly or through another model."""
-        return _made_from(self.models.list(), reference, digest)
+        return made_from_dataset(self.models.list(), reference, digest)
 
     def vacuum(self, references: Sequence[str] = (), keep: int | None = None, dry_run: bool = False) -> Vacuumed:
         """Remove left-overs and dataset versions, but none that a registered model was made from.
@@ -98,7 +98,7 @@ class Workspace:
         versions = self.models.list()
 
         def users(reference: str, digest: str) -> list[str]:
-            return [f"{version.kind} {version.reference}" for version in _made_from(versions, reference, digest)]
+            return [f"{version.kind} {version.reference}" for version in made_from_dataset(versions, reference, digest)]
 
         return vacuum(self.datasets, users, references, keep, dry_run)
 
@@ -112,10 +112,11 @@ class Workspace:
         return self.models.register(f"{dataset.name}-{kind}", kind, files, lineage, metrics)
 
     def network_version(self, dataset: Dataset, kind: str) -> ModelVersion | None:
-        """The newest network of ``kind`` fitted on this dataset version, else on any version of the dataset."""
+        """The network of ``kind`` fitted on this dataset version, else on any version of the dataset: the champion if it is
+        one of them, else the newest."""
         versions = [version for version in self.models.list(kind) if version.name == f"{dataset.name}-{kind}"]
         exact = [version for version in versions if version.lineage.get("dataset_digest") == dataset.digest]
-        return max(exact or versions, key=lambda version: version.version, default=None)
+        return max(exact or versions, key=lambda version: (CHAMPION in version.aliases, version.version), default=None)
 
     def network(self, reference: str) -> Model:
         """The actuator or forward network ``name@version``.
@@ -245,30 +246,6 @@ class Workspace:
             if "@" in reference:
                 notes.append(_note(self.models.find(reference)))
         return tuple(notes)
-
-
-def _made_from(versions: Sequence[ModelVersion], reference: str, digest: str) -> tuple[ModelVersion, ...]:
-    wanted = {reference, digest} - {""}
-    users = {v.reference for v in versions if wanted & {*_named_in(v.lineage, datasets=True)}}
-    parents = {v.reference: {*_named_in(v.lineage, datasets=False)} for v in versions}
-    while more := {name for name, own in parents.items() if name not in users and own & users}:
-        users |= more
-    return tuple(version for version in versions if version.reference in users)
-
-
-def _named_in(value: Any, datasets: bool, key: str = "") -> Iterator[str]:
-    """The texts of a lineage at any depth: of its keys that speak of datasets, or of all others.
-
-    A plant and a dataset may have the same name, so that ``autolog@1`` alone does not say which of them is meant.
-    """
-    if isinstance(value, Mapping):
-        for name, item in value.items():
-            yield from _named_in(item, datasets, str(name))
-    elif isinstance(value, list | tuple):
-        for item in value:
-            yield from _named_in(item, datasets, key)
-    elif isinstance(value, str) and ("dataset" in key) == datasets:
-        yield value
 
 
 def _note(version: ModelVersion) -> VersionNote:

@@ -10,6 +10,7 @@ A repair is promoted where
 4. none grows in the PyBullet world beyond what the compiled plant accounts for. A world that cannot be had is not asked.
 
 Nothing is deleted and nothing overwritten: the version before stays, and :meth:`sysid.registry.Registry.promote` sets it back.
+The decision is :func:`sysid.registry.decide`, which records it with the version.
 """
 
 from __future__ import annotations
@@ -17,8 +18,9 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 from sysid.errors import StoreError
-from sysid.gap.result import Check, Gap, Promotion, WorldGap
-from sysid.registry import ModelVersion, Registry
+from sysid.gap.result import Gap, WorldGap
+from sysid.registry import Check, Decision, ModelVersion, Registry
+from sysid.registry.promotion import now_ms
 
 #: A gap has grown if it exceeds this many standard deviations of the noise floor.
 SURE = 3.0
@@ -96,33 +98,15 @@ def world_check(found: WorldGap | None, spread: Mapping[str, float], units: Mapp
     return Check("world", "passed", f"none of {len(found.world.before)} signals is further off in the PyBullet world")
 
 
-def promote(registry: Registry, version: str, until_now: ModelVersion | None, checks: Sequence[Check]) -> Promotion:
-    """Promote a stored version if all checks pass; say why not otherwise.
-
-    Args:
-        until_now: what was promoted when the checks were made.
-
-    """
-    previous = until_now.reference if until_now is not None else ""
-    failed = [check for check in checks if check.status == "failed"]
-    if failed:
-        return Promotion(version, previous, previous, tuple(checks), "; ".join(check.text for check in failed))
-    if version != previous:
-        try:
-            registry.promote(version, instead_of=until_now)
-        except StoreError as error:  # the version is stored, and the next time it may be promoted
-            now = registry.promoted(version.partition("@")[0])
-            return Promotion(version, now.reference if now else "", previous, tuple(checks), str(error))
-    return Promotion(version, version, previous, tuple(checks))
-
-
 def first_promotion(registry: Registry, version: str) -> ModelVersion:
     """What the name means before the first repair is judged: the promoted version, else from now on the questioned one."""
     name = version.partition("@")[0]
     until_now = registry.promoted(name)
     if until_now is None:
         try:
-            return registry.promote(version, instead_of=None)
+            judged = {"by": "sysid gap", "as": "questioned before any repair"}
+            first = Decision(True, "", (), judged=judged, decided_ms=now_ms())
+            return registry.promote(version, instead_of=None, decision=first)
         except StoreError:
             until_now = registry.promoted(name)
             if until_now is None:

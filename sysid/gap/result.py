@@ -9,6 +9,9 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import pandas as pd
 
+from sysid.registry.promotion import Check as Check
+from sysid.registry.promotion import Promotion as Promotion
+
 if TYPE_CHECKING:
     from sysid.gap.experiment.experiment import Experiment
 
@@ -168,38 +171,6 @@ class WorldGap:
     recordings: tuple[str, ...] = ()
     seconds: float = 0.0
     skipped: str = ""
-
-
-@dataclass(frozen=True)
-class Check:
-    """One condition of a promotion: what was looked at, whether it holds, and the figures in words."""
-
-    name: str
-    status: Literal["passed", "failed", "left out"]
-    text: str
-
-
-@dataclass(frozen=True)
-class Promotion:
-    """Whether a stored repair became the version that its name alone means.
-
-    Args:
-        version: the stored repair, ``name@version``.
-        current: what the name alone means now.
-        previous: what it meant before; empty where nothing had been promoted.
-        checks: what was asked of the proof.
-        reason: why it was not promoted; empty where it was.
-    """
-
-    version: str
-    current: str
-    previous: str
-    checks: tuple[Check, ...]
-    reason: str = ""
-
-    @property
-    def promoted(self) -> bool:
-        return not self.reason
 
 
 @dataclass(frozen=True)

@@ -25,7 +25,6 @@ from sysid.gap.excitation import advice, advice_on_tie, excitation_of
 from sysid.gap.floor import floor_spread, run_floor
 from sysid.gap.lineage import lineage_of
 from sysid.gap.promotion import first_promotion, free_run_check, names_check, stages_check, world_check
-from sysid.gap.promotion import promote as promote_version
 from sysid.gap.prove import Outcome, held_out_score, judge, stage_gap, with_carried
 from sysid.gap.result import Check, Excitation, Gap, Localised, Promotion, Traces, WorldGap
 from sysid.gap.simulator import Simulator
@@ -35,6 +34,7 @@ from sysid.gap.world_proof import world_gap
 from sysid.plant import Plant, machine_difference, plant_from_files
 from sysid.plant.uncertainty import NONE
 from sysid.progress import Progress, silent
+from sysid.registry import decide
 
 if TYPE_CHECKING:
     from sysid.datasets.recording import Dataset
@@ -223,7 +223,8 @@ def machine_diff(study: Study, proof: Proof) -> str:
 def promote(study: Study, proof: Proof, registry: Registry, version: str) -> Promotion:
     """Let the name of a stored repair mean it from now on, if the proof is good enough (:mod:`sysid.gap.promotion`)."""
     until_now = registry.promoted(version.partition("@")[0])
-    return promote_version(registry, version, until_now, _checks(study, proof, registry, version, until_now))
+    checks = _checks(study, proof, registry, version, until_now)
+    return decide(registry, version, until_now, checks, {"by": "sysid gap", "dataset": study.case.dataset.reference})
 
 
 def _checks(study: Study, proof: Proof, registry: Registry, version: str, until_now: ModelVersion | None) -> tuple[Check, ...]:

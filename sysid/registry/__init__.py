@@ -1,6 +1,22 @@
 """Versions of networks, plants and policies with their lineage, in an MLflow model registry (loaded late)."""
 
+from sysid.registry.lineage import made_from, made_from_dataset, made_of
+from sysid.registry.promotion import Check, Decision, Promotion, decide
 from sysid.registry.registry import Registry
-from sysid.registry.version import KINDS, PROMOTED, Kind, ModelVersion
+from sysid.registry.version import CANDIDATE, CHAMPION, KINDS, Kind, ModelVersion
 
-__all__ = ["KINDS", "PROMOTED", "Kind", "ModelVersion", "Registry"]
+__all__ = [
+    "CANDIDATE",
+    "CHAMPION",
+    "KINDS",
+    "Check",
+    "Decision",
+    "Kind",
+    "ModelVersion",
+    "Promotion",
+    "Registry",
+    "decide",
+    "made_from",
+    "made_from_dataset",
+    "made_of",
+]

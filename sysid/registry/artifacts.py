@@ -47,12 +47,15 @@ class FolderArtifacts:
             shutil.rmtree(dead)
         if not _holds(target, contents):
             partial = Path(tempfile.mkdtemp(prefix=_PARTIAL, dir=self.folder))
-            for name, content in contents.items():
-                _write_through(partial / name, content)
-            _sync_folder(partial)
-            if target.exists():  # damaged: this call brings the true content
-                shutil.rmtree(target)
-            partial.rename(target)
+            try:
+                for name, content in contents.items():
+                    _write_through(partial / name, content)
+                _sync_folder(partial)
+                if target.exists():  # damaged: this call brings the true content
+                    shutil.rmtree(target)
+                partial.rename(target)
+            finally:
+                shutil.rmtree(partial, ignore_errors=True)
             _sync_folder(self.folder)
         return target.resolve().as_uri(), None
 

@@ -10,9 +10,20 @@ from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import Any
 
-from sysid.errors import StoreError
+from sysid.errors import StorageError, StoreError
 
 SQLITE = "sqlite:///"
+
+#: What is left of work that the disk ended.
+UNTOUCHED = "nothing was registered, the versions that are there are whole"
+MEND = "Make room, or name a workspace that may be written, and run the command again."
+#: What sqlite says when the disk is full, quota is used up, or nothing may be written.
+_REFUSED = (
+    "database or disk is full",
+    "disk I/O error",
+    "attempt to write a readonly database",
+    "unable to open database file",
+)
 
 
 def open_client(uri: str) -> Any:
@@ -49,12 +60,27 @@ def translated(uri: str) -> Iterator[None]:
         text = str(error)
         if "database is locked" in text:
             raise locked(uri) from None
+        refused = next((words for words in _REFUSED if words in text), None)
+        if refused is not None:
+            raise StorageError(f"model registry {uri}", f"cannot be written ({refused}); {UNTOUCHED}", remedy=MEND) from None
         raise StoreError(
             f"model registry {uri}",
             text.splitlines()[0],
             "a registry that answers",
             "Check the address and that it is running.",
         ) from None
+
+
+@contextmanager
+def written(where: object) -> Iterator[None]:
+    """What the disk refuses, as a :class:`StorageError` that says how the registry stands."""
+    try:
+        yield
+    except TimeoutError:  # a lock that somebody holds is no fault of the disk
+        raise
+    except OSError as error:
+        found = f"cannot be written ({error.strerror or error}); {UNTOUCHED}"
+        raise StorageError(f"model registry {where}", found, remedy=MEND) from None
 
 
 def locked(where: object) -> StoreError:

@@ -21,9 +21,12 @@ from filelock import FileLock, Timeout
 
 from sysid.errors import StoreError, nearest
 from sysid.registry.artifacts import ArtifactStore, FolderArtifacts, RunArtifacts, checked
-from sysid.registry.client import SQLITE, locked, open_client, probe_sqlite, translated
+from sysid.registry.client import SQLITE, locked, open_client, probe_sqlite, translated, written
+from sysid.registry.entries import DIGEST, MANIFEST, METRICS, decision_key, entries, model_names
+from sysid.registry.promotion import Decision
 from sysid.registry.version import (
-    PROMOTED,
+    CANDIDATE,
+    CHAMPION,
     ModelVersion,
     check_alias,
     check_files,
@@ -37,9 +40,6 @@ from sysid.registry.version import (
 
 #: Environment variable with the address of an MLflow server that is used instead of the workspace's own registry.
 URI_VARIABLE = "SYSID_REGISTRY_URI"
-
-_DIGEST, _MANIFEST, _METRICS = "sysid.digest", "sysid.manifest", "sysid.metrics"
-_PAGE = 1000
 
 
 class Registry:
@@ -78,6 +78,7 @@ class Registry:
         Raises:
             SettingsError: a name, kind, file or lineage that cannot be stored.
             StoreError: the registry is locked or cannot be reached; the name belongs to another kind.
+            StorageError: the disk is full, or may not be written; nothing is registered then.
         """
         place = f"model {check_name(name)}"
         check_kind(kind)
@@ -98,14 +99,16 @@ class Registry:
             if same and not self._own:
                 return same[0]
             # For the workspace's own folder the write is repeated: it is free when all is well and repairs damaged files.
-            source, run = self._artifacts.write(digest, files, text)
+            with written(self._workspace):
+                source, run = self._artifacts.write(digest, files, text)
             if same:
                 return same[0]
             with translated(self.uri):
                 self._create_model(name)
-                self._client.create_model_version(
-                    name, source, run_id=run, tags={_DIGEST: digest, _MANIFEST: text, _METRICS: figures}
+                made = self._client.create_model_version(
+                    name, source, run_id=run, tags={DIGEST: digest, MANIFEST: text, METRICS: figures}
                 )
+                self._client.set_registered_model_alias(name, CANDIDATE, str(made.version))
             return next(version for version in self._versions(name) if version.digest == digest)
 
     def load(self, reference: str) -> ModelVersion:
@@ -148,26 +151,41 @@ class Registry:
         if not self._exists():
             return None
         self._probe(write=False)
-        return next((version for version in self._versions(name) if PROMOTED in version.aliases), None)
+        return next((version for version in self._versions(name) if CHAMPION in version.aliases), None)
 
-    def promote(self, reference: str, *, instead_of: ModelVersion | None) -> ModelVersion:
+    def promote(self, reference: str, *, instead_of: ModelVersion | None, decision: Decision | None = None) -> ModelVersion:
         """Let the name alone mean this version from now on; the others stay.
 
         Args:
             instead_of: the promoted version that was looked at when this was decided (None: there was none).
+            decision: recorded with the version.
 
         Raises:
             StoreError: another one was promoted in the meantime, so that the decision is about something that is no more.
         """
-        return self.set_alias(reference, PROMOTED, instead_of=instead_of)
+        return self.set_alias(reference, CHAMPION, instead_of=instead_of, decision=decision)
+
+    def record(self, reference: str, decision: Decision) -> ModelVersion:
+        """Keep a decision with a version; one that says what the last one said is not repeated."""
+        with self._locked():
+            version = self.find(reference)
+            with translated(self.uri):
+                self._record(version, decision)
+            return self.find(version.reference)
 
     def set_alias(
-        self, reference: str, alias: str, *, instead_of: ModelVersion | Literal["any"] | None = "any"
+        self,
+        reference: str,
+        alias: str,
+        *,
+        instead_of: ModelVersion | Literal["any"] | None = "any",
+        decision: Decision | None = None,
     ) -> ModelVersion:
-        """Let ``name@alias`` mean this version from now on.
+        """Let ``name@alias`` mean this version from now on. A champion is a candidate no longer.
 
         Args:
             instead_of: the version that the alias has to mean until now (None: no version).
+            decision: recorded with the version.
 
         Raises:
             StoreError: no such version, or the alias means another one than ``instead_of``.
@@ -186,7 +204,11 @@ class Registry:
                         "It was changed in the meantime; look at it and decide again.",
                     )
             with translated(self.uri):
+                if decision is not None:  # before the alias: what is in use has its reason
+                    self._record(version, decision)
                 self._client.set_registered_model_alias(version.name, alias, str(version.version))
+                if alias == CHAMPION and CANDIDATE in version.aliases:
+                    self._client.delete_registered_model_alias(version.name, CANDIDATE)
             return self.find(version.reference)
 
     @functools.cached_property
@@ -206,10 +228,11 @@ class Registry:
     @contextmanager
     def _locked(self) -> Iterator[None]:
         """One writer at a time, also across processes; also keeps two from creating the tables together."""
-        self._workspace.mkdir(parents=True, exist_ok=True)
         lock = FileLock(self._workspace / "registry.lock")
         try:
-            lock.acquire(timeout=self._wait_s)
+            with written(self._workspace):
+                self._workspace.mkdir(parents=True, exist_ok=True)
+                lock.acquire(timeout=self._wait_s)
         except Timeout:
             raise locked(self._workspace) from None
         try:
@@ -234,51 +257,25 @@ class Registry:
     def _find(self, reference: str) -> tuple[ModelVersion, str]:
         name, selector = split_reference(reference)
         self._probe(write=False)
-        entries = self._entries(name) if self._exists() else []
-        if not entries:
+        found = self._entries(name) if self._exists() else []
+        if not found:
             known = [known for known in self._names() if self._versions(known)] if self._exists() else []
             raise StoreError(f"model registry {self.uri}", f"no model {name!r}", nearest(name, known))
-        chosen = choose([version for version, _ in entries], name, selector)
-        return next(entry for entry in entries if entry[0] == chosen)
+        chosen = choose([version for version, _ in found], name, selector)
+        return next(entry for entry in found if entry[0] == chosen)
 
     def _names(self) -> builtins.list[str]:
-        names: builtins.list[str] = []
-        token = None
         with translated(self.uri):
-            while True:
-                page = self._client.search_registered_models(max_results=_PAGE, page_token=token)
-                names += [model.name for model in page]
-                token = page.token
-                if not token:
-                    return sorted(names)
+            return model_names(self._client)
 
     def _versions(self, name: str) -> builtins.list[ModelVersion]:
         return [version for version, _ in self._entries(name)]
 
     def _entries(self, name: str) -> builtins.list[tuple[ModelVersion, str]]:
-        """(version, source URI) of every version of ``name`` that this toolkit registered, oldest first."""
         with translated(self.uri):
-            found = self._client.search_model_versions(f"name='{name}'", max_results=_PAGE)
-            own = [entry for entry in found if _DIGEST in entry.tags and _MANIFEST in entry.tags]
-            # The search leaves out aliases (mlflow/mlflow#16734).
-            aliases = self._client.get_registered_model(name).aliases if own else {}
-        entries = [(_version(entry, aliases), str(entry.source)) for entry in own]
-        return sorted(entries, key=lambda entry: entry[0].version)
+            return entries(self._client, name)
 
-
-def _version(entry: Any, aliases: Mapping[str, Any]) -> ModelVersion:
-    """One MLflow entry as a frozen value; its manifest must hash to its digest."""
-    text, digest, number = entry.tags[_MANIFEST], entry.tags[_DIGEST], int(entry.version)
-    checked(text.encode("utf-8"), digest, f"{entry.name}@{number}: manifest")
-    content = json.loads(text)
-    return ModelVersion(
-        name=entry.name,
-        version=number,
-        kind=content["kind"],
-        digest=digest,
-        lineage=content["lineage"],
-        metrics=json.loads(entry.tags.get(_METRICS, "{}")),
-        sha256=content["files"],
-        aliases=tuple(sorted(alias for alias, target in aliases.items() if int(target) == number)),
-        created_ms=int(entry.creation_timestamp),
-    )
+    def _record(self, version: ModelVersion, decision: Decision) -> None:
+        if not (version.decisions and version.decisions[-1].same(decision)):
+            key = decision_key(decision)
+            self._client.set_model_version_tag(version.name, str(version.version), key, decision.to_text())

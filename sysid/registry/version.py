@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 from typing import Any, Literal, get_args
 
 from sysid.errors import SettingsError, StoreError, nearest
+from sysid.registry.promotion import Decision
 
 Kind = Literal["actuator", "forward", "plant", "policy"]
 KINDS: tuple[str, ...] = get_args(Kind)
@@ -17,8 +18,10 @@ KINDS: tuple[str, ...] = get_args(Kind)
 #: Nothing that is executed on reading: no pickle, no ``.pt``, no ``.npy`` (which may hold objects). A ``.diff`` is for people.
 SUFFIXES = (".safetensors", ".json", ".diff")
 
-#: The alias of the version that a name alone means.
-PROMOTED = "promoted"
+#: The alias of the version that a name alone means, because it was promoted.
+CHAMPION = "champion"
+#: The alias of the newest version that was registered and has not been promoted.
+CANDIDATE = "candidate"
 
 #: What every MLflow store accepts as the value of one tag.
 LARGEST_MANIFEST = 100_000
@@ -42,6 +45,7 @@ class ModelVersion:
         aliases: names that point to this version now (``champion``).
         created_ms: when it was registered, milliseconds since 1970.
         files: file name → content; filled by ``Registry.load`` alone, already checked against ``sha256``.
+        decisions: whether it was to be promoted and why, oldest first.
     """
 
     name: str
@@ -54,6 +58,7 @@ class ModelVersion:
     aliases: tuple[str, ...] = ()
     created_ms: int = 0
     files: Mapping[str, bytes] = field(default_factory=dict, repr=False)
+    decisions: tuple[Decision, ...] = ()
 
     @property
     def reference(self) -> str:
@@ -72,6 +77,7 @@ class ModelVersion:
             "sha256": dict(self.sha256),
             "aliases": list(self.aliases),
             "created_ms": self.created_ms,
+            "decisions": [decision.to_json() for decision in self.decisions],
         }
 
 
@@ -163,7 +169,7 @@ def choose(versions: Iterable[ModelVersion], name: str, selector: str | None) ->
     """
     ordered = sorted(versions, key=lambda version: version.version)
     if selector is None:
-        return next((version for version in ordered if PROMOTED in version.aliases), ordered[-1])
+        return next((version for version in ordered if CHAMPION in version.aliases), ordered[-1])
     for version in ordered:
         if selector == str(version.version) or selector in version.aliases:
             return version

@@ -285,7 +285,7 @@ def test_a_name_alone_means_what_was_promoted(workspace: Path) -> None:
     first = registry.promote("crane-actuator@1", instead_of=None)
     assert registry.load("crane-actuator").files == files(1.0)
     assert registry.promote("crane-actuator@2", instead_of=first).reference == "crane-actuator@2"
-    assert registry.promoted("crane-actuator") == registry.find("crane-actuator") == registry.find("crane-actuator@promoted")
+    assert registry.promoted("crane-actuator") == registry.find("crane-actuator") == registry.find("crane-actuator@champion")
     assert registry.promoted("crane") is None
     assert Registry(workspace / "nothing here").promoted("crane") is None
     assert not (workspace / "nothing here").exists()
@@ -297,6 +297,6 @@ def test_a_promotion_that_was_decided_on_what_is_no_more_is_refused(workspace: P
     first = registry.promote("crane-actuator@1", instead_of=None)
     registry.promote("crane-actuator@2", instead_of=first)
     for stale in (first, None):
-        with pytest.raises(StoreError, match=r"crane-actuator@promoted: means crane-actuator@2; expected .*changed in the"):
+        with pytest.raises(StoreError, match=r"crane-actuator@champion: means crane-actuator@2; expected .*changed in the"):
             registry.promote("crane-actuator@1", instead_of=stale)
     assert registry.find("crane-actuator").version == 2
