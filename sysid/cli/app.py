@@ -30,7 +30,7 @@ VERBS: dict[str, Verb] = {
     "datasets": Verb("sysid.cli.datasets:datasets", "List dataset versions, or show one."),
     "fit": Verb("sysid.cli.fit:fit", "Fit the actuator or forward networks of a dataset."),
     "validate": Verb("sysid.cli.validate:validate", "Score a fitted network on recordings it has not seen."),
-    "models": Verb("sysid.cli.models:models", "List model and plant versions, or show the lineage of one."),
+    "models": Verb("sysid.cli.models:models", "List model versions, show, promote, compare or export one."),
     "gap": Verb("sysid.cli.gap:gap", "Name the effects that the simulation lacks."),
     "view": Verb("sysid.cli.view:view", "Write a Rerun recording of the moving machine."),
     "report": Verb("sysid.cli.report:report", "Write the HTML report of a dataset."),

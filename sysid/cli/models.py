@@ -1,44 +1,46 @@
-"""``sysid models [MODEL]``: networks and plants in the registry, or where one of them came from."""
+"""``sysid models [MODEL]``: networks and plants in the registry, what one is, and what may be done with versions."""
 
 from __future__ import annotations
 
 import json
-from typing import TYPE_CHECKING
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
 
 import click
 
+from sysid.cli.datasets import ReferenceGroup
 from sysid.cli.output import Printer, json_option, write_json
+from sysid.errors import SettingsError, StoreError
 
 if TYPE_CHECKING:
+    from sysid.model_versions import ModelVersions
     from sysid.registry import ModelVersion
 
 CARRIES = "carries unnamed_residual: a bounded network learned from the recordings. It is no physics and names no cause."
+ANYWAY = "'WHY'"
 
 
-@click.command()
+@click.group(cls=ReferenceGroup, subcommand_metavar="[NAME[@VERSION] | VERB …]")
+def models() -> None:
+    """List model and plant versions, show one, or say what is to be done with them.
+
+    `sysid models` lists them, `sysid models NAME[@VERSION]` shows one. With --json FILE the result is written as JSON as well.
+    """
+
+
+@models.command()
 @click.argument("reference", metavar="[NAME[@VERSION]]", required=False)
 @click.option("--kind", default=None, help="actuator, forward, plant or policy only.")
-@click.option("--promote", is_flag=True, help="Let the name alone mean this version from now on.")
 @json_option
 @click.pass_obj
-def models(workspace: str, reference: str | None, kind: str | None, promote: bool, json_file: str | None) -> None:
-    """List model and plant versions, show the lineage of one, or promote one."""
-    from sysid.errors import SettingsError
+def show(workspace: str, reference: str | None, kind: str | None, json_file: str | None) -> None:
+    """List model versions, or show one."""
     from sysid.workspace import open_workspace
 
     registry = open_workspace(workspace).models
     out = Printer(json_file)
-    if promote and (reference is None or "@" not in reference):
-        raise SettingsError("sysid models --promote", reference or "no model", "one version, as in autolog@1")
     if reference is not None:
         version = registry.find(reference)
-        if promote:
-            until_now = registry.promoted(version.name)
-            version = registry.promote(version.reference, instead_of=until_now)
-            instead = f" instead of {until_now.reference}" if until_now not in (None, version) and until_now else ""
-            out.line(f"`{version.name}` alone means {version.reference} from now on{instead}.")
-            write_json(json_file, {"schema": 1, **version.to_json(), "instead_of": until_now and until_now.reference})
-            return
         known = f"  ({', '.join(version.aliases)})" if version.aliases else ""
         out.line(f"{version.reference}{known}  {version.kind}  {version.digest}")
         out.line(json.dumps(dict(version.lineage), indent=2, ensure_ascii=False))
@@ -48,6 +50,7 @@ def models(workspace: str, reference: str | None, kind: str | None, promote: boo
             out.line(CARRIES)
         for name, value in version.metrics.items():
             out.line(f"{name} = {value:.6g}")
+        _show_decisions(out, version)
         write_json(json_file, {"schema": 1, **version.to_json()})
         return
     versions = registry.list(kind)
@@ -68,6 +71,167 @@ def models(workspace: str, reference: str | None, kind: str | None, promote: boo
     out.table(("model", "kind", "made from", "aliases", "content"), rows)
     if any(map(_carries, versions)):
         out.line(f"* {CARRIES}")
+
+
+@models.command()
+@click.argument("reference", metavar="NAME@VERSION")
+@click.option(
+    "--policy",
+    type=click.Path(path_type=Path),
+    default=None,
+    metavar="P.toml",
+    help="What a network has to show. Default: no worse than the champion.",
+)
+@click.option("--on", "dataset", default=None, metavar="DATASET", help="Judge on its held-out rows. Default: that of the fit.")
+@click.option("--anyway", "word", default="", metavar="WHY", help="Promote it whatever the checks say; WHY is recorded.")
+@json_option
+@click.pass_obj
+def promote(workspace: str, reference: str, policy: Path | None, dataset: str | None, word: str, json_file: str | None) -> None:
+    """Let the name alone mean this version from now on, if it passes.
+
+    Networks are judged by a policy, plants by the proof that `sysid gap --add` recorded with them. The decision stays with the
+    version, also where it is refused; exit status 2 then.
+    """
+    from dataclasses import asdict
+
+    from sysid.cli.model_tables import show_promotion
+    from sysid.versions import load_policy
+
+    if "@" not in reference:
+        raise SettingsError("sysid models promote", reference, "one version, as in autolog@1")
+    rules = load_policy(policy)
+    found = _versions(workspace).promote(reference, rules, policy, word.strip(), dataset)
+    show_promotion(Printer(json_file), found, word.strip())
+    write_json(json_file, {"schema": 1, "promoted": found.promoted, "word": word.strip(), **asdict(found)})
+    if not found.promoted:
+        remedy = f"To promote it all the same: sysid models promote {found.version} --anyway {ANYWAY}"
+        raise StoreError(found.version, f"not promoted: {found.reason}", "a version that passes", remedy)
+
+
+@models.command()
+@click.argument("reference", metavar="NAME[@VERSION]")
+@json_option
+@click.pass_obj
+def lineage(workspace: str, reference: str, json_file: str | None) -> None:
+    """Show where a version comes from, to the raw files, and what was made from it."""
+    from sysid.cli.model_tables import show_model_lineage
+
+    found = _versions(workspace).lineage(reference)
+    show_model_lineage(Printer(json_file), found)
+    write_json(json_file, found.to_json())
+
+
+@models.command(name="diff")
+@click.argument("before", metavar="A")
+@click.argument("after", metavar="B")
+@json_option
+@click.pass_obj
+def diff_two(workspace: str, before: str, after: str, json_file: str | None) -> None:
+    """Say how version B differs from version A.
+
+    Predictions over the range that both were fitted on, recipe, dataset, figures, files, and the geometry of forward models.
+    """
+    from sysid.cli.model_tables import show_model_diff
+
+    found = _versions(workspace).diff(before, after)
+    show_model_diff(Printer(json_file), found)
+    write_json(json_file, found.to_json())
+
+
+@models.command()
+@click.argument("reference", metavar="NAME[@VERSION]")
+@click.option("--out", type=click.Path(path_type=Path), default=None, metavar="DIR", help="Default: WORKSPACE/exports/NAME@V.")
+@click.option("--precision", type=click.Choice(["float32", "float64"]), default="float32", show_default=True)
+@json_option
+@click.pass_obj
+def export(
+    workspace: str,
+    reference: str,
+    out: Path | None,
+    precision: Literal["float32", "float64"],
+    json_file: str | None,
+) -> None:
+    """Write a network as ONNX, run it, and keep it only if it predicts the same."""
+    from dataclasses import asdict
+
+    from sysid.cli.model_tables import show_exported
+
+    folder, files = _versions(workspace).export(reference, out, precision)
+    show_exported(Printer(json_file), folder, files)
+    write_json(json_file, {"schema": 1, "folder": str(folder), "files": [asdict(entry) for entry in files]})
+
+
+@models.command()
+@click.argument("reference", metavar="NAME[@VERSION]")
+@click.option("--out", type=click.Path(path_type=Path), default=None, metavar="F", help="F.md or F.html; else both in cards/.")
+@click.pass_obj
+def card(workspace: str, reference: str, out: Path | None) -> None:
+    """Write the card of a version: what it is, what it reaches, where it holds, where it came from, how to load it."""
+    from sysid.reports.model_pages import card_page, write_page
+
+    if out is not None and out.suffix not in (".md", ".html"):
+        raise SettingsError(f"--out {out}", f"suffix {out.suffix!r}", ".md or .html")
+    versions = _versions(workspace)
+    found = versions.card(reference)
+    folder = versions.place.folder / "cards"
+    for path in (out,) if out is not None else (folder / f"{found.title}.md", folder / f"{found.title}.html"):
+        text = found.markdown() if path.suffix == ".md" else card_page(found)
+        click.echo(str(write_page(path, text)))
+
+
+@models.command()
+@click.option("--out", type=click.Path(path_type=Path), default=None, metavar="F.html", help="Default: WORKSPACE/models.html.")
+@click.option("--open", "show_it", is_flag=True, help="Open it in the browser.")
+@click.option("--serve", is_flag=True, help="Serve it and the cards to this computer until Ctrl-C.")
+@click.option("--port", type=click.IntRange(0, 65535), default=8642, show_default=True, help="For --serve.")
+@click.pass_obj
+def ui(workspace: str, out: Path | None, show_it: bool, serve: bool, port: int) -> None:
+    """Write one page about all versions: aliases, figures, lineage, decisions."""
+    from datetime import datetime
+
+    from sysid.reports.model_pages import models_page, write_page
+
+    place = _versions(workspace).place
+    path = out or place.folder / "models.html"
+    there = {file.stem: file for file in sorted((place.folder / "cards").glob("*.html"))}
+    cards = {} if out is not None else {name: f"cards/{name}.html" for name in there}
+    created = f"{datetime.now().astimezone():%d %B %Y, %H:%M}".lstrip("0")
+    click.echo(str(write_page(path, models_page(place.models.list(), str(workspace), created, cards))))
+    if serve:
+        _serve({"/": path, **{f"/cards/{name}.html": file for name, file in there.items()}}, port, show_it)
+    elif show_it:
+        click.launch(path.resolve().as_uri())
+
+
+def _serve(pages: dict[str, Path], port: int, show_it: bool) -> None:
+    from sysid.cli.loopback import page_server
+
+    try:
+        server = page_server(pages, port)
+    except OSError as error:
+        raise SettingsError(f"--port {port}", f"cannot be used ({error.strerror})", "a free port; 0 takes one") from None
+    with server:
+        address = f"http://127.0.0.1:{server.server_address[1]}/"
+        click.echo(f"{address}  (Ctrl-C ends it)")
+        if show_it:
+            click.launch(address)
+        server.serve_forever()
+
+
+def _versions(workspace: str) -> ModelVersions:
+    from sysid.model_versions import ModelVersions
+    from sysid.workspace import open_workspace
+
+    return ModelVersions(open_workspace(workspace))
+
+
+def _show_decisions(out: Printer, version: ModelVersion) -> None:
+    if version.decisions:
+        from sysid.versions.card import decision_row
+
+        for decision in version.decisions:
+            when, what, by, why = decision_row(decision)
+            out.line(f"{when} UTC  {what}  ({by}): {why}")
 
 
 def _carries(version: ModelVersion) -> bool:

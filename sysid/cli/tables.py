@@ -204,12 +204,13 @@ def show_repair(
         out.line(f"Promoted: `{name}` alone means {found.version} from now on{instead}.")
         back = found.previous if found.previous != found.version else result.plant_before
         out.line(
-            f"Undo it:  {command} models {back} --promote   (nothing was overwritten: {back} stays as it was, machine.toml too)"
+            f"Undo it:  {command} models promote {back}   (nothing was overwritten: {back} stays as it was, machine.toml too)"
         )
     else:
         out.line(f"Not promoted: {found.reason}.")
         meant = f"`{name}` alone goes on meaning {found.current}" if found.current else "Nothing of this name is promoted"
-        out.line(f"{meant}; {found.version} is stored. To promote it all the same: {command} models {found.version} --promote")
+        anyway = f"{command} models promote {found.version} --anyway 'WHY'"
+        out.line(f"{meant}; {found.version} is stored. To promote it all the same: {anyway}")
     out.line(f"`sysid gap {dataset.name}` without --plant goes on questioning the simulation that machine.toml describes.")
 
 

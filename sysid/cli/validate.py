@@ -1,11 +1,16 @@
-"""``sysid validate MODEL NAME``: the error report of a network."""
+"""``sysid validate MODEL NAME``: the error report of a network, and whether it still fits recordings that are new to it."""
 
 from __future__ import annotations
+
+from typing import TYPE_CHECKING
 
 import click
 
 from sysid.cli.output import Printer, json_option, write_json
 from sysid.cli.tables import show_errors
+
+if TYPE_CHECKING:
+    from sysid.validate import ValidationReport
 
 
 @click.command()
@@ -14,17 +19,49 @@ from sysid.cli.tables import show_errors
 @json_option
 @click.pass_obj
 def validate(workspace: str, model: str, reference: str, json_file: str | None) -> None:
-    """Score a fitted network on recordings it has not seen."""
-    from sysid.reports.display import shown_unit
+    """Score a fitted network on recordings it has not seen.
+
+    On another dataset than its own it is also said whether the network still fits: whether the new recordings lie inside the
+    ranges that it was fitted on, and whether its errors are larger than on its own held-out rows, beyond chance.
+    """
+    from sysid.cli.model_tables import show_drift
+    from sysid.errors import ExcitationError, StoreError
+    from sysid.model_versions import ModelVersions
     from sysid.workspace import open_workspace
 
     place = open_workspace(workspace)
-    report = place.validation(model, place.dataset(reference))
+    dataset = place.dataset(reference)
     out = Printer(json_file)
+    version = place.models.find(model)
+    own = version.lineage.get("dataset_digest") == dataset.digest
+    report, drift, unjudged = None, None, ""
+    try:
+        report = place.validation(model, dataset)
+        _show(out, report)
+    except ExcitationError as error:
+        if own:
+            raise
+        unjudged = str(error)  # a few new recordings need not be a dataset to fit on
+    if not own:
+        try:
+            drift = ModelVersions(place).drift(model, dataset)
+            show_drift(out, drift)
+        except (ExcitationError, StoreError) as error:
+            if report is None:
+                raise
+            out.line(f"Whether it still fits cannot be said: {error}")
+        if unjudged:
+            out.line(f"No error report: {unjudged}")
+    values = report.to_json() if report is not None else {"model": version.reference, "dataset": dataset.reference}
+    write_json(json_file, {"schema": 1, **values, "drift": drift.to_json() if drift is not None else None})
+
+
+def _show(out: Printer, report: ValidationReport) -> None:
+    from sysid.reports.display import shown_unit
+
     show_errors(out, report)
     for entry in report.outputs:
         for spike in entry.spikes[:3]:
             factor, unit = shown_unit(entry.unit)
             where = f"{spike.time:.2f} s of {spike.recording} ({spike.cause})"
             out.line(f"spike in {entry.output}: {factor * spike.error:+.2f} {unit} at {where}")
-    write_json(json_file, {"schema": 1, **report.to_json()})

@@ -10,6 +10,7 @@ if TYPE_CHECKING:
     from sysid.datasets import DatasetDiff, Lineage, Vacuumed
     from sysid.datasets.versions.diff import Change, Names
     from sysid.registry import ModelVersion
+    from sysid.versions.lineage import Relative
 
 #: Lines of figures of quality before the rest is only counted; all of them are in the JSON.
 MOST_FIGURES = 20
@@ -21,16 +22,16 @@ def show_diff(out: Printer, found: DatasetDiff) -> None:
     if found.empty:
         out.line("The same: nothing differs." if found.same_content else "Nothing differs but the way they were made.")
         return
-    _names(out, "recording", found.recordings)
-    _names(out, "raw file", found.sources)
-    _names(out, "signal", found.signals)
+    show_names(out, "recording", found.recordings)
+    show_names(out, "raw file", found.sources)
+    show_names(out, "signal", found.signals)
     for change in found.units:
         out.line(f"unit of {change.what}: [{change.before}] → [{change.after}]")
     for change in found.splits:
         out.line(f"role of {change.what}: {change.before or 'none'} → {change.after or 'none'}")
     for text in found.texts.values():
         out.line(text)
-    _changes(out, "made with", found.settings)
+    show_changes(out, "made with", found.settings)
     rows: list[tuple[str, ...]] = []
     for clock in found.clocks:
         offset, skew = (f"{a:+.6g} → {b:+.6g}" for a, b in (clock.offset_s, clock.skew_ppm))
@@ -46,20 +47,20 @@ def show_diff(out: Printer, found: DatasetDiff) -> None:
         rows.append((item.recording, item.signal, lengths, missing, *numbers, item.unit))
     if rows:
         out.table(("recording", "signal", "rows", "missing", "largest", "rms", "unit"), rows, right=(2, 3, 4, 5))
-    _changes(out, "quality", found.quality)
+    show_changes(out, "quality", found.quality)
 
 
 def _applied(applied: bool) -> str:
     return "aligned" if applied else "not aligned"
 
 
-def _names(out: Printer, what: str, names: Names) -> None:
+def show_names(out: Printer, what: str, names: Names) -> None:
     for word, items in (("added", names.added), ("removed", names.removed), ("changed", names.changed)):
         if items:
             out.line(f"{what} {word}: {', '.join(items)}")
 
 
-def _changes(out: Printer, what: str, changes: Sequence[Change]) -> None:
+def show_changes(out: Printer, what: str, changes: Sequence[Change]) -> None:
     for change in changes[:MOST_FIGURES]:
         out.line(f"{what} {change.what}: {_text(change.before)} → {_text(change.after)}")
     if len(changes) > MOST_FIGURES:
@@ -72,6 +73,15 @@ def _text(value: Any) -> str:
 
 def show_lineage(out: Printer, found: Lineage, models: Sequence[ModelVersion]) -> None:
     """The chain of a version, from the raw files to the models."""
+    show_chain(out, found)
+    for model in models:
+        out.line(model_line("model", model))
+    if not models:
+        out.line("model     none was made from it")
+
+
+def show_chain(out: Printer, found: Lineage) -> None:
+    """Where a dataset version comes from, to its raw files."""
     out.line(f"{found.dataset}  {found.digest}  made {found.created}")
     for step in found.steps:
         gone = "" if step.there else ", removed since"
@@ -99,11 +109,12 @@ def show_lineage(out: Printer, found: Lineage, models: Sequence[ModelVersion]) -
     out.line()
     for role, names in roles.items():
         out.line(f"{role:<9} {', '.join(names)}")
-    for model in models:
-        aliases = f"  ({', '.join(model.aliases)})" if model.aliases else ""
-        out.line(f"model     {model.reference}  {model.kind}  {model.digest[:12]}{aliases}")
-    if not models:
-        out.line("model     none was made from it")
+
+
+def model_line(role: str, model: ModelVersion | Relative) -> str:
+    """One model version in a lineage, and what it is there."""
+    aliases = f"  ({', '.join(model.aliases)})" if model.aliases else ""
+    return f"{role:<9} {model.reference}  {model.kind}  {model.digest[:12]}{aliases}"
 
 
 def show_vacuumed(out: Printer, found: Vacuumed, registry: str, hint: bool) -> None:

@@ -13,6 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from sysid.validate.bootstrap import bootstrap_means
+
 Array = npt.NDArray[np.float64]
 
 
@@ -35,14 +37,9 @@ class Comparison:
 
 def gain_p_value(gain: Array, seed: int, draws: int = 1000) -> float:
     """Share of stationary-bootstrap means of ``gain`` that are not positive (Politis & Romano, JASA 89 (1994))."""
-    from arch.bootstrap import StationaryBootstrap, optimal_block_length
-
     if len(gain) < 20 or not np.any(gain != 0.0):
         return 1.0
-    length = float(np.nan_to_num(optimal_block_length(gain)["stationary"].iloc[0], nan=1.0))
-    block = int(np.clip(round(length), 5, max(5, len(gain) // 10)))
-    bootstrap = StationaryBootstrap(block, gain, seed=np.random.default_rng(seed))
-    means = bootstrap.apply(lambda x: np.mean(x, axis=0), draws)
+    means = bootstrap_means(gain, seed, draws)
     return float((np.sum(means <= 0.0) + 1) / (draws + 1))
 
 

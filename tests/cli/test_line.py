@@ -119,7 +119,7 @@ def test_gap_add_shows_the_change_and_how_to_undo_it(answered: Path, capsys: pyt
     assert '  +[[effects]]\n  +name = "valve_deadband"\n  +target = "boom"\n' in text
     assert "Promoted: `lift` alone means lift@2 from now on." in text, "it was before this run already"
     assert re.search(r"passed +stages: command stage of boom \d+ → [01]", text)
-    assert re.search(r"Undo it:  sysid --workspace \S+ models lift@1 --promote ", text)
+    assert re.search(r"Undo it:  sysid --workspace \S+ models promote lift@1 ", text)
     assert "Not run in the PyBullet world" in text
     assert "no URDF" in text
     row = next(line.split() for line in text.splitlines() if line.lstrip().startswith("boom.cylinder"))
@@ -219,13 +219,13 @@ def test_the_name_alone_means_what_is_promoted_and_can_be_set_back(answered: Pat
     assert result["effects"][0]["evidence"]["delta_bic"] > 10.0
     assert (answered / "ws" / "results" / "lift@1" / "gap" / "machine.diff").read_text() == result["machine_diff"]
     for reference, instead in (("lift@1", "lift@2"), ("lift@2", "lift@1")):
-        assert run("--workspace", answered / "ws", "models", reference, "--promote") == 0
+        assert run("--workspace", answered / "ws", "models", "promote", reference) == 0
         assert f"`lift` alone means {reference} from now on instead of {instead}." in capsys.readouterr().out
         assert run("--workspace", answered / "ws", "models", "lift") == 0
         shown = capsys.readouterr().out
-        assert shown.startswith(f"{reference}  (promoted)  plant")
+        assert shown.startswith(f"{reference}  (champion)  plant")
         assert ("+[[effects]]" in shown) == (reference == "lift@2"), "the change of machine.toml is shown with its version"
     assert run("--workspace", answered / "ws", "gap", "lift", "--plant", "lift", "--localise") == 0
     assert "`lift` means lift@2." in capsys.readouterr().out
-    assert run("--workspace", answered / "ws", "models", "lift", "--promote") == 2
+    assert run("--workspace", answered / "ws", "models", "promote", "lift") == 2
     assert "expected one version, as in autolog@1" in capsys.readouterr().err

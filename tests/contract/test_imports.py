@@ -22,9 +22,10 @@ FLOORS: tuple[tuple[str, ...], ...] = (
     ("networks", "effects"),
     ("plant",),
     ("registry", "validate", "testing", "world"),
-    ("gap",),
+    ("gap", "versions"),
     ("reports", "view"),
     ("workspace",),
+    ("model_versions",),
     ("cli",),
 )
 #: The stand-in machine is judged by the library, so it may share nothing with it but errors and settings.

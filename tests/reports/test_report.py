@@ -290,7 +290,7 @@ def test_the_proof_says_what_was_asked_and_what_is_in_use(crane: Dataset, gap: G
     assert "autolog@2 is in use." in page.text
     assert "The stages that it repairs are better" in page.text
     assert "259 → 0.99 noise floors" in page.text
-    assert "sysid models autolog@1 --promote" in page.text, "the way back"
+    assert "sysid models promote autolog@1" in page.text, "the way back"
     assert ["Valve dead-band", "boom", "63\u202f%", "12\u202f×"] in page.rows
     assert "The tool position is further off there than in the compiled plant" in page.text
     assert "@@ -1 +1 @@" in page.text, "the change of machine.toml to copy"
@@ -305,5 +305,5 @@ def test_a_refused_promotion_says_why_and_how_all_the_same(crane: Dataset, gap: 
     assert "autolog@2 is stored, but not in use." in page.text
     assert "Further off than before: stick.joint" in page.text
     assert "alone goes on meaning autolog@1" in page.text
-    assert "sysid models autolog@2 --promote" in page.text
+    assert "sysid models promote autolog@2 --anyway" in page.text
     assert "Not run there: pybullet is not installed (Python 3.12)" in page.text

@@ -1,0 +1,178 @@
+"""What can be asked and decided about the model versions of a workspace: promote, follow, compare, hand on.
+
+:mod:`sysid.versions` does the work on values; this finds the datasets, models and results that it is about.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+
+from sysid.datasets import Dataset
+from sysid.errors import ExcitationError, SettingsError, StoreError
+from sysid.registry import Check, ModelVersion, Promotion, decide
+from sysid.reports.archive import RESULT
+from sysid.validate import ValidationReport
+from sysid.versions import (
+    Card,
+    Drift,
+    Exported,
+    ModelDiff,
+    ModelLineage,
+    Policy,
+    card_of,
+    diff_versions,
+    drift_of,
+    export_onnx,
+    lineage_of,
+    policy_checks,
+)
+from sysid.versions.lineage import Use
+from sysid.versions.onnx_export import Precision
+from sysid.versions.policy import judged_by
+from sysid.workspace import Workspace
+
+NETWORKS = ("actuator", "forward")
+
+
+@dataclass(frozen=True)
+class ModelVersions:
+    """The model versions of one workspace.
+
+    >>> versions = ModelVersions(open_workspace("./workspace"))
+    >>> versions.promote("autolog-forward@3", load_policy(Path("policy.toml"))).promoted
+    """
+
+    place: Workspace
+
+    def promote(
+        self, reference: str, policy: Policy | None = None, path: Path | None = None, word: str = "", dataset: str | None = None
+    ) -> Promotion:
+        """Let the name alone mean this version, if it passes; recorded with it either way.
+
+        A network is judged by the policy, on the held-out rows of one dataset version; a plant by the proof that is recorded
+        with it, and one that was in use before may be set back.
+
+        Args:
+            policy: for networks; default: no worse than the champion.
+            path: the policy's file, for the record and for messages.
+            word: promotes it whatever the checks say.
+            dataset: to judge networks on; default: the one that this version was fitted on.
+
+        Raises:
+            StoreError: no such version, or a dataset that is gone.
+            SettingsError: a policy that does not fit the version.
+            ExcitationError: the dataset has nothing to judge it on, and there is no word.
+        """
+        version = self.place.models.find(reference)
+        until_now = self.place.models.promoted(version.name)
+        if version.kind not in NETWORKS:
+            if path is not None:
+                raise SettingsError(f"--policy {path}", f"{version.reference} is a {version.kind}", "a network", _PLANTS)
+            return decide(
+                self.place.models, version.reference, until_now, _proven(version), {"by": "sysid models promote"}, word
+            )
+        rules = policy or Policy()
+        try:
+            data = self._dataset(version, dataset)
+            checks = self._judge(version, until_now, rules, data, path or "policy")
+            judged = judged_by(rules, version.kind, path, data.reference)
+        except (ExcitationError, StoreError) as reason:
+            if not word:
+                raise
+            checks, judged = (Check("figures", "failed", f"not judged: {reason}"),), {"by": "nothing"}
+        return decide(self.place.models, version.reference, until_now, checks, judged, word)
+
+    def lineage(self, reference: str) -> ModelLineage:
+        """Where a version comes from, to the raw files, and what came of it."""
+        version = self.place.models.find(reference)
+        return lineage_of(version, self.place.models.list(), self.place.datasets, self._uses(version))
+
+    def diff(self, before: str, after: str) -> ModelDiff:
+        """How two versions differ."""
+        return diff_versions(self.place.models.load(before), self.place.models.load(after))
+
+    def drift(self, reference: str, dataset: Dataset) -> Drift:
+        """Whether a network still fits the machine, by the recordings of ``dataset`` that are new to it.
+
+        Raises:
+            StoreError: the dataset that it was fitted on is gone.
+            ExcitationError: nothing in ``dataset`` is new to it and measures what it predicts.
+        """
+        version = self.place.models.find(reference)
+        return drift_of(self.place.network(version.reference), self._dataset(version), dataset, version.reference)
+
+    def export(
+        self, reference: str, folder: Path | None = None, precision: Precision = "float32"
+    ) -> tuple[Path, tuple[Exported, ...]]:
+        """Write a network as ONNX; default folder: ``exports/NAME@V`` of the workspace."""
+        version = self.place.models.find(reference)
+        target = folder or self.place.folder / "exports" / version.reference
+        about = {"reference": version.reference, "digest": version.digest}
+        return target, export_onnx(self.place.network(version.reference), target, about, precision)
+
+    def card(self, reference: str) -> Card:
+        """What there is to know of a version, on one page."""
+        version = self.place.models.find(reference)
+        network = self.place.network(version.reference) if version.kind in NETWORKS else None
+        return card_of(version, self.lineage(version.reference), network, self._report(version))
+
+    def _report(self, version: ModelVersion) -> ValidationReport | None:
+        """On the dataset that it was fitted on; None where that cannot be had."""
+        if version.kind not in NETWORKS:
+            return None
+        try:
+            return self.place.validation(version.reference, self._dataset(version))
+        except (StoreError, ExcitationError):
+            return None
+
+    def _judge(
+        self, version: ModelVersion, until_now: ModelVersion | None, policy: Policy, data: Dataset, where: object
+    ) -> tuple[Check, ...]:
+        rival = None
+        if until_now is not None and until_now.reference != version.reference:
+            rival = self.place.validation(until_now.reference, data)
+        return policy_checks(policy, self.place.validation(version.reference, data), rival, where)
+
+    def _dataset(self, version: ModelVersion, reference: str | None = None) -> Dataset:
+        """The dataset version that a network was fitted on, by digest, or a named one.
+
+        Raises:
+            StoreError: it is gone, or its name means another one here.
+        """
+        if reference is not None:
+            return self.place.dataset(reference)
+        named, digest = version.lineage.get("dataset"), version.lineage.get("dataset_digest")
+        if not isinstance(named, str):
+            raise StoreError(f"model {version.reference}", "its lineage names no dataset version", "one to judge it on")
+        dataset = self.place.dataset(named)
+        if digest not in (None, dataset.digest):
+            found = f"{named} has digest {dataset.digest[:12]}… here"
+            raise StoreError(f"model {version.reference}", found, f"{str(digest)[:12]}…, which it was fitted on")
+        return dataset
+
+    def _uses(self, version: ModelVersion) -> tuple[Use, ...]:
+        """Answers of the gap workflow that questioned or made this version, or whose plant rests on it."""
+        found = []
+        for path in sorted((self.place.folder / "results").glob(f"*/gap/{RESULT}")):
+            try:
+                values = json.loads(path.read_text("utf-8"))
+                roles = (("questioned it", values.get("plant_before")), ("made it", values.get("plant_after")))
+            except (OSError, ValueError, AttributeError):
+                continue  # damaged: `sysid gap` says so where it is read for what is in it
+            dataset = path.parent.parent.name
+            found += [Use("gap result", dataset, how) for how, plant in roles if plant == version.reference]
+        return tuple(found)
+
+
+_PLANTS = "Plants are judged by the proof of `sysid gap --add`."
+
+
+def _proven(version: ModelVersion) -> tuple[Check, ...]:
+    """What is recorded of a plant or policy: it was in use before, or its proof failed, or nothing was ever asked of it."""
+    if any(decision.promoted for decision in version.decisions):
+        return (Check("in use before", "passed", f"{version.reference} was promoted before"),)
+    if version.decisions:
+        return version.decisions[-1].checks
+    return (Check("proof", "failed", f"nothing is recorded that speaks for {version.reference}; {_PLANTS}"),)

@@ -1,0 +1,169 @@
+"""Pages about model versions: the card of one, and all of a workspace; of the same make as the report, loading nothing."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import jinja2
+import numpy as np
+from markupsafe import Markup, escape
+
+from sysid.files import written_whole
+from sysid.registry import CANDIDATE, CHAMPION, ModelVersion, made_of
+from sysid.reports.charts import WIDE, Line, chart
+from sysid.reports.words import signal_name
+from sysid.versions import Card
+from sysid.versions.card import decision_row
+from sysid.versions.outputs import shown
+
+#: Looks of the lines of a chart, one after the other, in the classes of the page's style sheet.
+LOOKS = ("after", "before", "measured", "after dotted", "before dotted", "measured dotted")
+
+
+def card_page(card: Card) -> str:
+    """The card as a whole HTML page."""
+    blocks = [
+        {
+            "name": f"part-{number}",
+            "title": block.title,
+            "text": [_inline(text) for text in block.text],
+            "header": block.header,
+            "rows": block.rows,
+            "code": block.code,
+        }
+        for number, block in enumerate(card.blocks)
+    ]
+    return _page("model_card.html", title=card.title, kind="Model card", facts=card.facts, blocks=blocks)
+
+
+def models_page(
+    versions: Sequence[ModelVersion], workspace: str, created: str = "", cards: Mapping[str, str] | None = None
+) -> str:
+    """All versions of a workspace: aliases, figures, lineage and decisions.
+
+    Args:
+        versions: from ``Registry.list``.
+        created: when, in the words to print; empty leaves it out.
+        cards: reference → relative address of its card.
+    """
+    models = []
+    for name in sorted({version.name for version in versions}):
+        own = sorted((version for version in versions if version.name == name), key=lambda version: -version.version)
+        models.append(
+            {
+                "name": name,
+                "kind": own[0].kind,
+                "champion": next((version.reference for version in own if CHAMPION in version.aliases), ""),
+                "newest": own[0].reference,
+                "charts": [Markup(text) for text in _charts(own[::-1])],
+                "versions": [_entry(version, versions, (cards or {}).get(version.reference, "")) for version in own],
+            }
+        )
+    return _page("models_page.html", title="Models", kind="Model versions", facts=workspace, created=created, models=models)
+
+
+def write_page(path: Path, text: str) -> Path:
+    """Write a page whole or not at all; folders are made as needed."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with written_whole(path) as half:
+        half.write_text(text, "utf-8")
+    return path
+
+
+def _entry(version: ModelVersion, versions: Sequence[ModelVersion], card: str) -> dict[str, Any]:
+    children = [other.reference for other in versions if version.reference in {p.reference for p in made_of(versions, other)}]
+    dataset = str(version.lineage.get("dataset", ""))
+    return {
+        "reference": version.reference,
+        "aliases": [alias for alias in version.aliases if alias in (CHAMPION, CANDIDATE)]
+        + [alias for alias in version.aliases if alias not in (CHAMPION, CANDIDATE)],
+        "created": f"{datetime.fromtimestamp(version.created_ms / 1e3, UTC):%Y-%m-%d %H:%M}",
+        "digest": version.digest[:12],
+        "card": card,
+        "dataset": dataset,
+        "parents": [parent.reference for parent in made_of(versions, version)],
+        "children": children,
+        "figures": _figures(version),
+        "decisions": [
+            {
+                "when": when,
+                "what": what,
+                "by": by,
+                "why": why,
+                "promoted": decision.promoted,
+                "checks": decision.checks,
+            }
+            for decision in version.decisions[::-1]
+            for when, what, by, why in (decision_row(decision),)
+        ],
+    }
+
+
+def _figures(version: ModelVersion) -> list[dict[str, str]]:
+    """RMSE, 95 % and maximum of every output, from the figures that were stored with it."""
+    rows: dict[str, dict[str, str]] = {}
+    for key, value in version.metrics.items():
+        output, _, figure = key.rpartition(".")
+        signal, _, kind = output.rpartition(".")
+        if figure not in ("rmse", "p95", "max") or not signal:
+            continue
+        row = rows.setdefault(output, {"output": signal_name(signal), "rows": "poses" if kind == "poses" else "motion"})
+        row[figure] = shown(value, _unit(signal))
+    return [{"rmse": "–", "p95": "–", "max": "–", **row} for row in rows.values()]
+
+
+def _charts(versions: Sequence[ModelVersion]) -> list[str]:
+    """RMSE over the versions, a chart a unit, where there are two versions and more."""
+    keys = dict.fromkeys(key for version in versions for key in version.metrics if key.endswith(".rmse"))
+    if len(versions) < 2 or not keys:
+        return []
+    found = []
+    for unit, factor, label in (("rad", 1e3, "mrad"), ("m", 1e3, "mm")):
+        own = [key for key in keys if _unit(key.split(".rmse")[0].rpartition(".")[0]) == unit][: len(LOOKS)]
+        if not own:
+            continue
+        numbers = np.arange(len(versions), dtype=np.float64)
+        lines = [
+            Line(np.array([factor * version.metrics.get(key, np.nan) for version in versions]), look, dots="dotted" not in look)
+            for key, look in zip(own, LOOKS, strict=False)
+        ]
+        names = [f"@{version.version}" for version in versions]
+        legend = "".join(
+            f'<span class="line {look}"></span>{escape(_title(key))}' for key, look in zip(own, LOOKS, strict=False)
+        )
+        drawn = chart(numbers, lines, ("version", f"RMSE [{label}]"), names=names, size=WIDE)
+        found.append(f"<figure>{drawn}<figcaption>{legend}</figcaption></figure>")
+    return found
+
+
+def _title(key: str) -> str:
+    signal, _, kind = key.removesuffix(".rmse").rpartition(".")
+    return f"{signal_name(signal)}, {'poses' if kind == 'poses' else 'motion'}"
+
+
+def _unit(signal: str) -> str:
+    return "rad" if signal.endswith(".joint") else "m"
+
+
+def _inline(text: str) -> Markup:
+    """``code`` between backticks; everything else escaped."""
+    parts = text.split("`")
+    return Markup("").join(
+        Markup("<code>{}</code>").format(part) if number % 2 else escape(part) for number, part in enumerate(parts)
+    )
+
+
+def _page(template: str, **values: Any) -> str:
+    folder = Path(__file__).parent
+    environment = jinja2.Environment(
+        loader=jinja2.PackageLoader("sysid.reports", ""),
+        autoescape=True,
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    style = "\n".join((folder / name).read_text("utf-8") for name in ("page.css", "models.css"))
+    return environment.get_template(template).render(style=Markup(style), **values)

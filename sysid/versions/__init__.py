@@ -1,0 +1,28 @@
+"""Versions of networks compared, judged and handed on: promotion by a policy, drift, differences, lineage, cards, ONNX."""
+
+from sysid.versions.card import Card, card_of
+from sysid.versions.diff import ModelDiff, diff_versions
+from sysid.versions.drift import Drift, OutputDrift, drift_of
+from sysid.versions.lineage import ModelLineage, lineage_of
+from sysid.versions.onnx_export import Exported, export_onnx
+from sysid.versions.outputs import OutputMap, output_maps
+from sysid.versions.policy import Policy, load_policy, policy_checks
+
+__all__ = [
+    "Card",
+    "Drift",
+    "Exported",
+    "ModelDiff",
+    "ModelLineage",
+    "OutputDrift",
+    "OutputMap",
+    "Policy",
+    "card_of",
+    "diff_versions",
+    "drift_of",
+    "export_onnx",
+    "lineage_of",
+    "load_policy",
+    "output_maps",
+    "policy_checks",
+]

@@ -1,0 +1,242 @@
+"""The card of a model version: what it is, what it reaches beside simple models, where it holds, whence it came, how to load.
+
+Everything in it is generated; it is Markdown here and a page in :mod:`sysid.reports.model_pages`, both from the same blocks.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from typing import Any
+
+from sysid.networks import ForwardNetwork, Model, StructuredForward
+from sysid.registry import Decision, ModelVersion
+from sysid.validate import OutputReport, ValidationReport
+from sysid.versions.lineage import ModelLineage
+from sysid.versions.outputs import output_maps, shown
+from sysid.versions.policy import ROWS
+
+WHAT = {
+    "actuator": "Actuator networks: cylinder displacement to joint angle and back, one perceptron a direction and axis.",
+    "forward": "Forward model: joint values to the position of the end effector in the machine's base frame.",
+    "plant": "Plant: the simulation of a machine, commands to motion, with named effects.",
+    "policy": "Policy: what a controller does in a state.",
+}
+
+
+@dataclass(frozen=True)
+class Block:
+    """One heading of a card: paragraphs, a table, code; any of them may be empty."""
+
+    title: str
+    text: tuple[str, ...] = ()
+    header: tuple[str, ...] = ()
+    rows: tuple[tuple[str, ...], ...] = ()
+    code: str = ""
+
+
+@dataclass(frozen=True)
+class Card:
+    """A card; ``facts`` is the line under its title."""
+
+    title: str
+    facts: str
+    blocks: tuple[Block, ...]
+
+    def markdown(self) -> str:
+        """The card as Markdown."""
+        parts = [f"# {self.title}", self.facts]
+        for block in self.blocks:
+            parts += [f"## {block.title}", *block.text]
+            if block.rows:
+                lines = [block.header, tuple("---" for _ in block.header), *block.rows]
+                parts.append("\n".join("| " + " | ".join(_cell(cell) for cell in line) + " |" for line in lines))
+            if block.code:
+                parts.append(f"```python\n{block.code}\n```")
+        return "\n\n".join(parts) + "\n"
+
+
+def card_of(
+    version: ModelVersion, lineage: ModelLineage, model: Model | None = None, report: ValidationReport | None = None
+) -> Card:
+    """The card of a version.
+
+    Args:
+        model: the network in it; None for plants and policies.
+        report: of it on the held-out rows of the dataset that it was fitted on; None where that cannot be had.
+    """
+    aliases = f" ({', '.join(version.aliases)})" if version.aliases else ""
+    made = f"{datetime.fromtimestamp(version.created_ms / 1e3, UTC):%Y-%m-%d %H:%M} UTC"
+    blocks = [Block("What it is", tuple(_what(version, model)))]
+    if report is not None:
+        blocks.append(_figures(report))
+    elif version.metrics:
+        rows = tuple((name, f"{value:.4g}") for name, value in version.metrics.items())
+        text = ("As they were stored with it, in SI units; its dataset cannot be asked again.",)
+        blocks.append(Block("Figures", text, ("figure", "value"), rows))
+    if version.kind == "plant":
+        blocks += _effects(version.lineage)
+    if model is not None:
+        blocks.append(_ranges(model))
+    blocks.append(Block("Limits", tuple(_limits(model, report))))
+    blocks.append(_lineage(lineage))
+    if version.decisions:
+        blocks.append(
+            Block("Decisions", (), ("when", "decision", "by", "reason"), tuple(map(decision_row, version.decisions[::-1])))
+        )
+    blocks.append(Block("Files", (), ("file", "sha256"), tuple(sorted(version.sha256.items()))))
+    blocks.append(Block("How to load it", tuple(_loading(version)), code=_code(version)))
+    return Card(version.reference, f"{version.kind}{aliases}, made {made}, content {version.digest[:12]}", tuple(blocks))
+
+
+def decision_row(decision: Decision) -> tuple[str, str, str, str]:
+    """When, what, by whom, and why, in words."""
+    when = f"{datetime.fromtimestamp(decision.decided_ms / 1e3, UTC):%Y-%m-%d %H:%M}"
+    instead = f" instead of {decision.instead_of}" if decision.promoted and decision.instead_of else ""
+    what = f"promoted{instead}" if decision.promoted else f"not promoted, {decision.instead_of or 'nothing'} stays"
+    judge = str(decision.judged.get("policy") or decision.judged.get("by") or "–")
+    judge = f"policy {judge}" if decision.judged.get("by") == "policy" else judge
+    if decision.word:
+        overruled = f" (overruled: {decision.reason})" if decision.reason else ""
+        return when, what, "explicit word", f"{decision.word}{overruled}"
+    passed = sum(check.status == "passed" for check in decision.checks)
+    told = str(decision.judged.get("as", "")) or f"all {passed} conditions hold"
+    return when, what, judge, decision.reason or told
+
+
+def _what(version: ModelVersion, model: Model | None) -> Iterator[str]:
+    yield WHAT.get(version.kind, version.kind)
+    if isinstance(model, StructuredForward):
+        from sysid.networks import Calibration
+
+        known = isinstance(model.structure, Calibration)
+        yield (
+            "The URDF's kinematics with its geometry calibrated." if known else "The products of an open chain, without a URDF."
+        )
+        if model.members:
+            size = "-".join(map(str, model.members[0].hidden))
+            yield f"{len(model.members)} perceptrons ({size}) correct it by at most {shown(model.bound, 'm')}."
+    elif isinstance(model, ForwardNetwork):
+        size = "-".join(map(str, model.members[0].hidden))
+        features = "joint values" if model.features == "joints" else "sines and cosines of the angles"
+        many = f"the mean of {len(model.members)} perceptrons" if len(model.members) > 1 else "one perceptron"
+        yield f"It is {many} ({size}) of {features}."
+    elif model is not None:
+        sizes = (f"{axis} {'-'.join(map(str, network.to_joint.hidden))}" for axis, network in model.items())
+        yield f"Hidden layers: {', '.join(sizes)}."
+
+
+def _figures(report: ValidationReport) -> Block:
+    rows = []
+    for entry in report.outputs:
+        unit, metrics = entry.unit, entry.metrics
+        best = _best(entry)
+        rows.append(
+            (
+                f"{entry.output} {ROWS[entry.rows]}",
+                shown(metrics.rmse, unit),
+                shown(metrics.p95, unit),
+                shown(metrics.max, unit),
+                "–" if entry.noise_floor is None else shown(entry.noise_floor, unit),
+                "–" if best is None else f"{best}: {shown(entry.baselines[best].rmse, unit)}",
+            )
+        )
+    recordings = dict.fromkeys(name for entry in report.outputs for name in entry.recordings)
+    text = f"On rows of {report.dataset} that it has not seen ({', '.join(recordings)})."
+    return Block("Figures", (text,), ("output", "RMSE", "95 %", "max", "sensor noise alone", "best simple model"), tuple(rows))
+
+
+def _ranges(model: Model) -> Block:
+    found: dict[str, tuple[str, ...]] = {}
+    for answer in output_maps(model):
+        for signal, unit, low, high in zip(answer.inputs, answer.units, answer.low, answer.high, strict=True):
+            found[signal] = (signal, f"{low:.4g}", f"{high:.4g}", unit)
+    return Block("Ranges that it was fitted on", (), ("input", "from", "to", "unit"), tuple(found.values()))
+
+
+def _limits(model: Model | None, report: ValidationReport | None) -> Iterator[str]:
+    if isinstance(model, StructuredForward):
+        yield "Beyond its ranges the geometry goes on to hold; what the perceptrons add is bounded."
+        yield "`spread` says what the poses leave open."
+    elif isinstance(model, ForwardNetwork):
+        yield "Beyond its ranges it guesses. " + (
+            "`spread`, the scatter of its members, grows where they do."
+            if len(model.members) > 1
+            else "A single member does not know how sure it is."
+        )
+    elif model is not None:
+        yield "It is a static map: what depends on direction or speed (backlash, hysteresis) is averaged."
+        yield "Beyond its ranges it goes on in straight lines."
+    if report is not None:
+        worse = [
+            f"{entry.output} {ROWS[entry.rows]} ({best})"
+            for entry in report.outputs
+            if (best := _best(entry)) is not None and entry.baselines[best].rmse < entry.metrics.rmse
+        ]
+        if worse:
+            yield f"A simple model is as good or better in: {', '.join(worse)}."
+        spikes = sorted(((e, s) for e in report.outputs for s in e.spikes), key=lambda pair: -pair[1].sigmas)
+        for entry, spike in spikes[:3]:
+            where = f"{spike.time:.2f} s of {spike.recording} ({spike.cause.replace('_', ' ')})"
+            yield f"Among its largest errors: {entry.output} {shown(spike.error, entry.unit)} at {where}."
+    yield "It was judged on the machine as it was then: `sysid validate` with newer recordings says whether it still fits."
+
+
+def _lineage(found: ModelLineage) -> Block:
+    rows: list[tuple[str, ...]] = []
+    if found.dataset:
+        rows.append(("made from", found.dataset, "dataset", found.dataset_digest[:12]))
+    if found.source is not None:
+        files = [source for part in found.source.parts for source in part.sources]
+        rows += [("raw file", source.path, f"{source.size} bytes", source.sha256[:12]) for source in files]
+    rows += [("made from", item.reference, item.kind, item.digest[:12]) for item in found.parents]
+    rows += [("used by", item.reference, item.kind, item.digest[:12]) for item in found.children]
+    rows += [("used by", use.what, use.how, f"on {use.dataset}") for use in found.uses]
+    return Block("Lineage", (found.missing,) if found.missing else (), ("", "what", "kind", "content"), tuple(rows))
+
+
+def _effects(lineage: Mapping[str, Any]) -> list[Block]:
+    rows = []
+    for effect in lineage.get("effects", ()):
+        numbers = ", ".join(
+            f"{key} {value:.4g}" for key, value in effect.get("parameters", {}).items() if isinstance(value, float)
+        )
+        rows.append(
+            (str(effect.get("name")), str(effect.get("target")), numbers, f"{100.0 * effect.get('closed_share', 0.0):.0f} %")
+        )
+    if not rows:
+        return []
+    return [
+        Block(
+            "Effects that were found missing", (), ("effect", "on", "parameters [SI]", "share of the gap closed"), tuple(rows)
+        )
+    ]
+
+
+def _loading(version: ModelVersion) -> Iterator[str]:
+    yield f"`name@version` never changes; `{version.name}` alone means the champion, or the newest where none was promoted."
+    if version.kind in ("actuator", "forward"):
+        yield f"Without Python: `sysid models export {version.reference}` writes ONNX files."
+
+
+def _code(version: ModelVersion) -> str:
+    call = (
+        f'network("{version.reference}")'
+        if version.kind in ("actuator", "forward")
+        else f'models.load("{version.reference}").files'
+    )
+    use = {
+        "forward": "model.predict(q)  # (n, n_axes) [rad or m] → (n, 3) [m]",
+        "actuator": "model[axis].joint(displacement)  # [m] → [rad]; .displacement(joint) goes back",
+    }.get(version.kind, "")
+    lines = ["from sysid.workspace import open_workspace", "", f'model = open_workspace("./workspace").{call}', use]
+    return "\n".join(line for line in lines if line or line is lines[1]).rstrip()
+
+
+def _best(entry: OutputReport) -> str | None:
+    return min(entry.baselines, key=lambda name: entry.baselines[name].rmse, default=None)
+
+
+def _cell(text: str) -> str:
+    return text.replace("|", "\\|")

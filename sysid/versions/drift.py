@@ -1,0 +1,238 @@
+"""Does a version still fit the machine? Its errors on new recordings against those on its own held-out ones.
+
+Two questions, apart: do the new rows lie inside the ranges that the version was fitted on, and are its errors on those that do
+larger than they were, beyond chance and by more than a tenth? Errors of neighbouring rows hang together, so chance is what
+blocks of rows drawn with replacement give (:mod:`sysid.validate.bootstrap`), on both sides; many outputs are many chances to be wrong,
+which Holm's correction makes up for (Scandinavian Journal of Statistics 6 (1979)).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, replace
+from typing import Any, Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from sysid.datasets.recording import Dataset, Kind, Recording
+from sysid.errors import ExcitationError
+from sysid.files import plain
+from sysid.networks import Model
+from sysid.networks.split import Rows, Segment, gather, measures, segments
+from sysid.validate.bootstrap import bootstrap_means
+from sysid.versions.outputs import OutputMap, output_maps
+
+Array = npt.NDArray[np.float64]
+Verdict = Literal["fits", "beyond its ranges", "drifted", "not comparable"]
+
+#: Rows count as outside beyond this share of the fitted range: its ends are the extremes of a sample.
+END_SHARE = 0.02
+#: More than this share of rows outside is worth a word.
+OUTSIDE_SHARE = 0.01
+#: Errors have grown if they are larger than before by this factor …
+GROWN = 1.1
+#: … and chance gives as much less often than this, over all outputs together.
+LEVEL = 0.05
+DRAWS = 2000
+#: Fewer rows than this of either side are not compared.
+MIN_ROWS = 20
+
+
+@dataclass(frozen=True)
+class InputDrift:
+    """One input: the range that the version was fitted on, and where the new rows lie.
+
+    Args:
+        outside: share of the new rows beyond the fitted range and 2 % of its width.
+    """
+
+    signal: str
+    unit: str
+    rows: Kind
+    fitted: tuple[float, float]
+    found: tuple[float, float]
+    outside: float
+
+
+@dataclass(frozen=True)
+class OutputDrift:
+    """One output on rows of one kind, inside the fitted ranges.
+
+    Args:
+        inside, outside: new rows inside and outside of the ranges of the inputs.
+        own_rmse, rmse: on its own held-out rows and on the new ones, in ``unit``; NaN where there are too few.
+        ratio95: 95 % interval of ``rmse / own_rmse``.
+        p_value: how often chance gives as large a ratio or a larger one.
+        verdict: drifted where it is larger for certain, after Holm's correction over all outputs.
+    """
+
+    output: str
+    unit: str
+    rows: Kind
+    inside: int
+    outside: int
+    own_rmse: float
+    rmse: float
+    ratio95: tuple[float, float]
+    p_value: float
+    verdict: Verdict
+
+    @property
+    def ratio(self) -> float:
+        return self.rmse / self.own_rmse if self.own_rmse > 0.0 else math.nan
+
+
+@dataclass(frozen=True)
+class Drift:
+    """A version against a new dataset.
+
+    Args:
+        recordings: that were compared.
+        known: recordings that the version's own dataset holds too, left out.
+    """
+
+    model: str
+    own: str
+    dataset: str
+    recordings: tuple[str, ...]
+    known: tuple[str, ...]
+    inputs: tuple[InputDrift, ...]
+    outputs: tuple[OutputDrift, ...]
+
+    @property
+    def verdict(self) -> Verdict:
+        """The worst of all outputs and inputs."""
+        if any(entry.verdict == "drifted" for entry in self.outputs):
+            return "drifted"
+        if any(entry.outside > OUTSIDE_SHARE for entry in self.inputs):
+            return "beyond its ranges"
+        return "fits" if any(entry.verdict == "fits" for entry in self.outputs) else "not comparable"
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain values (NaN becomes null)."""
+        values = {"verdict": self.verdict, **asdict(self)}
+        for entry, output in zip(values["outputs"], self.outputs, strict=True):
+            entry["ratio"] = output.ratio
+        result: dict[str, Any] = plain(values)
+        return result
+
+
+def drift_of(model: Model, own: Dataset, new: Dataset, name: str = "", seed: int = 0) -> Drift:
+    """Compare the errors of a network on a new dataset with those on the held-out rows of the one it was fitted on.
+
+    Args:
+        own: the dataset version that the network was fitted on.
+        new: all rows of it count, but not those of recordings that ``own`` holds as well.
+
+    Raises:
+        ExcitationError: no recording of ``new`` is new and measures what the network predicts.
+    """
+    known = tuple(recording.name for recording in new.recordings if _held(recording, new, own))
+    fresh = [recording for recording in new.recordings if recording.name not in known]
+    inputs: dict[tuple[str, Kind], InputDrift] = {}
+    outputs, used = [], list[str]()
+    for answer in output_maps(model):
+        signals = (*answer.inputs, answer.output)
+        kinds: tuple[Kind, ...] = ("motion", "poses")
+        for kind in kinds:
+            parts = [Segment(r, 0, len(r)) for r in fresh if r.kind == kind and _measured(r, signals)]
+            if not parts:
+                continue
+            rows = gather(parts, signals)
+            used += [part.recording.name for part in parts]
+            inside = _inside(answer, rows)
+            for column, signal in enumerate(answer.inputs):
+                inputs.setdefault((signal, kind), _input(answer, column, rows, kind))
+            own_rows = gather(segments(own, "held_out", signals, kind), signals) if measures(own, signals, kind) else None
+            outputs.append(_output(answer, kind, rows, inside, own_rows, seed))
+    if not outputs:
+        found = f"none of its {len(new.recordings)} recordings is new to it and measures what it predicts"
+        known_text = f" ({', '.join(known)} known)" if known else ""
+        expected = "at least one"
+        raise ExcitationError(f"drift of {name or 'a network'} on {new.reference}", found + known_text, expected)
+    recordings = tuple(dict.fromkeys(used))
+    return Drift(name, own.reference, new.reference, recordings, known, tuple(inputs.values()), _corrected(outputs))
+
+
+def _output(
+    answer: OutputMap, kind: Kind, rows: Rows, inside: npt.NDArray[np.bool_], own: Rows | None, seed: int
+) -> OutputDrift:
+    new = _squares(answer, rows)[inside]
+    before = _squares(answer, own)[_inside(answer, own)] if own is not None and len(own) else np.zeros(0)
+    counts = (int(inside.sum()), int((~inside).sum()))
+    if min(len(new), len(before)) < MIN_ROWS:
+        rmse, own_rmse = (float(np.sqrt(part.mean())) if len(part) else math.nan for part in (new, before))
+        nothing = (math.nan, math.nan)
+        return OutputDrift(answer.output, answer.unit, kind, *counts, own_rmse, rmse, nothing, math.nan, "not comparable")
+    least = 5 if kind == "motion" else 1  # every pose stands alone
+    means = [bootstrap_means(part, seed + number, DRAWS, least) for number, part in enumerate((before, new))]
+    ratios = np.sqrt(means[1] / np.maximum(means[0], 1e-300))
+    low, high = np.percentile(ratios, [2.5, 97.5])
+    return OutputDrift(
+        output=answer.output,
+        unit=answer.unit,
+        rows=kind,
+        inside=counts[0],
+        outside=counts[1],
+        own_rmse=float(np.sqrt(before.mean())),
+        rmse=float(np.sqrt(new.mean())),
+        ratio95=(float(low), float(high)),
+        p_value=float((np.sum(ratios <= 1.0) + 1) / (DRAWS + 1)),
+        verdict="fits",
+    )
+
+
+def _corrected(outputs: Sequence[OutputDrift]) -> tuple[OutputDrift, ...]:
+    """Which errors have grown: the smallest p-values, each against the share of the level that Holm leaves to it."""
+    compared = sorted((entry for entry in outputs if entry.verdict != "not comparable"), key=lambda entry: entry.p_value)
+    grown = set[int]()
+    for number, entry in enumerate(compared):
+        if entry.p_value > LEVEL / (len(compared) - number):
+            break
+        if entry.ratio > GROWN:
+            grown.add(id(entry))
+    return tuple(replace(entry, verdict="drifted") if id(entry) in grown else entry for entry in outputs)
+
+
+def _squares(answer: OutputMap, rows: Rows) -> Array:
+    return np.asarray((answer.predict(rows.values[:, :-1]) - rows.values[:, -1]) ** 2)
+
+
+def _inside(answer: OutputMap, rows: Rows) -> npt.NDArray[np.bool_]:
+    margin = END_SHARE * (answer.high - answer.low)
+    values = rows.values[:, :-1]
+    return np.asarray(np.all((values >= answer.low - margin) & (values <= answer.high + margin), axis=1))
+
+
+def _input(answer: OutputMap, column: int, rows: Rows, kind: Kind) -> InputDrift:
+    low, high = float(answer.low[column]), float(answer.high[column])
+    values, margin = rows.values[:, column], END_SHARE * (high - low)
+    outside = float(np.mean((values < low - margin) | (values > high + margin)))
+    found = (float(values.min()), float(values.max()))
+    return InputDrift(answer.inputs[column], answer.units[column], kind, (low, high), found, outside)
+
+
+def _measured(recording: Recording, signals: Sequence[str]) -> bool:
+    return bool(np.all([np.isfinite(recording.values(signal)) for signal in signals], axis=0).any())
+
+
+def _held(recording: Recording, new: Dataset, own: Dataset) -> bool:
+    """Whether ``own`` has this recording too: made from the same raw files, or with the same numbers in it."""
+    files = _raw(new, recording)
+    for other in own.recordings:
+        if files and files == _raw(own, other):
+            return True
+        same = len(recording) == len(other) and set(recording.signals) == set(other.signals)
+        if same and all(
+            np.array_equal(recording.values(signal), other.values(signal), equal_nan=True) for signal in other.signals
+        ):
+            return True
+    return False
+
+
+def _raw(dataset: Dataset, recording: Recording) -> frozenset[str]:
+    """Digests of the raw files in the folder of a recording."""
+    folders = {recording.name, recording.name.rpartition("#")[0]} - {""}
+    return frozenset(source.sha256 for source in dataset.sources if source.path.rpartition("/")[0] in folders)

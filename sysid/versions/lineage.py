@@ -1,0 +1,116 @@
+"""Where a model version comes from, down to the raw files, and what came of it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
+
+from sysid.datasets import Lineage, Store
+from sysid.datasets import lineage as lineage_of_dataset
+from sysid.errors import StoreError
+from sysid.registry import ModelVersion, made_from, made_of
+
+
+@dataclass(frozen=True)
+class Relative:
+    """Another model version in a lineage."""
+
+    reference: str
+    kind: str
+    digest: str
+    aliases: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Use:
+    """A stored result that rests on the version: what it is, on which dataset version, and how it uses it."""
+
+    what: str
+    dataset: str
+    how: str
+
+
+@dataclass(frozen=True)
+class ModelLineage:
+    """The chain of one version.
+
+    Args:
+        dataset, dataset_digest: that it was made from; empty where its lineage names none.
+        missing: why the dataset version cannot be followed any further; empty where it can.
+        source: the chain of that dataset version, to its raw files.
+        parents: model versions that it was made from.
+        children: model versions that were made from it, directly or through another one.
+        uses: results that rest on it.
+    """
+
+    model: str
+    kind: str
+    digest: str
+    created_ms: int
+    aliases: tuple[str, ...]
+    dataset: str
+    dataset_digest: str
+    missing: str
+    source: Lineage | None
+    parents: tuple[Relative, ...]
+    children: tuple[Relative, ...]
+    uses: tuple[Use, ...]
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain values, schema 1."""
+        values = asdict(self)
+        values["source"] = self.source.to_json() if self.source is not None else None
+        return {"schema": 1, **values}
+
+
+def lineage_of(version: ModelVersion, versions: Sequence[ModelVersion], store: Store, uses: Sequence[Use] = ()) -> ModelLineage:
+    """Follow the lineage of a version both ways.
+
+    Args:
+        versions: all that the registry holds.
+        store: of the datasets.
+        uses: stored results that rest on it.
+    """
+    parents = made_of(versions, version)
+    dataset, digest = next(
+        (found for found in map(_dataset, (version, *parents)) if found[0]),
+        ("", ""),
+    )
+    source, missing = _source(store, dataset, digest)
+    return ModelLineage(
+        model=version.reference,
+        kind=version.kind,
+        digest=version.digest,
+        created_ms=version.created_ms,
+        aliases=version.aliases,
+        dataset=dataset,
+        dataset_digest=digest or (source.digest if source is not None else ""),
+        missing=missing,
+        source=source,
+        parents=tuple(map(_relative, parents)),
+        children=tuple(map(_relative, made_from(versions, version.reference))),
+        uses=tuple(uses),
+    )
+
+
+def _source(store: Store, dataset: str, digest: str) -> tuple[Lineage | None, str]:
+    """The chain of the dataset version, or why there is none."""
+    if not dataset:
+        return None, "its lineage names no dataset version"
+    try:
+        found = lineage_of_dataset(store, dataset)
+    except StoreError as error:
+        return None, str(error)
+    if digest and found.digest != digest:
+        return None, f"{dataset} is another dataset of the same name here (digest {found.digest[:12]}…)"
+    return found, ""
+
+
+def _dataset(version: ModelVersion) -> tuple[str, str]:
+    name = version.lineage.get("dataset")
+    return (str(name), str(version.lineage.get("dataset_digest", ""))) if isinstance(name, str) else ("", "")
+
+
+def _relative(version: ModelVersion) -> Relative:
+    return Relative(version.reference, version.kind, version.digest, version.aliases)

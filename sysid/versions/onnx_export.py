@@ -1,0 +1,219 @@
+"""Networks as ONNX files, for a controller that has no Python: written, run, and kept only if they predict the same."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import tempfile
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from sysid.errors import SettingsError, StorageError, StoreError
+from sysid.files import json_text
+from sysid.networks import ForwardNetwork, Model, StructuredForward
+from sysid.networks.actuator import DIRECTIONS
+from sysid.signals import axis_signal, point_signals
+from sysid.versions.onnx_graph import IR_VERSION, OPSET, Graph
+
+Array = npt.NDArray[np.float64]
+Precision = Literal["float32", "float64"]
+
+#: A prediction may differ by this many roundings of the largest value of its output.
+ROUNDINGS = 32.0
+#: Points that are compared inside the fitted range, and as many beyond it: by half its width on either side.
+POINTS, BEYOND = 4096, 0.5
+
+
+@dataclass(frozen=True)
+class Exported:
+    """One ONNX file and how closely it agrees.
+
+    Args:
+        file: its path.
+        inputs, outputs: columns of its input and output tensor [SI].
+        low, high: range of each input that the network was fitted on.
+        largest: difference from the version's own prediction [SI], inside the fitted range and beyond it, by output.
+        allowed: by output: what rounding may make of it.
+    """
+
+    file: str
+    inputs: tuple[str, ...]
+    outputs: tuple[str, ...]
+    low: tuple[float, ...]
+    high: tuple[float, ...]
+    largest: tuple[float, ...]
+    allowed: tuple[float, ...]
+    points: int
+    precision: Precision
+
+
+@dataclass(frozen=True)
+class _Part:
+    """What one file holds: ``put`` adds its nodes to a graph, ``predict`` says what they have to give."""
+
+    name: str
+    inputs: tuple[str, ...]
+    outputs: tuple[str, ...]
+    low: Array
+    high: Array
+    put: Callable[[Graph, str], str]
+    predict: Callable[[Array], Array]
+
+
+def export_onnx(
+    model: Model, folder: Path, about: Mapping[str, str] | None = None, precision: Precision = "float32", seed: int = 0
+) -> tuple[Exported, ...]:
+    """Write a network as ONNX files into ``folder``, all or none: ``forward.onnx``, or ``boom.to_joint.onnx`` and so on.
+
+    Every file is run by ONNX Runtime on random inputs inside and beyond the fitted range; where it does not predict what the
+    network does, within rounding, nothing is written.
+
+    Args:
+        folder: must not exist yet, or be the export of before.
+        about: put into the files as metadata (``reference``, ``digest``).
+
+    Raises:
+        SettingsError: onnx or onnxruntime are not installed; the folder holds something else.
+        StoreError: a file does not predict the same.
+        StorageError: the disk is full, or may not be written.
+    """
+    runtime = _runtime()
+    if folder.exists() and not (folder / "export.json").is_file() and (not folder.is_dir() or any(folder.iterdir())):
+        raise SettingsError(f"--out {folder}", "holds something that is no export", "a new folder")
+    found, contents = [], {}
+    for part in _parts(model):
+        content = _content(part, precision, about or {})
+        exported = _compared(part, content, precision, runtime, seed)
+        found.append(exported)
+        contents[exported.file] = content
+    described = {"schema": 1, **(about or {}), "files": [asdict(entry) for entry in found]}
+    contents["export.json"] = json_text(described).encode("utf-8")
+    _write(folder, contents)
+    return tuple(found)
+
+
+def _runtime() -> Any:
+    try:
+        import onnx  # noqa: F401
+        import onnxruntime
+    except ImportError as error:
+        raise SettingsError(
+            "sysid models export", f"{error.name} is not installed", "the extra", "Type: pip install 'sysid[onnx]'"
+        ) from None
+    return onnxruntime
+
+
+def _parts(model: Model) -> tuple[_Part, ...]:
+    if isinstance(model, ForwardNetwork | StructuredForward):
+        outputs = point_signals("ee")
+
+        def put(graph: Graph, q: str) -> str:
+            return graph.forward(model, q)
+
+        return (_Part("forward", model.joints, outputs, model.low, model.high, put, model.predict),)
+    found = []
+    for axis, network in model.items():
+        signals = (axis_signal(axis, "cylinder"), axis_signal(axis, "joint"))
+        ends = (network.displacements, network.joints)
+        for direction, source in zip(DIRECTIONS, (0, 1), strict=True):
+            mlp = network.to_joint if direction == "to_joint" else network.to_cylinder
+            found.append(
+                _Part(
+                    f"{axis}.{direction}",
+                    (signals[source],),
+                    (signals[1 - source],),
+                    np.array([ends[source][0]]),
+                    np.array([ends[source][1]]),
+                    lambda graph, value, mlp=mlp: graph.mlp(mlp, value),  # type: ignore[misc]
+                    mlp.predict,
+                )
+            )
+    return tuple(found)
+
+
+def _content(part: _Part, precision: Precision, about: Mapping[str, str]) -> bytes:
+    """The file, checked by ONNX itself."""
+    import onnx
+    from onnx import TensorProto, helper
+
+    graph = Graph(np.float32 if precision == "float32" else np.float64)
+    kind = TensorProto.FLOAT if precision == "float32" else TensorProto.DOUBLE
+    graph.add("Identity", part.put(graph, "inputs"), output="outputs")
+    whole = helper.make_graph(
+        graph.nodes,
+        part.name,
+        [helper.make_tensor_value_info("inputs", kind, ["n", len(part.inputs)])],
+        [helper.make_tensor_value_info("outputs", kind, ["n", len(part.outputs)])],
+        graph.constants,
+        doc_string=f"{', '.join(part.inputs)} → {', '.join(part.outputs)}, in m and rad",
+    )
+    file = helper.make_model(
+        whole, opset_imports=[helper.make_opsetid("", OPSET)], ir_version=IR_VERSION, producer_name="sysid"
+    )
+    facts = {"inputs": list(part.inputs), "outputs": list(part.outputs), "low": part.low.tolist(), "high": part.high.tolist()}
+    helper.set_model_props(file, {**about, **{key: json.dumps(value) for key, value in facts.items()}})
+    onnx.checker.check_model(file, full_check=True)
+    return bytes(file.SerializeToString())
+
+
+def _compared(part: _Part, content: bytes, precision: Precision, runtime: Any, seed: int) -> Exported:
+    options = runtime.SessionOptions()
+    options.intra_op_num_threads = options.inter_op_num_threads = 1
+    options.log_severity_level = 3
+    dtype = np.float32 if precision == "float32" else np.float64
+    share = np.random.default_rng(seed).uniform(0.0, 1.0, (2 * POINTS, len(part.inputs)))
+    share[POINTS:] = share[POINTS:] * (1.0 + 2.0 * BEYOND) - BEYOND
+    points = (part.low + share * (part.high - part.low)).astype(dtype)
+    # What is handed in is rounded already: that is no fault of the file.
+    own = part.predict(points.astype(np.float64))
+    try:
+        session = runtime.InferenceSession(content, options, providers=["CPUExecutionProvider"])
+        said = np.asarray(session.run(None, {"inputs": points})[0], dtype=np.float64)
+    except Exception as error:  # the runtime's errors have no root of their own but this
+        found = f"cannot be run ({str(error).splitlines()[0]})"
+        raise StoreError(f"ONNX of {part.name}", found, "a file that ONNX Runtime runs") from None
+    if said.shape != own.shape:
+        raise StoreError(f"ONNX of {part.name}", f"shape {said.shape}", f"{own.shape}")
+    largest = np.abs(said - own).max(axis=0)
+    allowed = ROUNDINGS * float(np.finfo(dtype).eps) * np.abs(own).max(axis=0)
+    for name, difference, most in zip(part.outputs, largest, allowed, strict=True):
+        if not difference <= most:  # NaN fails as well
+            remedy = "Export it with --precision float64." if precision == "float32" else ""
+            found = f"{name} differs by {difference:.3g} from the version itself"
+            raise StoreError(f"ONNX of {part.name}", found, f"at most {most:.3g} (rounding of {precision})", remedy)
+    return Exported(
+        file=f"{part.name}.onnx",
+        inputs=part.inputs,
+        outputs=part.outputs,
+        low=tuple(part.low.tolist()),
+        high=tuple(part.high.tolist()),
+        largest=tuple(largest.tolist()),
+        allowed=tuple(allowed.tolist()),
+        points=len(points),
+        precision=precision,
+    )
+
+
+def _write(folder: Path, contents: Mapping[str, bytes]) -> None:
+    """All files or none: a folder beside, then one rename."""
+    half = None
+    try:
+        folder.parent.mkdir(parents=True, exist_ok=True)
+        half = Path(tempfile.mkdtemp(prefix=".partial-", dir=folder.parent))
+        half.chmod(0o755)
+        for name, content in contents.items():
+            (half / name).write_bytes(content)
+        if folder.exists():
+            shutil.rmtree(folder)
+        half.rename(folder)
+    except OSError as error:
+        found = f"cannot be written ({error.strerror or error}); nothing was exported"
+        raise StorageError(folder, found, remedy="Make room, or name another folder with --out.") from None
+    finally:
+        if half is not None:
+            shutil.rmtree(half, ignore_errors=True)

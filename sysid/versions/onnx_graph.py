@@ -1,0 +1,141 @@
+"""Networks as ONNX graphs, written node by node: no torch, and nothing in them but arithmetic.
+
+A perceptron is matrix products and rectifiers between its normalisations. The tip of an open chain is linear in products of one
+factor a joint, (1, sin q, cos q) or (1, q) (:mod:`sysid.networks.chain`), so a calibrated geometry becomes the same few nodes as
+a fitted chain: its weights follow exactly from the tip at three values of each angle and two of each slide.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from sysid.networks import Calibration, Chain, ForwardNetwork, Mlp, StructuredForward
+
+Array = npt.NDArray[np.float64]
+
+#: Read by ONNX Runtime from 1.14 (early 2023) on.
+OPSET, IR_VERSION = 18, 8
+#: Values of a joint at which the tip settles the weights of its factors.
+ANGLES, SLIDES = (0.0, math.pi / 2.0, math.pi), (0.0, 1.0)
+
+
+class Graph:
+    """Nodes and constants in the order in which they were added; values are known by name.
+
+    Args:
+        dtype: of every number in it.
+    """
+
+    def __init__(self, dtype: type[np.float32] | type[np.float64]) -> None:
+        self.dtype = dtype
+        self.nodes: list[Any] = []
+        self.constants: list[Any] = []
+
+    def add(self, operator: str, *inputs: str, output: str = "", **attributes: Any) -> str:
+        """One node; returns the name of its output."""
+        from onnx import helper
+
+        name = output or f"{operator.lower()}_{len(self.nodes)}"
+        self.nodes.append(helper.make_node(operator, list(inputs), [name], name=f"node_{len(self.nodes)}", **attributes))
+        return name
+
+    def constant(self, values: npt.ArrayLike, whole: bool = False) -> str:
+        """A constant of the graph's type, or of whole numbers."""
+        from onnx import numpy_helper
+
+        name = f"constant_{len(self.constants)}"
+        array = np.asarray(values, dtype=np.int64 if whole else self.dtype)
+        self.constants.append(numpy_helper.from_array(array, name))
+        return name
+
+    def mlp(self, network: Mlp, value: str) -> str:
+        """A perceptron with its normalisations."""
+        h = self.add("Div", self.add("Sub", value, self.constant(network.inputs.mean)), self.constant(network.inputs.scale))
+        last = len(network.weights) - 1
+        for number, (weight, bias) in enumerate(zip(network.weights, network.biases, strict=True)):
+            h = self.add("Gemm", h, self.constant(weight), self.constant(bias))
+            if number < last:
+                h = self.add("Relu", h)
+        return self.add("Add", self.add("Mul", h, self.constant(network.outputs.scale)), self.constant(network.outputs.mean))
+
+    def mean(self, values: Sequence[str]) -> str:
+        """The mean of members; not the operator of that name, which ONNX Runtime has for float32 alone."""
+        total = values[0]
+        for value in values[1:]:
+            total = self.add("Add", total, value)
+        return total if len(values) == 1 else self.add("Mul", total, self.constant([1.0 / len(values)]))
+
+    def columns(self, value: str, which: Sequence[int]) -> str:
+        return self.add("Gather", value, self.constant(list(which), whole=True), axis=1)
+
+    def features(self, q: str, revolute: Sequence[bool]) -> str:
+        """Sines, cosines and slides of the joints, as :func:`sysid.networks.forward.to_features` orders them."""
+        angles = [number for number, angle in enumerate(revolute) if angle]
+        slides = [number for number, angle in enumerate(revolute) if not angle]
+        parts = []
+        if angles:
+            turned = self.columns(q, angles)
+            parts += [self.add("Sin", turned), self.add("Cos", turned)]
+        if slides:
+            parts.append(self.columns(q, slides))
+        return parts[0] if len(parts) == 1 else self.add("Concat", *parts, axis=1)
+
+    def products(self, q: str, revolute: Sequence[bool]) -> str:
+        """All products of one factor a joint, that of ones first, (n, P + 1)."""
+        rows = ""
+        for number, angle in enumerate(revolute):
+            column = self.columns(q, [number])
+            one = self.add("Add", self.add("Mul", column, self.constant([0.0])), self.constant([1.0]))
+            own = [one, self.add("Sin", column), self.add("Cos", column)] if angle else [one, column]
+            factor = self.add("Concat", *own, axis=1)
+            if not rows:
+                rows = factor
+                continue
+            outer = self.add(
+                "Mul",
+                self.add("Unsqueeze", rows, self.constant([2], whole=True)),
+                self.add("Unsqueeze", factor, self.constant([1], whole=True)),
+            )
+            rows = self.add("Flatten", outer, axis=1)
+        return rows
+
+    def forward(self, model: ForwardNetwork | StructuredForward, q: str) -> str:
+        """Joint values (n, n_axes) → tip (n, 3)."""
+        if isinstance(model, ForwardNetwork):
+            inputs = q if model.features == "joints" else self.features(q, model.revolute)
+            return self.mean([self.mlp(member, inputs) for member in model.members])
+        stretch, weights = chain_weights(model.structure, model.revolute)
+        turned = self.add("Mul", q, self.constant(stretch)) if np.any(stretch != 1.0) else q
+        tip = self.add("MatMul", self.products(turned, model.revolute), self.constant(weights))
+        if not model.members:
+            return tip
+        inputs, bound = self.features(q, model.revolute), self.constant([model.bound])
+        rest = [
+            self.add("Mul", self.add("Tanh", self.add("Div", self.mlp(member, inputs), bound)), bound)
+            for member in model.members
+        ]
+        return self.add("Add", tip, self.mean(rest))
+
+
+def chain_weights(structure: Calibration | Chain, revolute: Sequence[bool]) -> tuple[Array, Array]:
+    """By how much each joint's reading is stretched, (n_axes,), and the products' weights, (P + 1, 3), that of ones first."""
+    if isinstance(structure, Chain):
+        weights = structure.weights / structure.scale[:, None]
+        return np.ones(len(revolute)), np.vstack([structure.level - structure.mean @ weights, weights])
+    moved = {
+        parameter.key: float(value) for parameter, value in zip(structure.geometry.parameters, structure.values, strict=True)
+    }
+    stretch = np.array([1.0 + moved[f"{name}.scale"] for name in structure.geometry.kinematics.actuated])
+    places = [ANGLES if angle else SLIDES for angle in revolute]
+    grid = np.stack([axis.ravel() for axis in np.meshgrid(*places, indexing="ij")], axis=1)
+    weights = structure.predict(grid / stretch).reshape(*(len(place) for place in places), 3)
+    for number, (angle, place) in enumerate(zip(revolute, places, strict=True)):
+        at = np.array(place)
+        factors = np.stack([np.ones_like(at), np.sin(at), np.cos(at)] if angle else [np.ones_like(at), at], axis=1)
+        weights = np.moveaxis(np.tensordot(np.linalg.inv(factors), weights, axes=(1, number)), 0, number)
+    return stretch, weights.reshape(-1, 3)

@@ -1,0 +1,234 @@
+"""What a network has to show before its name means it: a policy in TOML, limits with units (``docs/guide/models.md``).
+
+Both versions are judged on the held-out rows of one dataset version, that of the candidate: figures on different rows cannot be
+compared. The champion may have been fitted to some of them, which speaks for staying.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterator, Mapping
+from dataclasses import asdict, dataclass, field
+from fnmatch import fnmatchcase
+from pathlib import Path
+from typing import Any, Literal, get_args
+
+from sysid.config import STRICT, load_settings
+from sysid.errors import SettingsError, nearest
+from sysid.registry.promotion import Check
+from sysid.units import si_factor
+from sysid.validate import OutputReport, ValidationReport
+from sysid.versions.outputs import shown
+
+Figure = Literal["rmse", "max", "p50", "p95", "p99", "bias"]
+FIGURES: tuple[Figure, ...] = get_args(Figure)
+ROWS = {"motion": "in motion", "poses": "at poses"}
+
+_QUANTITY = re.compile(r"\s*([0-9.]+(?:[eE][-+]?[0-9]+)?)\s*(\S.*?)\s*")
+
+
+@dataclass(frozen=True)
+class Limit:
+    """The most that figures of an output may be, each with its unit (``"15 mm"``), on rows of one kind or of both."""
+
+    __pydantic_config__ = STRICT
+
+    rmse: str | float | None = None
+    max: str | float | None = None
+    p50: str | float | None = None
+    p95: str | float | None = None
+    p99: str | float | None = None
+    bias: str | float | None = None
+    rows: Literal["motion", "poses"] | None = None
+
+    def figures(self) -> dict[Figure, str | float]:
+        given = {name: getattr(self, name) for name in FIGURES}
+        return {name: value for name, value in given.items() if value is not None}
+
+
+@dataclass(frozen=True)
+class KindPolicy:
+    """For networks of one kind.
+
+    Args:
+        not_worse: figures in which no output may be worse than with the champion.
+        margin: by more than this share is worse.
+        baselines: whether every output has to have a smaller RMSE than the best simple model fitted on the same rows.
+        limits: output, or pattern of outputs (``ee.*``) → its limit.
+    """
+
+    __pydantic_config__ = STRICT
+
+    not_worse: tuple[Figure, ...] = ("rmse", "p95")
+    margin: float = 0.05
+    baselines: bool = False
+    limits: dict[str, Limit] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Policy:
+    """The whole policy; without a file: no worse than the champion by more than 5 % in RMSE and 95 % error."""
+
+    __pydantic_config__ = STRICT
+
+    schema: Literal[1] = 1
+    actuator: KindPolicy = KindPolicy()
+    forward: KindPolicy = KindPolicy()
+
+    def of(self, kind: str) -> KindPolicy:
+        return self.actuator if kind == "actuator" else self.forward
+
+    def to_json(self) -> dict[str, Any]:
+        """For the record of a decision."""
+        return asdict(self)
+
+
+def load_policy(path: Path | None = None) -> Policy:
+    """The policy in ``path``; None: the default.
+
+    Raises:
+        SettingsError: unknown keys, wrong types, a limit without a unit or that is no positive number.
+    """
+    if path is None:
+        return Policy()
+    policy = load_settings(path, Policy)
+    for kind in ("actuator", "forward"):
+        part = policy.of(kind)
+        if not (math.isfinite(part.margin) and part.margin >= 0.0):
+            raise SettingsError(f"{path}: {kind}.margin", str(part.margin), "a share from 0 on, as in 0.05")
+        for pattern, limit in part.limits.items():
+            where = f"{path}: {kind}.limits.{pattern!r}"
+            if not limit.figures():
+                raise SettingsError(where, "no figure", f"at least one of {', '.join(FIGURES)}")
+            for figure, value in limit.figures().items():
+                _quantity(value, f"{where}.{figure}")
+    return policy
+
+
+def policy_checks(
+    policy: Policy, report: ValidationReport, champion: ValidationReport | None = None, where: object = "policy"
+) -> tuple[Check, ...]:
+    """What the policy says of a network, line by line.
+
+    Args:
+        report: of the candidate.
+        champion: of what its name means until now, on the same rows; None where nothing was promoted.
+        where: the policy's file, for messages.
+
+    Raises:
+        SettingsError: a limit for an output that the network does not have, or in a unit that is not the output's.
+    """
+    part = policy.of(report.kind)
+    checks = list(_limits(part, report, f"{where}: {report.kind}.limits"))
+    if part.baselines:
+        checks += [_baseline(entry) for entry in report.outputs]
+    if part.not_worse:
+        checks += _against(part, report, champion)
+    if not checks:
+        raise SettingsError(f"{where}: {report.kind}", "nothing is asked", "limits, not_worse or baselines")
+    return tuple(checks)
+
+
+def _limits(part: KindPolicy, report: ValidationReport, where: str) -> Iterator[Check]:
+    for pattern, limit in part.limits.items():
+        named = [entry for entry in report.outputs if fnmatchcase(entry.output, pattern)]
+        entries = [entry for entry in named if limit.rows in (None, entry.rows)]
+        if not named:
+            raise SettingsError(f"{where}.{pattern!r}", "no such output", nearest(pattern, {e.output for e in report.outputs}))
+        if not entries:
+            there = ", ".join(sorted({entry.rows for entry in named}))
+            raise SettingsError(f"{where}.{pattern!r}: rows", f"no held-out {limit.rows} of it", f"{there}, or none named")
+        for figure, text in limit.figures().items():
+            most, unit = _quantity(text, f"{where}.{pattern!r}.{figure}")
+            for entry in entries:
+                if unit != entry.unit:
+                    example = "'5 mm'" if entry.unit == "m" else "'5 mrad'"
+                    raise SettingsError(
+                        f"{where}.{pattern!r}.{figure}", repr(text), f"a quantity in {entry.unit}, as in {example}"
+                    )
+                yield _limit(entry, figure, most)
+
+
+def _limit(entry: OutputReport, figure: Figure, most: float) -> Check:
+    value = _figure(entry, figure)
+    what = f"{_name(entry)}: {figure} {shown(value, entry.unit)}"
+    name = f"limit on {figure} of {_name(entry)}"
+    if value <= most:
+        return Check(name, "passed", f"{what}, at most {shown(most, entry.unit)} allowed")
+    return Check(name, "failed", f"{what}, {shown(value - most, entry.unit)} above the {shown(most, entry.unit)} allowed")
+
+
+def _baseline(entry: OutputReport) -> Check:
+    name = f"simple models of {_name(entry)}"
+    if not entry.baselines:
+        return Check(name, "left out", f"{_name(entry)}: no simple model to compare with")
+    title, best = min(entry.baselines.items(), key=lambda item: item[1].rmse)
+    ours, theirs = entry.metrics.rmse, best.rmse
+    what = f"{_name(entry)}: rmse {shown(ours, entry.unit)}"
+    if ours < theirs:
+        return Check(name, "passed", f"{what}, {title} {shown(theirs, entry.unit)}")
+    return Check(name, "failed", f"{what}, no smaller than the {shown(theirs, entry.unit)} of a {title}")
+
+
+def _against(part: KindPolicy, report: ValidationReport, champion: ValidationReport | None) -> list[Check]:
+    if champion is None:
+        return [Check("champion", "left out", "nothing of this name was promoted before")]
+    theirs = {(entry.output, entry.rows): entry for entry in champion.outputs}
+    ours = {(entry.output, entry.rows): entry for entry in report.outputs}
+    checks = []
+    for key, entry in ours.items():
+        if key not in theirs:
+            text = f"{_name(entry)}: {champion.model} does not predict it"
+            checks.append(Check(f"champion in {_name(entry)}", "left out", text))
+            continue
+        checks += [_figure_against(entry, theirs[key], figure, part.margin, champion.model) for figure in part.not_worse]
+    for key, entry in theirs.items():
+        if key not in ours:
+            text = f"{_name(entry)}: {champion.model} predicts it, this version does not"
+            checks.append(Check(f"champion in {_name(entry)}", "failed", text))
+    return checks
+
+
+def _figure_against(ours: OutputReport, theirs: OutputReport, figure: Figure, margin: float, champion: str) -> Check:
+    mine, other = _figure(ours, figure), _figure(theirs, figure)
+    name = f"champion in {figure} of {_name(ours)}"
+    what = f"{_name(ours)}: {figure} {shown(mine, ours.unit)}"
+    share = mine / other - 1.0 if other > 0.0 else (0.0 if mine <= other else math.inf)
+    told = f"{abs(100.0 * share):.1f} % {'above' if share > 0.0 else 'below'} the {shown(other, ours.unit)} of {champion}"
+    if share <= margin:
+        return Check(name, "passed", f"{what}, {told}")
+    return Check(name, "failed", f"{what}, {told} ({100.0 * margin:g} % allowed)")
+
+
+def _figure(entry: OutputReport, figure: Figure) -> float:
+    return abs(float(getattr(entry.metrics, figure)))
+
+
+def _name(entry: OutputReport) -> str:
+    return f"{entry.output} {ROWS[entry.rows]}"
+
+
+def _quantity(value: str | float, where: str) -> tuple[float, str]:
+    """``"15 mm"`` → ``(0.015, "m")``."""
+    match = _QUANTITY.fullmatch(value) if isinstance(value, str) else None
+    if match is None:
+        raise SettingsError(where, repr(value), "a positive number with its unit, as in '15 mm'")
+    try:
+        number = float(match[1])
+    except ValueError:
+        raise SettingsError(where, repr(value), "a positive number with its unit, as in '15 mm'") from None
+    factor, unit = si_factor(match[2], where)
+    if not (math.isfinite(number) and number > 0.0):
+        raise SettingsError(where, repr(value), "a positive number with its unit, as in '15 mm'")
+    return factor * number, unit
+
+
+def judged_by(policy: Policy, kind: str, path: Path | None, dataset: str) -> Mapping[str, Any]:
+    """What the record of a decision says of its judge."""
+    name = path.name if path is not None else "default"
+    rules = asdict(policy.of(kind))
+    rules["limits"] = {
+        pattern: {key: value for key, value in limit.items() if value is not None} for pattern, limit in rules["limits"].items()
+    }
+    return {"by": "policy", "policy": name, "rules": rules, "dataset": dataset}
