@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING
 
 from sysid.cli.version_tables import model_line, show_chain, show_changes, show_names
@@ -75,7 +76,11 @@ def show_model_diff(out: Printer, found: ModelDiff) -> None:
     show_changes(out, "made from", found.lineage)
     show_changes(out, "figure", found.figures)
     show_names(out, "file", found.files)
-    largest = sorted(found.geometry, key=lambda change: -change.sigmas)
+    only = [change for change in found.geometry if not math.isfinite(change.sigmas)]
+    if only:
+        who = found.after if math.isnan(only[0].before) else found.before
+        out.line(f"geometry: {len(only)} parameters of {who} alone")
+    largest = sorted((change for change in found.geometry if math.isfinite(change.sigmas)), key=lambda change: -change.sigmas)
     rows = [
         (change.parameter, shown(change.before, change.unit), shown(change.after, change.unit), f"{change.sigmas:.1f}")
         for change in largest[:MOST_PARAMETERS]
@@ -124,7 +129,7 @@ def show_drift(out: Printer, found: Drift) -> None:
                 shown(entry.own_rmse, entry.unit),
                 shown(entry.rmse, entry.unit),
                 f"{entry.ratio:.2f} ({low:.2f} … {high:.2f})" if compared else "–",
-                f"{entry.p_value:.3f}" if compared else "–",
+                ("< 0.001" if entry.p_value < 1e-3 else f"{entry.p_value:.3f}") if compared else "–",
                 entry.verdict,
             )
         )

@@ -105,7 +105,9 @@ def promote(workspace: str, reference: str, policy: Path | None, dataset: str | 
     write_json(json_file, {"schema": 1, "promoted": found.promoted, "word": word.strip(), **asdict(found)})
     if not found.promoted:
         remedy = f"To promote it all the same: sysid models promote {found.version} --anyway {ANYWAY}"
-        raise StoreError(found.version, f"not promoted: {found.reason}", "a version that passes", remedy)
+        failed = [check for check in found.checks if check.status == "failed"]
+        told = failed[0].text if len(failed) == 1 else f"{len(failed)} of {len(found.checks)} conditions do not hold"
+        raise StoreError(found.version, f"not promoted: {told if failed else found.reason}", "a version that passes", remedy)
 
 
 @models.command()

@@ -6,7 +6,7 @@ import json
 from collections.abc import Mapping
 from typing import Any
 
-from sysid.errors import StoreError
+from sysid.errors import SettingsError, StoreError
 from sysid.registry.artifacts import checked
 from sysid.registry.promotion import Decision
 from sysid.registry.version import CHAMPION, ModelVersion, check_files, sha256
@@ -68,7 +68,7 @@ def _version(entry: Any, aliases: Mapping[str, Any]) -> ModelVersion:
         kind, lineage, files = content["kind"], content["lineage"], content["files"]
         metrics = json.loads(entry.tags.get(METRICS, "{}"))
         check_files(dict.fromkeys(files, b""), where)  # a foreign registry may name paths
-    except (ValueError, KeyError, TypeError) as error:
+    except (ValueError, KeyError, TypeError, SettingsError) as error:
         found = f"not one of ours ({type(error).__name__}: {error})"
         raise StoreError(f"{where}: manifest", found, "what sysid registered", "Was it made by another program?") from None
     decisions = sorted((key, value) for key, value in entry.tags.items() if key.startswith(f"{DECISION}."))

@@ -101,8 +101,8 @@ def decision_row(decision: Decision) -> tuple[str, str, str, str]:
         overruled = f" (overruled: {decision.reason})" if decision.reason else ""
         return when, what, "explicit word", f"{decision.word}{overruled}"
     passed = sum(check.status == "passed" for check in decision.checks)
-    told = str(decision.judged.get("as", "")) or f"all {passed} conditions hold"
-    return when, what, judge, decision.reason or told
+    told = f"all {passed} conditions hold" if passed else "; ".join(check.text for check in decision.checks)
+    return when, what, judge, decision.reason or str(decision.judged.get("as", "")) or told
 
 
 def _what(version: ModelVersion, model: Model | None) -> Iterator[str]:

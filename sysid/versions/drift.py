@@ -2,8 +2,8 @@
 
 Two questions, apart: do the new rows lie inside the ranges that the version was fitted on, and are its errors on those that do
 larger than they were, beyond chance and by more than a tenth? Errors of neighbouring rows hang together, so chance is what
-blocks of rows drawn with replacement give (:mod:`sysid.validate.bootstrap`), on both sides; many outputs are many chances to be wrong,
-which Holm's correction makes up for (Scandinavian Journal of Statistics 6 (1979)).
+blocks of rows drawn with replacement give (:mod:`sysid.validate.bootstrap`), on both sides; many outputs are many chances to be
+wrong, which Holm's correction makes up for (Scandinavian Journal of Statistics 6 (1979)).
 """
 
 from __future__ import annotations

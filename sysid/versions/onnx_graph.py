@@ -1,8 +1,8 @@
 """Networks as ONNX graphs, written node by node: no torch, and nothing in them but arithmetic.
 
 A perceptron is matrix products and rectifiers between its normalisations. The tip of an open chain is linear in products of one
-factor a joint, (1, sin q, cos q) or (1, q) (:mod:`sysid.networks.chain`), so a calibrated geometry becomes the same few nodes as
-a fitted chain: its weights follow exactly from the tip at three values of each angle and two of each slide.
+factor a joint, (1, sin q, cos q) or (1, q) (:mod:`sysid.networks.chain`), so a calibrated geometry becomes the same few nodes
+as a fitted chain: its weights follow exactly from the tip at three values of each angle and two of each slide.
 """
 
 from __future__ import annotations

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any, Literal, get_args
 
 from sysid.config import STRICT, load_settings
-from sysid.errors import SettingsError, nearest
+from sysid.errors import InputError, SettingsError, nearest
 from sysid.registry.promotion import Check
 from sysid.units import si_factor
 from sysid.validate import OutputReport, ValidationReport
@@ -54,7 +54,7 @@ class KindPolicy:
     Args:
         not_worse: figures in which no output may be worse than with the champion.
         margin: by more than this share is worse.
-        baselines: whether every output has to have a smaller RMSE than the best simple model fitted on the same rows.
+        baselines: whether no output may have a larger RMSE than the best simple model fitted on the same rows.
         limits: output, or pattern of outputs (``ee.*``) → its limit.
     """
 
@@ -122,7 +122,7 @@ def policy_checks(
     part = policy.of(report.kind)
     checks = list(_limits(part, report, f"{where}: {report.kind}.limits"))
     if part.baselines:
-        checks += [_baseline(entry) for entry in report.outputs]
+        checks += [_baseline(entry, part.margin) for entry in report.outputs]
     if part.not_worse:
         checks += _against(part, report, champion)
     if not checks:
@@ -159,16 +159,17 @@ def _limit(entry: OutputReport, figure: Figure, most: float) -> Check:
     return Check(name, "failed", f"{what}, {shown(value - most, entry.unit)} above the {shown(most, entry.unit)} allowed")
 
 
-def _baseline(entry: OutputReport) -> Check:
+def _baseline(entry: OutputReport, margin: float) -> Check:
     name = f"simple models of {_name(entry)}"
     if not entry.baselines:
         return Check(name, "left out", f"{_name(entry)}: no simple model to compare with")
     title, best = min(entry.baselines.items(), key=lambda item: item[1].rmse)
     ours, theirs = entry.metrics.rmse, best.rmse
     what = f"{_name(entry)}: rmse {shown(ours, entry.unit)}"
-    if ours < theirs:
-        return Check(name, "passed", f"{what}, {title} {shown(theirs, entry.unit)}")
-    return Check(name, "failed", f"{what}, no smaller than the {shown(theirs, entry.unit)} of a {title}")
+    told = f"{_compared(ours, theirs)} the {shown(theirs, entry.unit)} of the best simple model ({title})"
+    if ours <= theirs * (1.0 + margin):
+        return Check(name, "passed", f"{what}, {told}")
+    return Check(name, "failed", f"{what}, {told}; {100.0 * margin:g} % allowed")
 
 
 def _against(part: KindPolicy, report: ValidationReport, champion: ValidationReport | None) -> list[Check]:
@@ -194,11 +195,17 @@ def _figure_against(ours: OutputReport, theirs: OutputReport, figure: Figure, ma
     mine, other = _figure(ours, figure), _figure(theirs, figure)
     name = f"champion in {figure} of {_name(ours)}"
     what = f"{_name(ours)}: {figure} {shown(mine, ours.unit)}"
-    share = mine / other - 1.0 if other > 0.0 else (0.0 if mine <= other else math.inf)
-    told = f"{abs(100.0 * share):.1f} % {'above' if share > 0.0 else 'below'} the {shown(other, ours.unit)} of {champion}"
-    if share <= margin:
+    told = f"{_compared(mine, other)} the {shown(other, ours.unit)} of {champion}"
+    if mine <= other * (1.0 + margin):
         return Check(name, "passed", f"{what}, {told}")
-    return Check(name, "failed", f"{what}, {told} ({100.0 * margin:g} % allowed)")
+    return Check(name, "failed", f"{what}, {told}; {100.0 * margin:g} % allowed")
+
+
+def _compared(value: float, other: float) -> str:
+    """``12.3 % above``: by how much one figure differs from another."""
+    if value == other or other == 0.0:
+        return "the same as" if value == other else "above"
+    return f"{100.0 * abs(value / other - 1.0):.1f} % {'above' if value > other else 'below'}"
 
 
 def _figure(entry: OutputReport, figure: Figure) -> float:
@@ -218,7 +225,10 @@ def _quantity(value: str | float, where: str) -> tuple[float, str]:
         number = float(match[1])
     except ValueError:
         raise SettingsError(where, repr(value), "a positive number with its unit, as in '15 mm'") from None
-    factor, unit = si_factor(match[2], where)
+    try:
+        factor, unit = si_factor(match[2], where)
+    except InputError as error:
+        raise SettingsError(where, error.found, error.expected) from None
     if not (math.isfinite(number) and number > 0.0):
         raise SettingsError(where, repr(value), "a positive number with its unit, as in '15 mm'")
     return factor * number, unit
