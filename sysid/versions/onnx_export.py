@@ -23,7 +23,7 @@ from sysid.versions.onnx_graph import IR_VERSION, OPSET, Graph
 Array = npt.NDArray[np.float64]
 Precision = Literal["float32", "float64"]
 
-#: A prediction may differ by this share of the largest value of its output: by some thirty roundings in float32, and in float64,
+#: A prediction may differ by this share of the largest value of its output: by some thirty roundings in float32; in float64,
 #: which is there for what float32 cannot carry, by what nobody will ever measure.
 SHARES: dict[Precision, float] = {"float32": 32.0 * 2.0**-23, "float64": 1e-9}
 #: Points that are compared inside the fitted range, and as many beyond it: by half its width on either side.

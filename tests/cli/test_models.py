@@ -1,0 +1,254 @@
+"""``sysid models promote · lineage · diff · export · card · ui`` and the verdict of ``sysid validate``, as users meet them."""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+import threading
+import urllib.error
+import urllib.request
+from dataclasses import replace
+from pathlib import Path
+
+import pandas as pd
+import pytest
+from crane_data import dataset, motion
+from stored import small_dataset
+from version_data import actuator, forward, structured
+
+from sysid.cli import main
+from sysid.cli.loopback import page_server
+from sysid.datasets import Store
+from sysid.datasets.manifest import Made
+from sysid.datasets.recording import Source
+from sysid.model_versions import ModelVersions
+from sysid.networks import NetworkRecipe
+from sysid.registry import Registry
+from sysid.validate import validate_model
+from sysid.workspace import Workspace
+
+UNITS = {
+    "time": "s",
+    **{f"{axis}.joint": "rad" for axis in ("slew", "boom", "stick")},
+    **dict.fromkeys(("telescope.joint", "boom.cylinder", "stick.cylinder", "ee.x", "ee.y", "ee.z"), "m"),
+}
+
+
+def run(*args: str | Path) -> int:
+    with pytest.raises(SystemExit) as stop:
+        main([str(arg) for arg in args])
+    assert isinstance(stop.value.code, int)
+    return stop.value.code
+
+
+@pytest.fixture(scope="module")
+def template(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """``crane@1`` and ``later@1``; ``crane-actuator`` exact, 2 mrad off, and of another recipe; two forward models; a plant."""
+    place = Workspace(tmp_path_factory.mktemp("template") / "ws")
+    _, channels = small_dataset(1)
+    raw = (Source("run-1/log.csv", "ab" * 32, 10),)
+    own = place.datasets.save(replace(dataset(), digest="a" * 64, sources=raw, units=UNITS), channels, Made(1))
+    later = replace(dataset((motion("new-1", 30.0, 11),), {"new-1": "fit"}), name="later", digest="b" * 64, units=UNITS)
+    place.datasets.save(later, channels, Made(1))
+    recipe = NetworkRecipe()
+    for model, used in (
+        (actuator("boom"), recipe),
+        (actuator("boom", off=0.002), recipe),
+        (actuator("boom", off=0.0001), replace(recipe, seed=5)),
+        (structured(seed=1), recipe),
+        (structured(seed=2), recipe),
+    ):
+        place.add_network(own, model, used, validate_model(model, own))
+    lineage = {"networks": "crane-actuator@1", "dataset": "crane@1"}
+    place.models.register("crane", "plant", {"plant.json": b"{}"}, lineage)
+    folder = place.results(own) / "gap"
+    folder.mkdir(parents=True)
+    (folder / "result.json").write_text('{"plant_before": "crane@1", "plant_after": "crane@1"}')
+    return place.folder
+
+
+@pytest.fixture
+def place(template: Path, tmp_path: Path) -> Path:
+    return shutil.copytree(template, tmp_path / "ws")
+
+
+def test_the_gate(place: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    ws = ("--workspace", place)
+    (place / "p.toml").write_text('schema = 1\n[actuator.limits]\n"boom.joint" = {bias = "1 mrad"}\n')
+    assert run(*ws, "models", "promote", "crane-actuator@1", "--policy", place / "p.toml") == 0
+    shown = capsys.readouterr().out
+    assert "`crane-actuator` alone means crane-actuator@1 from now on." in shown
+    assert run(*ws, "models", "promote", "crane-actuator@2", "--policy", place / "p.toml", "--json", place / "r.json") == 2
+    shown, error = capsys.readouterr()
+    assert re.search(r"failed    boom.joint in motion: bias 2\.\d\d mrad, 1\.\d\d mrad above the 1\.00 mrad allowed", shown)
+    assert re.search(r"failed    boom.joint in motion: rmse .* % above the .* of crane-actuator@1; 5 % allowed", shown)
+    assert "`crane-actuator` alone goes on meaning crane-actuator@1" in shown
+    assert re.search(r"not promoted: \d of \d+ conditions do not hold.* models promote crane-actuator@2 --anyway 'WHY'", error)
+    assert json.loads((place / "r.json").read_text())["promoted"] is False
+    assert run(*ws, "models", "promote", "crane-actuator@2", "--anyway", "the sensor was moved") == 0
+    assert "By an explicit word: the sensor was moved" in capsys.readouterr().out
+    assert run(*ws, "models", "crane-actuator", "--json", place / "s.json") == 0
+    shown = capsys.readouterr().out
+    assert shown.startswith("crane-actuator@2  (champion)  actuator")
+    assert "not promoted, crane-actuator@1 stays  (policy p.toml)" in shown
+    assert "promoted instead of crane-actuator@1  (explicit word): the sensor was moved (overruled: " in shown
+    one, two = json.loads((place / "s.json").read_text())["decisions"]
+    assert one["judged"]["rules"]["limits"] == {"boom.joint": {"bias": "1 mrad"}}
+    assert one["judged"]["dataset"] == "crane@1"
+    assert (two["promoted"], two["word"]) == (True, "the sensor was moved")
+    assert run(*ws, "models", "promote", "crane-actuator@3") == 0
+    assert "below the" in capsys.readouterr().out
+    assert Workspace(place).network_version(Store(place).load("crane"), "actuator").reference == "crane-actuator@3"  # type: ignore[union-attr]
+
+
+def test_a_plant_needs_its_proof_or_a_word(place: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    ws = ("--workspace", place)
+    assert run(*ws, "models", "promote", "crane@1") == 2
+    assert (
+        "nothing is recorded that speaks for crane@1; Plants are judged by the proof of `sysid gap" in capsys.readouterr().err
+    )
+    assert run(*ws, "models", "promote", "crane@1", "--policy", place / "p.toml") == 2
+    assert "p.toml: no such file" in capsys.readouterr().err
+    (place / "p.toml").write_text("schema = 1")
+    assert run(*ws, "models", "promote", "crane@1", "--policy", place / "p.toml") == 2
+    assert "crane@1 is a plant; expected a network" in capsys.readouterr().err
+    assert run(*ws, "models", "promote", "crane@1", "--anyway", "the only one") == 0
+    Registry(place).register("crane", "plant", {"plant.json": b"[]"}, {})
+    assert run(*ws, "models", "promote", "crane@2", "--anyway", "newer") == 0
+    capsys.readouterr()
+    assert run(*ws, "models", "promote", "crane@1") == 0, "what was in use may be set back"
+    assert "`crane` alone means crane@1 from now on instead of crane@2." in capsys.readouterr().out
+
+
+def test_lineage_both_ways(place: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run("--workspace", place, "models", "lineage", "crane-actuator@1", "--json", place / "l.json") == 0
+    shown = capsys.readouterr().out
+    assert "raw       abababababab  run-1/log.csv  10 bytes" in shown
+    assert "used by   crane@1  plant" in shown
+    found = json.loads((place / "l.json").read_text())
+    assert found["dataset"] == found["source"]["dataset"] == "crane@1"
+    assert [item["reference"] for item in found["children"]] == ["crane@1"]
+    assert run("--workspace", place, "models", "lineage", "crane@1") == 0
+    shown = capsys.readouterr().out
+    assert "made of   crane-actuator@1  actuator" in shown
+    assert "used by   gap result on crane@1: questioned it" in shown
+    assert run("--workspace", place, "models", "lineage", "crane-forward@1") == 0
+    assert "used by   nothing was made from it" in capsys.readouterr().out
+
+
+def test_lineage_of_a_dataset_that_is_gone(place: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    shutil.rmtree(place / "datasets" / "crane")
+    assert run("--workspace", place, "models", "lineage", "crane-actuator@1") == 0
+    assert "dataset   crane@1: " in capsys.readouterr().out
+    assert run("--workspace", place, "models", "promote", "crane-actuator@1") == 2
+    assert run("--workspace", place, "models", "promote", "crane-actuator@1", "--anyway", "old logs") == 0
+    assert run("--workspace", place, "models", "card", "crane-actuator@1", "--out", place / "c.md") == 0
+    assert "its dataset cannot be asked again" in (place / "c.md").read_text()
+
+
+def test_diff(place: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    ws = ("--workspace", place, "models", "diff")
+    assert run(*ws, "crane-actuator@1", "crane-actuator@3", "--json", place / "d.json") == 0
+    shown = capsys.readouterr().out
+    assert "recipe seed: 0 → 5" in shown
+    assert "file changed: network.json" not in shown
+    assert "file changed: weights.safetensors" in shown
+    found = json.loads((place / "d.json").read_text())
+    joint, cylinder = found["predictions"]
+    assert joint["largest"] == pytest.approx(1e-4, rel=1e-2)
+    assert cylinder["largest"] == 0.0
+    assert {change["what"] for change in found["figures"]} >= {"boom.joint.motion.rmse"}
+    assert run(*ws, "crane-forward@1", "crane-forward@2", "--json", place / "g.json") == 0
+    shown = capsys.readouterr().out
+    assert re.search(r"boom_joint\.offset\s+-?[\d.]+ mrad\s+-?[\d.]+ mrad\s+[\d.]+", shown)
+    geometry = json.loads((place / "g.json").read_text())["geometry"]
+    assert all(change["sigmas"] > 0.0 for change in geometry)
+    assert run(*ws, "crane-forward@1", "crane-forward@1") == 0
+    assert "The same: nothing differs." in capsys.readouterr().out
+    assert run(*ws, "crane-forward@1", "crane-actuator@1") == 2
+    assert "is of kind 'actuator'; expected 'forward', as crane-forward@1" in capsys.readouterr().err
+
+
+def test_diff_of_models_of_different_make(place: Path) -> None:
+    models = ModelVersions(Workspace(place))
+    models.place.add_network(Store(place).load("crane"), forward(), NetworkRecipe())
+    found = models.diff("crane-forward@1", "crane-forward@3")
+    assert {change.after for change in found.geometry if change.after == change.after} == set(), "a network has no geometry"
+    assert [entry.points > 4000 for entry in found.predictions] == [True] * 3
+
+
+def test_export_card_and_page(place: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    pytest.importorskip("onnxruntime", reason="the extra onnx is not installed")
+    ws = ("--workspace", place, "models")
+    assert run(*ws, "export", "crane-actuator@1", "--json", place / "e.json") == 0
+    assert (place / "exports/crane-actuator@1/boom.to_joint.onnx").is_file()
+    assert json.loads((place / "e.json").read_text())["files"][0]["inputs"] == ["boom.cylinder"]
+    assert run(*ws, "export", "crane@1") == 2
+    assert run(*ws, "promote", "crane-actuator@1", "--anyway", "<b>first</b>") == 0
+    assert run(*ws, "card", "crane-actuator") == 0
+    text = (place / "cards/crane-actuator@1.md").read_text()
+    assert re.search(r"\| boom\.joint in motion \| [\d.]+ mrad \| .* \| polynomial, degree \d: ", text)
+    assert "| raw file | run-1/log.csv | 10 bytes | abababababab |" in text
+    assert 'open_workspace("./workspace").network("crane-actuator@1")' in text
+    page = (place / "cards/crane-actuator@1.html").read_text()
+    assert "&lt;b&gt;first&lt;/b&gt;" in page
+    assert run(*ws, "card", "crane", "--out", place / "c.txt") == 2
+    assert "suffix '.txt'; expected .md or .html" in capsys.readouterr().err
+    assert run(*ws, "ui") == 0
+    page = (place / "models.html").read_text()
+    assert 'href="cards/crane-actuator@1.html"' in page
+    assert '<span class="alias champion">champion</span>' in page
+    assert "<b>first</b>" not in page
+    assert "http://" not in page.replace("http://www.w3.org", "")
+    assert "https://" not in page
+    assert page.count("<article") == 6
+
+
+def test_an_empty_workspace_has_a_page_too(tmp_path: Path) -> None:
+    assert run("--workspace", tmp_path, "models", "ui") == 0
+    assert "No models yet" in (tmp_path / "models.html").read_text()
+
+
+def test_the_page_is_served_to_this_computer_alone(tmp_path: Path) -> None:
+    (tmp_path / "models.html").write_text("<p>models</p>")
+    (tmp_path / "secret.html").write_text("no")
+    with page_server({"/": tmp_path / "models.html", "/cards/a@1.html": tmp_path / "gone.html"}) as server:
+        assert server.server_address[0] == "127.0.0.1"
+        thread = threading.Thread(target=server.serve_forever, daemon=True)
+        thread.start()
+        address = f"http://127.0.0.1:{server.server_address[1]}"
+        with urllib.request.urlopen(f"{address}/") as answer:
+            assert answer.read() == b"<p>models</p>"
+        for path, host, status in (
+            ("/secret.html", "localhost", 404),
+            ("/../secret.html", "localhost", 404),
+            ("/cards/a%401.html", "localhost", 404),
+            ("/", "evil.example", 403),
+        ):
+            request = urllib.request.Request(address + path, headers={"Host": host})
+            with pytest.raises(urllib.error.HTTPError) as refused:
+                urllib.request.urlopen(request)
+            assert refused.value.code == status
+            refused.value.close()
+        server.shutdown()
+        thread.join()
+
+
+def test_validate_says_whether_it_still_fits(place: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    ws = ("--workspace", place, "validate")
+    assert run(*ws, "crane-actuator@1", "later", "--json", place / "v.json") == 0
+    assert "crane-actuator@1 on later@1 fits: its errors are what they were" in capsys.readouterr().out
+    found = json.loads((place / "v.json").read_text())
+    assert found["drift"]["verdict"] == "fits"
+    assert found["outputs"][0]["metrics"]["rmse"] > 0.0
+    assert run(*ws, "crane-actuator@1", "crane", "--json", place / "v.json") == 0
+    assert json.loads((place / "v.json").read_text())["drift"] is None
+    new = Store(place).load("later")
+    table = new.recordings[0].table.assign(**{"boom.cylinder": lambda t: t["boom.cylinder"] + 2e-4})
+    moved = replace(new, name="moved", digest="c" * 64, recordings=(replace(new.recordings[0], table=pd.DataFrame(table)),))
+    Store(place).save(moved, small_dataset(1)[1], Made(1))
+    capsys.readouterr()
+    assert run(*ws, "crane-actuator@1", "moved") == 0
+    shown = capsys.readouterr().out
+    assert "no longer fits: larger errors in boom.joint (motion), boom.cylinder (motion), beyond chance." in shown
