@@ -127,14 +127,15 @@ def show_drift(out: Printer, found: Drift) -> None:
                 entry.rows,
                 str(entry.inside),
                 shown(entry.own_rmse, entry.unit),
+                shown(entry.own_worst, entry.unit),
                 shown(entry.rmse, entry.unit),
                 f"{entry.ratio:.2f} ({low:.2f} … {high:.2f})" if compared else "–",
                 ("< 0.001" if entry.p_value < 1e-3 else f"{entry.p_value:.3f}") if compared else "–",
                 entry.verdict,
             )
         )
-    header = ("output", "rows", "compared", f"rmse, {found.own}", f"rmse, {found.dataset}", "ratio (95 %)", "by chance", "")
-    out.table(header, rows, right=(2, 3, 4, 5, 6))
+    here = (f"rmse, {found.own}", "its worst recording", f"rmse, {found.dataset}", "ratio (95 %)")
+    out.table(("output", "rows", "compared", *here, "by chance", ""), rows, right=(2, 3, 4, 5, 6, 7))
     for item in found.inputs:
         if item.outside > OUTSIDE_SHARE:
             (low, high), (least, most) = item.fitted, item.found

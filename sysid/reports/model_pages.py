@@ -20,7 +20,7 @@ from sysid.versions.card import decision_row
 from sysid.versions.outputs import shown
 
 #: Looks of the lines of a chart, one after the other, in the classes of the page's style sheet.
-LOOKS = ("after", "before", "measured", "after dotted", "before dotted", "measured dotted")
+LOOKS = ("c1", "c2", "c3", "c4", "after", "before", "measured")
 
 
 def card_page(card: Card) -> str:
@@ -116,21 +116,22 @@ def _figures(version: ModelVersion) -> list[dict[str, str]]:
 
 
 def _charts(versions: Sequence[ModelVersion]) -> list[str]:
-    """RMSE over the versions, a chart a unit, where there are two versions and more."""
+    """RMSE over the versions, a chart a unit and kind of rows, where there are two versions and more."""
     keys = dict.fromkeys(key for version in versions for key in version.metrics if key.endswith(".rmse"))
-    if len(versions) < 2 or not keys:
+    if len(versions) < 2:
         return []
+    groups: dict[tuple[str, bool], list[str]] = {}
+    for key in keys:
+        signal, _, kind = key.removesuffix(".rmse").rpartition(".")
+        groups.setdefault((_unit(signal), kind == "poses"), []).append(key)
     found = []
-    for unit, factor, label in (("rad", 1e3, "mrad"), ("m", 1e3, "mm")):
-        own = [key for key in keys if _unit(key.split(".rmse")[0].rpartition(".")[0]) == unit][: len(LOOKS)]
-        if not own:
-            continue
-        numbers = np.arange(len(versions), dtype=np.float64)
+    numbers, names = np.arange(len(versions), dtype=np.float64), [f"@{version.version}" for version in versions]
+    for (unit, _), own in groups.items():
+        label = "mrad" if unit == "rad" else "mm"
         lines = [
-            Line(np.array([factor * version.metrics.get(key, np.nan) for version in versions]), look, dots="dotted" not in look)
+            Line(np.array([1e3 * version.metrics.get(key, np.nan) for version in versions]), look, dots=True)
             for key, look in zip(own, LOOKS, strict=False)
         ]
-        names = [f"@{version.version}" for version in versions]
         legend = "".join(
             f'<span class="line {look}"></span>{escape(_title(key))}' for key, look in zip(own, LOOKS, strict=False)
         )

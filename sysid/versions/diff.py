@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from sysid.datasets.diff import Change, Names
+from sysid.datasets.versions.diff import Change, Names
 from sysid.errors import StoreError
 from sysid.files import plain
 from sysid.networks import Calibration, Model, StructuredForward, from_files

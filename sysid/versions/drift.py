@@ -1,8 +1,9 @@
 """Does a version still fit the machine? Its errors on new recordings against those on its own held-out ones.
 
 Two questions, apart: do the new rows lie inside the ranges that the version was fitted on, and are its errors on those that do
-larger than they were, beyond chance and by more than a tenth? Errors of neighbouring rows hang together, so chance is what
-blocks of rows drawn with replacement give (:mod:`sysid.validate.bootstrap`), on both sides; many outputs are many chances to be
+larger than they were, beyond chance, by more than a tenth, and on every recording of its own? Errors of neighbouring rows hang
+together, so chance is what blocks of rows drawn with replacement give (:mod:`sysid.validate.bootstrap`) on both sides. It knows
+nothing of the next motion being a harder one: that is what its own recordings differ by. Many outputs are many chances to be
 wrong, which Holm's correction makes up for (Scandinavian Journal of Statistics 6 (1979)).
 """
 
@@ -25,6 +26,7 @@ from sysid.validate.bootstrap import bootstrap_means
 from sysid.versions.outputs import OutputMap, output_maps
 
 Array = npt.NDArray[np.float64]
+Mask = npt.NDArray[np.bool_]
 Verdict = Literal["fits", "beyond its ranges", "drifted", "not comparable"]
 
 #: Rows count as outside beyond this share of the fitted range: its ends are the extremes of a sample.
@@ -63,6 +65,7 @@ class OutputDrift:
     Args:
         inside, outside: new rows inside and outside of the ranges of the inputs.
         own_rmse, rmse: on its own held-out rows and on the new ones, in ``unit``; NaN where there are too few.
+        own_worst: on that recording of its own dataset on which it is worst: no two motions are equally hard.
         ratio95: 95 % interval of ``rmse / own_rmse``.
         p_value: how often chance gives as large a ratio or a larger one.
         verdict: drifted where it is larger for certain, after Holm's correction over all outputs.
@@ -74,6 +77,7 @@ class OutputDrift:
     inside: int
     outside: int
     own_rmse: float
+    own_worst: float
     rmse: float
     ratio95: tuple[float, float]
     p_value: float
@@ -145,8 +149,7 @@ def drift_of(model: Model, own: Dataset, new: Dataset, name: str = "", seed: int
             inside = _inside(answer, rows)
             for column, signal in enumerate(answer.inputs):
                 inputs.setdefault((signal, kind), _input(answer, column, rows, kind))
-            own_rows = gather(segments(own, "held_out", signals, kind), signals) if measures(own, signals, kind) else None
-            outputs.append(_output(answer, kind, rows, inside, own_rows, seed))
+            outputs.append(_output(answer, kind, rows, inside, own, seed))
     if not outputs:
         found = f"none of its {len(new.recordings)} recordings is new to it and measures what it predicts"
         known_text = f" ({', '.join(known)} known)" if known else ""
@@ -156,16 +159,16 @@ def drift_of(model: Model, own: Dataset, new: Dataset, name: str = "", seed: int
     return Drift(name, own.reference, new.reference, recordings, known, tuple(inputs.values()), _corrected(outputs))
 
 
-def _output(
-    answer: OutputMap, kind: Kind, rows: Rows, inside: npt.NDArray[np.bool_], own: Rows | None, seed: int
-) -> OutputDrift:
+def _output(answer: OutputMap, kind: Kind, rows: Rows, inside: Mask, own: Dataset, seed: int) -> OutputDrift:
     new = _squares(answer, rows)[inside]
-    before = _squares(answer, own)[_inside(answer, own)] if own is not None and len(own) else np.zeros(0)
+    before, worst = _before(answer, kind, own)
     counts = (int(inside.sum()), int((~inside).sum()))
     if min(len(new), len(before)) < MIN_ROWS:
         rmse, own_rmse = (float(np.sqrt(part.mean())) if len(part) else math.nan for part in (new, before))
         nothing = (math.nan, math.nan)
-        return OutputDrift(answer.output, answer.unit, kind, *counts, own_rmse, rmse, nothing, math.nan, "not comparable")
+        return OutputDrift(
+            answer.output, answer.unit, kind, *counts, own_rmse, worst, rmse, nothing, math.nan, "not comparable"
+        )
     least = 5 if kind == "motion" else 1  # every pose stands alone
     means = [bootstrap_means(part, seed + number, DRAWS, least) for number, part in enumerate((before, new))]
     ratios = np.sqrt(means[1] / np.maximum(means[0], 1e-300))
@@ -177,6 +180,7 @@ def _output(
         inside=counts[0],
         outside=counts[1],
         own_rmse=float(np.sqrt(before.mean())),
+        own_worst=worst,
         rmse=float(np.sqrt(new.mean())),
         ratio95=(float(low), float(high)),
         p_value=float((np.sum(ratios <= 1.0) + 1) / (DRAWS + 1)),
@@ -191,16 +195,31 @@ def _corrected(outputs: Sequence[OutputDrift]) -> tuple[OutputDrift, ...]:
     for number, entry in enumerate(compared):
         if entry.p_value > LEVEL / (len(compared) - number):
             break
-        if entry.ratio > GROWN:
+        if entry.rmse > GROWN * max(entry.own_rmse, entry.own_worst):
             grown.add(id(entry))
     return tuple(replace(entry, verdict="drifted") if id(entry) in grown else entry for entry in outputs)
+
+
+def _before(answer: OutputMap, kind: Kind, own: Dataset) -> tuple[Array, float]:
+    """Squared errors on the version's own held-out rows, and the RMSE on that recording of its own on which it is worst."""
+    signals = (*answer.inputs, answer.output)
+    if not measures(own, signals, kind):
+        return np.zeros(0), math.nan
+    found = []
+    for recording in own.of_kind(kind):
+        if _measured(recording, signals):
+            rows = gather([Segment(recording, 0, len(recording))], signals)
+            errors = _squares(answer, rows)[_inside(answer, rows)]
+            found += [float(np.sqrt(errors.mean()))] if len(errors) >= MIN_ROWS else []
+    rows = gather(segments(own, "held_out", signals, kind), signals)
+    return _squares(answer, rows)[_inside(answer, rows)], max(found, default=math.nan)
 
 
 def _squares(answer: OutputMap, rows: Rows) -> Array:
     return np.asarray((answer.predict(rows.values[:, :-1]) - rows.values[:, -1]) ** 2)
 
 
-def _inside(answer: OutputMap, rows: Rows) -> npt.NDArray[np.bool_]:
+def _inside(answer: OutputMap, rows: Rows) -> Mask:
     margin = END_SHARE * (answer.high - answer.low)
     values = rows.values[:, :-1]
     return np.asarray(np.all((values >= answer.low - margin) & (values <= answer.high + margin), axis=1))
