@@ -20,8 +20,8 @@ from version_data import actuator, forward, structured
 from sysid.cli import main
 from sysid.cli.loopback import page_server
 from sysid.datasets import Store
-from sysid.datasets.versions.manifest import Made
 from sysid.datasets.recording import Source
+from sysid.datasets.versions.manifest import Made
 from sysid.model_versions import ModelVersions
 from sysid.networks import NetworkRecipe
 from sysid.registry import Registry
