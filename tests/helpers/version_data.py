@@ -45,8 +45,7 @@ def perceptron(inputs: int, outputs: int, seed: int, hidden: tuple[int, ...] = (
     rng = np.random.default_rng(seed)
     sizes = (inputs, *hidden, outputs)
     weights = tuple(
-        rng.normal(0.0, 1.0 / np.sqrt(a), (a, b)).astype(np.float32).astype(np.float64)
-        for a, b in itertools.pairwise(sizes)
+        rng.normal(0.0, 1.0 / np.sqrt(a), (a, b)).astype(np.float32).astype(np.float64) for a, b in itertools.pairwise(sizes)
     )
     biases = tuple(rng.normal(0.0, 0.3, b).astype(np.float32).astype(np.float64) for b in sizes[1:])
     return Mlp(
