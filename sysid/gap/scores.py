@@ -106,7 +106,10 @@ class Scores:
         return total
 
     def own_shares(self, model: Fit) -> dict[str, float]:
-        """For each effect, the smallest share of a parameter's influence that the other parameters cannot imitate."""
+        """For each effect, the smallest share of a parameter's influence that the other parameters cannot imitate.
+
+        Where a parameter that acts in steps changes nothing nearby, its slope says nothing about that: it counts as its own.
+        """
         if not model.unknowns:
             return {}
         _, slopes = jacobian(self.fitted, self.theta, model.unknowns, model.values, model.drifts)
@@ -118,7 +121,8 @@ class Scores:
             if others.shape[1]:
                 weights, *_ = np.linalg.lstsq(others, left, rcond=None)
                 left = left - others @ weights
-            shares.append(float(np.linalg.norm(left) / norms[k]) if norms[k] > 0 else 0.0)
+            flat = 1.0 if model.unknowns[k].stepwise else 0.0
+            shares.append(float(np.linalg.norm(left) / norms[k]) if norms[k] > 0 else flat)
         result: dict[str, float] = {}
         at = 0
         for candidate in model.candidates:
