@@ -14,10 +14,11 @@ import numpy.typing as npt
 
 from sysid.datasets.recording import Dataset
 from sysid.errors import ExcitationError
+from sysid.networks.member import Course, Member
 from sysid.networks.mlp import Mlp
 from sysid.networks.recipe import NetworkRecipe
 from sysid.networks.split import Rows, gather, joined, measures, segments, spread_sample, thin
-from sysid.networks.training import Course, Member, train
+from sysid.networks.training import train
 from sysid.progress import Progress, part, silent
 from sysid.signals import axis_signal
 

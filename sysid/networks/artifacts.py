@@ -16,9 +16,9 @@ from sysid.networks.calibration import Calibration
 from sysid.networks.chain import Chain, products
 from sysid.networks.forward import ForwardNetwork
 from sysid.networks.geometry import Geometry
+from sysid.networks.member import Course
 from sysid.networks.mlp import Mlp, Normalisation
 from sysid.networks.structured import StructuredForward
-from sysid.networks.training import Course
 
 WEIGHTS, STRUCTURE = "weights.safetensors", "network.json"
 #: Arrays of a :class:`Chain`.

@@ -1,15 +1,17 @@
 """Several perceptrons of equal shape as one batch of matrix products, with their gradient written out.
 
-All parameters of a member lie in one row, so that Adam is one fused operation and a finished member is one row less. For layers
-``h_l = max(0, h_{l−1} W_l + b_l)`` and the error ``e = h_L − y`` of n rows, with ``D_L = 2e/(n·d_out)``:
+For layers ``h_l = max(0, h_{l−1} W_l + b_l)`` and the error ``e = h_L − y`` of n rows, with ``D_L = 2e/(n·d_out)``:
 ``∂W_l = h_{l−1}ᵀ D_l``, ``∂b_l = Σ D_l`` and ``D_{l−1} = (D_l W_lᵀ) ∘ [h_{l−1} > 0]``. Written out it takes two thirds of the
 time of autograd, since the layers are so small that bookkeeping counts.
+
+Every width is filled up with zeros to a multiple of :data:`LANE`. Such units start at zero, get no gradient and stay at zero,
+so nothing changes but this: every matrix begins at the same alignment and none is a vector, and a matrix product then gives a
+member the same bits whoever else is in the batch (on a CPU; the tests hold it to that).
 """
 
 from __future__ import annotations
 
 import itertools
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -21,122 +23,172 @@ if TYPE_CHECKING:
     import torch
 
 Array = npt.NDArray[np.float64]
+Floats = npt.NDArray[np.float32]
+
+#: Widths are multiples of this.
+LANE = 8
+
+
+def padded(sizes: Sequence[int]) -> tuple[int, ...]:
+    """``sizes`` (d_in, hidden…, d_out) filled up to whole lanes."""
+    return tuple(-(-size // LANE) * LANE for size in sizes)
+
+
+def parameters(sizes: Sequence[int]) -> int:
+    """Weights and biases of one member of padded ``sizes``."""
+    return sum((d_in + 1) * d_out for d_in, d_out in itertools.pairwise(sizes))
+
+
+@dataclass(frozen=True)
+class Stack:
+    """Numbers of all parameters of m members, one contiguous block a layer, so that products can write into them.
+
+    Args:
+        flat: all of them, (m·P,).
+        layers: views of ``flat``, the weights (m, in, out) and biases (m, 1, out) of each layer in turn.
+    """
+
+    flat: torch.Tensor
+    layers: tuple[torch.Tensor, ...]
+
+    @staticmethod
+    def zeros(sizes: tuple[int, ...], members: int, device: torch.device | str = "cpu") -> Stack:
+        import torch
+
+        return Stack.over(sizes, members, torch.zeros(members * parameters(sizes), device=device))
+
+    @staticmethod
+    def over(sizes: tuple[int, ...], members: int, flat: torch.Tensor) -> Stack:
+        layers, offset = [], 0
+        for d_in, d_out in itertools.pairwise(sizes):
+            for rows in (d_in, 1):
+                count = members * rows * d_out
+                layers.append(flat[offset : offset + count].view(members, rows, d_out))
+                offset += count
+        return Stack(flat, tuple(layers))
+
+    @staticmethod
+    def of_rows(sizes: tuple[int, ...], rows: Sequence[Floats], device: torch.device | str = "cpu") -> Stack:
+        """The members whose parameters these are, (P,) each."""
+        import torch
+
+        stack = Stack.zeros(sizes, len(rows), device)
+        table, offset = torch.from_numpy(np.stack(rows)), 0
+        for layer in stack.layers:
+            count = layer.shape[1] * layer.shape[2]
+            layer.copy_(table[:, offset : offset + count].view(layer.shape))
+            offset += count
+        return stack
+
+    def row(self, member: int) -> Floats:
+        """Parameters of one member, (P,), weights and biases of its layers in turn."""
+        return np.concatenate([layer[member].reshape(-1).cpu().numpy() for layer in self.layers])
+
+    def kept(self, sizes: tuple[int, ...], members: Sequence[int]) -> Stack:
+        """A copy of these members alone."""
+        import torch
+
+        return Stack.over(sizes, len(members), torch.cat([layer[list(members)].reshape(-1) for layer in self.layers]))
 
 
 @dataclass(frozen=True)
 class BatchedMlp:
-    """Parameters and gradients of m perceptrons.
-
-    Args:
-        sizes: (d_in, hidden…, d_out).
-        parameters, gradients: (m, P), weights and biases of the layers in turn.
-        weights, biases, weight_gradients, bias_gradients: views of them a layer, (m, in, out) and (m, 1, out).
-    """
+    """Parameters and gradients of m perceptrons of padded ``sizes`` (d_in, hidden…, d_out)."""
 
     sizes: tuple[int, ...]
-    parameters: torch.Tensor
-    gradients: torch.Tensor
-    weights: tuple[torch.Tensor, ...]
-    biases: tuple[torch.Tensor, ...]
-    weight_gradients: tuple[torch.Tensor, ...]
-    bias_gradients: tuple[torch.Tensor, ...]
+    parameters: Stack
+    gradients: Stack
 
     @staticmethod
-    def initial(sizes: tuple[int, ...], generators: Sequence[torch.Generator]) -> BatchedMlp:
-        """One member a generator; uniform in ±1/√in, as ``torch.nn.Linear`` does."""
+    def of_rows(sizes: tuple[int, ...], rows: Sequence[Floats], device: torch.device | str = "cpu") -> BatchedMlp:
+        return BatchedMlp(sizes, Stack.of_rows(sizes, rows, device), Stack.zeros(sizes, len(rows), device))
+
+    def predict(self, x: torch.Tensor, members: Sequence[int] | None = None) -> torch.Tensor:
+        """(m, n, d_in) → (m, n, d_out), of ``members`` alone where they are named."""
         import torch
 
-        rows = []
-        for generator in generators:
-            parts = []
-            for d_in, d_out in itertools.pairwise(sizes):
-                drawn = torch.rand((d_in + 1) * d_out, generator=generator)
-                parts.append((drawn * 2.0 - 1.0) / math.sqrt(d_in))
-            rows.append(torch.cat(parts))
-        return BatchedMlp.of(sizes, torch.stack(rows))
-
-    @staticmethod
-    def of(sizes: tuple[int, ...], parameters: torch.Tensor) -> BatchedMlp:
-        """The batch whose parameters these are, (m, P)."""
-        import torch
-
-        gradients = torch.zeros_like(parameters)
-        weights, biases = _views(sizes, parameters)
-        weight_gradients, bias_gradients = _views(sizes, gradients)
-        return BatchedMlp(sizes, parameters, gradients, weights, biases, weight_gradients, bias_gradients)
-
-    def predict(self, x: torch.Tensor) -> torch.Tensor:
-        """(m, n, d_in) → (m, n, d_out)."""
-        import torch
-
-        for weight, bias in zip(self.weights[:-1], self.biases[:-1], strict=True):
+        layers = self.parameters.layers if members is None else tuple(layer[list(members)] for layer in self.parameters.layers)
+        for weight, bias in zip(layers[:-2:2], layers[1:-2:2], strict=True):
             x = torch.baddbmm(bias, x, weight).relu_()
-        return torch.baddbmm(self.biases[-1], x, self.weights[-1])
+        return torch.baddbmm(layers[-1], x, layers[-2])
 
-    def accumulate(self, x: torch.Tensor, y: torch.Tensor) -> torch.Tensor:
-        """Fill ``gradients`` with those of each member's mean squared error on (m, n, d); returns the errors, (m,)."""
+    def accumulate(self, x: torch.Tensor, y: torch.Tensor, outputs: torch.Tensor) -> torch.Tensor:
+        """Fill ``gradients`` with those of each member's mean squared error on (m, n, d); returns the errors, (m,).
+
+        Args:
+            outputs: how many of the padded columns of ``y`` are outputs, (m, 1, 1).
+        """
         import torch
 
+        weights, biases = self.parameters.layers[::2], self.parameters.layers[1::2]
         activations = [x]
-        for weight, bias in zip(self.weights[:-1], self.biases[:-1], strict=True):
+        for weight, bias in zip(weights[:-1], biases[:-1], strict=True):
             activations.append(torch.baddbmm(bias, activations[-1], weight).relu_())
-        delta = torch.baddbmm(self.biases[-1], activations[-1], self.weights[-1]).sub_(y)
-        losses = delta.square().mean(dim=(1, 2))
-        delta.mul_(2.0 / (delta.shape[1] * delta.shape[2]))
-        for layer in range(len(self.weights) - 1, -1, -1):
-            self.weight_gradients[layer].copy_(torch.bmm(activations[layer].transpose(1, 2), delta))
-            torch.sum(delta, dim=1, keepdim=True, out=self.bias_gradients[layer])
+        delta = torch.baddbmm(biases[-1], activations[-1], weights[-1]).sub_(y)
+        share = 1.0 / (outputs * delta.shape[1])
+        losses = delta.square().sum(dim=1).sum(dim=1).mul_(share[:, 0, 0])
+        delta.mul_(2.0 * share)
+        for layer in range(len(weights) - 1, -1, -1):
+            torch.bmm(activations[layer].transpose(1, 2), delta, out=self.gradients.layers[2 * layer])
+            torch.sum(delta, dim=1, keepdim=True, out=self.gradients.layers[2 * layer + 1])
             if layer:
-                delta = torch.bmm(delta, self.weights[layer].transpose(1, 2)).mul_(activations[layer] > 0)
+                delta = torch.bmm(delta, weights[layer].transpose(1, 2))
+                delta = torch.ops.aten.threshold_backward(delta, activations[layer], 0.0)
         return losses
 
 
-class FusedAdam:
-    """Adam on the rows of a :class:`BatchedMlp`, of which some may be dropped on the way."""
+class BatchedAdam:
+    """Adam (Kingma & Ba 2015) on a :class:`BatchedMlp`, with a learning rate a member."""
 
-    def __init__(self, model: BatchedMlp, learning_rate: float) -> None:
+    def __init__(self, first: Stack, second: Stack, steps: int) -> None:
         import torch
 
-        parameter = torch.nn.Parameter(model.parameters, requires_grad=True)
-        parameter.grad = model.gradients
-        self._parameter = parameter
-        self._optimiser = torch.optim.Adam([parameter], lr=learning_rate, fused=True)
+        self.first, self.second, self.steps = first, second, steps
+        self._count = torch.tensor(float(steps), device=first.flat.device)
 
-    def step(self, learning_rate: float) -> None:
-        """One update from the gradients that lie in the model."""
-        self._optimiser.param_groups[0]["lr"] = learning_rate
-        self._optimiser.step()
+    def step(self, model: BatchedMlp, rates: Sequence[float]) -> None:
+        """One update from the gradients that lie in the model, with the learning rate of each member."""
+        import torch
+        from torch.optim.adam import adam
 
-    def kept(self, model: BatchedMlp, rows: Sequence[int]) -> tuple[BatchedMlp, FusedAdam]:
-        """Model and optimiser of those members alone, which go on exactly as they would have."""
-        smaller = BatchedMlp.of(model.sizes, model.parameters[list(rows)].clone())
-        adam = FusedAdam(smaller, float(self._optimiser.param_groups[0]["lr"]))
-        state = self._optimiser.state[self._parameter]
-        adam._optimiser.state[adam._parameter] = {
-            "step": state["step"].clone(),
-            "exp_avg": state["exp_avg"][list(rows)].clone(),
-            "exp_avg_sq": state["exp_avg_sq"][list(rows)].clone(),
-        }
-        return smaller, adam
+        self.steps += 1
+        begin = 0
+        for rate, run in itertools.groupby(rates):
+            end = begin + len(list(run))
+            weights, gradients, first, second = (
+                self._part(stack, begin, end) for stack in (model.parameters, model.gradients, self.first, self.second)
+            )
+            counts = [torch.full_like(self._count, self.steps - 1) for _ in weights]
+            adam(
+                weights, gradients, first, second, [], counts, fused=True, amsgrad=False, maximize=False,
+                lr=rate, beta1=0.9, beta2=0.999, eps=1e-8, weight_decay=0.0,
+            )  # fmt: skip
+            begin = end
 
-
-def unpack(sizes: tuple[int, ...], parameters: Array) -> tuple[tuple[Array, ...], tuple[Array, ...]]:
-    """Weights (in, out) and biases (out,) of one member from its row (P,)."""
-    weights, biases = [], []
-    offset = 0
-    for d_in, d_out in itertools.pairwise(sizes):
-        weights.append(parameters[offset : offset + d_in * d_out].reshape(d_in, d_out))
-        biases.append(parameters[offset + d_in * d_out : offset + (d_in + 1) * d_out])
-        offset += (d_in + 1) * d_out
-    return tuple(weights), tuple(biases)
+    @staticmethod
+    def _part(stack: Stack, begin: int, end: int) -> list[torch.Tensor]:
+        """The members from ``begin`` to ``end`` as few tensors as they lie in."""
+        if (begin, end) == (0, len(stack.layers[0])):
+            return [stack.flat]
+        return [layer[begin:end] for layer in stack.layers]
 
 
-def _views(sizes: tuple[int, ...], flat: torch.Tensor) -> tuple[tuple[torch.Tensor, ...], tuple[torch.Tensor, ...]]:
-    members = flat.shape[0]
-    weights, biases = [], []
-    offset = 0
-    for d_in, d_out in itertools.pairwise(sizes):
-        weights.append(flat[:, offset : offset + d_in * d_out].view(members, d_in, d_out))
-        biases.append(flat[:, offset + d_in * d_out : offset + (d_in + 1) * d_out].view(members, 1, d_out))
-        offset += (d_in + 1) * d_out
+def pack(sizes: tuple[int, ...], weights: Sequence[Floats], biases: Sequence[Floats]) -> Floats:
+    """One member's row (P,) with padding from its weights (in, out) and biases (out,)."""
+    parts = []
+    for (d_in, d_out), weight, bias in zip(itertools.pairwise(padded(sizes)), weights, biases, strict=True):
+        whole = np.zeros((d_in + 1, d_out), dtype=np.float32)
+        whole[: weight.shape[0], : weight.shape[1]], whole[-1, : len(bias)] = weight, bias
+        parts.append(whole.reshape(-1))
+    return np.concatenate(parts)
+
+
+def unpack(sizes: tuple[int, ...], row: Floats) -> tuple[tuple[Array, ...], tuple[Array, ...]]:
+    """Weights (in, out) and biases (out,) without padding of one member from its row (P,)."""
+    weights, biases, offset = [], [], 0
+    for (d_in, d_out), (rows, columns) in zip(itertools.pairwise(sizes), itertools.pairwise(padded(sizes)), strict=True):
+        whole = row[offset : offset + (rows + 1) * columns].reshape(rows + 1, columns).astype(np.float64)
+        weights.append(np.ascontiguousarray(whole[:d_in, :d_out]))
+        biases.append(whole[-1, :d_out].copy())
+        offset += (rows + 1) * columns
     return tuple(weights), tuple(biases)

@@ -14,10 +14,11 @@ import numpy.typing as npt
 
 from sysid.datasets.recording import Dataset, Role
 from sysid.errors import ExcitationError, InputError
+from sysid.networks.member import Course, Member
 from sysid.networks.mlp import Mlp
 from sysid.networks.recipe import Features, NetworkRecipe
 from sysid.networks.split import Rows, gather, segments, thin
-from sysid.networks.training import Course, Member, train
+from sysid.networks.training import train
 from sysid.progress import Progress
 from sysid.signals import axis_signal, point_signals
 

@@ -13,7 +13,7 @@ from typing import Any, Literal
 
 from sysid.config import STRICT, parse_settings, read_toml
 from sysid.errors import SettingsError, nearest
-from sysid.networks.training import TrainingSettings
+from sysid.networks.member import TrainingSettings
 
 Features = Literal["joints", "sincos"]
 

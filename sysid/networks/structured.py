@@ -19,9 +19,10 @@ from sysid.networks.calibration import Calibration, calibrate
 from sysid.networks.chain import Chain, fit_chain
 from sysid.networks.forward import feature_names, forward_joints, is_angle, taught_rows, to_features
 from sysid.networks.geometry import Geometry
+from sysid.networks.member import Course, Member
 from sysid.networks.mlp import Mlp
 from sysid.networks.recipe import NetworkRecipe
-from sysid.networks.training import Course, Member, train
+from sysid.networks.training import train
 from sysid.progress import Progress
 from sysid.signals import point_signals
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+import threading
 from dataclasses import replace
 
 import numpy as np
@@ -10,7 +12,9 @@ import torch
 
 from sysid.errors import ExcitationError, InputError, SettingsError
 from sysid.networks import Member, Mlp, Normalisation, Trained, TrainingSettings, train
-from sysid.networks.batch import BatchedMlp, FusedAdam
+from sysid.networks.batch import BatchedAdam, BatchedMlp, Stack, pack, padded, unpack
+from sysid.networks.jobs import batches, job_of, layers_of, scalers_of
+from sysid.networks.order import Order, initial_row
 
 QUICK = TrainingSettings(learning_rate=1e-2, batch=32, epochs=60, patience=60)
 
@@ -27,53 +31,84 @@ def member(name: str = "m", seed: int = 0, noise: float = 0.0, rows: int = 256) 
     return Member(name, x, y(x), v, y(v), ("a", "b"), ("c", "d"))
 
 
+def misled(name: str, seed: int) -> Member:
+    """Its validation rows follow another law: learning more about the rows to fit soon makes it worse."""
+    one = member(name, seed)
+    return replace(one, validation_outputs=one.validation_outputs[::-1].copy())
+
+
 def same(first: Trained, second: Trained, rtol: float = 0.0) -> bool:
     pairs = zip((*first.mlp.weights, *first.mlp.biases), (*second.mlp.weights, *second.mlp.biases), strict=True)
     return all(np.allclose(a, b, rtol=rtol, atol=rtol) for a, b in pairs)
 
 
+def random_rows(sizes: tuple[int, ...], members: int) -> list[np.ndarray]:
+    return [initial_row(0, f"member {k}", sizes) for k in range(members)]
+
+
+def padded_rows(columns: int, *shape: int) -> torch.Tensor:
+    rows = torch.zeros(*shape, 8)
+    rows[..., :columns] = torch.randn(*shape, columns)
+    return rows
+
+
 def test_the_written_out_gradient_is_that_of_autograd() -> None:
-    generators = [torch.Generator().manual_seed(k) for k in (1, 2)]
-    model = BatchedMlp.initial((3, 8, 5, 2), generators)
-    x, y = torch.randn(2, 17, 3), torch.randn(2, 17, 2)
+    sizes = (3, 12, 5, 2)
+    rows = random_rows(sizes, 2)
+    model = BatchedMlp.of_rows(padded(sizes), rows)
+    x, y = padded_rows(3, 2, 17), padded_rows(2, 2, 17)
     with torch.no_grad():
-        losses = model.accumulate(x, y)
-    weights = [w.clone().requires_grad_() for w in model.weights]
-    biases = [b.clone().requires_grad_() for b in model.biases]
-    h = x
-    for w, b in zip(weights[:-1], biases[:-1], strict=True):
-        h = torch.relu(h @ w + b)
-    expected = ((h @ weights[-1] + biases[-1] - y) ** 2).mean(dim=(1, 2))
-    expected.sum().backward()
-    torch.testing.assert_close(losses, expected.detach())
-    for w, gradient in zip(weights, model.weight_gradients, strict=True):
-        torch.testing.assert_close(gradient, w.grad)
-    for b, gradient in zip(biases, model.bias_gradients, strict=True):
-        torch.testing.assert_close(gradient, b.grad)
+        losses = model.accumulate(x, y, torch.full((2, 1, 1), 2.0))
+    for k, row in enumerate(rows):
+        weights, biases = ([torch.tensor(part, requires_grad=True) for part in parts] for parts in unpack(sizes, row))
+        h = x[k, :, :3].double()
+        for w, b in zip(weights[:-1], biases[:-1], strict=True):
+            h = torch.relu(h @ w + b)
+        expected = ((h @ weights[-1] + biases[-1] - y[k, :, :2]) ** 2).mean()
+        expected.backward()
+        torch.testing.assert_close(losses[k].double(), expected.detach(), rtol=1e-5, atol=0.0)
+        gradients = [unpack(sizes, model.gradients.row(k))[part] for part in (0, 1)]
+        for wanted, found in zip([*weights, *biases], [*gradients[0], *gradients[1]], strict=True):
+            np.testing.assert_allclose(found, wanted.grad.numpy(), rtol=1e-3, atol=1e-6)
 
 
-def test_dropping_a_member_does_not_change_the_path_of_the_others() -> None:
-    x, y = torch.randn(3, 16, 2), torch.randn(3, 16, 1)
+def test_what_fills_up_a_width_stays_zero() -> None:
+    sizes = (3, 12, 5, 2)
+    model = BatchedMlp.of_rows(padded(sizes), random_rows(sizes, 1))
+    adam = BatchedAdam(Stack.zeros(model.sizes, 1), Stack.zeros(model.sizes, 1), 0)
+    with torch.no_grad():
+        for _ in range(5):
+            model.accumulate(padded_rows(3, 1, 17), padded_rows(2, 1, 17), torch.full((1, 1, 1), 2.0))
+            adam.step(model, [1e-2])
+    row = model.parameters.row(0)
+    np.testing.assert_array_equal(row, pack(sizes, *unpack(sizes, row)))
+    assert np.count_nonzero(row) == sum((a + 1) * b for a, b in itertools.pairwise(sizes))
 
-    def start() -> BatchedMlp:
-        return BatchedMlp.initial((2, 6, 1), [torch.Generator().manual_seed(k) for k in range(3)])
 
-    def steps(model: BatchedMlp, adam: FusedAdam, rows: list[int]) -> None:
+def test_adam_is_that_of_torch_with_a_rate_for_each_member() -> None:
+    sizes, rates = (2, 6, 1), [1e-2, 1e-2, 3e-3]
+    rows = random_rows(sizes, 3)
+    model = BatchedMlp.of_rows(padded(sizes), rows)
+    adam = BatchedAdam(Stack.zeros(model.sizes, 3), Stack.zeros(model.sizes, 3), 0)
+    alone = [torch.nn.Parameter(torch.from_numpy(row.copy())) for row in rows]
+    peers = [torch.optim.Adam([one], lr=rate) for one, rate in zip(alone, rates, strict=True)]
+    for _ in range(4):
         with torch.no_grad():
-            for _ in range(10):
-                model.accumulate(x[rows], y[rows])
-                adam.step(1e-2)
+            model.accumulate(padded_rows(2, 3, 16), padded_rows(1, 3, 16), torch.ones(3, 1, 1))
+            for k, (one, peer) in enumerate(zip(alone, peers, strict=True)):
+                one.grad = torch.from_numpy(model.gradients.row(k))
+                peer.step()
+            adam.step(model, rates)
+    for k, one in enumerate(alone):
+        np.testing.assert_allclose(model.parameters.row(k), one.detach().numpy(), rtol=1e-5, atol=1e-8)
 
-    whole = start()
-    adam = FusedAdam(whole, 1e-2)
-    steps(whole, adam, [0, 1, 2])
-    steps(whole, adam, [0, 1, 2])
-    dropped = start()
-    adam = FusedAdam(dropped, 1e-2)
-    steps(dropped, adam, [0, 1, 2])
-    dropped, adam = adam.kept(dropped, [0, 2])
-    steps(dropped, adam, [0, 2])
-    torch.testing.assert_close(dropped.parameters, whole.parameters[[0, 2]])
+
+def test_every_pass_of_the_order_has_every_row_once_and_any_place_can_be_asked_for() -> None:
+    whole = Order(3, "m", 10).take(0, 40)
+    assert all(sorted(part) == list(range(10)) for part in whole.reshape(4, 10))
+    assert not (whole[:10] == whole[10:20]).all()
+    np.testing.assert_array_equal(Order(3, "m", 10).take(17, 34), whole[17:34])
+    assert not (Order(4, "m", 10).take(0, 40) == whole).all()
 
 
 def test_training_recovers_a_known_map() -> None:
@@ -106,24 +141,46 @@ def test_same_seed_same_network_and_another_seed_another() -> None:
     assert not same(first, other, rtol=1e-3)
 
 
-def test_a_member_is_trained_as_if_it_were_alone() -> None:
-    quick = replace(QUICK, epochs=20)
-    together = train([member("a", 1), member("b", 2)], (16,), quick, seed=0)
-    alone = [train([member(name, seed)], (16,), quick, seed=0)[0] for name, seed in (("a", 1), ("b", 2))]
-    assert all(same(x, y, rtol=1e-3) for x, y in zip(together, alone, strict=True))
-    assert not same(together[0], together[1], rtol=1e-3)
+def test_a_member_is_trained_as_if_it_were_alone_bit_for_bit() -> None:
+    """Unequal rows, columns, learning rates, and members that finish before the others; in batches cut any way."""
+    quick = replace(QUICK, epochs=40, patience=5)
+    one_column = replace(
+        member("narrow"), inputs=member().inputs[:, :1], validation_inputs=member().validation_inputs[:, :1], input_names=("a",)
+    )
+    members = [
+        member("a", 1), member("b", 2, rows=301), member("c", 3, rows=97), replace(member("d", 4), learning_rate=3e-3),
+        member("few", 5, rows=20), one_column, replace(member("deep", 6), hidden=(9, 7)), misled("misled", 7), member("e", 8),
+    ]  # fmt: skip
+    alone = [train([one], (19, 33), quick, 0)[0] for one in members]
+    assert len({result.course.epochs for result in alone}) > 1
+    for threads in (1, 2, 3):
+        together = train(members, (19, 33), replace(quick, threads=threads), seed=0)
+        for first, second in zip(together, alone, strict=True):
+            assert same(first, second)
+            assert first.course.to_json() == second.course.to_json()
+    some = train(members[2:5][::-1], (19, 33), quick, seed=0)
+    assert all(same(first, second) for first, second in zip(some, alone[2:5][::-1], strict=True))
+    assert not same(alone[0], alone[1], rtol=1e-3)
 
 
 def test_members_of_different_sizes_keep_their_order() -> None:
-    members = [member("small", rows=64), member("large"), member("small too", rows=64)]
+    members = [member("small", rows=64), member("large"), replace(member("small too", rows=64), hidden=(5, 4))]
     results = train(members, (4,), replace(QUICK, epochs=5), seed=0)
     assert [result.course.rows[0] for result in results] == [64, 256, 64]
+    assert [result.mlp.hidden for result in results] == [(4,), (4,), (5, 4)]
+
+
+def test_members_that_differ_in_rows_and_rates_share_one_batch() -> None:
+    settings = replace(QUICK, schedule="cosine")
+    members = [member("a", rows=100), member("b", rows=130), replace(member("c"), learning_rate=1e-3)]
+    jobs = [job_of(each, layers_of(each, (8,)), scalers_of(each), settings, 0, "cpu", None) for each in members]
+    assert [len(batch) for batch in batches(jobs, 1, torch.device("cpu"))] == [3]
+    assert [len(batch) for batch in batches(jobs, 2, torch.device("cpu"))] == [1, 2]
 
 
 def test_each_member_stops_by_itself_with_its_best_weights() -> None:
     learnable = member("learnable")
-    # Validation rows of the other follow another law: learning more about the fit rows soon makes it worse.
-    misleading = replace(member("misleading", seed=1), validation_outputs=member(seed=1).validation_outputs[::-1].copy())
+    misleading = misled("misleading", 1)
     settings = TrainingSettings(learning_rate=1e-2, batch=32, epochs=120, patience=20)
     first, second = train([learnable, misleading], (32, 32), settings, seed=0)
     assert second.course.epochs < first.course.epochs
@@ -137,29 +194,61 @@ def test_each_member_stops_by_itself_with_its_best_weights() -> None:
 
 
 def test_cosine_lowers_the_rate_to_a_hundredth(monkeypatch: pytest.MonkeyPatch) -> None:
-    rates: list[float] = []
-    step = FusedAdam.step
-    monkeypatch.setattr(FusedAdam, "step", lambda self, rate: (rates.append(rate), step(self, rate))[1])
-    train([member(rows=32)], (4,), replace(QUICK, epochs=5, schedule="cosine"), seed=0)
-    assert rates[0] == pytest.approx(1e-2)
-    assert rates[-1] == pytest.approx(1e-4)
-    assert rates == sorted(rates, reverse=True)
+    rates: list[list[float]] = []
+    step = BatchedAdam.step
+    monkeypatch.setattr(BatchedAdam, "step", lambda self, model, rate: (rates.append(rate), step(self, model, rate))[1])
+    slower = replace(member("slower", rows=64), learning_rate=1e-3)
+    train([member(rows=64), slower], (4,), replace(QUICK, epochs=5, schedule="cosine", threads=1), seed=0)
+    first, second = np.array(rates).T[::-1]
+    assert first[[0, -1]] == pytest.approx([1e-2, 1e-4])
+    assert second == pytest.approx(0.1 * first)
+    assert list(first) == sorted(first, reverse=True)
 
 
-def test_progress_is_the_share_of_epochs_over_all_batches() -> None:
+def test_progress_is_the_share_of_the_work_told_from_the_calling_thread() -> None:
     seen: list[tuple[float, str]] = []
-    members = [member("boom to_joint"), member("stick to_joint", rows=32)]
-    train(members, (4,), replace(QUICK, epochs=10), 0, lambda done, text: seen.append((done, text)))
-    assert seen == [
-        (0.25, "boom to_joint"), (0.5, "boom to_joint"), (0.5, "boom to_joint"),
-        (0.75, "stick to_joint"), (1.0, "stick to_joint"), (1.0, "stick to_joint"),
-    ]  # fmt: skip
+    here = threading.get_ident()
+
+    def tell(done: float, text: str) -> None:
+        assert threading.get_ident() == here
+        seen.append((done, text))
+
+    members = [member("boom to_joint"), replace(member("stick to_joint"), hidden=(12,))]
+    train(members, (4,), replace(QUICK, epochs=10, threads=1), 0, tell)
+    shares = [done for done, _ in seen]
+    assert shares == sorted(shares)
+    assert shares[-1] == 1.0
+    assert 0.0 < shares[0] < 0.5
+    assert {text for _, text in seen} == {"boom to_joint", "stick to_joint"}
+
+
+def test_a_listener_that_raises_ends_the_training() -> None:
+    def tell(done: float, text: str) -> None:
+        raise KeyboardInterrupt
+
+    began = threading.active_count()
+    with pytest.raises(KeyboardInterrupt):
+        train([member()], (64, 64), replace(QUICK, epochs=100_000), 0, tell)
+    assert threading.active_count() == began
 
 
 def test_threads_are_put_back() -> None:
     before = torch.get_num_threads()
     train([member()], (4,), replace(QUICK, epochs=1, threads=before + 1), 0)
     assert torch.get_num_threads() == before
+
+
+@pytest.mark.skipif(torch.cuda.is_available(), reason="there is a GPU")
+def test_a_gpu_that_is_not_there() -> None:
+    with pytest.raises(SettingsError, match=r"training: device = 'cuda', which torch does not find; .*Use 'auto' or 'cpu'"):
+        train([member()], (4,), replace(QUICK, device="cuda"), 0)
+
+
+@pytest.mark.skipif(not torch.cuda.is_available(), reason="no GPU")
+def test_a_gpu_trains_the_same_network() -> None:
+    quick = replace(QUICK, epochs=5)
+    by_cpu, by_gpu = (train([member("a"), member("b", 1)], (32, 32), replace(quick, device=d), 0) for d in ("cpu", "cuda"))
+    assert all(same(x, y, rtol=1e-2) for x, y in zip(by_cpu, by_gpu, strict=True))
 
 
 def with_value(key: str, value: float) -> Member:
@@ -188,10 +277,24 @@ def test_divergence_is_an_error_that_says_what_to_change() -> None:
         train([member()], (16, 16, 16), replace(QUICK, learning_rate=1e18), 0)
 
 
-@pytest.mark.parametrize("key", ["learning_rate", "batch", "epochs", "patience", "check_every", "threads"])
+@pytest.mark.parametrize("key", ["learning_rate", "batch", "epochs", "patience", "check_every"])
 def test_settings_that_cannot_be_used_are_refused(key: str) -> None:
     with pytest.raises(SettingsError, match=rf"training: {key} = 0; expected a positive number"):
         train([member()], (4,), replace(QUICK, **{key: 0}), 0)
+
+
+def test_other_settings_that_cannot_be_used() -> None:
+    with pytest.raises(SettingsError, match=r"training: threads = -1; expected a number from 0 on"):
+        train([member()], (4,), replace(QUICK, threads=-1), 0)
+    with pytest.raises(SettingsError, match=r"network m: learning_rate = 0.0; expected a positive number"):
+        train([replace(member(), learning_rate=0.0)], (4,), QUICK, 0)
+
+
+def test_one_diverging_member_ends_all_of_it() -> None:
+    began = threading.active_count()
+    with pytest.raises(SettingsError, match=r"network wild: the loss became (nan|inf) by epoch \d+; .*\(now 1e\+18\)"):
+        train([member(), replace(member("wild"), learning_rate=1e18)], (16, 16, 16), replace(QUICK, epochs=100_000), 0)
+    assert threading.active_count() == began
 
 
 def test_layers_without_units_are_refused() -> None:

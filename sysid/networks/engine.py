@@ -1,0 +1,227 @@
+"""Trains batches of members step by step, several of them side by side."""
+
+from __future__ import annotations
+
+import math
+import queue
+import threading
+import time
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from sysid.networks.batch import BatchedAdam, BatchedMlp, Floats, Stack, padded
+from sysid.networks.checkpoint import Checkpoints
+from sysid.networks.jobs import Job, work_of
+
+if TYPE_CHECKING:
+    import torch
+
+#: Validation rows are predicted so many at a time: a shape that does not depend on the other members.
+BLOCK = 128
+
+
+class Stopped(Exception):  # noqa: N818  (no error: it was asked to)
+    """Training was told to stop and has saved where it stands."""
+
+
+@dataclass
+class Control:
+    """What connects a batch to those who wait for it."""
+
+    checkpoints: Checkpoints | None = None
+    stop: threading.Event = field(default_factory=threading.Event)
+
+
+def train_batches(
+    work: Sequence[Sequence[Job]],
+    workers: int,
+    device: torch.device,
+    control: Control,
+    tell: Callable[[float, str], None],
+) -> None:
+    """Train every batch, ``workers`` at a time; the states of the jobs are what they come to.
+
+    Raises:
+        What a batch raises, or an interrupt of the caller: the other batches have then saved where they stand.
+    """
+    import torch
+
+    cost, done = [work_of(batch) for batch in work], [0.0] * len(work)
+    share = [each / sum(cost) for each in cost]
+    news: queue.SimpleQueue[tuple[int, float, BaseException | None]] = queue.SimpleQueue()
+
+    def one(number: int) -> None:
+        try:
+            if not control.stop.is_set():
+                train_batch(work[number], device, control, lambda part: news.put((number, part, None)))
+            news.put((number, 1.0, None))
+        except BaseException as error:
+            control.stop.set()
+            news.put((number, 1.0, error))
+
+    # Threads, one core each: torch frees the interpreter while it computes, and its own threads would wait for one another
+    # at every small product. The caller's thread listens, so that progress and signals stay there.
+    with ThreadPoolExecutor(workers, "training", lambda: torch.set_num_threads(1)) as pool:
+        try:
+            left = len([pool.submit(one, number) for number in range(len(work))])
+            failed: BaseException | None = None
+            while left:
+                number, part, error = news.get()
+                left -= part == 1.0
+                failed = failed or (None if isinstance(error, Stopped) else error)
+                done[number] = max(done[number], part)
+                if not failed:
+                    whole = math.fsum(a * b for a, b in zip(share, done, strict=True)) if left else 1.0
+                    tell(min(1.0, whole), _names(work[number]))
+        finally:
+            control.stop.set()
+    if failed:
+        raise failed
+
+
+def _names(batch: Sequence[Job]) -> str:
+    first = ", ".join(job.name for job in batch[:4])
+    return first if len(batch) <= 4 else f"{first} and {len(batch) - 4} more"
+
+
+def train_batch(jobs: Sequence[Job], device: torch.device, control: Control, tell: Callable[[float], None]) -> None:
+    """Train jobs of one shape until each of them is finished.
+
+    Raises:
+        SettingsError: a loss that is not finite.
+        StorageError: the disk refused a checkpoint.
+        Stopped: ``control`` asked for it.
+    """
+    import torch
+
+    with torch.no_grad():
+        run, clock = _Run(list(jobs), device), time.monotonic()
+        while run.jobs:
+            step = run.step()
+            due = [k for k, job in enumerate(run.jobs) if job.is_due(step)]
+            if due:
+                run.check(due)
+                tell(min(0.999, max(step / job.updates for job in run.jobs)))
+            if control.checkpoints and (control.stop.is_set() or time.monotonic() - clock >= control.checkpoints.every):
+                run.save(control.checkpoints)
+                clock = time.monotonic()
+            if due and any(run.jobs[k].state.finished for k in due):
+                if control.checkpoints:
+                    run.save(control.checkpoints, [k for k in due if run.jobs[k].state.finished])
+                run = run.without_finished()
+            if run.jobs and control.stop.is_set():
+                raise Stopped
+
+
+class _Run:
+    """Jobs of one shape on a device."""
+
+    def __init__(self, jobs: list[Job], device: torch.device, moved: tuple[BatchedMlp, BatchedAdam] | None = None) -> None:
+        import torch
+
+        self.jobs, self.device = jobs, device
+        if not jobs:
+            return
+        sizes, states = padded(jobs[0].sizes), [job.state for job in jobs]
+        if moved is None:
+            self.model = BatchedMlp.of_rows(sizes, [state.row for state in states], device)
+            first, second = (Stack.of_rows(sizes, [getattr(s, key) for s in states], device) for key in ("first", "second"))
+            self.adam = BatchedAdam(first, second, states[0].step)
+        else:
+            self.model, self.adam = moved
+        self.x, self.y = (
+            torch.from_numpy(np.concatenate([getattr(job, key) for job in jobs])).to(device) for key in ("x", "y")
+        )
+        self.begins = np.cumsum([0, *(len(job.x) for job in jobs[:-1])])
+        self.outputs = torch.tensor([float(job.sizes[-1]) for job in jobs], device=device)[:, None, None]
+        self.loss = torch.tensor([state.loss for state in states], dtype=torch.float64, device=device)
+        self.width = jobs[0].width
+        self.ahead = max(1, math.ceil(max(len(job.x) for job in jobs) / self.width))
+        self.known = (0, 0)
+
+    def step(self) -> int:
+        """One update of all of them; returns its number."""
+        before = self.adam.steps
+        if not self.known[0] <= before < self.known[1]:
+            self.known = (before, before + self.ahead)
+            self._look_ahead()
+        chosen = self.rows[before - self.known[0]]
+        shape = (len(self.jobs), self.width, -1)
+        x, y = self.x.index_select(0, chosen).view(shape), self.y.index_select(0, chosen).view(shape)
+        self.loss += self.model.accumulate(x, y, self.outputs)
+        self.adam.step(self.model, [job.rate(before + 1) for job in self.jobs])
+        for job in self.jobs:
+            job.state.step += 1
+            job.state.seen += 1
+        return before + 1
+
+    def _look_ahead(self) -> None:
+        """Row numbers of the next updates, (ahead, m·width), moved to the device at once."""
+        import torch
+
+        begin, end = (at * self.width for at in self.known)
+        taken = [
+            job.order.take(begin, end).reshape(-1, self.width) + offset
+            for job, offset in zip(self.jobs, self.begins, strict=True)
+        ]
+        self.rows = torch.from_numpy(np.stack(taken, axis=1).reshape(self.ahead, -1)).to(self.device)
+
+    def check(self, due: list[int]) -> None:
+        """Judge these members on their validation rows."""
+        for k, validation, loss in zip(due, self._validation(due), self.loss[due].tolist(), strict=True):
+            self.jobs[k].state.loss = loss
+            self.jobs[k].judged(validation, lambda k=k: self.model.parameters.row(k))  # type: ignore[misc]
+        self.loss[due] = 0.0
+
+    def _validation(self, due: list[int]) -> list[float]:
+        """Mean squared error on the validation rows of each of ``due``."""
+        import torch
+
+        totals = dict.fromkeys(due, 0.0)
+        for begin in range(0, max(len(self.jobs[k].x_validation) for k in due), BLOCK):
+            there = [k for k in due if begin < len(self.jobs[k].x_validation)]
+            parts = [
+                [_block(values, begin) for values in (self.jobs[k].x_validation, self.jobs[k].y_validation)] for k in there
+            ]
+            x, y = (torch.from_numpy(np.stack(values)).to(self.device) for values in zip(*parts, strict=True))
+            error = self.model.predict(x, None if len(there) == len(self.jobs) else there).sub_(y)
+            for row, k in enumerate(there):
+                error[row, len(self.jobs[k].x_validation) - begin :] = 0.0
+            for k, total in zip(there, error.square().sum(dim=1).double().sum(dim=1).tolist(), strict=True):
+                totals[k] += total
+        return [totals[k] / self.jobs[k].x_validation.shape[0] / self.jobs[k].sizes[-1] for k in due]
+
+    def save(self, checkpoints: Checkpoints, members: Sequence[int] | None = None) -> None:
+        """Bring the states of ``members``, all by default, up to date and into files."""
+        losses = self.loss.tolist()
+        for k in range(len(self.jobs)) if members is None else members:
+            state = self.jobs[k].state
+            state.row, state.first, state.second = (
+                stack.row(k) for stack in (self.model.parameters, self.adam.first, self.adam.second)
+            )
+            state.loss = losses[k]
+            checkpoints.save(self.jobs[k].file, state)
+
+    def without_finished(self) -> _Run:
+        """The others, who go on exactly as they would have."""
+        stay = [k for k, job in enumerate(self.jobs) if not job.state.finished]
+        if not stay:
+            return _Run([], self.device)
+        for k, loss in zip(stay, self.loss[stay].tolist(), strict=True):
+            self.jobs[k].state.loss = loss
+        sizes = self.model.sizes
+        model = BatchedMlp(sizes, self.model.parameters.kept(sizes, stay), Stack.zeros(sizes, len(stay), self.device))
+        adam = BatchedAdam(self.adam.first.kept(sizes, stay), self.adam.second.kept(sizes, stay), self.adam.steps)
+        return _Run([self.jobs[k] for k in stay], self.device, (model, adam))
+
+
+def _block(values: Floats, begin: int) -> Floats:
+    """Rows ``begin`` to ``begin + BLOCK``, filled up with zeros."""
+    part = values[begin : begin + BLOCK]
+    return (
+        part if len(part) == BLOCK else np.concatenate([part, np.zeros((BLOCK - len(part), part.shape[1]), dtype=np.float32)])
+    )

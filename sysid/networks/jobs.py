@@ -1,0 +1,227 @@
+"""Members made ready to train, and which of them share a batch.
+
+Every member has its own order of rows, learning rate and clock: its epoch is a pass over its own rows, and it takes whole
+batches from the endless sequence of its passes. So all matrices of an update have one shape however many rows a member has:
+nothing is padded or masked, no small last batch weighs as much as a large one, and shapes (hence bits) do not depend on others.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import itertools
+import json
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+import numpy.typing as npt
+
+from sysid.errors import InputError, SettingsError
+from sysid.networks.batch import Floats, padded, parameters
+from sysid.networks.checkpoint import FORMAT, Checkpoints, State
+from sysid.networks.member import Member, TrainingSettings
+from sysid.networks.mlp import Normalisation
+from sysid.networks.order import Order, initial_row
+
+if TYPE_CHECKING:
+    import torch
+
+Array = npt.NDArray[np.float64]
+
+#: What one batch on a CPU may take of its caches [bytes]: more members at once spare calls, but only while they stay there.
+CACHE = 6_000_000
+
+
+@dataclass(frozen=True)
+class Job:
+    """One member, ready to train: rows are normalised, columns padded.
+
+    Args:
+        sizes: (d_in, hidden…, d_out) without padding.
+        x, y: rows to learn from, (n, padded d).
+        x_validation, y_validation: (v, padded d).
+        width: rows of one update, at most n.
+        cosine, patience, check_every, epochs: as in the settings.
+        file: name of its checkpoint.
+    """
+
+    name: str
+    sizes: tuple[int, ...]
+    x: Floats
+    y: Floats
+    x_validation: Floats
+    y_validation: Floats
+    order: Order
+    learning_rate: float
+    width: int
+    epochs: int
+    patience: int
+    check_every: int
+    cosine: bool
+    state: State
+    file: str = ""
+
+    @property
+    def updates(self) -> int:
+        """At most."""
+        return math.ceil(self.epochs * len(self.x) / self.width)
+
+    @property
+    def shape(self) -> tuple[object, ...]:
+        """Jobs that are equal in this can share a batch."""
+        return (padded(self.sizes), self.width, self.state.step)
+
+    @property
+    def bytes(self) -> int:
+        """Parameters, gradients and moments, and the activations of an update with their gradients."""
+        return 16 * len(self.state.row) + 8 * self.width * sum(padded(self.sizes))
+
+    def rate(self, step: int) -> float:
+        """Learning rate of update ``step``, counted from 1: constant, or a cosine down to a hundredth."""
+        if not self.cosine:
+            return self.learning_rate
+        share = 0.5 * (1.0 + math.cos(math.pi * (step - 1) / max(1, self.updates - 1)))
+        return self.learning_rate * (0.01 + 0.99 * share)
+
+    def epoch(self, step: int) -> int:
+        """Whole passes after ``step`` updates."""
+        return min(self.epochs, step * self.width // len(self.x))
+
+    def is_due(self, step: int) -> bool:
+        """Whether the validation rows are looked at after update ``step``."""
+        return self.epoch(step) // self.check_every > self.epoch(step - 1) // self.check_every or step >= self.updates
+
+    def judged(self, validation: float, row: Callable[[], Floats]) -> None:
+        """Note a check; the state is finished when this was the last."""
+        state, epoch, fit = self.state, self.epoch(self.state.step), self.state.loss / self.state.seen
+        if not (math.isfinite(validation) and math.isfinite(fit)):
+            raise SettingsError(
+                f"network {self.name}",
+                f"the loss became {fit if math.isfinite(validation) else validation} by epoch {epoch}",
+                "a finite loss",
+                f"Lower learning_rate (now {self.learning_rate:g}).",
+            )
+        state.epochs.append(epoch)
+        state.fit.append(fit)
+        state.validation.append(validation)
+        state.loss, state.seen = 0.0, 0
+        if validation < state.best_loss:
+            state.best_loss, state.best_epoch, state.best = validation, epoch, row()
+        state.finished = state.step >= self.updates or epoch - state.best_epoch >= self.patience
+
+
+def batches(jobs: Sequence[Job], workers: int, device: torch.device) -> list[list[Job]]:
+    """Jobs that are trained together: of one shape, as many as the caches hold and as leave every worker something to do."""
+    found = []
+    waiting = sorted(
+        (job for job in jobs if not job.state.finished), key=lambda job: (str(job.shape), job.learning_rate, len(job.x))
+    )
+    for _, group in itertools.groupby(waiting, key=lambda job: job.shape):
+        members = list(group)
+        most = len(members)
+        if device.type == "cpu":
+            most = max(1, min(CACHE // members[0].bytes, math.ceil(most / workers)))
+        count = math.ceil(len(members) / most)
+        parts = [members[number * len(members) // count : (number + 1) * len(members) // count] for number in range(count)]
+        found += [part for part in parts if part]
+    return sorted(found, key=work_of, reverse=True)  # the longest first, so that no worker is left alone with it at the end
+
+
+def work_of(batch: Sequence[Job]) -> float:
+    return float(sum((job.updates - job.state.step) * job.bytes for job in batch))
+
+
+def layers_of(member: Member, hidden: tuple[int, ...]) -> tuple[int, ...]:
+    """(d_in, hidden…, d_out) of a member whose arrays fit together and are finite."""
+    (n, d_in), (v, _), d_out = member.inputs.shape, member.validation_inputs.shape, member.outputs.shape[1]
+    expected = {"inputs": (n, d_in), "outputs": (n, d_out), "validation_inputs": (v, d_in), "validation_outputs": (v, d_out)}
+    for key, shape in expected.items():
+        values = getattr(member, key)
+        if values.shape != shape or 0 in shape:
+            raise InputError(f"network {member.name}: {key}", f"shape {values.shape}", f"{shape} with at least one row")
+        if not np.isfinite(values).all():
+            count = int((~np.isfinite(values)).sum())
+            raise InputError(
+                f"network {member.name}: {key}", f"{count} values are NaN or infinite", "finite numbers", "Drop those rows."
+            )
+    hidden = hidden if member.hidden is None else member.hidden
+    if not hidden or any(units < 1 for units in hidden):
+        raise SettingsError("training", f"hidden = {list(hidden)}", "at least one layer with at least one unit")
+    rate = member.learning_rate
+    if rate is not None and not (math.isfinite(rate) and rate > 0.0):
+        raise SettingsError(f"network {member.name}", f"learning_rate = {rate}", "a positive number")
+    return (d_in, *hidden, d_out)
+
+
+def scalers_of(member: Member) -> tuple[Normalisation, Normalisation]:
+    where = f"network {member.name}"
+    return Normalisation.of(member.inputs, member.input_names, where), Normalisation.of(
+        member.outputs, member.output_names, where
+    )
+
+
+def job_of(
+    member: Member,
+    sizes: tuple[int, ...],
+    scalers: tuple[Normalisation, Normalisation],
+    settings: TrainingSettings,
+    seed: int,
+    device: str,
+    checkpoints: Checkpoints | None,
+) -> Job:
+    inputs, outputs = scalers
+    rows = [
+        _columns(inputs.apply(member.inputs), sizes[0]),
+        _columns(outputs.apply(member.outputs), sizes[-1]),
+        _columns(inputs.apply(member.validation_inputs), sizes[0]),
+        _columns(outputs.apply(member.validation_outputs), sizes[-1]),
+    ]
+    rate = settings.learning_rate if member.learning_rate is None else member.learning_rate
+    own = replace(settings, learning_rate=rate)
+    file = _file(member.name, sizes, own, seed, device, rows) if checkpoints else ""
+    saved = checkpoints.load(file, parameters(padded(sizes))) if checkpoints else None
+    return Job(
+        name=member.name,
+        sizes=sizes,
+        x=rows[0],
+        y=rows[1],
+        x_validation=rows[2],
+        y_validation=rows[3],
+        order=Order(seed, member.name, len(rows[0])),
+        learning_rate=rate,
+        width=min(settings.batch, len(rows[0])),
+        epochs=settings.epochs,
+        patience=settings.patience,
+        check_every=settings.check_every,
+        cosine=settings.schedule == "cosine",
+        state=saved or State.at_start(initial_row(seed, member.name, sizes)),
+        file=file,
+    )
+
+
+def _columns(values: Array, columns: int) -> Floats:
+    """(n, d) with columns of zeros up to a whole lane."""
+    filled = np.zeros((len(values), padded((columns,))[0]), dtype=np.float32)
+    filled[:, :columns] = values
+    return filled
+
+
+def _file(name: str, sizes: tuple[int, ...], settings: TrainingSettings, seed: int, device: str, rows: Sequence[Floats]) -> str:
+    """A name for a member's checkpoint that changes with all that its result follows from."""
+    import torch
+
+    decides = asdict(settings) | {
+        "threads": None,
+        "device": device,
+        "format": FORMAT,
+        "member": name,
+        "sizes": sizes,
+        "seed": seed,
+    }
+    versions = {"torch": torch.__version__, "numpy": np.__version__}
+    digest = hashlib.sha256(json.dumps(decides | versions, sort_keys=True).encode())
+    for values in rows:
+        digest.update(f"{values.shape}".encode() + np.ascontiguousarray(values).tobytes())
+    return "".join(letter if letter.isalnum() else "-" for letter in name)[:60] + f"-{digest.hexdigest()[:24]}"

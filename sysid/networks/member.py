@@ -1,0 +1,112 @@
+"""What goes into training and what comes out of it."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict, dataclass
+from typing import Any, Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from sysid.config import STRICT
+from sysid.errors import SettingsError
+from sysid.networks.mlp import Mlp
+
+Array = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class TrainingSettings:
+    """How a network is trained.
+
+    Args:
+        learning_rate: of Adam, at the start; a member may have its own.
+        batch: rows of one update; a member with fewer rows uses all of them each time.
+        epochs: passes over the rows at most.
+        patience: epochs without improvement on the validation rows before a member is finished.
+        check_every: epochs between two looks at the validation rows.
+        schedule: ``constant``, or ``cosine`` down to a hundredth at the last update.
+        threads: batches that are trained at the same time, one core each; 0 means every core. Results do not depend on it.
+        device: ``auto`` is a GPU where there is one and the work is worth it. The last bits of a result depend on the device.
+    """
+
+    __pydantic_config__ = STRICT
+
+    learning_rate: float
+    batch: int = 64
+    epochs: int = 500
+    patience: int = 100
+    check_every: int = 5
+    schedule: Literal["constant", "cosine"] = "constant"
+    threads: int = 0
+    device: Literal["auto", "cpu", "cuda"] = "auto"
+
+    def check(self, where: object) -> None:
+        """Raises SettingsError for a value that cannot be used."""
+        for key in ("learning_rate", "batch", "epochs", "patience", "check_every"):
+            value = getattr(self, key)
+            if not (math.isfinite(value) and value > 0):
+                raise SettingsError(where, f"{key} = {value}", "a positive number")
+        if self.threads < 0:
+            raise SettingsError(where, f"threads = {self.threads}", "a number from 0 on (0: every core)")
+
+
+@dataclass(frozen=True)
+class Member:
+    """One network to train: rows in SI units.
+
+    Args:
+        name: decides, with the seed, the initial weights and the order of samples; shown in messages.
+        inputs, outputs: rows to learn from, (n, d_in) and (n, d_out).
+        validation_inputs, validation_outputs: rows that decide when to stop, (v, d_in) and (v, d_out).
+        input_names, output_names: of the columns, for messages.
+        hidden: units of the hidden layers, where they are not those of the others.
+        learning_rate: where it is not that of the settings.
+    """
+
+    name: str
+    inputs: Array
+    outputs: Array
+    validation_inputs: Array
+    validation_outputs: Array
+    input_names: tuple[str, ...]
+    output_names: tuple[str, ...]
+    hidden: tuple[int, ...] | None = None
+    learning_rate: float | None = None
+
+
+@dataclass(frozen=True)
+class Course:
+    """How a training went.
+
+    Args:
+        rows: learned from and validated on.
+        epochs: passes over its rows until it was finished.
+        best_epoch: the one whose weights were kept.
+        validation_rmse: per output at ``best_epoch`` [SI].
+        checked_epochs, fit_loss, validation_loss: (k,) each; losses are mean squared errors of normalised outputs, the former
+            over the updates since the last check.
+        seconds: wall time of all that was trained together.
+    """
+
+    rows: tuple[int, int]
+    epochs: int
+    best_epoch: int
+    validation_rmse: tuple[float, ...]
+    checked_epochs: tuple[int, ...]
+    fit_loss: tuple[float, ...]
+    validation_loss: tuple[float, ...]
+    seconds: float = 0.0
+
+    def to_json(self) -> dict[str, Any]:
+        """Without the wall time, which differs between runs that are otherwise equal."""
+        return {key: value for key, value in asdict(self).items() if key != "seconds"}
+
+
+@dataclass(frozen=True)
+class Trained:
+    """A trained member: the network with the weights of its best epoch, and how it came about."""
+
+    mlp: Mlp
+    course: Course
