@@ -16,6 +16,7 @@ from typing import Any
 
 from benchmarks.gap import gap_rows
 from benchmarks.logs import ingest_rows, memory_rows, reader_rows
+from benchmarks.networks import network_rows
 from benchmarks.plant import plant_rows
 from benchmarks.rows import against_limit, seconds
 from committed import provenance, write_result, write_tables
@@ -23,7 +24,7 @@ from committed import provenance, write_result, write_tables
 ROOT = Path(__file__).resolve().parents[1]
 RESULT = ROOT / "reports" / "bench" / "result.json"
 PAGE = ROOT / "docs" / "speed.md"
-PACKAGES = ("mcap-ros2-support", "rosbags", "rerun-sdk", "pandas", "click", "mujoco-core", "pybullet")
+PACKAGES = ("mcap-ros2-support", "rosbags", "rerun-sdk", "pandas", "click", "mujoco-core", "pybullet", "torch", "scikit-learn")
 #: `sysid --help` has to answer within this time [s].
 HELP_LIMIT = 0.5
 
@@ -46,6 +47,7 @@ PARTS: dict[str, Callable[[], list[dict[str, Any]]]] = {
     "cli": cli_rows,
     "plant": plant_rows,
     "gap": gap_rows,
+    "networks": network_rows,
 }
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
@@ -73,11 +74,26 @@ class Mlp:
         Raises:
             InputError: the number of columns is not the one the network was trained with.
         """
-        h = np.atleast_2d(np.asarray(values, dtype=np.float64))
-        expected = self.weights[0].shape[0]
-        if h.ndim != 2 or h.shape[1] != expected:
-            raise InputError("network input", f"shape {h.shape}", f"(n, {expected})")
-        h = self.inputs.apply(h)
-        for weight, bias in zip(self.weights[:-1], self.biases[:-1], strict=True):
-            h = np.maximum(h @ weight + bias, 0.0)
-        return self.outputs.invert(h @ self.weights[-1] + self.biases[-1])
+        h = np.asarray(values, dtype=np.float64)
+        if h.ndim < 2:
+            h = np.atleast_2d(h)
+        weights, biases = self._folded
+        if h.ndim != 2 or h.shape[1] != len(weights[0]):
+            raise InputError("network input", f"shape {h.shape}", f"(n, {len(weights[0])})")
+        for weight, bias in zip(weights[:-1], biases[:-1], strict=True):
+            h = h @ weight
+            h += bias
+            np.maximum(h, 0.0, out=h)
+        h = h @ weights[-1]
+        h += biases[-1]
+        return h
+
+    @cached_property
+    def _folded(self) -> tuple[tuple[Array, ...], tuple[Array, ...]]:
+        """Weights and biases with both normalisations in them: a prediction is nothing but its layers."""
+        weights, biases = list(self.weights), list(self.biases)
+        weights[0] = weights[0] / self.inputs.scale[:, None]
+        biases[0] = biases[0] - self.inputs.mean @ weights[0]
+        weights[-1] = weights[-1] * self.outputs.scale
+        biases[-1] = biases[-1] * self.outputs.scale + self.outputs.mean
+        return tuple(weights), tuple(biases)

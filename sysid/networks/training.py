@@ -59,6 +59,8 @@ def train(
         SettingsError: settings that cannot be used, or with which training diverges.
         StorageError: a checkpoint that cannot be written; the one before stays.
     """
+    from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]
+
     start = time.perf_counter()
     settings.check("training")
     layers = [layers_of(member, hidden) for member in members]
@@ -76,7 +78,8 @@ def train(
         raise
     _forget(checkpoints, files)
     seconds = time.perf_counter() - start
-    return tuple(_result(*each, seconds) for each in zip(members, jobs, scalers, strict=True))
+    with threadpool_limits(1, "blas"):  # NumPy's own threads would wait for one another at products as small as these
+        return tuple(_result(*each, seconds) for each in zip(members, jobs, scalers, strict=True))
 
 
 def _device(settings: TrainingSettings, members: Sequence[Member], layers: Sequence[tuple[int, ...]]) -> torch.device:
