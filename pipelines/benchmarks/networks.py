@@ -6,6 +6,7 @@ it stands the loop that everybody writes, one network after the other, with the 
 
 from __future__ import annotations
 
+import functools
 import itertools
 import json
 import statistics
@@ -23,7 +24,18 @@ import numpy.typing as npt
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from benchmarks.rows import against_limit, row, seconds
-from sysid.networks import ForwardNetwork, Member, Mlp, Normalisation, TrainingSettings, train
+from sysid.networks import (
+    Calibration,
+    ForwardNetwork,
+    Geometry,
+    Member,
+    Mlp,
+    Normalisation,
+    StructuredForward,
+    TrainingSettings,
+    fit_chain,
+    train,
+)
 
 Array = npt.NDArray[np.float64]
 
@@ -225,8 +237,10 @@ def predict_rows() -> list[dict[str, Any]]:
     return [against_limit(f"predict_{name}", times, PREDICT_LIMIT, "µs", note) for name, times in found.items()]
 
 
-def predictions(calls: int = 2000, repeats: int = 9) -> dict[str, list[float]]:
+def predictions(calls: int = 500, repeats: int = 21) -> dict[str, list[float]]:
     """Times of one prediction [µs]."""
+    from benchmarks.crane import crane
+
     rng = np.random.default_rng(0)
 
     def perceptron(d_in: int, hidden: Sequence[int], d_out: int) -> Mlp:
@@ -235,17 +249,24 @@ def predictions(calls: int = 2000, repeats: int = 9) -> dict[str, list[float]]:
         scalers = (Normalisation(rng.normal(size=d), rng.uniform(1.0, 2.0, d)) for d in (d_in, d_out))
         return Mlp(weights, tuple(np.zeros(b) for b in sizes[1:]), *scalers)
 
-    forward = ForwardNetwork(
-        tuple("abcd"), (True, True, True, False), "joints", (perceptron(4, LAYERS["forward"], 3),), np.zeros(4), np.ones(4)
-    )
+    kinematics, joints, angles = crane().machine.kinematics(), tuple("abcd"), (True, True, True, False)
+    assert kinematics is not None
+    poses, ends = rng.uniform(-1.0, 1.0, (POSES, 4)), (np.zeros(4), np.ones(4))
+    geometry = Geometry(kinematics)
+    count = len(geometry.parameters)
+    calibrated = Calibration(geometry, rng.normal(0.0, 1e-3, count), np.eye(count), 1e-3, ())
+    chain = fit_chain(poses, kinematics.tip_position(poses), angles)
+    rest = (perceptron(7, (32, 32), 3),)
+    models: dict[str, tuple[Any, int]] = {
+        "boom": (perceptron(1, LAYERS["boom"], 1), 1),
+        "stick": (perceptron(1, LAYERS["stick"], 1), 1),
+        "forward": (ForwardNetwork(joints, angles, "joints", (perceptron(4, LAYERS["forward"], 3),), *ends), 4),
+        "forward_structured": (StructuredForward(joints, angles, calibrated, "", rest, 0.01, *ends), 4),
+        "forward_chain": (StructuredForward(joints, angles, chain, "", rest, 0.01, *ends), 4),
+    }
     works: dict[str, Callable[[], object]] = {}
-    for name, model, d_in in (
-        ("boom", perceptron(1, LAYERS["boom"], 1), 1),
-        ("stick", perceptron(1, LAYERS["stick"], 1), 1),
-        ("forward", forward, 4),
-    ):
-        sample = rng.normal(size=(1, d_in))
-        works[name] = lambda model=model, sample=sample: model.predict(sample)  # type: ignore[misc]
+    for name, (model, d_in) in models.items():
+        works[name] = functools.partial(model.predict, rng.uniform(-1.0, 1.0, (1, d_in)))
     found = {}
     for name, work in works.items():
         times = [seconds(lambda: [work() for _ in range(calls)]) / calls * 1e6 for _ in range(repeats)]  # noqa: B023

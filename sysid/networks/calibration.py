@@ -12,11 +12,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
 
 from sysid.errors import ExcitationError
+from sysid.networks.folded import FoldedChain
 from sysid.networks.geometry import Geometry, GeometryParameter
 
 Array = npt.NDArray[np.float64]
@@ -76,7 +78,11 @@ class Calibration:
 
     def predict(self, q: Array) -> Array:
         """Tip at joint values ``q`` (n, n_axes), (n, 3) [m]."""
-        return self.geometry.tip(q, self.values)
+        return self._folded.tip(q)
+
+    @cached_property
+    def _folded(self) -> FoldedChain:
+        return self.geometry.folded(self.values)
 
     def spread(self, q: Array) -> Array:
         """Standard deviation of the prediction by what the poses leave open of the geometry, (n, 3) [m]."""

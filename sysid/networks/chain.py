@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
@@ -51,7 +52,14 @@ class Chain:
 
     def predict(self, q: Array) -> Array:
         """Tip at joint values ``q`` (n, n_axes), (n, 3) [m]."""
-        return np.asarray(self._standard(q) @ self.weights + self.level)
+        weights, level = self._folded
+        return np.asarray(products(q, self.revolute).dot(weights) + level)
+
+    @cached_property
+    def _folded(self) -> tuple[Array, Array]:
+        """Weights of the products as they are, and the level that belongs to them."""
+        weights = self.weights / self.scale[:, None]
+        return weights, self.level - self.mean @ weights
 
     def spread(self, q: Array) -> Array:
         """Standard deviation of the prediction by what the poses leave open, (n, 3) [m]."""
@@ -101,9 +109,14 @@ def fit_chain(q: Array, tip: Array, revolute: tuple[bool, ...]) -> Chain:
 def products(q: Array, revolute: tuple[bool, ...]) -> Array:
     """All products with one of (1, sin q, cos q) or (1, q) from each joint but the one of ones alone, (n, P)."""
     rows = np.ones((len(q), 1))
+    own = np.ones((len(q), 1, 3))
     for column, angle in zip(q.T, revolute, strict=True):
-        own = np.column_stack([np.ones(len(q)), np.sin(column), np.cos(column)] if angle else [np.ones(len(q)), column])
-        rows = (rows[:, :, None] * own[:, None, :]).reshape(len(q), -1)
+        if angle:
+            np.sin(column, out=own[:, 0, 1])
+            np.cos(column, out=own[:, 0, 2])
+        else:
+            own[:, 0, 1] = column
+        rows = (rows[:, :, None] * own[:, :, : 3 if angle else 2]).reshape(len(q), -1)
     return rows[:, 1:]
 
 

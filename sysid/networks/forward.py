@@ -6,6 +6,7 @@ revolute joint enters as sine and cosine, which spares the network from learning
 
 from __future__ import annotations
 
+import functools
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -76,7 +77,8 @@ class ForwardNetwork:
         Raises:
             InputError: another number of joints.
         """
-        return np.asarray(self._every(q).mean(axis=0))
+        each = self._every(q)
+        return np.asarray(each[0] if len(each) == 1 else each.mean(axis=0))
 
     def spread(self, q: npt.ArrayLike) -> Array:
         """Standard deviation between the members, (n, 3) [m]: large where they guess; zero for a single one."""
@@ -89,7 +91,7 @@ class ForwardNetwork:
                 "forward network", f"{values.shape[1]} joint values", f"{len(self.joints)}: {', '.join(self.joints)}"
             )
         inputs = to_features(values, self.revolute, self.features)
-        return np.stack([member.predict(inputs) for member in self.members])
+        return np.array([member.predict(inputs) for member in self.members])
 
 
 def learn_forward(dataset: Dataset, recipe: NetworkRecipe, progress: Progress | None = None) -> ForwardNetwork:
@@ -175,8 +177,14 @@ def to_features(q: Array, revolute: tuple[bool, ...], features: Features) -> Arr
     """Joint values (n, n_axes) as the network's inputs (n, d)."""
     if features == "joints":
         return q
-    angles = np.array(revolute)
-    return np.concatenate([np.sin(q[:, angles]), np.cos(q[:, angles]), q[:, ~angles]], axis=1)
+    angles, others = _columns(revolute)
+    turned = q.take(angles, axis=1)
+    return np.concatenate([np.sin(turned), np.cos(turned), q.take(others, axis=1)], axis=1)
+
+
+@functools.lru_cache(maxsize=64)
+def _columns(revolute: tuple[bool, ...]) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
+    return np.flatnonzero(revolute), np.flatnonzero(~np.array(revolute, dtype=bool))
 
 
 def feature_names(joints: tuple[str, ...], revolute: tuple[bool, ...], features: Features) -> tuple[str, ...]:

@@ -21,6 +21,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sysid.machine.kinematics import Joint, Kinematics, rotation_about
+from sysid.networks.folded import FoldedChain, FoldedJoint
 
 Array = npt.NDArray[np.float64]
 
@@ -98,6 +99,20 @@ class Geometry:
     def tip(self, q: Array, values: Array) -> Array:
         """Tip in the base frame, (n, 3) [m], at joint values ``q`` (n, n_axes) with the geometry ``values`` (P,)."""
         return self._walk(q, values).tip
+
+    def folded(self, values: Array) -> FoldedChain:
+        """The chain with the geometry ``values`` (P,) for good: its ``tip`` is that of :meth:`tip`, many times faster."""
+        joints = []
+        for number, moved in enumerate(self._chain):
+            own = values[7 * number : 7 * number + 7]
+            base = moved.before[:3, :3]
+            rotation, shift = (
+                base @ _exp(own[3:6] @ moved.directions),
+                moved.before[:3, 3] + base @ (own[:3] @ moved.directions),
+            )
+            stretch, joint = 1.0 + float(own[6]), moved.joint
+            joints.append(FoldedJoint.of(moved.column, stretch, joint.prismatic, joint.axis, rotation, shift))
+        return FoldedChain(tuple(joints), (self._after[:3, 3] + self._after[:3, :3] @ values[7 * len(joints) :])[:, None])
 
     def slopes(self, q: Array, values: Array) -> Array:
         """Derivatives of the tip with respect to the parameters, (n, 3, P)."""

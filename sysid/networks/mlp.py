@@ -81,12 +81,12 @@ class Mlp:
         if h.ndim != 2 or h.shape[1] != len(weights[0]):
             raise InputError("network input", f"shape {h.shape}", f"(n, {len(weights[0])})")
         for weight, bias in zip(weights[:-1], biases[:-1], strict=True):
-            h = h @ weight
+            h = h.dot(weight)
             h += bias
             np.maximum(h, 0.0, out=h)
-        h = h @ weights[-1]
+        h = h.dot(weights[-1])
         h += biases[-1]
-        return h
+        return np.asarray(h)
 
     @cached_property
     def _folded(self) -> tuple[tuple[Array, ...], tuple[Array, ...]]:

@@ -66,7 +66,8 @@ class StructuredForward:
             InputError: another number of joints.
         """
         values = self._checked(q)
-        return np.asarray(self.structure.predict(values) + self._rest(values).mean(axis=0))
+        rest = self._rest(values)
+        return np.asarray(self.structure.predict(values) + (rest[0] if len(rest) == 1 else rest.mean(axis=0)))
 
     def spread(self, q: npt.ArrayLike) -> Array:
         """Standard deviation of the prediction by what the poses leave open, (n, 3) [m]."""
@@ -77,7 +78,7 @@ class StructuredForward:
         if not self.members:
             return np.zeros((1, len(q), 3))
         inputs = to_features(q, self.revolute, "sincos")
-        return np.stack([bounded(member.predict(inputs), self.bound) for member in self.members])
+        return np.array([bounded(member.predict(inputs), self.bound) for member in self.members])
 
     def _checked(self, q: npt.ArrayLike) -> Array:
         values = np.atleast_2d(np.asarray(q, dtype=np.float64))

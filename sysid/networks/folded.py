@@ -1,0 +1,79 @@
+"""A chain of joints whose geometry no longer changes: everything fixed is multiplied out once, and a pose takes microseconds.
+
+From the tip to the base, with all that is fixed before joint j as a rotation R and a translation t, axis k and reading θ::
+
+    p ← t + R·(k kᵀ + cos θ·(I − k kᵀ) + sin θ·[k]×)·p        revolute
+    p ← t + R·(p + θ·k)                                        prismatic
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import numpy.typing as npt
+
+Array = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class FoldedJoint:
+    """One joint with what is fixed before it.
+
+    Args:
+        column: of the joint values.
+        stretch: of its reading.
+        prismatic: whether it slides.
+        shift: t, (3, 1).
+        factors: what the point is multiplied by; revolute (9, 3): constant, cos and sin part; prismatic (3, 3): R.
+        slide: R·k, (3, 1).
+    """
+
+    column: int
+    stretch: float
+    prismatic: bool
+    shift: Array
+    factors: Array
+    slide: Array
+
+    @staticmethod
+    def of(column: int, stretch: float, prismatic: bool, axis: Array, rotation: Array, shift: Array) -> FoldedJoint:
+        along = np.outer(axis, axis)
+        x, y, z = axis
+        cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+        parts = [rotation] if prismatic else [rotation @ along, rotation @ (np.eye(3) - along), rotation @ cross]
+        factors = np.vstack(parts)
+        return FoldedJoint(column, stretch, prismatic, shift[:, None], factors, (rotation @ axis)[:, None])
+
+
+@dataclass(frozen=True)
+class FoldedChain:
+    """The joints from base to tip, and the tip in the frame of the last one, (3, 1)."""
+
+    joints: tuple[FoldedJoint, ...]
+    last: Array
+
+    @cached_property
+    def _readings(self) -> tuple[npt.NDArray[np.int64], Array]:
+        """Columns of the joint values in the order of the chain, and their stretches."""
+        return np.array([joint.column for joint in self.joints], dtype=np.int64), np.array([[j.stretch] for j in self.joints])
+
+    def tip(self, q: Array) -> Array:
+        """Joint values (n, n_axes) → tip in the base frame, (n, 3) [m]."""
+        columns, stretches = self._readings
+        readings = q.take(columns, axis=1).T * stretches
+        cosines, sines = np.cos(readings), np.sin(readings)
+        point = self.last
+        for k in range(len(self.joints) - 1, -1, -1):
+            joint = self.joints[k]
+            moved = joint.factors.dot(point)
+            if joint.prismatic:
+                point = joint.slide * readings[k]
+                point += moved
+            else:
+                point = moved[3:6] * cosines[k]
+                point += moved[6:] * sines[k]
+                point += moved[:3]
+            point += joint.shift
+        return np.ascontiguousarray(point.T)
