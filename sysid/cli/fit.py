@@ -20,9 +20,12 @@ from sysid.cli.tables import show_calibration, show_errors
 @json_option
 @click.pass_obj
 def fit(workspace: str, kind: str, reference: str, recipe: Path | None, json_file: str | None) -> None:
-    """Fit the actuator networks (cylinder ↔ joint) or the forward network (joints → boom tip) of a dataset."""
+    """Fit the actuator networks (cylinder ↔ joint) or the forward network (joints → boom tip) of a dataset.
+
+    A fit that is interrupted (Ctrl-C, SIGTERM, power) goes on where it was when the same command is given again.
+    """
     from sysid.errors import ExcitationError
-    from sysid.networks import Calibration, StructuredForward, fit_actuator, fit_forward, load_recipe
+    from sysid.networks import Calibration, Checkpoints, StructuredForward, fit_actuator, fit_forward, load_recipe
     from sysid.validate import validate_model
     from sysid.workspace import open_workspace
 
@@ -32,7 +35,7 @@ def fit(workspace: str, kind: str, reference: str, recipe: Path | None, json_fil
     begin = time.perf_counter()
     with progress_bar(f"fit {kind}") as progress:
         fit_network = fit_actuator if kind == "actuator" else fit_forward
-        model = fit_network(dataset, settings, progress)
+        model = fit_network(dataset, settings, progress, Checkpoints(place.folder / "training"))
     seconds = time.perf_counter() - begin
     try:
         report = validate_model(model, dataset, recipe=settings)

@@ -14,12 +14,13 @@ import numpy.typing as npt
 
 from sysid.datasets.recording import Dataset
 from sysid.errors import ExcitationError
+from sysid.networks.checkpoint import Checkpoints
 from sysid.networks.member import Course, Member
 from sysid.networks.mlp import Mlp
 from sysid.networks.recipe import NetworkRecipe
 from sysid.networks.split import Rows, gather, joined, measures, segments, spread_sample, thin
 from sysid.networks.training import train
-from sysid.progress import Progress, part, silent
+from sysid.progress import Progress
 from sysid.signals import axis_signal
 
 Array = npt.NDArray[np.float64]
@@ -79,11 +80,16 @@ class ActuatorNetwork:
         )
 
 
-def fit_actuator(dataset: Dataset, recipe: NetworkRecipe, progress: Progress | None = None) -> dict[str, ActuatorNetwork]:
+def fit_actuator(
+    dataset: Dataset, recipe: NetworkRecipe, progress: Progress | None = None, checkpoints: Checkpoints | None = None
+) -> dict[str, ActuatorNetwork]:
     """Fit both directions for every axis whose cylinder and joint were measured together.
 
     Rows to learn from: ``samples`` of the ``fit`` recordings and of the first static poses, spread over the stroke; as many
     of the ``select`` recordings, and the poses after those, decide when to stop. ``held_out`` rows are not looked at.
+
+    Args:
+        checkpoints: where a fit that is interrupted is kept; the same fit goes on from there.
 
     Returns:
         Axis → network, in kinematic order.
@@ -101,14 +107,14 @@ def fit_actuator(dataset: Dataset, recipe: NetworkRecipe, progress: Progress | N
             "at least one axis on which cylinder and joint were measured together",
             "Map both in the recipe of the dataset.",
         )
-    members: dict[tuple[int, ...], list[tuple[str, str, Member]]] = {}
+    members: dict[tuple[str, str], Member] = {}
     ranges: dict[str, tuple[tuple[float, float], tuple[float, float]]] = {}
     for axis in axes:
         fit, select = actuator_rows(dataset, axis, recipe)
         low, high = fit.values.min(axis=0), fit.values.max(axis=0)
         ranges[axis] = ((float(low[0]), float(high[0])), (float(low[1]), float(high[1])))
         for direction, source, target in (("to_joint", 0, 1), ("to_cylinder", 1, 0)):
-            member = Member(
+            members[axis, direction] = Member(
                 name=f"{axis} {direction}",
                 inputs=fit.values[:, [source]],
                 outputs=fit.values[:, [target]],
@@ -116,13 +122,11 @@ def fit_actuator(dataset: Dataset, recipe: NetworkRecipe, progress: Progress | N
                 validation_outputs=select.values[:, [target]],
                 input_names=(fit.signals[source],),
                 output_names=(fit.signals[target],),
+                hidden=recipe.actuator.layers(axis),
             )
-            members.setdefault(recipe.actuator.layers(axis), []).append((axis, direction, member))
-    trained = {}
-    for number, (hidden, group) in enumerate(members.items()):
-        tell = part(progress or silent, number / len(members), (number + 1) / len(members))
-        results = train([member for _, _, member in group], hidden, recipe.actuator.training, recipe.seed, tell)
-        trained.update({(axis, direction): result for (axis, direction, _), result in zip(group, results, strict=True)})
+    settings = recipe.actuator.training
+    results = train(list(members.values()), recipe.actuator.hidden, settings, recipe.seed, progress, checkpoints)
+    trained = dict(zip(members, results, strict=True))
     return {
         axis: ActuatorNetwork(
             axis=axis,

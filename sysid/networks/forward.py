@@ -15,6 +15,7 @@ import numpy.typing as npt
 
 from sysid.datasets.recording import Dataset, Role
 from sysid.errors import ExcitationError, InputError
+from sysid.networks.checkpoint import Checkpoints
 from sysid.networks.member import Course, Member
 from sysid.networks.mlp import Mlp
 from sysid.networks.recipe import Features, NetworkRecipe
@@ -94,7 +95,9 @@ class ForwardNetwork:
         return np.array([member.predict(inputs) for member in self.members])
 
 
-def learn_forward(dataset: Dataset, recipe: NetworkRecipe, progress: Progress | None = None) -> ForwardNetwork:
+def learn_forward(
+    dataset: Dataset, recipe: NetworkRecipe, progress: Progress | None = None, checkpoints: Checkpoints | None = None
+) -> ForwardNetwork:
     """Fit the forward network on the dataset's ``poses`` recordings; without any, on the still phases of its motion.
 
     Raises:
@@ -118,7 +121,7 @@ def learn_forward(dataset: Dataset, recipe: NetworkRecipe, progress: Progress | 
         )
         for number in range(1, recipe.forward.members + 1)
     ]
-    trained = train(members, recipe.forward.hidden, recipe.forward.training, recipe.seed, progress)
+    trained = train(members, recipe.forward.hidden, recipe.forward.training, recipe.seed, progress, checkpoints)
     return ForwardNetwork(
         joints=joints,
         revolute=revolute,

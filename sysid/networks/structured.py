@@ -17,6 +17,7 @@ from sysid.datasets.recording import Dataset
 from sysid.errors import InputError, SettingsError
 from sysid.networks.calibration import Calibration, calibrate
 from sysid.networks.chain import Chain, fit_chain
+from sysid.networks.checkpoint import Checkpoints
 from sysid.networks.forward import feature_names, forward_joints, is_angle, taught_rows, to_features
 from sysid.networks.geometry import Geometry
 from sysid.networks.member import Course, Member
@@ -89,7 +90,9 @@ class StructuredForward:
         return values
 
 
-def fit_structured(dataset: Dataset, recipe: NetworkRecipe, progress: Progress | None = None) -> StructuredForward:
+def fit_structured(
+    dataset: Dataset, recipe: NetworkRecipe, progress: Progress | None = None, checkpoints: Checkpoints | None = None
+) -> StructuredForward:
     """Calibrate the machine's URDF (or weigh the products of its chain) on static poses, and teach a network what is left.
 
     Raises:
@@ -104,7 +107,7 @@ def fit_structured(dataset: Dataset, recipe: NetworkRecipe, progress: Progress |
     q_unseen, tip_unseen = select.values[:, :count], select.values[:, count:]
     structure = fit_chain(q, tip, revolute) if recipe.forward.model == "chain" else _calibrated(dataset, q, tip)
     left, unseen = tip - structure.predict(q), tip_unseen - structure.predict(q_unseen)
-    members, courses, bound = _rest(recipe, (q, left), (q_unseen, unseen), revolute, joints, progress)
+    members, courses, bound = _rest(recipe, (q, left), (q_unseen, unseen), revolute, joints, progress, checkpoints)
     return StructuredForward(
         joints=joints,
         revolute=revolute,
@@ -139,6 +142,7 @@ def _rest(
     revolute: tuple[bool, ...],
     joints: tuple[str, ...],
     progress: Progress | None,
+    checkpoints: Checkpoints | None,
 ) -> tuple[tuple[Mlp, ...], tuple[Course, ...], float]:
     """Perceptrons of what the geometry leaves, their courses and bound; nothing where they are of no use."""
     (q, left), (q_unseen, unseen) = fit, select
@@ -157,7 +161,7 @@ def _rest(
         )
         for number in range(1, recipe.forward.members + 1)
     ]
-    trained = train(members, recipe.forward.residual_hidden, recipe.forward.training, recipe.seed, progress)
+    trained = train(members, recipe.forward.residual_hidden, recipe.forward.training, recipe.seed, progress, checkpoints)
     inputs = to_features(q_unseen, revolute, "sincos")
     said = np.mean([bounded(result.mlp.predict(inputs), bound) for result in trained], axis=0)
     if np.sqrt(np.mean((unseen - said) ** 2)) > WORTH * np.sqrt(np.mean(unseen**2)):
