@@ -13,9 +13,20 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from crane_data import dataset
 
 from sysid.errors import SettingsError, StorageError, StoreError
-from sysid.networks import Checkpoints, Member, Trained, TrainingSettings, train
+from sysid.networks import (
+    Checkpoints,
+    Member,
+    Trained,
+    TrainingSettings,
+    fit_actuator,
+    fit_forward,
+    parse_recipe,
+    to_files,
+    train,
+)
 
 SETTINGS = TrainingSettings(learning_rate=3e-3, batch=16, epochs=30, patience=30, check_every=3, schedule="cosine", threads=2)
 HIDDEN = (24, 10)
@@ -146,3 +157,26 @@ def test_a_damaged_checkpoint_is_named(tmp_path: Path, content: bytes | None) ->
     path.write_bytes(path.read_bytes()[:-9] if content is None else content)
     with pytest.raises(StoreError, match=rf"checkpoint {path}: not readable .*Delete it"):
         run(tmp_path)
+
+
+def test_a_fit_of_networks_goes_on_to_the_same_files(tmp_path: Path) -> None:
+    settings = {"epochs": 10, "check_every": 1}
+    recipe = parse_recipe(
+        {
+            "actuator": {"hidden_of": {"boom": [8, 8], "stick": [8]}, "training": settings},
+            "forward": {"hidden": [16], "members": 2, "training": settings},
+        },
+        "test",
+    )
+    data = dataset()
+
+    def tell(done: float, text: str) -> None:
+        if 0.3 < done < 1.0:
+            raise KeyboardInterrupt
+
+    for fit in (fit_actuator, fit_forward):
+        with pytest.raises(KeyboardInterrupt):
+            fit(data, recipe, tell, Checkpoints(tmp_path / "training"))
+        assert list((tmp_path / "training").glob("*.safetensors"))
+        assert to_files(fit(data, recipe, None, Checkpoints(tmp_path / "training"))) == to_files(fit(data, recipe))
+        assert not (tmp_path / "training").exists()
