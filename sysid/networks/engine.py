@@ -140,19 +140,23 @@ class _Run:
         self.outputs = torch.tensor([float(job.sizes[-1]) for job in jobs], device=device)[:, None, None]
         self.loss = torch.tensor([state.loss for state in states], dtype=torch.float64, device=device)
         self.width = jobs[0].width
+        self.chosen = [values.new_empty((len(jobs) * self.width, values.shape[1])) for values in (self.x, self.y)]
         self.ahead = max(1, math.ceil(max(len(job.x) for job in jobs) / self.width))
         self.known = (0, 0)
 
     def step(self) -> int:
         """One update of all of them; returns its number."""
+        import torch
+
         before = self.adam.steps
         if not self.known[0] <= before < self.known[1]:
             self.known = (before, before + self.ahead)
             self._look_ahead()
         chosen = self.rows[before - self.known[0]]
         shape = (len(self.jobs), self.width, -1)
-        x, y = self.x.index_select(0, chosen).view(shape), self.y.index_select(0, chosen).view(shape)
-        self.loss += self.model.accumulate(x, y, self.outputs)
+        torch.index_select(self.x, 0, chosen, out=self.chosen[0])
+        torch.index_select(self.y, 0, chosen, out=self.chosen[1])
+        self.loss += self.model.accumulate(self.chosen[0].view(shape), self.chosen[1].view(shape), self.outputs)
         self.adam.step(self.model, [job.rate(before + 1) for job in self.jobs])
         for job in self.jobs:
             job.state.step += 1
