@@ -32,6 +32,7 @@ from sysid.networks import (
     Mlp,
     Normalisation,
     StructuredForward,
+    Trained,
     TrainingSettings,
     fit_chain,
     train,
