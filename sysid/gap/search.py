@@ -7,7 +7,6 @@ from the larger one's optimum as well as from nominal, so that nothing is kept o
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 
@@ -244,7 +243,7 @@ class Search:
             return True
         left = self.scores.rmse(model)
         without = self.scores.fit(tuple(c for c in model.candidates if c is not candidate), (model,))
-        return self.scores.rmse(without) > self.strict.decides * left * math.sqrt(max(1.0, left / self.strict.explained))
+        return self.scores.rmse(without) > self.strict.decides * left * max(1.0, left / self.strict.explained)
 
     def _doubtful(self, model: Fit) -> float:
         """Noise floors that are left where errors add up over a run, so that they say less than they seem to; else none."""
