@@ -10,6 +10,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+from sysid.errors import StorageError
+
 
 @contextmanager
 def written_whole(path: Path) -> Iterator[Path]:
@@ -20,6 +22,28 @@ def written_whole(path: Path) -> Iterator[Path]:
         half.replace(path)
     finally:
         half.unlink(missing_ok=True)
+
+
+def write_durably(path: Path, content: bytes, what: str, remedy: str) -> None:
+    """Put ``content`` in the place of ``path``, on the disk when this returns; the folder is made when it is missing.
+
+    Args:
+        what, remedy: for the message.
+
+    Raises:
+        StorageError: the disk is full or fails; what was there before stays whole.
+    """
+    half = path.with_name(f"{path.name}.{os.getpid()}.part")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with half.open("wb") as file:
+            file.write(content)
+            file.flush()
+            os.fsync(file.fileno())
+        half.replace(path)
+    except OSError as error:
+        half.unlink(missing_ok=True)
+        raise StorageError(f"{what} {path}", error.strerror or str(error), f"room for {len(content)} bytes", remedy) from error
 
 
 def json_text(value: Mapping[str, Any]) -> str:

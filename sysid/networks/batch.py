@@ -140,7 +140,9 @@ class BatchedMlp:
             x = out.relu_() if out is not outs[-1] else out
         return x
 
-    def backward(self, x: torch.Tensor, delta: torch.Tensor, of: Literal["parameters", "inputs"] = "parameters") -> torch.Tensor:
+    def backward(
+        self, x: torch.Tensor, delta: torch.Tensor, of: Literal["parameters", "inputs"] = "parameters"
+    ) -> torch.Tensor:
         """From the gradient with respect to the outputs of the last :meth:`forward` to that of the parameters, into
         ``gradients``, or to that of the inputs, which is returned, (m, n, d_in); never both, so that nothing is worked out
         in vain.

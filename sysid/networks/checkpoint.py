@@ -8,18 +8,19 @@ from __future__ import annotations
 
 import json
 import math
-import os
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from sysid.errors import StorageError, StoreError
+from sysid.errors import StoreError
+from sysid.files import write_durably
 from sysid.networks.batch import Floats
 
 #: Of the files; another one is another name.
 FORMAT = 1
+REMEDY = "Make room; training goes on from the last checkpoint that was written."
 _ARRAYS = ("row", "first", "second", "best")
 _NUMBERS = ("step", "loss", "seen", "best_epoch", "best_loss", "finished", "epochs", "fit", "validation")
 
@@ -74,21 +75,7 @@ class Checkpoints:
 
         header = json.dumps({key: getattr(state, key) for key in _NUMBERS})
         content = save({key: getattr(state, key) for key in _ARRAYS}, {"format": str(FORMAT), "state": header})
-        path = self.path(name)
-        part = path.with_name(f"{path.name}.{os.getpid()}.part")
-        try:
-            self.folder.mkdir(parents=True, exist_ok=True)
-            with part.open("wb") as file:
-                file.write(content)
-                file.flush()
-                os.fsync(file.fileno())
-            part.replace(path)
-        except OSError as error:
-            part.unlink(missing_ok=True)
-            raise StorageError(
-                f"checkpoint {path}", error.strerror or str(error), f"room for {len(content)} bytes",
-                "Make room; training goes on from the last checkpoint that was written.",
-            ) from error  # fmt: skip
+        write_durably(self.path(name), content, "checkpoint", REMEDY)
 
     def load(self, name: str, size: int) -> State | None:
         """What was saved under ``name``, None where nothing was.

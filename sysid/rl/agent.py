@@ -6,11 +6,12 @@ Actor ``μ(s) = tanh(perceptron)`` in shares of half the range; critic ``Q(s, a)
     ∇J = 1/N·Σ ∇_a Q(s, a)|a=μ(s) · ∇_θ μ(s)     actor: maximise J = 1/N·Σ Q(s, μ(s))
     θ' ← τ·θ + (1 − τ)·θ'                        of actor and critic
 
-Source: Lillicrap et al. 2015; Algorithm 1 of the paper. The perceptrons are those of :mod:`sysid.networks.batch`, one member each.
+Source: Lillicrap et al. 2015; Algorithm 1 of the paper. The perceptrons are those of :mod:`sysid.networks.batch`.
 """
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -230,7 +231,9 @@ class Agent:
         room[0, :, : s.shape[1]] = s
         return room
 
-    def _value(self, name: str, s: torch.Tensor, a: torch.Tensor, target: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor | None]:
+    def _value(
+        self, name: str, s: torch.Tensor, a: torch.Tensor, target: torch.Tensor
+    ) -> tuple[torch.Tensor, torch.Tensor | None]:
         """Q (N,) of observations and actions, both normalised; with the distance head also (p − target)/‖p − target‖."""
         wide, acts, turns = s.shape[1], a.shape[1], len(self.angles)
         x = self._room("critic", s, self.models[name].sizes[0])
@@ -274,7 +277,7 @@ class Agent:
 def _first_weights(sizes: tuple[int, ...], rng: np.random.Generator, last: float | None) -> Floats:
     """Uniform within ``±1/√d_in`` a layer, the last one within ``±last`` where it is given."""
     weights, biases = [], []
-    for number, (d_in, d_out) in enumerate(zip(sizes[:-1], sizes[1:], strict=True)):
+    for number, (d_in, d_out) in enumerate(itertools.pairwise(sizes)):
         bound = last if last is not None and number == len(sizes) - 2 else 1.0 / math.sqrt(d_in)
         weights.append(rng.uniform(-bound, bound, (d_in, d_out)).astype(np.float32))
         biases.append(rng.uniform(-bound, bound, d_out).astype(np.float32))

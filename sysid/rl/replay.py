@@ -41,7 +41,9 @@ class Replay:
         #: Rows that were ever added, and those of them that are in files.
         self.count, self.saved = 0, 0
         ends = np.cumsum([observations, actions, 1, observations])
-        self.parts = [slice(end - width, end) for end, width in zip(ends, (observations, actions, 1, observations), strict=True)]
+        self.parts = [
+            slice(end - width, end) for end, width in zip(ends, (observations, actions, 1, observations), strict=True)
+        ]
 
     def __len__(self) -> int:
         return min(self.count, self.capacity)
@@ -87,7 +89,7 @@ class Replay:
         self.saved = self.count
 
     def prune(self, folder: Path) -> None:
-        """Delete segments that hold nothing of the buffer any more; to be called when a checkpoint that knows so is in place."""
+        """Delete segments that hold nothing of the buffer any more; to be called when a checkpoint that says so is there."""
         for path in folder.glob("replay-*.f32"):
             if (int(path.stem.partition("-")[2]) + 1) * SEGMENT <= self.count - self.capacity:
                 path.unlink()
