@@ -140,20 +140,30 @@ def from_versions(
     size: int = 1,
     seed: int = 0,
     task: Task | None = None,
+    full: bool = False,
+    **settings: Any,
 ) -> Environment:
     """The environment of a registered plant, judged by a registered forward model.
 
     Args:
         plant, forward: ``name``, ``name@3`` or ``name@champion``.
         size: copies side by side.
+        full: joint setpoints pass actuator networks, cylinder controller, valves and plant; else joints follow at once.
+        settings: of :class:`sysid.rl.driven.DrivenEnvironment` (``full`` only).
 
     Raises:
         StoreError: no such version, or one of another kind.
         SettingsError: the plant lacks a joint, or the forward model belongs to another machine.
     """
+    from sysid.rl.driven import DrivenEnvironment
     from sysid.rl.kinematic import KinematicEnvironment
 
     machine, model = load_versions(registry, plant, forward)
+    if full:
+        return DrivenEnvironment(machine, model, size=size, seed=seed, task=task, **settings)
+    if settings:
+        found = f"settings {', '.join(sorted(settings))}"
+        raise SettingsError("environment", found, "none: they belong to the full path (full = true)")
     return KinematicEnvironment(machine, model, size=size, seed=seed, task=task)
 
 
