@@ -89,7 +89,13 @@ def circle(centre: npt.ArrayLike, rate_hz: float = 100.0, *, radius: float = RAD
 
 
 def centre_for(
-    inverse: Inverse, low: Array, high: Array, *, floor: float = -math.inf, radius: float = RADIUS, height: float = CLIMB * TURNS
+    inverse: Inverse,
+    low: Array,
+    high: Array,
+    *,
+    floor: float = -math.inf,
+    radius: float = RADIUS,
+    height: float = CLIMB * TURNS,
 ) -> Array:
     """The middle of a helix (3,) at which the joints keep farthest from their bounds all along it.
 
