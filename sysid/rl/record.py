@@ -40,8 +40,8 @@ def pictures(runs: Sequence[Tracked]) -> dict[str, str]:
     for name, (a, b) in {"from-above": (0, 1), "from-the-side": (0, 2)}.items():
         lines = [Line("target", first.target[:, a], first.target[:, b], "#9ca3af", dashed=True)]
         lines += [Line(run.policy, run.ee[:, a], run.ee[:, b], colour) for run, colour in zip(runs, _COLOURS, strict=False)]
-        labels = [f"{'xyz'[k]} [m]" for k in (a, b)]
-        found[f"{name}.svg"] = svg(f"{first.path} {name.replace('-', ' ')}", *labels, lines, equal=a + b == 1)
+        title, equal = f"{first.path} {name.replace('-', ' ')}", a + b == 1
+        found[f"{name}.svg"] = svg(title, f"{'xyz'[a]} [m]", f"{'xyz'[b]} [m]", lines, equal)
     for run in runs:
         error = 1e3 * run.error
         lines = [Line(axis, run.time, error[:, k], _AXES[k]) for k, axis in enumerate("xyz")]

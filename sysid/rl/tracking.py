@@ -7,7 +7,7 @@ once before the first step.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
@@ -104,8 +104,8 @@ class Tracked:
     def after(self, seconds: float) -> Tracked:
         """Without the first seconds, in which a machine at rest catches up with a path that moves at once."""
         late = self.time > seconds
-        rows = {item.name: getattr(self, item.name) for item in fields(self)}
-        return Tracked(**{name: value[late] if isinstance(value, np.ndarray) else value for name, value in rows.items()})
+        rows = {item.name: getattr(self, item.name)[late] for item in fields(self)[3:]}
+        return replace(self, **rows)
 
     def to_json(self) -> dict[str, Any]:
         """The figures, in millimetres; ``settled``: those after the first second."""
