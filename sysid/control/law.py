@@ -113,7 +113,9 @@ def command(about, state, setpoints, measured, preview, dt, out):
             wanted = _with_deadband(x, v, a)
             reach = a[RATE] * dt
             u = min(max(wanted, -1.0, s[LAST] - reach), 1.0, s[LAST] + reach)
-            if u == wanted or (wanted - u) * error < 0.0:  # an integral that pushes into a limit would have to come back
+            if s[RING] <= a[LOW] or s[RING] >= a[HIGH]:
+                s[SUM] = 0.0  # against an end stop nothing would ever take it back
+            elif u == wanted or (wanted - u) * error < 0.0:  # an integral that pushes into a limit would have to come back
                 bound = INTEGRAL_SHARE * top
                 s[SUM] = min(max(s[SUM] + a[INTEGRAL] * error * dt, -bound), bound)
             s[LAST] = u

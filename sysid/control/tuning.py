@@ -70,7 +70,7 @@ class AxisTuning:
     def fastest(self) -> float:
         """The lower one of the top speeds of both directions."""
         ends = (self.up, self.positive), (self.down, self.negative)
-        return min(speed * min(self.limit, max(0.0, 1.0 - band) ** self.exponent) for speed, band in ends)
+        return min(float(speed * min(self.limit, max(0.0, 1.0 - band) ** self.exponent)) for speed, band in ends)
 
     def row(self) -> Array:
         """The numbers in the order of the fields, for the compiled law."""

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import numpy as np
 import numpy.typing as npt
@@ -17,13 +17,17 @@ from sysid.control import AxisTuning, CylinderController, response_time
 from sysid.effects.gripper_sway import GRAVITY
 from sysid.errors import InputError, SettingsError, nearest
 from sysid.networks.forward import ForwardModel
-from sysid.plant import Plant
+from sysid.plant import Plant, compile_plant
 from sysid.plant.stepper import LaneState, Stepper
 from sysid.rl.environment import Flags, Parts, Task, check_pair
 from sysid.rl.reach import Reach, reach_of, tips
 
+if TYPE_CHECKING:
+    from sysid.rl.bullet import Worlds
+
 Array = npt.NDArray[np.float64]
 Feedback = Literal["static", "plant"]
+Mover = Literal["compiled", "pybullet"]
 
 
 class DrivenEnvironment:
@@ -37,6 +41,7 @@ class DrivenEnvironment:
         history: how many past commands are seen; else as many as the longest dead time has steps.
         feedback: how candidates are judged: ``static``, by the forward model; ``plant``, by where the plant itself, from the
             state it is in, brings the end effector when a candidate is held for the longest dead time.
+        mover: ``compiled``, the chain of effects; ``pybullet``, the same plant with rigid bodies (:mod:`sysid.rl.bullet`).
 
     Raises:
         SettingsError: plant and forward model do not fit, a force axis, an unknown feedback, ``size`` below one.
@@ -55,16 +60,27 @@ class DrivenEnvironment:
         preview: float = 0.0,
         history: int | None = None,
         feedback: Feedback = "static",
+        mover: Mover = "compiled",
     ) -> None:
         if size < 1:
             raise SettingsError("environment", f"size = {size}", "at least one copy")
-        if feedback not in ("static", "plant"):
-            raise SettingsError("environment", f"feedback = {feedback!r}", nearest(feedback, ("static", "plant")))
+        for name, value, valid in (("feedback", feedback, get_args(Feedback)), ("mover", mover, get_args(Mover))):
+            if value not in valid:
+                raise SettingsError("environment", f"{name} = {value!r}", nearest(value, valid))
+        if mover == "pybullet" and feedback == "plant":
+            raise SettingsError("environment", "feedback = 'plant' with PyBullet", "mover = 'compiled', or feedback = 'static'")
         check_pair(plant, forward)
         self.plant, self.forward, self.size, self.task = plant, forward, size, task or Task()
         self.rate_hz, self.feedback, self.preview = plant.machine.rate_hz, feedback, preview
         self.reach = reach or reach_of(plant, forward)
-        self._stepper = Stepper(plant, self.rate_hz, size)
+        self.model = compile_plant(plant)
+        self._stepper: Stepper | Worlds
+        if mover == "pybullet":
+            from sysid.rl.bullet import Worlds
+
+            self._stepper = Worlds(plant, self.rate_hz, size)
+        else:
+            self._stepper = Stepper(plant, self.rate_hz, size)
         self._controller = CylinderController(plant, tuning, copies=size, preview=preview)
         self._judges: tuple[Stepper, CylinderController] | None = None
         self.horizon = max(1, math.ceil(response_time(plant) * self.rate_hz) + 1)
@@ -154,10 +170,22 @@ class DrivenEnvironment:
         self._final = self._seen()
         fresh = ~truncated & (self._count % self.task.hold == 0)
         if self.task.targets > 1 and fresh.any():
-            self._target[fresh] = tips(self._stepper.model, self.reach.draw(int(fresh.sum()), self._rng))
+            self._target[fresh] = tips(self.model, self.reach.draw(int(fresh.sum()), self._rng))
         if truncated.any():
             self._reset(truncated)
         return self._seen(), rewards, truncated
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """What the columns of an observation are."""
+        axes = self.plant.machine.axis_names
+        past = tuple(f"{axis}.command[{-1 - k}]" for k in range(self.history) for axis in axes)
+        below = tuple(f"tool.{what}{axis}" for what in ("below.", "speed.") for axis in "xyz")
+        return (*self.parts.names(axes), *past, *(f"{axis}.speed" for axis in axes), *below)
+
+    def seed(self, seed: int) -> None:
+        """Starts and targets from now on."""
+        self._rng = np.random.default_rng(seed)
 
     def targets(self, observations: Array) -> Array:
         """Targets (m, 3) inside observations (m, O)."""
@@ -245,7 +273,7 @@ class DrivenEnvironment:
     def _reset(self, which: Flags) -> None:
         count = int(which.sum())
         joints, aims = self.reach.draw(count, self._rng), self.reach.draw(count, self._rng)
-        self._put(which, joints, tips(self._stepper.model, aims))
+        self._put(which, joints, tips(self.model, aims))
 
     def _put(self, which: Flags, joints: Array, targets: Array) -> None:
         self._lane = lane = self._stepper.reset(np.clip(joints, self.reach.low, self.reach.high), which=which)

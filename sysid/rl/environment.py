@@ -6,7 +6,7 @@ step is ``0.001 + (0.002 − ‖target − ee‖) − 0.0005·[a setpoint outsid
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Protocol
 
@@ -97,6 +97,11 @@ class Environment(Protocol):
     @property
     def rate_hz(self) -> float: ...
 
+    @property
+    def names(self) -> tuple[str, ...]: ...
+
+    def seed(self, seed: int) -> None: ...
+
     def reset(self) -> Array: ...
 
     def step(self, actions: Array) -> tuple[Array, Array, Flags]: ...
@@ -125,6 +130,11 @@ class Parts:
     @staticmethod
     def of(axes: int) -> Parts:
         return Parts(slice(0, axes), slice(axes, axes + 3), slice(axes + 3, axes + 6))
+
+    def names(self, axes: Sequence[str]) -> tuple[str, ...]:
+        """What the columns are."""
+        points = (f"{what}.{axis}" for what in ("ee", "target") for axis in "xyz")
+        return (*(axis_signal(axis, "joint") for axis in axes), *points)
 
     @property
     def width(self) -> int:

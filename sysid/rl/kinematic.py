@@ -113,6 +113,15 @@ class KinematicEnvironment:
             self._reset(truncated)
         return self._now.copy(), rewards, truncated
 
+    @property
+    def names(self) -> tuple[str, ...]:
+        """What the columns of an observation are."""
+        return self.parts.names(self.plant.machine.axis_names)
+
+    def seed(self, seed: int) -> None:
+        """Starts and targets from now on."""
+        self._rng = np.random.default_rng(seed)
+
     def targets(self, observations: Array) -> Array:
         """Targets (m, 3) inside observations (m, O)."""
         return np.asarray(observations)[:, self.parts.target]

@@ -163,7 +163,7 @@ def solve(rows, last, low, high, weights, begin, targets, follow, steps, near, o
                 step(jacobian, weights, error, damping, q, low, high, held, z)
                 length = 0.0
                 for i in range(count):
-                    trial[i] = q[i] + z[i]
+                    trial[i] = min(max(q[i] + z[i], low[i]), high[i])
                     length += (z[i] / weights[i]) ** 2
                 if length < SHORT * SHORT:
                     break

@@ -7,7 +7,7 @@ once before the first step.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
@@ -24,6 +24,9 @@ from sysid.rl.paths import Path
 from sysid.rl.reach import Reach
 
 Array = npt.NDArray[np.float64]
+
+#: A machine at rest has caught up with its path after so many seconds.
+SETTLED_S = 1.0
 
 
 class Policy(Protocol):
@@ -98,14 +101,27 @@ class Tracked:
         """Largest error per axis, (3,) [m]."""
         return np.asarray(np.abs(self.error).max(axis=0))
 
+    def after(self, seconds: float) -> Tracked:
+        """Without the first seconds, in which a machine at rest catches up with a path that moves at once."""
+        late = self.time > seconds
+        rows = {item.name: getattr(self, item.name)[late] for item in fields(self)[3:]}
+        return replace(self, **rows)
+
     def to_json(self) -> dict[str, Any]:
-        """The figures, in millimetres."""
-        away = np.linalg.norm(self.error, axis=1)
+        """The figures, in millimetres; ``settled``: those after the first second."""
+        late = self.after(SETTLED_S)
         return {
             "policy": self.policy,
             "path": self.path,
             "lookahead_s": self.lookahead,
             "steps": len(self.time),
+            **self._figures(),
+            "settled": {"after_s": SETTLED_S, **late._figures()} if len(late.time) else None,
+        }
+
+    def _figures(self) -> dict[str, Any]:
+        away = np.linalg.norm(self.error, axis=1)
+        return {
             "rmse_mm": [float(1e3 * value) for value in self.rmse],
             "max_mm": [float(1e3 * value) for value in self.worst],
             "distance_mm": {"rms": float(1e3 * np.sqrt(np.mean(away**2))), "max": float(1e3 * away.max())},
