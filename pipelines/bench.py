@@ -25,7 +25,18 @@ from committed import provenance, write_result, write_tables
 ROOT = Path(__file__).resolve().parents[1]
 RESULT = ROOT / "reports" / "bench" / "result.json"
 PAGE = ROOT / "docs" / "speed.md"
-PACKAGES = ("mcap-ros2-support", "rosbags", "rerun-sdk", "pandas", "click", "mujoco-core", "pybullet", "torch", "scikit-learn", "stable-baselines3")
+PACKAGES = (
+    "mcap-ros2-support",
+    "rosbags",
+    "rerun-sdk",
+    "pandas",
+    "click",
+    "mujoco-core",
+    "pybullet",
+    "torch",
+    "scikit-learn",
+    "stable-baselines3",
+)
 #: `sysid --help` has to answer within this time [s].
 HELP_LIMIT = 0.5
 

@@ -59,7 +59,11 @@ def _ours(batch: int, hidden: tuple[int, ...], rows: tuple[Any, ...]) -> Any:
     space = Space(-one, one, -four, four, (False,) * ACTIONS, (4, 7), (7, 10))
     learning = Learning(batch=batch, discount=DISCOUNT, tau=TAU, actor_rate=RATE, critic_rate=RATE)
     agent = Agent(space, Networks(hidden, hidden), learning, np.random.default_rng(0), "cpu")
-    replay, rng, room = Replay(ROWS, OBSERVED, ACTIONS), np.random.default_rng(1), torch.empty(batch, 2 * OBSERVED + ACTIONS + 1)
+    replay, rng, room = (
+        Replay(ROWS, OBSERVED, ACTIONS),
+        np.random.default_rng(1),
+        torch.empty(batch, 2 * OBSERVED + ACTIONS + 1),
+    )
     replay.add(*rows)
 
     def run(updates: int) -> None:
