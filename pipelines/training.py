@@ -2,9 +2,9 @@
 
 .venv/bin/python pipelines/training.py [--tier small|full] [--workers N] [--workspace DIR]
 
-Needs the versions that `make demo` makes. It goes on where it was stopped. ``full`` takes about a day of one core; its result goes to
-reports/training/, its tables into docs/training.md, its curves into docs/images/training.svg. ``small`` is a look at whether
-everything runs, and stays in the workspace.
+Needs the versions that `make demo` makes. It goes on where it was stopped. ``full`` takes some six hours of one core; its result
+goes to reports/training/, its tables into docs/training.md, its curves into docs/images/training.svg. ``small`` is a look at
+whether everything runs, and stays in the workspace.
 """
 
 from __future__ import annotations
@@ -22,12 +22,11 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 
 from committed import provenance, write_result, write_tables
-from training_peer import peer
-from training_runs import CANDIDATES, CHOICES, FORWARDS, PAPER, ROOT, Run, baseline, one, runs, seconds_to
-
 from sysid.files import json_text
 from sysid.reports.charts import WIDE, Line, chart
 from sysid.rl.seeds import side_by_side
+from training_peer import peer
+from training_runs import CANDIDATES, CHOICES, FORWARDS, PAPER, ROOT, baseline, one, runs, seconds_to
 
 RESULT, PAGE, PICTURE = ROOT / "reports" / "training" / "result.json", ROOT / "docs" / "training.md", "docs/images/training.svg"
 #: Share of the episodes and seeds by part.
@@ -99,7 +98,8 @@ def _comparison(
     yield "| helix, joints follow at once | seeds | RMSE x/y/z, mm (median; worst) | largest error x/y/z, mm | CPU |"
     yield "| --- | --- | --- | --- | --- |"
     for arm, number in (("feedback", 1), ("plain", 2)):
-        yield f"| the paper's policy {number} ({arm}) | 1 | {_mm(PAPER[arm])} | {'27.2/14.5/26.3' if number == 1 else '–'} | – |"
+        worst = "27.2/14.5/26.3" if number == 1 else "–"
+        yield f"| the paper's policy {number} ({arm}) | 1 | {_mm(PAPER[arm])} | {worst} | – |"
     for part, what in (("paper", "the paper's recipe, cut to 60 000 updates"), ("quick", "`quick.toml`")):
         for arm in ("feedback", "plain"):
             each = results[part, arm]
@@ -112,7 +112,8 @@ def _comparison(
     for part in ("paper", "quick"):
         better = _better(results[part, "feedback"], results[part, "plain"])
         yield ""
-        yield f"Feedback is better than none, by the distance over the helix, in {better} of {len(results[part, 'plain'])} seeds ({part})."
+        many = len(results[part, "plain"])
+        yield f"Feedback is better than none, by the distance over the helix, in {better} of {many} seeds ({part})."
 
 
 def _choices(results: Mapping[tuple[str, str], Sequence[Mapping[str, Any]]]) -> Iterator[str]:

@@ -1,4 +1,4 @@
-"""Stable-Baselines3's DDPG in the environment of pipelines/training.py, judged on the same helix until it is as good as the paper."""
+"""Stable-Baselines3's DDPG in the environment of pipelines/training.py, on the same helix until it is as good as the paper."""
 
 from __future__ import annotations
 
@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from training_runs import AT_RUN_TIME, PAPER, RECIPES  # noqa: F401
 
 from sysid.config import read_toml
 from sysid.files import json_text, written_whole
@@ -19,6 +18,7 @@ from sysid.rl.course import lay_out
 from sysid.rl.environment import load_versions
 from sysid.rl.kinematic import KinematicEnvironment
 from sysid.rl.recipe import parse_training
+from training_runs import PAPER, RECIPES
 
 Array = npt.NDArray[np.float64]
 

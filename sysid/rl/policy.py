@@ -26,7 +26,7 @@ def load_policy(version: ModelVersion) -> PolicyNetwork:
 
 
 class Searching:
-    """A policy with a choice at run time: candidates around its answer, the one that the forward model puts nearest to the target.
+    """A policy with a choice at run time: of candidates around its answer, the one nearest to the target by the forward model.
 
     This is a random search over inverse kinematics with a policy as its first guess, no property of the policy: its figures
     belong in a row of their own. The answer itself is among the candidates.
