@@ -2,7 +2,7 @@
 
 .venv/bin/python pipelines/training.py [--tier small|full] [--workers N] [--workspace DIR]
 
-Needs the versions that `make demo` makes. It goes on where it was stopped. ``full`` takes some six hours of one core; its result
+Needs the versions that `make demo` makes. It goes on where it was stopped. ``full`` takes some six hours of a core; its result
 goes to reports/training/, its tables into docs/training.md, its curves into docs/images/training.svg. ``small`` is a look at
 whether everything runs, and stays in the workspace.
 """
