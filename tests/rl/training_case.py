@@ -7,6 +7,8 @@ from typing import Any
 from crane_model import Perfect, crane_plant
 
 from sysid.rl.ddpg import Trainer
+from sysid.rl.driven import DrivenEnvironment
+from sysid.rl.environment import Environment
 from sysid.rl.kinematic import KinematicEnvironment
 from sysid.rl.recipe import Recipe, parse_training
 
@@ -41,8 +43,10 @@ def recipe(**parts: Any) -> Recipe:
 
 def trainer(settings: Recipe) -> Trainer:
     setting = settings.setting
-    own, judge = (
-        KinematicEnvironment(PLANT, FORWARD, size=size, seed=seed, task=setting.task)
-        for size, seed in ((setting.copies, settings.seed), (16, 2**31))
-    )
-    return Trainer(own, judge, settings)
+
+    def environment(size: int, seed: int) -> Environment:
+        if setting.full:
+            return DrivenEnvironment(PLANT, FORWARD, size=size, seed=seed, task=setting.task, feedback=setting.feedback)
+        return KinematicEnvironment(PLANT, FORWARD, size=size, seed=seed, task=setting.task)
+
+    return Trainer(environment(setting.copies, settings.seed), environment(16, 2**31), settings)
