@@ -63,6 +63,9 @@ class Trainer:
         import torch
 
         learning, exploration = recipe.learning, recipe.exploration
+        if recipe.device.startswith("cuda") and not torch.cuda.is_available():
+            found = f"device = {recipe.device!r}, which torch does not find"
+            raise SettingsError(f"recipe {recipe.name}", found, "a GPU", "Use device = 'cpu'.")
         self.environment, self.judge, self.recipe = environment, judge, recipe
         self.parts = Parts.of(environment.actions)
         rngs = Generators.of(recipe.seed)
