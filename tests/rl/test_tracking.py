@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from pathlib import Path as File
+
 import numpy as np
 import numpy.typing as npt
+import pandas as pd
 import pytest
 from crane_model import Perfect, crane_plant
 
@@ -69,6 +72,16 @@ def test_on_the_full_path_look_ahead_takes_the_dead_time_away(driven: Course) ->
     assert np.abs(plain.commands).max() <= 1.0
 
 
+def test_what_a_path_asks_of_each_axis_is_said(driven: Course, tmp_path: File) -> None:
+    assert set(driven.demand) == {"slew", "boom", "stick", "telescope"}
+    assert 0.3 < max(driven.demand.values()) < 1.0
+    fast = tmp_path / "fast.csv"
+    fast.write_text("t,x,y,z\n0,0.85,-0.2,0.3\n0.5,0.85,0.2,0.3\n", "utf-8")
+    course = lay_out(PLANT, Perfect(PLANT), str(fast), full=True)
+    assert course.demand["slew"] > 1.5
+    assert course.baseline("ik").worst.max() > 0.05
+
+
 def test_the_low_level_controller_decides(driven: Course) -> None:
     poor = lay_out(PLANT, Perfect(PLANT), "circle", full=True, centre=CENTRE, tuning=simple(PLANT))
     assert poor.baseline("ik").after(1.0).rmse.max() > 20.0 * driven.baseline("ik").after(1.0).rmse.max()
@@ -90,12 +103,7 @@ def test_a_policy_of_the_papers_setting_may_drive_the_full_path(driven: Course) 
     assert run.rmse.max() < 5e-3
 
 
-def test_what_is_kept_can_be_looked_at(driven: Course, tmp_path: object) -> None:
-    from pathlib import Path as File
-
-    import pandas as pd
-
-    assert isinstance(tmp_path, File)
+def test_what_is_kept_can_be_looked_at(driven: Course, tmp_path: File) -> None:
     runs = [driven.baseline("ik")]
     files = keep(tmp_path / "run", PLANT.machine, runs)
     assert {"steps of ik", "from above", "error ik", "rerun"} <= set(files)
