@@ -49,7 +49,7 @@ class PolicyNetwork:
         np.tanh(shares, out=shares)
         shares *= self._half
         shares += self._centre
-        return shares
+        return np.clip(shares, self.low, self.high, out=shares)  # a rounding may be beyond
 
     @cached_property
     def _half(self) -> Array:

@@ -67,7 +67,7 @@ class Trainer:
         self.parts = Parts.of(environment.actions)
         rngs = Generators.of(recipe.seed)
         self._actions, self._batches = rngs.actions, rngs.batches
-        self.agent = Agent(_space(environment, self.parts), recipe.networks, learning, rngs.weights, recipe.device)
+        self.agent = Agent(_space(environment, self.parts, recipe), recipe.networks, learning, rngs.weights, recipe.device)
         self.noise = OrnsteinUhlenbeck(
             (environment.size, exploration.candidates, environment.actions),
             exploration.theta, exploration.sigma, exploration.time_step, rngs.noise,
@@ -80,6 +80,7 @@ class Trainer:
         self.episodes: list[dict[str, float]] = []
         self.evaluations: list[dict[str, float]] = []
         self._returns, self._away = np.zeros(environment.size), np.zeros(environment.size)
+        self._begin = judge.reset()
         self._task = judge.state()
         self._now = environment.reset()
 
@@ -103,7 +104,9 @@ class Trainer:
             shares = self._actions.uniform(-1.0, 1.0, (size, candidates, acts))
         else:
             shares = np.clip(self.agent.act(self._now)[:, None] + noise, -1.0, 1.0)
-        actions = self.agent.space.action_centre + shares * self.agent.space.action_half
+        if not np.isfinite(shares).all():
+            self.check()
+        actions = self._setpoints(shares)
         if candidates == 1:
             return np.asarray(actions[:, 0])
         seen = np.repeat(self._now, candidates, axis=0)
@@ -115,8 +118,7 @@ class Trainer:
         """The actor alone: from random poses to random targets (``reach``), and then staying there (``hold``) [m]."""
         judge = self.judge
         judge.restore(self._task)
-        observations = judge.reset()
-        wanted = judge.targets(observations)
+        observations, wanted = self._begin, judge.targets(self._begin)
         found: dict[str, float] = {}
         settle = SETTLE if self.recipe.setting.full else 1
         for phase in ("reach", "hold"):
@@ -130,8 +132,7 @@ class Trainer:
 
     def greedy(self, observations: Array) -> Array:
         """What the actor does without noise, (n, A) [SI]."""
-        space = self.agent.space
-        return np.asarray(space.action_centre + self.agent.act(observations) * space.action_half)
+        return self._setpoints(self.agent.act(observations))
 
     def state(self) -> dict[str, Any]:
         """Everything that the future depends on but the replay buffer, which has files of its own: nested, arrays and JSON."""
@@ -177,13 +178,18 @@ class Trainer:
         actions = self.explored()
         following, rewards, truncated = environment.step(actions)
         final = environment.final
-        self.replay.add(self._now, np.clip(actions, environment.action_low, environment.action_high), rewards, final)
+        self.replay.add(self._now, actions, rewards, final)
         self._now = following
         self.turn += 1
         if self.replay.count >= learning.start and self.turn % learning.every == 0:
             for _ in range(learning.updates):
                 self._update()
         self._keep_books(rewards, final, truncated, told)
+
+    def _setpoints(self, shares: Array) -> Array:
+        """Shares of half the range in SI; clipped, since a rounding beyond a limit would be punished like a mile."""
+        space = self.agent.space
+        return np.clip(space.action_centre + shares * space.action_half, space.action_low, space.action_high)
 
     def _update(self) -> None:
         rows, parts = self.replay.sample(self.recipe.learning.batch, self._batches, self._batch), self.replay.parts
@@ -241,14 +247,17 @@ class Trainer:
         return 0.5 * (1.0 + math.cos(math.pi * self.turn / self.recipe.turns))
 
 
-def _space(environment: Environment, parts: Parts) -> Space:
-    revolute = getattr(environment.forward, "revolute", (False,) * environment.actions)
+def _space(environment: Environment, parts: Parts, recipe: Recipe) -> Space:
+    revolute = getattr(environment.forward, "revolute", None)
+    if revolute is None and recipe.networks.critic_features == "sincos":
+        found = "'sincos', and the forward model does not say which joints are angles"
+        raise SettingsError(f"recipe {recipe.name}: networks.critic_features", found, "'plain'")
     return Space(
         low=environment.observation_low,
         high=environment.observation_high,
         action_low=environment.action_low,
         action_high=environment.action_high,
-        angles=tuple(bool(angle) for angle in revolute),
+        angles=tuple(bool(angle) for angle in revolute or (False,) * environment.actions),
         ee=(parts.ee.start, parts.ee.stop),
         target=(parts.target.start, parts.target.stop),
     )

@@ -22,6 +22,8 @@ class Setting:
     Args:
         copies: of the machine side by side; the paper has one.
         full: joint setpoints pass cylinder controllers, valves and plant; else joints follow at once, as in the paper.
+        feedback: how candidates are judged: ``static``, by the forward model, as in the paper; ``plant``, on the full path
+            alone, by where the machine will be, delay and lag included.
         task: steps of an episode and its rewards.
     """
 
@@ -29,6 +31,7 @@ class Setting:
 
     copies: int = 1
     full: bool = False
+    feedback: Literal["static", "plant"] = "static"
     task: Task = field(default_factory=Task)
 
 
@@ -184,6 +187,9 @@ def parse_training(values: dict[str, Any], where: object) -> Recipe:
     ):
         if found is not None and not (low <= found and (high is None or found <= high)):
             raise SettingsError(f"{where}: {key}", f"{found:g}", f"{low:g} or more" if high is None else f"{low:g} to {high:g}")
+    if recipe.setting.feedback == "plant" and not recipe.setting.full:
+        remedy = "Set setting.full, or feedback = 'static'."
+        raise SettingsError(f"{where}: setting.feedback", "'plant' without full", "the full path", remedy)
     for key, found in (
         ("learning.actor_rate", learning.actor_rate),
         ("learning.critic_rate", learning.critic_rate),

@@ -78,10 +78,9 @@ def train_policy(
             return Trained(version, dict(version.metrics), 0.0, 0.0, None)
 
     def environment(size: int, seed: int) -> Environment:
-        full: dict[str, Any] = {"full": True} if recipe.setting.full else {}
-        return from_versions(
-            registry, plant.reference, forward.reference, size=size, seed=seed, task=recipe.setting.task, **full
-        )
+        setting = recipe.setting
+        more: dict[str, Any] = {"full": True, "feedback": setting.feedback} if setting.full else {}
+        return from_versions(registry, plant.reference, forward.reference, size=size, seed=seed, task=setting.task, **more)
 
     files = TrainingFiles(training_folder(root, recipe, {"plant": plant.digest, "forward": forward.digest}), every)
     trainer = Trainer(environment(recipe.setting.copies, recipe.seed), environment(JUDGED, JUDGE_SEED), recipe)
