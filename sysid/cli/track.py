@@ -90,6 +90,10 @@ def track(
         f"{course.path.name}: {len(runs[0].time)} steps at {course.path.rate_hz:g} Hz, up to {course.path.speed:.3f} m/s,"
     )
     printer.line(f"from ({begin[0]:.3f}, {begin[1]:.3f}, {begin[2]:.3f}) m. {simulation.reference}, {how}.")
+    if full:
+        axis, share = max(course.demand.items(), key=lambda item: item[1], default=("", 0.0))
+        much = ", more than it can: it falls behind" if share > 1.0 else ""
+        printer.line(f"The path asks the most of {axis}: {100.0 * share:.0f} % of its top speed{much}.")
     printer.line(f"Inverse kinematics on the geometry of the {course.kinematics}; forward model {forward}.")
     printer.line(f"{folder}   (look at it: {rerun_command(files['rerun'])})")
     values: dict[str, Any] = {
@@ -97,6 +101,7 @@ def track(
         "plant": simulation.reference,
         "forward": place.models.find(forward).reference,
         "full": full,
+        "demand": course.demand if full else None,
         "controller": ("simple" if untuned else "tuned") if full else None,
         "path": {
             "name": course.path.name,

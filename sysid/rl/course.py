@@ -10,7 +10,7 @@ from typing import Protocol
 import numpy as np
 import numpy.typing as npt
 
-from sysid.control import AxisTuning, response_time, tune
+from sysid.control import AxisTuning, CylinderController, response_time, tune
 from sysid.errors import SettingsError, nearest
 from sysid.networks.forward import ForwardModel
 from sysid.plant import Plant
@@ -42,7 +42,7 @@ class Course:
 
     Args:
         inverse: on calibrated kinematics; ``kinematics`` says whose.
-        start: joints (A,) at which the machine stands before the first step.
+        joints: along the path by inverse kinematics, (n, A); the machine stands at the first ones before the first step.
         full: the full path (cylinder controller, valves, plant); else joints follow at once.
         tuning: of the cylinder controller (full path only).
     """
@@ -53,9 +53,22 @@ class Course:
     inverse: Inverse
     kinematics: str
     path: Path
-    start: Array
+    joints: Array
     full: bool
     tuning: tuple[AxisTuning, ...]
+
+    @property
+    def start(self) -> Array:
+        """Joints (A,) before the first step."""
+        return np.asarray(self.joints[0])
+
+    @property
+    def demand(self) -> dict[str, float]:
+        """Axis → the most that the path asks of it, as a share of its top speed; above one it cannot follow."""
+        drive = CylinderController(self.plant, self.tuning).drive(self.joints)
+        speeds = np.abs(np.diff(drive, axis=0)).max(axis=0) * self.path.rate_hz
+        axes = zip(self.plant.machine.axis_names, speeds, tune(self.plant), strict=True)
+        return {name: float(speed / item.fastest) for name, speed, item in axes if not item.servo}
 
     @property
     def dead_time(self) -> float:
@@ -133,4 +146,4 @@ def lay_out(
             raise SettingsError("--path", repr(path), f"{nearest(path, PATHS)}, or a CSV file with the columns t,x,y,z")
         found = read_path(File(path), rate)
     joints = check_reach(found, inverse)
-    return Course(plant, forward, reach, inverse, kinematics, found, joints[0], full, tuning or tune(plant))
+    return Course(plant, forward, reach, inverse, kinematics, found, joints, full, tuning or tune(plant))

@@ -42,6 +42,7 @@ class DrivenEnvironment:
         feedback: how candidates are judged: ``static``, by the forward model; ``plant``, by where the plant itself, from the
             state it is in, brings the end effector when a candidate is held for the longest dead time.
         mover: ``compiled``, the chain of effects; ``pybullet``, the same plant with rigid bodies (:mod:`sysid.rl.bullet`).
+        noise: the controller reads its sensors with the noise that the machine's description gives them.
 
     Raises:
         SettingsError: plant and forward model do not fit, a force axis, an unknown feedback, ``size`` below one.
@@ -61,6 +62,7 @@ class DrivenEnvironment:
         history: int | None = None,
         feedback: Feedback = "static",
         mover: Mover = "compiled",
+        noise: bool = False,
     ) -> None:
         if size < 1:
             raise SettingsError("environment", f"size = {size}", "at least one copy")
@@ -82,6 +84,8 @@ class DrivenEnvironment:
         else:
             self._stepper = Stepper(plant, self.rate_hz, size)
         self._controller = CylinderController(plant, tuning, copies=size, preview=preview)
+        signals = [axis.driven for axis in plant.machine.axes]
+        self._noise = np.array([plant.machine.noise.get(signal, 0.0) if noise else 0.0 for signal in signals])
         self._judges: tuple[Stepper, CylinderController] | None = None
         self.horizon = max(1, math.ceil(response_time(plant) * self.rate_hz) + 1)
         self.history = self.horizon if history is None else history
@@ -155,7 +159,10 @@ class DrivenEnvironment:
         if not np.isfinite(wanted).all():
             raise InputError("environment", "an action that is no finite number", "joint setpoints [rad or m]")
         before = self._at()
-        commands = self._controller.commands(np.clip(wanted, self.reach.low, self.reach.high), self._measured(before))
+        measured = self._measured(before)
+        if self._noise.any():
+            measured += self._noise * self._rng.standard_normal(measured.shape)
+        commands = self._controller.commands(np.clip(wanted, self.reach.low, self.reach.high), measured)
         lane = self._stepper.step(commands)
         if self.history:
             self._commands[:, 1:] = self._commands[:, :-1]

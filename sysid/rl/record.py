@@ -17,7 +17,9 @@ from sysid.testing.picture import Line, svg
 
 Array = npt.NDArray[np.float64]
 
-_COLOURS = ("#0f766e", "#c2410c", "#4338ca", "#a16207", "#be185d", "#475569")
+#: Runs in one picture.
+DRAWN = 3
+_COLOURS = ("#0f766e", "#c2410c", "#4338ca")
 _AXES = ("#0f766e", "#c2410c", "#4338ca")
 
 
@@ -34,18 +36,20 @@ def table(machine: Machine, run: Tracked) -> pd.DataFrame:
 
 
 def pictures(runs: Sequence[Tracked]) -> dict[str, str]:
-    """File name → SVG: the path from above and over its height, and the errors of each run over time."""
+    """File name → SVG: path and the first :data:`DRAWN` runs from above and from the side, and the errors of each over time."""
     first = runs[0]
     found = {}
     for name, (a, b) in {"from-above": (0, 1), "from-the-side": (0, 2)}.items():
         lines = [Line("target", first.target[:, a], first.target[:, b], "#9ca3af", dashed=True)]
-        lines += [Line(run.policy, run.ee[:, a], run.ee[:, b], colour) for run, colour in zip(runs, _COLOURS, strict=False)]
+        lines += [
+            Line(run.policy, run.ee[:, a], run.ee[:, b], colour) for run, colour in zip(runs[:DRAWN], _COLOURS, strict=False)
+        ]
         title, equal = f"{first.path} {name.replace('-', ' ')}", a + b == 1
         found[f"{name}.svg"] = svg(title, f"{'xyz'[a]} [m]", f"{'xyz'[b]} [m]", lines, equal)
     for run in runs:
         error = 1e3 * run.error
         lines = [Line(axis, run.time, error[:, k], _AXES[k]) for k, axis in enumerate("xyz")]
-        found[f"error-{_file(run.policy)}.svg"] = svg(f"error of {run.policy}", "time [s]", f"{run.policy}: error [mm]", lines)
+        found[f"error-{_file(run.policy)}.svg"] = svg(f"error of {run.policy}", "time [s]", "error [mm]", lines)
     return found
 
 

@@ -108,7 +108,7 @@ class Tracked:
         return replace(self, **rows)
 
     def to_json(self) -> dict[str, Any]:
-        """The figures, in millimetres; ``settled``: those after the first second."""
+        """The figures, in millimetres; ``settled``: after the first second; sway: how far the tool is from below the tip."""
         late = self.after(SETTLED_S)
         return {
             "policy": self.policy,
@@ -121,10 +121,13 @@ class Tracked:
 
     def _figures(self) -> dict[str, Any]:
         away = np.linalg.norm(self.error, axis=1)
+        sway = np.linalg.norm((self.tool - self.ee)[:, :2], axis=1)
+        swings = bool(np.isfinite(sway).all()) and len(sway) > 0
         return {
             "rmse_mm": [float(1e3 * value) for value in self.rmse],
             "max_mm": [float(1e3 * value) for value in self.worst],
             "distance_mm": {"rms": float(1e3 * np.sqrt(np.mean(away**2))), "max": float(1e3 * away.max())},
+            "sway_mm": {"rms": float(1e3 * np.sqrt(np.mean(sway**2))), "max": float(1e3 * sway.max())} if swings else None,
         }
 
 

@@ -132,6 +132,18 @@ def test_in_pybullet_it_moves_the_same() -> None:
     np.testing.assert_allclose(world.aim([0.8, 0.0, 0.3])[0, :4], start, atol=1e-6)
 
 
+def test_sensor_noise_reaches_the_controller_and_nothing_else() -> None:
+    quiet, noisy = environment(size=1), environment(size=1, noise=True)
+    for env in (quiet, noisy):
+        env.begin([0.0, 0.4, -1.2, 0.1], [0.8, 0.0, 0.3])
+    for _ in range(20):
+        for env in (quiet, noisy):
+            seen, _, _ = env.step(np.array([[0.0, 0.4, -1.2, 0.1]]))
+            np.testing.assert_allclose(seen[0, :4], [0.0, 0.4, -1.2, 0.1], atol=2e-3)
+    assert np.abs(quiet.commands).max() < 1e-4
+    assert 1e-4 < np.abs(noisy.commands).max() < 0.2
+
+
 def test_unknown_settings_suggest_the_nearest() -> None:
     with pytest.raises(SettingsError, match="feedback = 'plan'; expected 'plant'"):
         environment(feedback="plan")
