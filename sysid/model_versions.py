@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import json
+import math
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -52,7 +53,7 @@ class ModelVersions:
         """Let the name alone mean this version, if it passes; recorded with it either way.
 
         A network is judged by the policy, on the held-out rows of one dataset version; a plant by the proof that is recorded
-        with it, and one that was in use before may be set back.
+        with it, and one that was in use before may be set back; a policy by how far off it stays from targets.
 
         Args:
             policy: for networks; default: no worse than the champion.
@@ -70,9 +71,8 @@ class ModelVersions:
         if version.kind not in NETWORKS:
             if path is not None:
                 raise SettingsError(f"--policy {path}", f"{version.reference} is a {version.kind}", "a network", _PLANTS)
-            return decide(
-                self.place.models, version.reference, until_now, _proven(version), {"by": "sysid models promote"}, word
-            )
+            checks = _trained(version, until_now) if version.kind == "policy" else _proven(version)
+            return decide(self.place.models, version.reference, until_now, checks, {"by": "sysid models promote"}, word)
         rules = policy or Policy()
         try:
             data = self._dataset(version, dataset)
@@ -167,6 +167,24 @@ class ModelVersions:
             dataset = path.parent.parent.name
             found += [Use("gap result", dataset, how) for how, plant in roles if plant == version.reference]
         return tuple(found)
+
+
+def _trained(version: ModelVersion, until_now: ModelVersion | None) -> tuple[Check, ...]:
+    """Of a policy: staying at a target, it may not be farther off than the one in use."""
+    own = _off(version)
+    if own is None:
+        return (Check("staying at a target", "failed", "no figures are recorded with it"),)
+    rival = _off(until_now) if until_now is not None and until_now.reference != version.reference else None
+    if until_now is None or rival is None:
+        return (Check("staying at a target", "passed", f"{1e3 * own:.2f} mm off, and nothing to compare it with"),)
+    told = f"{1e3 * own:.2f} mm off, {until_now.reference} {1e3 * rival:.2f} mm"
+    return (Check("staying at a target", "passed" if own <= rival else "failed", told),)
+
+
+def _off(version: ModelVersion) -> float | None:
+    """Root mean square distance from a target at which a policy stays [m]; None where it is not recorded."""
+    figures = [version.metrics.get(f"hold_rmse_{axis}") for axis in "xyz"]
+    return math.sqrt(sum(value**2 for value in figures if value is not None)) if None not in figures else None
 
 
 _PLANTS = "Plants are judged by the proof of `sysid gap --add`."

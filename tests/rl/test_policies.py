@@ -171,6 +171,21 @@ def test_card_lineage_and_export(workspace: Workspace, tmp_path: Path) -> None:
     assert (folder / "policy.onnx").exists()
 
 
+def test_a_policy_is_promoted_when_it_is_no_worse_than_the_one_in_use(workspace: Workspace) -> None:
+    versions, files = ModelVersions(workspace), policy_to_files(policy_of(trainer(recipe())), {})
+    for number, off in enumerate((0.010, 0.012, 0.008)):
+        figures = {f"hold_rmse_{axis}": off for axis in "xyz"}
+        workspace.models.register("rated", "policy", files, {"plant": "crane@1", "seed": number}, figures)
+    workspace.models.register("rated", "policy", files, {"plant": "crane@1", "seed": 9}, {})
+    assert versions.promote("rated@1").promoted
+    refused = versions.promote("rated@2")
+    assert not refused.promoted
+    assert refused.checks[0].text == "20.78 mm off, rated@1 17.32 mm"
+    assert versions.promote("rated@3").promoted
+    assert not versions.promote("rated@4").promoted
+    assert workspace.models.find("rated").reference == "rated@3"
+
+
 def test_the_command_line(workspace: Workspace, tmp_path: Path) -> None:
     path = tmp_path / "r.toml"
     path.write_text(
