@@ -106,7 +106,7 @@ def _comparison(
             cpu = statistics.median(result["cpu_seconds"] for result in each)
             yield f"| {what}, {arm} | {len(each)} | {_spread(each, 'rmse')} | {_spread(each, 'max')} | {cpu:.0f} s |"
     searched = results["quick", "feedback"]
-    yield f"| the same with candidates at run time | {len(searched)} | {_spread(searched, 'rmse_searched')} | | |"
+    yield f"| `quick.toml`, feedback, candidates at run time too | {len(searched)} | {_spread(searched, 'rmse_searched')} | | |"
     for row in baselines:
         yield f"| inverse kinematics (`{row['policy']}`) | – | {_list(row['rmse_mm'])} | {_list(row['max_mm'])} | – |"
     for part in ("paper", "quick"):

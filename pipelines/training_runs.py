@@ -95,7 +95,7 @@ def runs(share: float, seeds: Mapping[str, int]) -> Iterator[Run]:
 
     def cut(base: str, changes: Mapping[str, Any]) -> dict[str, Any]:
         whole = {**changes}
-        count = max(1, round(share * episodes["quick" if base == "quick" else "paper"]))
+        count = max(3, round(share * episodes["quick" if base == "quick" else "paper"]))
         own = CUT if base != "quick" else {"networks": {}, "learning": {}}
         for key in ("networks", "learning"):
             whole[key] = {**own[key], **whole.get(key, {})}
