@@ -18,7 +18,7 @@ _PACKAGE = Path(__file__).parents[1]
 
 
 def source_digest() -> str:
-    """sha256 over the sources of all effects, of the plant, and of the controller, whose law takes constants from its tuning."""
+    """sha256 over the sources of all effects, the plant, and the controller, whose law takes constants from its tuning."""
     digest = hashlib.sha256(numba.__version__.encode())
     for folder in ("effects", "plant", "control"):
         for path in sorted((_PACKAGE / folder).glob("*.py")):
