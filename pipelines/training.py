@@ -3,7 +3,7 @@
 .venv/bin/python pipelines/training.py [--tier small|full] [--workers N] [--workspace DIR]
 
 Needs the versions that `make demo` makes. It goes on where it was stopped. ``full`` takes some six hours of a core; its result
-goes to reports/training/, its tables into docs/training.md, its curves into docs/images/training.svg. ``small`` is a look at
+goes to reports/training/, its tables into docs/ddpg.md, its curves into docs/images/training.svg. ``small`` is a look at
 whether everything runs, and stays in the workspace.
 """
 
@@ -28,7 +28,7 @@ from sysid.rl.seeds import side_by_side
 from training_peer import peer
 from training_runs import CANDIDATES, CHOICES, FORWARDS, PAPER, ROOT, baseline, one, runs, seconds_to
 
-RESULT, PAGE, PICTURE = ROOT / "reports" / "training" / "result.json", ROOT / "docs" / "training.md", "docs/images/training.svg"
+RESULT, PAGE, PICTURE = ROOT / "reports" / "training" / "result.json", ROOT / "docs" / "ddpg.md", "docs/images/training.svg"
 #: Share of the episodes and seeds by part.
 TIERS: dict[str, tuple[float, dict[str, int]]] = {
     "small": (0.02, {"policies": 1, "choices": 1, "candidates": 1, "peer": 1}),

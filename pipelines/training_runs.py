@@ -23,7 +23,7 @@ from sysid.progress import Progress
 from sysid.registry import Registry
 from sysid.rl.checkpoint import TrainingFiles
 from sysid.rl.course import Course, Shortened, lay_out
-from sysid.rl.ddpg import JUDGED, Trainer
+from sysid.rl.ddpg import JUDGED, Trainer, judged_task
 from sysid.rl.environment import load_versions
 from sysid.rl.inverse import chain_of_plant
 from sysid.rl.kinematic import KinematicEnvironment
@@ -159,8 +159,11 @@ def one(workspace: str, work: str, run: Run, progress: Progress) -> dict[str, An
     forward: Any = {"fitted": fitted, "exact": Exact(fitted, plant), "misread": Misread(fitted, MISREAD)}[run.forward]
     course = lay_out(plant, fitted, "helix")
     own, judge = (
-        KinematicEnvironment(plant, forward, size=size, seed=seed, task=recipe.setting.task, reach=course.reach)
-        for size, seed in ((recipe.setting.copies, run.seed), (JUDGED, JUDGE_SEED))
+        KinematicEnvironment(plant, forward, size=size, seed=seed, task=task, reach=course.reach)
+        for size, seed, task in (
+            (recipe.setting.copies, run.seed, recipe.setting.task),
+            (JUDGED, JUDGE_SEED, judged_task(recipe.setting.task)),
+        )
     )
     trainer, files = Trainer(own, judge, recipe), TrainingFiles(folder)
     files.load(trainer)

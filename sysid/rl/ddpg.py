@@ -12,7 +12,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -20,7 +20,7 @@ import numpy.typing as npt
 
 from sysid.errors import SettingsError
 from sysid.rl.agent import Agent, Space
-from sysid.rl.environment import Environment, Parts
+from sysid.rl.environment import Environment, Parts, Task
 from sysid.rl.noise import OrnsteinUhlenbeck
 from sysid.rl.recipe import Recipe
 from sysid.rl.replay import Replay
@@ -55,7 +55,7 @@ class Trainer:
 
     Args:
         environment: ``recipe.setting.copies`` copies; it is reset.
-        judge: another one, of the same machine, on which the actor alone is judged.
+        judge: another one, of the same machine and with :func:`judged_task`, on which the actor alone is judged.
         recipe: how.
     """
 
@@ -63,6 +63,11 @@ class Trainer:
         import torch
 
         learning, exploration = recipe.learning, recipe.exploration
+        if recipe.device.startswith("cuda") and not torch.cuda.is_available():
+            found = f"device = {recipe.device!r}, which torch does not find"
+            raise SettingsError(f"recipe {recipe.name}", found, "a GPU", "Use device = 'cpu'.")
+        if judge.steps <= 2 * SETTLE:
+            raise SettingsError("judge of a policy", f"episodes of {judge.steps} steps", f"more than {2 * SETTLE}")
         self.environment, self.judge, self.recipe = environment, judge, recipe
         self.parts = Parts.of(environment.actions)
         rngs = Generators.of(recipe.seed)
@@ -245,6 +250,11 @@ class Trainer:
         if self.recipe.learning.schedule == "constant":
             return 1.0
         return 0.5 * (1.0 + math.cos(math.pi * self.turn / self.recipe.turns))
+
+
+def judged_task(task: Task) -> Task:
+    """The same task, with one target and episodes that outlast an evaluation."""
+    return replace(task, steps=max(task.steps, 2 * SETTLE + 1), targets=1)
 
 
 def _space(environment: Environment, parts: Parts, recipe: Recipe) -> Space:

@@ -1,7 +1,7 @@
 """How a policy is trained: a frozen recipe, by default that of the paper, of which a TOML file overrides single keys.
 
 The paper gives episodes, steps, buffer, batch, γ, τ, both learning rates and σ. Number of candidates, sizes of the networks, θ
-and time step of the noise are ours (``docs/training.md`` lists them).
+and time step of the noise are ours (``docs/ddpg.md`` lists them).
 """
 
 from __future__ import annotations

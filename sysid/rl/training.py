@@ -16,8 +16,8 @@ from sysid.networks.policy import PolicyNetwork, policy_to_files
 from sysid.progress import Progress, silent
 from sysid.registry import ModelVersion, Registry
 from sysid.rl.checkpoint import TrainingFiles, training_folder
-from sysid.rl.ddpg import JUDGED, Trainer
-from sysid.rl.environment import Environment, from_versions
+from sysid.rl.ddpg import JUDGED, Trainer, judged_task
+from sysid.rl.environment import Environment, Task, from_versions
 from sysid.rl.observers import Observer
 from sysid.rl.recipe import Recipe
 
@@ -77,13 +77,15 @@ def train_policy(
         if version.name == recipe.name and version.lineage == _plain(lineage):
             return Trained(version, dict(version.metrics), 0.0, 0.0, None)
 
-    def environment(size: int, seed: int) -> Environment:
+    def environment(size: int, seed: int, task: Task) -> Environment:
         setting = recipe.setting
         more: dict[str, Any] = {"full": True, "feedback": setting.feedback} if setting.full else {}
-        return from_versions(registry, plant.reference, forward.reference, size=size, seed=seed, task=setting.task, **more)
+        return from_versions(registry, plant.reference, forward.reference, size=size, seed=seed, task=task, **more)
 
     files = TrainingFiles(training_folder(root, recipe, {"plant": plant.digest, "forward": forward.digest}), every)
-    trainer = Trainer(environment(recipe.setting.copies, recipe.seed), environment(JUDGED, JUDGE_SEED), recipe)
+    task = recipe.setting.task
+    own, judge = environment(recipe.setting.copies, recipe.seed, task), environment(JUDGED, JUDGE_SEED, judged_task(task))
+    trainer = Trainer(own, judge, recipe)
     files.load(trainer)
     before, begin, begin_cpu = trainer.agent.updates, time.perf_counter(), time.process_time()
     with ExitStack() as stack:

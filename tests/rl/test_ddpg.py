@@ -245,6 +245,25 @@ def test_a_network_that_is_no_number_stops_it() -> None:
 
 def test_angles_have_to_be_known() -> None:
     settings = recipe(networks={"critic_features": "sincos"})
-    environments = [KinematicEnvironment(PLANT, Perfect(PLANT), size=size, task=settings.setting.task) for size in (4, 16)]
+    environments = [KinematicEnvironment(PLANT, Perfect(PLANT), size=size) for size in (4, 16)]
     with pytest.raises(SettingsError, match=r"networks.critic_features: 'sincos'.*does not say which joints are angles"):
         Trainer(environments[0], environments[1], settings)
+
+
+@pytest.mark.skipif(torch.cuda.is_available(), reason="there is a GPU")
+def test_a_gpu_that_is_not_there_is_named() -> None:
+    with pytest.raises(SettingsError, match=r"recipe small: device = 'cuda', which torch does not find; expected a GPU"):
+        trainer(recipe(device="cuda"))
+
+
+@pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a GPU")
+def test_a_gpu_runs_the_same_code() -> None:
+    settings = recipe(device="cuda")
+    assert_same(trained(settings).state()["agent"], trained(settings).state()["agent"])
+
+
+def test_a_judge_whose_episodes_are_too_short_is_refused() -> None:
+    """It would judge the next episode's targets."""
+    each = trainer(recipe())
+    with pytest.raises(SettingsError, match=r"judge of a policy: episodes of 15 steps; expected more than 600"):
+        Trainer(each.environment, each.environment, recipe())

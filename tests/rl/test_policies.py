@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import sqlite3
+import subprocess
+import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -60,6 +62,18 @@ def test_it_acts_as_the_actor_did(policy: PolicyNetwork) -> None:
     np.testing.assert_allclose(policy.act(seen), each.greedy(seen), atol=1e-6)
     assert policy.inputs == (*JOINTS, "ee.x", "ee.y", "ee.z", "target.x", "target.y", "target.z")
     assert policy.outputs == JOINTS
+
+
+def test_a_policy_acts_without_torch(policy: PolicyNetwork, tmp_path: Path) -> None:
+    for name, content in policy_to_files(policy, {}).items():
+        (tmp_path / name).write_bytes(content)
+    program = (
+        "import sys; from pathlib import Path; import sysid.rl.policy; from sysid.networks.policy import policy_from_files\n"
+        f"files = {{path.name: path.read_bytes() for path in Path({str(tmp_path)!r}).iterdir()}}\n"
+        "policy_from_files(files, 'here').act([[0.0] * 10])\n"
+        "sys.exit('torch' in sys.modules)"
+    )
+    assert subprocess.run([sys.executable, "-c", program], check=False).returncode == 0
 
 
 def test_setpoints_stay_within_their_limits_whatever_is_seen(policy: PolicyNetwork) -> None:

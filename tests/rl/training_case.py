@@ -6,7 +6,9 @@ from typing import Any
 
 from crane_model import Perfect, crane_plant
 
-from sysid.rl.ddpg import Trainer
+from sysid.rl.ddpg import Trainer, judged_task
+from sysid.rl.driven import DrivenEnvironment
+from sysid.rl.environment import Environment, Task
 from sysid.rl.kinematic import KinematicEnvironment
 from sysid.rl.recipe import Recipe, parse_training
 
@@ -41,8 +43,14 @@ def recipe(**parts: Any) -> Recipe:
 
 def trainer(settings: Recipe) -> Trainer:
     setting = settings.setting
+
+    def environment(size: int, seed: int, task: Task) -> Environment:
+        if setting.full:
+            return DrivenEnvironment(PLANT, FORWARD, size=size, seed=seed, task=task, feedback=setting.feedback)
+        return KinematicEnvironment(PLANT, FORWARD, size=size, seed=seed, task=task)
+
     own, judge = (
-        KinematicEnvironment(PLANT, FORWARD, size=size, seed=seed, task=setting.task)
-        for size, seed in ((setting.copies, settings.seed), (16, 2**31))
+        environment(setting.copies, settings.seed, setting.task),
+        environment(16, 2**31, judged_task(setting.task)),
     )
     return Trainer(own, judge, settings)
