@@ -6,6 +6,7 @@ rate, batch sizes, numbers of epochs and schedules are not published: those here
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -25,24 +26,59 @@ _FORWARD_TRAINING = TrainingSettings(learning_rate=3e-3, batch=16, epochs=500, p
 
 
 @dataclass(frozen=True)
+class HistoryRecipe:
+    """The memory on top of each static map (``[actuator] model = "history"``).
+
+    Args:
+        interval: seconds between two looks.
+        units: of its long short-term memory.
+        plays: widths of the plays that it sees, as shares of the fitted range; none: position and speed alone.
+        epochs, check_every, patience: as in :class:`TrainingSettings`; one update an epoch.
+    """
+
+    __pydantic_config__ = STRICT
+
+    interval: float = 0.05
+    units: int = 16
+    plays: tuple[float, ...] = (0.003, 0.01, 0.03)
+    learning_rate: float = 0.02
+    epochs: int = 150
+    check_every: int = 10
+    patience: int = 60
+
+    def check(self, where: object) -> None:
+        """Raises SettingsError for a value that cannot be used."""
+        for key in ("interval", "units", "learning_rate", "epochs", "check_every", "patience"):
+            value = getattr(self, key)
+            if not (math.isfinite(value) and value > 0):
+                raise SettingsError(where, f"{key} = {value}", "a positive number")
+        if not all(0.0 < share < 1.0 for share in self.plays):
+            raise SettingsError(where, f"plays = {list(self.plays)}", "shares of the range between 0 and 1, as in [0.01]")
+
+
+@dataclass(frozen=True)
 class ActuatorRecipe:
     """Both directions of every cylinder-joint map.
 
     Args:
+        model: ``static`` (the paper), or ``history``: with a memory of where the cylinder came from.
         samples: rows learned from, spread over the stroke.
         rows: where they come from. Poses reach the ends of the stroke, which an operator avoids and a network cannot guess.
         hidden: hidden layers of an axis that ``hidden_of`` does not name.
         hidden_of: axis → hidden layers.
         training: how.
+        history: the memory of ``history``.
     """
 
     __pydantic_config__ = STRICT
 
+    model: Literal["static", "history"] = "static"
     samples: int = 1500
     rows: tuple[Literal["motion", "poses"], ...] = ("motion", "poses")
     hidden: tuple[int, ...] = (128, 128)
     hidden_of: dict[str, tuple[int, ...]] = field(default_factory=lambda: {"boom": (256, 128, 128), "stick": (128, 128)})
     training: TrainingSettings = _ACTUATOR_TRAINING
+    history: HistoryRecipe = HistoryRecipe()
 
     def layers(self, axis: str) -> tuple[int, ...]:
         return self.hidden_of.get(axis, self.hidden)
@@ -112,6 +148,7 @@ def parse_recipe(values: dict[str, Any], where: object) -> NetworkRecipe:
     recipe = parse_settings(_merged(asdict(NetworkRecipe()), values), NetworkRecipe, where)
     for part, settings in (("actuator", recipe.actuator.training), ("forward", recipe.forward.training)):
         settings.check(f"{where}: {part}.training")
+    recipe.actuator.history.check(f"{where}: actuator.history")
     for key, value in (
         ("actuator.samples", recipe.actuator.samples),
         ("forward.poses", recipe.forward.poses),

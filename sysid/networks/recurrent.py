@@ -1,7 +1,6 @@
 """Trains the small recurrent network that carries what no effect explains: sequences in, weights out.
 
-One layer of long short-term memory behind a bound, ``r = bound·tanh(w·h + w₀)`` (equations in :mod:`sysid.plant.residual`,
-which runs it). Where what it adds is integrated (a speed into a position), it is judged by the changes of the integral over
+One layer of long short-term memory behind a bound, ``r = bound·tanh(w·h + w₀)`` (:mod:`sysid.networks.cell` runs it). Where what it adds is integrated (a speed into a position), it is judged by the changes of the integral over
 several lengths of time at once: short ones hold most of the detail, long ones are least disturbed by the sensor's noise.
 """
 
@@ -16,6 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sysid.errors import SettingsError
+from sysid.networks.cell import REACH
 from sysid.progress import Progress, silent
 
 if TYPE_CHECKING:
@@ -27,8 +27,6 @@ Array = npt.NDArray[np.float64]
 LAGS = (4, 16, 64)
 #: Looks in a piece of a sequence that is trained at once, and before it to warm up.
 PIECE, WARM = 160, 40
-#: Inputs are drawn in to this many standard deviations.
-REACH = 4.0
 
 
 @dataclass(frozen=True)
@@ -65,7 +63,7 @@ class Recurrent:
     """A trained network.
 
     Args:
-        weights: arrays by the names that :class:`sysid.plant.residual.Residual` gives them.
+        weights: arrays by the names of :data:`sysid.networks.cell.TENSORS`.
         loss: with the network on the recordings to select, in units of what it is without one.
     """
 
