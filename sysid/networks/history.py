@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from sysid.datasets.recording import Dataset
+from sysid.datasets.recording import Dataset, Role
 from sysid.errors import ExcitationError
 from sysid.networks.actuator import DIRECTIONS, ActuatorNetwork, RoundTrip, fit_actuator
 from sysid.networks.checkpoint import Checkpoints
@@ -30,9 +30,10 @@ Array = npt.NDArray[np.float64]
 #: A correction reaches this many standard deviations of what the static map leaves.
 BOUND = 3.0
 #: It is kept where the loss on the recordings to select falls below this share.
-HELPS = 0.98
+HELPS = 0.85
 #: Looks in a stretch without gaps that are worth learning from.
 MIN_LOOKS = 8
+ROLES: tuple[Role, ...] = ("fit", "select")
 
 
 @dataclass(frozen=True)
@@ -144,19 +145,18 @@ def _memory(dataset: Dataset, static: ActuatorNetwork, direction: str, recipe: N
     rate = dataset.machine.rate_hz
     empty = Memory(max(1, round(settings.interval * rate)) / rate, 1.0, widths, {})
     signals = (source, target)
-    parts = [_looks(segments(dataset, role, signals), signals, predict, empty) for role in ("fit", "select")]  # type: ignore[arg-type]
-    left = np.concatenate([looks.left for looks in parts[0]]) if parts[0] else np.empty(0)
+    fit, select = (_looks(segments(dataset, role, signals), signals, predict, empty) for role in ROLES)
+    left = np.concatenate([looks.left for looks in fit]) if fit else np.empty(0)
     spread = float(np.sqrt(np.nanmean(left**2))) if np.isfinite(left).any() else 0.0
-    if not (spread > 0.0 and parts[1]):
+    if not (spread > 0.0 and select):
         found = "no stretch of motion without gaps that is long enough to learn from and to select on"
         raise ExcitationError(f"dataset {dataset.reference}: axis {static.axis!r} with history", found, f"{MIN_LOOKS} looks")
-    trained = train_recurrent(
-        *parts, BOUND * spread, empty.interval, False, settings_of(settings), recipe.seed, progress
-    )  # fmt: skip
+    bound = BOUND * spread
+    trained = train_recurrent(fit, select, bound, empty.interval, False, settings_of(settings), recipe.seed, progress)
     weights = dict(trained.weights)
     if not trained.loss < HELPS:
         weights |= {"w": np.zeros_like(weights["w"]), "w0": np.zeros(1)}
-    return replace(empty, bound=BOUND * spread, weights=weights, loss=trained.loss, epochs=trained.epochs)
+    return replace(empty, bound=bound, weights=weights, loss=trained.loss, epochs=trained.epochs)
 
 
 def settings_of(recipe: HistoryRecipe) -> RecurrentSettings:
@@ -170,7 +170,7 @@ def settings_of(recipe: HistoryRecipe) -> RecurrentSettings:
 
 
 def _looks(parts: Sequence[Segment], signals: Sequence[str], predict: Callable[[Array], Array], memory: Memory) -> list[Looks]:
-    """What the memory sees along every stretch in which the input has no gap, and what the static map leaves until it looks again."""
+    """Along every stretch without a gap in the input: what the memory sees, and what the static map leaves until the next look."""
     found = []
     for segment in parts:
         rate, stride = segment.recording.rate_hz, memory.stride(segment.recording.rate_hz)
@@ -198,6 +198,6 @@ def _mean(blocks: Array) -> Array:
     return np.where(there.any(axis=1), total, np.nan)
 
 
-def statics(networks: Mapping[str, ActuatorNetwork] | Mapping[str, HistoryNetwork]) -> dict[str, ActuatorNetwork]:
+def statics(networks: Mapping[str, ActuatorNetwork | HistoryNetwork]) -> dict[str, ActuatorNetwork]:
     """The static maps by axis, which a plant takes as its linkages."""
     return {axis: item.static if isinstance(item, HistoryNetwork) else item for axis, item in networks.items()}

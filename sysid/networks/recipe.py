@@ -22,6 +22,7 @@ Features = Literal["joints", "sincos"]
 PAPER_MAX = {"ee.x": 15.9e-3, "ee.y": 20.5e-3, "ee.z": 13.6e-3}
 
 _ACTUATOR_TRAINING = TrainingSettings(learning_rate=1e-4, batch=64, epochs=800, patience=100, check_every=5, schedule="cosine")
+_MOTION_TRAINING = TrainingSettings(learning_rate=2e-3, batch=128, epochs=60, patience=20, check_every=2, schedule="cosine")
 _FORWARD_TRAINING = TrainingSettings(learning_rate=3e-3, batch=16, epochs=500, patience=150, check_every=5, schedule="cosine")
 
 
@@ -112,6 +113,48 @@ class ForwardRecipe:
 
 
 @dataclass(frozen=True)
+class MotionRecipe:
+    """Command → motion of every axis, after Hwangbo et al., Science Robotics 4 (2019).
+
+    Args:
+        step: seconds from one prediction to the next: long enough that the sensor's noise is small against the motion.
+        history: when commands are looked at, seconds before the step to come; 0 is the command of that step.
+        speeds: edges of the past speeds that are looked at, seconds before now.
+        position: whether the network sees where the axis is.
+        samples: rows learned from and stopped on, each at most, evenly spaced.
+        hidden: hidden layers.
+        members: first weights that are tried, each with and without past speeds; the best free run is kept.
+        horizons: seconds after which free runs are judged, besides whole recordings.
+        training: how.
+    """
+
+    __pydantic_config__ = STRICT
+
+    step: float = 0.05
+    history: tuple[float, ...] = (0.0, 0.05, 0.1, 0.15, 0.2, 0.3, 0.4)
+    speeds: tuple[float, ...] = (0.05, 0.1, 0.2)
+    position: bool = True
+    samples: int = 8000
+    hidden: tuple[int, ...] = (32, 32)
+    members: int = 3
+    horizons: tuple[float, ...] = (0.5, 1.0, 2.0, 5.0)
+    training: TrainingSettings = _MOTION_TRAINING
+
+    def check(self, where: object) -> None:
+        """Raises SettingsError for a value that cannot be used."""
+        self.training.check(f"{where}.training")
+        for key, values in (
+            ("step", (self.step,)),
+            ("samples", (self.samples,)),
+            ("members", (self.members,)),
+            ("horizons", self.horizons or (0.0,)),
+            ("hidden", self.hidden or (0,)),
+        ):
+            if not all(math.isfinite(value) and value > 0 for value in values):
+                raise SettingsError(f"{where}.{key}", str(getattr(self, key)), "positive numbers")
+
+
+@dataclass(frozen=True)
 class NetworkRecipe:
     """The whole recipe; ``seed`` decides samples, initial weights and order of samples."""
 
@@ -121,6 +164,7 @@ class NetworkRecipe:
     seed: int = 0
     actuator: ActuatorRecipe = ActuatorRecipe()
     forward: ForwardRecipe = ForwardRecipe()
+    motion: MotionRecipe = MotionRecipe()
 
     def to_json(self) -> dict[str, Any]:
         """For lineage records; :func:`parse_recipe` takes it back."""
@@ -149,6 +193,7 @@ def parse_recipe(values: dict[str, Any], where: object) -> NetworkRecipe:
     for part, settings in (("actuator", recipe.actuator.training), ("forward", recipe.forward.training)):
         settings.check(f"{where}: {part}.training")
     recipe.actuator.history.check(f"{where}: actuator.history")
+    recipe.motion.check(f"{where}: motion")
     for key, value in (
         ("actuator.samples", recipe.actuator.samples),
         ("forward.poses", recipe.forward.poses),

@@ -187,7 +187,7 @@ def test_repaired_plant_leaves_no_gap(answered: Path) -> None:
     [
         (("gap", "lift", "--plant", "lift-actuator@1"), "is of kind 'actuator'; expected a plant"),
         (("gap", "lift", "--plant", "lfit"), "'lift'"),
-        (("validate", "lift@1", "lift"), "expected an actuator or forward network"),
+        (("validate", "lift@1", "lift"), "expected a network"),
         (("view", "lift", "--recording", "run-9"), "no recording 'run-9'"),
         (("fit", "forward", "lift"), "ee"),
     ],
