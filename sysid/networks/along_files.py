@@ -70,16 +70,17 @@ def put_motions(model: Mapping[str, MotionNetwork], put: Callable[[str, Mlp], No
     """Networks through ``put``; returns what these do not say."""
     axes = {}
     for axis, network in model.items():
-        put(axis, network.mlp)
+        for number, mlp in enumerate(network.members):
+            put(f"{axis}.{number}", mlp)
         axes[axis] = {
             "command": network.command,
             "driven": network.driven,
             "unit": network.unit,
             "window": asdict(network.window),
-            "layers": len(network.mlp.weights),
+            "members": [len(mlp.weights) for mlp in network.members],
             "bounds": asdict(network.bounds),
             "commands": list(network.commands),
-            "course": network.course.to_json(),
+            "courses": [course.to_json() for course in network.courses],
             "candidates": [asdict(candidate) for candidate in network.candidates],
         }
     return axes
@@ -97,21 +98,24 @@ def take_motions(
     found = {}
     for axis, entry in axes.items():
         window = Window(**{key: _tuple(value) for key, value in entry["window"].items()})
-        mlp = take(axis, entry["layers"])
+        members = tuple(take(f"{axis}.{number}", layers) for number, layers in enumerate(entry["members"]))
         count = len(window.names("", ""))
-        if len(mlp.inputs.mean) != count or len(mlp.outputs.mean) != 1:
-            shape = f"{len(mlp.inputs.mean)} inputs and {len(mlp.outputs.mean)} outputs"
-            raise StoreError(f"{where}: {axis}", shape, f"{count} inputs and one output, as its window has")
+        for mlp in members:
+            if len(mlp.inputs.mean) != count or len(mlp.outputs.mean) != 1:
+                shape = f"{len(mlp.inputs.mean)} inputs and {len(mlp.outputs.mean)} outputs"
+                raise StoreError(f"{where}: {axis}", shape, f"{count} inputs and one output, as its window has")
+        if not members:
+            raise StoreError(f"{where}: {axis}", "no network", "at least one")
         found[axis] = MotionNetwork(
             axis=axis,
             command=entry["command"],
             driven=entry["driven"],
             unit=entry["unit"],
             window=window,
-            mlp=mlp,
+            members=members,
             bounds=Bounds(**{key: _tuple(value) for key, value in entry["bounds"].items()}),
             commands=_tuple(entry["commands"]),
-            course=course(entry["course"]),
+            courses=tuple(course(item) for item in entry["courses"]),
             candidates=tuple(Candidate(**candidate) for candidate in entry["candidates"]),
         )
     return found

@@ -121,17 +121,21 @@ def fit_history(
         ExcitationError: as ``fit_actuator``; or no stretch of motion without gaps is long enough.
         SettingsError: as ``fit_actuator``.
     """
-    tell = progress or silent
-    static = fit_actuator(dataset, recipe, part(tell, 0.0, 0.3), checkpoints)
+    static = fit_actuator(dataset, recipe, part(progress or silent, 0.0, 0.3), checkpoints)
     found = {}
     for number, (axis, network) in enumerate(static.items()):
         memories = {}
         for turn, direction in enumerate(DIRECTIONS):
             done = 0.3 + 0.7 * (2 * number + turn) / (2 * len(static))
-            share = part(tell, done, done + 0.35 / len(static))
-            memories[direction] = _memory(dataset, network, direction, recipe, lambda x, _, share=share: share(x, "history"))  # type: ignore[misc]
+            tell = _titled(part(progress or silent, done, done + 0.35 / len(static)), f"{axis} {direction} with history")
+            memories[direction] = _memory(dataset, network, direction, recipe, tell)
         found[axis] = HistoryNetwork(network, **memories)
     return found
+
+
+def _titled(progress: Progress, title: str) -> Progress:
+    """The same progress under a title of its own."""
+    return lambda done, _: progress(done, title)
 
 
 def _memory(dataset: Dataset, static: ActuatorNetwork, direction: str, recipe: NetworkRecipe, progress: Progress) -> Memory:
@@ -170,7 +174,7 @@ def settings_of(recipe: HistoryRecipe) -> RecurrentSettings:
 
 
 def _looks(parts: Sequence[Segment], signals: Sequence[str], predict: Callable[[Array], Array], memory: Memory) -> list[Looks]:
-    """Along every stretch without a gap in the input: what the memory sees, and what the static map leaves until the next look."""
+    """Stretches without a gap in the input: what the memory sees, and what the static map leaves until the next look."""
     found = []
     for segment in parts:
         rate, stride = segment.recording.rate_hz, memory.stride(segment.recording.rate_hz)

@@ -41,18 +41,16 @@ APART = 0.25
 
 @dataclass(frozen=True)
 class Candidate:
-    """One network that was tried.
+    """Inputs that were tried.
 
     Args:
-        speeds: whether it saw past speeds.
-        member: number of its first weights.
-        one_step: RMSE of the speed one step ahead on the recordings to select [SI/s].
+        speeds: whether past speeds are among them.
+        one_step: RMSE of the speed one step ahead on the recordings to select, mean of its members [SI/s].
         free_run: horizon, or ``whole`` recordings → RMSE of the position there [SI].
         kept: whether it is the one.
     """
 
     speeds: bool
-    member: int
     one_step: float
     free_run: Mapping[str, float]
     kept: bool = False
@@ -71,10 +69,10 @@ class MotionNetwork:
         axis, command, driven: its name and signals.
         unit: SI unit of what is driven.
         window: what it looks at.
-        mlp: inputs of the window → mean speed over the step to come [SI/s].
+        members: inputs of the window → mean speed over the step to come [SI/s]; their mean counts.
         bounds: of every free run.
         commands: range of the commands that it learned from.
-        course: of its training.
+        courses: of their training.
         candidates: all that were tried.
     """
 
@@ -83,15 +81,18 @@ class MotionNetwork:
     driven: str
     unit: str
     window: Window
-    mlp: Mlp
+    members: tuple[Mlp, ...]
     bounds: Bounds
     commands: tuple[float, float]
-    course: Course
+    courses: tuple[Course, ...]
     candidates: tuple[Candidate, ...] = ()
 
     def speed(self, inputs: Array) -> Array:
         """Inputs (n, d) of the window → mean speed over the step to come (n,)."""
-        return self.mlp.predict(inputs)[:, 0]
+        total = self.members[0].predict(inputs)[:, 0]
+        for member in self.members[1:]:
+            total += member.predict(inputs)[:, 0]
+        return np.asarray(total / len(self.members))
 
     def motion(self, recording: Recording) -> Motion:
         """A recording as this network sees it."""
@@ -171,24 +172,28 @@ def fit_motion(
         expected = "at least one axis on which the command and what it drives were recorded together"
         raise ExcitationError(f"dataset {dataset.reference}", "no axis with <axis>.command and its motion", expected)
     settings = recipe.motion
-    plans: dict[tuple[str, bool, int], tuple[Window, Member]] = {}
+    plans: dict[tuple[str, bool], tuple[Window, list[Member]]] = {}
     for axis in axes:
         for speeds in (True, False) if settings.speeds else (False,):
             window = window_for(axis, settings, speeds)
             x, y = motion_rows(dataset, axis, window, "fit", settings.samples)
             x_select, y_select = motion_rows(dataset, axis, window, "select", settings.samples)
-            for number in range(settings.members):
-                name = f"{axis.name} motion {'with' if speeds else 'without'} speeds {number}"
-                names = window.names(axis_signal(axis.name, "command"), axis.driven)
-                member = Member(name, x, y, x_select, y_select, names, (f"speed of {axis.driven}",))
-                plans[axis.name, speeds, number] = (window, member)
-    members = [member for _, member in plans.values()]
+            names = window.names(axis_signal(axis.name, "command"), axis.driven)
+            title = f"{axis.name} motion {'with' if speeds else 'without'} speeds"
+            plans[axis.name, speeds] = (
+                window,
+                [
+                    Member(f"{title} {number}", x, y, x_select, y_select, names, (f"speed of {axis.driven}",))
+                    for number in range(settings.members)
+                ],
+            )
+    members = [member for _, several in plans.values() for member in several]
     results = train(members, settings.hidden, settings.training, recipe.seed, progress, checkpoints)
-    trained = {key: (*plan, result) for (key, plan), result in zip(plans.items(), results, strict=True)}
-    return {
-        axis.name: _best(dataset, axis, settings, {key[1:]: value for key, value in trained.items() if key[0] == axis.name})
-        for axis in axes
-    }
+    trained = iter(results)
+    found: dict[str, list[tuple[Window, Array, tuple[Trained, ...]]]] = {axis.name: [] for axis in axes}
+    for (name, _), (window, several) in plans.items():
+        found[name].append((window, several[0].outputs, tuple(next(trained) for _ in several)))
+    return {axis.name: _best(dataset, axis, settings, found[axis.name]) for axis in axes}
 
 
 def motion_axes(dataset: Dataset) -> tuple[str, ...]:
@@ -257,27 +262,29 @@ def free_run_rmse(model: MotionNetwork, dataset: Dataset, role: Role, horizons: 
 
 
 def _best(
-    dataset: Dataset, axis: Axis, recipe: MotionRecipe, trained: Mapping[tuple[bool, int], tuple[Window, Member, Trained]]
+    dataset: Dataset, axis: Axis, recipe: MotionRecipe, tried: Sequence[tuple[Window, Array, tuple[Trained, ...]]]
 ) -> MotionNetwork:
-    """Run every candidate freely on the recordings to select, and keep the best."""
+    """Run freely on the recordings to select with each window that was tried, and keep the best."""
     networks, candidates = [], []
-    for (speeds, number), (window, member, result) in trained.items():
+    for window, speeds, results in tried:
         network = MotionNetwork(
-            axis.name,
-            axis_signal(axis.name, "command"),
-            axis.driven,
-            "rad" if is_angle(dataset, axis.driven) else "m",
-            window,
-            result.mlp,
-            bounds_of(dataset, axis, window, member.outputs),
-            _range([motion.command for _, motion in motions(dataset, axis, window, "fit")]),
-            result.course,
+            axis=axis.name,
+            command=axis_signal(axis.name, "command"),
+            driven=axis.driven,
+            unit="rad" if is_angle(dataset, axis.driven) else "m",
+            window=window,
+            members=tuple(result.mlp for result in results),
+            bounds=bounds_of(dataset, axis, window, speeds),
+            commands=_range([motion.command for _, motion in motions(dataset, axis, window, "fit")]),
+            courses=tuple(result.course for result in results),
         )
         networks.append(network)
+        one_step = float(np.mean([result.course.validation_rmse[0] for result in results]))
         rmse = free_run_rmse(network, dataset, "select", recipe.horizons)
-        candidates.append(Candidate(speeds, number, result.course.validation_rmse[0], rmse))
-    scores = [candidate.score if candidate.free_run else candidate.one_step for candidate in candidates]
-    best = int(np.argmin(scores))
+        candidates.append(Candidate(len(window.edges) > 1, one_step, rmse))
+    # Where nothing to select on is long enough for a free run, one step has to do.
+    runs = all(candidate.free_run for candidate in candidates)
+    best = int(np.argmin([candidate.score if runs else candidate.one_step for candidate in candidates]))
     said = tuple(replace(candidate, kept=number == best) for number, candidate in enumerate(candidates))
     return replace(networks[best], candidates=said)
 

@@ -123,7 +123,8 @@ class MotionRecipe:
         position: whether the network sees where the axis is.
         samples: rows learned from and stopped on, each at most, evenly spaced.
         hidden: hidden layers.
-        members: first weights that are tried, each with and without past speeds; the best free run is kept.
+        members: networks with other first weights whose speeds are averaged. They are trained with and without past speeds; the
+            better free runs are kept.
         horizons: seconds after which free runs are judged, besides whole recordings.
         training: how.
     """

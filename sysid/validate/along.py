@@ -103,9 +103,9 @@ def validate_motion(
 ) -> ValidationReport:
     """Free runs of every axis on ``role``: some seconds after starts all along the recordings, and whole recordings.
 
-    Beside each, on the same rows: the nominal simulation of ``machine.toml``, running freely through the whole recording (what it
-    was off by at the start is taken from axes whose command is a speed or a force), and a linear model of the same inputs, fitted
-    by least squares on the same rows.
+    Beside each, on the same rows: the nominal simulation of ``machine.toml``, running freely through the whole recording (what
+    it was off by at the start is taken from axes whose command is a speed or a force), and a linear model of the same inputs,
+    fitted by least squares on the same rows.
 
     Raises:
         ExcitationError: nothing of that role is long enough to judge.

@@ -129,11 +129,12 @@ def _what(version: ModelVersion, model: Model | None) -> Iterator[str]:
         yield f"It is {many} ({size}) of {features}."
     elif motions := motion_networks(model) if model is not None else {}:
         for axis, network in motions.items():
-            seconds, size = network.window.depth * network.window.step, "-".join(map(str, network.mlp.hidden))
+            seconds, size = network.window.depth * network.window.step, "-".join(map(str, network.members[0].hidden))
+            many = f"the mean of {len(network.members)} perceptrons" if len(network.members) > 1 else "one perceptron"
             past = "and past speeds" if len(network.window.edges) > 1 else "alone"
             yield (
-                f"{axis}: {size}, steps of {network.window.step:g} s, {seconds:g} s of commands {past}; the best free run "
-                f"on the recordings to select of {len(network.candidates)} that were tried."
+                f"{axis}: {many} ({size}), steps of {network.window.step:g} s, {seconds:g} s of commands {past}. "
+                "Its inputs are those with the better free runs on the recordings to select."
             )
     elif model is not None:
         for axis, item in history_networks(model).items():

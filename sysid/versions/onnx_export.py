@@ -120,16 +120,16 @@ def _parts(model: Model) -> tuple[_Part, ...]:
     found = []
     for axis, motion in motion_networks(model).items():
         names = motion.window.names(motion.command, motion.driven)
-        spread = 2.0 * motion.mlp.inputs.scale
+        inputs = motion.members[0].inputs
         found.append(
             _Part(
                 f"{axis}.motion",
                 names,
                 (f"speed of {motion.driven}",),
-                motion.mlp.inputs.mean - spread,
-                motion.mlp.inputs.mean + spread,
-                lambda graph, value, mlp=motion.mlp: graph.mlp(mlp, value),  # type: ignore[misc]
-                motion.mlp.predict,
+                inputs.mean - 2.0 * inputs.scale,
+                inputs.mean + 2.0 * inputs.scale,
+                lambda graph, value, motion=motion: graph.mean([graph.mlp(mlp, value) for mlp in motion.members]),  # type: ignore[misc]
+                lambda values, motion=motion: motion.speed(values)[:, None],  # type: ignore[misc]
             )
         )
     if history_networks(model):

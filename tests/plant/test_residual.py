@@ -17,7 +17,8 @@ from sysid.errors import SettingsError, StoreError
 from sysid.machine import Machine
 from sysid.plant import Plant, compile_plant, free_run, plant_from_files
 from sysid.plant.force import force_inputs
-from sysid.plant.residual import REACH, STATES, Place, Residual, inputs_of, look, memory_of, nets_of
+from sysid.networks.cell import REACH
+from sysid.plant.residual import STATES, Place, Residual, inputs_of, look, memory_of, nets_of
 from sysid.plant.stepper import Stepper, held_commands, step_commands
 
 Array = npt.NDArray[np.float64]
