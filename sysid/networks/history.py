@@ -33,6 +33,8 @@ BOUND = 3.0
 HELPS = 0.85
 #: Looks in a stretch without gaps that are worth learning from.
 MIN_LOOKS = 8
+#: Looks in a piece that is trained at once, and before it to warm up: plays remember what lies further back.
+PIECE, WARM = 60, 20
 ROLES: tuple[Role, ...] = ("fit", "select")
 
 
@@ -170,6 +172,8 @@ def settings_of(recipe: HistoryRecipe) -> RecurrentSettings:
         epochs=recipe.epochs,
         check_every=recipe.check_every,
         patience=max(1, recipe.patience // recipe.check_every),
+        piece=PIECE,
+        warm=WARM,
     )
 
 
