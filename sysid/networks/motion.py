@@ -165,7 +165,7 @@ def fit_motion(
 
     Raises:
         ExcitationError: no axis has both signals; too few rows; a command or position that does not vary.
-        SettingsError: steps that are no whole number of samples, or training diverges.
+        SettingsError: times in the recipe that do not rise, a recording at another rate, or training diverges.
     """
     axes = [dataset.machine.axis(name) for name in motion_axes(dataset)]
     if not axes:
@@ -175,7 +175,7 @@ def fit_motion(
     plans: dict[tuple[str, bool], tuple[Window, list[Member]]] = {}
     for axis in axes:
         for speeds in (True, False) if settings.speeds else (False,):
-            window = window_for(axis, settings, speeds)
+            window = window_for(axis, settings, dataset.machine.rate_hz, speeds)
             x, y = motion_rows(dataset, axis, window, "fit", settings.samples)
             x_select, y_select = motion_rows(dataset, axis, window, "select", settings.samples)
             names = window.names(axis_signal(axis.name, "command"), axis.driven)
@@ -202,10 +202,10 @@ def motion_axes(dataset: Dataset) -> tuple[str, ...]:
     return tuple(name for name, both in signals.items() if measures(dataset, both, "motion"))
 
 
-def window_for(axis: Axis, recipe: MotionRecipe, speeds: bool = True) -> Window:
+def window_for(axis: Axis, recipe: MotionRecipe, rate_hz: float, speeds: bool = True) -> Window:
     """What a network of this axis looks at."""
     past = recipe.speeds if speeds else ()
-    return window_of(recipe.step, recipe.history, past, recipe.position, axis.actuation == "position")
+    return window_of(recipe.step, recipe.history, past, rate_hz, recipe.position, axis.actuation == "position")
 
 
 def motions(dataset: Dataset, axis: Axis, window: Window, role: Role) -> tuple[tuple[Recording, Motion], ...]:

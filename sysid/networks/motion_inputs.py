@@ -72,20 +72,24 @@ class Window:
         return np.hstack(parts)
 
 
-def window_of(step: float, history: Sequence[float], speeds: Sequence[float], position: bool, follows: bool) -> Window:
-    """A window from times in seconds, rounded to whole steps.
+def window_of(
+    step: float, history: Sequence[float], speeds: Sequence[float], rate_hz: float, position: bool = True, follows: bool = False
+) -> Window:
+    """A window from times in seconds: the step is rounded to whole samples, times to whole steps; equal ones count once.
 
     Raises:
-        SettingsError: times that do not rise, or of which two are the same step.
+        SettingsError: times that do not rise, or begin too early.
     """
-    grids = []
-    for key, times, least in (("history", history, 0), ("speeds", speeds, 1)):
-        grid = tuple(round(time / step) for time in times)
-        if any(b <= a for a, b in itertools.pairwise(grid)) or (grid and grid[0] < least) or (key == "history" and not grid):
-            expected = f"times that rise by a step of {step:g} s or more, from {least * step:g} s on"
+    step = max(1, round(step * rate_hz)) / rate_hz
+    for key, times, fine in (
+        ("history", history, bool(history) and history[0] >= 0.0),
+        ("speeds", speeds, not speeds or speeds[0] > 0.0),
+    ):
+        if not fine or any(b <= a for a, b in itertools.pairwise(times)):
+            expected = "times that rise, " + ("from 0 on" if key == "history" else "above 0")
             raise SettingsError(f"recipe: motion.{key}", str(list(times)), expected)
-        grids.append(grid)
-    return Window(step, grids[0], (0, *grids[1]), position, follows)
+    commands = tuple(dict.fromkeys(round(time / step) for time in history))
+    return Window(step, commands, tuple(dict.fromkeys([0, *(round(time / step) for time in speeds)])), position, follows)
 
 
 @dataclass(frozen=True)

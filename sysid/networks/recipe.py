@@ -117,9 +117,10 @@ class MotionRecipe:
     """Command → motion of every axis, after Hwangbo et al., Science Robotics 4 (2019).
 
     Args:
-        step: seconds from one prediction to the next: long enough that the sensor's noise is small against the motion.
+        step: seconds from one prediction to the next, rounded to whole samples: long enough that the sensor's noise is small
+            against the motion.
         history: when commands are looked at, seconds before the step to come; 0 is the command of that step.
-        speeds: edges of the past speeds that are looked at, seconds before now.
+        speeds: edges of the past speeds that are looked at, seconds before now. All times are rounded to whole steps.
         position: whether the network sees where the axis is.
         samples: rows learned from and stopped on, each at most, evenly spaced.
         hidden: hidden layers.

@@ -121,7 +121,7 @@ def validate_motion(
             if recording.name not in simulated:
                 table = free_run(plant, recording)
                 simulated[recording.name] = {str(column): table[column].to_numpy() for column in table.columns}
-        window = window_for(about, settings)
+        window = window_for(about, settings, dataset.machine.rate_hz)
         linear = _linear(*motion_rows(dataset, about, window, "fit", settings.samples))
         for horizon in (*settings.horizons, None):
             runs = _runs(network, network.speed, network.window, parts, horizon)

@@ -174,6 +174,14 @@ def test_rows_never_reach_over_a_gap_or_an_end(holes: list[tuple[bool, int, int]
         np.testing.assert_allclose(x[:, 0] - x[:, 2], 3.0 * stride)
 
 
+def test_times_are_rounded_to_steps_and_steps_to_samples() -> None:
+    """So that one recipe does for logs of any rate."""
+    recipe = parse_recipe({}, "test").motion
+    assert window_for(lift().axis("boom"), recipe, 100.0) == Window(0.05, (0, 1, 2, 3, 4, 6, 8), (0, 1, 2, 4))
+    assert window_for(lift().axis("boom"), recipe, 50.0).step == pytest.approx(0.04)
+    assert window_for(lift().axis("boom"), recipe, 10.0) == Window(0.1, (0, 1, 2, 3, 4), (0, 1, 2))
+
+
 def test_a_step_sees_the_mean_command() -> None:
     motion = Motion.of(np.array([0.0, 1.0, 1.0, 0.0, 2.0]), np.zeros(5), 2)
     np.testing.assert_array_equal(motion.command, [0.5, 1.0, 0.5, 1.0, np.nan])
@@ -200,7 +208,7 @@ def test_horizons_are_those_of_whole_runs(network: MotionNetwork, data: Dataset)
 def test_a_servo_is_seen_from_where_it_is() -> None:
     """Commands are positions: the network sees how far there is to go, and so means the same everywhere."""
     machine = lift("position")
-    window = window_for(machine.axis("boom"), parse_recipe({"motion": MOTION | {"position": False}}, "test").motion)
+    window = window_for(machine.axis("boom"), parse_recipe({"motion": MOTION | {"position": False}}, "test").motion, RATE)
     assert window.follows
     here = window.features(np.full((1, 4), 0.12), np.full((1, 3), 0.10))
     there = window.features(np.full((1, 4), 0.07), np.full((1, 3), 0.05))
@@ -226,10 +234,12 @@ def test_files_bring_back_the_same_network(network: MotionNetwork, data: Dataset
 
 
 def test_what_cannot_be_learned_is_said(data: Dataset) -> None:
-    with pytest.raises(SettingsError, match=r"a step of 0.05 s at 50 Hz; expected whole samples, as in 0.04 s"):
-        fit_motion(data, parse_recipe({"motion": MOTION | {"step": 0.05}}, "test"))
-    with pytest.raises(SettingsError, match=r"motion.history: \[0.0, 0.01\]; expected times that rise by a step of 0.06 s"):
-        window_of(0.06, [0.0, 0.01], [], True, False)
+    with pytest.raises(SettingsError, match=r"a step of 0.06 s at 30 Hz; expected whole samples, as in 0.0666667 s"):
+        linear_network().free_run(replace(data.recording("run-3"), rate_hz=30.0))
+    with pytest.raises(SettingsError, match=r"motion.history: \[0.1, 0.0\]; expected times that rise, from 0 on"):
+        window_of(0.06, [0.1, 0.0], [], RATE)
+    with pytest.raises(SettingsError, match=r"motion.speeds: \[0.0\]; expected times that rise, above 0"):
+        window_of(0.06, [0.0], [0.0], RATE)
     with pytest.raises(SettingsError, match=r"motion.horizons"):
         parse_recipe({"motion": {"horizons": []}}, "test")
     short = with_roles(tuple(recording(f"run-{k}", k, seconds=2.0) for k in range(4)))
@@ -245,7 +255,7 @@ def test_what_cannot_be_learned_is_said(data: Dataset) -> None:
 
 def test_rows_are_thinned_evenly(data: Dataset) -> None:
     axis = data.machine.axis("boom")
-    window = window_for(axis, QUICK.motion)
+    window = window_for(axis, QUICK.motion, RATE)
     every, _ = motion_rows(data, axis, window, "fit", 10**6)
     some, speeds = motion_rows(data, axis, window, "fit", 100)
     assert len(some) == len(speeds) == 100
