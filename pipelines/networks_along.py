@@ -1,4 +1,4 @@
-"""Networks that run along a motion, actuators with history and command → motion, beside what is simpler; fills docs/networks.md.
+"""Networks that run along a motion (actuators with history, command → motion) beside what is simpler: docs/networks.md.
 
     .venv/bin/python pipelines/networks_along.py [--raw FOLDER_OF_MEASURED_DATA]
 
@@ -194,8 +194,8 @@ def second_half(network: MotionNetwork, valve: Array, oil: Array) -> float:
 def tables(result: Mapping[str, Any]) -> str:
     """What docs/networks.md shows."""
     lines = [
-        f"Stand-in crane, {RECORDINGS - 2} minutes to fit, one to select, one held out. RMSE, static → with history, by direction of the "
-        "input.",
+        f"Stand-in crane, {RECORDINGS - 2} minutes to fit, one to select, one held out. RMSE, static → with history, by direction "
+        "of the input.",
         "",
         "| output | play | falling | still | rising | all | sensor noise |",
         "| --- | --- | ---: | ---: | ---: | ---: | ---: |",
@@ -226,8 +226,8 @@ def tables(result: Mapping[str, Any]) -> str:
         tried = "; ".join(f"{title} {entry['rms']:.3f}" for title, entry in said["inputs"].items())
         lines += [
             "",
-            "Oil pressure of the hydraulic actuator from its valve, RMS of the free run over the second half (512 samples; learned on "
-            f"samples 1 … {cut}, chosen on {cut + 1} … {HALF}): **{said['rms']:.3f}** ({said['kept']}). "
+            "Oil pressure of the hydraulic actuator from its valve, RMS of the free run over the second half (512 samples; "
+            f"learned on samples 1 … {cut}, chosen on {cut + 1} … {HALF}): **{said['rms']:.3f}** ({said['kept']}). "
             f"Literature, same halves: {others}. All that was tried: {tried}.",
         ]
     return "\n".join(lines)
