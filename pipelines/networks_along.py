@@ -51,6 +51,8 @@ PRESSURE = {
     "three commands, four pressures": {"history": [0.0, 0.05, 0.1], "speeds": [0.05, 0.1, 0.15]},
     "five commands, five pressures": {"history": [0.0, 0.05, 0.1, 0.15, 0.2], "speeds": [0.05, 0.1, 0.15, 0.2]},
 }
+#: Learned on the samples before this one of the first half, chosen on those from it on.
+CUT = 3 * HALF // 4
 PRESSURE_TRAINING = {"learning_rate": 3e-3, "batch": 32, "epochs": 300, "patience": 60, "check_every": 5}
 
 
@@ -162,17 +164,8 @@ def _outputs(report: ValidationReport) -> dict[str, Any]:
 
 def pressure(raw: Path) -> dict[str, Any]:
     """Oil pressure from the valve, running freely over the second half; chosen on the last quarter of the first."""
-    machine = load_machine(DATASETS / "hydraulic_actuator" / "machine.toml")
-    machine = replace(machine, axes=(replace(machine.axes[0], limits=None),))
-    valve, oil, _ = columns(raw, machine.rate_hz)
-
-    def recording(name: str, begin: int, end: int) -> Recording:
-        table = {"time": np.arange(end - begin) / machine.rate_hz, "arm.command": valve[begin:end], "arm.joint": oil[begin:end]}
-        return Recording(name, pd.DataFrame(table), machine.rate_hz)
-
-    cut = 3 * HALF // 4
-    parts = (recording("fit", 0, cut), recording("select", cut, HALF))
-    data = Dataset("pressure", 1, "0" * 64, machine, parts, {}, {"fit": "fit", "select": "select"})
+    valve, oil, _ = columns(raw, load_machine(DATASETS / "hydraulic_actuator" / "machine.toml").rate_hz)
+    data = pressure_data(valve, oil)
     found: dict[str, Any] = {}
     for title, inputs in PRESSURE.items():
         values = {**inputs, "members": 10, "horizons": [0.5, 1.0, 2.0], "training": PRESSURE_TRAINING}
@@ -181,6 +174,19 @@ def pressure(raw: Path) -> dict[str, Any]:
         found[title] = {"select": kept.score, "speeds": kept.speeds, "rms": second_half(network, valve, oil)}
     best = min(found, key=lambda title: found[title]["select"])
     return {"inputs": found, "kept": best, "rms": found[best]["rms"], "literature": LITERATURE}
+
+
+def pressure_data(valve: Array, oil: Array) -> Dataset:
+    """The first half, as if the pressure were the motion of the arm."""
+    machine = load_machine(DATASETS / "hydraulic_actuator" / "machine.toml")
+    machine = replace(machine, axes=(replace(machine.axes[0], limits=None),))
+
+    def recording(name: str, begin: int, end: int) -> Recording:
+        table = {"time": np.arange(end - begin) / machine.rate_hz, "arm.command": valve[begin:end], "arm.joint": oil[begin:end]}
+        return Recording(name, pd.DataFrame(table), machine.rate_hz)
+
+    parts = (recording("fit", 0, CUT), recording("select", CUT, HALF))
+    return Dataset("pressure", 1, "0" * 64, machine, parts, {}, {"fit": "fit", "select": "select"})
 
 
 def second_half(network: MotionNetwork, valve: Array, oil: Array) -> float:
@@ -194,8 +200,8 @@ def second_half(network: MotionNetwork, valve: Array, oil: Array) -> float:
 def tables(result: Mapping[str, Any]) -> str:
     """What docs/networks.md shows."""
     lines = [
-        f"Stand-in crane, {RECORDINGS - 2} minutes to fit, one to select, one held out. RMSE, static → with history, by direction "
-        "of the input.",
+        f"Stand-in crane, {RECORDINGS - 2} minutes to fit, one to select, one held out. RMSE, static → with history, by "
+        "direction of the input.",
         "",
         "| output | play | falling | still | rising | all | sensor noise |",
         "| --- | --- | ---: | ---: | ---: | ---: | ---: |",
@@ -221,13 +227,13 @@ def tables(result: Mapping[str, Any]) -> str:
             cells = [_triple(found["outputs"].get(f"{driven} {end}"), machine) for end in ENDS]
             lines.append(f"| {machine} | {driven} [{_unit(found, driven, machine)}] | {' | '.join(cells)} |")
     if result["pressure"]:
-        said, cut = result["pressure"], 3 * HALF // 4
+        said = result["pressure"]
         others = ", ".join(f"{name} {value:.3f}" for name, value in LITERATURE.items())
         tried = "; ".join(f"{title} {entry['rms']:.3f}" for title, entry in said["inputs"].items())
         lines += [
             "",
             "Oil pressure of the hydraulic actuator from its valve, RMS of the free run over the second half (512 samples; "
-            f"learned on samples 1 … {cut}, chosen on {cut + 1} … {HALF}): **{said['rms']:.3f}** ({said['kept']}). "
+            f"learned on samples 1 … {CUT}, chosen on {CUT + 1} … {HALF}): **{said['rms']:.3f}** ({said['kept']}). "
             f"Literature, same halves: {others}. All that was tried: {tried}.",
         ]
     return "\n".join(lines)
