@@ -16,6 +16,7 @@ from typing import Any
 
 from benchmarks.gap import gap_rows
 from benchmarks.logs import ingest_rows, memory_rows, reader_rows
+from benchmarks.motion import motion_rows
 from benchmarks.networks import network_rows
 from benchmarks.plant import plant_rows
 from benchmarks.rows import against_limit, seconds
@@ -60,6 +61,7 @@ PARTS: dict[str, Callable[[], list[dict[str, Any]]]] = {
     "plant": plant_rows,
     "gap": gap_rows,
     "networks": network_rows,
+    "motion": motion_rows,
     "training": training_rows,
 }
 

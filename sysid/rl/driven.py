@@ -175,12 +175,13 @@ class DrivenEnvironment:
         self._count += 1
         truncated = self._count >= self.task.steps
         self._final = self._seen()
-        fresh = ~truncated & (self._count % self.task.hold == 0)
-        if self.task.targets > 1 and fresh.any():
+        fresh = ~truncated & (self._count % self.task.hold == 0) & (self.task.targets > 1)
+        if fresh.any():
             self._target[fresh] = tips(self.model, self.reach.draw(int(fresh.sum()), self._rng))
         if truncated.any():
             self._reset(truncated)
-        return self._seen(), rewards, truncated
+        changed = fresh.any() or truncated.any()
+        return self._seen() if changed else self._final.copy(), rewards, truncated
 
     @property
     def names(self) -> tuple[str, ...]:

@@ -3,7 +3,9 @@
 from sysid.validate.error_analysis import Profile, Spike
 from sysid.validate.metrics import ErrorMetrics, error_metrics
 from sysid.validate.report import OutputReport, Trace, ValidationReport
-from sysid.validate.validation import validate_actuator, validate_forward, validate_model
+from sysid.validate.validation import validate_actuator, validate_forward, validate_model  # first: `along` builds on it
+
+from sysid.validate.along import validate_history, validate_motion  # isort: skip
 
 __all__ = [
     "ErrorMetrics",
@@ -15,5 +17,7 @@ __all__ = [
     "error_metrics",
     "validate_actuator",
     "validate_forward",
+    "validate_history",
     "validate_model",
+    "validate_motion",
 ]

@@ -11,7 +11,7 @@ import numpy.typing as npt
 from sysid.datasets.recording import Dataset, Kind, Role
 from sysid.errors import ExcitationError
 from sysid.networks.actuator import ActuatorNetwork, actuator_rows
-from sysid.networks.artifacts import Model
+from sysid.networks.artifacts import Model, history_networks, motion_networks, static_networks
 from sysid.networks.forward import ForwardModel, ForwardNetwork, forward_rows, is_angle
 from sysid.networks.recipe import NetworkRecipe
 from sysid.networks.split import Rows, gather, measures, segments, thin
@@ -33,10 +33,16 @@ SLOPE_ROWS = 500
 def validate_model(
     model: Model, dataset: Dataset, role: Role = "held_out", recipe: NetworkRecipe | None = None, name: str = ""
 ) -> ValidationReport:
-    """:func:`validate_actuator` or :func:`validate_forward`, whichever fits the model."""
+    """:func:`validate_actuator`, :func:`validate_forward`, or one of those for networks that run along a motion."""
+    from sysid.validate.along import validate_history, validate_motion  # which build on this
+
     if isinstance(model, ForwardNetwork | StructuredForward):
         return validate_forward(model, dataset, role, name)
-    return validate_actuator(model, dataset, role, recipe, name)
+    if motions := motion_networks(model):
+        return validate_motion(motions, dataset, role, recipe, name)
+    if histories := history_networks(model):
+        return validate_history(histories, dataset, role, recipe, name)
+    return validate_actuator(static_networks(model), dataset, role, recipe, name)
 
 
 def validate_actuator(
