@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import json
 import math
-import os
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -16,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from sysid.errors import StorageError, StoreError
+from sysid.files import written_whole
 from sysid.networks.batch import Floats
 
 #: Of the files; another one is another name.
@@ -75,16 +75,11 @@ class Checkpoints:
         header = json.dumps({key: getattr(state, key) for key in _NUMBERS})
         content = save({key: getattr(state, key) for key in _ARRAYS}, {"format": str(FORMAT), "state": header})
         path = self.path(name)
-        part = path.with_name(f"{path.name}.{os.getpid()}.part")
         try:
             self.folder.mkdir(parents=True, exist_ok=True)
-            with part.open("wb") as file:
-                file.write(content)
-                file.flush()
-                os.fsync(file.fileno())
-            part.replace(path)
+            with written_whole(path) as half:
+                half.write_bytes(content)
         except OSError as error:
-            part.unlink(missing_ok=True)
             raise StorageError(
                 f"checkpoint {path}", error.strerror or str(error), f"room for {len(content)} bytes",
                 "Make room; training goes on from the last checkpoint that was written.",
@@ -115,8 +110,9 @@ class Checkpoints:
 
     def remove(self, name: str) -> None:
         """Forget one member; the folder goes with the last of its files."""
-        for path in self.folder.glob(f"{name}.safetensors*"):  # and what a crash left of it
-            path.unlink(missing_ok=True)
+        for pattern in (f"{name}.safetensors", f".{name}.safetensors.*"):  # and what a crash left of it
+            for path in self.folder.glob(pattern):
+                path.unlink(missing_ok=True)
         if self.folder.is_dir() and not any(self.folder.iterdir()):
             self.folder.rmdir()
 

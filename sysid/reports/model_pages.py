@@ -4,21 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
-from pathlib import Path
 from typing import Any
 
-import jinja2
 import numpy as np
 from markupsafe import Markup, escape
 
-from sysid.files import written_whole
 from sysid.registry import CANDIDATE, CHAMPION, ModelVersion, made_of
 from sysid.reports.charts import WIDE, Line, chart
+from sysid.reports.pages import page
 from sysid.reports.words import signal_name
 from sysid.versions import Card
 from sysid.versions.card import decision_row
 from sysid.versions.outputs import shown
 
+STYLES = ("page.css", "models.css")
 #: Looks of the lines of a chart, one after the other, in the classes of the page's style sheet.
 LOOKS = ("c1", "c2", "c3", "c4", "after", "before", "measured")
 
@@ -36,7 +35,7 @@ def card_page(card: Card) -> str:
         }
         for number, block in enumerate(card.blocks)
     ]
-    return _page("model_card.html", title=card.title, kind="Model card", facts=card.facts, blocks=blocks)
+    return page("model_card.html", STYLES, title=card.title, kind="Model card", facts=card.facts, blocks=blocks)
 
 
 def models_page(
@@ -62,15 +61,9 @@ def models_page(
                 "versions": [_entry(version, versions, (cards or {}).get(version.reference, "")) for version in own],
             }
         )
-    return _page("models_page.html", title="Models", kind="Model versions", facts=workspace, created=created, models=models)
-
-
-def write_page(path: Path, text: str) -> Path:
-    """Write a page whole or not at all; folders are made as needed."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with written_whole(path) as half:
-        half.write_text(text, "utf-8")
-    return path
+    return page(
+        "models_page.html", STYLES, title="Models", kind="Model versions", facts=workspace, created=created, models=models
+    )
 
 
 def _entry(version: ModelVersion, versions: Sequence[ModelVersion], card: str) -> dict[str, Any]:
@@ -155,16 +148,3 @@ def _inline(text: str) -> Markup:
     return Markup("").join(
         Markup("<code>{}</code>").format(part) if number % 2 else escape(part) for number, part in enumerate(parts)
     )
-
-
-def _page(template: str, **values: Any) -> str:
-    folder = Path(__file__).parent
-    environment = jinja2.Environment(
-        loader=jinja2.PackageLoader("sysid.reports", ""),
-        autoescape=True,
-        undefined=jinja2.StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    style = "\n".join((folder / name).read_text("utf-8") for name in ("page.css", "models.css"))
-    return environment.get_template(template).render(style=Markup(style), **values)
