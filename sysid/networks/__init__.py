@@ -13,6 +13,7 @@ from sysid.networks.mlp import Mlp, Normalisation
 from sysid.networks.recipe import PAPER_MAX, ActuatorRecipe, ForwardRecipe, NetworkRecipe, load_recipe, parse_recipe
 from sysid.networks.structured import StructuredForward, fit_structured
 from sysid.networks.training import train
+from sysid.networks.trust import Domain, Intervals, Trust
 
 __all__ = [
     "PAPER_MAX",
@@ -24,11 +25,13 @@ __all__ = [
     "Chain",
     "Checkpoints",
     "Course",
+    "Domain",
     "ForwardModel",
     "ForwardNetwork",
     "ForwardRecipe",
     "Geometry",
     "GeometryParameter",
+    "Intervals",
     "Member",
     "Mlp",
     "Model",
@@ -38,6 +41,7 @@ __all__ = [
     "StructuredForward",
     "Trained",
     "TrainingSettings",
+    "Trust",
     "calibrate",
     "fit_actuator",
     "fit_chain",

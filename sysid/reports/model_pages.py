@@ -10,9 +10,11 @@ import numpy as np
 from markupsafe import Markup, escape
 
 from sysid.registry import CANDIDATE, CHAMPION, ModelVersion, made_of
-from sysid.reports.charts import WIDE, Line, chart
+from sysid.reports import display
+from sysid.reports.charts import WIDE, Line, chart, heat_map
 from sysid.reports.pages import page
 from sysid.reports.words import signal_name
+from sysid.validate import ErrorMap
 from sysid.versions import Card
 from sysid.versions.card import decision_row
 from sysid.versions.outputs import shown
@@ -32,6 +34,7 @@ def card_page(card: Card) -> str:
             "header": block.header,
             "rows": block.rows,
             "code": block.code,
+            "maps": [Markup(_map(*item)) for item in block.maps],
         }
         for number, block in enumerate(card.blocks)
     ]
@@ -131,6 +134,16 @@ def _charts(versions: Sequence[ModelVersion]) -> list[str]:
         drawn = chart(numbers, lines, ("version", f"RMSE [{label}]"), names=names, size=WIDE)
         found.append(f"<figure>{drawn}<figcaption>{legend}</figcaption></figure>")
     return found
+
+
+def _map(output: str, unit: str, item: ErrorMap) -> str:
+    """RMSE of an output in bins of two variables."""
+    factor, label = display.shown_unit(unit)
+    scales = [display.shown_unit(own) if own in ("m", "rad", "m/s", "rad/s") else (1.0, own) for own in item.units]
+    edges = [scale * np.array(part) for (scale, _), part in zip(scales, item.edges, strict=True)]
+    labels = [f"{signal_name(name)} [{shown_as}]" for name, (_, shown_as) in zip(item.over, scales, strict=True)]
+    drawn = heat_map(factor * np.array(item.rmse), np.array(item.count), (edges[0], edges[1]), (labels[0], labels[1]), label)
+    return f"<figure>{drawn}<figcaption>{escape(output)}</figcaption></figure>"
 
 
 def _title(key: str) -> str:
