@@ -191,16 +191,10 @@ def tables(arms: Mapping[str, Mapping[str, Any]]) -> str:
             for name, found in sorted(arm["models"].items(), key=lambda item: float(item[1]["distance_median"]))
         ]
         counts = list(arm["curve"])
-        curve = [
-            [
-                name,
-                *(
-                    f"{arm['curve'][n][name]['distance_median']:.2f} ({arm['curve'][n][name]['distance_rmse']:.2f})"
-                    for n in counts
-                ),
-            ]
-            for name in arm["curve"][counts[0]]
-        ]
+        curve = []
+        for name in arm["curve"][counts[0]]:
+            cells = (arm["curve"][count][name] for count in counts)
+            curve.append([name, *(f"{cell['distance_median']:.2f} ({cell['distance_rmse']:.2f})" for cell in cells)])
         parts += [
             f"**{arm['title']}**, {arm['poses']} poses; each judged when it was left out, {arm['folds']} folds. "
             f"Published: {arm['published']}.",

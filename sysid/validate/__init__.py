@@ -3,6 +3,7 @@
 from sysid.validate.coverage import Coverage, Region
 from sysid.validate.error_analysis import Profile, Spike
 from sysid.validate.error_maps import ErrorMap
+from sysid.validate.folds import folds
 from sysid.validate.metrics import ErrorMetrics, error_metrics
 from sysid.validate.report import OutputReport, Trace, ValidationReport
 from sysid.validate.validation import validate_actuator, validate_forward, validate_model
@@ -18,6 +19,7 @@ __all__ = [
     "Trace",
     "ValidationReport",
     "error_metrics",
+    "folds",
     "validate_actuator",
     "validate_forward",
     "validate_model",
