@@ -110,7 +110,7 @@ def teach(task: Task, rows_of: Callable[[Run], tuple[Array, Array]]) -> Job:
     x, y = (np.concatenate(parts) for parts in zip(*rows, strict=True))
     groups = np.concatenate([np.full(len(part), number) for number, (_, part) in enumerate(rows)])
     kept = np.linspace(0, len(x) - 1, min(len(x), MOST_ROWS)).round().astype(int)
-    network = NetworkRegressor((64, 64), members=3, batch=256, epochs=60, patience=20, validation_fraction=0.15)
+    network = NetworkRegressor((64, 64), members=3, batch=64, epochs=100, patience=30, validation_fraction=0.15)
     return Job(network, x[kept], y[kept], blocks(groups[kept]))
 
 

@@ -107,7 +107,7 @@ def heat_map(
     def py(value: float) -> float:
         return height - BOTTOM - (height - TOP - BOTTOM) * (value - low) / (high - low)
 
-    parts = []
+    parts = _x_axis(first, last, px, (), np.zeros(0), height)
     for a, b in np.ndindex(values.shape):
         if not counts[a, b]:
             continue

@@ -35,8 +35,8 @@ def folds(
         raise SettingsError("folds", str(count), "two and more")
     names, of_recording = np.unique(rows.recording, return_inverse=True)
     if by == "recording" and len(names) < count:
-        found, expected = f"{len(names)} recordings", f"at least {count}, one a fold"
-        raise ExcitationError("folds", found, expected, "Ask for fewer folds, or cut recordings into blocks (by = 'block').")
+        have, expected = f"{len(names)} recordings", f"at least {count}, one a fold"
+        raise ExcitationError("folds", have, expected, "Ask for fewer folds, or cut recordings into blocks (by = 'block').")
     if len(rows) < count:
         raise ExcitationError("folds", f"{len(rows)} rows", f"at least {count}")
     groups = of_recording if by == "recording" else _blocks(rows, of_recording, count)
