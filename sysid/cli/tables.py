@@ -123,7 +123,7 @@ def show_gap(out: Printer, result: GapResult, dataset: Dataset) -> None:
     rows = []
     for effect in result.effects:
         texts = shown_parameters(effect.name, effect.target, effect.parameters, machine)
-        out.line(f"  {effect_sentence(effect.name, effect.target, texts)}")
+        out.line(f"  {effect_sentence(effect.name, effect.target, texts, result.names_on(effect.target))}")
         for name, value in effect.parameters.items():
             low, high = effect.interval95[name]
             digits = 4 if isinstance(low, (list, tuple)) else digits_for(low, high)
