@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sysid.datasets.recording import Dataset, Kind, Role
-from sysid.errors import ExcitationError, InputError
+from sysid.errors import ExcitationError
 from sysid.networks.actuator import ActuatorNetwork, actuator_rows
 from sysid.networks.artifacts import Model
 from sysid.networks.forward import ForwardModel, ForwardNetwork, forward_rows, is_angle
@@ -227,13 +227,11 @@ def _coverage(rows: Rows, inputs: Array, truth: Array, predicted: Array, item: _
     spread = np.zeros((len(rows), len(trust.intervals.floor)))
     if item.spread is not None:
         spread[:, item.number] = item.spread(inputs)
-    try:
-        reach = trust.intervals.reach(spread, LEVEL)[:, item.number]
-    except InputError:  # too few rows to select on for this level
-        return None
+    level = min(LEVEL, trust.intervals.most_level)
+    reach = trust.intervals.reach(spread, level)[:, item.number]
     names = [rows.signals[source] for source in item.sources]
     inside = trust.domain.inside(inputs)
-    return coverage_of(truth, (predicted - reach, predicted + reach), inside, inputs, names, FALSE_FLAGS)
+    return coverage_of(truth, (predicted - reach, predicted + reach), inside, inputs, names, FALSE_FLAGS, level)
 
 
 def _noise_floor(dataset: Dataset, rows: Rows, item: _Map) -> float | None:

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import errno
 import os
-from collections.abc import Callable
+import re
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 
 import numpy as np
@@ -57,6 +59,7 @@ def place(tmp_path_factory: pytest.TempPathFactory) -> Workspace:
         found.datasets.save(data, channels, Made(1))
     (folder / "quick.toml").write_text(QUICK)
     (folder / "diverging.toml").write_text(QUICK + "learning_rate = 1e18\n")
+    (folder / "long.toml").write_text(QUICK.replace("epochs = 4", "epochs = 60") + "check_every = 2\n")
     (folder / "geometry.toml").write_text(GEOMETRY)
     return found
 
@@ -98,7 +101,8 @@ def test_rows_with_gaps_are_left_out_and_the_rest_is_fitted(place: Workspace, ca
     model = place.network("some-missing-forward")
     assert np.isfinite(model.predict(np.zeros((1, 4)))).all()  # type: ignore[union-attr]
     assert run(place, "validate", "some-missing-forward", "some-missing") == 0
-    assert "ee.x" in capsys.readouterr().out
+    told = capsys.readouterr().out
+    assert re.search(r"8\d.% intervals of ee\.x, poses: ± [\d.]+.mm, hold in \d+.%; [\d.]+.% outside the data", told)
 
 
 def test_a_joint_that_stands_still_leaves_its_geometry_open_and_says_where_it_was(place: Workspace) -> None:
@@ -120,6 +124,34 @@ def test_a_registry_that_is_held_is_waited_for_and_then_said(
     assert "in use by another process; expected a free registry. Try again" in " ".join(capsys.readouterr().err.split())
     assert place.models.list() == before
     assert fit(place, "good") == 0  # and once it is free
+
+
+def test_an_interrupted_fit_goes_on_to_the_same_version(
+    place: Workspace, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The command that was stopped starts again where it was, and ends with the very version that it would have made."""
+
+    @contextmanager
+    def stopped(title: str) -> Iterator[Callable[[float, str], None]]:
+        def report(done: float, text: str) -> None:
+            if done > 0.3:
+                raise KeyboardInterrupt
+
+        yield report
+
+    before = place.models.list()
+    with monkeypatch.context() as patch:
+        patch.setattr("sysid.cli.fit.progress_bar", stopped)
+        assert fit(place, "good", "long") == 130
+    assert "the same command starts again" in capsys.readouterr().err
+    assert place.models.list() == before
+    assert list((place.folder / "training").glob("*.safetensors"))
+    assert fit(place, "good", "long") == 0
+    assert not (place.folder / "training").exists()
+    resumed = place.models.list()
+    assert len(resumed) == len(before) + 1
+    assert fit(place, "good", "long") == 0  # from the beginning: the same content is the same version
+    assert place.models.list() == resumed
 
 
 def test_a_full_disk_is_said_and_leaves_what_was_there(
