@@ -11,7 +11,7 @@ from pathlib import Path
 
 from sysid.datasets import Dataset
 from sysid.errors import ExcitationError, SettingsError, StoreError
-from sysid.registry import Check, ModelVersion, Promotion, decide
+from sysid.registry import NETWORKS, Check, ModelVersion, Promotion, decide
 from sysid.reports.archive import RESULT
 from sysid.validate import ValidationReport
 from sysid.versions import (
@@ -32,8 +32,6 @@ from sysid.versions.lineage import Use
 from sysid.versions.onnx_export import Precision
 from sysid.versions.policy import judged_by
 from sysid.workspace import Workspace
-
-NETWORKS = ("actuator", "forward")
 
 
 @dataclass(frozen=True)

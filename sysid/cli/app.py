@@ -28,7 +28,7 @@ VERBS: dict[str, Verb] = {
     "init": Verb("sysid.cli.init:init", "Lay out the folders for a machine of your own."),
     "ingest": Verb("sysid.cli.ingest:ingest", "Turn raw logs into a new dataset version."),
     "datasets": Verb("sysid.cli.datasets:datasets", "List dataset versions, or show one."),
-    "fit": Verb("sysid.cli.fit:fit", "Fit the actuator or forward networks of a dataset."),
+    "fit": Verb("sysid.cli.fit:fit", "Fit the actuator, motion or forward networks of a dataset."),
     "validate": Verb("sysid.cli.validate:validate", "Score a fitted network on recordings it has not seen."),
     "models": Verb("sysid.cli.models:models", "List model versions, show, promote, compare or export one."),
     "gap": Verb("sysid.cli.gap:gap", "Name the effects that the simulation lacks."),

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import click
 
 from sysid.cli.output import Printer, json_option, write_json
-from sysid.cli.tables import show_errors
+from sysid.cli.tables import show_directions, show_errors
 
 if TYPE_CHECKING:
     from sysid.validate import ValidationReport
@@ -60,6 +60,7 @@ def _show(out: Printer, report: ValidationReport) -> None:
     from sysid.reports.display import percent, quantity, shown_unit
 
     show_errors(out, report)
+    show_directions(out, report)
     for entry in report.outputs:
         if entry.coverage is not None:
             level, width = percent(entry.coverage.level), quantity(entry.coverage.half_width, entry.unit)

@@ -12,12 +12,15 @@ import numpy.typing as npt
 from sysid.errors import StoreError
 from sysid.machine.kinematics import Kinematics
 from sysid.networks.actuator import DIRECTIONS, ActuatorNetwork
+from sysid.networks.along_files import put_memories, put_motions, take_memories, take_motions
 from sysid.networks.calibration import Calibration
 from sysid.networks.chain import Chain, products
 from sysid.networks.forward import ForwardNetwork
 from sysid.networks.geometry import Geometry
+from sysid.networks.history import HistoryNetwork, statics
 from sysid.networks.member import Course
 from sysid.networks.mlp import Mlp, Normalisation
+from sysid.networks.motion import MotionNetwork
 from sysid.networks.structured import StructuredForward
 from sysid.networks.trust import Trust
 
@@ -25,7 +28,13 @@ WEIGHTS, STRUCTURE = "weights.safetensors", "network.json"
 #: Arrays of a :class:`Chain`.
 CHAIN = ("mean", "scale", "weights", "level", "covariance", "noise")
 
-Model = Mapping[str, ActuatorNetwork] | ForwardNetwork | StructuredForward
+Model = (
+    Mapping[str, ActuatorNetwork]
+    | Mapping[str, HistoryNetwork]
+    | Mapping[str, MotionNetwork]
+    | ForwardNetwork
+    | StructuredForward
+)
 Tensors = dict[str, npt.NDArray[Any]]
 
 
@@ -51,10 +60,13 @@ def to_files(model: Model) -> tuple[str, dict[str, bytes]]:
         else:
             own, structure["structure"] = _put_structure(model)
             tensors |= {f"structure.{name}": values for name, values in own.items()} | {"bound": np.array([model.bound])}
+    elif motions := motion_networks(model):
+        kind = "motion"
+        structure = {"axes": put_motions(motions, lambda prefix, mlp: _put(tensors, prefix, mlp))}
     else:
         kind = "actuator"
         axes = {}
-        for axis, network in model.items():
+        for axis, network in static_networks(model).items():
             _put(tensors, f"{axis}.to_joint", network.to_joint)
             _put(tensors, f"{axis}.to_cylinder", network.to_cylinder)
             for direction, trust in network.trust.items():
@@ -66,6 +78,9 @@ def to_files(model: Model) -> tuple[str, dict[str, bytes]]:
                 "courses": {direction: course.to_json() for direction, course in network.courses.items()},
             }
         structure = {"axes": axes}
+        if histories := history_networks(model):
+            kind = "history"
+            structure["memories"] = put_memories(histories, tensors)
     text = json.dumps({"schema": 1, "kind": kind, **structure}, sort_keys=True, indent=1)
     return kind, {WEIGHTS: save(tensors), STRUCTURE: text.encode("utf-8")}
 
@@ -92,9 +107,33 @@ def from_files(files: Mapping[str, bytes], where: object) -> Model:
             raise StoreError(f"{where}: {STRUCTURE}", f"schema {structure['schema']!r}", "schema 1", "Update the toolkit.")
         if structure["kind"] == "forward":
             return _forward(structure, tensors, where)
-        return {axis: _actuator(axis, entry, tensors, where) for axis, entry in structure["axes"].items()}
+        if structure["kind"] == "motion":
+            return take_motions(structure["axes"], lambda prefix, count: _take(tensors, prefix, count, where), _course, where)
+        static = {axis: _actuator(axis, entry, tensors, where) for axis, entry in structure["axes"].items()}
+        return take_memories(structure["memories"], static, tensors, where) if structure["kind"] == "history" else static
     except (ValueError, KeyError, TypeError, SafetensorError) as error:
         raise StoreError(where, f"not a network ({type(error).__name__}: {error})", f"{WEIGHTS} and {STRUCTURE}") from None
+
+
+def motion_networks(model: Model) -> dict[str, MotionNetwork]:
+    """The model, where it is command → motion; else nothing."""
+    if isinstance(model, ForwardNetwork | StructuredForward):
+        return {}
+    return {axis: network for axis, network in model.items() if isinstance(network, MotionNetwork)}
+
+
+def history_networks(model: Model) -> dict[str, HistoryNetwork]:
+    """The model, where it is actuators with history; else nothing."""
+    if isinstance(model, ForwardNetwork | StructuredForward):
+        return {}
+    return {axis: network for axis, network in model.items() if isinstance(network, HistoryNetwork)}
+
+
+def static_networks(model: Model) -> dict[str, ActuatorNetwork]:
+    """The static maps between cylinders and joints: actuators themselves, or the static parts of those with history."""
+    if isinstance(model, ForwardNetwork | StructuredForward):
+        return {}
+    return statics({axis: network for axis, network in model.items() if not isinstance(network, MotionNetwork)})
 
 
 def _put_structure(model: StructuredForward) -> tuple[Tensors, dict[str, Any]]:

@@ -10,9 +10,9 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from typing import Any
 
-from sysid.networks import ForwardNetwork, Model, StructuredForward
+from sysid.networks import ForwardNetwork, Model, StructuredForward, history_networks, motion_networks, static_networks
 from sysid.networks.trust import FALSE_FLAGS
-from sysid.registry import Decision, ModelVersion
+from sysid.registry import NETWORKS, Decision, ModelVersion
 from sysid.validate import ErrorMap, OutputReport, ValidationReport
 from sysid.versions.lineage import ModelLineage
 from sysid.versions.outputs import output_maps, shown
@@ -22,8 +22,13 @@ from sysid.versions.policy import ROWS
 MAPS_SHOWN = 2
 #: A region with fewer rows says nothing about how often intervals hold in it.
 REGION_ROWS = 20
+#: What `sysid models export` writes: networks without a memory.
+EXPORTED = ("actuator", "motion", "forward")
 WHAT = {
     "actuator": "Actuator networks: cylinder displacement to joint angle and back, one perceptron a direction and axis.",
+    "history": "Actuator networks with history: cylinder displacement to joint angle and back along a motion; a static "
+    "perceptron and a memory a direction and axis.",
+    "motion": "Command to motion: the history of command and speed, and the position, to the next speed of an axis.",
     "forward": "Forward model: joint values to the position of the end effector in the machine's base frame.",
     "plant": "Plant: the simulation of a machine, commands to motion, with named effects.",
     "policy": "Policy: what a controller does in a state.",
@@ -128,8 +133,22 @@ def _what(version: ModelVersion, model: Model | None) -> Iterator[str]:
         features = "joint values" if model.features == "joints" else "sines and cosines of the angles"
         many = f"the mean of {len(model.members)} perceptrons" if len(model.members) > 1 else "one perceptron"
         yield f"It is {many} ({size}) of {features}."
+    elif motions := motion_networks(model) if model is not None else {}:
+        for axis, network in motions.items():
+            seconds, size = network.window.depth * network.window.step, "-".join(map(str, network.members[0].hidden))
+            many = f"the mean of {len(network.members)} perceptrons" if len(network.members) > 1 else "one perceptron"
+            past = "and past speeds" if len(network.window.edges) > 1 else "alone"
+            yield (
+                f"{axis}: {many} ({size}), steps of {network.window.step:g} s, {seconds:g} s of commands {past}. "
+                "Its inputs are those with the better free runs on the recordings to select."
+            )
     elif model is not None:
-        sizes = (f"{axis} {'-'.join(map(str, network.to_joint.hidden))}" for axis, network in model.items())
+        for axis, item in history_networks(model).items():
+            memories = (item.to_joint, item.to_cylinder)
+            quiet = [way for way, memory in zip(("joint", "cylinder"), memories, strict=True) if memory.silent]
+            said = f"; silent towards {' and '.join(quiet)}, where it did not help" if quiet else ""
+            yield f"{axis}: a memory of {memories[0].units} units that looks every {memories[0].interval:g} s{said}."
+        sizes = (f"{axis} {'-'.join(map(str, network.to_joint.hidden))}" for axis, network in static_networks(model).items())
         yield f"Hidden layers: {', '.join(sizes)}."
 
 
@@ -235,6 +254,12 @@ def _limits(model: Model | None, report: ValidationReport | None) -> Iterator[st
             if len(model.members) > 1
             else "A single member has no scatter: its intervals are as wide everywhere."
         )
+    elif model is not None and motion_networks(model):
+        yield "A free run stays within the speeds and positions that it learned from; at a new load or speed it guesses."
+        yield "It has no parameters that mean anything: `sysid gap` names what a simulation lacks."
+    elif model is not None and history_networks(model):
+        yield "It needs the motion that led to a position; after a gap it begins anew, knowing nothing."
+        yield "Beyond its ranges its static part goes on in straight lines, and its memory adds no more than it learned."
     elif model is not None:
         yield "It is a static map: what depends on direction or speed (backlash, hysteresis) is averaged."
         yield "Beyond its ranges it goes on in straight lines."
@@ -286,18 +311,16 @@ def _effects(lineage: Mapping[str, Any]) -> list[Block]:
 
 def _loading(version: ModelVersion) -> Iterator[str]:
     yield f"`name@version` never changes; `{version.name}` alone means the champion, or the newest where none was promoted."
-    if version.kind in ("actuator", "forward"):
+    if version.kind in EXPORTED:
         yield f"Without Python: `sysid models export {version.reference}` writes ONNX files."
 
 
 def _code(version: ModelVersion) -> str:
-    call = (
-        f'network("{version.reference}")'
-        if version.kind in ("actuator", "forward")
-        else f'models.load("{version.reference}").files'
-    )
+    call = f'network("{version.reference}")' if version.kind in NETWORKS else f'models.load("{version.reference}").files'
     use = {
         "forward": "model.predict(q)  # (n, n_axes) [rad or m] → (n, 3) [m]",
+        "history": "model[axis].joint_along(displacement, rate_hz)  # (n,) → (n,); .joint_stream(rate_hz).step(value)",
+        "motion": "model[axis].free_run(recording)  # (n,); .stream(position).step(command) moves it step by step",
         "actuator": "model[axis].joint(displacement)  # [m] → [rad]; .displacement(joint) goes back",
     }.get(version.kind, "")
     lines = ["from sysid.workspace import open_workspace", "", f'model = open_workspace("./workspace").{call}', use]

@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 from sysid.errors import SettingsError, StorageError, StoreError
 from sysid.files import json_text
-from sysid.networks import ForwardNetwork, Model, StructuredForward
+from sysid.networks import ForwardNetwork, Model, StructuredForward, history_networks, motion_networks, static_networks
 from sysid.networks.actuator import DIRECTIONS
 from sysid.signals import axis_signal, point_signals
 from sysid.versions.onnx_graph import IR_VERSION, OPSET, Graph
@@ -79,7 +79,7 @@ def export_onnx(
         about: put into the files as metadata (``reference``, ``digest``).
 
     Raises:
-        SettingsError: onnx or onnxruntime are not installed; the folder holds something else.
+        SettingsError: onnx or onnxruntime are not installed; the folder holds something else; a network with history.
         StoreError: a file does not predict the same.
         StorageError: the disk is full, or may not be written.
     """
@@ -118,7 +118,25 @@ def _parts(model: Model) -> tuple[_Part, ...]:
 
         return (_Part("forward", model.joints, outputs, model.low, model.high, put, model.predict),)
     found = []
-    for axis, network in model.items():
+    for axis, motion in motion_networks(model).items():
+        names = motion.window.names(motion.command, motion.driven)
+        inputs = motion.members[0].inputs
+        found.append(
+            _Part(
+                f"{axis}.motion",
+                names,
+                (f"speed of {motion.driven}",),
+                inputs.mean - 2.0 * inputs.scale,
+                inputs.mean + 2.0 * inputs.scale,
+                lambda graph, value, motion=motion: graph.mean([graph.mlp(mlp, value) for mlp in motion.members]),  # type: ignore[misc]
+                lambda values, motion=motion: motion.speed(values)[:, None],  # type: ignore[misc]
+            )
+        )
+    if history_networks(model):
+        expected = "networks that answer row by row"
+        remedy = "Export actuator networks without history, or step it in Python."
+        raise SettingsError("sysid models export", "actuator networks with history, which remember", expected, remedy)
+    for axis, network in static_networks(model).items():
         signals = (axis_signal(axis, "cylinder"), axis_signal(axis, "joint"))
         ends = (network.displacements, network.joints)
         for direction, source in zip(DIRECTIONS, (0, 1), strict=True):
