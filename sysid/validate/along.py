@@ -66,7 +66,7 @@ def validate_history(
                 predict=lambda x, still=still: still(x[:, 0]),  # type: ignore[misc]
                 simple=simple_models(fit.values[:, [source]], fit.values[:, target])
                 | {"linkage geometry": linkage_geometry(fit.values[:, 0], fit.values[:, 1], target == 1)}
-                | {STATIC: lambda x, still=still: still(x[:, 0])},  # type: ignore[misc]
+                | {STATIC: lambda x, still=still: still(x[:, 0])},
                 trust=None,
                 sources=(source,),
                 target=target,
