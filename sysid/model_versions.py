@@ -108,13 +108,16 @@ class ModelVersions:
         version = self.place.models.find(reference)
         target = folder or self.place.folder / "exports" / version.reference
         about = {"reference": version.reference, "digest": version.digest}
-        return target, export_onnx(self.place.network(version.reference), target, about, precision)
+        policy = version.kind == "policy"
+        network = self.place.policy(version.reference) if policy else self.place.network(version.reference)
+        return target, export_onnx(network, target, about, precision)
 
     def card(self, reference: str) -> Card:
         """What there is to know of a version, on one page."""
         version = self.place.models.find(reference)
         network = self.place.network(version.reference) if version.kind in NETWORKS else None
-        return card_of(version, self.lineage(version.reference), network, self._report(version))
+        policy = self.place.policy(version.reference) if version.kind == "policy" else None
+        return card_of(version, self.lineage(version.reference), network, self._report(version), policy)
 
     def _report(self, version: ModelVersion) -> ValidationReport | None:
         """On the dataset that it was fitted on; None where that cannot be had."""

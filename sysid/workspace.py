@@ -32,10 +32,12 @@ from sysid.networks import (
     static_networks,
     to_files,
 )
+from sysid.networks.policy import PolicyNetwork
 from sysid.plant import Plant, free_run, nominal_plant, plant_from_files
 from sysid.registry import CHAMPION, NETWORKS, ModelVersion, Registry, made_from_dataset
 from sysid.reports import ReportInputs, VersionNote
 from sysid.reports.archive import load_gap, save_gap
+from sysid.rl.policy import load_policy
 from sysid.validate import ValidationReport, validate_model
 
 #: What the figures of a report depend on.
@@ -127,6 +129,14 @@ class Workspace:
         if version.kind not in NETWORKS:
             raise StoreError(f"model {reference}", f"is of kind {version.kind!r}", "a network")
         return from_files(version.files, version.reference)
+
+    def policy(self, reference: str) -> PolicyNetwork:
+        """The policy ``name@version``.
+
+        Raises:
+            StoreError: there is none, or it is a model of another kind.
+        """
+        return load_policy(self.models.load(reference))
 
     def linkages(self, dataset: Dataset) -> dict[str, ActuatorNetwork]:
         """The fitted cylinder ↔ joint maps of the dataset by axis; empty where none were fitted.

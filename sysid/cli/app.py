@@ -32,6 +32,8 @@ VERBS: dict[str, Verb] = {
     "validate": Verb("sysid.cli.validate:validate", "Score a fitted network on recordings it has not seen."),
     "models": Verb("sysid.cli.models:models", "List model versions, show, promote, compare or export one."),
     "gap": Verb("sysid.cli.gap:gap", "Name the effects that the simulation lacks."),
+    "train": Verb("sysid.cli.train:train", "Train a policy on a fitted plant."),
+    "track": Verb("sysid.cli.track:track", "Follow a path with a policy, or with inverse kinematics."),
     "view": Verb("sysid.cli.view:view", "Write a Rerun recording of the moving machine."),
     "report": Verb("sysid.cli.report:report", "Write the HTML report of a dataset."),
     "demo": Verb("sysid.cli.demo:demo", "Run the whole line on the logs that ship."),

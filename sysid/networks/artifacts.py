@@ -47,7 +47,7 @@ def to_files(model: Model) -> tuple[str, dict[str, bytes]]:
     if isinstance(model, ForwardNetwork | StructuredForward):
         kind = "forward"
         for number, member in enumerate(model.members):
-            _put(tensors, f"member.{number}", member)
+            put_mlp(tensors, f"member.{number}", member)
         tensors |= {"low": model.low, "high": model.high} | (model.trust.tensors("trust") if model.trust is not None else {})
         structure = {
             "joints": list(model.joints),
@@ -62,13 +62,13 @@ def to_files(model: Model) -> tuple[str, dict[str, bytes]]:
             tensors |= {f"structure.{name}": values for name, values in own.items()} | {"bound": np.array([model.bound])}
     elif motions := motion_networks(model):
         kind = "motion"
-        structure = {"axes": put_motions(motions, lambda prefix, mlp: _put(tensors, prefix, mlp))}
+        structure = {"axes": put_motions(motions, lambda prefix, mlp: put_mlp(tensors, prefix, mlp))}
     else:
         kind = "actuator"
         axes = {}
         for axis, network in static_networks(model).items():
-            _put(tensors, f"{axis}.to_joint", network.to_joint)
-            _put(tensors, f"{axis}.to_cylinder", network.to_cylinder)
+            put_mlp(tensors, f"{axis}.to_joint", network.to_joint)
+            put_mlp(tensors, f"{axis}.to_cylinder", network.to_cylinder)
             for direction, trust in network.trust.items():
                 tensors |= trust.tensors(f"{axis}.{direction}.trust")
             axes[axis] = {
@@ -108,7 +108,9 @@ def from_files(files: Mapping[str, bytes], where: object) -> Model:
         if structure["kind"] == "forward":
             return _forward(structure, tensors, where)
         if structure["kind"] == "motion":
-            return take_motions(structure["axes"], lambda prefix, count: _take(tensors, prefix, count, where), _course, where)
+            return take_motions(
+                structure["axes"], lambda prefix, count: take_mlp(tensors, prefix, count, where), _course, where
+            )
         static = {axis: _actuator(axis, entry, tensors, where) for axis, entry in structure["axes"].items()}
         return take_memories(structure["memories"], static, tensors, where) if structure["kind"] == "history" else static
     except (ValueError, KeyError, TypeError, SafetensorError) as error:
@@ -179,7 +181,7 @@ def _structured(structure: dict[str, Any], tensors: Tensors, where: object) -> S
         revolute=revolute,
         structure=_take_structure(structure["structure"], revolute, tensors, where),
         urdf=structure["structure"].get("urdf", ""),
-        members=tuple(_take(tensors, f"member.{number}", count, where) for number, count in layers),
+        members=tuple(take_mlp(tensors, f"member.{number}", count, where) for number, count in layers),
         bound=float(tensors["bound"][0]),
         low=tensors["low"],
         high=tensors["high"],
@@ -196,7 +198,7 @@ def _forward(structure: dict[str, Any], tensors: Tensors, where: object) -> Forw
         joints=tuple(structure["joints"]),
         revolute=tuple(structure["revolute"]),
         features=structure["features"],
-        members=tuple(_take(tensors, f"member.{number}", count, where) for number, count in layers),
+        members=tuple(take_mlp(tensors, f"member.{number}", count, where) for number, count in layers),
         low=tensors["low"],
         high=tensors["high"],
         courses=tuple(_course(course) for course in structure["courses"]),
@@ -205,7 +207,7 @@ def _forward(structure: dict[str, Any], tensors: Tensors, where: object) -> Forw
 
 
 def _actuator(axis: str, entry: dict[str, Any], tensors: Tensors, where: object) -> ActuatorNetwork:
-    networks = {name: _take(tensors, f"{axis}.{name}", entry["layers"][name], where) for name in DIRECTIONS}
+    networks = {name: take_mlp(tensors, f"{axis}.{name}", entry["layers"][name], where) for name in DIRECTIONS}
     return ActuatorNetwork(
         axis=axis,
         to_joint=networks["to_joint"],
@@ -226,7 +228,8 @@ def _course(entry: dict[str, Any]) -> Course:
     return Course(**values)
 
 
-def _put(tensors: Tensors, prefix: str, mlp: Mlp) -> None:
+def put_mlp(tensors: Tensors, prefix: str, mlp: Mlp) -> None:
+    """Numbers of a perceptron, by names that begin with ``prefix``."""
     for layer, (weight, bias) in enumerate(zip(mlp.weights, mlp.biases, strict=True)):
         # float32 is what training produced: nothing is lost.
         tensors[f"{prefix}.weight.{layer}"] = weight.astype(np.float32)
@@ -236,7 +239,9 @@ def _put(tensors: Tensors, prefix: str, mlp: Mlp) -> None:
         tensors[f"{prefix}.{role}.scale"] = scaler.scale
 
 
-def _take(tensors: Tensors, prefix: str, layers: int, where: object) -> Mlp:
+def take_mlp(tensors: Tensors, prefix: str, layers: int, where: object) -> Mlp:
+    """What :func:`put_mlp` put; raises StoreError where the layers do not fit together, KeyError where one is missing."""
+
     def get(name: str) -> npt.NDArray[np.float64]:
         return np.asarray(tensors[f"{prefix}.{name}"], dtype=np.float64)
 

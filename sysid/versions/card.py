@@ -11,6 +11,7 @@ from datetime import UTC, datetime
 from typing import Any
 
 from sysid.networks import ForwardNetwork, Model, StructuredForward, history_networks, motion_networks, static_networks
+from sysid.networks.policy import PolicyNetwork
 from sysid.networks.trust import FALSE_FLAGS
 from sysid.registry import NETWORKS, Decision, ModelVersion
 from sysid.validate import ErrorMap, OutputReport, ValidationReport
@@ -31,7 +32,7 @@ WHAT = {
     "motion": "Command to motion: the history of command and speed, and the position, to the next speed of an axis.",
     "forward": "Forward model: joint values to the position of the end effector in the machine's base frame.",
     "plant": "Plant: the simulation of a machine, commands to motion, with named effects.",
-    "policy": "Policy: what a controller does in a state.",
+    "policy": "Policy: joints, end effector and target to joint setpoints, trained on a plant.",
 }
 
 
@@ -69,28 +70,36 @@ class Card:
 
 
 def card_of(
-    version: ModelVersion, lineage: ModelLineage, model: Model | None = None, report: ValidationReport | None = None
+    version: ModelVersion,
+    lineage: ModelLineage,
+    model: Model | None = None,
+    report: ValidationReport | None = None,
+    policy: PolicyNetwork | None = None,
 ) -> Card:
     """The card of a version.
 
     Args:
         model: the network in it; None for plants and policies.
         report: of it on the held-out rows of the dataset that it was fitted on; None where that cannot be had.
+        policy: the policy in it, if it is one.
     """
     aliases = f" ({', '.join(version.aliases)})" if version.aliases else ""
     made = f"{datetime.fromtimestamp(version.created_ms / 1e3, UTC):%Y-%m-%d %H:%M} UTC"
-    blocks = [Block("What it is", tuple(_what(version, model)))]
+    blocks = [Block("What it is", tuple(_what_policy(version, policy) if policy is not None else _what(version, model)))]
     if report is not None:
         blocks += [_figures(report), *_baselines(report), *_where(report), *_trust(report)]
     elif version.metrics:
         rows = tuple((name, f"{value:.4g}") for name, value in version.metrics.items())
-        text = ("As they were stored with it, in SI units; its dataset cannot be asked again.",)
+        again = "the actor alone, from random poses to random targets (reach), then staying there (hold)"
+        text = (f"As they were stored with it, in SI units; {again if policy else 'its dataset cannot be asked again'}.",)
         blocks.append(Block("Figures", text, ("figure", "value"), rows))
     if version.kind == "plant":
         blocks += _effects(version.lineage)
     if model is not None:
         blocks.append(_ranges(model))
-    blocks.append(Block("Limits", tuple(_limits(model, report))))
+    if policy is not None:
+        blocks.append(_policy_ranges(policy))
+    blocks.append(Block("Limits", tuple(_policy_limits(policy) if policy is not None else _limits(model, report))))
     blocks.append(_lineage(lineage))
     if version.decisions:
         blocks.append(
@@ -150,6 +159,40 @@ def _what(version: ModelVersion, model: Model | None) -> Iterator[str]:
             yield f"{axis}: a memory of {memories[0].units} units that looks every {memories[0].interval:g} s{said}."
         sizes = (f"{axis} {'-'.join(map(str, network.to_joint.hidden))}" for axis, network in static_networks(model).items())
         yield f"Hidden layers: {', '.join(sizes)}."
+
+
+def _what_policy(version: ModelVersion, policy: PolicyNetwork) -> Iterator[str]:
+    yield WHAT["policy"]
+    size = "-".join(map(str, policy.mlp.hidden))
+    yield f"It is a perceptron ({size}) whose tanh is stretched over the limits of the setpoints."
+    recipe = version.lineage.get("recipe", {})
+    exploration, learning = recipe.get("exploration", {}), recipe.get("learning", {})
+    candidates = exploration.get("candidates", 1)
+    how = f"the best of {candidates} candidates by the forward model" if candidates > 1 else "one noisy action a step"
+    yield (
+        f"DDPG, {learning.get('episodes')} episodes, γ {learning.get('discount')}, batch {learning.get('batch')}, "
+        f"explored with {how}; seed {recipe.get('seed')}."
+    )
+
+
+def _policy_ranges(policy: PolicyNetwork) -> Block:
+    middle, half = policy.mlp.inputs.mean, policy.mlp.inputs.scale
+    rows = [
+        ("seen", name, f"{low:.4g}", f"{high:.4g}")
+        for name, low, high in zip(policy.inputs, middle - half, middle + half, strict=True)
+    ]
+    rows += [
+        ("setpoint", name, f"{low:.4g}", f"{high:.4g}")
+        for name, low, high in zip(policy.outputs, policy.low, policy.high, strict=True)
+    ]
+    return Block("Ranges", ("In rad, m and their rates.",), ("", "signal", "from", "to"), tuple(rows))
+
+
+def _policy_limits(policy: PolicyNetwork) -> Iterator[str]:
+    yield "Setpoints stay within their limits whatever is observed; whether they are good beyond the ranges seen is not known."
+    if not policy.full:
+        yield "It was trained where joints follow at once and nothing sways: delay, lag and sway of the machine come on top."
+    yield "Bounded least-squares inverse kinematics on the calibrated geometry is the baseline: `sysid track` shows both."
 
 
 def _figures(report: ValidationReport) -> Block:
@@ -311,14 +354,21 @@ def _effects(lineage: Mapping[str, Any]) -> list[Block]:
 
 def _loading(version: ModelVersion) -> Iterator[str]:
     yield f"`name@version` never changes; `{version.name}` alone means the champion, or the newest where none was promoted."
-    if version.kind in EXPORTED:
+    if version.kind in (*EXPORTED, "policy"):
         yield f"Without Python: `sysid models export {version.reference}` writes ONNX files."
 
 
 def _code(version: ModelVersion) -> str:
-    call = f'network("{version.reference}")' if version.kind in NETWORKS else f'models.load("{version.reference}").files'
+    call = (
+        f'network("{version.reference}")'
+        if version.kind in NETWORKS
+        else f'policy("{version.reference}")'
+        if version.kind == "policy"
+        else f'models.load("{version.reference}").files'
+    )
     use = {
         "forward": "model.predict(q)  # (n, n_axes) [rad or m] → (n, 3) [m]",
+        "policy": "model.act(observations)  # (n, n_observed) → (n, n_axes) [rad or m]",
         "history": "model[axis].joint_along(displacement, rate_hz)  # (n,) → (n,); .joint_stream(rate_hz).step(value)",
         "motion": "model[axis].free_run(recording)  # (n,); .stream(position).step(command) moves it step by step",
         "actuator": "model[axis].joint(displacement)  # [m] → [rad]; .displacement(joint) goes back",

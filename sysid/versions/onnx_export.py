@@ -17,6 +17,7 @@ from sysid.errors import SettingsError, StorageError, StoreError
 from sysid.files import json_text
 from sysid.networks import ForwardNetwork, Model, StructuredForward, history_networks, motion_networks, static_networks
 from sysid.networks.actuator import DIRECTIONS
+from sysid.networks.policy import PolicyNetwork
 from sysid.signals import axis_signal, point_signals
 from sysid.versions.onnx_graph import IR_VERSION, OPSET, Graph
 
@@ -67,9 +68,13 @@ class _Part:
 
 
 def export_onnx(
-    model: Model, folder: Path, about: Mapping[str, str] | None = None, precision: Precision = "float32", seed: int = 0
+    model: Model | PolicyNetwork,
+    folder: Path,
+    about: Mapping[str, str] | None = None,
+    precision: Precision = "float32",
+    seed: int = 0,
 ) -> tuple[Exported, ...]:
-    """Write a network as ONNX files into ``folder``, all or none: ``forward.onnx``, or ``boom.to_joint.onnx`` and so on.
+    """Write a network as ONNX files into ``folder``, all or none: ``forward.onnx``, ``policy.onnx``, ``boom.to_joint.onnx`` …
 
     Every file is run by ONNX Runtime on random inputs inside and beyond the fitted range; where it does not predict what the
     network does, within rounding, nothing is written.
@@ -109,7 +114,11 @@ def _runtime() -> Any:
     return onnxruntime
 
 
-def _parts(model: Model) -> tuple[_Part, ...]:
+def _parts(model: Model | PolicyNetwork) -> tuple[_Part, ...]:
+    if isinstance(model, PolicyNetwork):
+        ranges = model.mlp.inputs
+        low, high = ranges.mean - ranges.scale, ranges.mean + ranges.scale
+        return (_Part("policy", model.inputs, model.outputs, low, high, lambda graph, s: graph.policy(model, s), model.act),)
     if isinstance(model, ForwardNetwork | StructuredForward):
         outputs = point_signals("ee")
 

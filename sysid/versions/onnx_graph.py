@@ -15,6 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sysid.networks import Calibration, Chain, ForwardNetwork, Mlp, StructuredForward
+from sysid.networks.policy import PolicyNetwork
 
 Array = npt.NDArray[np.float64]
 
@@ -62,6 +63,13 @@ class Graph:
             if number < last:
                 h = self.add("Relu", h)
         return self.add("Add", self.add("Mul", h, self.constant(network.outputs.scale)), self.constant(network.outputs.mean))
+
+    def policy(self, model: PolicyNetwork, value: str) -> str:
+        """Observations (n, O) → setpoints (n, A) within their limits."""
+        shares = self.add("Tanh", self.mlp(model.mlp, value))
+        half, centre = 0.5 * (model.high - model.low), 0.5 * (model.high + model.low)
+        setpoints = self.add("Add", self.add("Mul", shares, self.constant(half)), self.constant(centre))
+        return self.add("Min", self.add("Max", setpoints, self.constant(model.low)), self.constant(model.high))
 
     def mean(self, values: Sequence[str]) -> str:
         """The mean of members; not the operator of that name, which ONNX Runtime has for float32 alone."""

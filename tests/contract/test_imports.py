@@ -21,9 +21,10 @@ FLOORS: tuple[tuple[str, ...], ...] = (
     ("datasets",),
     ("networks", "effects"),
     ("plant",),
-    ("registry", "validate", "testing", "world"),
+    ("registry", "validate", "testing", "world", "control"),
     ("gap", "versions"),
     ("reports", "view"),
+    ("rl",),
     ("workspace",),
     ("model_versions",),
     ("cli",),
@@ -45,6 +46,7 @@ HEAVY = (
     "deltalake",
     "pint",
     "pyarrow",
+    "gymnasium",
 )
 
 
