@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import os
+import uuid
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
@@ -15,13 +16,37 @@ from sysid.errors import StorageError
 
 @contextmanager
 def written_whole(path: Path) -> Iterator[Path]:
-    """A path beside ``path`` to write to; it takes the place of ``path`` when the block ends without an error."""
-    half = path.with_name(f".{path.name}.{os.getpid()}.part")
+    """A path beside ``path`` to write to; it takes the place of ``path`` when the block ends without an error.
+
+    What was written is on the disk before it takes that place: a power cut leaves the old content or the new one.
+    """
+    half = path.with_name(f".{path.name}.{os.getpid()}-{uuid.uuid4().hex[:8]}.part")
     try:
         yield half
+        on_disk(half)
         half.replace(path)
     finally:
         half.unlink(missing_ok=True)
+
+
+def write_through(path: Path, content: bytes) -> None:
+    """Write a file and wait until it is on the disk."""
+    path.write_bytes(content)
+    on_disk(path)
+
+
+def on_disk(path: Path) -> None:
+    """Wait until a file's content, or the names in a folder, are on the disk.
+
+    A rename survives a power cut only once its folder is there; other systems than POSIX do not offer that for folders.
+    """
+    if os.name != "posix" and path.is_dir():
+        return
+    descriptor = os.open(path, os.O_RDONLY if os.name == "posix" else os.O_RDWR)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
 
 
 def write_durably(path: Path, content: bytes, what: str, remedy: str) -> None:
@@ -33,16 +58,11 @@ def write_durably(path: Path, content: bytes, what: str, remedy: str) -> None:
     Raises:
         StorageError: the disk is full or fails; what was there before stays whole.
     """
-    half = path.with_name(f"{path.name}.{os.getpid()}.part")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        with half.open("wb") as file:
-            file.write(content)
-            file.flush()
-            os.fsync(file.fileno())
-        half.replace(path)
+        with written_whole(path) as half:
+            half.write_bytes(content)
     except OSError as error:
-        half.unlink(missing_ok=True)
         raise StorageError(f"{what} {path}", error.strerror or str(error), f"room for {len(content)} bytes", remedy) from error
 
 

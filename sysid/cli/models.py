@@ -169,7 +169,8 @@ def export(
 @click.pass_obj
 def card(workspace: str, reference: str, out: Path | None) -> None:
     """Write the card of a version: what it is, what it reaches, where it holds, where it came from, how to load it."""
-    from sysid.reports.model_pages import card_page, write_page
+    from sysid.reports.model_pages import card_page
+    from sysid.reports.pages import write_page
 
     if out is not None and out.suffix not in (".md", ".html"):
         raise SettingsError(f"--out {out}", f"suffix {out.suffix!r}", ".md or .html")
@@ -191,7 +192,8 @@ def ui(workspace: str, out: Path | None, show_it: bool, serve: bool, port: int) 
     """Write one page about all versions: aliases, figures, lineage, decisions."""
     from datetime import datetime
 
-    from sysid.reports.model_pages import models_page, write_page
+    from sysid.reports.model_pages import models_page
+    from sysid.reports.pages import write_page
 
     place = _versions(workspace).place
     path = out or place.folder / "models.html"

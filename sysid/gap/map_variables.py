@@ -13,13 +13,9 @@ from sysid.gap.problem import Problem
 from sysid.machine import Machine
 from sysid.plant import gravity_load
 from sysid.signals import axis_signal, point_signals
+from sysid.validate.binning import Cut, direction_of, per_second, speed_of
 
 Array = npt.NDArray[np.float64]
-
-#: Speeds are differences over this time [s]: long against sensor noise, short against a stroke.
-SPEED_WINDOW = 0.2
-#: Below this share of the largest speed an axis counts as standing.
-STANDING = 0.02
 
 
 @dataclass(frozen=True)
@@ -39,7 +35,7 @@ class Variable:
 
     values: Array
     unit: str
-    kind: str = "range"  # range | signed | sign
+    kind: Cut = "range"
 
 
 def joined(parts: Sequence[dict[str, Variable]], lengths: Sequence[int]) -> dict[str, Variable]:
@@ -79,7 +75,7 @@ def _of_axis(problem: Problem, recording: Recording, known: Units) -> dict[str, 
     if recording.kind == "motion":
         speed = speed_of(position, recording.rate_hz)
         found[f"speed of {axis.name}"] = Variable(speed, per_second(unit), "signed")
-        found[f"direction of {axis.name}"] = Variable(_direction(speed), "1", "sign")
+        found[f"direction of {axis.name}"] = Variable(direction_of(speed), "1", "sign")
         if problem.stage != "force":  # there the force is the output
             signal = axis_signal(axis.name, "command")
             found[signal] = Variable(recording.values(signal), known.of(signal), "signed")
@@ -116,7 +112,7 @@ def _of_point(problem: Problem, recording: Recording, known: Units) -> dict[str,
         joint = axis_signal(axis.name, "joint")
         found[joint] = Variable(recording.values(joint), known.of(joint))
         if recording.kind == "motion":
-            direction = _direction(speed_of(recording.values(joint), recording.rate_hz))
+            direction = direction_of(speed_of(recording.values(joint), recording.rate_hz))
             found[f"direction of {axis.name}"] = Variable(direction, "1", "sign")
     return found | _loads(recording, known, known.machine.axis_names)
 
@@ -133,22 +129,3 @@ def _loads(recording: Recording, known: Units, axes: Sequence[str]) -> dict[str,
             joint_unit = known.of(axis_signal(name, "joint"))
             found[f"load of {name}"] = Variable(values, "N" if joint_unit == "m" else "N·m")
     return found
-
-
-def _direction(speed: Array) -> Array:
-    """−1, 0 (standing) or +1."""
-    least = STANDING * float(np.nanmax(np.abs(speed), initial=0.0))
-    return np.where(np.isnan(speed), np.nan, np.where(np.abs(speed) > least, np.sign(speed), 0.0))
-
-
-def per_second(unit: str) -> str:
-    return f"{unit}/s" if unit != "1" else "1/s"
-
-
-def speed_of(values: Array, rate_hz: float) -> Array:
-    """Central differences (n, …) over :data:`SPEED_WINDOW`, NaN at the ends."""
-    half = max(1, round(0.5 * SPEED_WINDOW * rate_hz))
-    out = np.full(values.shape, np.nan)
-    if len(values) > 2 * half:
-        out[half:-half] = (values[2 * half :] - values[: -2 * half]) * (rate_hz / (2 * half))
-    return out

@@ -12,16 +12,15 @@ import numpy as np
 import numpy.typing as npt
 
 from sysid.datasets.recording import Recording
-from sysid.gap.map_variables import SPEED_WINDOW, Units, Variable, joined, per_second, speed_of, variables_of
+from sysid.gap.map_variables import Units, Variable, joined, variables_of
 from sysid.gap.problem import Problem
 from sysid.gap.result import Map
 from sysid.machine import Machine
 from sysid.signals import split_signal
+from sysid.validate.binning import SPEED_WINDOW, edges_of, explained, per_second, places_in, speed_of
 
 Array = npt.NDArray[np.float64]
 
-#: Bins of what has a sign (odd: one of them holds zero), and of what has none.
-SIGNED_BINS, BINS = 31, 20
 #: A bin with fewer rows is left out: its mean says nothing.
 LEAST_ROWS = 10
 #: Median absolute deviation of a normal distribution → its standard deviation.
@@ -80,10 +79,10 @@ def _map(problem: Problem, signal: str, over: str, variable: Variable, view: _Vi
     if there.sum() < 2 * LEAST_ROWS:
         return None
     x, e = variable.values[there], view.error[there]
-    edges = _edges(x, variable.kind)
+    edges = edges_of(x, variable.kind)
     if edges is None:
         return None
-    place = np.clip(np.searchsorted(edges, x, side="right") - 1, 0, len(edges) - 2)
+    place = places_in(edges, x)
     count = np.bincount(place, minlength=len(edges) - 1)
     kept = np.flatnonzero(count >= LEAST_ROWS)
     if len(kept) < 2:
@@ -97,7 +96,7 @@ def _map(problem: Problem, signal: str, over: str, variable: Variable, view: _Vi
 
     return Map(
         problem.stage, problem.target, signal, over, variable.unit, view.quantity, view.unit, view.noise_floor,
-        _explained(e, place, count),
+        explained(e, place, count),
         _rounded(np.array([np.median(x[rows[b]]) for b in kept])),
         tuple(map(int, count[kept])),
         means(view.error),
@@ -111,26 +110,6 @@ def _map(problem: Problem, signal: str, over: str, variable: Variable, view: _Vi
 def _rounded(values: Array) -> tuple[float, ...]:
     """Six digits are more than a mean of noisy rows has, and keep a result with a hundred maps small."""
     return tuple(float(f"{value:.6g}") for value in values)
-
-
-def _explained(error: Array, place: npt.NDArray[np.int64], count: npt.NDArray[np.int64]) -> float:
-    """Share of the variance of the error that the means of the bins take away (correlation ratio η², 0 … 1)."""
-    sums = np.bincount(place, weights=error, minlength=len(count))
-    total = float(np.sum((error - error.mean()) ** 2))
-    between = float(np.sum(sums**2 / np.maximum(count, 1)) - error.sum() ** 2 / len(error))
-    return min(max(between / total, 0.0), 1.0) if total > 0.0 else 0.0
-
-
-def _edges(x: Array, kind: str) -> Array | None:
-    """Edges of the bins; None where there is nothing to tell apart. What lies outside counts to the bins at the ends."""
-    if kind == "sign":
-        return np.array([-1.5, -0.5, 0.5, 1.5])
-    low, high = np.quantile(x, (0.005, 0.995))
-    if kind == "signed":
-        low, high = -max(abs(low), abs(high)), max(abs(low), abs(high))
-    if not high - low > 1e-9 * max(abs(low), abs(high), 1e-12):
-        return None
-    return np.linspace(low, high, (SIGNED_BINS if kind == "signed" else BINS) + 1)
 
 
 # -- the disagreement ----------------------------------------------------------------------------------------------------

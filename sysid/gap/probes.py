@@ -15,13 +15,13 @@ import numpy as np
 import numpy.typing as npt
 
 from sysid.datasets.recording import Recording
-from sysid.gap.map_variables import STANDING, speed_of
 from sysid.gap.problem import Problem
 from sysid.gap.result import Probe
 from sysid.machine import Axis, Machine
 from sysid.plant import gravity_load
 from sysid.plant.force import force_inputs
 from sysid.signals import axis_signal, point_signals
+from sysid.validate.binning import direction_of, speed_of
 
 Array = npt.NDArray[np.float64]
 
@@ -117,7 +117,7 @@ def variables_of(problem: Problem, recording: Recording, machine: Machine, predi
         speed[np.abs(speed) > 50.0 * np.percentile(np.abs(speed), 90) + 1e-12] = 0.0  # a restart is no motion
     else:
         speed = speed_of(position, rate)
-    found = {axis.driven: position, f"speed of {axis.name}": speed, f"direction of {axis.name}": direction(speed)}
+    found = {axis.driven: position, f"speed of {axis.name}": speed, f"direction of {axis.name}": direction_of(speed)}
     found[f"reversal of {axis.name}"] = _since_reversal(found[f"direction of {axis.name}"], rate)
     found[f"time {axis.name} has moved"] = _moving_for(found[f"direction of {axis.name}"], rate)
     if problem.stage != "force":
@@ -174,12 +174,6 @@ def colour_of(series: Sequence[Array]) -> float:
     return float(np.clip(top / bottom, 0.0, 0.999)) if bottom > 0.0 else 0.0
 
 
-def direction(speed: Array) -> Array:
-    """−1, 0 (standing) or +1."""
-    least = STANDING * float(np.nanmax(np.abs(speed), initial=0.0))
-    return np.where(np.isnan(speed), np.nan, np.where(np.abs(speed) > least, np.sign(speed), 0.0))
-
-
 def _pair(target: Array, probe: Array, lag: int, colour: float) -> tuple[Array, Array]:
     e, x = quasi_difference(target[lag:], colour), quasi_difference(probe[: len(probe) - lag], colour)
     there = np.isfinite(e) & np.isfinite(x)
@@ -204,7 +198,7 @@ def _of_point(recording: Recording, machine: Machine) -> dict[str, Array]:
         joint = recording.values(axis_signal(axis.name, "joint"))
         found[axis_signal(axis.name, "joint")] = joint
         found[f"speed of {axis.name}"] = speed_of(joint, recording.rate_hz)
-        found[f"direction of {axis.name}"] = direction(found[f"speed of {axis.name}"])
+        found[f"direction of {axis.name}"] = direction_of(found[f"speed of {axis.name}"])
     for coordinate in point_signals("ee"):
         speed = speed_of(recording.values(coordinate), recording.rate_hz)
         found[f"speed of {coordinate}"] = speed

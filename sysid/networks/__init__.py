@@ -24,6 +24,7 @@ from sysid.networks.recipe import (
 )
 from sysid.networks.structured import StructuredForward, fit_structured
 from sysid.networks.training import train
+from sysid.networks.trust import Domain, Intervals, Trust
 
 __all__ = [
     "PAPER_MAX",
@@ -35,6 +36,7 @@ __all__ = [
     "Chain",
     "Checkpoints",
     "Course",
+    "Domain",
     "ForwardModel",
     "ForwardNetwork",
     "ForwardRecipe",
@@ -42,6 +44,7 @@ __all__ = [
     "GeometryParameter",
     "HistoryNetwork",
     "HistoryRecipe",
+    "Intervals",
     "Member",
     "Mlp",
     "Model",
@@ -53,6 +56,7 @@ __all__ = [
     "StructuredForward",
     "Trained",
     "TrainingSettings",
+    "Trust",
     "calibrate",
     "fit_actuator",
     "fit_chain",

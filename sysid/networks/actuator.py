@@ -15,11 +15,12 @@ import numpy.typing as npt
 from sysid.datasets.recording import Dataset
 from sysid.errors import ExcitationError
 from sysid.networks.checkpoint import Checkpoints
-from sysid.networks.member import Course, Member
+from sysid.networks.member import Course, Member, Trained
 from sysid.networks.mlp import Mlp
 from sysid.networks.recipe import NetworkRecipe
 from sysid.networks.split import Rows, gather, joined, measures, segments, spread_sample, thin
 from sysid.networks.training import train
+from sysid.networks.trust import Mask, Trust, known
 from sysid.progress import Progress
 from sysid.signals import axis_signal
 
@@ -50,6 +51,7 @@ class ActuatorNetwork:
         to_cylinder: joint [rad] → displacement [m].
         displacements, joints: range of the rows it was fitted on; beyond it a network extrapolates in straight lines.
         courses: direction → how its training went.
+        trust: direction → intervals, and where the data were; nothing for a version that does not know them.
     """
 
     axis: str
@@ -58,6 +60,7 @@ class ActuatorNetwork:
     displacements: tuple[float, float]
     joints: tuple[float, float]
     courses: Mapping[str, Course] = field(default_factory=dict)
+    trust: Mapping[str, Trust] = field(default_factory=dict)
 
     def joint(self, displacement: Array) -> Array:
         """Displacement [m] → joint angle [rad], same shape."""
@@ -66,6 +69,23 @@ class ActuatorNetwork:
     def displacement(self, joint: Array) -> Array:
         """Joint angle [rad] → displacement [m], same shape."""
         return _apply(self.to_cylinder, joint)
+
+    def predict_interval(self, direction: str, values: Array, level: float = 0.95) -> tuple[Array, Array]:
+        """Lower and upper ends for ``to_joint`` [rad] or ``to_cylinder`` [m], (n,) each, between which a measurement lies at
+        least as often as ``level`` wherever :meth:`inside` holds.
+
+        Raises:
+            InputError: a level that the rows it was judged on cannot tell, or a version that does not know its intervals.
+        """
+        trust = known(self.trust.get(direction), f"actuator network of {self.axis}")
+        reach = trust.intervals.reach(np.zeros((len(values), 1)), level)[:, 0]
+        middle = self.joint(values) if direction == "to_joint" else self.displacement(values)
+        return middle - reach, middle + reach
+
+    def inside(self, direction: str, values: Array) -> Mask:
+        """Whether displacements (``to_joint``) or joint angles (``to_cylinder``), (n,), lie where the data were, (n,)."""
+        trust = known(self.trust.get(direction), f"actuator network of {self.axis}")
+        return trust.domain.inside(np.asarray(values, dtype=np.float64).reshape(-1, 1))
 
     def round_trip(self, points: int = 512) -> RoundTrip:
         """Whether the two directions, which were learned apart, are inverses of each other."""
@@ -135,9 +155,21 @@ def fit_actuator(
             displacements=ranges[axis][0],
             joints=ranges[axis][1],
             courses={direction: trained[axis, direction].course for direction in DIRECTIONS},
+            trust=_trusted({direction: (members[axis, direction], trained[axis, direction]) for direction in DIRECTIONS}),
         )
         for axis in axes
     }
+
+
+def _trusted(results: Mapping[str, tuple[Member, Trained]]) -> dict[str, Trust]:
+    """From the rows that decided when to stop: those that taught are reproduced better than any other."""
+    found = {}
+    for direction, (member, trained) in results.items():
+        errors = member.validation_outputs - trained.mlp.predict(member.validation_inputs)
+        trust = Trust.of(member.inputs, errors, np.zeros(errors.shape))
+        if trust is not None:
+            found[direction] = trust
+    return found
 
 
 def cylinder_axes(dataset: Dataset) -> tuple[str, ...]:

@@ -22,6 +22,7 @@ from sysid.networks.member import Course
 from sysid.networks.mlp import Mlp, Normalisation
 from sysid.networks.motion import MotionNetwork
 from sysid.networks.structured import StructuredForward
+from sysid.networks.trust import Trust
 
 WEIGHTS, STRUCTURE = "weights.safetensors", "network.json"
 #: Arrays of a :class:`Chain`.
@@ -47,7 +48,7 @@ def to_files(model: Model) -> tuple[str, dict[str, bytes]]:
         kind = "forward"
         for number, member in enumerate(model.members):
             put_mlp(tensors, f"member.{number}", member)
-        tensors |= {"low": model.low, "high": model.high}
+        tensors |= {"low": model.low, "high": model.high} | (model.trust.tensors("trust") if model.trust is not None else {})
         structure = {
             "joints": list(model.joints),
             "revolute": list(model.revolute),
@@ -68,6 +69,8 @@ def to_files(model: Model) -> tuple[str, dict[str, bytes]]:
         for axis, network in static_networks(model).items():
             put_mlp(tensors, f"{axis}.to_joint", network.to_joint)
             put_mlp(tensors, f"{axis}.to_cylinder", network.to_cylinder)
+            for direction, trust in network.trust.items():
+                tensors |= trust.tensors(f"{axis}.{direction}.trust")
             axes[axis] = {
                 "layers": {direction: len(getattr(network, direction).weights) for direction in DIRECTIONS},
                 "displacements": list(network.displacements),
@@ -183,6 +186,7 @@ def _structured(structure: dict[str, Any], tensors: Tensors, where: object) -> S
         low=tensors["low"],
         high=tensors["high"],
         courses=tuple(_course(course) for course in structure["courses"]),
+        trust=Trust.from_tensors(tensors, "trust", len(structure["joints"]), 3, where),
     )
 
 
@@ -198,6 +202,7 @@ def _forward(structure: dict[str, Any], tensors: Tensors, where: object) -> Forw
         low=tensors["low"],
         high=tensors["high"],
         courses=tuple(_course(course) for course in structure["courses"]),
+        trust=Trust.from_tensors(tensors, "trust", len(structure["joints"]), 3, where),
     )
 
 
@@ -210,6 +215,11 @@ def _actuator(axis: str, entry: dict[str, Any], tensors: Tensors, where: object)
         displacements=(float(entry["displacements"][0]), float(entry["displacements"][1])),
         joints=(float(entry["joints"][0]), float(entry["joints"][1])),
         courses={direction: _course(course) for direction, course in entry["courses"].items()},
+        trust={
+            direction: trust
+            for direction in DIRECTIONS
+            if (trust := Trust.from_tensors(tensors, f"{axis}.{direction}.trust", 1, 1, where)) is not None
+        },
     )
 
 

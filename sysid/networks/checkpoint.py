@@ -102,8 +102,9 @@ class Checkpoints:
 
     def remove(self, name: str) -> None:
         """Forget one member; the folder goes with the last of its files."""
-        for path in self.folder.glob(f"{name}.safetensors*"):  # and what a crash left of it
-            path.unlink(missing_ok=True)
+        for pattern in (f"{name}.safetensors", f".{name}.safetensors.*"):  # and what a crash left of it
+            for path in self.folder.glob(pattern):
+                path.unlink(missing_ok=True)
         if self.folder.is_dir() and not any(self.folder.iterdir()):
             self.folder.rmdir()
 

@@ -21,6 +21,7 @@ from sysid.networks.mlp import Mlp
 from sysid.networks.recipe import Features, NetworkRecipe
 from sysid.networks.split import Rows, gather, segments, thin
 from sysid.networks.training import train
+from sysid.networks.trust import Mask, Trust, known
 from sysid.progress import Progress
 from sysid.signals import axis_signal, point_signals
 
@@ -46,9 +47,16 @@ class ForwardModel(Protocol):
     @property
     def high(self) -> Array: ...
 
+    @property
+    def trust(self) -> Trust | None: ...
+
     def predict(self, q: npt.ArrayLike) -> Array: ...
 
     def spread(self, q: npt.ArrayLike) -> Array: ...
+
+    def predict_interval(self, q: npt.ArrayLike, level: float = 0.95) -> tuple[Array, Array]: ...
+
+    def inside(self, q: npt.ArrayLike) -> Mask: ...
 
 
 @dataclass(frozen=True)
@@ -62,6 +70,7 @@ class ForwardNetwork:
         members: networks whose predictions are averaged.
         low, high: range of each joint in the rows it was fitted on, (n_axes,) [rad or m].
         courses: how each member's training went.
+        trust: intervals, and where the data were; None for a version that does not know them.
     """
 
     joints: tuple[str, ...]
@@ -71,6 +80,7 @@ class ForwardNetwork:
     low: Array
     high: Array
     courses: tuple[Course, ...] = ()
+    trust: Trust | None = None
 
     def predict(self, q: npt.ArrayLike) -> Array:
         """End-effector positions (n, 3) [m] at joint values ``q`` (n, n_axes) [rad or m].
@@ -84,6 +94,20 @@ class ForwardNetwork:
     def spread(self, q: npt.ArrayLike) -> Array:
         """Standard deviation between the members, (n, 3) [m]: large where they guess; zero for a single one."""
         return np.asarray(self._every(q).std(axis=0))
+
+    def predict_interval(self, q: npt.ArrayLike, level: float = 0.95) -> tuple[Array, Array]:
+        """Lower and upper ends, (n, 3) [m] each, between which a measured end effector lies at least as often as ``level``
+        wherever :meth:`inside` holds.
+
+        Raises:
+            InputError: a level that the rows it was judged on cannot tell, or a version that does not know its intervals.
+        """
+        middle, reach = self.predict(q), known(self.trust, "forward network").intervals.reach(self.spread(q), level)
+        return middle - reach, middle + reach
+
+    def inside(self, q: npt.ArrayLike) -> Mask:
+        """Whether joint values (n, n_axes) lie where the data were, (n,)."""
+        return known(self.trust, "forward network").domain.inside(np.atleast_2d(np.asarray(q, dtype=np.float64)))
 
     def _every(self, q: npt.ArrayLike) -> Array:
         values = np.atleast_2d(np.asarray(q, dtype=np.float64))

@@ -24,6 +24,7 @@ from sysid.networks.member import Course, Member
 from sysid.networks.mlp import Mlp
 from sysid.networks.recipe import NetworkRecipe
 from sysid.networks.training import train
+from sysid.networks.trust import Mask, Trust, known
 from sysid.progress import Progress
 from sysid.signals import point_signals
 
@@ -48,6 +49,7 @@ class StructuredForward:
         bound: the most that they correct [m].
         low, high: range of each joint in the rows it was fitted on, (n_axes,) [rad or m].
         courses: how their training went.
+        trust: intervals, and where the data were; None for a version that does not know them.
     """
 
     joints: tuple[str, ...]
@@ -59,6 +61,7 @@ class StructuredForward:
     low: Array
     high: Array
     courses: tuple[Course, ...] = ()
+    trust: Trust | None = None
 
     def predict(self, q: npt.ArrayLike) -> Array:
         """End-effector positions (n, 3) [m] at joint values ``q`` (n, n_axes) [rad or m].
@@ -74,6 +77,20 @@ class StructuredForward:
         """Standard deviation of the prediction by what the poses leave open, (n, 3) [m]."""
         values = self._checked(q)
         return np.asarray(np.hypot(self.structure.spread(values), self._rest(values).std(axis=0)))
+
+    def predict_interval(self, q: npt.ArrayLike, level: float = 0.95) -> tuple[Array, Array]:
+        """Lower and upper ends, (n, 3) [m] each, between which a measured end effector lies at least as often as ``level``
+        wherever :meth:`inside` holds.
+
+        Raises:
+            InputError: a level that the rows it was judged on cannot tell, or a version that does not know its intervals.
+        """
+        middle, reach = self.predict(q), known(self.trust, "forward model").intervals.reach(self.spread(q), level)
+        return middle - reach, middle + reach
+
+    def inside(self, q: npt.ArrayLike) -> Mask:
+        """Whether joint values (n, n_axes) lie where the data were, (n,)."""
+        return known(self.trust, "forward model").domain.inside(self._checked(q))
 
     def _rest(self, q: Array) -> Array:
         if not self.members:

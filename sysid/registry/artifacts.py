@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import shutil
 import tempfile
 from collections.abc import Mapping
@@ -11,6 +10,7 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from sysid.errors import StoreError
+from sysid.files import on_disk, write_through
 from sysid.registry.version import sha256
 
 MANIFEST = "manifest.json"
@@ -49,14 +49,14 @@ class FolderArtifacts:
             partial = Path(tempfile.mkdtemp(prefix=_PARTIAL, dir=self.folder))
             try:
                 for name, content in contents.items():
-                    _write_through(partial / name, content)
-                _sync_folder(partial)
+                    write_through(partial / name, content)
+                on_disk(partial)
                 if target.exists():  # damaged: this call brings the true content
                     shutil.rmtree(target)
                 partial.rename(target)
             finally:
                 shutil.rmtree(partial, ignore_errors=True)
-            _sync_folder(self.folder)
+            on_disk(self.folder)
         return target.resolve().as_uri(), None
 
     def read(self, digest: str, source: str, name: str) -> bytes:
@@ -130,21 +130,3 @@ def _holds(folder: Path, contents: Mapping[str, bytes]) -> bool:
         return all((folder / name).read_bytes() == content for name, content in contents.items())
     except OSError:
         return False
-
-
-def _write_through(path: Path, content: bytes) -> None:
-    with path.open("wb") as file:
-        file.write(content)
-        file.flush()
-        os.fsync(file.fileno())
-
-
-def _sync_folder(path: Path) -> None:
-    """A rename survives a power cut only once its folder is on disk."""
-    if os.name != "posix":
-        return
-    descriptor = os.open(path, os.O_RDONLY)
-    try:
-        os.fsync(descriptor)
-    finally:
-        os.close(descriptor)

@@ -18,6 +18,8 @@ Scale = Callable[[float], float]
 #: Of a small chart, and of one that takes half the page [px].
 SMALL, WIDE = (300.0, 200.0), (450.0, 230.0)
 LEFT, RIGHT, TOP, BOTTOM = 54.0, 10.0, 10.0, 42.0
+#: A cell of a heat map with fewer rows than this says little.
+FEW_ROWS = 3
 
 
 @dataclass(frozen=True)
@@ -76,6 +78,68 @@ def chart(
     turned = f'transform="translate(13 {middle:.0f}) rotate(-90)"'
     parts.append(f'<text class="label" {turned} text-anchor="middle">{escape(labels[1])}</text>')
     what = escape(f"{labels[1]} over {labels[0]}")
+    return f'<svg class="chart" viewBox="0 0 {width:.0f} {height:.0f}" role="img" aria-label="{what}">{"".join(parts)}</svg>'
+
+
+def heat_map(
+    values: Array,
+    counts: npt.NDArray[np.int64],
+    edges: tuple[Array, Array],
+    labels: tuple[str, str],
+    unit: str,
+    size: tuple[float, float] = WIDE,
+) -> str:
+    """Cells of two variables, the darker the larger their value (a, b); empty ones stay blank, one of few rows is dotted.
+
+    Args:
+        counts: rows in each cell, (a, b).
+        edges: of the cells, (a + 1,) across and (b + 1,) upwards.
+        labels: of the two variables; ``unit``: of the values, for what a cell says when it is pointed at.
+    """
+    width, height = size
+    right = 64.0
+    (first, last), (low, high) = (tuple(float(part[k]) for k in (0, -1)) for part in edges)
+    most = max(float(np.nanmax(values, initial=0.0)), 1e-300)
+
+    def px(value: float) -> float:
+        return LEFT + (width - LEFT - right) * (value - first) / (last - first)
+
+    def py(value: float) -> float:
+        return height - BOTTOM - (height - TOP - BOTTOM) * (value - low) / (high - low)
+
+    parts = _x_axis(first, last, px, (), np.zeros(0), height)
+    for a, b in np.ndindex(values.shape):
+        if not counts[a, b]:
+            continue
+        x, y = px(float(edges[0][a])), py(float(edges[1][b + 1]))
+        w, h = px(float(edges[0][a + 1])) - x, py(float(edges[1][b])) - y
+        few = " few" if counts[a, b] < FEW_ROWS else ""
+        told = f"{display.number(float(values[a, b]), 3)} {unit}, {counts[a, b]} rows"
+        share = 0.06 + 0.94 * float(values[a, b]) / most
+        parts.append(
+            f'<rect class="cell{few}" x="{x:.1f}" y="{y:.1f}" width="{w:.1f}" height="{h:.1f}" fill-opacity="{share:.2f}">'
+            f"<title>{escape(told)}</title></rect>"
+        )
+    for value in ticks(low, high):
+        decimals = display.decimals_for(
+            [ticks(low, high)[1] - ticks(low, high)[0]] if len(ticks(low, high)) > 1 else [value], 1
+        )
+        text = display.fixed(value, decimals)
+        parts.append(f'<text class="tick" x="{LEFT - 6:.0f}" y="{py(value) + 4:.1f}" text-anchor="end">{text}</text>')
+    foot, top = height - BOTTOM, TOP
+    for step in range(8):  # the key: from nothing to the largest value
+        share, h = 0.06 + 0.94 * (step + 0.5) / 8.0, (foot - top) / 8.0
+        at = f'x="{width - right + 10:.0f}" y="{foot - (step + 1) * h:.1f}" width="10" height="{h:.1f}"'
+        parts.append(f'<rect class="cell" {at} fill-opacity="{share:.2f}"/>')
+    for y, value in ((foot, 0.0), (top + 9.0, most)):
+        text = display.number(value, 2)
+        parts.append(f'<text class="tick" x="{width - right + 24:.0f}" y="{y:.1f}">{text}</text>')
+    centre, middle = (LEFT + width - right) / 2, (top + foot) / 2
+    parts.append(f'<text class="tick" x="{width - right + 24:.0f}" y="{middle:.0f}">{escape(unit)}</text>')
+    parts.append(f'<text class="label" x="{centre:.0f}" y="{height - 7:.0f}" text-anchor="middle">{escape(labels[0])}</text>')
+    turned = f'transform="translate(13 {middle:.0f}) rotate(-90)"'
+    parts.append(f'<text class="label" {turned} text-anchor="middle">{escape(labels[1])}</text>')
+    what = escape(f"error over {labels[0]} and {labels[1]}")
     return f'<svg class="chart" viewBox="0 0 {width:.0f} {height:.0f}" role="img" aria-label="{what}">{"".join(parts)}</svg>'
 
 

@@ -4,21 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
-from pathlib import Path
 from typing import Any
 
-import jinja2
 import numpy as np
 from markupsafe import Markup, escape
 
-from sysid.files import written_whole
 from sysid.registry import CANDIDATE, CHAMPION, ModelVersion, made_of
-from sysid.reports.charts import WIDE, Line, chart
+from sysid.reports import display
+from sysid.reports.charts import WIDE, Line, chart, heat_map
+from sysid.reports.pages import page
 from sysid.reports.words import signal_name
+from sysid.validate import ErrorMap
 from sysid.versions import Card
 from sysid.versions.card import decision_row
 from sysid.versions.outputs import shown
 
+STYLES = ("page.css", "models.css")
 #: Looks of the lines of a chart, one after the other, in the classes of the page's style sheet.
 LOOKS = ("c1", "c2", "c3", "c4", "after", "before", "measured")
 
@@ -33,10 +34,11 @@ def card_page(card: Card) -> str:
             "header": block.header,
             "rows": block.rows,
             "code": block.code,
+            "maps": [Markup(_map(*item)) for item in block.maps],
         }
         for number, block in enumerate(card.blocks)
     ]
-    return _page("model_card.html", title=card.title, kind="Model card", facts=card.facts, blocks=blocks)
+    return page("model_card.html", STYLES, title=card.title, kind="Model card", facts=card.facts, blocks=blocks)
 
 
 def models_page(
@@ -62,15 +64,9 @@ def models_page(
                 "versions": [_entry(version, versions, (cards or {}).get(version.reference, "")) for version in own],
             }
         )
-    return _page("models_page.html", title="Models", kind="Model versions", facts=workspace, created=created, models=models)
-
-
-def write_page(path: Path, text: str) -> Path:
-    """Write a page whole or not at all; folders are made as needed."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with written_whole(path) as half:
-        half.write_text(text, "utf-8")
-    return path
+    return page(
+        "models_page.html", STYLES, title="Models", kind="Model versions", facts=workspace, created=created, models=models
+    )
 
 
 def _entry(version: ModelVersion, versions: Sequence[ModelVersion], card: str) -> dict[str, Any]:
@@ -140,6 +136,16 @@ def _charts(versions: Sequence[ModelVersion]) -> list[str]:
     return found
 
 
+def _map(output: str, unit: str, item: ErrorMap) -> str:
+    """RMSE of an output in bins of two variables."""
+    factor, label = display.shown_unit(unit)
+    scales = [display.shown_unit(own) if own in ("m", "rad", "m/s", "rad/s") else (1.0, own) for own in item.units]
+    edges = [scale * np.array(part) for (scale, _), part in zip(scales, item.edges, strict=True)]
+    labels = [f"{signal_name(name)} [{shown_as}]" for name, (_, shown_as) in zip(item.over, scales, strict=True)]
+    drawn = heat_map(factor * np.array(item.rmse), np.array(item.count), (edges[0], edges[1]), (labels[0], labels[1]), label)
+    return f"<figure>{drawn}<figcaption>{escape(output)}</figcaption></figure>"
+
+
 def _title(key: str) -> str:
     signal, _, kind = key.removesuffix(".rmse").rpartition(".")
     return f"{signal_name(signal)}, {'poses' if kind == 'poses' else 'motion'}"
@@ -155,16 +161,3 @@ def _inline(text: str) -> Markup:
     return Markup("").join(
         Markup("<code>{}</code>").format(part) if number % 2 else escape(part) for number, part in enumerate(parts)
     )
-
-
-def _page(template: str, **values: Any) -> str:
-    folder = Path(__file__).parent
-    environment = jinja2.Environment(
-        loader=jinja2.PackageLoader("sysid.reports", ""),
-        autoescape=True,
-        undefined=jinja2.StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    style = "\n".join((folder / name).read_text("utf-8") for name in ("page.css", "models.css"))
-    return environment.get_template(template).render(style=Markup(style), **values)

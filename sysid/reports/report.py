@@ -8,12 +8,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import jinja2
 from markupsafe import Markup
 
-from sysid.files import written_whole
-from sysid.reports import display, words
 from sysid.reports.inputs import ReportInputs
+from sysid.reports.pages import FOLDER, filled, page, write_page
 from sysid.reports.sections import (
     clocks,
     evidence,
@@ -60,30 +58,27 @@ SECTIONS: tuple[Section, ...] = (
 
 def build_report(inputs: ReportInputs) -> str:
     """The whole page as HTML text: styles, script, plot library and data inside, no address outside."""
-    environment = _environment()
     sections = []
     for section in SECTIONS:
         context = section.context(inputs)
         if context is not None:
-            body = environment.get_template(f"sections/{section.name}.html").render(context)
-            sections.append({"name": section.name, "title": section.title, "body": Markup(body)})
-    folder = Path(__file__).parent
-    return environment.get_template("page.html").render(
+            body = filled(f"sections/{section.name}.html", **context)
+            sections.append({"name": section.name, "title": section.title, "body": body})
+    return page(
+        "page.html",
+        ("page.css",),
+        kind="Simulation against machine",
+        title=inputs.dataset.machine.name,
         inputs=inputs,
         sections=sections,
-        style=Markup((folder / "page.css").read_text("utf-8")),
-        script=Markup((folder / "page.js").read_text("utf-8")),
+        script=Markup((FOLDER / "page.js").read_text("utf-8")),
         plotly=_plotly(),
     )
 
 
 def write_report(path: Path, inputs: ReportInputs) -> Path:
     """Write the page to ``path``, whole or not at all; folders are made as needed."""
-    text = build_report(inputs)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with written_whole(path) as half:
-        half.write_text(text, "utf-8")
-    return path
+    return write_page(path, build_report(inputs))
 
 
 @functools.cache
@@ -91,23 +86,3 @@ def _plotly() -> Markup:
     from plotly.offline import get_plotlyjs
 
     return Markup(get_plotlyjs().replace("</script", "<\\/script"))
-
-
-def _environment() -> jinja2.Environment:
-    environment = jinja2.Environment(
-        loader=jinja2.PackageLoader("sysid.reports", ""),
-        autoescape=True,
-        undefined=jinja2.StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    environment.filters |= {
-        "number": display.number,
-        "fixed": display.fixed,
-        "percent": display.percent,
-        "ratio": display.ratio,
-        "owner": words.owner_name,
-        "stage": words.stage_name,
-        "effect": words.effect_title,
-    }
-    return environment

@@ -19,11 +19,11 @@ from sysid.networks.rollout import Speed, horizon_errors, whole_run
 from sysid.networks.split import Rows, gather, segments
 from sysid.plant import free_run, nominal_plant
 from sysid.signals import axis_signal
-from sysid.validate.baselines import learned
+from sysid.validate.baselines import linkage_geometry, simple_models
 from sysid.validate.error_analysis import direction_profile, profile, speeds, spikes
 from sysid.validate.metrics import error_metrics
 from sysid.validate.report import OutputReport, Trace, ValidationReport
-from sysid.validate.validation import TRACE_ROWS, _ends, _noise_floor, _output_report
+from sysid.validate.validation import TRACE_ROWS, _ends, _Map, _output_report
 
 Array = npt.NDArray[np.float64]
 
@@ -57,28 +57,23 @@ def validate_history(
             (0, 1, network.joint_along, static.joint),
             (1, 0, network.displacement_along, static.displacement),
         ):
-            inputs = rows.values[:, [source]]
             predicted = []
             for part in parts:
                 values = part.recording.values(signals[source])[part.start : part.stop]
                 mine = rows.recording == part.recording.name
                 predicted.append(along(values, part.recording.rate_hz)[rows.row[mine] - part.start])
-            baselines = learned(fit.values[:, [source]], fit.values[:, target], inputs)
-            baselines[STATIC] = still(inputs[:, 0])
-            outputs.append(
-                _output_report(
-                    dataset,
-                    rows,
-                    target,
-                    (source,),
-                    "motion",
-                    np.concatenate(predicted),
-                    baselines,
-                    _noise_floor(dataset, rows, (source,), target, lambda x, still=still: still(x[:, 0])),  # type: ignore[misc]
-                    ends={signals[0]: _ends(dataset, axis, static)},
-                    fitted={signals[source]: (static.displacements, static.joints)[source]},
-                )
+            item = _Map(
+                predict=lambda x, still=still: still(x[:, 0]),  # type: ignore[misc]
+                simple=simple_models(fit.values[:, [source]], fit.values[:, target])
+                | {"linkage geometry": linkage_geometry(fit.values[:, 0], fit.values[:, 1], target == 1)}
+                | {STATIC: lambda x, still=still: still(x[:, 0])},
+                trust=None,
+                sources=(source,),
+                target=target,
+                ends={signals[0]: _ends(dataset, axis, static)},
+                fitted={signals[source]: (static.displacements, static.joints)[source]},
             )
+            outputs.append(_output_report(dataset, rows, "motion", item, np.concatenate(predicted)))
         longest = max(parts, key=lambda part: part.stop - part.start)
         cylinder, joint = (longest.recording.values(signal)[longest.start : longest.stop] for signal in signals)
         round_trips[axis] = network.round_trip(cylinder, joint, longest.recording.rate_hz)

@@ -1,21 +1,34 @@
-"""What a network has to beat: polynomials, the nearest recorded row, and for the forward network the URDF."""
+"""What a network has to beat: polynomials, boosted trees, the nearest recorded row, and geometry where it is known."""
 
 from __future__ import annotations
 
+import functools
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from sysid.datasets.recording import Dataset
-from sysid.networks.split import Rows
 
 Array = npt.NDArray[np.float64]
+#: Inputs (n, d) → outputs (n,) or (n, d_out).
+Predict = Callable[[Array], Array]
 
 
-def learned(fit_inputs: Array, fit_outputs: Array, inputs: Array) -> dict[str, Array]:
-    """Baselines fitted on the rows that the network learned from: name → predictions at ``inputs``, (n, n_out)."""
+def simple_models(inputs: Array, outputs: Array) -> dict[str, Predict]:
+    """Baselines fitted on the rows that the network learned from, (n, d) → (n,) or (n, d_out): name → prediction.
+
+    Versions that are compared learned from the same rows: what was fitted to them is kept for the next one.
+    """
+    return dict(_fitted(inputs.tobytes(), inputs.shape, outputs.tobytes(), outputs.shape))
+
+
+@functools.lru_cache(maxsize=16)
+def _fitted(inputs: bytes, in_shape: tuple[int, ...], outputs: bytes, out_shape: tuple[int, ...]) -> dict[str, Predict]:
+    from sklearn.ensemble import GradientBoostingRegressor
     from sklearn.linear_model import LinearRegression
+    from sklearn.multioutput import MultiOutputRegressor
     from sklearn.neighbors import KNeighborsRegressor
     from sklearn.pipeline import make_pipeline
     from sklearn.preprocessing import PolynomialFeatures, StandardScaler
@@ -24,11 +37,55 @@ def learned(fit_inputs: Array, fit_outputs: Array, inputs: Array) -> dict[str, A
         f"polynomial, degree {degree}": make_pipeline(StandardScaler(), PolynomialFeatures(degree), LinearRegression())
         for degree in (3, 5)
     }
+    x, y = np.frombuffer(inputs).reshape(in_shape), np.frombuffer(outputs).reshape(out_shape)
+    boosted = GradientBoostingRegressor(n_estimators=200, max_depth=4, subsample=0.7, random_state=0)
+    models["gradient boosting"] = boosted if y.ndim == 1 else MultiOutputRegressor(boosted)
     models["nearest neighbour"] = make_pipeline(StandardScaler(), KNeighborsRegressor(n_neighbors=1))
-    return {name: np.asarray(model.fit(fit_inputs, fit_outputs).predict(inputs)) for name, model in models.items()}
+    return {name: _predict(model.fit(x, y)) for name, model in models.items()}
 
 
-def urdf_kinematics(dataset: Dataset, rows: Rows, joints: int) -> Array | None:
-    """End effector by the machine's URDF at the first ``joints`` columns of ``rows``, (n, 3) [m]; None without one."""
+def linkage_geometry(displacements: Array, joints: Array, to_joint: bool) -> Predict:
+    """The triangle of two levers and a cylinder (law of cosines), its four lengths and angles fitted to rows (n,).
+
+    The joint is what is fitted for ``to_joint``, else the displacement. A linkage that is no triangle, a four-bar drive,
+    is fitted as well as a triangle can.
+    """
+    from scipy.optimize import least_squares
+
+    from sysid.machine.description import Linkage
+    from sysid.machine.linkage import TriangleLinkage
+
+    stroke = float(np.ptp(displacements))
+    best: tuple[float, TriangleLinkage] | None = None
+    for sense in (1, -1):
+        for lever in (0.7, 2.0):
+            # The lever angle runs around a right angle, where a triangle is most nearly linear.
+            middle = 0.5 * (joints.min() + joints.max())
+            a, b = lever * stroke, 2.0 * lever * stroke
+            start = np.array([a, b, 0.5 * np.pi * sense - middle, np.hypot(a, b) - float(displacements.mean())])
+
+            def triangle(v: Array, sense: int = sense) -> TriangleLinkage:
+                a, b, offset, retracted = map(float, v)
+                return TriangleLinkage(Linkage("triangle", abs(a), abs(b), offset, retracted, 1 if sense > 0 else -1))
+
+            def errors(v: Array, triangle: Any = triangle) -> Array:
+                found = triangle(v)
+                left = found.joint(displacements) - joints if to_joint else found.displacement(joints) - displacements
+                return np.asarray(left)
+
+            fit = least_squares(errors, start, x_scale=np.maximum(np.abs(start), 1e-2), max_nfev=60)
+            if best is None or fit.cost < best[0]:
+                best = (float(fit.cost), triangle(fit.x))
+    assert best is not None
+    linkage = best[1]
+    return lambda x: linkage.joint(x[:, 0]) if to_joint else linkage.displacement(x[:, 0])
+
+
+def urdf_kinematics(dataset: Dataset) -> Predict | None:
+    """End effector by the machine's URDF, joints (n, n_axes) → (n, 3) [m]; None without one."""
     kinematics = dataset.machine.kinematics()
-    return None if kinematics is None else kinematics.tip_position(rows.values[:, :joints])
+    return None if kinematics is None else kinematics.tip_position
+
+
+def _predict(model: Any) -> Predict:
+    return lambda inputs: np.asarray(model.predict(inputs), dtype=np.float64)

@@ -10,6 +10,7 @@ import numpy.typing as npt
 
 from sysid.datasets.recording import Dataset
 from sysid.networks.split import Rows
+from sysid.validate.binning import speed_of
 
 Array = npt.NDArray[np.float64]
 
@@ -103,10 +104,7 @@ def speeds(dataset: Dataset, rows: Rows, signal: str) -> Array:
     result = np.full(len(rows), np.nan)
     for name in np.unique(rows.recording):
         recording = dataset.recording(str(name))
-        values = recording.values(signal)
-        half = max(1, round(SPEED_HALF_S * recording.rate_hz))
-        rate = np.full(len(values), np.nan)
-        rate[half:-half] = (values[2 * half :] - values[: -2 * half]) * recording.rate_hz / (2 * half)
+        rate = speed_of(recording.values(signal), recording.rate_hz, 2.0 * SPEED_HALF_S)
         mine = rows.recording == name
         result[mine] = rate[rows.row[mine]]
     return result
@@ -175,10 +173,20 @@ def _cause(
         return f"edge of a gap in {missing[0]}"
     if row < reach or row + reach >= len(recording):
         return "end of the recording"
+    clocks = [record for record in dataset.clocks if record.recording in (name, name.rpartition("#")[0])]
+    now = float(recording.values("time")[row])
+    for record in clocks:
+        # The later pieces of a stream begin where its clock was set; their offset is that moment on the machine's clock.
+        if record.recording == name and record.reason.startswith("piece ") and abs(record.offset_s - now) < CAUSE_WITHIN_S:
+            return f"clock of {record.stream} set"
     for signal in ends:
         steps = np.diff(recording.values(signal)[near])
         if _reverses(steps):
             return f"reversal of {signal}"
+    for record in clocks:
+        carried = dataset.streams.get(record.stream) or dataset.streams.get(record.stream.rpartition(".")[0], ())
+        if not record.applied and any(signal in carried for signal in signals):
+            return f"clock of {record.stream} not aligned"
     return "unexplained"
 
 

@@ -12,7 +12,9 @@ import numpy.typing as npt
 from sysid.datasets.recording import Kind, Role
 from sysid.files import plain
 from sysid.networks.actuator import RoundTrip
+from sysid.validate.coverage import Coverage
 from sysid.validate.error_analysis import Profile, Spike
+from sysid.validate.error_maps import ErrorMap
 from sysid.validate.metrics import ErrorMetrics
 
 Array = npt.NDArray[np.float64]
@@ -49,9 +51,11 @@ class OutputReport:
         baselines: name → the same figures of a simpler model fitted on the same rows.
         noise_floor: RMSE that a perfect map would show, from the sensor noise of inputs and output in ``machine.toml``;
             None where it is not stated for all of them, and for poses, which are means of many samples.
-        profiles: error against position, speed and direction.
+        profiles: error against position, speed, direction and load.
         spikes: the largest errors that stand out, largest first.
         trace: for plots.
+        maps: error over two inputs, or an input and its speed, the most telling ones first.
+        coverage: whether its intervals hold; None for a version that does not know any.
     """
 
     output: str
@@ -64,6 +68,8 @@ class OutputReport:
     profiles: tuple[Profile, ...]
     spikes: tuple[Spike, ...]
     trace: Trace
+    maps: tuple[ErrorMap, ...] = ()
+    coverage: Coverage | None = None
 
     @property
     def unit(self) -> str:
@@ -121,6 +127,8 @@ class ValidationReport:
                     "noise_floor": entry.noise_floor,
                     "profiles": [asdict(profile) for profile in entry.profiles],
                     "spikes": [asdict(spike) for spike in entry.spikes],
+                    "maps": [asdict(item) for item in entry.maps],
+                    "coverage": asdict(entry.coverage) if entry.coverage is not None else None,
                 }
                 for entry in self.outputs
             ],

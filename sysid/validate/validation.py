@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
+from dataclasses import dataclass
+from itertools import combinations
 from typing import Literal
 
 import numpy as np
@@ -16,9 +18,14 @@ from sysid.networks.forward import ForwardModel, ForwardNetwork, forward_rows, i
 from sysid.networks.recipe import NetworkRecipe
 from sysid.networks.split import Rows, gather, measures, segments, thin
 from sysid.networks.structured import StructuredForward
+from sysid.networks.trust import FALSE_FLAGS, Trust
+from sysid.plant import gravity_load
 from sysid.signals import axis_signal, point_signals
-from sysid.validate.baselines import learned, urdf_kinematics
+from sysid.validate.baselines import Predict, linkage_geometry, simple_models, urdf_kinematics
+from sysid.validate.binning import per_second
+from sysid.validate.coverage import LEVEL, Coverage, coverage_of
 from sysid.validate.error_analysis import Profile, Ranges, direction_profile, profile, speeds, spikes
+from sysid.validate.error_maps import Axis, ErrorMap, error_maps
 from sysid.validate.metrics import error_metrics
 from sysid.validate.report import OutputReport, Trace, ValidationReport
 
@@ -68,24 +75,23 @@ def validate_actuator(
         signals = (axis_signal(axis, "cylinder"), axis_signal(axis, "joint"))
         fit, _ = actuator_rows(dataset, axis, recipe or NetworkRecipe())
         judged = _judged(dataset, role, signals, ("motion", "poses"))
-        for kind, rows in judged.items():
-            for source, target, predict in ((0, 1, network.joint), (1, 0, network.displacement)):
-                inputs = rows.values[:, [source]]
-                baselines = learned(fit.values[:, [source]], fit.values[:, target], inputs)
-                outputs.append(
-                    _output_report(
-                        dataset,
-                        rows,
-                        target,
-                        (source,),
-                        kind,
-                        predict(inputs[:, 0]),
-                        baselines,
-                        _noise_floor(dataset, rows, (source,), target, lambda x, predict=predict: predict(x[:, 0])),  # type: ignore[misc]
-                        ends={signals[0]: _ends(dataset, axis, network)},
-                        fitted={signals[source]: (network.displacements, network.joints)[source]},
-                    )
-                )
+        maps = tuple(
+            _Map(
+                predict=lambda x, predict=predict: predict(x[:, 0]),  # type: ignore[misc]
+                simple=simple_models(fit.values[:, [source]], fit.values[:, target])
+                | {"linkage geometry": linkage_geometry(fit.values[:, 0], fit.values[:, 1], target == 1)},
+                trust=network.trust.get(direction),
+                sources=(source,),
+                target=target,
+                ends={signals[0]: _ends(dataset, axis, network)},
+                fitted={signals[source]: (network.displacements, network.joints)[source]},
+            )
+            for direction, source, target, predict in (
+                ("to_joint", 0, 1, network.joint),
+                ("to_cylinder", 1, 0, network.displacement),
+            )
+        )
+        outputs += [_output_report(dataset, rows, kind, item) for kind, rows in judged.items() for item in maps]
     round_trips = {axis: network.round_trip() for axis, network in networks.items()}
     return ValidationReport("actuator", name, dataset.reference, role, tuple(outputs), round_trips)
 
@@ -100,99 +106,153 @@ def validate_forward(network: ForwardModel, dataset: Dataset, role: Role = "held
     count = len(network.joints)
     fit = forward_rows(dataset, "fit")
     fitted = dict(zip(network.joints, zip(network.low.tolist(), network.high.tolist(), strict=True), strict=True))
-    outputs = []
-    for kind, rows in _judged(dataset, role, signals, ("poses", "motion")).items():
-        predicted = network.predict(rows.values[:, :count])
-        baselines = learned(fit.values[:, :count], fit.values[:, count:], rows.values[:, :count])
-        urdf = urdf_kinematics(dataset, rows, count)
-        if urdf is not None:
-            baselines["URDF kinematics"] = urdf
-        for number in range(3):
-            outputs.append(
-                _output_report(
-                    dataset,
-                    rows,
-                    count + number,
-                    tuple(range(count)),
-                    kind,
-                    predicted[:, number],
-                    {title: values[:, number] for title, values in baselines.items()},
-                    _noise_floor(
-                        dataset,
-                        rows,
-                        tuple(range(count)),
-                        count + number,
-                        lambda q, number=number: network.predict(q)[:, number],  # type: ignore[misc]
-                    ),
-                    ends=_joint_limits(dataset, fitted),
-                    fitted=fitted,
-                )
-            )
+    simple = simple_models(fit.values[:, :count], fit.values[:, count:])
+    urdf = urdf_kinematics(dataset)
+    if urdf is not None:
+        simple["URDF kinematics"] = urdf
+    maps = tuple(
+        _Map(
+            predict=lambda q, number=number: network.predict(q)[:, number],  # type: ignore[misc]
+            simple={title: lambda q, each=each, number=number: each(q)[:, number] for title, each in simple.items()},  # type: ignore[misc]
+            trust=network.trust,
+            sources=tuple(range(count)),
+            target=count + number,
+            ends=_joint_limits(dataset, fitted),
+            fitted=fitted,
+            spread=lambda q, number=number: network.spread(q)[:, number],  # type: ignore[misc]
+            number=number,
+        )
+        for number in range(3)
+    )
+    judged = _judged(dataset, role, signals, ("poses", "motion"))
+    outputs = [_output_report(dataset, rows, kind, item) for kind, rows in judged.items() for item in maps]
     return ValidationReport("forward", name, dataset.reference, role, tuple(outputs))
 
 
-def _output_report(
-    dataset: Dataset,
-    rows: Rows,
-    target: int,
-    sources: tuple[int, ...],
-    kind: Kind,
-    predicted: Array,
-    baselines: Mapping[str, Array],
-    noise_floor: float | None,
-    ends: Ranges,
-    fitted: Ranges,
-) -> OutputReport:
-    truth, output = rows.values[:, target], rows.signals[target]
-    unit = _unit(dataset, output)
+@dataclass(frozen=True)
+class _Map:
+    """One output of a network to judge.
+
+    Args:
+        predict: inputs (n, d) → output (n,); ``simple``: baselines of the same kind, by name.
+        trust: of the network; None for a version that has none.
+        sources, target: columns of the rows.
+        ends: signals whose ends can explain a spike; ``fitted``: inputs and the ranges that were learned.
+        spread: of the members, where there are several; ``number``: of this output among those of the network.
+    """
+
+    predict: Predict
+    simple: Mapping[str, Predict]
+    trust: Trust | None
+    sources: tuple[int, ...]
+    target: int
+    ends: Ranges
+    fitted: Ranges
+    spread: Predict | None = None
+    number: int = 0
+
+
+def _output_report(dataset: Dataset, rows: Rows, kind: Kind, item: _Map, along: Array | None = None) -> OutputReport:
+    """``along``: what a network with a memory said at ``rows``; its map is what it says without one."""
+    inputs, truth, output = rows.values[:, list(item.sources)], rows.values[:, item.target], rows.signals[item.target]
+    unit, predicted = _unit(dataset, output), item.predict(inputs) if along is None else along
     errors = predicted - truth
-    profiles: list[Profile] = []
-    for source in sources:
-        signal = rows.signals[source]
-        signal_unit = _unit(dataset, signal)
-        profiles.append(profile(errors, rows.values[:, source], signal, signal_unit))
-        if kind == "motion":
-            speed = speeds(dataset, rows, signal)
-            if np.isfinite(speed).any():
-                profiles.append(profile(errors, np.abs(speed), f"speed of {signal}", f"{signal_unit}/s"))
-                profiles.append(direction_profile(errors, speed, f"direction of {signal}", f"{signal_unit}/s"))
+    profiles, maps = _where(dataset, rows, errors, item.sources, kind)
     shown = np.linspace(0, len(rows) - 1, min(len(rows), TRACE_ROWS)).round().astype(np.int64)
     trace = Trace(
         recording=rows.recording[shown],
         time=rows.time[shown],
         truth=truth[shown],
         predicted=predicted[shown],
-        inputs={rows.signals[source]: rows.values[shown, source] for source in sources},
+        inputs={rows.signals[source]: rows.values[shown, source] for source in item.sources},
     )
     return OutputReport(
         output=output,
-        inputs=tuple(rows.signals[source] for source in sources),
+        inputs=tuple(rows.signals[source] for source in item.sources),
         rows=kind,
         recordings=tuple(dict.fromkeys(str(name) for name in rows.recording)),
         metrics=error_metrics(truth, predicted, unit),
-        baselines={title: error_metrics(truth, values, unit) for title, values in baselines.items()},
+        baselines={title: error_metrics(truth, predict(inputs), unit) for title, predict in item.simple.items()},
         # A static pose is the mean of many samples: the noise of one sample says nothing about it.
-        noise_floor=noise_floor if kind == "motion" else None,
-        profiles=tuple(profiles),
-        spikes=spikes(dataset, rows, errors, ends, fitted, kind == "motion"),
+        noise_floor=_noise_floor(dataset, rows, item) if kind == "motion" else None,
+        profiles=profiles,
+        spikes=spikes(dataset, rows, errors, item.ends, item.fitted, kind == "motion"),
         trace=trace,
+        maps=maps,
+        coverage=_coverage(rows, inputs, truth, predicted, item),
     )
 
 
-def _noise_floor(
-    dataset: Dataset, rows: Rows, sources: tuple[int, ...], target: int, predict: Callable[[Array], Array]
-) -> float | None:
+def _where(
+    dataset: Dataset, rows: Rows, errors: Array, sources: tuple[int, ...], kind: Kind
+) -> tuple[tuple[Profile, ...], tuple[ErrorMap, ...]]:
+    """Errors against each input, its speed and direction, and the loads; and against two of them at a time."""
+    profiles: list[Profile] = []
+    axes: list[Axis] = []
+    moving: list[tuple[str, str]] = []
+    for source in sources:
+        signal = rows.signals[source]
+        unit = _unit(dataset, signal)
+        values = rows.values[:, source]
+        profiles.append(profile(errors, values, signal, unit))
+        axes.append(Axis(signal, unit, values))
+        speed = speeds(dataset, rows, signal) if kind == "motion" else np.full(len(rows), np.nan)
+        if np.isfinite(speed).any():
+            profiles.append(profile(errors, np.abs(speed), f"speed of {signal}", per_second(unit)))
+            profiles.append(direction_profile(errors, speed, f"direction of {signal}", per_second(unit)))
+            axes.append(Axis(f"speed of {signal}", per_second(unit), speed, "signed"))
+            moving.append((signal, axes[-1].name))
+    for signal, (load_unit, load) in _loads(dataset, rows).items():
+        profiles.append(profile(errors, load, f"load of {signal}", load_unit))
+    inputs = [rows.signals[source] for source in sources]
+    return tuple(profiles), error_maps(errors, axes, [*combinations(inputs, 2), *moving])
+
+
+def _loads(dataset: Dataset, rows: Rows) -> dict[str, tuple[str, Array]]:
+    """Joint → unit and gravity load at every row, for those joints that ``rows`` are about and that carry any."""
+    if dataset.machine.kinematics() is None:
+        return {}
+    found: dict[str, tuple[str, Array]] = {}
+    parts = {str(name): gravity_load(dataset.machine, dataset.recording(str(name))) for name in np.unique(rows.recording)}
+    for column, axis in enumerate(dataset.machine.axis_names):
+        signal = axis_signal(axis, "joint")
+        if signal not in rows.signals:
+            continue
+        load = np.empty(len(rows))
+        for name, values in parts.items():
+            mine = rows.recording == name
+            load[mine] = values[rows.row[mine], column]
+        if np.ptp(load) > 0.0:
+            found[signal] = ("N·m" if is_angle(dataset, signal) else "N", load)
+    return found
+
+
+def _coverage(rows: Rows, inputs: Array, truth: Array, predicted: Array, item: _Map) -> Coverage | None:
+    trust = item.trust
+    if trust is None:
+        return None
+    spread = np.zeros((len(rows), len(trust.intervals.floor)))
+    if item.spread is not None:
+        spread[:, item.number] = item.spread(inputs)
+    level = min(LEVEL, trust.intervals.most_level)
+    reach = trust.intervals.reach(spread, level)[:, item.number]
+    names = [rows.signals[source] for source in item.sources]
+    inside = trust.domain.inside(inputs)
+    return coverage_of(truth, (predicted - reach, predicted + reach), inside, inputs, names, FALSE_FLAGS, level)
+
+
+def _noise_floor(dataset: Dataset, rows: Rows, item: _Map) -> float | None:
     """√(σ_out² + Σ (∂f/∂x · σ_in)²), the slopes taken from the network itself; None where a σ is not stated."""
-    noise = dataset.machine.noise
-    if any(rows.signals[column] not in noise for column in (*sources, target)):
+    noise, sources = dataset.machine.noise, item.sources
+    if any(rows.signals[column] not in noise for column in (*sources, item.target)):
         return None
     inputs = thin(rows, SLOPE_ROWS).values[:, list(sources)]
-    variance = np.full(len(inputs), noise[rows.signals[target]] ** 2)
+    variance = np.full(len(inputs), noise[rows.signals[item.target]] ** 2)
     for position, source in enumerate(sources):
         step = np.zeros(len(sources))
         # Wide enough to average over the kinks of a ReLU network.
         step[position] = 0.01 * max(float(np.ptp(rows.values[:, source])), 1e-9)
-        slope = (predict(inputs + step) - predict(inputs - step)) / (2.0 * step[position])
+        slope = (item.predict(inputs + step) - item.predict(inputs - step)) / (2.0 * step[position])
         variance += (slope * noise[rows.signals[source]]) ** 2
     return float(np.sqrt(variance.mean()))
 

@@ -12,12 +12,17 @@ from typing import Any
 
 from sysid.networks import ForwardNetwork, Model, StructuredForward, history_networks, motion_networks, static_networks
 from sysid.networks.policy import PolicyNetwork
+from sysid.networks.trust import FALSE_FLAGS
 from sysid.registry import NETWORKS, Decision, ModelVersion
-from sysid.validate import OutputReport, ValidationReport
+from sysid.validate import ErrorMap, OutputReport, ValidationReport
 from sysid.versions.lineage import ModelLineage
 from sysid.versions.outputs import output_maps, shown
 from sysid.versions.policy import ROWS
 
+#: Maps of an output that the page shows.
+MAPS_SHOWN = 2
+#: A region with fewer rows says nothing about how often intervals hold in it.
+REGION_ROWS = 20
 #: What `sysid models export` writes: networks without a memory.
 EXPORTED = ("actuator", "motion", "forward")
 WHAT = {
@@ -33,13 +38,14 @@ WHAT = {
 
 @dataclass(frozen=True)
 class Block:
-    """One heading of a card: paragraphs, a table, code; any of them may be empty."""
+    """One heading of a card: paragraphs, a table, code, maps of errors (output, unit, map); any of them may be empty."""
 
     title: str
     text: tuple[str, ...] = ()
     header: tuple[str, ...] = ()
     rows: tuple[tuple[str, ...], ...] = ()
     code: str = ""
+    maps: tuple[tuple[str, str, ErrorMap], ...] = ()
 
 
 @dataclass(frozen=True)
@@ -81,7 +87,7 @@ def card_of(
     made = f"{datetime.fromtimestamp(version.created_ms / 1e3, UTC):%Y-%m-%d %H:%M} UTC"
     blocks = [Block("What it is", tuple(_what_policy(version, policy) if policy is not None else _what(version, model)))]
     if report is not None:
-        blocks.append(_figures(report))
+        blocks += [_figures(report), *_baselines(report), *_where(report), *_trust(report)]
     elif version.metrics:
         rows = tuple((name, f"{value:.4g}") for name, value in version.metrics.items())
         again = "the actor alone, from random poses to random targets (reach), then staying there (hold)"
@@ -209,6 +215,70 @@ def _figures(report: ValidationReport) -> Block:
     return Block("Figures", (text,), ("output", "RMSE", "95 %", "max", "sensor noise alone", "best simple model"), tuple(rows))
 
 
+def _baselines(report: ValidationReport) -> Iterator[Block]:
+    """The RMSE of every simple model, fitted on the same rows, beside its own."""
+    names = list(dict.fromkeys(name for entry in report.outputs for name in entry.baselines))
+    if not names:
+        return
+    rows = tuple(
+        (
+            f"{entry.output} {ROWS[entry.rows]}",
+            shown(entry.metrics.rmse, entry.unit),
+            *(shown(entry.baselines[name].rmse, entry.unit) if name in entry.baselines else "–" for name in names),
+        )
+        for entry in report.outputs
+    )
+    yield Block("Beside simple models", ("RMSE; all learned from the same rows.",), ("output", "this version", *names), rows)
+
+
+def _where(report: ValidationReport) -> Iterator[Block]:
+    """The worst bin of the most telling map of each output; the maps themselves on the page."""
+    rows, maps = [], []
+    for entry in report.outputs:
+        for item in entry.maps[:MAPS_SHOWN]:
+            maps.append((f"{entry.output} {ROWS[entry.rows]}", entry.unit, item))
+        if entry.maps:
+            first = entry.maps[0]
+            a, b = first.worst
+            ends = (
+                f"{name} {edges[k]:.3g} … {edges[k + 1]:.3g} {unit}"
+                for name, unit, edges, k in zip(first.over, first.units, first.edges, (a, b), strict=True)
+            )
+            size, count = shown(first.rmse[a][b], entry.unit), str(first.count[a][b])
+            rows.append((f"{entry.output} {ROWS[entry.rows]}", ", ".join(ends), size, count, f"{100.0 * first.explains:.0f} %"))
+    if rows:
+        header = ("output", "largest where", "RMSE there", "rows", "explained by place")
+        yield Block("Where its errors are", (), header, tuple(rows), maps=tuple(maps))
+
+
+def _trust(report: ValidationReport) -> Iterator[Block]:
+    """Whether its intervals hold, and what it flags as outside its data."""
+    rows = []
+    for entry in report.outputs:
+        if entry.coverage is None:
+            continue
+        found = entry.coverage
+        crowded = [region for region in found.regions if region.count >= REGION_ROWS]
+        worst = min(crowded, key=lambda region: region.covered, default=None)
+        rows.append(
+            (
+                f"{entry.output} {ROWS[entry.rows]}",
+                f"± {shown(found.half_width, entry.unit)}",
+                f"{100.0 * found.covered:.1f} %",
+                "–" if worst is None else f"{worst.name}: {100.0 * worst.covered:.0f} %",
+                f"{100.0 * found.flagged:.1f} %",
+            )
+        )
+    if rows:
+        level = next(entry.coverage.level for entry in report.outputs if entry.coverage is not None)
+        text = (
+            f"Its {100.0 * level:g} % intervals (`predict_interval`) on rows that it has not seen, and the rows that it flags "
+            f"as outside its data (`inside`; of rows like those that it learned from {100.0 * FALSE_FLAGS:g} %)."
+        )
+        header = ("output", "half width, median", "hold in", "least often in", "flagged")
+        yield Block("How sure it is", (text,), header, tuple(rows))
+
+
 def _ranges(model: Model) -> Block:
     found: dict[str, tuple[str, ...]] = {}
     for answer in output_maps(model):
@@ -225,7 +295,7 @@ def _limits(model: Model | None, report: ValidationReport | None) -> Iterator[st
         yield "Beyond its ranges it guesses. " + (
             "`spread`, the scatter of its members, grows where they do."
             if len(model.members) > 1
-            else "A single member does not know how sure it is."
+            else "A single member has no scatter: its intervals are as wide everywhere."
         )
     elif model is not None and motion_networks(model):
         yield "A free run stays within the speeds and positions that it learned from; at a new load or speed it guesses."

@@ -22,6 +22,7 @@ from sysid.errors import ExcitationError
 from sysid.files import plain
 from sysid.networks import Model
 from sysid.networks.split import Rows, Segment, gather, measures, segments
+from sysid.networks.trust import within
 from sysid.validate.bootstrap import bootstrap_means
 from sysid.versions.outputs import OutputMap, output_maps
 
@@ -29,8 +30,6 @@ Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
 Verdict = Literal["fits", "beyond its ranges", "drifted", "not comparable"]
 
-#: Rows count as outside beyond this share of the fitted range: its ends are the extremes of a sample.
-END_SHARE = 0.02
 #: More than this share of rows outside is worth a word.
 OUTSIDE_SHARE = 0.01
 #: Errors have grown if they are larger than before by this factor …
@@ -230,15 +229,13 @@ def _squares(answer: OutputMap, rows: Rows, dataset: Dataset) -> Array:
 
 
 def _inside(answer: OutputMap, rows: Rows) -> Mask:
-    margin = END_SHARE * (answer.high - answer.low)
-    values = rows.values[:, :-1]
-    return np.asarray(np.all((values >= answer.low - margin) & (values <= answer.high + margin), axis=1))
+    return within(rows.values[:, :-1], answer.low, answer.high)
 
 
 def _input(answer: OutputMap, column: int, rows: Rows, kind: Kind) -> InputDrift:
     low, high = float(answer.low[column]), float(answer.high[column])
-    values, margin = rows.values[:, column], END_SHARE * (high - low)
-    outside = float(np.mean((values < low - margin) | (values > high + margin)))
+    values = rows.values[:, column]
+    outside = float(np.mean(~within(values[:, None], answer.low[column : column + 1], answer.high[column : column + 1])))
     found = (float(values.min()), float(values.max()))
     return InputDrift(answer.inputs[column], answer.units[column], kind, (low, high), found, outside)
 

@@ -11,13 +11,13 @@ from plant_data import dataset_of, nominal, slide
 
 from sysid.datasets.recording import Dataset
 from sysid.gap.case import open_case
-from sysid.gap.map_variables import speed_of
-from sysid.gap.maps import SIGNED_BINS, maps_of
+from sysid.gap.maps import maps_of
 from sysid.gap.result import Map, Share
 from sysid.gap.ringing import swinging
 from sysid.gap.shares import shares_of
 from sysid.machine import KnownEffect
 from sysid.plant import Plant, compile_plant
+from sysid.validate.binning import SIGNED_BINS, speed_of
 
 DEADBAND = (0.12, 0.09)
 HIDDEN = (

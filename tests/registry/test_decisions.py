@@ -169,7 +169,7 @@ def full_table(*_: object, **__: object) -> None:
 
 DISKS: dict[str, Callable[[pytest.MonkeyPatch], None]] = {
     "no room for a folder": lambda m: m.setattr("tempfile.mkdtemp", full),
-    "no room for a file": lambda m: m.setattr("sysid.registry.artifacts._write_through", full),
+    "no room for a file": lambda m: m.setattr("sysid.registry.artifacts.write_through", full),
     "no room when it is settled": lambda m: m.setattr("os.fsync", full),
     "no room for a row": lambda m: m.setattr("mlflow.MlflowClient.create_model_version", full_table),
 }

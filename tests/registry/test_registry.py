@@ -235,8 +235,8 @@ REGISTER = """
             os.kill(os.getpid(), signal.SIGKILL)
         artifacts.FolderArtifacts.write = then_die
     elif crash == "between_files":
-        sync = artifacts._sync_folder
-        artifacts._sync_folder = lambda path: os.kill(os.getpid(), signal.SIGKILL)
+        sync = artifacts.on_disk
+        artifacts.on_disk = lambda path: os.kill(os.getpid(), signal.SIGKILL)
     elif crash == "before_version":
         create = registry.Registry._create_model
         def then_die(self, name):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
+from itertools import combinations
 
 import numpy as np
 import numpy.typing as npt
@@ -163,7 +164,14 @@ def test_the_forward_network_is_judged_on_poses_and_on_motion(data: Dataset) -> 
     assert poses.metrics.rmse == pytest.approx(np.sqrt(np.mean((home[0] - rows.values[:, 4]) ** 2)))
     assert poses.metrics.count == 30
     assert poses.baselines["URDF kinematics"].rmse < 1e-3 < poses.baselines["nearest neighbour"].rmse
-    assert {p.variable for p in poses.profiles} == set(joints)
+    assert {p.variable for p in poses.profiles} == {
+        *joints,
+        "load of boom.joint",
+        "load of stick.joint",
+        "load of telescope.joint",
+    }
+    assert {frozenset(item.over) for item in poses.maps} <= set(map(frozenset, combinations(joints, 2)))
+    assert sum(map(sum, poses.maps[0].count)) == 30
     motion_profiles = {p.variable for p in report.output("ee.x", "motion").profiles}
     assert {"slew.joint", "speed of slew.joint", "direction of telescope.joint"} <= motion_profiles
     assert report.output("ee.z", "motion").recordings == ("run-3",)

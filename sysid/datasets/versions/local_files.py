@@ -18,6 +18,7 @@ from typing import BinaryIO
 
 from sysid.datasets.versions.files import TakenError, explained
 from sysid.errors import StoreError
+from sysid.files import on_disk, write_through
 
 #: How long a writer waits for another one [s].
 LOCK_WAIT_S = 300.0
@@ -58,33 +59,30 @@ class LocalFiles:
     def settle(self, folder: str) -> None:
         for place, _, names in os.walk(self.root / folder):
             for name in names:
-                _sync(Path(place) / name)
-            _sync(Path(place))
-        _sync((self.root / folder).parent)
+                on_disk(Path(place) / name)
+            on_disk(Path(place))
+        on_disk((self.root / folder).parent)
 
     def publish(self, path: str, text: str) -> None:
         final = self.root / path
         final.parent.mkdir(parents=True, exist_ok=True)
         draft = final.parent / f".{final.name}.{uuid.uuid4().hex}"
         try:
-            with draft.open("w", encoding="utf-8") as file:
-                file.write(text)
-                file.flush()
-                os.fsync(file.fileno())
+            write_through(draft, text.encode("utf-8"))
             _move_new(draft, final)
         except FileExistsError:
             raise TakenError(final, "another writer has just published this version", remedy="Run the command again.") from None
         finally:
             draft.unlink(missing_ok=True)
         with contextlib.suppress(OSError):  # it is published; a power cut could take it back whole, nothing worse
-            _sync(final.parent)
+            on_disk(final.parent)
 
     def claimed(self, folder: str) -> list[str]:
         return self.names(folder)
 
     def rename(self, path: str, to: str) -> None:
         (self.root / path).replace(self.root / to)
-        _sync((self.root / to).parent)
+        on_disk((self.root / to).parent)
 
     def weight(self, folder: str) -> tuple[int, float]:
         states = [entry.stat() for entry in (self.root / folder, *(self.root / folder).rglob("*"))]
@@ -127,14 +125,3 @@ def _move_new(draft: Path, final: Path) -> None:
         if final.exists():  # a file system without hard links: the lock alone keeps writers apart
             raise FileExistsError(final) from None
         draft.replace(final)
-
-
-def _sync(path: Path) -> None:
-    """Reach the disk: a file's content, or the names in a folder."""
-    if os.name != "posix" and path.is_dir():
-        return
-    descriptor = os.open(path, os.O_RDONLY if os.name == "posix" else os.O_RDWR)
-    try:
-        os.fsync(descriptor)
-    finally:
-        os.close(descriptor)

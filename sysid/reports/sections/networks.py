@@ -90,9 +90,13 @@ def _row(output: OutputReport, decimals: int) -> dict[str, Any]:
 
 
 def _profiles(output: OutputReport, identifier: str) -> dict[str, Any]:
-    """Error against each input's position, speed and direction: a panel a profile, one column an input."""
+    """Error against each input's position, speed, direction and load: a panel a profile, one column an input."""
     signals = list(output.inputs)
-    kinds = [kind for kind in ("position", "speed", "direction") if any(_kind(p.variable)[0] == kind for p in output.profiles)]
+    kinds = [
+        kind
+        for kind in ("position", "speed", "direction", "load")
+        if any(_kind(p.variable)[0] == kind for p in output.profiles)
+    ]
     # One input: its panels side by side. Several: a column each, so that panels of one kind can be compared.
     alone = len(signals) == 1
     rows, columns = (1, len(kinds)) if alone else (len(kinds), len(signals))
@@ -116,7 +120,7 @@ def _profiles(output: OutputReport, identifier: str) -> dict[str, Any]:
         else:
             edges = x_factor * np.array(profile.edges)
             x = packed(0.5 * (edges[1:] + edges[:-1]))
-        title = {"position": words.signal_name(signal), "speed": "speed", "direction": "direction"}[kind]
+        title = words.signal_name(signal) if kind == "position" else kind
         common = {"x": x, "xaxis": f"x{suffix}", "yaxis": f"y{suffix}", "showlegend": index == 1}
         rmse, p95 = (packed(factor * np.array(values)) for values in (profile.rmse, profile.p95))
         if kind == "direction":

@@ -1,0 +1,50 @@
+"""Pages that load nothing from anywhere: their templates, their style sheets, and how they reach the disk."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import jinja2
+from markupsafe import Markup
+
+from sysid.files import written_whole
+from sysid.reports import display, words
+
+FOLDER = Path(__file__).parent
+
+
+def filled(template: str, **values: Any) -> Markup:
+    """A template of this package with its values; everything in them that is no markup is escaped."""
+    environment = jinja2.Environment(
+        loader=jinja2.PackageLoader("sysid.reports", ""),
+        autoescape=True,
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    environment.filters |= {
+        "number": display.number,
+        "fixed": display.fixed,
+        "percent": display.percent,
+        "ratio": display.ratio,
+        "owner": words.owner_name,
+        "stage": words.stage_name,
+        "effect": words.effect_title,
+    }
+    return Markup(environment.get_template(template).render(**values))
+
+
+def page(template: str, styles: Sequence[str], **values: Any) -> str:
+    """A whole page: a template that extends ``shell.html``, with the style sheets of these names inside."""
+    style = "\n".join((FOLDER / name).read_text("utf-8") for name in styles)
+    return str(filled(template, style=Markup(style), **values))
+
+
+def write_page(path: Path, text: str) -> Path:
+    """Write a page whole or not at all; folders are made as needed."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with written_whole(path) as half:
+        half.write_text(text, "utf-8")
+    return path
