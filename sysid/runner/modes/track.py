@@ -55,7 +55,8 @@ class TrackPath:
         once = eased(path, ease_s)
         closed = float(np.linalg.norm(path.points[-1] - path.points[0])) < 1e-3
         rounds = [once if closed or k % 2 == 0 else once[::-1] for k in range(laps)]
-        self.points = np.concatenate(rounds)
+        # Whoever is shown targets ahead of time starts from rest as well.
+        self.points = np.concatenate([np.tile(once[0], (ahead, 1)), *rounds])
         self.ahead, self._linger = ahead, round(LINGER_S / dt)
         self._approach = Approach(start, limits, dt)
 
