@@ -27,7 +27,7 @@ BRAKING = 0.5
 #: A setpoint that was held back closes what is left at this rate [1/s]: slower than jerk allows, so that it does not ring.
 CATCH_UP = 8.0
 #: Share by which the target's own speed is renewed each turn.
-SMOOTH = 0.2
+SMOOTH = 0.1
 
 
 @dataclass(frozen=True)
@@ -204,7 +204,9 @@ class SetpointLimiter:
             error = wanted - at
             toward = math.copysign(min(math.sqrt(2.0 * BRAKING * most * abs(error)), CATCH_UP * abs(error)), error)
             v = min(max(float(self._own[i]) + toward, -top), top)
-            a = min(max((v - speed) / dt, -most, acceleration - jerk * dt), most, acceleration + jerk * dt)
+            ease = min(most, math.sqrt(2.0 * jerk * abs(v - speed)))  # it has to be gone when the speed is there
+            a = min(max((v - speed) / dt, -ease, acceleration - jerk * dt), max(ease, acceleration - jerk * dt))
+            a = min(a, acceleration + jerk * dt)
             v = min(max(speed + a * dt, -top), top)
         after = at + v * dt
         if not low <= after <= high:

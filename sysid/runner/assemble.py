@@ -1,0 +1,172 @@
+"""From a recipe to a loop that is ready to turn."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from sysid.control import response_time, tune
+from sysid.errors import SettingsError
+from sysid.gap.experiment.file import read_experiment
+from sysid.machine import Machine, load_machine
+from sysid.registry import Registry
+from sysid.rl.course import Course, lay_out
+from sysid.rl.inverse import Inverse, chain_of_forward, chain_of_plant
+from sysid.rl.reach import joint_limits
+from sysid.runner.chain import Chain
+from sysid.runner.cycle import Recorder
+from sysid.runner.domain import Domains
+from sysid.runner.limits import Limits, limits_of
+from sysid.runner.loop import Loop
+from sysid.runner.modes.collect import Collect
+from sysid.runner.modes.hold import Hold, Shadow, Teleop
+from sysid.runner.modes.mode import Mode
+from sysid.runner.modes.replay import of_experiment, of_file
+from sysid.runner.modes.track import TrackLive, TrackPath
+from sysid.runner.operator import Operator
+from sysid.runner.recipe import RunnerRecipe
+from sysid.runner.senses import Senses
+from sysid.runner.supervisor import Supervisor
+from sysid.runner.transport import Transport
+from sysid.runner.valves import Valve, valves
+from sysid.runner.versions import Loaded, load
+
+Array = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Assembly:
+    """Everything of a run but its line, its log and its operator; :meth:`loop` may be asked for several.
+
+    Args:
+        lookahead: of the policy [s].
+        course: the path that is tracked, where one is.
+    """
+
+    recipe: RunnerRecipe
+    folder: Path
+    machine_file: Path
+    machine: Machine
+    loaded: Loaded
+    inverse: Inverse
+    valves: tuple[Valve, ...]
+    limits: Limits
+    lookahead: float
+    course: Course | None
+
+    @property
+    def dt(self) -> float:
+        return 1.0 / self.machine.rate_hz
+
+    @property
+    def middle(self) -> Array:
+        """Joints (A,) to begin at where nobody says where the machine stands."""
+        if self.course is not None:
+            return np.clip(self.course.start, self.limits.low, self.limits.high)
+        return np.asarray(0.5 * (self.limits.low + self.limits.high))
+
+    def chain(self) -> Chain:
+        return Chain(self.loaded.plant, self.loaded.forward, self.inverse, policy=self.loaded.policy, lookahead=self.lookahead)
+
+    def loop(self, transport: Transport, recorder: Recorder, operator: Operator) -> Loop:
+        """A loop, warmed up.
+
+        Raises:
+            SettingsError: the transport has other axes, or lacks a signal that is needed.
+        """
+        axes = self.machine.axis_names
+        if transport.axes != axes:
+            raise SettingsError("transport", f"axes {', '.join(transport.axes)}", ", ".join(axes))
+        for axis in self.machine.axes:
+            if axis.driven not in transport.signals:
+                raise SettingsError("transport", f"no signal {axis.driven}", "what every command drives, measured")
+        chain, checks = self.chain(), self.recipe.checks
+        senses = Senses(self.loaded.plant, self.valves, self.dt, transport.signals, checks)
+        inside = Domains(self.loaded.forward, self.loaded.actuators, axes) if checks.on("domain") else lambda seen: ""
+        supervisor = Supervisor(axes, self.limits, self.valves, senses.linkages, chain.tip, self.dt, checks, inside)
+        mode = self.mode(self.recipe.mode, chain)
+        loop = Loop(transport, chain, senses, supervisor, mode, recorder, operator, self.recipe.loop)
+        loop.warm_up(self.middle)
+        return loop
+
+    def mode(self, name: str, chain: Chain) -> Mode:
+        """The task ``name`` of the recipe."""
+        recipe, limits, dt = self.recipe, self.limits, self.dt
+        if name == "track":
+            track = recipe.track
+            if track.live_port is not None:
+                return TrackLive(track.live_port, track.live_speed, dt, track.live_s)
+            assert self.course is not None
+            return TrackPath(
+                self.course.path, self.course.start, limits, dt, ahead=chain.ahead, ease_s=track.ease_s, laps=track.laps
+            )
+        if name == "hold":
+            return Hold(dt, recipe.hold.seconds)
+        if name == "collect":
+            collect = recipe.collect
+            return Collect(
+                collect.poses, limits, chain.tip, dt,
+                settle_s=collect.settle_s, record_s=collect.record_s, seed=collect.seed,
+            )  # fmt: skip
+        if name == "experiment":
+            experiment = read_experiment(self.folder / recipe.experiment.file, self.machine)
+            return of_experiment(experiment, self.loaded.plant, limits, dt)
+        if name == "replay":
+            return of_file(self.folder / recipe.replay.file, self.machine, limits)
+        return Shadow(self.mode(recipe.shadow.of, chain)) if name == "shadow" else Teleop()
+
+
+def assemble(recipe: RunnerRecipe, registry: Registry, path: Path) -> Assembly:
+    """Load and check everything that a recipe names; ``path`` is where it stands.
+
+    Raises:
+        SettingsError, StoreError, InputError: saying what does not fit.
+    """
+    folder = path.parent
+    machine_file = (folder / recipe.machine).resolve()
+    machine = load_machine(machine_file)
+    loaded = load(registry, recipe, machine, path)
+    parts = valves(tune(loaded.plant), 1.0 / machine.rate_hz)
+    limits = limits_of(loaded.plant, parts, recipe.limits, path)
+    lookahead = recipe.versions.lookahead
+    if lookahead is None:
+        lookahead = 0.0
+        if recipe.versions.policy == "ik-lookahead":
+            lookahead = math.ceil(response_time(loaded.plant) * machine.rate_hz - 1e-9) / machine.rate_hz
+    course, inverse = None, _inverse(loaded)
+    tracks = recipe.mode == "track" or (recipe.mode == "shadow" and recipe.shadow.of == "track")
+    if tracks and recipe.track.live_port is None:
+        given = recipe.track.path
+        place = given if given in ("helix", "circle") else str(folder / given)
+        course = lay_out(loaded.plant, loaded.forward, place, full=True, centre=recipe.track.centre)
+        inverse = course.inverse
+        _check_course(course, limits, path)
+    return Assembly(recipe, folder, machine_file, machine, loaded, inverse, parts, limits, lookahead, course)
+
+
+def _inverse(loaded: Loaded) -> Inverse:
+    low, high = joint_limits(loaded.plant)
+    return Inverse.of(chain_of_forward(loaded.forward) or chain_of_plant(loaded.plant), low, high)
+
+
+def _check_course(course: Course, limits: Limits, where: object) -> None:
+    """Refuse a path that leaves the limits or the fence, or asks for more than the valves can do."""
+    names = course.plant.machine.axis_names
+    for name, q, low, high in zip(names, course.joints.T, limits.low, limits.high, strict=True):
+        if q.min() < low or q.max() > high:
+            found = f"takes {name} to {q.min():.3f} … {q.max():.3f}"
+            raise SettingsError(f"{where}: track.path {course.path.name}", found, f"within {low:.3f} … {high:.3f}")
+    points = course.path.points
+    left = np.maximum(limits.fence_low - points, points - limits.fence_high).max(axis=0)
+    if (left > 0.0).any():
+        letter = "xyz"[int(np.argmax(left))]
+        found = f"is {1e3 * left.max():.0f} mm outside the fence in {letter}, margin included"
+        raise SettingsError(f"{where}: track.path {course.path.name}", found, "a path inside limits.fence")
+    for name, share in course.demand.items():
+        if share > 0.95:
+            found = f"asks {name} for {100.0 * share:.0f} % of its top speed"
+            raise SettingsError(f"{where}: track.path {course.path.name}", found, "at most 95 %", "Slow it down.")

@@ -1,0 +1,178 @@
+"""``RUNNER.toml``: which machine, which versions, what for, within which limits. Strict: an unknown key is an error."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Literal, get_args
+
+from sysid.config import STRICT, parse_settings, read_toml
+from sysid.errors import SettingsError, nearest
+from sysid.runner.checks.settings import CheckSettings, check_checks
+from sysid.runner.limits import LimitSettings
+from sysid.runner.loop import LoopSettings
+
+ModeName = Literal["track", "hold", "collect", "experiment", "replay", "shadow", "teleop"]
+MODES: tuple[ModeName, ...] = get_args(ModeName)
+#: Instead of a policy: bounded inverse kinematics, and the same with targets ahead by the machine's dead time.
+KINEMATIC = ("ik", "ik-lookahead")
+
+
+@dataclass(frozen=True)
+class Versions:
+    """``[versions]``: ``name``, ``name@3`` or ``name@champion``.
+
+    Args:
+        plant: whose linkages and effects the controller knows.
+        forward: joints → end effector.
+        policy: ``ik``, ``ik-lookahead``, or a policy.
+        lookahead: how far ahead a policy is shown targets [s]; None: ``ik-lookahead`` by the dead time, others not at all.
+        unpromoted: versions that were never promoted and are to be run all the same, each spelt out as ``name@3``.
+    """
+
+    __pydantic_config__ = STRICT
+
+    plant: str
+    forward: str
+    policy: str = "ik-lookahead"
+    lookahead: float | None = None
+    unpromoted: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class TrackSettings:
+    """``[track]``.
+
+    Args:
+        path: ``helix``, ``circle``, or a CSV file (t, x, y, z) beside the recipe.
+        centre: of helix or circle [m]; else where the joints keep farthest from their limits.
+        laps: how often.
+        ease_s: over which the path comes up to its speed.
+        live_port: follow targets that come in datagrams to this port of the loopback instead.
+        live_speed: greatest speed of such a target [m/s]; ``live_s``: for how long.
+    """
+
+    __pydantic_config__ = STRICT
+
+    path: str = "helix"
+    centre: tuple[float, float, float] | None = None
+    laps: int = 1
+    ease_s: float = 1.0
+    live_port: int | None = None
+    live_speed: float = 0.1
+    live_s: float | None = None
+
+
+@dataclass(frozen=True)
+class HoldSettings:
+    """``[hold]``: ``seconds``; None: until somebody stops it."""
+
+    __pydantic_config__ = STRICT
+
+    seconds: float | None = 10.0
+
+
+@dataclass(frozen=True)
+class CollectSettings:
+    """``[collect]``: ``poses`` random configurations, ``settle_s`` and ``record_s`` at each; ``seed`` of the draw."""
+
+    __pydantic_config__ = STRICT
+
+    poses: int = 500
+    settle_s: float = 1.0
+    record_s: float = 0.5
+    seed: int = 0
+
+
+@dataclass(frozen=True)
+class FileSettings:
+    """``[replay]`` (CSV) and ``[experiment]`` (TOML of the gap workflow): ``file``, beside the recipe or with a whole path."""
+
+    __pydantic_config__ = STRICT
+
+    file: str = ""
+
+
+@dataclass(frozen=True)
+class ShadowSettings:
+    """``[shadow]``: ``of`` which mode is computed."""
+
+    __pydantic_config__ = STRICT
+
+    of: Literal["track", "hold", "replay", "collect"] = "track"
+
+
+@dataclass(frozen=True)
+class LogSettings:
+    """``[log]``: ``folder`` for recordings, relative to where the command is given."""
+
+    __pydantic_config__ = STRICT
+
+    folder: str = "flights"
+
+
+@dataclass(frozen=True)
+class RunnerRecipe:
+    """The whole recipe; ``transport`` has a ``kind`` and the keys of that kind."""
+
+    __pydantic_config__ = STRICT
+
+    schema: Literal[1]
+    name: str
+    machine: str
+    mode: ModeName
+    versions: Versions
+    transport: dict[str, Any]
+    track: TrackSettings = field(default_factory=TrackSettings)
+    hold: HoldSettings = field(default_factory=HoldSettings)
+    collect: CollectSettings = field(default_factory=CollectSettings)
+    experiment: FileSettings = field(default_factory=FileSettings)
+    replay: FileSettings = field(default_factory=FileSettings)
+    shadow: ShadowSettings = field(default_factory=ShadowSettings)
+    limits: LimitSettings = field(default_factory=LimitSettings)
+    checks: CheckSettings = field(default_factory=CheckSettings)
+    loop: LoopSettings = field(default_factory=LoopSettings)
+    log: LogSettings = field(default_factory=LogSettings)
+
+
+def load_runner(path: Path) -> RunnerRecipe:
+    """The recipe in ``path``.
+
+    Raises:
+        SettingsError: unknown keys, wrong types, impossible or unsafe values.
+    """
+    return parse_runner(read_toml(path), path)
+
+
+def parse_runner(values: dict[str, Any], where: object) -> RunnerRecipe:
+    """``values`` as a recipe, checked; ``where`` names their source in messages."""
+    if isinstance(values.get("mode"), str) and values["mode"] not in MODES:
+        raise SettingsError(f"{where}: mode", repr(values["mode"]), nearest(values["mode"], MODES))
+    recipe = parse_settings(values, RunnerRecipe, where)
+    check_checks(recipe.checks, where)
+    if not isinstance(recipe.transport.get("kind"), str):
+        raise SettingsError(f"{where}: transport", "no kind", 'kind = "simulated", or another one')
+    loop, collect, track = recipe.loop, recipe.collect, recipe.track
+    for key, found, low, high in (
+        ("loop.settle_s", loop.settle_s, 0.05, 60.0),
+        ("loop.ready_within_s", loop.ready_within_s, 0.1, 600.0),
+        ("loop.rest_s", loop.rest_s, 0.1, 60.0),
+        ("loop.rest_within_s", loop.rest_within_s, 0.2, 60.0),
+        ("loop.seconds", loop.seconds, 0.1, 86400.0),
+        ("loop.priority", loop.priority, 0, 99),
+        ("collect.poses", collect.poses, 1, 100_000),
+        ("collect.settle_s", collect.settle_s, 0.0, 60.0),
+        ("collect.record_s", collect.record_s, 0.05, 60.0),
+        ("track.laps", track.laps, 1, 10_000),
+        ("track.ease_s", track.ease_s, 0.1, 60.0),
+        ("track.live_port", track.live_port, 1024, 65535),
+        ("track.live_speed", track.live_speed, 1e-4, 10.0),
+        ("versions.lookahead", recipe.versions.lookahead, 0.0, 5.0),
+    ):
+        if found is not None and not low <= found <= high:
+            raise SettingsError(f"{where}: {key}", f"{found:g}", f"{low:g} to {high:g}")
+    for name in ("experiment", "replay"):
+        wanted = recipe.mode == name or (recipe.mode == "shadow" and recipe.shadow.of == name)
+        if wanted and not getattr(recipe, name).file:
+            raise SettingsError(f"{where}: {name}.file", "is missing", "the file to play")
+    return recipe

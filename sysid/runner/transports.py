@@ -1,0 +1,80 @@
+"""Kinds of ``[transport]``: a name in the recipe → what builds it. Further kinds are entries of :data:`TRANSPORTS`."""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from sysid.config import STRICT, parse_settings
+from sysid.errors import SettingsError, nearest
+from sysid.plant import plant_from_files
+from sysid.registry import Registry
+from sysid.runner.assemble import Assembly
+from sysid.runner.simulated import SimulatedTransport
+from sysid.runner.transport import Transport
+
+
+@dataclass(frozen=True)
+class Line:
+    """A transport, and whether nobody can be hurt at its other end: a simulated or stand-in machine with switches of ours."""
+
+    transport: Transport
+    stand_in: bool
+
+
+Build = Callable[[dict[str, Any], Assembly, Registry], Line]
+
+#: ``module:function``, imported when it is asked for.
+TRANSPORTS: dict[str, str] = {"simulated": "sysid.runner.transports:simulated"}
+
+
+def connect(assembly: Assembly, registry: Registry) -> Line:
+    """The line of a recipe, not yet open.
+
+    Raises:
+        SettingsError: an unknown kind, or what that kind objects to.
+    """
+    values = dict(assembly.recipe.transport)
+    kind = str(values.pop("kind"))
+    if kind not in TRANSPORTS:
+        raise SettingsError("transport.kind", repr(kind), nearest(kind, TRANSPORTS))
+    module, _, name = TRANSPORTS[kind].partition(":")
+    build: Build = getattr(importlib.import_module(module), name)
+    return build(values, assembly, registry)
+
+
+@dataclass(frozen=True)
+class SimulatedSettings:
+    """``[transport] kind = "simulated"``.
+
+    Args:
+        plant: version that plays the machine; else the one that the controller knows.
+        joints: where it stands at first [rad or m]; else in the middle, or where the path begins.
+        noise: sensors have that of the machine's description; ``seed`` of it.
+    """
+
+    __pydantic_config__ = STRICT
+
+    plant: str = ""
+    joints: tuple[float, ...] = ()
+    noise: bool = True
+    seed: int = 0
+
+
+def simulated(values: dict[str, Any], assembly: Assembly, registry: Registry) -> Line:
+    """The machine in process."""
+    settings = parse_settings(values, SimulatedSettings, "transport")
+    plant = assembly.loaded.plant
+    if settings.plant:
+        version = registry.load(settings.plant)
+        if version.kind != "plant":
+            raise SettingsError("transport.plant", f"{version.reference} is of kind {version.kind!r}", "a plant")
+        plant = plant_from_files(version.files, version.reference)
+    joints = np.array(settings.joints) if settings.joints else assembly.middle
+    if joints.shape != (len(plant.machine.axes),):
+        raise SettingsError("transport.joints", f"{len(joints)} values", f"{len(plant.machine.axes)}")
+    return Line(SimulatedTransport(plant, joints, noise=settings.noise, seed=settings.seed), stand_in=True)

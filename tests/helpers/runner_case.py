@@ -1,0 +1,155 @@
+"""A runner around the sample crane in process: parts put together by hand, faults and truth at hand."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from functools import cache
+
+import numpy as np
+import numpy.typing as npt
+from crane_model import Perfect, crane_plant
+
+from sysid.control import response_time, tune
+from sysid.machine import KnownEffect
+from sysid.plant import Plant, compile_plant
+from sysid.rl.inverse import Inverse, chain_of_plant
+from sysid.rl.reach import joint_limits, tips
+from sysid.runner.chain import Chain, Policy
+from sysid.runner.checks.settings import CheckSettings
+from sysid.runner.cycle import Cycle
+from sysid.runner.faults import FaultyTransport, Injection
+from sysid.runner.limits import Limits, LimitSettings, limits_of
+from sysid.runner.loop import Loop, LoopSettings
+from sysid.runner.modes.mode import Mode
+from sysid.runner.operator import Operator, Unattended
+from sysid.runner.senses import Senses
+from sysid.runner.simulated import SimulatedTransport
+from sysid.runner.supervisor import Supervisor
+from sysid.runner.valves import valves
+
+Array = npt.NDArray[np.float64]
+DT = 0.01
+PLANT = crane_plant()
+#: Joints in the middle of everything.
+MIDDLE = np.array([0.0, 0.4, -1.2, 0.12])
+
+
+@dataclass(frozen=True)
+class Quick(Perfect):
+    """A forward model that is the plant itself, compiled once."""
+
+    def predict(self, q: npt.ArrayLike) -> Array:
+        return tips(_compiled(), np.atleast_2d(np.asarray(q, dtype=np.float64)))
+
+
+@cache
+def _compiled():  # type: ignore[no-untyped-def]
+    return compile_plant(PLANT)
+
+
+@cache
+def inverse() -> Inverse:
+    low, high = joint_limits(PLANT)
+    return Inverse.of(chain_of_plant(PLANT), low, high)
+
+
+class Traced(SimulatedTransport):
+    """Keeps the truth of every step."""
+
+    def _sense(self) -> None:
+        super()._sense()
+        if not hasattr(self, "joints"):
+            self.joints, self.ends, self.drives = [], [], []
+        self.joints.append(self.truth.joints[0])
+        self.ends.append(self.truth.ee[0])
+        self.drives.append(self.truth.drive[0])
+
+
+class Memory:
+    """A recorder that keeps everything, until it is told to fail."""
+
+    def __init__(self, fails_at: int | None = None) -> None:
+        self.cycles: list[Cycle] = []
+        self._fails_at = fails_at
+
+    def record(self, cycle: Cycle) -> None:
+        self.cycles.append(cycle)
+
+    @property
+    def fault(self) -> str:
+        return "disk full" if self._fails_at is not None and len(self.cycles) >= self._fails_at else ""
+
+
+@dataclass
+class Case:
+    """A loop and what is around it."""
+
+    loop: Loop
+    machine: Traced
+    transport: FaultyTransport
+    recorder: Memory
+    operator: Operator
+    limits: Limits
+    lines: list[str] = field(default_factory=list)
+
+    @property
+    def cycles(self) -> list[Cycle]:
+        return self.recorder.cycles
+
+    def verdicts(self) -> dict[str, int]:
+        """Check → the first turn in which it objected."""
+        found: dict[str, int] = {}
+        for cycle in self.cycles:
+            for verdict in cycle.verdicts:
+                found.setdefault(verdict.check, cycle.number)
+        return found
+
+    def states(self) -> list[str]:
+        """Every state it was in, in order."""
+        found: list[str] = []
+        for cycle in self.cycles:
+            if not found or found[-1] != cycle.state:
+                found.append(cycle.state)
+        return found
+
+
+def true_crane(seed: int = 0) -> Plant:
+    """A crane that is not quite what its plant says: gains, dead-bands, play."""
+    rng = np.random.default_rng(seed)
+    plant = PLANT
+    for axis in plant.machine.axis_names:
+        plant = plant.with_effect(KnownEffect("gain_error", axis, {"ratio": float(rng.uniform(0.88, 1.12))}))
+    return plant.with_effect(KnownEffect("backlash", "slew", {"width": 0.008}, "drive"))
+
+
+def case(
+    mode: Callable[[Limits, Chain], Mode],
+    *,
+    start: Array = MIDDLE,
+    true: Plant = PLANT,
+    plan: Sequence[Injection] = (),
+    policy: Policy | None = None,
+    lookahead: float | None = None,
+    limits: LimitSettings | None = None,
+    checks: CheckSettings | None = None,
+    recorder: Memory | None = None,
+    operator: Callable[[FaultyTransport], Operator] = Unattended,
+    noise: bool = True,
+    seed: int = 0,
+    **settings: object,
+) -> Case:
+    """A loop that is ready to run; the plan's times count from the first turn."""
+    machine = Traced(true, start, noise=noise, seed=seed)
+    transport = FaultyTransport(machine, tuple(plan))
+    ahead = response_time(PLANT) if lookahead is None else lookahead
+    chain = Chain(PLANT, Quick(PLANT), inverse(), policy=policy, lookahead=round(ahead, 2))
+    parts = valves(tune(PLANT), DT)
+    bounds = limits_of(PLANT, parts, limits or LimitSettings(), "test")
+    rules = checks or CheckSettings()
+    senses = Senses(PLANT, parts, DT, transport.signals, rules)
+    supervisor = Supervisor(chain.axes, bounds, parts, senses.linkages, chain.tip, DT, rules)
+    memory, person = recorder or Memory(), operator(transport)
+    values = {"priority": 0, "lock_memory": False, "settle_s": 0.1, **settings}
+    loop = Loop(transport, chain, senses, supervisor, mode(bounds, chain), memory, person, LoopSettings(**values))  # type: ignore[arg-type]
+    return Case(loop, machine, transport, memory, person, bounds)
