@@ -166,6 +166,7 @@ class Loop:
             for text in refused:
                 self.operator.told(text)
             begin = due = self.transport.now_ns() + self.period_ns
+            self.states.entered_ns = begin
             try:
                 while True:
                     self.transport.wait_until(due)
