@@ -104,6 +104,10 @@ class CylinderController:
         """The commands given last, (n, A)."""
         return self._state[:, :, LAST].copy()
 
+    def took(self, commands: npt.ArrayLike) -> None:
+        """What was really sent, (A,) or (n, A), where that is not what :meth:`commands` gave: the next ones go on from there."""
+        self._state[:, :, LAST] = np.asarray(commands, dtype=np.float64)
+
     def state(self) -> dict[str, Any]:
         """What the next commands depend on."""
         return {"controller": self._state.copy()}

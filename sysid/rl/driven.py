@@ -20,6 +20,7 @@ from sysid.networks.forward import ForwardModel
 from sysid.plant import Plant, compile_plant
 from sysid.plant.stepper import LaneState, Stepper
 from sysid.rl.environment import Flags, Parts, Task, check_pair
+from sysid.rl.observation import DrivenObservation
 from sysid.rl.reach import Reach, reach_of, tips
 
 if TYPE_CHECKING:
@@ -91,10 +92,8 @@ class DrivenEnvironment:
         self.history = self.horizon if history is None else history
         self.parts = Parts.of(self.actions)
         self._rng = np.random.default_rng(seed)
-        axes = self.actions
         self._target = np.full((size, 3), np.nan)
-        self._commands = np.zeros((size, self.history, axes))
-        self._speed = np.zeros((size, axes + 3))
+        self._view = DrivenObservation(plant.machine.axis_names, self.history, self.rate_hz, size)
         self._lane: LaneState | None = None
         self._final = np.full((size, self.observations), np.nan)
         self._count = np.zeros(size, dtype=np.int64)
@@ -105,7 +104,7 @@ class DrivenEnvironment:
 
     @property
     def observations(self) -> int:
-        return self.parts.width + (self.history + 1) * self.actions + 6
+        return self._view.width
 
     @property
     def steps(self) -> int:
@@ -164,11 +163,8 @@ class DrivenEnvironment:
             measured += self._noise * self._rng.standard_normal(measured.shape)
         commands = self._controller.commands(np.clip(wanted, self.reach.low, self.reach.high), measured)
         lane = self._stepper.step(commands)
-        if self.history:
-            self._commands[:, 1:] = self._commands[:, :-1]
-            self._commands[:, 0] = commands
-        self._speed[:, : self.actions] = (lane.joints - before.joints) * self.rate_hz
-        self._speed[:, self.actions :] = ((lane.tool - lane.ee) - (before.tool - before.ee)) * self.rate_hz
+        self._view.sent(commands)
+        self._view.moved(lane.joints, before.joints, lane.tool - lane.ee, before.tool - before.ee)
         self._lane = lane
         outside = ((wanted < self.reach.low) | (wanted > self.reach.high)).any(axis=1)
         rewards = self.task.reward(lane.ee, self._target, outside)
@@ -186,10 +182,7 @@ class DrivenEnvironment:
     @property
     def names(self) -> tuple[str, ...]:
         """What the columns of an observation are."""
-        axes = self.plant.machine.axis_names
-        past = tuple(f"{axis}.command[{-1 - k}]" for k in range(self.history) for axis in axes)
-        below = tuple(f"tool.{what}{axis}" for what in ("below.", "speed.") for axis in "xyz")
-        return (*self.parts.names(axes), *past, *(f"{axis}.speed" for axis in axes), *below)
+        return self._view.names
 
     def seed(self, seed: int) -> None:
         """Starts and targets from now on."""
@@ -232,7 +225,8 @@ class DrivenEnvironment:
 
     def state(self) -> dict[str, Any]:
         """Everything that the future depends on: arrays, and the generator as plain JSON values."""
-        own = {"target": self._target, "commands": self._commands, "speed": self._speed, "final": self._final}
+        view = {"commands": self._view.commands, "speed": self._view.speed}
+        own = {"target": self._target, **view, "final": self._final}
         return {
             **{name: values.copy() for name, values in own.items()},
             "count": self._count.copy(),
@@ -250,7 +244,8 @@ class DrivenEnvironment:
         plant = {name.removeprefix("plant."): np.asarray(values) for name, values in state.items() if name.startswith("plant.")}
         self._controller.restore(state)
         self._lane = self._stepper.restore(plant)
-        self._target[:], self._commands[:], self._speed[:] = state["target"], state["commands"], state["speed"]
+        self._target[:] = state["target"]
+        self._view.commands[:], self._view.speed[:] = state["commands"], state["speed"]
         self._final = np.array(state["final"], dtype=np.float64)
         self._count[:] = state["count"]
         self._rng.bit_generator.state = state["generator"]
@@ -266,11 +261,7 @@ class DrivenEnvironment:
 
     def _seen(self) -> Array:
         lane = self._at()
-        parts = (
-            lane.joints, lane.ee, self._target, self._commands.reshape(self.size, -1), self._speed[:, : self.actions],
-            lane.tool - lane.ee, self._speed[:, self.actions :],
-        )  # fmt: skip
-        return np.concatenate(parts, axis=1)
+        return self._view.seen(lane.joints, lane.ee, self._target, lane.tool - lane.ee)
 
     def _judged_by(self, count: int) -> tuple[Stepper, CylinderController]:
         if self._judges is None or self._judges[0].lanes != count:
@@ -287,7 +278,8 @@ class DrivenEnvironment:
         self._lane = lane = self._stepper.reset(np.clip(joints, self.reach.low, self.reach.high), which=which)
         self._controller.reset(self._measured(lane)[which], which)
         self._target[which] = targets
-        self._commands[which], self._speed[which], self._count[which] = 0.0, 0.0, 0
+        self._view.rest(which)
+        self._count[which] = 0
 
     def _bounds(self, sign: float) -> Array:
         """Lower or upper bounds of an observation, for networks to scale by; speeds and sway are typical, not limits."""

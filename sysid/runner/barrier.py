@@ -1,0 +1,136 @@
+"""The last thing between a command and a valve: range, rate, and barriers that a stop from here must not cross.
+
+Whatever was asked for, a command passes only if the axis can still be brought to rest inside its limits, by what the sensors
+*and* the commands so far say of where it is; and the end effector inside its fence. Commands that lead back inside always pass.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+
+import numpy as np
+import numpy.typing as npt
+
+from sysid.machine import TabulatedLinkage
+from sysid.runner.limits import Limits
+from sysid.runner.valves import Reckoning, Valve, braked, stopping
+
+Array = npt.NDArray[np.float64]
+Broken = tuple[str, int, float, float]
+
+#: What happens unseen for so long is still braked in time [s].
+UNSEEN_S = 0.08
+#: A valve may be this much faster than the plant says.
+SPREAD = 1.25
+#: Shares of what is asked for that are tried before nothing at all.
+SHARES = (1.0, 0.7, 0.4, 0.2, 0.0)
+
+
+class Barrier:
+    """Of one machine.
+
+    Args:
+        limits: in joints; they are turned into what the commands drive.
+        valves, linkages: of each axis; None where the command drives the joint.
+        tip: joints (n, A) → end effector (n, 3) [m].
+        dt: of a step [s].
+    """
+
+    def __init__(
+        self,
+        limits: Limits,
+        valves: Sequence[Valve],
+        linkages: Sequence[TabulatedLinkage | None],
+        tip: Callable[[Array], Array],
+        dt: float,
+    ) -> None:
+        self.limits, self.valves, self.linkages, self.tip, self.dt = limits, tuple(valves), tuple(linkages), tip, dt
+        self.low, self.high = np.empty(len(self.valves)), np.empty(len(self.valves))
+        for i, linkage in enumerate(self.linkages):
+            ends = np.array([limits.low[i], limits.high[i]])
+            self.low[i], self.high[i] = ends if linkage is None else np.sort(linkage.displacement(ends))
+        self.sent = np.zeros(len(self.valves))
+
+    def reset(self) -> None:
+        """The valves are neutral."""
+        self.sent = np.zeros(len(self.valves))
+
+    def pass_on(self, asked: Array, drive: Array, reckonings: Sequence[Reckoning]) -> tuple[Array, list[Broken]]:
+        """What may be sent (A,) of what is asked for (A,), and what was broken: (check, axis or −1, found, limit).
+
+        Args:
+            drive: what the sensors say of what is driven, (A,).
+        """
+        broken: list[Broken] = []
+        commands = np.array([self._one(i, float(asked[i]), float(drive[i]), reckonings[i], broken) for i in range(len(asked))])
+        if self.limits.fenced:
+            commands = self._fenced(commands, drive, reckonings, broken)
+        self.sent = commands
+        return commands.copy(), broken
+
+    def ramp(self, drive: Array, reckonings: Sequence[Reckoning]) -> Array:
+        """The commands (A,) of a stop: from those sent last towards neutral within the braking of each axis."""
+        commands = np.zeros(len(self.valves))
+        for i, valve in enumerate(self.valves):
+            speed = valve.speed(float(self.sent[i]))
+            left = max(0.0, abs(speed) - float(self.limits.braking[i]) * self.dt)
+            commands[i] = valve.command(math.copysign(left, speed))
+        passed, _ = self.pass_on(commands, drive, reckonings)
+        return passed
+
+    def _one(self, i: int, asked: float, drive: float, reckoning: Reckoning, broken: list[Broken]) -> float:
+        valve, most = self.valves[i], float(self.limits.command[i])
+        if not math.isfinite(asked):
+            broken.append(("command", i, asked, most))
+            asked = 0.0
+        command = min(max(asked, -most), most)
+        step = float(self.limits.command_rate[i]) * self.dt
+        last = float(self.sent[i])
+        command = min(max(command, last - step), last + step)
+        if abs(command - asked) > 1e-9:
+            broken.append(("command", i, asked, command))
+        speed = SPREAD * valve.speed(command)
+        if speed == 0.0:
+            return command
+        sign = math.copysign(1.0, speed)
+        places = [place for place in (drive, reckoning.position) if math.isfinite(place)]
+        if not places:
+            return 0.0
+        end = float(self.high[i] if sign > 0.0 else self.low[i])
+        room = min(sign * (end - place) for place in places) - SPREAD * reckoning.ahead(sign)
+        allowed = braked(room, self.dt + UNSEEN_S, float(self.limits.braking[i]))
+        if abs(speed) > allowed:
+            broken.append(("position", i, places[0], end))
+            return valve.command(sign * allowed / SPREAD)
+        return command
+
+    def _fenced(self, commands: Array, drive: Array, reckonings: Sequence[Reckoning], broken: list[Broken]) -> Array:
+        """The greatest share of ``commands`` with which a stop ends within the fence, or further in than with none."""
+        speeds = np.array([valve.speed(float(command)) for valve, command in zip(self.valves, commands, strict=True)])
+        if not speeds.any():
+            return commands
+        ends = np.empty((len(SHARES), 2, len(speeds)))
+        for i, (valve, reckoning) in enumerate(zip(self.valves, reckonings, strict=True)):
+            coming = reckoning.ahead(1.0) - reckoning.ahead(-1.0)
+            for k, share in enumerate(SHARES):
+                way = stopping(SPREAD * share * speeds[i], self.dt + UNSEEN_S, float(self.limits.braking[i]))
+                for n, place in enumerate((drive[i], reckoning.position)):
+                    ends[k, n, i] = min(max(place + SPREAD * coming + way, valve.low), valve.high)
+        joints = ends.reshape(-1, len(speeds)).copy()
+        for i, linkage in enumerate(self.linkages):
+            if linkage is not None:
+                joints[:, i] = linkage.joint(joints[:, i])
+        left = outside(self.tip(joints), self.limits.fence_low, self.limits.fence_high).reshape(len(SHARES), 2).max(axis=1)
+        fits = left <= max(0.0, float(left[-1]) - 1e-9)
+        if fits[0]:
+            return commands
+        share = SHARES[int(np.argmax(fits))] if fits.any() else 0.0
+        broken.append(("fence", -1, float(left[0]), 0.0))
+        kept = [valve.command(share * float(speed)) for valve, speed in zip(self.valves, speeds, strict=True)]
+        return np.array(kept)
+
+
+def outside(points: Array, low: Array, high: Array) -> Array:
+    """How far points (n, 3) are outside a box, (n,) [m]; zero inside."""
+    return np.asarray(np.maximum(np.maximum(low - points, points - high), 0.0).max(axis=1))

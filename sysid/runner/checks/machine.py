@@ -1,0 +1,40 @@
+"""Switches, the machine's own word, the line to it, the log, and time."""
+
+from __future__ import annotations
+
+import math
+
+from sysid.runner.checks.settings import CheckSettings
+from sysid.runner.cycle import Verdict
+from sysid.runner.senses import Seen
+
+
+def judge_machine(seen: Seen, settings: CheckSettings) -> list[Verdict]:
+    """What is wrong apart from signals; the dead-man switch is looked at where the machine moves, by the loop."""
+    found = []
+    inputs = seen.inputs
+    if inputs.emergency_stop:
+        found.append(_plain("emergency", settings, "emergency stop"))
+    if inputs.fault:
+        found.append(_plain("machine", settings, f"the machine reports: {inputs.fault}"))
+    if seen.line:
+        found.append(_plain("line", settings, f"the line is dead: {seen.line}"))
+    if seen.recording:
+        found.append(_plain("recording", settings, f"the log: {seen.recording}"))
+    rule = settings.overrun
+    if seen.lateness_s > rule.late_s:
+        text = f"a turn began {1e3 * seen.lateness_s:.0f} ms late"
+        found.append(Verdict("overrun", "machine", rule.reaction, seen.lateness_s, rule.late_s, text))
+    elif seen.missed >= rule.turns:
+        text = f"{seen.missed} turns in a row missed their deadline"
+        found.append(Verdict("overrun", "machine", rule.reaction, float(seen.missed), float(rule.turns), text))
+    return found
+
+
+def dead_man(settings: CheckSettings) -> Verdict:
+    """Nobody holds the switch."""
+    return _plain("dead_man", settings, "the dead-man switch was let go")
+
+
+def _plain(check: str, settings: CheckSettings, text: str) -> Verdict:
+    return Verdict(check, "machine", settings.reaction(check), math.nan, math.nan, text)

@@ -1,0 +1,115 @@
+"""Whether what is measured fits: sensors to each other, motion to commands, joints to setpoints, queries to data."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+
+import numpy as np
+import numpy.typing as npt
+
+from sysid.machine import TabulatedLinkage
+from sysid.runner.checks.settings import CheckSettings
+from sysid.runner.cycle import Verdict
+from sysid.runner.senses import Seen
+from sysid.runner.valves import Valve
+
+Array = npt.NDArray[np.float64]
+
+
+class MotionChecks:
+    """Checks that have to hold for a while before they object.
+
+    Args:
+        axes, valves, linkages, dt: of the machine.
+        settings: of the recipe.
+        inside: says which network is asked beyond its data, "" where none is.
+    """
+
+    def __init__(
+        self,
+        axes: Sequence[str],
+        valves: Sequence[Valve],
+        linkages: Sequence[TabulatedLinkage | None],
+        dt: float,
+        settings: CheckSettings,
+        inside: Callable[[Seen], str],
+    ) -> None:
+        self.axes, self.valves, self.linkages, self.dt = tuple(axes), tuple(valves), tuple(linkages), dt
+        self.settings, self._inside = settings, inside
+        self._lasted: dict[tuple[str, str], float] = {}
+        self._drive = np.full(len(self.axes), np.nan)
+        self._moved = np.zeros(len(self.axes))
+        self._neutral_s = 0.0
+
+    def reset(self) -> None:
+        """The valves are let go."""
+        self._lasted.clear()
+
+    def judge(self, seen: Seen, moving: bool, drive_setpoints: Array | None) -> list[Verdict]:
+        """What is wrong."""
+        found = []
+        settings = self.settings
+        if settings.on("contradiction"):
+            found += self._contradictions(seen)
+        if settings.on("motion") and moving:
+            found += self._unexplained(seen)
+        if settings.on("following") and moving and drive_setpoints is not None:
+            found += self._behind(seen, drive_setpoints)
+        if settings.on("domain") and moving:
+            text = self._inside(seen)
+            if self._lasts("domain", "networks", bool(text), settings.domain.for_s):
+                found.append(Verdict("domain", "networks", settings.domain.reaction, math.nan, math.nan, text))
+        return found + self._restless(seen, moving)
+
+    def _contradictions(self, seen: Seen) -> list[Verdict]:
+        found, rule = [], self.settings.contradiction
+        for sensor in seen.sensors:
+            if sensor.driven:
+                continue
+            through = float(seen.joints[sensor.axis])
+            away, limit = abs(sensor.value - through), rule.share * sensor.range
+            both = sensor.sound and bool(seen.measured[sensor.axis])
+            if self._lasts("contradiction", sensor.signal, both and away > limit, rule.for_s):
+                text = f"{sensor.signal} reads {sensor.value:.4g}, its cylinder says {through:.4g}"
+                found.append(Verdict("contradiction", sensor.signal, rule.reaction, away, limit, text))
+        return found
+
+    def _unexplained(self, seen: Seen) -> list[Verdict]:
+        found, rule = [], self.settings.motion
+        for i, (name, valve) in enumerate(zip(self.axes, self.valves, strict=True)):
+            away, limit = abs(float(seen.drive[i] - seen.reckoned[i])), rule.seconds * valve.fastest
+            if away > limit:
+                text = f"{name} is {away:.4g} from where its commands must have brought it"
+                found.append(Verdict("motion", name, rule.reaction, away, limit, text))
+        return found
+
+    def _behind(self, seen: Seen, drive_setpoints: Array) -> list[Verdict]:
+        found, rule = [], self.settings.following
+        for i, (name, valve) in enumerate(zip(self.axes, self.valves, strict=True)):
+            away, limit = abs(float(drive_setpoints[i] - seen.drive[i])), rule.seconds * valve.fastest
+            if self._lasts("following", name, away > limit, rule.for_s):
+                text = f"{name} is {away:.4g} behind its setpoint"
+                found.append(Verdict("following", name, rule.reaction, away, limit, text))
+        return found
+
+    def _restless(self, seen: Seen, moving: bool) -> list[Verdict]:
+        """Motion with neutral valves; by how far an axis came within a tenth of a second, so that noise is none."""
+        rule = self.settings.restless
+        self._neutral_s = 0.0 if moving else self._neutral_s + self.dt
+        fresh = np.where(np.isnan(self._drive), 0.0, seen.drive - self._drive)
+        keep = math.exp(-self.dt / 0.1)
+        self._moved = keep * self._moved + (1.0 - keep) * np.nan_to_num(fresh) / self.dt
+        self._drive = np.where(seen.measured, seen.drive, np.nan)
+        found = []
+        if self._neutral_s > rule.after_s:
+            for name, valve, speed in zip(self.axes, self.valves, self._moved, strict=True):
+                if abs(speed) > rule.share * valve.fastest:
+                    text = f"{name} moves at {speed:.4g} though its valve is neutral"
+                    found.append(Verdict("restless", name, rule.reaction, abs(float(speed)), rule.share * valve.fastest, text))
+        return found
+
+    def _lasts(self, check: str, target: str, wrong: bool, seconds: float) -> bool:
+        lasted = self._lasted.get((check, target), 0.0) + self.dt if wrong else 0.0
+        self._lasted[check, target] = lasted
+        return lasted > seconds + 1e-9

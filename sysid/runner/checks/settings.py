@@ -1,0 +1,255 @@
+"""``[checks]`` of a recipe: what the supervisor looks at, from where on it objects, and what follows.
+
+A reaction may be made sterner than its default, or milder down to what :data:`MILDEST` allows. A check that may be left out at
+all (:data:`OPTIONAL`) is left out by name, with the reason in words; it is printed at every start and stands in the log.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, fields
+
+from sysid.config import STRICT
+from sysid.errors import SettingsError, nearest
+from sysid.runner.cycle import REACTIONS, Reaction
+
+#: A reason that says less is none.
+SHORTEST_REASON = 12
+
+
+@dataclass(frozen=True)
+class Stale:
+    """No fresh reading for ``after_s``, or one that was measured so much longer ago than usual."""
+
+    __pydantic_config__ = STRICT
+    reaction: Reaction = "hold"
+    after_s: float = 0.045
+
+
+@dataclass(frozen=True)
+class NotFinite:
+    """A sensor sends what is no number."""
+
+    __pydantic_config__ = STRICT
+    reaction: Reaction = "hold"
+
+
+@dataclass(frozen=True)
+class Jump:
+    """A reading moved by ``share`` of its range more than the axis can have moved."""
+
+    __pydantic_config__ = STRICT
+    reaction: Reaction = "hold"
+    share: float = 0.01
+
+
+@dataclass(frozen=True)
+class FrozenValue:
+    """A reading stays the same to the last bit while the commands must have moved its axis by ``share`` of the range."""
+
+    __pydantic_config__ = STRICT
+    reaction: Reaction = "stop"
+    share: float = 0.005
+
+
+@dataclass(frozen=True)
+class Clock:
+    """The machine's clock jumps ahead by more than ``jump_s``."""
+
+    __pydantic_config__ = STRICT
+    reaction: Reaction = "stop"
+    jump_s: float = 0.05
+
+
+@dataclass(frozen=True)
+class Contradiction:
+    """A cylinder, through its network, and the joint's own sensor differ by ``share`` of the joint's range for ``for_s``."""
+
+    __pydantic_config__ = STRICT
+    reaction: Reaction = "stop"
+    share: float = 0.03
+    for_s: float = 0.03
+
+
+@dataclass(frozen=True)
+class Motion:
+    """Measured and reckoned position differ by what ``seconds`` at top speed make: the machine does not do what it is told."""
+
+    __pydantic_config__ = STRICT
+    reaction: Reaction = "stop"
+    seconds: float = 0.3
+
+
+@dataclass(frozen=True)
+class DomainLeft:
+    """A network is asked beyond its data for ``for_s``, and the way does not lead back."""
+
+    __pydantic_config__ = STRICT
+    reaction: Reaction = "stop"
+    for_s: float = 0.2
+
+
+@dataclass(frozen=True)
+class Following:
+    """A setpoint is further ahead of its axis than ``seconds`` at top speed, for ``for_s``."""
+
+    __pydantic_config__ = STRICT
+    reaction: Reaction = "stop"
+    seconds: float = 0.5
+    for_s: float = 0.2
+
+
+@dataclass(frozen=True)
+class Overrun:
+    """A turn begins ``late_s`` late, or ``turns`` in a row miss their deadline."""
+
+    __pydantic_config__ = STRICT
+    reaction: Reaction = "stop"
+    late_s: float = 0.08
+    turns: int = 5
+
+
+@dataclass(frozen=True)
+class PolicyAnswer:
+    """The policy fails, answers with what is no number, or jumps by ``share`` of a joint's range within a turn; ``hold`` means
+    that the fallback takes over for the rest of the run."""
+
+    __pydantic_config__ = STRICT
+    reaction: Reaction = "hold"
+    share: float = 0.2
+
+
+@dataclass(frozen=True)
+class Bound:
+    """A limit of ``[limits]`` that would have been left; what is sent stays within it whatever the reaction."""
+
+    __pydantic_config__ = STRICT
+    reaction: Reaction = "clamp"
+
+
+@dataclass(frozen=True)
+class Fence:
+    """The end effector would leave its fence; it is braked before whatever the reaction."""
+
+    __pydantic_config__ = STRICT
+    reaction: Reaction = "stop"
+
+
+@dataclass(frozen=True)
+class DeadMan:
+    """The switch is let go."""
+
+    __pydantic_config__ = STRICT
+    reaction: Reaction = "stop"
+
+
+@dataclass(frozen=True)
+class Latched:
+    """Emergency stop, a fault that the machine reports, a line that is dead."""
+
+    __pydantic_config__ = STRICT
+    reaction: Reaction = "fault"
+
+
+@dataclass(frozen=True)
+class Restless:
+    """The machine moves by ``share`` of its top speed, ``after_s`` after its valves were put to neutral."""
+
+    __pydantic_config__ = STRICT
+    reaction: Reaction = "fault"
+    share: float = 0.15
+    after_s: float = 0.6
+
+
+@dataclass(frozen=True)
+class Recording:
+    """The log does not take what it is given."""
+
+    __pydantic_config__ = STRICT
+    reaction: Reaction = "stop"
+
+
+@dataclass(frozen=True)
+class CheckSettings:
+    """All checks.
+
+    Args:
+        patience_s: a hold that lasts so long becomes a stop.
+        without: check that is left out → why.
+    """
+
+    __pydantic_config__ = STRICT
+
+    patience_s: float = 0.1
+    stale: Stale = field(default_factory=Stale)
+    not_finite: NotFinite = field(default_factory=NotFinite)
+    jump: Jump = field(default_factory=Jump)
+    frozen: FrozenValue = field(default_factory=FrozenValue)
+    clock: Clock = field(default_factory=Clock)
+    contradiction: Contradiction = field(default_factory=Contradiction)
+    motion: Motion = field(default_factory=Motion)
+    domain: DomainLeft = field(default_factory=DomainLeft)
+    following: Following = field(default_factory=Following)
+    overrun: Overrun = field(default_factory=Overrun)
+    policy: PolicyAnswer = field(default_factory=PolicyAnswer)
+    position: Bound = field(default_factory=Bound)
+    speed: Bound = field(default_factory=Bound)
+    acceleration: Bound = field(default_factory=Bound)
+    jerk: Bound = field(default_factory=Bound)
+    command: Bound = field(default_factory=Bound)
+    fence: Fence = field(default_factory=Fence)
+    dead_man: DeadMan = field(default_factory=DeadMan)
+    emergency: Latched = field(default_factory=Latched)
+    machine: Latched = field(default_factory=Latched)
+    line: Latched = field(default_factory=Latched)
+    restless: Restless = field(default_factory=Restless)
+    recording: Recording = field(default_factory=Recording)
+    without: dict[str, str] = field(default_factory=dict)
+
+    def reaction(self, check: str) -> Reaction:
+        """What follows where ``check`` objects."""
+        found: Reaction = getattr(self, check).reaction
+        return found
+
+    def on(self, check: str) -> bool:
+        """Whether it is looked at at all."""
+        return check not in self.without
+
+
+CHECKS: tuple[str, ...] = tuple(item.name for item in fields(CheckSettings) if item.name not in ("patience_s", "without"))
+#: No recipe may ask for less.
+MILDEST: dict[str, Reaction] = {
+    "stale": "hold", "not_finite": "hold", "jump": "hold", "frozen": "stop", "clock": "hold", "contradiction": "stop",
+    "motion": "hold", "domain": "clamp", "following": "hold", "overrun": "stop", "policy": "hold", "position": "clamp",
+    "speed": "clamp", "acceleration": "clamp", "jerk": "clamp", "command": "clamp", "fence": "clamp", "dead_man": "stop",
+    "emergency": "fault", "machine": "stop", "line": "fault", "restless": "fault", "recording": "clamp",
+}  # fmt: skip
+#: May be left out, one by one.
+OPTIONAL: tuple[str, ...] = ("clock", "contradiction", "motion", "domain", "following", "jerk")
+
+
+def check_checks(settings: CheckSettings, where: object) -> CheckSettings:
+    """``settings`` unless they ask for less than is allowed.
+
+    Raises:
+        SettingsError: a reaction that is too mild, a check left out that must not be, or without a reason; a threshold that is
+            not positive.
+    """
+    for name in CHECKS:
+        rule = getattr(settings, name)
+        if REACTIONS.index(rule.reaction) < REACTIONS.index(MILDEST[name]):
+            expected = " or ".join(repr(item) for item in REACTIONS[REACTIONS.index(MILDEST[name]) :])
+            raise SettingsError(f"{where}: checks.{name}.reaction", repr(rule.reaction), expected)
+        for item in fields(rule):
+            value = getattr(rule, item.name)
+            if item.name != "reaction" and not 0.0 < value < float("inf"):
+                raise SettingsError(f"{where}: checks.{name}.{item.name}", f"{value}", "a positive number")
+    if not 0.0 < settings.patience_s <= 1.0:
+        raise SettingsError(f"{where}: checks.patience_s", f"{settings.patience_s:g} s", "above 0, at most 1 s")
+    for name, reason in settings.without.items():
+        if name not in CHECKS:
+            raise SettingsError(f"{where}: checks.without", f"unknown check {name!r}", nearest(name, OPTIONAL))
+        if name not in OPTIONAL:
+            raise SettingsError(f"{where}: checks.without.{name}", "cannot be left out", f"one of: {', '.join(OPTIONAL)}")
+        if len(reason.strip()) < SHORTEST_REASON:
+            raise SettingsError(f"{where}: checks.without.{name}", f"the reason {reason!r}", "one sentence that says why")
+    return settings

@@ -1,0 +1,246 @@
+"""Faults that are put between the runner and a machine, at stated times: what the supervisor is tried with.
+
+Each fault is a small frozen dataclass; a plan says which one is there from when to when. Nothing here is used in earnest.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from sysid.runner.clock import SECOND
+from sysid.runner.transport import MachineInputs, Reading, Transport
+
+Array = npt.NDArray[np.float64]
+Readings = dict[str, Reading]
+
+
+@dataclass(frozen=True)
+class Dropped:
+    """Frames do not come: readings stay what they were. ``signals`` empty: all."""
+
+    signals: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Frozen:
+    """A sensor goes on sending one value."""
+
+    signal: str
+
+
+@dataclass(frozen=True)
+class Delayed:
+    """Readings come late by ``seconds``; with ``stamped`` false nothing in them says so."""
+
+    seconds: float
+    signals: tuple[str, ...] = ()
+    stamped: bool = True
+
+
+@dataclass(frozen=True)
+class NotANumber:
+    """A sensor sends NaN."""
+
+    signal: str
+
+
+@dataclass(frozen=True)
+class Jumped:
+    """A sensor is off by ``by`` [m or rad]."""
+
+    signal: str
+    by: float
+
+
+@dataclass(frozen=True)
+class Scaled:
+    """A sensor reads ``factor`` times what it should."""
+
+    signal: str
+    factor: float
+
+
+@dataclass(frozen=True)
+class Unplugged:
+    """A sensor is gone: there is no reading of it."""
+
+    signal: str
+
+
+@dataclass(frozen=True)
+class BusOff:
+    """Nothing comes and nothing goes; ``silent``: nobody says so."""
+
+    silent: bool = False
+
+
+@dataclass(frozen=True)
+class WritesLost:
+    """Commands do not arrive, and nobody says so."""
+
+
+@dataclass(frozen=True)
+class Paused:
+    """The process stands still for ``seconds``, once."""
+
+    seconds: float
+
+
+@dataclass(frozen=True)
+class ClockJumped:
+    """The machine's clock is off by ``seconds``."""
+
+    seconds: float
+
+
+@dataclass(frozen=True)
+class DeadManReleased:
+    """Nobody holds the switch."""
+
+
+@dataclass(frozen=True)
+class EmergencyPressed:
+    """Somebody pressed the button."""
+
+
+@dataclass(frozen=True)
+class MachineSays:
+    """The machine's side reports a fault."""
+
+    text: str = "valve driver"
+
+
+Fault = (
+    Dropped | Frozen | Delayed | NotANumber | Jumped | Scaled | Unplugged | BusOff | WritesLost | Paused | ClockJumped
+    | DeadManReleased | EmergencyPressed | MachineSays
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Injection:
+    """A fault ``begin`` … ``end`` seconds after :meth:`FaultyTransport.start`, or after opening."""
+
+    fault: Fault
+    begin: float
+    end: float = float("inf")
+
+
+class FaultyTransport:
+    """A transport with faults.
+
+    Args:
+        transport: of the machine.
+        plan: the faults, in any order; where several change one reading they do so in this order.
+    """
+
+    def __init__(self, transport: Transport, plan: tuple[Injection, ...]) -> None:
+        self.transport, self.plan = transport, plan
+        self._begin_ns = 0
+        self._kept: dict[int, Readings] = {}
+        self._late: deque[tuple[int, Readings]] = deque(maxlen=256)
+        self._paused: set[int] = set()
+
+    @property
+    def signals(self) -> tuple[str, ...]:
+        return self.transport.signals
+
+    @property
+    def axes(self) -> tuple[str, ...]:
+        return self.transport.axes
+
+    def open(self) -> None:
+        self.transport.open()
+        self.start()
+
+    def start(self) -> None:
+        """Count the plan's times from now on."""
+        self._begin_ns = self.transport.now_ns()
+        self._kept.clear()
+        self._paused.clear()
+
+    def close(self) -> None:
+        self.transport.close()
+
+    def now_ns(self) -> int:
+        return self.transport.now_ns()
+
+    def wait_until(self, ns: int) -> None:
+        for k, injection in enumerate(self.plan):
+            begin = self._begin_ns + round(injection.begin * SECOND)
+            if isinstance(injection.fault, Paused) and k not in self._paused and ns >= begin:
+                self._paused.add(k)
+                ns = max(ns, begin + round(injection.fault.seconds * SECOND))
+        self.transport.wait_until(ns)
+
+    def set_inputs(self, dead_man: bool | None = None, emergency_stop: bool | None = None) -> None:
+        """Of the machine behind, where a program can hold its switches."""
+        getattr(self.transport, "set_inputs")(dead_man, emergency_stop)  # noqa: B009 - not every transport has it
+
+    def read(self) -> tuple[Mapping[str, Reading], MachineInputs]:
+        given, inputs = self.transport.read()
+        readings = dict(given)
+        self._late.append((self.now_ns(), dict(given)))
+        for k, fault in self._now():
+            if k not in self._kept:
+                self._kept[k] = dict(readings)
+            self._change(readings, fault, self._kept[k])
+            if isinstance(fault, BusOff) and not fault.silent:
+                inputs = replace(inputs, fault="bus off")
+            elif isinstance(fault, MachineSays):
+                inputs = replace(inputs, fault=fault.text)
+            elif isinstance(fault, DeadManReleased):
+                inputs = replace(inputs, dead_man=False)
+                self.set_inputs(dead_man=False)
+            elif isinstance(fault, EmergencyPressed):
+                inputs = replace(inputs, emergency_stop=True)
+                self.set_inputs(emergency_stop=True)
+        return readings, inputs
+
+    def write(self, commands: Array, enabled: bool) -> None:
+        for _, fault in self._now():
+            if isinstance(fault, WritesLost) or (isinstance(fault, BusOff) and fault.silent):
+                return
+            if isinstance(fault, BusOff):
+                raise OSError("bus off")
+        self.transport.write(commands, enabled)
+
+    def _now(self) -> list[tuple[int, Fault]]:
+        seconds = (self.now_ns() - self._begin_ns) / SECOND
+        return [(k, item.fault) for k, item in enumerate(self.plan) if item.begin <= seconds < item.end]
+
+    def _change(self, readings: Readings, fault: Fault, kept: Readings) -> None:
+        if isinstance(fault, Dropped | BusOff):
+            wanted = fault.signals if isinstance(fault, Dropped) and fault.signals else tuple(kept)
+            readings.update({signal: kept[signal] for signal in wanted if signal in kept})
+        elif isinstance(fault, Delayed):
+            self._delay(readings, fault)
+        elif isinstance(fault, ClockJumped):
+            by = round(fault.seconds * SECOND)
+            for signal, reading in readings.items():
+                readings[signal] = replace(reading, measured_ns=reading.measured_ns + by)
+        elif isinstance(fault, Unplugged):
+            readings.pop(fault.signal, None)
+        elif isinstance(fault, Frozen | NotANumber | Jumped | Scaled) and fault.signal in readings:
+            reading = readings[fault.signal]
+            readings[fault.signal] = replace(reading, value=_changed(fault, reading.value, kept))
+
+    def _delay(self, readings: Readings, fault: Delayed) -> None:
+        then = self.now_ns() - round(fault.seconds * SECOND)
+        old = next((values for at, values in reversed(self._late) if at <= then), self._late[0][1])
+        for signal in fault.signals or tuple(readings):
+            if signal in old and signal in readings:
+                fresh = readings[signal]
+                readings[signal] = old[signal] if fault.stamped else replace(fresh, value=old[signal].value)
+
+
+def _changed(fault: Frozen | NotANumber | Jumped | Scaled, value: float, kept: Readings) -> float:
+    if isinstance(fault, Frozen):
+        return kept[fault.signal].value if fault.signal in kept else value
+    if isinstance(fault, Jumped):
+        return value + fault.by
+    return value * fault.factor if isinstance(fault, Scaled) else float("nan")

@@ -1,0 +1,208 @@
+"""``[limits]`` of a recipe, and how setpoints are kept within them: position, speed, acceleration and jerk of each joint.
+
+Each step is clamped against the *previous setpoint*, never against the measured position: a clamp against what is measured
+throttles an actuator that lags (ros2_control issue 2183). Motion back inside a limit is always permitted.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+import numpy as np
+import numpy.typing as npt
+
+from sysid.config import STRICT
+from sysid.errors import SettingsError, nearest
+from sysid.plant import Plant
+from sysid.rl.reach import joint_limits
+from sysid.runner.valves import Valve
+
+Array = npt.NDArray[np.float64]
+
+#: Full speed is reached within this time [s], full acceleration within that, where a recipe says nothing.
+SPEED_UP_S, JERK_S = 0.2, 0.05
+#: Part of the acceleration that braking before a target plans with; the rest is for jerk.
+BRAKING = 0.6
+
+
+@dataclass(frozen=True)
+class AxisLimits:
+    """Of one joint [rad or m, s]; None: what the machine's description and the plant give.
+
+    Args:
+        low, high: of its position.
+        speed, acceleration, jerk: greatest magnitudes.
+        command: greatest magnitude of the valve command.
+        command_rate: greatest change of it [1/s].
+    """
+
+    __pydantic_config__ = STRICT
+
+    low: float | None = None
+    high: float | None = None
+    speed: float | None = None
+    acceleration: float | None = None
+    jerk: float | None = None
+    command: float = 1.0
+    command_rate: float | None = None
+
+
+@dataclass(frozen=True)
+class LimitSettings:
+    """``[limits]``.
+
+    Args:
+        margin: share of a joint's range that is kept to its ends.
+        fence: of the end effector, ``{x = [low, high], …}`` [m]; what is left out is not bounded.
+        fence_margin: kept to the fence [m].
+        axes: per axis.
+    """
+
+    __pydantic_config__ = STRICT
+
+    margin: float = 0.03
+    fence: dict[str, tuple[float, float]] = field(default_factory=dict)
+    fence_margin: float = 0.03
+    axes: dict[str, AxisLimits] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Limits:
+    """Of all joints, arrays (A,) in SI; ``hard_low``/``hard_high`` without the margin.
+
+    Args:
+        braking: deceleration of what the command drives that stops plan with, (A,).
+        fence_low, fence_high: within the margin, (3,) [m], infinite where there is none; ``hard_fence``: without.
+    """
+
+    low: Array
+    high: Array
+    hard_low: Array
+    hard_high: Array
+    speed: Array
+    acceleration: Array
+    jerk: Array
+    command: Array
+    command_rate: Array
+    braking: Array
+    fence_low: Array
+    fence_high: Array
+    hard_fence: tuple[Array, Array]
+
+    @property
+    def fenced(self) -> bool:
+        return bool(np.isfinite(self.fence_low).any() or np.isfinite(self.fence_high).any())
+
+
+def limits_of(plant: Plant, valves: tuple[Valve, ...], settings: LimitSettings, where: object) -> Limits:
+    """The limits of a machine, narrowed by a recipe.
+
+    Raises:
+        SettingsError: an unknown axis or coordinate, limits beyond the machine's own or that leave no room.
+    """
+    names = plant.machine.axis_names
+    for axis in settings.axes:
+        if axis not in names:
+            raise SettingsError(f"{where}: limits.axes", f"unknown axis {axis!r}", nearest(axis, names))
+    for letter, ends in settings.fence.items():
+        if letter not in ("x", "y", "z"):
+            raise SettingsError(f"{where}: limits.fence", f"unknown coordinate {letter!r}", "x, y or z")
+        if not ends[1] - ends[0] > 2.0 * settings.fence_margin:
+            raise SettingsError(f"{where}: limits.fence.{letter}", f"{list(ends)}", "more room than two margins")
+    if not (0.0 <= settings.margin < 0.5 and settings.fence_margin >= 0.0):
+        raise SettingsError(f"{where}: limits", "a margin that leaves no room", "margin in 0 … 0.5, fence_margin ≥ 0")
+    own_low, own_high = joint_limits(plant)
+    low, high = own_low.copy(), own_high.copy()
+    rows = []
+    for i, (name, valve) in enumerate(zip(names, valves, strict=True)):
+        item, place = settings.axes.get(name, AxisLimits()), f"{where}: limits.axes.{name}"
+        low[i], high[i] = own_low[i] if item.low is None else item.low, own_high[i] if item.high is None else item.high
+        if low[i] < own_low[i] - 1e-9 or high[i] > own_high[i] + 1e-9 or not low[i] < high[i]:
+            own = f"within {own_low[i]:.4g} … {own_high[i]:.4g}, the machine's own"
+            raise SettingsError(place, f"low = {low[i]:.4g}, high = {high[i]:.4g}", own)
+        fastest = valve.fastest * _least_slope(plant, i, own_low[i], own_high[i])
+        speed = fastest if item.speed is None else item.speed
+        acceleration = speed / SPEED_UP_S if item.acceleration is None else item.acceleration
+        jerk = acceleration / JERK_S if item.jerk is None else item.jerk
+        rate = valve.rate if item.command_rate is None else item.command_rate
+        rows.append((speed, acceleration, jerk, item.command, rate))
+        for key, value in zip(("speed", "acceleration", "jerk", "command", "command_rate"), rows[-1], strict=True):
+            if not 0.0 < value < math.inf:
+                raise SettingsError(f"{place}.{key}", f"{value}", "a positive number")
+        if item.command > 1.0:
+            raise SettingsError(f"{place}.command", f"{item.command}", "at most 1")
+    margin = settings.margin * (high - low)
+    bounds = np.array([settings.fence.get(letter, (-math.inf, math.inf)) for letter in "xyz"])
+    columns = np.array(rows).T
+    return Limits(
+        low + margin, high - margin, low, high, columns[0], columns[1], columns[2], columns[3], columns[4],
+        np.array([valve.fastest / SPEED_UP_S for valve in valves]),
+        bounds[:, 0] + settings.fence_margin, bounds[:, 1] - settings.fence_margin, (bounds[:, 0], bounds[:, 1]),
+    )  # fmt: skip
+
+
+def _least_slope(plant: Plant, i: int, low: float, high: float) -> float:
+    """The least joint speed per speed of what is driven, over the middle of the range."""
+    axis = plant.machine.axes[i]
+    if axis.drives != "cylinder":
+        return 1.0
+    room = 0.1 * (high - low)
+    q = np.linspace(low + room, high - room, 64)
+    return float(np.abs(np.diff(q) / np.diff(plant.linkages[axis.name].displacement(q))).min())
+
+
+class SetpointLimiter:
+    """Joint setpoints within their limits, a step at a time.
+
+    What keeps all limits passes as it is. Else the joint moves towards it as fast as they allow, braking before it, and catches
+    up with a target that moves on.
+    """
+
+    def __init__(self, limits: Limits, dt: float) -> None:
+        self.limits, self.dt = limits, dt
+        self.position = np.full(len(limits.low), np.nan)
+        self.speed = np.zeros(len(limits.low))
+        self._acceleration = np.zeros(len(limits.low))
+        self._wanted = np.full(len(limits.low), np.nan)
+
+    def reset(self, joints: Array) -> None:
+        """At rest at ``joints`` (A,)."""
+        self.position, self._wanted = np.array(joints, dtype=np.float64), np.array(joints, dtype=np.float64)
+        self.speed, self._acceleration = np.zeros(len(joints)), np.zeros(len(joints))
+
+    def step(self, wanted: Array) -> tuple[Array, list[tuple[str, int, float, float]]]:
+        """Setpoints (A,) for what is wanted (A,), and the limits that it broke: (check, axis, found, limit)."""
+        broken: list[tuple[str, int, float, float]] = []
+        for i in range(len(wanted)):
+            self._step(i, float(wanted[i]), broken)
+        self._wanted[:] = wanted
+        return self.position.copy(), broken
+
+    def _step(self, i: int, asked: float, broken: list[tuple[str, int, float, float]]) -> None:
+        dt, at, speed, acceleration = self.dt, float(self.position[i]), float(self.speed[i]), float(self._acceleration[i])
+        of = self.limits
+        top, most, jerk = float(of.speed[i]), float(of.acceleration[i]), float(of.jerk[i])
+        low, high = min(float(of.low[i]), at), max(float(of.high[i]), at)  # whoever stands outside may come back
+        wanted = min(max(asked, low), high)
+        if wanted != asked:
+            broken.append(("position", i, asked, high if asked > high else low))
+        v = (wanted - at) / dt
+        a = (v - speed) / dt
+        j = (a - acceleration) / dt
+        over = (("speed", abs(v), top), ("acceleration", abs(a), most), ("jerk", abs(j), jerk))
+        found = [(name, i, value, limit) for name, value, limit in over if value > limit * (1.0 + 1e-9) + 1e-9]
+        if found:
+            broken += found
+            moved = (wanted - float(self._wanted[i])) / dt  # the target's own speed; a jump has none
+            moved = moved if abs(moved) <= top else 0.0
+            error = wanted - at
+            toward = math.copysign(min(math.sqrt(2.0 * BRAKING * most * abs(error)), 0.5 * abs(error) / dt), error)
+            v = min(max(moved + toward, -top), top)
+            a = min(max((v - speed) / dt, -most, acceleration - jerk * dt), most, acceleration + jerk * dt)
+            v = min(max(speed + a * dt, -top), top)
+        after = at + v * dt
+        if not low <= after <= high:
+            after = min(max(after, low), high)
+            v, a = (after - at) / dt, 0.0
+        self.position[i], self.speed[i], self._acceleration[i] = after, v, a

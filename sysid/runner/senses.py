@@ -1,0 +1,184 @@
+"""From readings to belief: what came, how old it is, whether it can be so, and where each axis is believed to be."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+import numpy.typing as npt
+
+from sysid.plant import Plant
+from sysid.runner.checks.settings import CheckSettings
+from sysid.runner.clock import SECOND
+from sysid.runner.transport import NOBODY, MachineInputs, Reading
+from sysid.runner.valves import Reckoning, Valve
+from sysid.signals import axis_signal
+
+Array = npt.NDArray[np.float64]
+
+#: Dead reckoning leans on the sensors with this time constant [s].
+LEAN_S = 0.5
+#: A sensor may be this much faster than the plant says its axis is.
+FASTER = 1.5
+#: Delays of a line are learned for so long before a clock counts as jumped [s].
+LEARN_S = 0.3
+
+
+@dataclass(slots=True)
+class Sensor:
+    """One signal and its history.
+
+    Args:
+        signal: its canonical name; ``axis`` it belongs to, ``driven``: what the command drives.
+        range: of its values; ``fastest``: of its axis, in its unit.
+    """
+
+    signal: str
+    axis: int
+    driven: bool
+    range: float
+    fastest: float
+    value: float = math.nan
+    count: int = -1
+    age_s: float = math.inf
+    usual_ns: int | None = None
+    first_ns: int = 0
+    ahead_s: float = 0.0
+    finite: bool = True
+    jump: float = 0.0
+    good: float = math.nan
+    good_ns: int = 0
+    still_since: float = 0.0
+    sound: bool = False
+
+
+@dataclass(slots=True)
+class Seen:
+    """What the supervisor judges in one turn.
+
+    Args:
+        sensors: driven ones first, in the order of axes; then joints of cylinders that have a sensor of their own.
+        drive, joints: as believed, (A,); ``measured``: whether a sound sensor says so, (A,).
+        reckoned: by the commands, (A,), of what is driven.
+        ee: as believed, (3,).
+        running_s: since the valves were let go.
+    """
+
+    now_ns: int
+    lateness_s: float
+    missed: int
+    inputs: MachineInputs
+    sensors: list[Sensor]
+    drive: Array
+    measured: npt.NDArray[np.bool_]
+    reckoned: Array
+    joints: Array
+    ee: Array = field(default_factory=lambda: np.full(3, np.nan))
+    line: str = ""
+    recording: str = ""
+
+
+class Senses:
+    """Keeps the history that single readings lack.
+
+    Args:
+        plant: whose linkages turn cylinders into joints.
+        valves: of its axes; ``dt`` of a step [s].
+        signals: that the transport has.
+        settings: from where on a sensor is not believed.
+    """
+
+    def __init__(
+        self, plant: Plant, valves: tuple[Valve, ...], dt: float, signals: tuple[str, ...], settings: CheckSettings
+    ) -> None:
+        self.plant, self.valves, self.dt, self.settings = plant, valves, dt, settings
+        axes = plant.machine.axes
+        self.linkages = [plant.linkages[axis.name] if axis.drives == "cylinder" else None for axis in axes]
+        self.driven = [Sensor(axis.driven, i, True, v.high - v.low, v.fastest) for i, (axis, v) in enumerate(zip(axes, valves))]  # noqa: B905
+        self.extra = []
+        for i, axis in enumerate(axes):
+            linkage, signal = self.linkages[i], axis_signal(axis.name, "joint")
+            if linkage is not None and signal in signals:
+                ends = np.sort(linkage.joint(np.array([valves[i].low, valves[i].high])))
+                reach = float(ends[1] - ends[0])
+                steep = float(np.abs(np.gradient(linkage.joints, linkage.displacements)).max())
+                self.extra.append(Sensor(signal, i, False, reach, valves[i].fastest * steep))
+        self.sensors = [*self.driven, *self.extra]
+        self.reckonings = [Reckoning(valve, dt, LEAN_S) for valve in valves]
+        self._last_ns = -1
+
+    def reset(self) -> None:
+        """Forget what was learned: after a fault, and before the first turn."""
+        for sensor in self.sensors:
+            sensor.good, sensor.count, sensor.usual_ns, sensor.still_since = math.nan, -1, None, 0.0
+        for reckoning in self.reckonings:
+            reckoning.reset(math.nan)
+
+    def step(self, commands: Array) -> None:
+        """The step with ``commands`` (A,) is over; neutral ones are zero."""
+        for sensor, reckoning, command in zip(self.driven, self.reckonings, commands, strict=True):
+            before = reckoning.position
+            reckoning.step(float(command))
+            if not math.isnan(before):
+                sensor.still_since += abs(reckoning.position - before)
+
+    def see(
+        self, readings: Mapping[str, Reading], inputs: MachineInputs, now_ns: int, lateness_s: float = 0.0, missed: int = 0
+    ) -> Seen:
+        """Readings of this turn, believed where they can be."""
+        for sensor in self.sensors:
+            self._look(sensor, readings.get(sensor.signal), now_ns)
+        drive, joints = np.empty(len(self.driven)), np.empty(len(self.driven))
+        for i, (sensor, reckoning) in enumerate(zip(self.driven, self.reckonings, strict=True)):
+            if sensor.sound:
+                if math.isnan(reckoning.position):
+                    reckoning.position = sensor.value
+                reckoning.correct(sensor.value)
+                drive[i] = sensor.value
+            else:
+                drive[i] = reckoning.position
+            linkage = self.linkages[i]
+            joints[i] = drive[i] if linkage is None else _joint(linkage, drive[i])
+        return Seen(
+            now_ns, lateness_s, missed, inputs, self.sensors, drive, np.array([sensor.sound for sensor in self.driven]),
+            np.array([item.position for item in self.reckonings]), joints,
+        )  # fmt: skip
+
+    def nothing(self, now_ns: int, line: str) -> Seen:
+        """What a turn sees whose line is dead."""
+        seen = self.see({}, NOBODY, now_ns)
+        seen.line = line
+        return seen
+
+    def _look(self, sensor: Sensor, reading: Reading | None, now_ns: int) -> None:
+        if reading is None:
+            sensor.age_s, sensor.sound, sensor.finite, sensor.jump = math.inf, False, True, 0.0
+            return
+        lag = reading.received_ns - reading.measured_ns
+        if sensor.usual_ns is None:
+            sensor.usual_ns, sensor.first_ns = lag, now_ns
+        sensor.ahead_s = (sensor.usual_ns - lag) / SECOND
+        if now_ns - sensor.first_ns < LEARN_S * SECOND:
+            sensor.usual_ns = min(sensor.usual_ns, lag)
+        sensor.age_s = (now_ns - reading.received_ns + max(0, lag - sensor.usual_ns)) / SECOND
+        fresh, sensor.count = reading.count != sensor.count, reading.count
+        value = reading.value
+        sensor.finite = math.isfinite(value)
+        if fresh and value != sensor.value:
+            sensor.still_since = 0.0
+        sensor.value = value
+        sensor.jump = 0.0
+        if sensor.finite and not math.isnan(sensor.good):
+            passed = max((now_ns - sensor.good_ns) / SECOND, self.dt)
+            sensor.jump = max(0.0, abs(value - sensor.good) - FASTER * sensor.fastest * passed)
+        late = sensor.age_s > self.settings.stale.after_s
+        sensor.sound = sensor.finite and not late and sensor.jump <= self.settings.jump.share * sensor.range
+        if sensor.sound and fresh:
+            sensor.good, sensor.good_ns = value, now_ns
+
+
+def _joint(linkage: object, displacement: float) -> float:
+    found: Array = linkage.joint(np.array([displacement]))  # type: ignore[attr-defined]
+    return float(found[0])

@@ -1,0 +1,85 @@
+"""The states of a run and the events that lead from one to the next; what the table does not have does not happen.
+
+    idle → ready → armed → running → stopping → ready        any → fault → (a person's reset) → idle
+"""
+
+from __future__ import annotations
+
+from typing import Literal, get_args
+
+from sysid.errors import InputError
+from sysid.runner.cycle import State
+
+#: ``healthy``/``unhealthy``: everything needed is there and sound, or not. ``hold``: the dead-man switch is taken in hand.
+#: ``rest``: the machine stands still with neutral valves.
+Event = Literal["healthy", "unhealthy", "arm", "disarm", "hold", "stop", "rest", "fault", "reset"]
+#: Events that only a person causes.
+PERSONAL: tuple[Event, ...] = ("arm", "disarm", "hold", "reset")
+STATES: tuple[State, ...] = get_args(State)
+EVENTS: tuple[Event, ...] = get_args(Event)
+
+TABLE: dict[tuple[State, Event], State] = {
+    ("idle", "healthy"): "ready",
+    ("ready", "unhealthy"): "idle",
+    ("ready", "arm"): "armed",
+    ("armed", "disarm"): "ready",
+    ("armed", "stop"): "ready",
+    ("armed", "unhealthy"): "idle",
+    ("armed", "hold"): "running",
+    ("running", "stop"): "stopping",
+    ("stopping", "rest"): "ready",
+    ("fault", "reset"): "idle",
+    **{(state, "fault"): "fault" for state in STATES},
+}
+#: In these the valves may move.
+MOVING: tuple[State, ...] = ("running", "stopping")
+
+
+def following(state: State, event: Event) -> State | None:
+    """The state that ``event`` leads to from ``state``; None where it leads nowhere."""
+    return TABLE.get((state, event))
+
+
+class States:
+    """The state of one run. A fault stays until :meth:`on` is told of a person's reset; why it came is kept.
+
+    Args:
+        state: at first.
+    """
+
+    def __init__(self) -> None:
+        self.state: State = "idle"
+        #: Why it is in ``fault``, or why it stopped last.
+        self.why = ""
+        self.entered_ns = 0
+
+    @property
+    def moving(self) -> bool:
+        """Whether valves may move."""
+        return self.state in MOVING
+
+    def on(self, event: Event, now_ns: int, why: str = "") -> bool:
+        """Take ``event``; whether the state is another one now. What leads nowhere from here changes nothing.
+
+        A second fault while in ``fault`` does not replace the first one's reason.
+        """
+        found = TABLE.get((self.state, event))
+        if found is None or found == self.state:
+            return False
+        self.state, self.entered_ns = found, now_ns
+        if event in ("fault", "stop", "unhealthy"):
+            self.why = why or event
+        elif event in ("reset", "hold"):
+            self.why = ""
+        return True
+
+    def demand(self, event: Event, now_ns: int) -> None:
+        """A person's event.
+
+        Raises:
+            InputError: it leads nowhere from here.
+        """
+        if not self.on(event, now_ns):
+            possible = sorted(name for state, name in TABLE if state == self.state and name in (*PERSONAL, "stop"))
+            found = f"{event!r} while {self.state}" + (f" ({self.why})" if self.state == "fault" else "")
+            raise InputError("runner", found, " or ".join(possible) or "nothing: it has to become sound by itself")

@@ -1,0 +1,146 @@
+"""Separate from whatever asks for motion: judges what is seen, keeps what is asked within limits, says what has to follow."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+
+import numpy as np
+import numpy.typing as npt
+
+from sysid.machine import TabulatedLinkage
+from sysid.runner.barrier import Barrier, Broken, outside
+from sysid.runner.checks.machine import judge_machine
+from sysid.runner.checks.motion import MotionChecks
+from sysid.runner.checks.sensors import judge_sensors
+from sysid.runner.checks.settings import CheckSettings
+from sysid.runner.cycle import REACTIONS, Reaction, Verdict
+from sysid.runner.limits import Limits, SetpointLimiter
+from sysid.runner.senses import Seen
+from sysid.runner.valves import Reckoning, Valve
+
+Array = npt.NDArray[np.float64]
+Inside = Callable[[Seen], str]
+
+#: What the broken limits are called for people.
+_WORDS = {
+    "position": "position", "speed": "speed", "acceleration": "acceleration", "jerk": "jerk", "command": "valve command",
+    "fence": "way of the end effector, outside the fence by",
+}  # fmt: skip
+
+
+class Supervisor:
+    """Of one run.
+
+    Args:
+        axes: names, in order.
+        limits, valves, linkages, tip, dt: of the machine.
+        checks: of the recipe.
+        inside: says which network is asked beyond its data, "" where none is.
+    """
+
+    def __init__(
+        self,
+        axes: Sequence[str],
+        limits: Limits,
+        valves: tuple[Valve, ...],
+        linkages: Sequence[TabulatedLinkage | None],
+        tip: Callable[[Array], Array],
+        dt: float,
+        checks: CheckSettings,
+        inside: Inside = lambda seen: "",
+    ) -> None:
+        self.axes, self.limits, self.checks, self.dt = tuple(axes), limits, checks, dt
+        self.limiter = SetpointLimiter(limits, dt)
+        self.barrier = Barrier(limits, valves, linkages, tip, dt)
+        self._motion = MotionChecks(self.axes, valves, linkages, dt, checks, inside)
+        self._held_s = 0.0
+
+    def begin(self, joints: Array) -> None:
+        """The valves are let go at ``joints`` (A,)."""
+        self.limiter.reset(joints)
+        self.barrier.reset()
+        self._motion.reset()
+        self._held_s = 0.0
+
+    def look(self, seen: Seen, moving: bool, drive_setpoints: Array | None) -> list[Verdict]:
+        """What is wrong with what is seen.
+
+        Args:
+            moving: whether the valves are let move now.
+            drive_setpoints: of the turn before, (A,) of what is driven; None where there are none.
+        """
+        found = judge_machine(seen, self.checks)
+        found += judge_sensors(seen, self.checks, moving)
+        found += self._motion.judge(seen, moving, drive_setpoints)
+        return found
+
+    def patience(self, verdicts: Sequence[Verdict]) -> list[Verdict]:
+        """``verdicts``, with a stop added where one has been held for longer than the recipe's patience.
+
+        A policy that was taken off counts once: the fallback goes on in its place.
+        """
+        held = [verdict for verdict in verdicts if verdict.reaction == "hold" and verdict.check != "policy"]
+        self._held_s = self._held_s + self.dt if held else 0.0
+        if held and self._held_s > self.checks.patience_s + 1e-9:
+            first = held[0]
+            text = f"{first.text}, for longer than {1e3 * self.checks.patience_s:.0f} ms"
+            return [*verdicts, Verdict(first.check, first.target, "stop", first.found, first.limit, text)]
+        return list(verdicts)
+
+    def setpoints(self, asked: Array) -> tuple[Array, list[Verdict]]:
+        """Joint setpoints within their limits (A,) for what is asked for (A,)."""
+        passed, broken = self.limiter.step(asked)
+        return passed, self._verdicts(broken)
+
+    def commands(self, asked: Array, seen: Seen, reckonings: Sequence[Reckoning]) -> tuple[Array, list[Verdict]]:
+        """Commands that may be sent (A,) for what is asked for (A,)."""
+        passed, broken = self.barrier.pass_on(asked, seen.drive, reckonings)
+        return passed, self._verdicts(broken)
+
+    def ramp(self, seen: Seen, reckonings: Sequence[Reckoning]) -> Array:
+        """Commands of a stop, (A,)."""
+        return self.barrier.ramp(seen.drive, reckonings)
+
+    def beyond(self, seen: Seen) -> str:
+        """Why nobody should let the machine go from here; "" where it may start."""
+        for name, q, low, high in zip(self.axes, seen.joints, self.limits.hard_low, self.limits.hard_high, strict=True):
+            if not low - 1e-6 <= q <= high + 1e-6:
+                return f"{name} stands at {q:.4g}, outside {low:.4g} … {high:.4g}"
+        low, high = self.limits.hard_fence
+        if self.limits.fenced and math.isfinite(seen.ee[0]) and (left := float(outside(seen.ee[None], low, high)[0])) > 0.0:
+            return f"the end effector stands {1e3 * left:.0f} mm outside its fence"
+        return ""
+
+    def policy(self, asked: Array, error: str) -> Verdict | None:
+        """What is wrong with an answer of the policy (A,); ``error``: that it gave none."""
+        rule = self.checks.policy
+        if error or not np.isfinite(asked).all():
+            text = error or "the policy answers with what is no number"
+            return Verdict("policy", "machine", rule.reaction, math.nan, math.nan, text)
+        share = np.abs(asked - self.limiter.position) / (self.limits.hard_high - self.limits.hard_low)
+        worst = int(np.argmax(share))
+        if share[worst] > rule.share:
+            text = f"the policy asks {self.axes[worst]} to jump by {100.0 * share[worst]:.0f} % of its range"
+            return Verdict("policy", self.axes[worst], rule.reaction, float(share[worst]), rule.share, text)
+        return None
+
+    def _verdicts(self, broken: Sequence[Broken]) -> list[Verdict]:
+        verdicts = []
+        for check, axis, value, limit in broken:
+            if not self.checks.on(check):
+                continue
+            target = self.axes[axis] if axis >= 0 else "ee"
+            text = f"{_WORDS[check]} of {target}: {value:.4g}, limit {limit:.4g}"
+            verdicts.append(Verdict(check, target, self.checks.reaction(check), value, limit, text))
+        return verdicts
+
+
+def sternest(verdicts: Sequence[Verdict]) -> Verdict | None:
+    """The verdict with the sternest reaction, the first of equals; None without any."""
+    return max(verdicts, key=lambda verdict: REACTIONS.index(verdict.reaction), default=None)
+
+
+def at_least(verdicts: Sequence[Verdict], reaction: Reaction) -> bool:
+    """Whether any verdict asks for ``reaction`` or more."""
+    return any(REACTIONS.index(verdict.reaction) >= REACTIONS.index(reaction) for verdict in verdicts)
