@@ -1,6 +1,6 @@
 """The states of a run and the events that lead from one to the next; what the table does not have does not happen.
 
-    idle → ready → armed → running → stopping → ready        any → fault → (a person's reset) → idle
+idle → ready → armed → running → stopping → ready        any → fault → (a person's reset) → idle
 """
 
 from __future__ import annotations
