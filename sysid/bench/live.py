@@ -76,7 +76,8 @@ class Switches:
         if word == "quit" and not rest:
             self.quit = True
         elif word in ("dead_man", "emergency_stop"):
-            setattr(self, word, bool(int(*rest)))
+            (value,) = rest
+            setattr(self, word, bool(int(value)))
         else:
             name, count = rest
             bus.identifier(name)

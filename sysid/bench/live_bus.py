@@ -104,7 +104,9 @@ class LiveBus:
                 raw = round((values[signal.name] - float(signal.offset)) / float(signal.scale))
                 coded[signal.name] = min(max(raw, low), (1 << bits) - 1)
         coded["counter"] = self._counters[name]
-        return Frame(message.frame_id, message.is_extended_frame, bytes(message.encode(coded, scaling=False, padding=True)))
+        return Frame(
+            message.frame_id, message.is_extended_frame, bytes(message.encode(coded, scaling=False, padding=True, strict=False))
+        )
 
     def valve(self, frame: Frame) -> tuple[int, float, bool] | None:
         """Axis, command in [-1, 1], and whether its sender is fit, of a valve command; None for other frames."""
