@@ -105,7 +105,7 @@ class CylinderController:
         return self._state[:, :, LAST].copy()
 
     def took(self, commands: npt.ArrayLike) -> None:
-        """What was really sent, (A,) or (n, A), where that is not what :meth:`commands` gave: the next ones go on from there."""
+        """What was really sent, (A,) or (n, A), where that is not what :meth:`commands` gave: the next ones follow it."""
         self._state[:, :, LAST] = np.asarray(commands, dtype=np.float64)
 
     def state(self) -> dict[str, Any]:

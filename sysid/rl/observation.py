@@ -56,7 +56,7 @@ class DrivenObservation:
             self.commands[:, 0] = commands
 
     def moved(self, joints: Array, before: Array, below: Array, below_before: Array) -> None:
-        """A step led from ``before`` to ``joints`` (n, A), and the tool below the tip from ``below_before`` to ``below`` (n, 3)."""
+        """A step led from ``before`` to ``joints`` (n, A), the tool below the tip from ``below_before`` to ``below`` (n, 3)."""
         count = len(self.axes)
         self.speed[:, :count] = (joints - before) * self.rate_hz
         self.speed[:, count:] = (below - below_before) * self.rate_hz

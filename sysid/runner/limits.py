@@ -23,7 +23,11 @@ Array = npt.NDArray[np.float64]
 #: Full speed is reached within this time [s], full acceleration within that, where a recipe says nothing.
 SPEED_UP_S, JERK_S = 0.2, 0.05
 #: Part of the acceleration that braking before a target plans with; the rest is for jerk.
-BRAKING = 0.6
+BRAKING = 0.5
+#: A setpoint that was held back closes what is left at this rate [1/s]: slower than jerk allows, so that it does not ring.
+CATCH_UP = 8.0
+#: Share by which the target's own speed is renewed each turn.
+SMOOTH = 0.2
 
 
 @dataclass(frozen=True)
@@ -165,18 +169,18 @@ class SetpointLimiter:
         self.speed = np.zeros(len(limits.low))
         self._acceleration = np.zeros(len(limits.low))
         self._wanted = np.full(len(limits.low), np.nan)
+        self._own = np.zeros(len(limits.low))
 
     def reset(self, joints: Array) -> None:
         """At rest at ``joints`` (A,)."""
         self.position, self._wanted = np.array(joints, dtype=np.float64), np.array(joints, dtype=np.float64)
-        self.speed, self._acceleration = np.zeros(len(joints)), np.zeros(len(joints))
+        self.speed, self._acceleration, self._own = np.zeros(len(joints)), np.zeros(len(joints)), np.zeros(len(joints))
 
     def step(self, wanted: Array) -> tuple[Array, list[tuple[str, int, float, float]]]:
         """Setpoints (A,) for what is wanted (A,), and the limits that it broke: (check, axis, found, limit)."""
         broken: list[tuple[str, int, float, float]] = []
         for i in range(len(wanted)):
             self._step(i, float(wanted[i]), broken)
-        self._wanted[:] = wanted
         return self.position.copy(), broken
 
     def _step(self, i: int, asked: float, broken: list[tuple[str, int, float, float]]) -> None:
@@ -185,6 +189,9 @@ class SetpointLimiter:
         top, most, jerk = float(of.speed[i]), float(of.acceleration[i]), float(of.jerk[i])
         low, high = min(float(of.low[i]), at), max(float(of.high[i]), at)  # whoever stands outside may come back
         wanted = min(max(asked, low), high)
+        moved = (wanted - float(self._wanted[i])) / dt  # the target's own speed; a jump has none
+        self._wanted[i] = wanted
+        self._own[i] += SMOOTH * ((moved if abs(moved) <= top else 0.0) - float(self._own[i]))
         if wanted != asked:
             broken.append(("position", i, asked, high if asked > high else low))
         v = (wanted - at) / dt
@@ -194,11 +201,9 @@ class SetpointLimiter:
         found = [(name, i, value, limit) for name, value, limit in over if value > limit * (1.0 + 1e-9) + 1e-9]
         if found:
             broken += found
-            moved = (wanted - float(self._wanted[i])) / dt  # the target's own speed; a jump has none
-            moved = moved if abs(moved) <= top else 0.0
             error = wanted - at
-            toward = math.copysign(min(math.sqrt(2.0 * BRAKING * most * abs(error)), 0.5 * abs(error) / dt), error)
-            v = min(max(moved + toward, -top), top)
+            toward = math.copysign(min(math.sqrt(2.0 * BRAKING * most * abs(error)), CATCH_UP * abs(error)), error)
+            v = min(max(float(self._own[i]) + toward, -top), top)
             a = min(max((v - speed) / dt, -most, acceleration - jerk * dt), most, acceleration + jerk * dt)
             v = min(max(speed + a * dt, -top), top)
         after = at + v * dt

@@ -1,0 +1,144 @@
+"""Sensors to valves: joints → end effector → policy or inverse kinematics → joint setpoints → cylinder controller → commands.
+
+The parts are those that policies are trained and judged with (:mod:`sysid.rl.driven`): the same forward version, observation
+and :class:`sysid.control.CylinderController`; only the supervisor stands between them here.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+from sysid.control import AxisTuning, CylinderController
+from sysid.errors import SettingsError
+from sysid.networks.forward import ForwardModel
+from sysid.plant import Plant
+from sysid.rl.environment import Parts
+from sysid.rl.inverse import Inverse
+from sysid.rl.observation import DrivenObservation
+
+Array = npt.NDArray[np.float64]
+
+
+class Setter(Protocol):
+    """Anything that answers observations (1, O) with joint setpoints (1, A)."""
+
+    def act(self, observations: Array) -> Array: ...
+
+
+class Policy(Setter, Protocol):
+    """A policy that names what it sees and sets."""
+
+    @property
+    def inputs(self) -> tuple[str, ...]: ...
+
+    @property
+    def outputs(self) -> tuple[str, ...]: ...
+
+
+class Chain:
+    """Of one machine.
+
+    Args:
+        plant: whose linkages and effects the controller knows.
+        forward: joints → end effector.
+        inverse: inverse kinematics, the fallback, and what sets where there is no policy.
+        policy: a version from the registry; None: inverse kinematics.
+        lookahead: how long after the next sample the targets are meant that it is shown [s].
+        tuning: of the cylinder controller.
+
+    Raises:
+        SettingsError: a policy that sees or sets what this machine does not have.
+    """
+
+    def __init__(
+        self,
+        plant: Plant,
+        forward: ForwardModel,
+        inverse: Inverse,
+        *,
+        policy: Policy | None = None,
+        lookahead: float = 0.0,
+        tuning: Sequence[AxisTuning] | None = None,
+    ) -> None:
+        self.plant, self.forward, self.inverse, self.policy, self.lookahead = plant, forward, inverse, policy, lookahead
+        self.axes = plant.machine.axis_names
+        self.controller = CylinderController(plant, tuning, preview=lookahead)
+        history = _history(policy.inputs if policy is not None else (), len(self.axes))
+        self.view = DrivenObservation(self.axes, history, plant.machine.rate_hz)
+        self._width = self.view.width
+        if policy is not None:
+            self._check(policy)
+            self._width = len(policy.inputs)
+        self._joints: Array | None = None
+        self._solved: Array | None = None
+        hang = plant.effect("gripper_sway", "tool")
+        length = float(np.atleast_1d(hang.parameters["length"])[0]) if hang is not None else 0.0
+        self._below = np.array([[0.0, 0.0, -length]])
+
+    @property
+    def ahead(self) -> int:
+        """``lookahead`` in steps."""
+        return round(self.lookahead * self.plant.machine.rate_hz)
+
+    def tip(self, joints: Array) -> Array:
+        """End effectors (n, 3) [m] at joints (n, A)."""
+        return np.asarray(self.forward.predict(joints))
+
+    def rest(self, drive: Array, joints: Array) -> None:
+        """At rest with what is driven at ``drive`` (A,) and joints (A,)."""
+        self.controller.reset(drive)
+        self.view.rest()
+        self._joints, self._solved = joints[None].copy(), None
+
+    def moved(self, joints: Array, commands: Array) -> None:
+        """A step with ``commands`` (A,), neutral ones as zero, led to ``joints`` (A,)."""
+        now = joints[None]
+        before = now if self._joints is None else self._joints
+        self.view.sent(commands[None])
+        self.view.moved(now, before, self._below, self._below)
+        self._joints = now.copy()
+
+    def ask(self, joints: Array, ee: Array, target: Array) -> Array:
+        """Setpoints (A,) of the policy, or of inverse kinematics where there is none, for a target (3,)."""
+        if self.policy is None:
+            return self.solve(joints, target)
+        seen = self.view.seen(joints[None], ee[None], target[None], self._below)
+        return np.array(self.policy.act(np.ascontiguousarray(seen[:, : self._width]))[0], dtype=np.float64)
+
+    def solve(self, joints: Array, target: Array) -> Array:
+        """Setpoints (A,) of inverse kinematics, nearest to the last ones that it gave, at first to ``joints``."""
+        begin = joints[None] if self._solved is None else self._solved
+        self._solved, _ = self.inverse.solve(target[None], begin)
+        return np.asarray(self._solved[0].copy())
+
+    def solve_from(self, setpoints: Array) -> None:
+        """Inverse kinematics goes on from ``setpoints`` (A,), which somebody else gave."""
+        self._solved = setpoints[None].copy()
+
+    def commands(self, setpoints: Array, drive: Array) -> tuple[Array, Array]:
+        """Setpoints of what is driven, and valve commands, (A,) each; ``setpoints`` are joints, ``drive`` (A,) is measured."""
+        return self.controller.drive(setpoints)[0], self.controller.commands(setpoints, drive)[0]
+
+    def took(self, commands: Array) -> None:
+        """What was really sent, (A,)."""
+        self.controller.took(commands)
+
+    def _check(self, policy: Policy) -> None:
+        where = f"policy for {self.plant.machine.name}"
+        joints = self.view.names[: len(self.axes)]
+        if policy.outputs != joints:
+            raise SettingsError(where, f"sets {', '.join(policy.outputs)}", f"{', '.join(joints)}")
+        for own, wanted in zip(self.view.names, policy.inputs, strict=False):
+            if own != wanted:
+                raise SettingsError(where, f"sees {wanted!r}", f"{own!r} in its place: it was trained for another machine")
+        if len(policy.inputs) > self.view.width or len(policy.inputs) < Parts.of(len(self.axes)).width:
+            raise SettingsError(where, f"sees {len(policy.inputs)} numbers", f"{self.view.width}")
+
+
+def _history(inputs: Sequence[str], axes: int) -> int:
+    """How many past commands of each axis a policy sees."""
+    return sum(".command[" in name for name in inputs) // axes

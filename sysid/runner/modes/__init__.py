@@ -1,0 +1,1 @@
+"""What a run is for: follow, hold, collect, replay, watch."""

@@ -1,0 +1,132 @@
+"""Follow a path, or a target that somebody moves, with the end effector."""
+
+from __future__ import annotations
+
+import math
+import socket
+
+import numpy as np
+import numpy.typing as npt
+
+from sysid.errors import SettingsError
+from sysid.rl.paths import Path
+from sysid.runner.limits import Limits
+from sysid.runner.modes.mode import Approach, Goal, done
+
+Array = npt.NDArray[np.float64]
+
+
+#: The last point is held for so long [s].
+LINGER_S = 0.5
+
+
+def eased(path: Path, ease_s: float) -> Array:
+    """The points of ``path`` (n, 3) with its speed rising from rest over the first ``ease_s`` seconds, and falling at the end.
+
+    The machine stands still before and after: a path that moves at once asks for a jump of speed.
+    """
+    ease = round(ease_s * path.rate_hz)
+    last = len(path.points) - 1
+    if ease < 1 or 2 * ease > last:
+        return path.points.copy()
+    up = 0.5 - 0.5 * np.cos(np.pi * (np.arange(ease) + 0.5) / ease)
+    steps = np.concatenate([up, np.ones(last - ease), up[::-1]])  # steps of the path a turn; they sum up to `last`
+    place = np.concatenate([[0.0], np.cumsum(steps)])
+    return np.column_stack([np.interp(place, np.arange(last + 1), column) for column in path.points.T])
+
+
+class TrackPath:
+    """Go to where the path begins, by joints, and follow it.
+
+    Args:
+        path: in the base frame.
+        start: joints (A,) at its beginning.
+        limits, dt: of the machine.
+        ahead: how many turns further on the target lies that the policy is shown.
+        ease_s: over which the path comes up to its speed.
+        laps: how often it is followed; a path that does not close is followed there and back.
+    """
+
+    name, moves, writes, thinks = "track", True, True, True
+
+    def __init__(
+        self, path: Path, start: Array, limits: Limits, dt: float, *, ahead: int = 0, ease_s: float = 1.0, laps: int = 1
+    ) -> None:
+        once = eased(path, ease_s)
+        closed = float(np.linalg.norm(path.points[-1] - path.points[0])) < 1e-3
+        rounds = [once if closed or k % 2 == 0 else once[::-1] for k in range(laps)]
+        # Whoever is shown targets ahead of time starts from rest as well.
+        self.points = np.concatenate([np.tile(once[0], (ahead, 1)), *rounds])
+        self.ahead, self._linger = ahead, round(LINGER_S / dt)
+        self._approach = Approach(start, limits, dt)
+
+    def begin(self, joints: Array, ee: Array) -> None:
+        self._approach.begin(joints)
+
+    def goal(self, k: int, joints: Array, ee: Array) -> Goal:
+        first = self._approach.steps
+        if k < first:
+            return self._approach.goal(k)
+        here = k - first
+        last = len(self.points) - 1
+        if here > last + self._linger:
+            return done("track")
+        return Goal("track", target=self.points[min(here + 1, last)], aim=self.points[min(here + 1 + self.ahead, last)])
+
+
+class TrackLive:
+    """Follow a target that comes as ``x y z`` [m] in datagrams on the loopback; the newest one counts.
+
+    The target moves no faster than ``speed``, wherever it jumps; without any it stays where the end effector was.
+
+    Args:
+        port: on 127.0.0.1.
+        speed: greatest, of the target [m/s].
+        dt: of a turn.
+        seconds: the run ends after so long; None: never.
+
+    Raises:
+        SettingsError: the port is taken.
+    """
+
+    name, moves, writes, thinks = "track", True, True, True
+
+    def __init__(self, port: int, speed: float, dt: float, seconds: float | None = None) -> None:
+        self._step, self._last = speed * dt, math.inf if seconds is None else seconds / dt
+        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._socket.setblocking(False)
+        try:
+            self._socket.bind(("127.0.0.1", port))
+        except OSError as error:
+            self._socket.close()
+            raise SettingsError("track.live_port", f"{port}: {error.strerror}", "a free port on the loopback") from None
+        self.port: int = self._socket.getsockname()[1]
+        self._wanted, self._target = np.full(3, np.nan), np.full(3, np.nan)
+
+    def begin(self, joints: Array, ee: Array) -> None:
+        self._wanted, self._target = ee.copy(), ee.copy()
+
+    def goal(self, k: int, joints: Array, ee: Array) -> Goal:
+        if k >= self._last:
+            return done("track")
+        self._listen()
+        way = self._wanted - self._target
+        length = float(np.linalg.norm(way))
+        self._target = self._wanted.copy() if length <= self._step else self._target + way * (self._step / length)
+        return Goal("live", target=self._target.copy(), aim=self._target.copy())
+
+    def close(self) -> None:
+        self._socket.close()
+
+    def _listen(self) -> None:
+        for _ in range(16):  # whoever floods us does not hold the loop up
+            try:
+                text = self._socket.recv(256)
+            except BlockingIOError:
+                return
+            try:
+                point = np.array([float(part) for part in text.decode("ascii").replace(",", " ").split()])
+            except ValueError:
+                continue  # not a point: the last one stays
+            if point.shape == (3,) and np.isfinite(point).all():
+                self._wanted = point

@@ -1,0 +1,65 @@
+"""What the operating system can do for a loop that must be on time; what it refuses is said, and the loop runs without."""
+
+from __future__ import annotations
+
+import contextlib
+import ctypes
+import gc
+import os
+from collections.abc import Iterator
+
+_CURRENT, _FUTURE = 1, 2
+
+
+@contextlib.contextmanager
+def on_time(priority: int, lock: bool) -> Iterator[tuple[str, ...]]:
+    """Real-time priority (SCHED_FIFO), locked memory and no garbage collection inside the context; all given back after it.
+
+    Args:
+        priority: 1 … 99; 0: none is asked for.
+        lock: ask for locked memory.
+
+    Yields:
+        What was refused, a sentence each.
+    """
+    refused: list[str] = []
+    scheduled = priority > 0 and _prioritised(priority, refused)
+    locked = lock and _locked(refused)
+    collecting = gc.isenabled()
+    gc.collect()
+    gc.freeze()
+    gc.disable()
+    try:
+        yield tuple(refused)
+    finally:
+        gc.unfreeze()
+        if collecting:
+            gc.enable()
+        if locked:
+            ctypes.CDLL(None, use_errno=True).munlockall()
+        if scheduled:
+            os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
+
+
+def _prioritised(priority: int, refused: list[str]) -> bool:
+    if not hasattr(os, "sched_setscheduler"):
+        refused.append("real-time priority: this system has no SCHED_FIFO")
+        return False
+    try:
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
+    except OSError as error:
+        refused.append(f"real-time priority was refused ({error.strerror}): other processes can delay the loop; allow rtprio")
+        return False
+    return True
+
+
+def _locked(refused: list[str]) -> bool:
+    libc = ctypes.CDLL(None, use_errno=True)
+    if not hasattr(libc, "mlockall"):
+        refused.append("locked memory: this system has no mlockall")
+        return False
+    if libc.mlockall(_CURRENT | _FUTURE) != 0:
+        reason = os.strerror(ctypes.get_errno())
+        refused.append(f"locked memory was refused ({reason}): a page fault can delay the loop; allow memlock")
+        return False
+    return True
