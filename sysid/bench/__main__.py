@@ -1,6 +1,8 @@
 """``python -m sysid.bench RECIPE.toml OUT``: simulate the recordings of a bench recipe and write their logs.
 
 ``python -m sysid.bench case CASE.toml OUT``: a sealed case, what a site hands over in ``OUT/site``, the truth in ``OUT/truth``.
+
+``python -m sysid.bench live MACHINE.toml …``: the machine in real time on a serial line (:mod:`sysid.bench.live`).
 """
 
 from __future__ import annotations
@@ -22,6 +24,10 @@ def main(arguments: list[str] | None = None) -> int:
     given = sys.argv[1:] if arguments is None else arguments
     if given[:1] == ["case"]:
         return _case(given[1:])
+    if given[:1] == ["live"]:
+        from sysid.bench.live import main as live
+
+        return live(given[1:])
     parser = argparse.ArgumentParser(prog="python -m sysid.bench", description="Logs of the stand-in machine.")
     parser.add_argument("recipe", type=Path, help="bench recipe (TOML)")
     parser.add_argument("out", type=Path, help="folder to write the recordings into")

@@ -17,8 +17,9 @@ import numpy.typing as npt
 
 from sysid.bench.capture_recipe import BodySettings
 from sysid.bench.crane import link_poses
-from sysid.bench.machine import Truth, zeros_of
+from sysid.bench.machine import Truth
 from sysid.bench.recipe import Recipe, RecordingSettings
+from sysid.bench.stepping import zeros_of
 
 Array = npt.NDArray[np.float64]
 

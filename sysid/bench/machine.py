@@ -6,39 +6,20 @@ the motion of all booms. Play and elastic joints come behind either.
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
-from sysid.bench.circuit import (
-    FRICTION,
-    PRESSURE_A,
-    PRESSURE_B,
-    SUB_STEP,
-    Circuit,
-    Supply,
-    advance,
-    at_rest,
-    circuit_of,
-    supply_of,
-)
+from sysid.bench.circuit import FRICTION, PRESSURE_A, PRESSURE_B
 from sysid.bench.compiled import compiled
-from sysid.bench.crane import tip_position
-from sysid.bench.cylinder import Drive, against_stops, drive_of, joint_of, position_of
-from sysid.bench.drivetrain import follow_with_play
-from sysid.bench.elastic_joint import flex_step
 from sysid.bench.flight import draw_flight, flight_command
-from sysid.bench.gripper import swing
-from sysid.bench.irregular import Irregular, flow_share, irregular_of
-from sysid.bench.oil import viscosity
 from sysid.bench.operator import stroke_command
 from sysid.bench.poses import approach_command, draw_targets
 from sysid.bench.programs import strokes_of
 from sysid.bench.recipe import AXES, Recipe, RecordingSettings
-from sysid.bench.rigid_body import Bodies, bodies_of, equations, rod_force
-from sysid.bench.valve import Valve, delayed, drive_speed, flow_fluctuation, freed, metered, opening, piloted_step, valve_of
+from sysid.bench.stepping import Built, Motion, advance_machine, built_of, parked
+from sysid.bench.valve import delayed, flow_fluctuation
 
 Array = npt.NDArray[np.float64]
 
@@ -99,23 +80,12 @@ def run_machine(recipe: Recipe, recording: RecordingSettings, rng: np.random.Gen
     fluctuations = [flow_fluctuation(axis.valve, steps, recipe.step, rng) for axis in axes]
     width = max(len(values) for values in fluctuations)
     fluctuation = np.stack([np.resize(values, width) for values in fluctuations])
-    plays = np.array([axis.backlash for axis in axes])
+    # Where the drive stands inside its play when the machine is parked is anyone's guess.
+    built = built_of(recipe)
+    motion = parked(built, np.array([axis.park for axis in axes]), built.plays * rng.uniform(-0.5, 0.5, len(axes)))
     kept, states, commands, still = _loop(
-        tuple(valve_of(axis.valve) for axis in axes),
-        tuple(irregular_of(axis.irregular) for axis in axes),
-        tuple(drive_of(axis) for axis in axes),
-        plays,
-        # Where the drive stands inside its play when the machine is parked is anyone's guess.
-        plays * rng.uniform(-0.5, 0.5, len(axes)),
-        np.array([axis.park for axis in axes]),
-        (recipe.built.height, recipe.built.boom, recipe.built.stick),
-        zeros_of(recipe),
-        tuple(circuit_of(axis, recipe.supply) for axis in axes),
-        bodies_of(recipe.masses, recipe.built.boom, recipe.built.stick, recipe.gripper.length),
-        supply_of(recipe.supply, recipe.oil),
-        (recipe.oil.start, recipe.oil.end, recipe.oil.warm_up, recipe.oil.reference, recipe.oil.thinning),
-        np.array([(axis.stiffness, axis.flex_damping) for axis in axes]),
-        (recipe.gripper.length, recipe.gripper.damping_ratio),
+        built,
+        motion,
         fluctuation,
         strokes,
         paths,
@@ -133,27 +103,10 @@ def run_machine(recipe: Recipe, recording: RecordingSettings, rng: np.random.Gen
     return Truth(time, commands.T[held], *parts, still, states[:, 14:23], states[:, 23:27])
 
 
-def zeros_of(recipe: Recipe) -> Array:
-    """True joints less those that the stated zeros give, (4,) [rad, rad, rad, m]."""
-    return np.array([recipe.build.joint_offset.get(name, 0.0) for name in AXES])
-
-
 @compiled
 def _loop(
-    valves: tuple[Valve, ...],
-    irregulars: tuple[Irregular, ...],
-    drives: tuple[Drive, ...],
-    plays: Array,
-    in_play: Array,
-    park: Array,
-    geometry: tuple[float, float, float],
-    zeros: Array,
-    circuits: tuple[Circuit, ...],
-    bodies: Bodies,
-    supply: Supply,
-    oil: tuple[float, float, float, float, float],
-    flex: Array,
-    gripper: tuple[float, float],
+    built: Built,
+    motion: Motion,
     fluctuation: Array,
     strokes: Array,
     paths: Array,
@@ -164,64 +117,18 @@ def _loop(
     cycle_steps: int,
     keep: int,
 ) -> tuple[int, Array, Array, Array]:
-    n = len(park)
+    valves = built.valves
+    drives = built.drives
+    position = motion.position
+    n = len(position)
     margin, settle, hold = waits
-    height, boom_length, stick_length = geometry
-    length, damping_ratio = gripper
     cycle = cycle_steps * step
     states = np.empty(((steps - 1) // keep + 1, 27))
     commands = np.zeros((n, (steps - 1) // cycle_steps + 1))
     still = np.zeros((len(targets), 2))
     hand = np.zeros((n, 3))
-    spool = np.zeros(n)
-    held = np.zeros(n)
-    position = np.empty(n)
-    structure = np.empty(n)
-    joint = park.copy()
     there = np.zeros(n)
-    for i in range(n):
-        structure[i] = position_of(park[i], drives[i])
-        position[i] = against_stops(structure[i] + in_play[i], drives[i].low, drives[i].high)
-    powered = False
-    elastic = False
-    for i in range(n):
-        powered |= circuits[i].enabled != 0.0
-        elastic |= math.isfinite(flex[i, 0])
-    substeps = max(round(step / SUB_STEP), 1)
-    moved = joint.copy()
-    rate = np.zeros(n)
-    prescribed = np.zeros(n)
-    received = np.zeros(n)
-    stops = np.empty((n, 2))
-    for i in range(n):
-        ends = joint_of(drives[i].low, drives[i]), joint_of(drives[i].high, drives[i])
-        stops[i, 0], stops[i, 1] = min(ends), max(ends)
-        moved[i] = joint_of(position[i], drives[i])
-    hydraulic = at_rest(moved, circuits, drives, bodies, supply.parked)
-    line = np.full(1, supply.pressure)
-    deflection = np.zeros(n)
-    deflecting = np.zeros(n)
-    stiff = joint.copy()
-    stiff_rate = np.zeros(n)
-    mass = np.empty((3, 3))
-    bias = np.empty(3)
-    weight = np.empty(3)
-    if elastic:
-        # It was parked long ago: sagged and still.
-        for _ in range(50):
-            equations(joint + deflection, rate, bodies, mass, bias, weight)
-            for i in range(1, n):
-                if math.isfinite(flex[i, 0]):
-                    deflection[i] = -weight[i - 1] / flex[i, 0]
-        joint += deflection
-    pivot = np.empty(3)
-    next_pivot = np.empty(3)
-    tool = np.empty(3)
-    velocity = np.zeros(3)
-    true = joint + zeros
-    pivot[0], pivot[1], pivot[2] = tip_position(true[0], true[1], true[2], true[3], height, boom_length, stick_length)
-    tool[:] = pivot
-    tool[2] -= length
+    disturbance = np.zeros(n)
     pose = 0
     arrived = -1.0
     for k in range(steps):
@@ -229,14 +136,14 @@ def _loop(
         if k % keep == 0:
             row = states[k // keep]
             row[0:4] = position
-            row[4:8] = joint
-            row[8:11] = pivot
-            row[11:14] = tool
+            row[4:8] = motion.joint
+            row[8:11] = motion.pivot
+            row[11:14] = motion.tool
             for i in range(n):
-                row[14 + 2 * i] = hydraulic[i, PRESSURE_A]
-                row[15 + 2 * i] = hydraulic[i, PRESSURE_B]
-                row[23 + i] = hydraulic[i, FRICTION]
-            row[22] = line[0] if powered else 0.0
+                row[14 + 2 * i] = motion.hydraulic[i, PRESSURE_A]
+                row[15 + 2 * i] = motion.hydraulic[i, PRESSURE_B]
+                row[23 + i] = motion.hydraulic[i, FRICTION]
+            row[22] = motion.line[0] if built.powered else 0.0
         if k % cycle_steps == 0:
             now = k // cycle_steps
             if paths.shape[1] > 0:
@@ -280,86 +187,7 @@ def _loop(
                         return k // keep + 1, states, commands, still
         now = k // cycle_steps
         for i in range(n):
-            valve = valves[i]
-            command = delayed(commands[i, : now + 1], cycle, time, step, valve.delay)
-            received[i] = command
-            if circuits[i].enabled != 0.0:
-                continue
-            target = opening(freed(command, spool[i], valve.silt), valve.positive, valve.negative, valve.saturation)
-            spool[i], mean = piloted_step(spool[i], target, step, valve.time_constant, valve.spool_speed)
-            speed = drive_speed(
-                metered(mean, valve.notch), valve.gain, valve.ratio, fluctuation[i, min(k, fluctuation.shape[1] - 1)]
-            )
-            share, held[i] = flow_share(mean, position[i], time, held[i], irregulars[i], step)
-            position[i] = against_stops(position[i] + share * speed * step, drives[i].low, drives[i].high)
-            if powered:
-                there_now = joint_of(position[i], drives[i])
-                prescribed[i] = ((there_now - moved[i]) / step - rate[i]) / step
-                rate[i] = (there_now - moved[i]) / step
-                moved[i] = there_now
-        if powered:
-            thick = viscosity(time, oil[0], oil[1], oil[2], oil[3], oil[4])
-            pull = rod_force(tool, pivot, bodies.hanging) if length > 0.0 else (0.0, 0.0)
-            advance(
-                moved,
-                rate,
-                prescribed,
-                received,
-                hydraulic,
-                line,
-                circuits,
-                valves,
-                drives,
-                bodies,
-                supply,
-                stops,
-                pull,
-                thick,
-                step,
-                substeps,
-            )
-        for i in range(n):
-            if circuits[i].enabled != 0.0:
-                position[i] = against_stops(position_of(moved[i], drives[i]), drives[i].low, drives[i].high)
-            structure[i] = follow_with_play(structure[i], position[i], plays[i])
-            joint[i] = joint_of(structure[i], drives[i])
-        if elastic:
-            _flex(joint, stiff, stiff_rate, deflection, deflecting, bodies, flex, step)
-        for i in range(n):
-            true[i] = joint[i] + zeros[i]
-        next_pivot[0], next_pivot[1], next_pivot[2] = tip_position(
-            true[0], true[1], true[2], true[3], height, boom_length, stick_length
-        )
-        swing(tool, velocity, pivot, next_pivot, length, damping_ratio, step)
-        pivot[:] = next_pivot
+            motion.received[i] = delayed(commands[i, : now + 1], cycle, time, step, valves[i].delay)
+            disturbance[i] = fluctuation[i, min(k, fluctuation.shape[1] - 1)]
+        advance_machine(built, motion, disturbance, time, step)
     return (steps - 1) // keep + 1, states, commands, still
-
-
-@compiled
-def _flex(
-    joint: Array,
-    stiff: Array,
-    stiff_rate: Array,
-    deflection: Array,
-    deflecting: Array,
-    bodies: Bodies,
-    flex: Array,
-    step: float,
-) -> None:
-    """Add the elastic deflection to ``joint`` (4,); ``stiff`` and its rate are where a rigid structure was a step ago."""
-    mass = np.empty((3, 3))
-    bias = np.empty(3)
-    weight = np.empty(3)
-    around, _ = equations(joint + deflection, np.zeros(len(joint)), bodies, mass, bias, weight)
-    for i in range(len(joint)):
-        now = (joint[i] - stiff[i]) / step
-        jump = now - stiff_rate[i]
-        stiff[i] = joint[i]
-        stiff_rate[i] = now
-        if math.isfinite(flex[i, 0]):
-            moment = weight[i - 1] if i > 0 else 0.0
-            inertia = mass[i - 1, i - 1] if i > 0 else around
-            deflection[i], deflecting[i] = flex_step(
-                deflection[i], deflecting[i], jump, moment, inertia, flex[i, 0], flex[i, 1], step
-            )
-            joint[i] += deflection[i]

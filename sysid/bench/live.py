@@ -1,0 +1,277 @@
+"""``python -m sysid.bench live MACHINE.toml``: the stand-in machine as a process of its own, in real time, on a serial line.
+
+It makes a pseudo-terminal, speaks slcan on it as a CAN adapter does, and lives by its own clock: sensors and status leave every
+cycle of its controller, commands act when they come, and when they stop its valves go neutral by themselves. What people at the
+machine would do (dead-man switch, emergency stop, a cable pulled) is written to a control pipe, a line each:
+
+    dead_man 0|1 · emergency_stop 0|1 · drop MESSAGE COUNT · stuck MESSAGE 0|1 · unplug MESSAGE 0|1 · quit
+
+The truth goes to a file as it happens, a row of ``COLUMNS`` in float64 a cycle behind one line of JSON: judges of a run read
+what the machine did and not what anybody believes it did.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import json
+import os
+import select
+import sys
+import time
+import tty
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from sysid.bench.live_bus import Frame, LiveBus, parse_line
+from sysid.bench.live_machine import LiveMachine, Watchdog
+from sysid.bench.recipe import AXES
+from sysid.bench.recipe_file import load_recipe
+from sysid.errors import SysidError
+
+Array = npt.NDArray[np.float64]
+
+#: What the control pipe takes.
+WORDS = ("dead_man", "emergency_stop", "drop", "stuck", "unplug", "quit")
+#: A process that wakes up later than this goes on from where it is [ns].
+_LONGEST_SLEEP_NS = 1_000_000_000
+#: The machine's clock on the bus begins anew after so many seconds: 32 bits of 0.1 ms.
+_CLOCK_TURN = 429496.7
+#: Of the truth file. Times are of the monotonic clock, which all processes of a computer share [ns]; ``asked`` is what came
+#: over the bus, ``passed`` what the watchdog let through, ``counter``, ``counter_ns`` the last alive counter and when it came.
+COLUMNS = (
+    "at_ns",
+    *(f"{name}.drive" for name in AXES),
+    *(f"{name}.joint" for name in AXES),
+    *(f"ee.{name}" for name in "xyz"),
+    *(f"tool.{name}" for name in "xyz"),
+    *(f"{name}.asked" for name in AXES),
+    *(f"{name}.passed" for name in AXES),
+    "enabled",
+    "dead_man",
+    "emergency_stop",
+    "fault",
+    "counter",
+    "counter_ns",
+)
+
+
+@dataclass
+class Switches:
+    """What the control pipe has set."""
+
+    dead_man: bool = False
+    emergency_stop: bool = False
+    drop: dict[str, int] = field(default_factory=dict)
+    stuck: dict[str, bytes | None] = field(default_factory=dict)
+    unplugged: set[str] = field(default_factory=set)
+    quit: bool = False
+
+    def obey(self, line: str, bus: LiveBus) -> None:
+        """Raise ValueError or KeyError for what is no such line."""
+        word, *rest = line.split()
+        if word == "quit" and not rest:
+            self.quit = True
+        elif word in ("dead_man", "emergency_stop"):
+            (value,) = rest
+            setattr(self, word, bool(int(value)))
+        else:
+            name, count = rest
+            bus.identifier(name)
+            if word == "drop":
+                self.drop[name] = int(count)
+            elif word == "stuck":
+                self.stuck.pop(name, None)
+                if int(count):
+                    self.stuck[name] = None
+            elif word == "unplug":
+                (self.unplugged.add if int(count) else self.unplugged.discard)(name)
+            else:
+                raise ValueError(line)
+
+    def through(self, name: str, frame: Frame) -> Frame | None:
+        """``frame`` of message ``name`` as it reaches the line."""
+        if name in self.unplugged:
+            return None
+        if self.drop.get(name, 0) > 0:
+            self.drop[name] -= 1
+            return None
+        if name in self.stuck:
+            held = self.stuck[name]
+            self.stuck[name] = held = frame.data if held is None else held
+            return Frame(frame.identifier, frame.extended, held)
+        return frame
+
+
+class Line:
+    """The machine's end of a pseudo-terminal that speaks slcan; nothing is sent before the other end has opened the bus."""
+
+    def __init__(self, link: Path) -> None:
+        self.master, self._slave = os.openpty()
+        tty.setraw(self._slave)
+        os.set_blocking(self.master, False)
+        self.name = os.ttyname(self._slave)
+        with contextlib.suppress(FileNotFoundError):
+            link.unlink()
+        link.symlink_to(self.name)
+        self._link = link
+        self._rest = b""
+        self.open = False
+
+    def receive(self) -> list[Frame]:
+        """The frames that have come; whatever else is said is obeyed or, as adapters do, passed over."""
+        with contextlib.suppress(BlockingIOError):
+            self._rest += os.read(self.master, 65536)
+        *lines, self._rest = self._rest.split(b"\r")
+        # A line without end is noise.
+        self._rest = self._rest[-64:]
+        frames = []
+        for line in lines:
+            if line in (b"O", b"C"):
+                self.open = line == b"O"
+            elif self.open and (frame := parse_line(line)) is not None:
+                frames.append(frame)
+        return frames
+
+    def send(self, frames: list[Frame]) -> None:
+        """Whole frames, or none of them where nobody takes them: an adapter whose buffer is full loses what comes."""
+        if self.open and frames:
+            with contextlib.suppress(BlockingIOError):
+                os.write(self.master, b"".join(frame.line() for frame in frames))
+
+    def close(self) -> None:
+        with contextlib.suppress(FileNotFoundError):
+            self._link.unlink()
+        os.close(self.master)
+        os.close(self._slave)
+
+
+class LiveProcess:
+    """Machine, watchdog, bus and switches, cycle after cycle by the clock."""
+
+    def __init__(self, options: argparse.Namespace) -> None:
+        recipe = load_recipe(options.machine)
+        self.machine = LiveMachine(recipe, options.seed)
+        self.machine.advance(np.zeros((self.machine.steps, len(AXES))))  # compiles what cannot wait later
+        self.bus = LiveBus(options.database, options.survey)
+        self.watchdog, self.switches = Watchdog(), Switches()
+        self._step_ns = round(self.machine.step * 1e9)
+        self.cycle_ns = self.machine.steps * self._step_ns
+        self._events: list[tuple[int, Frame]] = []
+        self._counter_ns = 0
+        self._cycle = 0
+
+    def heard(self, frames: list[Frame], now_ns: int) -> None:
+        """Frames came; they act from now on."""
+        self._events += [(now_ns, frame) for frame in frames]
+
+    def cycle(self, end_ns: int) -> tuple[list[Frame], Array]:
+        """Live through the cycle that ends at ``end_ns``: frames to send, and the row of the truth."""
+        machine, switches, watchdog = self.machine, self.switches, self.watchdog
+        commands = np.empty((machine.steps, len(AXES)))
+        for step in range(machine.steps):
+            now = end_ns - self.cycle_ns + step * self._step_ns
+            while self._events and self._events[0][0] <= now:
+                self._take(*self._events.pop(0))
+            # The emergency stop takes the pilot pressure away, whoever commands what.
+            commands[step] = watchdog.passed(now) * (not switches.emergency_stop)
+        machine.advance(commands)
+        self._cycle += 1
+        status = {
+            "dead_man": float(switches.dead_man),
+            "emergency_stop": float(switches.emergency_stop),
+            "fault": float(watchdog.fault),
+            "time": machine.seconds % _CLOCK_TURN,
+        }
+        frames = self.bus.frames(machine.readings(), self._cycle, status)
+        people = (switches.dead_man, switches.emergency_stop, watchdog.fault, watchdog.counter, self._counter_ns)
+        row = np.concatenate([[end_ns], machine.truth, watchdog.asked, commands[-1], [watchdog.enabled], people])
+        return [sent for frame in frames if (sent := switches.through(self.bus.name(frame), frame)) is not None], row
+
+    def _take(self, came_ns: int, frame: Frame) -> None:
+        if (valve := self.bus.valve(frame)) is not None:
+            self.watchdog.command(*valve, came_ns)
+        elif (status := self.bus.status(frame)) is not None:
+            if status[0] != self.watchdog.counter:
+                self._counter_ns = came_ns
+            self.watchdog.alive(*status, came_ns)
+
+
+def run_live(options: argparse.Namespace) -> None:
+    """Run until ``quit`` or the end of ``options.seconds``.
+
+    Raises:
+        SysidError: a recipe or a database that is none.
+    """
+    process = LiveProcess(options)
+    if not options.control.exists():
+        os.mkfifo(options.control)
+    # Open for writing as well, so that it does not end when a writer goes.
+    control = os.open(options.control, os.O_RDWR | os.O_NONBLOCK)
+    line = Line(options.pty)
+    said = b""
+    with options.truth.open("wb", buffering=0) as truth:
+        head = {"columns": COLUMNS, "machine": process.machine.recipe.name, "cycle_ns": process.cycle_ns}
+        truth.write(json.dumps(head).encode() + b"\n")
+        sys.stdout.write(f"ready {line.name}\n")
+        sys.stdout.flush()
+        due = time.monotonic_ns() + process.cycle_ns
+        end = due + options.seconds * 1e9
+        try:
+            while due < end and not process.switches.quit:
+                while (now := time.monotonic_ns()) < due:
+                    ready, _, _ = select.select([line.master, control], [], [], (due - now) * 1e-9)
+                    if line.master in ready:
+                        process.heard(line.receive(), time.monotonic_ns())
+                    if control in ready:
+                        *lines, said = (said + os.read(control, 4096)).split(b"\n")
+                        _obey(lines, process)
+                frames, row = process.cycle(due)
+                line.send(frames)
+                truth.write(row.tobytes())
+                due += process.cycle_ns
+                if time.monotonic_ns() - due > _LONGEST_SLEEP_NS:
+                    due = time.monotonic_ns()  # it was asleep, and so was the machine
+        finally:
+            line.close()
+            os.close(control)
+
+
+def _obey(lines: list[bytes], process: LiveProcess) -> None:
+    for line in lines:
+        try:
+            process.switches.obey(line.decode(), process.bus)
+        except (ValueError, KeyError, TypeError):
+            sys.stderr.write(f"control: {line!r} is none of {', '.join(WORDS)}\n")
+
+
+def read_truth(path: Path) -> dict[str, Array]:
+    """Columns of a truth file, also of one that is being written or was cut off; stamps as int64."""
+    data = path.read_bytes()
+    start = data.index(b"\n") + 1
+    columns = json.loads(data[:start])["columns"]
+    width = 8 * len(columns)
+    rows = np.frombuffer(data, np.float64, count=(len(data) - start) // width * len(columns), offset=start)
+    return dict(zip(columns, rows.reshape(-1, len(columns)).T, strict=True))
+
+
+def main(arguments: list[str]) -> int:
+    """Exit status: 0 at the end, 2 on a mistake in what was given."""
+    parser = argparse.ArgumentParser(prog="python -m sysid.bench live", description="The stand-in machine in real time.")
+    parser.add_argument("machine", type=Path, help="bench recipe (TOML)")
+    parser.add_argument("--database", type=Path, required=True, help="CAN database of the machine (DBC)")
+    parser.add_argument("--pty", type=Path, required=True, help="link to make to the serial line that speaks slcan")
+    parser.add_argument("--control", type=Path, required=True, help="pipe for switches and faults, made where it is missing")
+    parser.add_argument("--truth", type=Path, required=True, help="file for what really happened")
+    parser.add_argument("--seconds", type=float, default=float("inf"), help="how long it lives")
+    parser.add_argument("--seed", type=int, default=0, help="of its noise")
+    parser.add_argument("--survey", action="store_true", help="with inclinometers and a tracker of the boom tip on the bus")
+    try:
+        run_live(parser.parse_args(arguments))
+    except SysidError as error:
+        sys.stderr.write(f"{error}\n")
+        return 2
+    return 0

@@ -1,0 +1,148 @@
+"""The stand-in machine's end of a CAN bus: its database, and the frames as an slcan adapter carries them over a serial line.
+
+Source of the lines: Lawicel, CANUSB manual, "ASCII commands".
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from sysid.bench.recipe import AXES
+from sysid.errors import InputError
+
+if TYPE_CHECKING:
+    from cantools.database.can import Message
+
+#: Signals of the machine in the messages of the database.
+SENT = {
+    "DRAW_WIRES": {"boom": "boom.cylinder", "stick": "stick.cylinder", "telescope": "telescope.joint"},
+    "SLEW_SENSOR": {"slew": "slew.joint"},
+}
+#: Those that are on the bus while the machine is being commissioned.
+SURVEY = {
+    "INCLINOMETERS": {"boom": "boom.joint", "stick": "stick.joint"},
+    "TIP_TRACKER": {"x": "ee.x", "y": "ee.y", "z": "ee.z"},
+}
+VALVES = tuple(f"AUX_VALVE_{k}_COMMAND" for k in range(len(AXES)))
+#: Words of ISO 11783-7.
+EXTEND, RETRACT, BLOCKED, FAIL_SAFE_ERROR = 1, 2, 0, 2
+ON = 1
+
+
+@dataclass(frozen=True)
+class Frame:
+    """One CAN frame."""
+
+    identifier: int
+    extended: bool
+    data: bytes
+
+    def line(self) -> bytes:
+        """As an slcan adapter says it."""
+        head = f"T{self.identifier:08X}" if self.extended else f"t{self.identifier:03X}"
+        return f"{head}{len(self.data)}{self.data.hex().upper()}\r".encode()
+
+
+def parse_line(line: bytes) -> Frame | None:
+    """The data frame that a line without its end says; None for anything else, a damaged frame as well."""
+    digits = {b"T": 8, b"t": 3}.get(line[:1])
+    if digits is None or len(line) < 2 + digits:
+        return None
+    try:
+        identifier, length = int(line[1 : 1 + digits], 16), int(line[1 + digits : 2 + digits])
+        data = bytes.fromhex(line[2 + digits : 2 + digits + 2 * length].decode("ascii"))
+    except ValueError:
+        return None
+    return Frame(identifier, digits == 8, data) if len(data) == length <= 8 else None
+
+
+class LiveBus:
+    """Encodes what the machine sends and decodes what it is told, by the database of its bus."""
+
+    def __init__(self, path: Path, survey: bool) -> None:
+        from cantools.database.can import Database
+        from cantools.database.errors import Error
+
+        database = Database()
+        try:
+            database.add_dbc_string(path.read_text("cp1252"))
+            self._sent = {**SENT, **(SURVEY if survey else {})}
+            self._messages: dict[str, Message] = {
+                name: database.get_message_by_name(name) for name in ("MACHINE_STATUS", *self._sent)
+            }
+            self._valves = {database.get_message_by_name(name).frame_id: k for k, name in enumerate(VALVES)}
+            self._described: dict[int, Message] = {
+                database.get_message_by_name(name).frame_id: database.get_message_by_name(name)
+                for name in (*VALVES, "RUNNER_STATUS")
+            }
+        except (OSError, KeyError, UnicodeDecodeError, Error) as error:
+            raise InputError(path, f"{error}", "the CAN database of the machine (DBC)") from error
+        self._names = {message.frame_id: name for name, message in self._messages.items()}
+        self._counters = dict.fromkeys(self._messages, 0)
+
+    def frames(self, readings: dict[str, float], cycle: int, status: dict[str, float]) -> list[Frame]:
+        """What the machine sends in a cycle, its status first."""
+        out = [self._encode("MACHINE_STATUS", status)]
+        for name, signals in self._sent.items():
+            every = max((self._messages[name].cycle_time or 10) // 10, 1)
+            if cycle % every == 0:
+                out.append(self._encode(name, {signal: readings[source] for signal, source in signals.items()}))
+        return out
+
+    def _encode(self, name: str, values: dict[str, float]) -> Frame:
+        message = self._messages[name]
+        width = message.get_signal_by_name("counter").length
+        self._counters[name] = (self._counters[name] + 1) % (1 << width)
+        coded = {}
+        for signal in message.signals:
+            if signal.name in values:
+                # A converter stops at the end of its range; it does not wrap around.
+                bits = signal.length - (1 if signal.is_signed else 0)
+                low = -(1 << bits) if signal.is_signed else 0
+                raw = round((values[signal.name] - float(signal.offset)) / float(signal.scale))
+                coded[signal.name] = min(max(raw, low), (1 << bits) - 1)
+        coded["counter"] = self._counters[name]
+        return Frame(
+            message.frame_id, message.is_extended_frame, bytes(message.encode(coded, scaling=False, padding=True, strict=False))
+        )
+
+    def valve(self, frame: Frame) -> tuple[int, float, bool] | None:
+        """Axis, command in [-1, 1], and whether its sender is fit, of a valve command; None for other frames."""
+        axis = self._valves.get(frame.identifier)
+        message = self._described.get(frame.identifier)
+        if axis is None or message is None or not frame.extended or len(frame.data) != message.length:
+            return None
+        said = _raw(message, frame)
+        flow, state = said["flow"], said["state"]
+        # Flows above 250 are the standard's error and not-available indicators, states above 2 nothing that this machine does.
+        fit = said["fail_safe"] != FAIL_SAFE_ERROR and flow <= 250 and state in (BLOCKED, EXTEND, RETRACT)
+        sign = {EXTEND: 1.0, RETRACT: -1.0}.get(state, 0.0)
+        return axis, sign * min(flow, 250) / 250.0, fit
+
+    def status(self, frame: Frame) -> tuple[int, bool] | None:
+        """Alive counter of whoever commands, and whether he does; None for other frames."""
+        message = self._described.get(frame.identifier)
+        if message is None or frame.identifier in self._valves or len(frame.data) != message.length:
+            return None
+        said = _raw(message, frame)
+        return said["counter"], said["enabled"] == ON
+
+    def identifier(self, name: str) -> int:
+        """Identifier of a message that the machine sends.
+
+        Raises:
+            KeyError: it sends none of that name.
+        """
+        return self._messages[name].frame_id
+
+    def name(self, frame: Frame) -> str:
+        """Message of a frame that the machine sends."""
+        return self._names[frame.identifier]
+
+
+def _raw(message: Message, frame: Frame) -> dict[str, int]:
+    said = message.decode(frame.data, decode_choices=False, scaling=False)
+    assert isinstance(said, dict)
+    return {name: int(value) for name, value in said.items() if isinstance(value, int)}

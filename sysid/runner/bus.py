@@ -1,0 +1,236 @@
+"""What a machine's CAN database says of its bus: readings out of frames, frames out of commands, and how full the bus will be.
+
+Valve commands are those of ISO 11783-7 (PGN 65072 … 65079): flow in steps of 0.4 %, the port in the state, fail-safe bits. Any
+message may carry an alive counter, a signal called ``counter``: a frame whose counter stands still says nothing new.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from sysid.config import STRICT
+from sysid.errors import SettingsError, nearest
+from sysid.logs.can_signals import load_database
+
+if TYPE_CHECKING:
+    from cantools.database.can import Database, Message, Signal
+
+#: Auxiliary valve commands (ISO 11783-7), and the words in them.
+FIRST_PGN, LAST_PGN = 65072, 65079
+BLOCKED, EXTEND, RETRACT = 0, 1, 2
+FAIL_SAFE_BLOCK, FAIL_SAFE_ERROR = 0, 2
+#: Steps of full flow.
+FULL = 250
+#: An alive counter.
+COUNTER = "counter"
+#: J1939 two-bit states: everything but these two counts as not known.
+OFF, ON = 0, 1
+
+
+@dataclass(frozen=True)
+class BusSettings:
+    """``[transport]`` of a machine on a CAN bus.
+
+    Args:
+        database: DBC file of the machine, relative to the recipe.
+        signals: canonical signal → ``MESSAGE.signal`` of the database.
+        valves: axis → its valve command message, in the order of the machine's axes.
+        status: message with ``dead_man``, ``emergency_stop``, optionally ``fault`` and ``time`` (of the machine's clock, s).
+        alive: message with ``counter`` and ``enabled`` that says that the runner lives.
+        bitrate: [bit/s]. max_load: share of it that may be used, by frames of the longest.
+    """
+
+    __pydantic_config__ = STRICT
+
+    database: Path
+    signals: Mapping[str, str]
+    valves: Mapping[str, str]
+    status: str = "MACHINE_STATUS"
+    alive: str = "RUNNER_STATUS"
+    bitrate: int = 250_000
+    max_load: float = 0.7
+
+
+@dataclass(frozen=True)
+class Heard:
+    """What a frame said.
+
+    Args:
+        message: its name.
+        values: canonical signal → SI value; for the status message its own signals.
+        fresh: its alive counter has gone on, or it has none.
+        lost: frames that its counter says are missing before it.
+    """
+
+    message: str
+    values: Mapping[str, float]
+    fresh: bool
+    lost: int
+
+
+@dataclass
+class MachineBus:
+    """Encoder and decoder of one machine.
+
+    Raises:
+        SettingsError: names that the database does not have, valves that are none, a bus that would be too full.
+        InputError: no database.
+    """
+
+    settings: BusSettings
+    where: str
+    axes: tuple[str, ...] = field(init=False)
+    signals: tuple[str, ...] = field(init=False)
+    #: Messages that have to come, by identifier and whether it is an extended one.
+    expected: dict[tuple[int, bool], Message] = field(init=False)
+    known: frozenset[tuple[int, bool]] = field(init=False)
+
+    def __post_init__(self) -> None:
+        settings = self.settings
+        database = load_database(settings.database)
+        self._messages = {message.name: message for message in database.messages}
+        self.known = frozenset((message.frame_id, message.is_extended_frame) for message in database.messages)
+        self._status = self._message(settings.status, "status", ("dead_man", "emergency_stop"))
+        self._alive = self._message(settings.alive, "alive", (COUNTER, "enabled"))
+        self.axes = tuple(settings.valves)
+        self._valves = [self._valve(axis, name) for axis, name in settings.valves.items()]
+        self.signals = tuple(settings.signals)
+        self._sources: dict[str, dict[str, str]] = {}
+        for signal, source in settings.signals.items():
+            name, _, own = source.partition(".")
+            self._message(name, f"signals.{signal!r}", (own,))
+            self._sources.setdefault(name, {})[own] = signal
+        wanted = (self._status, *(self._messages[name] for name in self._sources))
+        self.expected = {(message.frame_id, message.is_extended_frame): message for message in wanted}
+        self._counted: dict[str, int] = {}
+        self._alive_count = 0
+        self.load = bus_load(database, settings.bitrate)
+        if not self.load <= settings.max_load:
+            raise SettingsError(
+                f"{self.where}: bitrate",
+                f"the bus would be {100 * self.load:.0f} % full at {settings.bitrate} bit/s",
+                f"{100 * settings.max_load:.0f} % at the most (max_load)",
+                "Raise the bit rate, or send less often (GenMsgCycleTime of the database).",
+            )
+
+    def _message(self, name: str, key: str, needed: Sequence[str]) -> Message:
+        if name not in self._messages:
+            raise SettingsError(
+                f"{self.where}: {key}",
+                f"{self.settings.database} has no message {name!r}",
+                nearest(name, self._messages),
+                "Is it the database of this machine?",
+            )
+        message = self._messages[name]
+        names = [signal.name for signal in message.signals]
+        for one in needed:
+            if one not in names:
+                raise SettingsError(f"{self.where}: {key}", f"message {name} has no signal {one!r}", nearest(one, names))
+        return message
+
+    def _valve(self, axis: str, name: str) -> Message:
+        message = self._message(name, f"valves.{axis}", ("flow", "state", "fail_safe"))
+        pgn = (message.frame_id >> 8) & 0x3FFFF
+        if not message.is_extended_frame or not FIRST_PGN <= pgn <= LAST_PGN:
+            raise SettingsError(
+                f"{self.where}: valves.{axis}",
+                f"{name} has PGN {pgn}",
+                f"an auxiliary valve command of ISO 11783-7, PGN {FIRST_PGN} to {LAST_PGN}",
+            )
+        return message
+
+    def hear(self, identifier: int, extended: bool, data: bytes) -> Heard | None:
+        """What a frame says; None for messages that nobody asked for.
+
+        Raises:
+            ValueError: it is not as long as the database says.
+        """
+        message = self.expected.get((identifier, extended))
+        if message is None:
+            return None
+        if len(data) != message.length:
+            raise ValueError(f"{message.name} has {len(data)} bytes where the database says {message.length}")
+        said = message.decode(data, decode_choices=False)
+        assert isinstance(said, dict)
+        fresh, lost = self._count(message, said)
+        if message is self._status:
+            return Heard(message.name, {name: _number(value) for name, value in said.items()}, fresh, lost)
+        names = self._sources[message.name]
+        return Heard(message.name, {names[name]: _number(said[name]) for name in names}, fresh, lost)
+
+    def _count(self, message: Message, said: Mapping[str, object]) -> tuple[bool, int]:
+        if COUNTER not in said:
+            return True, 0
+        count = int(_number(said[COUNTER]))
+        before = self._counted.get(message.name)
+        self._counted[message.name] = count
+        if before is None:
+            return True, 0
+        ahead = (count - before) % (1 << message.get_signal_by_name(COUNTER).length)
+        return ahead > 0, max(ahead - 1, 0)
+
+    def implausible(self, heard: Heard) -> str:
+        """The first value outside of what the database allows for it, in words; "" where there is none."""
+        for signal, value in heard.values.items():
+            source = self.settings.signals.get(signal)
+            own = self._messages[heard.message].get_signal_by_name(source.partition(".")[2] if source else signal)
+            low, high = own.minimum, own.maximum
+            if low is not None and high is not None and low < high and not low - _slack(own) <= value <= high + _slack(own):
+                return f"{heard.message}.{own.name} = {value:g} is outside of [{low:g}, {high:g}]"
+        return ""
+
+    def say(self, commands: Sequence[float], enabled: bool) -> list[tuple[int, bytes]]:
+        """Frames (29-bit identifier, data) of a set of commands in [-1, 1], the status of the runner last.
+
+        Not enabled, or with a command that is no number: no flow, blocked, and fail-safe bits that say that nobody commands.
+        """
+        enabled = enabled and all(math.isfinite(command) for command in commands)
+        out = []
+        for message, command in zip(self._valves, commands, strict=True):
+            flow = round(min(abs(command), 1.0) * FULL) if enabled else 0
+            state = BLOCKED if flow == 0 else EXTEND if command > 0.0 else RETRACT
+            safe = FAIL_SAFE_BLOCK if enabled else FAIL_SAFE_ERROR
+            coded = {"flow": flow, "state": state, "fail_safe": safe}
+            out.append((message.frame_id, bytes(message.encode(coded, scaling=False, padding=True))))
+        self._alive_count = (self._alive_count + 1) % (1 << self._alive.get_signal_by_name(COUNTER).length)
+        coded = {COUNTER: self._alive_count, "enabled": ON if enabled else OFF}
+        out.append((self._alive.frame_id, bytes(self._alive.encode(coded, scaling=False, padding=True))))
+        return out
+
+
+def _number(value: object) -> float:
+    assert isinstance(value, int | float)
+    return float(value)
+
+
+def _slack(signal: Signal) -> float:
+    """Half a step, for ends that are no whole number of steps."""
+    return 0.5 * abs(float(signal.scale))
+
+
+def bus_load(database: Database, bitrate: int) -> float:
+    """Share of the bus that all cyclic messages of ``database`` take, each frame with all the stuff bits there can be."""
+    return sum(
+        frame_bits(message.length, message.is_extended_frame) * 1e3 / message.cycle_time
+        for message in database.messages
+        if message.cycle_time
+    ) / bitrate  # fmt: skip
+
+
+def frame_bits(length: int, extended: bool) -> int:
+    """Bits of a data frame of ``length`` bytes at most, the space before the next one included.
+
+    Source: Tindell, Burns, Wellings, Calculating controller area network (CAN) message response times (1995), corrected by
+    Davis et al. (2007): g + 8s + 13 + ⌊(g + 8s − 1)/4⌋ bits, g = 34 or 54 that can be stuffed besides the data.
+    """
+    stuffed = (54 if extended else 34) + 8 * length
+    return stuffed + 13 + (stuffed - 1) // 4
+
+
+def names(identifiers: Iterable[tuple[int, bool]]) -> str:
+    """Identifiers for people."""
+    return ", ".join(f"{number:08X}" if extended else f"{number:03X}" for number, extended in sorted(identifiers))

@@ -1,0 +1,313 @@
+"""A machine on a CAN bus, through python-can: any adapter that it drives (socketcan, slcan, pcan, kvaser …) at this computer.
+
+Before the first command the bus is listened to: every message that the recipe maps has to come, with a counter that goes on and
+values that its database allows, and nobody may speak whom the database does not know. Another machine's database fails here.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from sysid.errors import InputError, SettingsError
+from sysid.runner.bus import ON, BusSettings, Heard, MachineBus, names
+from sysid.runner.clock import SECOND, MonotonicClock
+from sysid.runner.transport import NOBODY, MachineInputs, Reading
+
+if TYPE_CHECKING:
+    from can import BusABC, Message
+
+Array = npt.NDArray[np.float64]
+
+#: Interfaces of python-can that leave this computer by a network: nothing that commands a machine goes that way.
+NETWORKED = ("udp_multicast", "socketcand", "remote", "zmq")
+#: Switches of which nothing has been heard for so long are released [ns].
+STATUS_TIME_OUT_NS = 100_000_000
+#: Error frame of socketcan that says that the controller is off the bus (CAN_ERR_BUSOFF).
+_BUS_OFF = 0x40
+#: Longest that a frame may wait for its place in the adapter [s]; half of what the machine waits for commands.
+_SEND = 0.05
+#: At the most so many frames are taken in one turn: a bus that never falls silent may not hold up the loop.
+_FRAMES = 256
+
+
+@dataclass(frozen=True)
+class CanSettings(BusSettings):
+    """``[transport]`` with an adapter.
+
+    Args:
+        interface, channel: of python-can: ``slcan`` and ``/dev/ttyACM0``, ``socketcan`` and ``can0``.
+        options: further ones of that interface.
+        listen: how long the bus is listened to before anything is sent [s].
+        control: pipe with the switches of a stand-in machine, where nobody stands at it.
+    """
+
+    interface: str = "slcan"
+    channel: str = ""
+    options: Mapping[str, str | int | float | bool] = field(default_factory=dict)
+    listen: float = 0.5
+    control: Path | None = None
+
+
+class CanTransport(MonotonicClock):
+    """See :class:`sysid.runner.transport.Transport`. Stamps of the machine are brought to this computer's monotonic clock.
+
+    Args:
+        settings: ``[transport]`` of the recipe, paths resolved.
+        where: the recipe, for messages.
+        bus: an open bus instead of the one that the settings name.
+
+    Raises:
+        SettingsError: what does not fit the database; a bus that would be too full; an interface that is a network.
+    """
+
+    def __init__(self, settings: CanSettings, where: str = "[transport]", bus: BusABC | None = None) -> None:
+        self.settings, self.where = settings, where
+        _stays_here(settings, where)
+        self.machine = MachineBus(settings, where)
+        self._bus = bus
+        self._readings: dict[str, Reading] = {}
+        self._counts = dict.fromkeys(self.machine.signals, 0)
+        self._status: Heard | None = None
+        self._status_ns = 0
+        self._clock = MachineClock()
+        self._fault = ""
+        #: Frames that alive counters say were lost, and frames that no database entry explains.
+        self.lost = 0
+        self.strange: set[tuple[int, bool]] = set()
+
+    @property
+    def signals(self) -> tuple[str, ...]:
+        return self.machine.signals
+
+    @property
+    def axes(self) -> tuple[str, ...]:
+        return self.machine.axes
+
+    def open(self) -> None:
+        """Open the adapter and listen.
+
+        Raises:
+            InputError: no such adapter, or a bus on which something else is spoken.
+        """
+        from can import CanError
+
+        if self._bus is None:
+            try:
+                self._bus = _open(self.settings)
+            except (CanError, OSError, ValueError) as error:
+                place = f"{self.where}: {self.settings.interface} {self.settings.channel}"
+                raise InputError(place, f"cannot be opened ({error})", "a CAN adapter at this computer") from None
+        self._listen()
+
+    def _listen(self) -> None:
+        """Raise unless what is spoken is what the database says."""
+        heard: dict[str, int] = {}
+        wrong: list[str] = []
+        end = time.monotonic_ns() + round(self.settings.listen * SECOND)
+        while time.monotonic_ns() < end:
+            for item in self._take():
+                heard[item.message] = heard.get(item.message, 0) + item.fresh
+                if (text := self.machine.implausible(item)) and text not in wrong:
+                    wrong.append(text)
+            if self._fault:
+                break
+            time.sleep(0.002)
+        for message in self.machine.expected.values():
+            due = self.settings.listen * 1e3 / (message.cycle_time or 1e3 * self.settings.listen)
+            # The first frame counts as fresh whatever its counter.
+            if heard.get(message.name, 0) < max(1, min(2, math.floor(due / 2))):
+                wrong.append(f"{message.name} does not come" if message.name not in heard else f"{message.name} repeats itself")
+        if self.strange:
+            wrong.append(f"the database does not know {names(self.strange)}")
+        if self._fault:
+            wrong.insert(0, self._fault)
+        if wrong:
+            self.close()
+            raise InputError(
+                f"{self.where}: {self.settings.channel or self.settings.interface}",
+                "; ".join(wrong[:4]),
+                f"the messages of {self.settings.database}",
+                "Is the machine on, at this bit rate, and the database its own?",
+            )
+
+    def read(self) -> tuple[Mapping[str, Reading], MachineInputs]:
+        for _ in self._take():
+            pass
+        return dict(self._readings), self._inputs()
+
+    def _take(self) -> list[Heard]:
+        """Take what has come; errors of the line become the fault that :meth:`read` reports until the bus is opened anew."""
+        from can import CanError
+
+        heard: list[Heard] = []
+        if self._bus is None or self._fault:
+            return heard
+        try:
+            for _ in range(_FRAMES):
+                frame = self._bus.recv(0)
+                if frame is None:
+                    break
+                if (item := self._frame(frame)) is not None:
+                    heard.append(item)
+        except (CanError, OSError, ValueError) as error:
+            self._fault = f"bus: {error}"
+        return heard
+
+    def _frame(self, frame: Message) -> Heard | None:
+        now = time.monotonic_ns()
+        if frame.is_error_frame:
+            if frame.arbitration_id & _BUS_OFF:
+                self._fault = "bus off"
+            return None
+        identity = (frame.arbitration_id, frame.is_extended_id)
+        if identity not in self.machine.known:
+            self.strange.add(identity)
+            return None
+        item = self.machine.hear(*identity, bytes(frame.data))
+        if item is None:
+            return None
+        self.lost += item.lost
+        if not item.fresh:
+            return item
+        if item.message == self.settings.status:
+            self._status, self._status_ns = item, now
+            self._clock.tick(item.values.get("time"), now)
+            return item
+        measured = self._clock.measured(now)
+        for signal, value in item.values.items():
+            self._counts[signal] += 1
+            self._readings[signal] = Reading(value, measured, now, self._counts[signal])
+        return item
+
+    def _inputs(self) -> MachineInputs:
+        if self._status is None or self._fault:
+            return MachineInputs(NOBODY.dead_man, NOBODY.emergency_stop, self._fault or "no status of the machine")
+        said = self._status.values
+        late = time.monotonic_ns() - self._status_ns > STATUS_TIME_OUT_NS
+        # Two bits each: off, on, error, not available. Whatever is not clear counts as the safe one.
+        dead_man = int(said["dead_man"]) == ON and not late
+        pressed = int(said["emergency_stop"]) != 0
+        text = "no status of the machine" if late else ""
+        if not text and (code := int(said.get("fault", 0.0))):
+            text = self._fault_text(code)
+        return MachineInputs(dead_man, pressed, text)
+
+    def _fault_text(self, code: int) -> str:
+        """Of a code of the machine; that it hears no commands is no fault while nobody commands."""
+        status = next(m for m in self.machine.expected.values() if m.name == self.settings.status)
+        choices: Mapping[int, Any] = status.get_signal_by_name("fault").choices or {}
+        return f"machine: {choices.get(code, code)}"
+
+    def write(self, commands: Array, enabled: bool) -> None:
+        from can import CanError, Message
+
+        if self._bus is None or self._fault:
+            raise OSError(self._fault or "the bus is not open")
+        try:
+            for identifier, data in self.machine.say([float(command) for command in commands], enabled):
+                self._bus.send(Message(arbitration_id=identifier, is_extended_id=True, data=data), timeout=_SEND)
+        except (CanError, OSError, ValueError) as error:
+            self._fault = f"bus: {error}"
+            raise OSError(self._fault) from error
+
+    def set_inputs(self, dead_man: bool | None = None, emergency_stop: bool | None = None) -> None:
+        """Of a stand-in machine.
+
+        Raises:
+            SettingsError: a machine with people at it, who hold its switches.
+        """
+        if self.settings.control is None:
+            raise SettingsError(f"{self.where}: control", "none", "the control pipe of a stand-in machine")
+        lines = [f"{name} {int(value)}\n" for name, value in (("dead_man", dead_man), ("emergency_stop", emergency_stop))
+                 if value is not None]  # fmt: skip
+        self.tell("".join(lines))
+
+    def tell(self, lines: str) -> None:
+        """Write ``lines`` to the control pipe of a stand-in machine."""
+        assert self.settings.control is not None
+        pipe = os.open(self.settings.control, os.O_WRONLY | os.O_NONBLOCK)
+        try:
+            os.write(pipe, lines.encode())
+        finally:
+            os.close(pipe)
+
+    def close(self) -> None:
+        """Say that nobody commands, and let go of the bus; where the machine does not hear it, its own time-out does."""
+        from can import CanError
+
+        if self._bus is None:
+            return
+        try:
+            if not self._fault:
+                self.write(np.zeros(len(self.axes)), enabled=False)
+        except OSError as error:
+            self._fault = str(error)
+        try:
+            self._bus.shutdown()
+        except (CanError, OSError) as error:
+            # An adapter that is gone cannot be closed any better.
+            self._fault = self._fault or f"bus: {error}"
+        self._bus = None
+
+
+class MachineClock:
+    """The machine's clock seen from here: the earliest arrival says best when a stamp was.
+
+    The machine states its time in the status frame that begins a cycle; values after it were measured then. Both clocks run
+    nearly alike, so ``arrival − stamp`` is the offset plus a delay; its minimum over the last ``window`` stamps is kept.
+    """
+
+    def __init__(self, window: int = 200) -> None:
+        self._window = window
+        self._differences: list[int] = []
+        self._stamp: int | None = None
+        self._came = 0
+
+    def tick(self, seconds: float | None, came_ns: int) -> None:
+        """A status came with the machine's time in it; None: it says none."""
+        self._came = came_ns
+        self._stamp = None if seconds is None else round(seconds * SECOND)
+        if self._stamp is not None:
+            if self._differences and abs(came_ns - self._stamp - self._differences[-1]) > SECOND:
+                self._differences.clear()  # it was set, or has wrapped around
+            self._differences.append(came_ns - self._stamp)
+            del self._differences[: -self._window]
+
+    def measured(self, came_ns: int) -> int:
+        """When a value that came at ``came_ns`` was measured, on this computer's clock; when it came where nothing says."""
+        # A status that was lost would stamp the values of its cycle with the cycle before.
+        if self._stamp is None or came_ns - self._came > SECOND // 200:
+            return came_ns
+        return self._stamp + min(self._differences)
+
+
+def _open(settings: CanSettings) -> BusABC:
+    from can import Bus
+
+    options: dict[str, Any] = dict(settings.options)
+    if settings.interface == "slcan":
+        # The waits that some serial boards need after opening are an option; reading never waits.
+        options = {"sleep_after_open": 0.0, "timeout": 0.0} | options
+    if settings.interface != "socketcan":
+        options["bitrate"] = settings.bitrate
+    return Bus(interface=settings.interface, channel=settings.channel, **options)
+
+
+def _stays_here(settings: CanSettings, where: str) -> None:
+    far = "://" in settings.channel
+    if settings.interface in NETWORKED or far:
+        raise SettingsError(
+            f"{where}: {'channel' if far else 'interface'}",
+            f"{settings.channel if far else settings.interface!r} goes through a network",
+            "a CAN adapter at this computer (socketcan, slcan, pcan, kvaser …)",
+            "Commands that may come late or from somebody else move no machine.",
+        )

@@ -1,0 +1,118 @@
+"""Commands to frames and frames to readings, by the database of the demo's machine; how full its bus is."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+
+import cantools
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from live_machine import DATABASE, SIGNALS, VALVES
+
+from sysid.errors import SettingsError
+from sysid.runner.bus import BusSettings, MachineBus, bus_load, frame_bits
+from sysid.runner.can import MachineClock
+
+SETTINGS = BusSettings(DATABASE, SIGNALS, VALVES)
+BUS = MachineBus(SETTINGS, "runner.toml")
+DESCRIBED = cantools.database.load_file(DATABASE)
+MS = 1_000_000
+
+
+@given(st.lists(st.floats(-1.0, 1.0), min_size=4, max_size=4))
+def test_commands_arrive_to_half_a_step(commands: list[float]) -> None:
+    frames = BUS.say(commands, enabled=True)
+    for (identifier, data), command in zip(frames, commands, strict=False):
+        said = DESCRIBED.decode_message(identifier, data, decode_choices=False)
+        sign = {0: 0.0, 1: 1.0, 2: -1.0}[said["state"]]
+        assert sign * said["flow"] / 100.0 == pytest.approx(command, abs=0.002 + 1e-12)
+        assert said["fail_safe"] == 0
+        assert data[1] == 255, "reserved bits are ones"
+        assert data[3:] == b"\xff" * 5
+
+
+@given(st.lists(st.floats(), min_size=4, max_size=4), st.booleans())
+def test_nothing_leaves_the_range_and_no_number_enables_nothing(commands: list[float], enabled: bool) -> None:
+    said = [DESCRIBED.decode_message(identifier, data, decode_choices=False) for identifier, data in BUS.say(commands, enabled)]
+    fit = enabled and bool(np.isfinite(commands).all())
+    assert said[-1]["enabled"] == int(fit)
+    for valve in said[:-1]:
+        assert 0.0 <= valve["flow"] <= 100.0
+        assert valve["fail_safe"] == (0 if fit else 2)
+        assert fit or (valve["flow"], valve["state"]) == (0, 0)
+
+
+def test_the_alive_counter_goes_on() -> None:
+    counts = [BUS.say([0.0] * 4, True)[-1][1][0] for _ in range(300)]
+    assert set(np.diff(counts) % 256) == {1}
+
+
+def test_readings_counters_and_lost_frames() -> None:
+    bus = MachineBus(SETTINGS, "runner.toml")
+    message = DESCRIBED.get_message_by_name("SLEW_SENSOR")
+    heard = [
+        bus.hear(message.frame_id, False, bytes(message.encode({"slew": 0.25, "counter": counter}, padding=True)))
+        for counter in (254, 255, 255, 0, 4)
+    ]
+    assert [(item.fresh, item.lost) for item in heard if item] == [(True, 0), (True, 0), (False, 0), (True, 0), (True, 3)]
+    assert heard[0] is not None
+    assert heard[0].values == pytest.approx({"slew.joint": 0.25})
+    assert bus.hear(0x123, False, bytes(8)) is None
+    with pytest.raises(ValueError, match="SLEW_SENSOR has 3 bytes where the database says 8"):
+        bus.hear(message.frame_id, False, bytes(3))
+
+
+def test_bits_of_a_frame() -> None:
+    """135 and 160 bits: the known worst cases of 8 bytes with 11 and 29 bits of identifier (Davis et al. 2007)."""
+    assert frame_bits(8, extended=False) == 135
+    assert frame_bits(8, extended=True) == 160
+
+
+def test_load_of_the_bus() -> None:
+    seven = 7 * 160 + 135 + 160 / 2 + 100
+    load = bus_load(DESCRIBED, 250_000)
+    own = sum(frame_bits(m.length, m.is_extended_frame) / (m.cycle_time * 1e-3) for m in DESCRIBED.messages) / 250_000
+    assert load == pytest.approx(own)
+    assert 0.9 * seven * 100 / 250_000 < load < 1.3 * seven * 100 / 250_000
+    with pytest.raises(SettingsError, match=r"the bus would be \d+ % full at 250000 bit/s; expected 30 % at the most"):
+        MachineBus(dataclasses.replace(SETTINGS, max_load=0.3), "runner.toml")
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"status": "STATUS"}, "has no message 'STATUS'; expected 'RUNNER_STATUS'"),
+        ({"alive": "DRAW_WIRES"}, "message DRAW_WIRES has no signal 'enabled'"),
+        ({"valves": VALVES | {"boom": "RUNNER_STATUS"}}, "message RUNNER_STATUS has no signal 'flow'"),
+    ],
+)
+def test_names_that_the_database_does_not_have(change: dict[str, object], message: str) -> None:
+    with pytest.raises(SettingsError, match=message):
+        MachineBus(dataclasses.replace(SETTINGS, **change), "runner.toml")  # type: ignore[arg-type]
+
+
+def test_a_valve_command_needs_its_pgn(tmp_path: Path) -> None:
+    path = tmp_path / "odd.dbc"
+    odd = 0x0CFF3128 | 1 << 31
+    path.write_text(DATABASE.read_text().replace(str(0x0CFE3128 | 1 << 31), str(odd)))
+    with pytest.raises(SettingsError, match=r"valves.boom: AUX_VALVE_1_COMMAND has PGN 65329; expected .* PGN 65072 to 65079"):
+        MachineBus(dataclasses.replace(SETTINGS, database=path), "runner.toml")
+
+
+def test_stamps_of_the_machine_come_to_this_clock() -> None:
+    clock = MachineClock()
+    rng = np.random.default_rng(0)
+    errors = []
+    for k in range(600):
+        true = 5_000_000_000 + k * 10 * MS
+        came = true + 300_000 + int(rng.exponential(2 * MS))
+        clock.tick(k * 0.01, came)
+        errors.append(clock.measured(came + 100_000) - true)
+    assert max(errors[200:]) < 400_000, "the earliest arrival, whatever the others took"
+    assert min(errors) >= 300_000
+    assert clock.measured(came + 20 * MS) == came + 20 * MS, "of a cycle whose status was lost"
+    clock.tick(1e4, came + 10 * MS)
+    assert clock.measured(came + 10 * MS) == came + 10 * MS, "a clock that was set begins anew"
