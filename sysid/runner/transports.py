@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import importlib
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -29,7 +29,11 @@ class Line:
 Build = Callable[[dict[str, Any], Assembly, Registry], Line]
 
 #: ``module:function``, imported when it is asked for.
-TRANSPORTS: dict[str, str] = {"simulated": "sysid.runner.transports:simulated"}
+TRANSPORTS: dict[str, str] = {
+    "simulated": "sysid.runner.transports:simulated",
+    "can": "sysid.runner.transports:can",
+    "slcan": "sysid.runner.transports:slcan",
+}
 
 
 def connect(assembly: Assembly, registry: Registry) -> Line:
@@ -78,3 +82,23 @@ def simulated(values: dict[str, Any], assembly: Assembly, registry: Registry) ->
     if joints.shape != (len(plant.machine.axes),):
         raise SettingsError("transport.joints", f"{len(joints)} values", f"{len(plant.machine.axes)}")
     return Line(SimulatedTransport(plant, joints, noise=settings.noise, seed=settings.seed), stand_in=True)
+
+
+def can(values: dict[str, Any], assembly: Assembly, registry: Registry) -> Line:
+    """A machine on a CAN bus, through any adapter of python-can; files are beside the recipe."""
+    from sysid.runner.can import CanSettings, CanTransport
+
+    settings = parse_settings(values, CanSettings, "transport")
+    control = assembly.folder / settings.control if settings.control is not None else None
+    settings = replace(settings, database=assembly.folder / settings.database, control=control)
+    axes = assembly.machine.axis_names
+    missing = [axis for axis in axes if axis not in settings.valves]
+    if missing or len(settings.valves) > len(axes):
+        raise SettingsError("transport.valves", f"{', '.join(settings.valves)}", f"one message for each of {', '.join(axes)}")
+    ordered = {axis: settings.valves[axis] for axis in axes}
+    return Line(CanTransport(replace(settings, valves=ordered), "transport"), stand_in=control is not None)
+
+
+def slcan(values: dict[str, Any], assembly: Assembly, registry: Registry) -> Line:
+    """The same through an adapter on a serial line."""
+    return can(values | {"interface": "slcan"}, assembly, registry)
