@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import importlib
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -29,7 +29,7 @@ class Line:
 Build = Callable[[dict[str, Any], Assembly, Registry], Line]
 
 #: ``module:function``, imported when it is asked for.
-TRANSPORTS: dict[str, str] = {"simulated": "sysid.runner.transports:simulated"}
+TRANSPORTS: dict[str, str] = {"simulated": "sysid.runner.transports:simulated", "can": "sysid.runner.transports:can"}
 
 
 def connect(assembly: Assembly, registry: Registry) -> Line:
@@ -78,3 +78,13 @@ def simulated(values: dict[str, Any], assembly: Assembly, registry: Registry) ->
     if joints.shape != (len(plant.machine.axes),):
         raise SettingsError("transport.joints", f"{len(joints)} values", f"{len(plant.machine.axes)}")
     return Line(SimulatedTransport(plant, joints, noise=settings.noise, seed=settings.seed), stand_in=True)
+
+
+def can(values: dict[str, Any], assembly: Assembly, registry: Registry) -> Line:
+    """A machine on a CAN bus; one with a control pipe is a stand-in, whose switches the pipe holds."""
+    from sysid.runner.can import CanSettings, CanTransport
+
+    where = "transport"
+    settings = parse_settings(values, CanSettings, where)
+    settings = replace(settings, database=assembly.folder / settings.database)
+    return Line(CanTransport(settings, where), stand_in=settings.control is not None)
