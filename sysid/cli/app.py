@@ -34,6 +34,7 @@ VERBS: dict[str, Verb] = {
     "gap": Verb("sysid.cli.gap:gap", "Name the effects that the simulation lacks."),
     "train": Verb("sysid.cli.train:train", "Train a policy on a fitted plant."),
     "track": Verb("sysid.cli.track:track", "Follow a path with a policy, or with inverse kinematics."),
+    "run": Verb("sysid.cli.run:run", "Run a task on a machine: supervised, recorded, stoppable."),
     "view": Verb("sysid.cli.view:view", "Write a Rerun recording of the moving machine."),
     "report": Verb("sysid.cli.report:report", "Write the HTML report of a dataset."),
     "demo": Verb("sysid.cli.demo:demo", "Run the whole line on the logs that ship."),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import select
+import signal
 import sys
 from collections.abc import Sequence
 from typing import Protocol
@@ -85,6 +86,40 @@ class Unattended:
 
     def told(self, text: str) -> None:
         self.lines.append(text)
+
+
+class Interruptible:
+    """An operator, and Ctrl-C: the first one stops within the limits and ends the run, the second one ends it at once.
+
+    Args:
+        operator: who else is asked.
+    """
+
+    def __init__(self, operator: Operator) -> None:
+        self.operator, self.stays = operator, operator.stays
+        self._interrupted, self._said = False, False
+
+    def words(self, state: State, now_ns: int) -> Sequence[str]:
+        said = list(self.operator.words(state, now_ns))
+        if self._interrupted and not self._said:
+            self._said = True
+            said.append("quit")
+        return said
+
+    def told(self, text: str) -> None:
+        self.operator.told(text)
+
+    def __enter__(self) -> Interruptible:
+        self._before = signal.signal(signal.SIGINT, self._on)
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        signal.signal(signal.SIGINT, self._before)
+
+    def _on(self, number: int, frame: object) -> None:
+        if self._interrupted:
+            raise KeyboardInterrupt
+        self._interrupted = True
 
 
 class Nobody:

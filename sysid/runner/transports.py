@@ -29,11 +29,7 @@ class Line:
 Build = Callable[[dict[str, Any], Assembly, Registry], Line]
 
 #: ``module:function``, imported when it is asked for.
-TRANSPORTS: dict[str, str] = {
-    "simulated": "sysid.runner.transports:simulated",
-    "can": "sysid.runner.transports:can",
-    "slcan": "sysid.runner.transports:slcan",
-}
+TRANSPORTS: dict[str, str] = {"simulated": "sysid.runner.transports:simulated", "can": "sysid.runner.transports:can"}
 
 
 def connect(assembly: Assembly, registry: Registry) -> Line:
@@ -85,20 +81,10 @@ def simulated(values: dict[str, Any], assembly: Assembly, registry: Registry) ->
 
 
 def can(values: dict[str, Any], assembly: Assembly, registry: Registry) -> Line:
-    """A machine on a CAN bus, through any adapter of python-can; files are beside the recipe."""
+    """A machine on a CAN bus; one with a control pipe is a stand-in, whose switches the pipe holds."""
     from sysid.runner.can import CanSettings, CanTransport
 
-    settings = parse_settings(values, CanSettings, "transport")
-    control = assembly.folder / settings.control if settings.control is not None else None
-    settings = replace(settings, database=assembly.folder / settings.database, control=control)
-    axes = assembly.machine.axis_names
-    missing = [axis for axis in axes if axis not in settings.valves]
-    if missing or len(settings.valves) > len(axes):
-        raise SettingsError("transport.valves", f"{', '.join(settings.valves)}", f"one message for each of {', '.join(axes)}")
-    ordered = {axis: settings.valves[axis] for axis in axes}
-    return Line(CanTransport(replace(settings, valves=ordered), "transport"), stand_in=control is not None)
-
-
-def slcan(values: dict[str, Any], assembly: Assembly, registry: Registry) -> Line:
-    """The same through an adapter on a serial line."""
-    return can(values | {"interface": "slcan"}, assembly, registry)
+    where = "transport"
+    settings = parse_settings(values, CanSettings, where)
+    settings = replace(settings, database=assembly.folder / settings.database)
+    return Line(CanTransport(settings, where), stand_in=settings.control is not None)

@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from sysid.errors import SettingsError, StoreError
+from sysid.errors import SettingsError
 from sysid.machine import Machine
 from sysid.networks import ActuatorNetwork, from_files, static_networks
 from sysid.networks.forward import ForwardModel
 from sysid.networks.policy import PolicyNetwork
 from sysid.plant import Plant, plant_from_files
-from sysid.registry import CHAMPION, ModelVersion, Registry
+from sysid.registry import CHAMPION, ModelVersion, Registry, made_of
 from sysid.rl.environment import load_versions
 from sysid.rl.policy import load_policy
 from sysid.runner.recipe import KINEMATIC, RunnerRecipe
@@ -53,17 +53,13 @@ def load(registry: Registry, recipe: RunnerRecipe, machine: Machine, where: obje
         policy = load_policy(version)
         found.append(version)
         remarks += _policy_lineage(registry, version, found, machine, where)
-    _check_promoted(found, wanted.unpromoted, where)
     actuators: Mapping[str, ActuatorNetwork] = {}
-    source = found[0].lineage.get("networks") or plant.origin.get("networks")
-    if isinstance(source, str):
-        try:
-            networks = registry.load(source)
-        except StoreError as error:
-            remarks.append(f"the networks of the linkages cannot be loaded ({error}): their range is not watched")
-        else:
-            actuators = static_networks(from_files(networks.files, networks.reference))
-            found.append(networks)
+    sources = [version for version in made_of(registry.list(), found[0]) if version.kind in ("actuator", "history")]
+    if sources:
+        networks = registry.load(max(sources, key=lambda version: version.created_ms).reference)
+        actuators = static_networks(from_files(networks.files, networks.reference))
+        found.append(networks)
+    _check_promoted(found, wanted.unpromoted, where)
     return Loaded(plant, forward, policy, actuators, tuple(found), tuple(remarks))
 
 

@@ -1,0 +1,183 @@
+"""``sysid run RUNNER.toml``: a task on a machine, supervised and recorded."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from sysid.cli.output import Printer, json_option, write_json
+
+if TYPE_CHECKING:
+    from sysid.runner.assemble import Assembly
+    from sysid.runner.loop import Outcome
+    from sysid.runner.rehearse import Ranges
+
+
+@click.command()
+@click.argument("recipe", type=click.Path(path_type=Path), metavar="RUNNER.toml")
+@click.option("--dry-run", is_flag=True, help="Check everything, and rehearse on the simulated machine; nothing is opened.")
+@click.option("--unattended", is_flag=True, help="Arm and hold the dead-man switch by program; on stand-in machines alone.")
+@click.option("--seconds", type=click.FloatRange(0.1), default=None, help="End the run after so long at the latest.")
+@click.option("--log", "log", type=click.Path(file_okay=False, path_type=Path), default=None, help="Folder of recordings.")
+@json_option
+@click.pass_context
+def run(
+    ctx: click.Context,
+    recipe: Path,
+    dry_run: bool,
+    unattended: bool,
+    seconds: float | None,
+    log: Path | None,
+    json_file: str | None,
+) -> None:
+    """Run a recipe on its machine: track, hold, collect, replay, watch.
+
+    At the terminal: arm (then hold the dead-man switch to start), stop, reset (after a fault), quit; Ctrl-C stops and quits.
+    Exit status 1 where the run ended in a fault.
+    """
+    from dataclasses import replace
+
+    from sysid.errors import SettingsError
+    from sysid.runner.assemble import assemble
+    from sysid.runner.flight_log import FlightLog, provenance
+    from sysid.runner.operator import Interruptible, Operator, Terminal, Unattended
+    from sysid.runner.recipe import load_runner
+    from sysid.runner.rehearse import Ranges, rehearse
+    from sysid.runner.transport import Settable
+    from sysid.runner.transports import connect
+    from sysid.workspace import open_workspace
+
+    settings = load_runner(recipe)
+    if seconds is not None:
+        settings = replace(settings, loop=replace(settings.loop, seconds=seconds))
+    registry = open_workspace(ctx.obj).models
+    assembly = assemble(settings, registry, recipe)
+    printer = Printer(json_file)
+    _introduce(printer, assembly)
+    if dry_run:
+        rehearsal = rehearse(assembly, seconds or 60.0)
+        printer.line(f"Dry run of {rehearsal.seconds:.0f} s on the simulated machine; nothing was opened or sent.")
+        _tell(printer, assembly, rehearsal.outcome, rehearsal.ranges)
+        write_json(json_file, {"schema": 1, "dry_run": True, **_figures(assembly, rehearsal.outcome, rehearsal.ranges)})
+        return
+    line = connect(assembly, registry)
+    transport = line.transport
+    program = unattended or settings.transport["kind"] == "simulated"
+    if program and not (line.stand_in and isinstance(transport, Settable)):
+        raise SettingsError("--unattended", "a machine that can hurt somebody", "a person at it: run without --unattended")
+    operator: Operator = Unattended(transport) if program and isinstance(transport, Settable) else Terminal()
+    ranges = Ranges(len(assembly.machine.axes))
+    with Interruptible(operator) as person:
+        pair = Both(ranges)
+        loop = assembly.loop(transport, pair, person)
+        transport.open()
+        try:
+            files = {"recipe": recipe, "machine": assembly.machine_file}
+            versions = {version.reference: version.digest for version in assembly.loaded.versions}
+            words = provenance(files, versions) | {"run": {"name": settings.name, "mode": settings.mode}}
+            folder = log or Path(settings.log.folder)
+            kind: Any = "poses" if settings.mode == "collect" else "motion"
+            with FlightLog(
+                folder, assembly.machine_file, transport.axes, transport.signals, words, kind=kind, clock_ns=transport.now_ns()
+            ) as flight:
+                pair.second = flight
+                outcome = loop.run()
+        finally:
+            transport.close()
+    _tell(printer, assembly, outcome, ranges)
+    printer.line(f"{flight.path}   (a recording: sysid ingest {folder} --recipe {folder / 'recipe.toml'})")
+    figures = _figures(assembly, outcome, ranges)
+    write_json(json_file, {"schema": 1, "dry_run": False, "log": str(flight.path), "lost_cycles": flight.lost, **figures})
+    if outcome.ended == "fault":
+        ctx.exit(1)
+
+
+class Both:
+    """Two recorders; the first one never fails."""
+
+    def __init__(self, first: Any) -> None:
+        self.first = first
+        self.second: Any = None
+
+    def record(self, cycle: Any) -> None:
+        self.first.record(cycle)
+        if self.second is not None:
+            self.second.record(cycle)
+
+    @property
+    def fault(self) -> str:
+        return str(self.second.fault) if self.second is not None else ""
+
+
+def _introduce(out: Printer, assembly: Assembly) -> None:
+    recipe, loaded, limits = assembly.recipe, assembly.loaded, assembly.limits
+    out.line(f"{recipe.name}: {recipe.mode} on {assembly.machine.name} at {assembly.machine.rate_hz:g} Hz, "
+             f"through {recipe.transport['kind']}")  # fmt: skip
+    for version in loaded.versions:
+        mark = "promoted" if "champion" in version.aliases else "NOT promoted, accepted by the recipe"
+        out.line(f"  {version.kind:<9}{version.reference:<28}{version.digest[:12]}  {mark}")
+    policy = recipe.versions.policy if loaded.policy is None else "the policy"
+    out.line(f"  setpoints by {policy}, targets {1e3 * assembly.lookahead:.0f} ms ahead; fallback: {recipe.loop.fallback}")
+    for text in loaded.remarks:
+        out.line(f"  note: {text}")
+    for check, reason in recipe.checks.without.items():
+        out.line(f"  WITHOUT the check {check}: {reason}")
+    rows = []
+    axes = zip(
+        assembly.machine.axis_names, limits.low, limits.high, limits.speed, limits.acceleration, limits.command, strict=True
+    )
+    for name, low, high, speed, acceleration, command in axes:
+        rows.append((name, f"{low:.3f} … {high:.3f}", f"{speed:.3f}", f"{acceleration:.3f}", f"{command:g}"))
+    out.table(("axis", "position", "speed", "acceleration", "command"), rows, right=range(1, 5))
+    if limits.fenced:
+        ends = zip("xyz", limits.fence_low, limits.fence_high, strict=True)
+        out.line("fence of the end effector: " + ", ".join(f"{a} {low:.3f} … {high:.3f}" for a, low, high in ends) + " m")
+    else:
+        out.line("no fence: the end effector may go wherever the joints allow ([limits.fence] bounds it)")
+
+
+def _tell(out: Printer, assembly: Assembly, outcome: Outcome, ranges: Ranges) -> None:
+    if ranges.moving:
+        rows = [
+            (name, f"{low:.3f} … {high:.3f}", f"{command:.2f}")
+            for name, low, high, command in zip(assembly.machine.axis_names, *ranges.joints, ranges.commands, strict=True)
+        ]
+        out.table(("axis", "went over", "greatest command"), rows, right=(1, 2))
+        ends = ", ".join(f"{a} {low:.3f} … {high:.3f}" for a, low, high in zip("xyz", *ranges.ee, strict=True))
+        out.line(f"end effector: {ends} m; {ranges.moving} turns in motion: "
+                 + ", ".join(f"{phase} {count}" for phase, count in ranges.phases.items()))  # fmt: skip
+    if ranges.rmse is not None:
+        rmse, worst = (", ".join(f"{1e3 * value:.2f}" for value in values) for values in (ranges.rmse, ranges.worst))
+        out.line(f"end effector against target: RMSE {rmse} mm, at most {worst} mm (by its own sensors)")
+    late, spent = outcome.lateness, outcome.latency
+    out.line(f"{outcome.turns} turns, {outcome.missed} deadlines missed; lateness p50 {late.percentile(0.5):.0f}, "
+             f"p99 {late.percentile(0.99):.0f}, max {late.largest_us:.0f} µs; a turn took p50 {spent.percentile(0.5):.0f}, "
+             f"p99 {spent.percentile(0.99):.0f}, max {spent.largest_us:.0f} µs")  # fmt: skip
+    for check, count in outcome.verdicts.most_common():
+        out.line(f"  {check} objected in {count} turns")
+    for text in outcome.notes:
+        out.line(f"  {text}")
+    out.line(f"ended: {outcome.ended}; state {outcome.state}" + (f": {outcome.why}" if outcome.why else ""))
+
+
+def _figures(assembly: Assembly, outcome: Outcome, ranges: Ranges) -> dict[str, Any]:
+    return {
+        "name": assembly.recipe.name,
+        "mode": assembly.recipe.mode,
+        "versions": {version.reference: version.digest for version in assembly.loaded.versions},
+        "ended": outcome.ended,
+        "state": outcome.state,
+        "why": outcome.why,
+        "turns": outcome.turns,
+        "missed_deadlines": outcome.missed,
+        "lateness_us": outcome.lateness.to_json(),
+        "turn_us": outcome.latency.to_json(),
+        "verdicts": dict(outcome.verdicts),
+        "notes": outcome.notes,
+        "joints": {"low": ranges.joints[0], "high": ranges.joints[1]} if ranges.moving else None,
+        "ee": {"low": ranges.ee[0], "high": ranges.ee[1]} if ranges.moving else None,
+        "rmse_mm": 1e3 * ranges.rmse if ranges.rmse is not None else None,
+        "max_mm": 1e3 * ranges.worst if ranges.rmse is not None else None,
+    }
