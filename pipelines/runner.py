@@ -230,6 +230,8 @@ def _places(truth: dict[str, Array]) -> Array:
 def timing(flown: Flown) -> dict[str, Any]:
     """Lateness, missed deadlines, from the command to the valve, and how far the tip is from its target."""
     truth, cycles = flown.truth, flown.cycles
+    if not cycles:
+        raise RuntimeError(f"the run did not come about: {flown.outcome.get('why')}")
     # The n-th set of commands has the counter n + 1; when it arrived is in the truth, as is when each turn began.
     begun = cycles["due_ns"] + cycles["lateness_ns"]
     begun = begun - (begun[0] - flown.lines[0][1]) if flown.lines else begun
@@ -243,6 +245,8 @@ def timing(flown: Flown) -> dict[str, Any]:
     ways = (arrived[good] - begun[numbers[good]]) * 1e-3
     targets = np.stack([cycles[f"target[{k}]"] for k in range(3)], axis=1)
     tracked = np.flatnonzero(np.isfinite(targets[:, 0]))[200:]
+    if not len(tracked):
+        raise RuntimeError(f"the run ended before it tracked: {flown.outcome.get('why')} {flown.lines}")
     places = _places(truth)
     at = begun[tracked] + 1e7
     there = np.stack([np.interp(at, truth["at_ns"], column) for column in places.T], axis=1)
