@@ -330,7 +330,7 @@ def main(options: argparse.Namespace) -> None:
     result["faults"] = []
     for name in [*OUTSIDE, *LINE, *POLICY, "disk full", "wrong DBC"] if options.faults else []:
         change = {"wrong": "yes"} if name == "wrong DBC" else {}
-        row = judged(name, fly(options, options.paths[0], policies[-1], 15.0, name, **change))
+        row = judged(name, fly(options, options.paths[0], policies[-1], 13.0, name, **change))
         result["faults"].append(row)
         print(json.dumps(row), flush=True)
     write_result(options.out, result)
