@@ -27,6 +27,7 @@ FLOORS: tuple[tuple[str, ...], ...] = (
     ("rl",),
     ("workspace",),
     ("model_versions",),
+    ("runner",),
     ("cli",),
 )
 #: The stand-in machine is judged by the library, so it may share nothing with it but errors and settings.
