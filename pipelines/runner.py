@@ -227,14 +227,29 @@ def _places(truth: dict[str, Array]) -> Array:
     return np.stack([truth[f"ee.{letter}"] for letter in "xyz"], axis=1)
 
 
+def _begun(flown: Flown) -> Array:
+    """When each turn began, on the monotonic clock [ns]; the log is dated, the first line says when the first turn began."""
+    begun = flown.cycles["due_ns"] + flown.cycles["lateness_ns"]
+    return np.asarray(begun - (begun[0] - flown.lines[0][1]))
+
+
+def _off(flown: Flown, first_ns: float, last_ns: float) -> Array:
+    """Boom tip less its target in the turns between, (n, 3) [m]; a target is for the end of its turn."""
+    targets = np.stack([flown.cycles[f"target[{k}]"] for k in range(3)], axis=1)
+    at = _begun(flown) + 1e7
+    own = (at >= first_ns) & (at <= last_ns) & np.isfinite(targets[:, 0])
+    places = _places(flown.truth)
+    there = np.stack([np.interp(at[own], flown.truth["at_ns"], column) for column in places.T], axis=1)
+    return np.asarray(there - targets[own])
+
+
 def timing(flown: Flown) -> dict[str, Any]:
     """Lateness, missed deadlines, from the command to the valve, and how far the tip is from its target."""
     truth, cycles = flown.truth, flown.cycles
     if not cycles:
         raise RuntimeError(f"the run did not come about: {flown.outcome.get('why')}")
     # The n-th set of commands has the counter n + 1; when it arrived is in the truth, as is when each turn began.
-    begun = cycles["due_ns"] + cycles["lateness_ns"]
-    begun = begun - (begun[0] - flown.lines[0][1]) if flown.lines else begun
+    begun = _begun(flown)
     fresh = np.flatnonzero(np.diff(truth["counter"]) != 0) + 1
     turns = (truth["counter"][fresh].astype(int) - 1) % 256
     arrived = truth["counter_ns"][fresh]
@@ -243,14 +258,9 @@ def timing(flown: Flown) -> dict[str, Any]:
     numbers = np.where(near - numbers > 128, numbers + 256, numbers)
     good = (numbers >= 0) & (numbers < len(begun))
     ways = (arrived[good] - begun[numbers[good]]) * 1e-3
-    targets = np.stack([cycles[f"target[{k}]"] for k in range(3)], axis=1)
-    tracked = np.flatnonzero(np.isfinite(targets[:, 0]))[200:]
-    if not len(tracked):
+    error = 1e3 * _off(flown, 0.0, np.inf)[200:]
+    if not len(error):
         raise RuntimeError(f"the run ended before it tracked: {flown.outcome.get('why')} {flown.lines}")
-    places = _places(truth)
-    at = begun[tracked] + 1e7
-    there = np.stack([np.interp(at, truth["at_ns"], column) for column in places.T], axis=1)
-    error = (there - targets[tracked]) * 1e3
     outcome = flown.outcome
     return {
         "lateness_us": outcome["lateness_us"],
@@ -287,11 +297,15 @@ def judged(name: str, flown: Flown) -> dict[str, Any]:
     if killed == "runner":
         state, reaction = "machine's own time-out", neutral
     else:
-        reaction = (noticed - t0) * 1e-6 if noticed else 0.0
         goes_on = flown.outcome.get("ended") in ("time", "done")
+        # Verdicts long after a fault that is over are about something else.
+        reaction = (noticed - t0) * 1e-6 if noticed and not (goes_on and noticed - t0 > 1e9) else 0.0
         state = "goes on" if goes_on else "fault" if flown.outcome.get("state") == "fault" else "stopped"
     start = places[np.searchsorted(at, t0) - 1] if len(at) else places[0]
     peak = float(np.linalg.norm(places[after] - start, axis=1).max()) if after.any() else 0.0
+    if state == "goes on" and flown.cycles:
+        # It is on its way: what counts is how far off.
+        peak = float(np.linalg.norm(_off(flown, t0, t0 + 1e9), axis=1).max())
     ok = state in ENDS.get(name, STOPS) and inside
     if state != "goes on" and killed != "machine":
         still = places[at >= at[-1] - 2e8]
