@@ -118,4 +118,4 @@ def test_a_live_target_comes_over_the_loopback_and_never_jumps() -> None:
     finally:
         mode.close()
     assert np.linalg.norm(np.diff(path, axis=0), axis=1).max() <= 0.1 * DT + 1e-12
-    np.testing.assert_allclose(path[-1], EE + [0.01, 0.0, 0.0], atol=1e-9)
+    np.testing.assert_allclose(path[-1], EE + np.array([0.01, 0.0, 0.0]), atol=1e-9)

@@ -75,7 +75,7 @@ def workspace(tmp_path_factory: pytest.TempPathFactory) -> Path:
     registry: Registry = open_workspace(folder / "ws").models
     plant = crane_plant()
     version = registry.register("crane", "plant", plant.to_files(), {"dataset": "crane@1", "machine": "crane"})
-    registry.set_alias("crane", CHAMPION, version.version)
+    registry.set_alias(version.reference, CHAMPION)
     low, high = joint_limits(plant)
     joints = np.random.default_rng(1).uniform(low, high, (1500, 4))
     model = learned(plant)
