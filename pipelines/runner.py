@@ -342,7 +342,8 @@ def main(options: argparse.Namespace) -> None:
     result["missed"] = {"idle": idle["missed"], "loaded": loaded["missed"]}
     result["begin_to_valve_us"] = {"idle": idle["begin_to_valve_us"], "loaded": loaded["begin_to_valve_us"]}
     result["faults"] = []
-    for name in [*OUTSIDE, *LINE, *POLICY, "disk full", "wrong DBC"] if options.faults else []:
+    names = [*OUTSIDE, *LINE, *POLICY, "disk full", "wrong DBC"] if options.faults else []
+    for name in [name for name in names if not options.only or name in options.only]:
         change = {"wrong": "yes"} if name == "wrong DBC" else {}
         row = judged(name, fly(options, options.paths[0], policies[-1], 13.0, name, **change))
         result["faults"].append(row)
@@ -387,6 +388,7 @@ def _options(arguments: Sequence[str] | None = None) -> argparse.Namespace:
     parser.add_argument("--paths", nargs="+", default=["helix", "circle"])
     parser.add_argument("--minutes", type=float, default=10.0, help="of each run that is timed")
     parser.add_argument("--no-faults", dest="faults", action="store_false")
+    parser.add_argument("--only", nargs="+", default=[], help="of all faults these alone")
     parser.add_argument("--out", type=Path, default=ROOT / "reports" / "runner" / "result.json")
     chosen = parser.parse_args(arguments)
     chosen.workspace = chosen.workspace.resolve()

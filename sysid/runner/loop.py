@@ -28,6 +28,8 @@ from sysid.runner.transport import NOBODY, Reading, Transport
 Array = npt.NDArray[np.float64]
 Ended = Literal["done", "stopped", "fault", "quit", "time"]
 
+#: Where one of these stopped the machine, it is not simply ready again: a person has to look, and reset it.
+LATCHING = ("stale", "not_finite", "jump", "frozen", "clock", "contradiction", "motion", "following")
 #: Of checks on motion that the runner did not ask for, nothing can be said.
 _OWN_MOTION = ("restless", "following", "motion", "frozen")
 
@@ -126,7 +128,7 @@ class Loop:
         self._zero = np.zeros(self._axes)
         self._sound_s, self._neutral_s, self._turn, self._missed = 0.0, 0.0, 0, 0
         self._released, self._fallback, self._thinking = False, False, False
-        self._ran, self._leaving, self._wrong = False, False, ""
+        self._ran, self._leaving, self._wrong, self._latch = False, False, "", ""
         self._sent = self._zero
         self._readings: Mapping[str, Reading] = {}
         self._k = 0
@@ -245,9 +247,15 @@ class Loop:
         if worst.reaction == "fault":
             self._tell(self.states.on("fault", now, worst.text))
         elif worst.reaction == "stop" and state == "running":
-            self._tell(self.states.on("stop", now, worst.text))
+            self._halt(worst, now)
         elif worst.reaction in ("hold", "stop") and state in ("ready", "armed"):
             self._tell(self.states.on("unhealthy", now, worst.text))
+
+    def _halt(self, verdict: Verdict, now: int) -> None:
+        """A verdict stops the machine."""
+        if self.states.state == "running" and verdict.check in LATCHING:
+            self._latch = verdict.text
+        self._tell(self.states.on("stop", now, verdict.text))
 
     def _listen(self, seen: Seen, verdicts: list[Verdict], now: int) -> None:
         for word in self.operator.words(self.states.state, now):
@@ -300,7 +308,7 @@ class Loop:
         self.supervisor.begin(seen.joints)
         self.chain.rest(seen.drive, seen.joints)
         self.mode.begin(seen.joints, seen.ee)
-        self._k, self._fallback, self._drive_setpoints, self._neutral_s = 0, False, None, 0.0
+        self._k, self._fallback, self._drive_setpoints, self._neutral_s, self._latch = 0, False, None, 0.0, ""
 
     def _decide(self, seen: Seen, verdicts: list[Verdict], now: int) -> Decision:
         none = np.full(self._axes, np.nan)
@@ -330,7 +338,7 @@ class Loop:
         else:
             decision.asked, decision.source = self._ask(goal, seen, held, verdicts)
             decision.setpoints, broken = self.supervisor.setpoints(decision.asked)
-            verdicts += broken
+            verdicts += [] if held else broken  # standing still at once is nobody's wish: it is how a hold begins
             drive_setpoints, decision.commands_asked = self.chain.commands(decision.setpoints, seen.drive)
             decision.drive_setpoints = self._drive_setpoints = drive_setpoints
         decision.commands, broken = self.supervisor.commands(decision.commands_asked, seen, self.senses.reckonings)
@@ -341,7 +349,10 @@ class Loop:
             self._k += 1
         worst = sternest(verdicts)
         if worst is not None and worst.reaction in ("stop", "fault") and self.mode.moves:
-            self._tell(self.states.on("stop" if worst.reaction == "stop" else "fault", now, worst.text))
+            if worst.reaction == "stop":
+                self._halt(worst, now)
+            else:
+                self._tell(self.states.on("fault", now, worst.text))
             decision.enabled = self.states.state != "fault"
 
     def _ask(self, goal: Goal, seen: Seen, held: bool, verdicts: list[Verdict]) -> tuple[Array, str]:
@@ -380,7 +391,9 @@ class Loop:
             return
         self._neutral_s += self.dt
         still = np.isfinite(seen.drive).all() and bool(seen.measured.all())
-        if self._neutral_s >= self.settings.rest_s and still:
+        if self._neutral_s >= self.settings.rest_s and self._latch:
+            self._tell(self.states.on("fault", now, self._latch))
+        elif self._neutral_s >= self.settings.rest_s and still:
             self._tell(self.states.on("rest", now))
         elif self._neutral_s > self.settings.rest_within_s:
             self._tell(self.states.on("fault", now, "nothing says that the machine came to rest"))

@@ -51,6 +51,7 @@ class Sensor:
     good: float = math.nan
     good_ns: int = 0
     still_since: float = 0.0
+    repeats: int = 0
     sound: bool = False
 
 
@@ -167,7 +168,9 @@ class Senses:
         value = reading.value
         sensor.finite = math.isfinite(value)
         if fresh and value != sensor.value:
-            sensor.still_since = 0.0
+            sensor.still_since, sensor.repeats = 0.0, 0
+        elif fresh:
+            sensor.repeats += 1
         sensor.value = value
         sensor.jump = 0.0
         if sensor.finite and not math.isnan(sensor.good):

@@ -16,7 +16,14 @@ from sysid.runner.modes.mode import Goal
 
 Array = npt.NDArray[np.float64]
 SIGNALS = ("slew.joint", "boom.cylinder", "stick.cylinder", "telescope.joint", "boom.joint", "stick.joint")
-RANGES = {"slew.joint": 5.2, "boom.cylinder": 0.1, "stick.cylinder": 0.13, "telescope.joint": 0.25, "boom.joint": 1.6, "stick.joint": 2.4}
+RANGES = {
+    "slew.joint": 5.2,
+    "boom.cylinder": 0.1,
+    "stick.cylinder": 0.13,
+    "telescope.joint": 0.25,
+    "boom.joint": 1.6,
+    "stick.joint": 2.4,
+}
 #: Truth may be this far outside [m, rad]: rounding, not motion.
 TOUCH = 1e-6
 
@@ -49,18 +56,16 @@ class Wild:
             self._goal = Goal("wild", target=aim, aim=aim)
         else:
             span = of.hard_high - of.hard_low
-            wanted = rng.choice([of.hard_low - span, of.hard_high + span]) if self._kind == "corner" else rng.uniform(of.hard_low, of.hard_high)
+            wanted = (
+                rng.choice([of.hard_low - span, of.hard_high + span])
+                if self._kind == "corner"
+                else rng.uniform(of.hard_low, of.hard_high)
+            )
             self._goal = Goal("wild", joints=np.array(wanted))
 
 
-class Mad:
-    """A policy that answers with nonsense from a certain turn on."""
-
-    def __init__(self, rng: np.random.Generator, limits: Limits) -> None:
-        self._rng, self._limits, self._left = rng, limits, int(rng.integers(0, 120))
-
-
 def injection(rng: np.random.Generator) -> Injection:
+    """Any fault, somewhere in the run."""
     signal = str(rng.choice(SIGNALS))
     some = tuple(rng.choice(SIGNALS, int(rng.integers(1, 4)), replace=False).tolist()) if rng.random() < 0.5 else ()
     far = RANGES[signal]

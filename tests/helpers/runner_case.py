@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
@@ -12,7 +12,7 @@ from crane_model import Perfect, crane_plant
 
 from sysid.control import response_time, tune
 from sysid.machine import KnownEffect
-from sysid.plant import Plant, compile_plant
+from sysid.plant import Model, Plant, compile_plant
 from sysid.rl.inverse import Inverse, chain_of_plant
 from sysid.rl.reach import joint_limits, tips
 from sysid.runner.chain import Chain, Policy
@@ -44,7 +44,7 @@ class Quick(Perfect):
 
 
 @cache
-def _compiled():  # type: ignore[no-untyped-def]
+def _compiled() -> Model:
     return compile_plant(PLANT)
 
 
@@ -91,7 +91,6 @@ class Case:
     recorder: Memory
     operator: Operator
     limits: Limits
-    lines: list[str] = field(default_factory=list)
 
     @property
     def cycles(self) -> list[Cycle]:

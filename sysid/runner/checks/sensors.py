@@ -9,6 +9,10 @@ from sysid.runner.cycle import Verdict
 from sysid.runner.senses import Seen, Sensor
 
 
+#: A value came so often that its being old does not explain it.
+REPEATS = 4
+
+
 def judge_sensors(seen: Seen, settings: CheckSettings, moving: bool) -> list[Verdict]:
     """One verdict at most for each sensor, the first that holds."""
     return [verdict for sensor in seen.sensors if (verdict := _judge(sensor, settings, moving)) is not None]
@@ -29,7 +33,7 @@ def _judge(sensor: Sensor, settings: CheckSettings, moving: bool) -> Verdict | N
         text = f"{name} jumped by {sensor.jump:.4g}"
         return Verdict("jump", name, settings.jump.reaction, sensor.jump, limit, text)
     limit = settings.frozen.share * sensor.range
-    if moving and sensor.driven and sensor.still_since > limit:
+    if moving and sensor.driven and sensor.still_since > limit and sensor.repeats >= REPEATS:
         text = f"{name} stays at {sensor.value:.6g} while its axis must have moved by {sensor.still_since:.4g}"
         return Verdict("frozen", name, settings.frozen.reaction, sensor.still_since, limit, text)
     return None

@@ -1,0 +1,121 @@
+"""Modes: smooth moves, eased paths, collection inside the fence, replay and experiments, live targets."""
+
+from __future__ import annotations
+
+import socket
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from runner_case import DT, MIDDLE, PLANT, Quick, case
+
+from sysid.control import tune
+from sysid.errors import InputError
+from sysid.gap.experiment.experiment import Experiment
+from sysid.rl.paths import Path as Course
+from sysid.rl.paths import circle
+from sysid.runner.barrier import outside
+from sysid.runner.limits import AxisLimits, LimitSettings, limits_of
+from sysid.runner.modes.collect import Collect, draw
+from sysid.runner.modes.mode import Move
+from sysid.runner.modes.replay import ReplayCommands, ReplayJoints, of_experiment, of_file
+from sysid.runner.modes.track import TrackLive, eased
+from sysid.runner.valves import valves
+
+VALVES = valves(tune(PLANT), DT)
+TIP = Quick(PLANT).predict
+EE = TIP(MIDDLE)[0]
+FENCED = LimitSettings(
+    fence={letter: (float(EE[k]) - 0.3, float(EE[k]) + 0.3) for k, letter in enumerate("xyz")},
+    axes={"slew": AxisLimits(low=-0.5, high=0.5)},
+)
+LIMITS = limits_of(PLANT, VALVES, FENCED, "test")
+
+
+def test_a_move_keeps_its_share_of_the_limits() -> None:
+    move = Move(MIDDLE, MIDDLE + np.array([0.4, -0.2, 0.5, 0.1]), LIMITS, DT)
+    path = np.array([move.at(k) for k in range(move.steps + 2)])
+    for order, limit in ((1, LIMITS.speed), (2, LIMITS.acceleration), (3, LIMITS.jerk)):
+        assert (np.abs(np.diff(path, order, axis=0)).max(axis=0) / DT**order <= 0.72 * limit).all()
+    np.testing.assert_array_equal(path[-1], move.end)
+
+
+def test_an_eased_path_has_the_same_points_and_starts_from_rest() -> None:
+    path = circle(np.array([0.8, 0.0, 0.3]))
+    points = eased(path, 1.0)
+    np.testing.assert_allclose(np.linalg.norm(points - [0.8, 0.0, 0.3], axis=1), 0.2, atol=1e-5)
+    np.testing.assert_allclose(points[[0, -1]], path.points[[0, -1]], atol=1e-9)
+    steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
+    assert steps[0] < 0.01 * steps.max()
+    assert steps.max() * 100.0 == pytest.approx(path.speed, rel=1e-3)
+    assert eased(Course("dot", 100.0, points[:3]), 1.0).shape == (3, 3)
+
+
+def test_collect_draws_inside_and_stays_at_each_pose() -> None:
+    poses = draw(20, MIDDLE, LIMITS, TIP, 3)
+    assert ((poses >= LIMITS.low) & (poses <= LIMITS.high)).all()
+    assert not outside(TIP(poses), LIMITS.fence_low, LIMITS.fence_high).any()
+    made = case(
+        lambda limits, chain: Collect(3, limits, chain.tip, DT, settle_s=0.4, record_s=0.2, seed=3), limits=FENCED, true=PLANT
+    )
+    made.transport.start()
+    made.loop.run()
+    assert made.loop.outcome.ended == "done", made.loop.outcome.notes
+    for number in (1, 2, 3):
+        rows = np.array([cycle.joints for cycle in made.cycles if cycle.source == f"record {number}"])
+        assert len(rows) == 20
+        assert np.ptp(rows[:, 3]) < 1e-3
+        np.testing.assert_allclose(rows.mean(axis=0), made.loop.mode.poses[number - 1], atol=5e-3)  # type: ignore[attr-defined]
+
+
+def test_an_experiment_goes_to_its_start_and_ends_where_its_limits_are_left() -> None:
+    n = 150
+    columns = {f"{axis}.command": np.zeros(n) for axis in PLANT.machine.axis_names}
+    columns["boom.command"] = np.full(n, 0.5)
+    table = pd.DataFrame({"time": np.arange(n) * DT, **columns})
+    start = {"slew.joint": 0.1, "boom.cylinder": 0.05, "stick.joint": -1.2, "telescope.joint": 0.1}
+    for high, ended in ((0.1, "done"), (0.06, "stopped")):
+        experiment = Experiment(
+            "taps", "crane", "taps", "", ("boom",), 100.0, 1, start, {"boom.cylinder": (0.0, high)}, {}, (), {}, table
+        )
+        made = case(lambda limits, chain, it=experiment: of_experiment(it, PLANT, limits, DT))
+        made.transport.start()
+        made.loop.run()
+        assert made.loop.outcome.ended == ended, made.loop.outcome.notes
+        sent = [cycle.commands[1] for cycle in made.cycles if cycle.source == "experiment"]
+        assert max(sent) == 0.5
+        first = next(k for k, cycle in enumerate(made.cycles) if cycle.source == "experiment")
+        np.testing.assert_allclose(made.cycles[first].joints[[0, 3]], [0.1, 0.1], atol=3e-3)
+        assert np.array(made.machine.drives)[:, 1].max() < high + 0.005
+
+
+def test_replay_reads_joints_or_commands(tmp_path: Path) -> None:
+    names = PLANT.machine.axis_names
+    rows = {f"{axis}.joint": np.linspace(MIDDLE[i], MIDDLE[i] + 0.01, 5) for i, axis in enumerate(names)}
+    pd.DataFrame({"time": np.arange(5) * 0.1, **rows}).to_csv(tmp_path / "joints.csv", index=False)
+    played = of_file(tmp_path / "joints.csv", PLANT.machine, LIMITS)
+    assert isinstance(played, ReplayJoints)
+    assert played.joints.shape == (41, 4)
+    pd.DataFrame({"time": [0.0, 1.0], **{f"{axis}.command": [0.0, 2.0] for axis in names}}).to_csv(
+        tmp_path / "c.csv", index=False
+    )
+    with pytest.raises(InputError, match="a command of 2; expected commands in -1 … 1"):
+        of_file(tmp_path / "c.csv", PLANT.machine, LIMITS)
+    with pytest.raises(InputError, match="no such file"):
+        of_file(tmp_path / "none.csv", PLANT.machine, LIMITS)
+    assert isinstance(ReplayCommands(np.zeros((3, 4)), LIMITS, DT).goal(3, MIDDLE, EE).done, bool)
+
+
+def test_a_live_target_comes_over_the_loopback_and_never_jumps() -> None:
+    mode = TrackLive(0, 0.1, DT)
+    try:
+        mode.begin(MIDDLE, EE)
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
+            for text in ("nonsense", f"{EE[0] + 0.01} {EE[1]} {EE[2]}", "nan 0 0"):
+                sender.sendto(text.encode(), ("127.0.0.1", mode.port))
+        path = np.array([mode.goal(k, MIDDLE, EE).target for k in range(60)])
+    finally:
+        mode.close()
+    assert np.linalg.norm(np.diff(path, axis=0), axis=1).max() <= 0.1 * DT + 1e-12
+    np.testing.assert_allclose(path[-1], EE + np.array([0.01, 0.0, 0.0]), atol=1e-9)

@@ -1,0 +1,158 @@
+"""``RUNNER.toml``: what ships is right, what is wrong is refused, nothing is switched off by accident."""
+
+from __future__ import annotations
+
+import json
+import tomllib
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from crane_model import AUTOLOG, crane, crane_plant
+from crane_store import learned
+
+from sysid.cli.app import app
+from sysid.errors import SettingsError
+from sysid.networks import to_files
+from sysid.networks.trust import Trust
+from sysid.registry import CHAMPION, Registry
+from sysid.rl.reach import joint_limits
+from sysid.runner.checks.settings import CHECKS, MILDEST
+from sysid.runner.recipe import load_runner, parse_runner
+from sysid.workspace import open_workspace
+
+SHIPPED = Path(__file__).parents[2] / "rl" / "autolog" / "runner.toml"
+
+
+def values(**changes: Any) -> dict[str, Any]:
+    base = {
+        "schema": 1, "name": "crane", "machine": "machine.toml", "mode": "hold",
+        "versions": {"plant": "crane", "forward": "crane-forward"}, "transport": {"kind": "simulated"},
+    }  # fmt: skip
+    return base | changes
+
+
+def test_the_shipped_recipe_is_read_and_says_the_defaults() -> None:
+    recipe = load_runner(SHIPPED)
+    plain = parse_runner({**tomllib.loads(SHIPPED.read_text("utf-8")), "checks": {}, "loop": {}}, "plain")
+    assert recipe.checks == plain.checks
+    assert recipe.loop == plain.loop
+    assert not recipe.versions.unpromoted
+    assert set(MILDEST) == set(CHECKS)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"mode": "trak"}, r"mode: 'trak'; expected 'track'\?"),
+        ({"speed": 3}, "unknown key 'speed'"),
+        ({"transport": {}}, "transport: no kind"),
+        ({"checks": {"emergency": {"reaction": "clamp"}}}, r"checks.emergency.reaction: 'clamp'; expected 'fault'"),
+        ({"checks": {"dead_man": {"reaction": "hold"}}}, r"checks.dead_man.reaction: 'hold'; expected 'stop' or 'fault'"),
+        ({"checks": {"stale": {"reaction": "off"}}}, "checks.stale.reaction = 'off'"),
+        ({"checks": {"stale": {"after_s": float("inf")}}}, "checks.stale.after_s: inf; expected a positive number"),
+        ({"checks": {"patience_s": 60.0}}, "checks.patience_s: 60 s; expected above 0, at most 1 s"),
+        ({"checks": {"without": {"stale": "it is always late here, we know"}}}, "checks.without.stale: cannot be left out"),
+        ({"checks": {"without": {"domain": "no"}}}, "the reason 'no'; expected one sentence that says why"),
+        ({"checks": {"without": {"contradicion": "nothing to compare it with"}}}, r"'contradiction'\?"),
+        ({"loop": {"rest_s": 0.0}}, "loop.rest_s: 0; expected 0.1 to 60"),
+        ({"mode": "replay"}, "replay.file: is missing"),
+    ],
+)
+def test_what_is_wrong_is_refused(changes: dict[str, Any], message: str) -> None:
+    with pytest.raises(SettingsError, match=message):
+        parse_runner(values(**changes), "runner.toml")
+
+
+@pytest.fixture(scope="module")
+def workspace(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A workspace with the crane's plant, promoted, and a forward model that is not; machine.toml beside."""
+    from dataclasses import replace
+
+    folder = tmp_path_factory.mktemp("runner")
+    registry: Registry = open_workspace(folder / "ws").models
+    plant = crane_plant()
+    version = registry.register("crane", "plant", plant.to_files(), {"dataset": "crane@1", "machine": "crane"})
+    registry.set_alias(version.reference, CHAMPION)
+    low, high = joint_limits(plant)
+    joints = np.random.default_rng(1).uniform(low, high, (1500, 4))
+    model = learned(plant)
+    errors = 1e-4 * np.random.default_rng(2).standard_normal((1500, 3))
+    kind, files = to_files(replace(model, trust=Trust.of(joints, errors, np.zeros(errors.shape))))
+    registry.register("crane-forward", kind, files, {"dataset": "crane@1"})
+    machine = crane()
+    (folder / "machine.toml").write_text(machine.text, "utf-8")
+    (folder / "autolog.urdf").write_text((AUTOLOG / "autolog.urdf").read_text("utf-8"), "utf-8")
+    return folder
+
+
+def write(folder: Path, text: str, **changes: str) -> Path:
+    lines = {"mode": '"hold"', "unpromoted": '["crane-forward@1"]'} | changes
+    path = folder / "runner.toml"
+    path.write_text(
+        f"""schema = 1
+name = "crane"
+machine = "machine.toml"
+mode = {lines["mode"]}
+[versions]
+plant = "crane"
+forward = "crane-forward"
+unpromoted = {lines["unpromoted"]}
+[transport]
+kind = "simulated"
+{text}
+""",
+        "utf-8",
+    )
+    return path
+
+
+def invoke(folder: Path, path: Path, *more: str) -> Any:
+    return CliRunner().invoke(app, ["--workspace", str(folder / "ws"), "run", str(path), *more])
+
+
+def test_a_run_of_the_command_and_its_record(workspace: Path) -> None:
+    path = write(workspace, "[hold]\nseconds = 0.5\n[loop]\npriority = 0\nlock_memory = false\n")
+    dry = invoke(workspace, path, "--dry-run")
+    assert dry.exit_code == 0, dry.output
+    assert "nothing was opened or sent" in dry.output
+    done = invoke(workspace, path, "--log", str(workspace / "flights"), "--json", str(workspace / "run.json"))
+    assert done.exit_code == 0, done.output
+    result = json.loads((workspace / "run.json").read_text("utf-8"))
+    assert (result["ended"], result["state"], result["lost_cycles"]) == ("done", "ready", 0)
+    assert set(result["versions"]) == {"crane@1", "crane-forward@1"}
+    assert Path(result["log"]).stat().st_size > 10_000
+    assert "NOT promoted, accepted by the recipe" in done.output
+
+
+def test_versions_have_to_be_promoted_or_named_and_of_this_machine(workspace: Path) -> None:
+    error = invoke(workspace, write(workspace, "", unpromoted="[]")).exception
+    assert isinstance(error, SettingsError)
+    assert "never promoted: crane-forward@1" in str(error)
+    assert 'unpromoted = ["crane-forward@1"]' in str(error)
+    error = invoke(workspace, write(workspace, "", unpromoted='["crane-forward@1", "crane@7"]')).exception
+    assert "'crane@7' does not run" in str(error)
+    text = (workspace / "machine.toml").read_text("utf-8")
+    try:
+        (workspace / "machine.toml").write_text(text.replace("gain = 0.436", "gain = 0.5"), "utf-8")
+        error = invoke(workspace, write(workspace, "")).exception
+    finally:
+        (workspace / "machine.toml").write_text(text, "utf-8")
+    assert "was made for another machine: gain of slew is 0.436; expected 0.5" in str(error)
+
+
+def test_a_machine_that_can_hurt_somebody_is_not_run_unattended(workspace: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from sysid.runner import transports
+
+    build = transports.connect
+    monkeypatch.setattr(transports, "connect", lambda a, r: transports.Line(build(a, r).transport, stand_in=False))
+    error = invoke(workspace, write(workspace, ""), "--unattended").exception
+    assert "a machine that can hurt somebody; expected a person at it" in str(error)
+
+
+def test_a_path_that_leaves_the_fence_is_refused_before_anything_is_opened(workspace: Path) -> None:
+    path = write(workspace, "[track]\ncentre = [0.85, 0.0, 0.3]\n[limits.fence]\ny = [-0.1, 0.1]\n", mode='"track"')
+    error = invoke(workspace, path).exception
+    assert "outside the fence in y, margin included; expected a path inside limits.fence" in str(error)
