@@ -286,6 +286,11 @@ def judged(name: str, flown: Flown) -> dict[str, Any]:
         moved = float(np.linalg.norm(places - places[0], axis=1).max())
         row = {"reaction_ms": 0.0, "peak_motion_m": moved, "state": "refused", "noticed": flown.outcome["why"]}
         return {"fault": name, **row, "ok": moved < 1e-6 and name == "wrong DBC"}
+    if not t0:
+        return {
+            "fault": name, "reaction_ms": 0.0, "peak_motion_m": 0.0, "state": "ended before the fault", "noticed": "",
+            "why": flown.outcome.get("why", ""), "ok": False,
+        }  # fmt: skip
     after = (at >= t0) & (at <= t0 + AFTER * 1e9)
     passed = np.stack([truth[f"{axis}.passed"] for axis in ("slew", "boom", "stick", "telescope")], axis=1)
     moving = np.flatnonzero(after & passed.any(axis=1))
