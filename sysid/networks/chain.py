@@ -12,6 +12,7 @@ Wahba, Technometrics 21 (1979).
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -118,6 +119,15 @@ def products(q: Array, revolute: tuple[bool, ...]) -> Array:
             own[:, 0, 1] = column
         rows = (rows[:, :, None] * own[:, :, : 3 if angle else 2]).reshape(len(q), -1)
     return rows[:, 1:]
+
+
+def product_names(joints: Sequence[str], revolute: Sequence[bool]) -> tuple[str, ...]:
+    """What the columns of :func:`products` are, for messages: ``sin(boom.joint)·telescope.joint``."""
+    names: list[tuple[str, ...]] = [()]
+    for joint, angle in zip(joints, revolute, strict=True):
+        own = ((), (f"sin({joint})",), (f"cos({joint})",)) if angle else ((), (joint,))
+        names = [(*before, *factor) for before in names for factor in own]
+    return tuple("·".join(factors) for factors in names[1:])
 
 
 def _count(revolute: tuple[bool, ...]) -> int:

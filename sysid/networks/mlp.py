@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -12,6 +13,11 @@ import numpy.typing as npt
 from sysid.errors import ExcitationError, InputError
 
 Array = npt.NDArray[np.float64]
+
+#: What stands between two layers: ``relu`` is max(0, x); ``smooth`` is (x + √(x² + 4))/2 − 1, the same with its corner rounded
+#: (squareplus: Barron 2021, arXiv:2112.11687; less one, so that zero stays zero). It takes a root and no exponential, so it has
+#: the same bits wherever it is computed.
+Rectifier = Literal["relu", "smooth"]
 
 
 @dataclass(frozen=True)
@@ -45,18 +51,20 @@ class Normalisation:
 
 @dataclass(frozen=True)
 class Mlp:
-    """Layers ``h ← max(0, h·W + b)``, the last one linear, between normalised inputs and outputs.
+    """Layers ``h ← f(h·W + b)``, f a rectifier, the last one linear, between normalised inputs and outputs.
 
     Args:
         weights: (in, out) per layer, held in float64 with float32 resolution.
         biases: (out,) per layer.
         inputs, outputs: from and to SI units.
+        rectifier: f.
     """
 
     weights: tuple[Array, ...]
     biases: tuple[Array, ...]
     inputs: Normalisation
     outputs: Normalisation
+    rectifier: Rectifier = "relu"
 
     @property
     def hidden(self) -> tuple[int, ...]:
@@ -83,7 +91,10 @@ class Mlp:
         for weight, bias in zip(weights[:-1], biases[:-1], strict=True):
             h = h.dot(weight)
             h += bias
-            np.maximum(h, 0.0, out=h)
+            if self.rectifier == "relu":
+                np.maximum(h, 0.0, out=h)
+            else:
+                h = 0.5 * (h + np.sqrt(h * h + 4.0)) - 1.0
         h = h.dot(weights[-1])
         h += biases[-1]
         return np.asarray(h)

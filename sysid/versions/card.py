@@ -28,6 +28,14 @@ WHAT = {
     "plant": "Plant: the simulation of a machine, commands to motion, with named effects.",
     "policy": "Policy: what a controller does in a state.",
 }
+#: How its layers bend.
+CORNERS = {"relu": "", "smooth": ", with smooth rectifiers"}
+#: What enters a forward network.
+FEATURES = {
+    "joints": "joint values",
+    "sincos": "sines and cosines of the angles",
+    "products": "products of sines and cosines of the angles",
+}
 
 
 @dataclass(frozen=True)
@@ -125,9 +133,8 @@ def _what(version: ModelVersion, model: Model | None) -> Iterator[str]:
             yield f"{len(model.members)} perceptrons ({size}) correct it by at most {shown(model.bound, 'm')}."
     elif isinstance(model, ForwardNetwork):
         size = "-".join(map(str, model.members[0].hidden))
-        features = "joint values" if model.features == "joints" else "sines and cosines of the angles"
         many = f"the mean of {len(model.members)} perceptrons" if len(model.members) > 1 else "one perceptron"
-        yield f"It is {many} ({size}) of {features}."
+        yield f"It is {many} ({size}) of {FEATURES[model.features]}{CORNERS[model.members[0].rectifier]}."
     elif model is not None:
         sizes = (f"{axis} {'-'.join(map(str, network.to_joint.hidden))}" for axis, network in model.items())
         yield f"Hidden layers: {', '.join(sizes)}."
