@@ -94,15 +94,21 @@ class Mlp:
             if self.rectifier == "relu":
                 np.maximum(h, 0.0, out=h)
             else:
-                h = 0.5 * (h + np.sqrt(h * h + 4.0)) - 1.0
+                root = h * h
+                root += 4.0
+                np.sqrt(root, out=root)
+                h += root  # half of it, less one, is in the weights of the next layer
         h = h.dot(weights[-1])
         h += biases[-1]
         return np.asarray(h)
 
     @cached_property
     def _folded(self) -> tuple[tuple[Array, ...], tuple[Array, ...]]:
-        """Weights and biases with both normalisations in them: a prediction is nothing but its layers."""
+        """Weights and biases with both normalisations, and what is linear of the rectifier, in them."""
         weights, biases = list(self.weights), list(self.biases)
+        if self.rectifier == "smooth":
+            biases[1:] = [bias - weight.sum(axis=0) for weight, bias in zip(weights[1:], biases[1:], strict=True)]
+            weights[1:] = [0.5 * weight for weight in weights[1:]]
         weights[0] = weights[0] / self.inputs.scale[:, None]
         biases[0] = biases[0] - self.inputs.mean @ weights[0]
         weights[-1] = weights[-1] * self.outputs.scale
