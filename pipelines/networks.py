@@ -5,8 +5,8 @@
 Forward models: poses from the crane's own forward kinematics, uniform over the full joint ranges and over a sub-space (slew
 ±45°, the middle 70 % of the others), joints and tip with the noise of motion capture; five seeds, 1000 other poses to judge on.
 Actuator networks: the shipped logs, judged in a recording that nothing has learned from and against the true linkage. Every
-part is kept in the workspace when it is done, and a run that was interrupted goes on after the last of them. Writes
-``reports/networks/`` and the tables of ``docs/networks.md``.
+part is kept in the workspace when it is done, and a run that was interrupted goes on where it was, within a training as well.
+Writes ``reports/networks/`` and the tables of ``docs/networks.md``.
 """
 
 from __future__ import annotations
@@ -24,6 +24,7 @@ from learned.page import tables
 from learned.pictures import pictures
 from learned.poses import JOINT_NOISE, PART_SHARE, TIP_NOISE
 from sysid.datasets import ingest
+from sysid.networks import Checkpoints
 
 ROOT = Path(__file__).resolve().parents[1]
 AUTOLOG, PAGE, FOLDER = ROOT / "datasets" / "autolog", ROOT / "docs" / "networks.md", ROOT / "reports" / "networks"
@@ -46,8 +47,9 @@ def main(workspace: Path, fresh: bool = False) -> dict[str, Any]:
         print(f"{name}: {len(found['rows'])} rows, {found['seconds']:.0f} s", flush=True)
         return found["rows"]
 
-    variants = part("variants", forward.variants)
-    curve = part("forward", lambda: forward.curve(variants))
+    training = Checkpoints(folder / "training")
+    variants = part("variants", lambda: forward.variants(training))
+    curve = part("forward", lambda: forward.curve(variants, training))
     dataset = ingest(AUTOLOG, workspace)
     return {
         **provenance(f"python {PIPELINE}", 0, ("torch", "scikit-learn")),
@@ -57,7 +59,7 @@ def main(workspace: Path, fresh: bool = False) -> dict[str, Any]:
         },
         "variants": variants,
         "forward": curve,
-        "actuators": part("actuators", lambda: actuators.curve(dataset)),
+        "actuators": part("actuators", lambda: actuators.curve(dataset, training)),
         "shipped": part("shipped", lambda: shipped.reached(dataset)),
         "seconds": seconds,
     }  # fmt: skip

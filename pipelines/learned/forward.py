@@ -11,12 +11,11 @@ import numpy as np
 import numpy.typing as npt
 
 from learned.poses import ANGLES, HELD_OUT, JOINT_NOISE, JOINTS, RANGES, TIP_NOISE, Poses, drawing, poses
-from sysid.networks import ForwardNetwork, Member, NetworkRecipe, TrainingSettings, calibrate, fit_chain, train
+from sysid.networks import Checkpoints, ForwardNetwork, Member, NetworkRecipe, TrainingSettings, calibrate, fit_chain, train
 from sysid.networks.chain import SPARE, products
 from sysid.networks.forward import feature_names, to_features
 from sysid.networks.mlp import Rectifier
 from sysid.networks.recipe import Features
-from sysid.progress import Progress
 from sysid.signals import point_signals
 from sysid.validate.baselines import simple_models
 
@@ -28,7 +27,7 @@ POSES, SIZES = 500, (25, 50, 100, 200, 350, 500)
 #: Share of the poses that decides when training stops.
 STOP = 0.1
 #: A pass over few poses is few updates: up to so many times the epochs of the recipe.
-LONGER = 4.0
+LONGER = 2.0
 #: Sets the poses of the study apart from those on which its variants were thought up.
 STUDY, TEST = 9100, 9200
 
@@ -59,11 +58,11 @@ NO_NETWORKS = ("structured", "chain", "drawing as it is")
 PAPER, BEST = Variant("joints", "relu"), Variant("products", "smooth")
 
 
-def variants() -> list[dict[str, Any]]:
+def variants(checkpoints: Checkpoints | None = None) -> list[dict[str, Any]]:
     """Every model at 500 poses over both ranges, asked at true joint values; some also at what sensors say these are."""
     rows = []
     for reach in RANGES:
-        found = networks(reach, POSES, TRAINED)
+        found = networks(reach, POSES, TRAINED, checkpoints)
         models: dict[str, list[Predict]] = {}
         for variant in TRAINED:
             for several in dict.fromkeys((1, variant.members)):
@@ -77,7 +76,7 @@ def variants() -> list[dict[str, Any]]:
     return rows
 
 
-def curve(known: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
+def curve(known: Sequence[Mapping[str, Any]], checkpoints: Checkpoints | None = None) -> list[dict[str, Any]]:
     """Errors over the number of poses; ``known`` are the rows of :func:`variants`, which have those of the most."""
     rows = []
     for reach in RANGES:
@@ -87,7 +86,7 @@ def curve(known: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
             models |= {name: [each[name] for each in simple] for name in simple[0]}
             found = {name: figures(reach, each) for name, each in models.items()}
             if size < POSES:
-                for variant, trained in networks(reach, size, (PAPER, BEST)).items():
+                for variant, trained in networks(reach, size, (PAPER, BEST), checkpoints).items():
                     found[variant.label] = figures(reach, [each.predict for each in trained])
             else:
                 names = [variant.label for variant in (PAPER, BEST)]
@@ -110,7 +109,7 @@ def taught(reach: str, count: int) -> list[Poses]:
 
 
 def networks(
-    reach: str, count: int, which: Sequence[Variant], progress: Progress | None = None
+    reach: str, count: int, which: Sequence[Variant], checkpoints: Checkpoints | None = None
 ) -> dict[Variant, list[ForwardNetwork]]:
     """All variants, seeds and members in one training."""
     recipe, keys, members = NetworkRecipe().forward, [], []
@@ -126,7 +125,7 @@ def networks(
                 name = f"{reach} {variant.features} {variant.rectifier} {seed} {number}"
                 parts = (inputs[fit], rows.seen_tip[fit], inputs[stop], rows.seen_tip[stop])
                 members.append(Member(name, *parts, names, point_signals("ee"), rectifier=variant.rectifier))
-    trained = train(members, recipe.hidden, longer(recipe.training, POSES / count), 0, progress)
+    trained = train(members, recipe.hidden, longer(recipe.training, POSES / count), 0, checkpoints=checkpoints)
     found: dict[Variant, list[ForwardNetwork]] = {variant: [] for variant in which}
     for variant in which:
         for seed, rows in zip(SEEDS, sets, strict=True):

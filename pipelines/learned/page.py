@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from learned.actuators import AXES, DIRECTIONS, SIZES
+from learned.actuators import AXES, DIRECTIONS, SEEDS, SIZES
 from learned.forward import BEST, NO_NETWORKS, PAPER
 from learned.forward import SIZES as POSES
 from learned.pictures import ACTUATOR, FORWARD, TITLES
@@ -27,8 +27,8 @@ def tables(result: Mapping[str, Any]) -> str:
             "Largest error of x, y, z [mm] over the number of poses, mean of five seeds.",
             *(_curve(result["forward"], reach) for reach in RANGES),
             "![Learning curves of the forward models](../reports/networks/forward.svg)",
-            f"Actuator networks of the shipped logs, {SIZES[-1]} rows, mean of three seeds: in held-out motion against what was"
-            " measured, and over the whole stroke against the crane's true linkage [mrad, mm].",
+            f"Actuator networks of the shipped logs, {SIZES[-1]} rows, mean of {len(SEEDS)} seeds: in held-out motion against"
+            " what was measured, and over the whole stroke against the crane's true linkage [mrad, mm].",
             _actuators(result["actuators"]),
             "RMSE over the true stroke by the number of rows [mrad, mm].",
             _actuator_curve(result["actuators"]),
@@ -67,7 +67,7 @@ def _asked(rows: Sequence[Row]) -> str:
 
 def _curve(rows: Sequence[Row], reach: str) -> str:
     lines = [f"| {TITLES[reach]} | {' | '.join(map(str, POSES))} |", "| --- |" + " ---: |" * len(POSES)]
-    for model in dict.fromkeys(row["model"] for row in rows):
+    for model in dict.fromkeys((*FORWARD, *(row["model"] for row in rows))):
         found = {row["poses"]: _mm(max(row["max"])) for row in rows if (row["range"], row["model"]) == (reach, model)}
         lines.append(f"| {FORWARD.get(model, model)} | {' | '.join(found.get(size, '–') for size in POSES)} |")
     return "\n".join(lines)
