@@ -79,7 +79,7 @@ def _panel(panel: Panel, left: float, top: float) -> str:
     for label, value in (panel.levels or {}).items():
         y = py(value)
         parts.append(f'<line class="level" x1="{begin:.1f}" x2="{end:.1f}" y1="{y:.1f}" y2="{y:.1f}"/>')
-        parts.append(f'<text x="{end:.1f}" y="{y - 4:.1f}" text-anchor="end">{label}</text>')
+        parts.append(f'<text x="{end:.1f}" y="{y + 13:.1f}" text-anchor="end">{label}</text>')
     for value, name in panel.ticks.items():
         parts.append(f'<text x="{px(value):.1f}" y="{floor + 18:.1f}" text-anchor="middle">{name}</text>')
     for curve in panel.curves:
