@@ -16,15 +16,28 @@ from typing import Any
 
 from benchmarks.gap import gap_rows
 from benchmarks.logs import ingest_rows, memory_rows, reader_rows
+from benchmarks.motion import motion_rows
 from benchmarks.networks import network_rows
 from benchmarks.plant import plant_rows
 from benchmarks.rows import against_limit, seconds
+from benchmarks.training import training_rows
 from committed import provenance, write_result, write_tables
 
 ROOT = Path(__file__).resolve().parents[1]
 RESULT = ROOT / "reports" / "bench" / "result.json"
 PAGE = ROOT / "docs" / "speed.md"
-PACKAGES = ("mcap-ros2-support", "rosbags", "rerun-sdk", "pandas", "click", "mujoco-core", "pybullet", "torch", "scikit-learn")
+PACKAGES = (
+    "mcap-ros2-support",
+    "rosbags",
+    "rerun-sdk",
+    "pandas",
+    "click",
+    "mujoco-core",
+    "pybullet",
+    "torch",
+    "scikit-learn",
+    "stable-baselines3",
+)
 #: `sysid --help` has to answer within this time [s].
 HELP_LIMIT = 0.5
 
@@ -48,6 +61,8 @@ PARTS: dict[str, Callable[[], list[dict[str, Any]]]] = {
     "plant": plant_rows,
     "gap": gap_rows,
     "networks": network_rows,
+    "motion": motion_rows,
+    "training": training_rows,
 }
 
 

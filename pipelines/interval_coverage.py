@@ -24,7 +24,7 @@ import numpy.typing as npt
 from scipy import stats
 from scipy.signal import lfilter
 
-from bench_agreement import STREAMS, description, recipe_of, record
+from agreement.machines import STREAMS, description, recipe_of, record
 from committed import provenance, write_result, write_tables
 from sysid.datasets import Recording
 from sysid.effects.effect import Stage

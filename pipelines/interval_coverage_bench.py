@@ -19,7 +19,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from bench_agreement import FIRST_GUESS, ROWS, STANDS, STREAMS, Row, description, recipe_of, record
+from agreement.fitting import FIRST_GUESS
+from agreement.machines import STANDS, STREAMS, description, recipe_of, record
+from agreement.rows import ROWS, Row
 from bench_agreement import RESULT as AGREEMENT
 from committed import write_tables
 from interval_coverage import NOISE, PAGE, SEED, STILL, Family, problem_of, sensed

@@ -19,7 +19,7 @@ import numpy as np
 import numpy.typing as npt
 import pandas as pd
 
-from committed import provenance, write_result, write_tables
+from committed import markdown, provenance, write_result, write_tables
 from sysid.datasets import Dataset, Recording
 from sysid.machine import Machine, load_machine
 from sysid.networks import AnyForward, ForwardRecipe, NetworkRecipe, fit_forward
@@ -161,7 +161,7 @@ def tables(models: Mapping[str, list[dict[str, Any]]]) -> str:
         + [mean(runs, "like", "held", WIDTH, factor=1e3)]
         for title, runs in models.items()
     ]
-    first = table([*header, f"half width at {asked[-1]} [mm]"], rows)
+    first = markdown([*header, f"half width at {asked[-1]} [mm]"], rows)
     kinds = {"like": "like those learned from", "beyond": "beyond a joint's range", "corner": "in the corner left out"}
     whats = ("flagged [%],", "RMSE [mm],", f"{asked[-1]} hold [%],")
     header = ["poses", *(f"{what} {kind}" for kind in kinds.values() for what in whats)]
@@ -178,13 +178,7 @@ def tables(models: Mapping[str, list[dict[str, Any]]]) -> str:
         ]
         for title, runs in models.items()
     ]
-    return f"{first}\n\n{table(header, rows)}"
-
-
-def table(header: list[str], rows: list[list[str]]) -> str:
-    """A Markdown table, everything but the first column to the right."""
-    lines = [header, ["---", *["---:"] * (len(header) - 1)], *rows]
-    return "\n".join("| " + " | ".join(line) + " |" for line in lines)
+    return f"{first}\n\n{markdown(header, rows)}"
 
 
 if __name__ == "__main__":

@@ -28,6 +28,10 @@ class SysidError(Exception):
             message += f". {remedy}"
         super().__init__(message)
 
+    def __reduce__(self) -> tuple[type[SysidError], tuple[str, str, str, str]]:
+        """So that it comes back whole from another process."""
+        return type(self), (self.where, self.found, self.expected, self.remedy)
+
 
 class InputError(SysidError):
     """A file that a user brought cannot be used as it is."""

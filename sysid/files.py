@@ -11,6 +11,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+from sysid.errors import StorageError
+
 
 @contextmanager
 def written_whole(path: Path) -> Iterator[Path]:
@@ -45,6 +47,23 @@ def on_disk(path: Path) -> None:
         os.fsync(descriptor)
     finally:
         os.close(descriptor)
+
+
+def write_durably(path: Path, content: bytes, what: str, remedy: str) -> None:
+    """Put ``content`` in the place of ``path``, on the disk when this returns; the folder is made when it is missing.
+
+    Args:
+        what, remedy: for the message.
+
+    Raises:
+        StorageError: the disk is full or fails; what was there before stays whole.
+    """
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with written_whole(path) as half:
+            half.write_bytes(content)
+    except OSError as error:
+        raise StorageError(f"{what} {path}", error.strerror or str(error), f"room for {len(content)} bytes", remedy) from error
 
 
 def json_text(value: Mapping[str, Any]) -> str:

@@ -11,7 +11,7 @@ from pathlib import Path
 
 from sysid.datasets import Dataset
 from sysid.errors import ExcitationError, SettingsError, StoreError
-from sysid.registry import Check, ModelVersion, Promotion, decide
+from sysid.registry import NETWORKS, Check, ModelVersion, Promotion, decide
 from sysid.reports.archive import RESULT
 from sysid.validate import ValidationReport
 from sysid.versions import (
@@ -32,8 +32,6 @@ from sysid.versions.lineage import Use
 from sysid.versions.onnx_export import Precision
 from sysid.versions.policy import judged_by
 from sysid.workspace import Workspace
-
-NETWORKS = ("actuator", "forward")
 
 
 @dataclass(frozen=True)
@@ -110,13 +108,16 @@ class ModelVersions:
         version = self.place.models.find(reference)
         target = folder or self.place.folder / "exports" / version.reference
         about = {"reference": version.reference, "digest": version.digest}
-        return target, export_onnx(self.place.network(version.reference), target, about, precision)
+        policy = version.kind == "policy"
+        network = self.place.policy(version.reference) if policy else self.place.network(version.reference)
+        return target, export_onnx(network, target, about, precision)
 
     def card(self, reference: str) -> Card:
         """What there is to know of a version, on one page."""
         version = self.place.models.find(reference)
         network = self.place.network(version.reference) if version.kind in NETWORKS else None
-        return card_of(version, self.lineage(version.reference), network, self._report(version))
+        policy = self.place.policy(version.reference) if version.kind == "policy" else None
+        return card_of(version, self.lineage(version.reference), network, self._report(version), policy)
 
     def _report(self, version: ModelVersion) -> ValidationReport | None:
         """On the dataset that it was fitted on; None where that cannot be had."""

@@ -25,18 +25,19 @@ from sysid.gap import GapResult
 from sysid.gap.readiness import readiness
 from sysid.networks import (
     ActuatorNetwork,
-    ForwardNetwork,
     Model,
     NetworkRecipe,
-    StructuredForward,
     from_files,
     parse_recipe,
+    static_networks,
     to_files,
 )
+from sysid.networks.policy import PolicyNetwork
 from sysid.plant import Plant, free_run, nominal_plant, plant_from_files
-from sysid.registry import CHAMPION, ModelVersion, Registry, made_from_dataset
+from sysid.registry import CHAMPION, NETWORKS, ModelVersion, Registry, made_from_dataset
 from sysid.reports import ReportInputs, VersionNote
 from sysid.reports.archive import load_gap, save_gap
+from sysid.rl.policy import load_policy
 from sysid.validate import ValidationReport, validate_model
 
 #: What the figures of a report depend on.
@@ -105,7 +106,7 @@ class Workspace:
     def add_network(
         self, dataset: Dataset, model: Model, recipe: NetworkRecipe, report: ValidationReport | None = None
     ) -> ModelVersion:
-        """Register a fitted network as ``<dataset>-actuator`` or ``<dataset>-forward``, with its figures."""
+        """Register a fitted network as ``<dataset>-<kind>``, with its figures."""
         kind, files = to_files(model)
         lineage = {"dataset": dataset.reference, "dataset_digest": dataset.digest, "recipe": recipe.to_json()}
         metrics = report.metrics() if report is not None else {}
@@ -119,21 +120,35 @@ class Workspace:
         return max(exact or versions, key=lambda version: (CHAMPION in version.aliases, version.version), default=None)
 
     def network(self, reference: str) -> Model:
-        """The actuator or forward network ``name@version``.
+        """The network ``name@version``, of any kind.
 
         Raises:
             StoreError: there is none, or it is a plant or policy.
         """
         version = self.models.load(reference)
-        if version.kind not in ("actuator", "forward"):
-            raise StoreError(f"model {reference}", f"is of kind {version.kind!r}", "an actuator or forward network")
+        if version.kind not in NETWORKS:
+            raise StoreError(f"model {reference}", f"is of kind {version.kind!r}", "a network")
         return from_files(version.files, version.reference)
 
+    def policy(self, reference: str) -> PolicyNetwork:
+        """The policy ``name@version``.
+
+        Raises:
+            StoreError: there is none, or it is a model of another kind.
+        """
+        return load_policy(self.models.load(reference))
+
     def linkages(self, dataset: Dataset) -> dict[str, ActuatorNetwork]:
-        """The fitted cylinder ↔ joint maps of the dataset by axis; empty where none were fitted."""
-        version = self.network_version(dataset, "actuator")
-        model = self.network(version.reference) if version is not None else {}
-        return {} if isinstance(model, ForwardNetwork | StructuredForward) else dict(model)
+        """The fitted cylinder ↔ joint maps of the dataset by axis; empty where none were fitted.
+
+        Where only networks with history were, it is their static parts.
+        """
+        version = self.linkage_version(dataset)
+        return static_networks(self.network(version.reference)) if version is not None else {}
+
+    def linkage_version(self, dataset: Dataset) -> ModelVersion | None:
+        """The version whose static maps are the linkages."""
+        return self.network_version(dataset, "actuator") or self.network_version(dataset, "history")
 
     def validation(self, reference: str, dataset: Dataset) -> ValidationReport:
         """Judge a registered network on a dataset, with the recipe it was fitted by."""
@@ -150,7 +165,7 @@ class Workspace:
             SettingsError: the plant is of another machine.
         """
         if reference is None:
-            version = self.network_version(dataset, "actuator")
+            version = self.linkage_version(dataset)
             origin: dict[str, Any] = {"networks": version.reference} if version is not None else {}
             return nominal_plant(dataset.machine, self.linkages(dataset), dataset.streams, **origin)
         version = self.models.load(reference)
@@ -213,7 +228,7 @@ class Workspace:
             result: an answer of the gap workflow that is not filed; else the newest one that is.
         """
         result = result if result is not None else self.gap(dataset)
-        versions = [self.network_version(dataset, kind) for kind in ("actuator", "forward")]
+        versions = [self.network_version(dataset, kind) for kind in NETWORKS]
         validations = []
         for version in versions:
             if version is None:

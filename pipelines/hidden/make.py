@@ -16,7 +16,8 @@ from typing import Any
 
 import numpy as np
 
-from bench_agreement import Unknown, description, fit, record
+from agreement.fitting import Unknown, fit
+from agreement.machines import description, record
 from hidden.cases import CaseSpec, Hidden
 from hidden.kinds import BY_KEY, Kind
 from hidden.limits import Limit, error_of, limit_of, overlaid_lists

@@ -1,4 +1,4 @@
-"""``sysid fit actuator|forward NAME``: networks of a dataset, fitted, judged and registered."""
+"""``sysid fit actuator|motion|forward NAME``: networks of a dataset, fitted, judged and registered."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ from pathlib import Path
 import click
 
 from sysid.cli.output import Printer, json_option, progress_bar, write_json
-from sysid.cli.tables import show_calibration, show_errors
+from sysid.cli.tables import show_calibration, show_directions, show_errors
 
 
 @click.command()
-@click.argument("kind", type=click.Choice(["actuator", "forward"]))
+@click.argument("kind", type=click.Choice(["actuator", "motion", "forward"]))
 @click.argument("reference", metavar="NAME[@VERSION]")
 @click.option(
     "--recipe", type=click.Path(path_type=Path), default=None, metavar="R.toml", help="Keys that differ from the paper's."
@@ -20,12 +20,23 @@ from sysid.cli.tables import show_calibration, show_errors
 @json_option
 @click.pass_obj
 def fit(workspace: str, kind: str, reference: str, recipe: Path | None, json_file: str | None) -> None:
-    """Fit the actuator networks (cylinder ↔ joint) or the forward network (joints → boom tip) of a dataset.
+    """Fit the networks of a dataset: actuator (cylinder ↔ joint), motion (commands → motion) or forward (joints → boom tip).
+
+    With ``model = "history"`` under ``[actuator]`` of the recipe, actuator networks remember where the cylinder came from.
 
     A fit that is interrupted (Ctrl-C, SIGTERM, power) goes on where it was when the same command is given again.
     """
     from sysid.errors import ExcitationError
-    from sysid.networks import Calibration, Checkpoints, StructuredForward, fit_actuator, fit_forward, load_recipe
+    from sysid.networks import (
+        Calibration,
+        Checkpoints,
+        StructuredForward,
+        fit_actuator,
+        fit_forward,
+        fit_history,
+        fit_motion,
+        load_recipe,
+    )
     from sysid.validate import validate_model
     from sysid.workspace import open_workspace
 
@@ -34,8 +45,10 @@ def fit(workspace: str, kind: str, reference: str, recipe: Path | None, json_fil
     settings = load_recipe(recipe)
     begin = time.perf_counter()
     with progress_bar(f"fit {kind}") as progress:
-        fit_network = fit_actuator if kind == "actuator" else fit_forward
-        model = fit_network(dataset, settings, progress, Checkpoints(place.folder / "training"))
+        actuator = fit_history if settings.actuator.model == "history" else fit_actuator
+        model = {"actuator": actuator, "motion": fit_motion, "forward": fit_forward}[kind](
+            dataset, settings, progress, Checkpoints(place.folder / "training")
+        )
     seconds = time.perf_counter() - begin
     try:
         report = validate_model(model, dataset, recipe=settings)
@@ -47,6 +60,7 @@ def fit(workspace: str, kind: str, reference: str, recipe: Path | None, json_fil
         show_calibration(out, model.structure)
     if report is not None:
         show_errors(out, report)
+        show_directions(out, report)
     else:
         out.line(f"Not judged: {unjudged}")
     out.line(f"{version.reference} in {place.folder} ({seconds:.1f} s)")

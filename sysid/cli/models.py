@@ -30,7 +30,7 @@ def models() -> None:
 
 @models.command()
 @click.argument("reference", metavar="[NAME[@VERSION]]", required=False)
-@click.option("--kind", default=None, help="actuator, forward, plant or policy only.")
+@click.option("--kind", default=None, help="actuator, history, motion, forward, plant or policy only.")
 @json_option
 @click.pass_obj
 def show(workspace: str, reference: str | None, kind: str | None, json_file: str | None) -> None:

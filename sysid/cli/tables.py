@@ -67,6 +67,26 @@ def show_errors(out: Printer, *reports: ValidationReport, paper: Mapping[str, fl
     out.table(header, rows, right=range(2, 6 + len(beside)))
 
 
+def show_directions(out: Printer, report: ValidationReport) -> None:
+    """Actuator networks by the direction of motion: what depends on it is play or hysteresis that a static map averages."""
+    from sysid.reports.display import shown_unit
+
+    rows = []
+    for entry in report.outputs if report.kind in ("actuator", "history") else ():
+        factor, unit = shown_unit(entry.unit)
+        for found in entry.profiles:
+            if found.variable.startswith("direction of ") and entry.rows == "motion":
+                figures = [
+                    f"{factor * bias:+.2f} / {factor * rmse:.2f}" if count else "–"
+                    for count, bias, rmse in zip(found.count, found.bias, found.rmse, strict=True)
+                ]
+                floor = "–" if entry.noise_floor is None else f"{factor * entry.noise_floor:.2f}"
+                rows.append((entry.output, *figures, floor, unit))
+    if rows:
+        header = ("by direction of the input: bias / rmse", "falling", "still", "rising", "noise", "unit")
+        out.table(header, rows, right=range(1, 5))
+
+
 def show_calibration(out: Printer, calibration: Calibration) -> None:
     """How the calibrated geometry differs from the URDF, as far as the poses say, and what they leave open."""
     from sysid.reports.display import digits_for, quantity
@@ -123,7 +143,7 @@ def show_gap(out: Printer, result: GapResult, dataset: Dataset) -> None:
     rows = []
     for effect in result.effects:
         texts = shown_parameters(effect.name, effect.target, effect.parameters, machine)
-        out.line(f"  {effect_sentence(effect.name, effect.target, texts)}")
+        out.line(f"  {effect_sentence(effect.name, effect.target, texts, result.names_on(effect.target))}")
         for name, value in effect.parameters.items():
             low, high = effect.interval95[name]
             digits = 4 if isinstance(low, (list, tuple)) else digits_for(low, high)

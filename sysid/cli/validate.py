@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import click
 
 from sysid.cli.output import Printer, json_option, write_json
-from sysid.cli.tables import show_errors
+from sysid.cli.tables import show_directions, show_errors
 
 if TYPE_CHECKING:
     from sysid.validate import ValidationReport
@@ -57,9 +57,17 @@ def validate(workspace: str, model: str, reference: str, json_file: str | None) 
 
 
 def _show(out: Printer, report: ValidationReport) -> None:
-    from sysid.reports.display import shown_unit
+    from sysid.reports.display import percent, quantity, shown_unit
 
     show_errors(out, report)
+    show_directions(out, report)
+    for entry in report.outputs:
+        if entry.coverage is not None:
+            level, width = percent(entry.coverage.level), quantity(entry.coverage.half_width, entry.unit)
+            held, flagged = percent(entry.coverage.covered), percent(entry.coverage.flagged)
+            out.line(
+                f"{level} intervals of {entry.output}, {entry.rows}: ± {width}, hold in {held}; {flagged} outside the data"
+            )
     for entry in report.outputs:
         for spike in entry.spikes[:3]:
             factor, unit = shown_unit(entry.unit)

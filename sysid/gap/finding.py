@@ -41,6 +41,7 @@ class Finding:
         adjusted: nuisance parameters that matter, but moved too little or are too poorly shown for a name.
         fit: the final fit, on all recordings that may be seen.
         nominal_rmse, final_rmse: of unseen recordings, as multiples of the noise floor.
+        leeway: a departure needs so many times what is negligible for a name at this stage.
     """
 
     problem: Problem
@@ -50,3 +51,4 @@ class Finding:
     nominal_rmse: float
     final_rmse: float
     trials: tuple[Trial, ...] = ()
+    leeway: float = 1.0

@@ -12,7 +12,7 @@ import numpy.typing as npt
 from sysid.gap.candidates import Candidate
 from sysid.gap.case import Case, Stage
 from sysid.gap.data import Data
-from sysid.gap.finding import Kept
+from sysid.gap.finding import Finding, Kept
 from sysid.gap.fit import Fit, fit_candidates
 from sysid.gap.floor import problem_floor
 from sysid.gap.intervals import known_of
@@ -100,7 +100,7 @@ def _that_matter(case: Case, stage: Stage, outcome: Outcome) -> Stage:
     """The stage without effects that explain next to nothing on held-out recordings, the least of them dropped first.
 
     Short-term evidence can be overwhelming for a mechanism that no physics of the catalogue has quite right; where it hardly
-    changes what the plant predicts, it gets no name.
+    changes what the plant predicts, it gets no name. Nor do a gain and a dead time that departed beside it alone.
     """
     finding = stage.found
     strange = stage.problem.integrates and finding.final_rmse > STRANGE
@@ -121,8 +121,16 @@ def _that_matter(case: Case, stage: Stage, outcome: Outcome) -> Stage:
         if least.candidate.nuisance:  # others were found beside it, and mean what they mean only with it
             finding = replace(finding, named=named, adjusted=(*finding.adjusted, least.candidate))
         else:
-            finding = replace(finding, named=named, fit=dropped[least])
+            fit = dropped[least]
+            alone = [k.candidate for k in named if k.candidate.nuisance and _shrank(k.candidate, finding, fit)]
+            named = tuple(k for k in named if k.candidate not in alone)
+            finding = replace(finding, named=named, adjusted=(*finding.adjusted, *alone), fit=fit)
     return replace(stage, finding=finding)
+
+
+def _shrank(candidate: Candidate, finding: Finding, fit: Fit) -> bool:
+    """Whether its departure was worth a name when it was found and is negligible in ``fit``."""
+    return finding.fit.departs(candidate, finding.leeway) and not fit.departs(candidate, finding.leeway)
 
 
 def _without(case: Case, stage: Stage, fit: Fit, candidate: Candidate) -> Fit:

@@ -307,6 +307,10 @@ class GapResult:
         """Whether the plant after is another one: it has effects with a name, or carries what has none."""
         return bool(self.effects) or any(item.accepted for item in self.carried)
 
+    def names_on(self, target: str) -> frozenset[str]:
+        """Names of the effects that were found on one target."""
+        return frozenset(effect.name for effect in self.effects if effect.target == target)
+
     def to_json(self, folder: Path | None = None) -> dict[str, Any]:
         """The result in the shape of the contract (plus where they disagree, the candidates, the notes and the experiments).
 

@@ -84,7 +84,8 @@ class Search:
         adjusted = tuple(c for c in model.candidates if c not in ordinary)
         seen = Data(self.problem, self.split.seen, self.sigma, self.strict.whitened)
         final = fit_candidates(seen, self.theta, model.candidates, [model.values])
-        return Finding(self.problem, named, adjusted, final, nominal_rmse, self.scores.rmse(final), tuple(self._trials))
+        final_rmse, leeway = self.scores.rmse(final), self._leeway(model)
+        return Finding(self.problem, named, adjusted, final, nominal_rmse, final_rmse, tuple(self._trials), leeway)
 
     # -- steps ---------------------------------------------------------------------------------------------------
 
@@ -239,11 +240,15 @@ class Search:
         """
         if model.at_bound(candidate):
             return False
-        if model.departs(candidate, float(np.clip(self._doubtful(model), 1.0, self.strict.doubt))):
+        if model.departs(candidate, self._leeway(model)):
             return True
         left = self.scores.rmse(model)
         without = self.scores.fit(tuple(c for c in model.candidates if c is not candidate), (model,))
         return self.scores.rmse(without) > self.strict.decides * left * max(1.0, left / self.strict.explained)
+
+    def _leeway(self, model: Fit) -> float:
+        """So many times what is negligible still is."""
+        return float(np.clip(self._doubtful(model), 1.0, self.strict.doubt))
 
     def _doubtful(self, model: Fit) -> float:
         """Noise floors that are left where errors add up over a run, so that they say less than they seem to; else none."""

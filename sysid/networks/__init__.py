@@ -1,16 +1,27 @@
-"""Actuator networks (cylinder ↔ joint) and the forward network (joints → end effector). Torch is loaded by fitting alone."""
+"""Networks: actuator (cylinder ↔ joint), command → motion, forward (joints → end effector). Fitting alone loads torch."""
 
 from sysid.networks.actuator import ActuatorNetwork, RoundTrip, fit_actuator
-from sysid.networks.artifacts import Model, from_files, to_files
+from sysid.networks.artifacts import Model, from_files, history_networks, motion_networks, static_networks, to_files
 from sysid.networks.calibration import Calibrated, Calibration, calibrate
 from sysid.networks.chain import Chain, fit_chain
 from sysid.networks.checkpoint import Checkpoints
 from sysid.networks.forward import ForwardModel, ForwardNetwork, learn_forward
 from sysid.networks.forward_models import AnyForward, fit_forward
 from sysid.networks.geometry import Geometry, GeometryParameter
+from sysid.networks.history import HistoryNetwork, fit_history
 from sysid.networks.member import Course, Member, Trained, TrainingSettings
 from sysid.networks.mlp import Mlp, Normalisation
-from sysid.networks.recipe import PAPER_MAX, ActuatorRecipe, ForwardRecipe, NetworkRecipe, load_recipe, parse_recipe
+from sysid.networks.motion import MotionNetwork, fit_motion
+from sysid.networks.recipe import (
+    PAPER_MAX,
+    ActuatorRecipe,
+    ForwardRecipe,
+    HistoryRecipe,
+    MotionRecipe,
+    NetworkRecipe,
+    load_recipe,
+    parse_recipe,
+)
 from sysid.networks.structured import StructuredForward, fit_structured
 from sysid.networks.training import train
 from sysid.networks.trust import Domain, Intervals, Trust
@@ -31,10 +42,14 @@ __all__ = [
     "ForwardRecipe",
     "Geometry",
     "GeometryParameter",
+    "HistoryNetwork",
+    "HistoryRecipe",
     "Intervals",
     "Member",
     "Mlp",
     "Model",
+    "MotionNetwork",
+    "MotionRecipe",
     "NetworkRecipe",
     "Normalisation",
     "RoundTrip",
@@ -46,11 +61,16 @@ __all__ = [
     "fit_actuator",
     "fit_chain",
     "fit_forward",
+    "fit_history",
+    "fit_motion",
     "fit_structured",
     "from_files",
+    "history_networks",
     "learn_forward",
     "load_recipe",
+    "motion_networks",
     "parse_recipe",
+    "static_networks",
     "to_files",
     "train",
 ]

@@ -12,12 +12,15 @@ import numpy.typing as npt
 from sysid.errors import StoreError, nearest
 from sysid.machine.kinematics import Kinematics
 from sysid.networks.actuator import DIRECTIONS, ActuatorNetwork
+from sysid.networks.along_files import put_memories, put_motions, take_memories, take_motions
 from sysid.networks.calibration import Calibration
 from sysid.networks.chain import Chain, products
 from sysid.networks.forward import ForwardNetwork
 from sysid.networks.geometry import Geometry
+from sysid.networks.history import HistoryNetwork, statics
 from sysid.networks.member import Course
 from sysid.networks.mlp import Mlp, Normalisation, Rectifier
+from sysid.networks.motion import MotionNetwork
 from sysid.networks.structured import StructuredForward
 from sysid.networks.trust import Trust
 
@@ -25,7 +28,13 @@ WEIGHTS, STRUCTURE = "weights.safetensors", "network.json"
 #: Arrays of a :class:`Chain`.
 CHAIN = ("mean", "scale", "weights", "level", "covariance", "noise")
 
-Model = Mapping[str, ActuatorNetwork] | ForwardNetwork | StructuredForward
+Model = (
+    Mapping[str, ActuatorNetwork]
+    | Mapping[str, HistoryNetwork]
+    | Mapping[str, MotionNetwork]
+    | ForwardNetwork
+    | StructuredForward
+)
 Tensors = dict[str, npt.NDArray[Any]]
 
 
@@ -38,7 +47,7 @@ def to_files(model: Model) -> tuple[str, dict[str, bytes]]:
     if isinstance(model, ForwardNetwork | StructuredForward):
         kind = "forward"
         for number, member in enumerate(model.members):
-            _put(tensors, f"member.{number}", member)
+            put_mlp(tensors, f"member.{number}", member)
         tensors |= {"low": model.low, "high": model.high} | (model.trust.tensors("trust") if model.trust is not None else {})
         structure = {
             "joints": list(model.joints),
@@ -52,12 +61,15 @@ def to_files(model: Model) -> tuple[str, dict[str, bytes]]:
         else:
             own, structure["structure"] = _put_structure(model)
             tensors |= {f"structure.{name}": values for name, values in own.items()} | {"bound": np.array([model.bound])}
+    elif motions := motion_networks(model):
+        kind = "motion"
+        structure = {"axes": put_motions(motions, lambda prefix, mlp: put_mlp(tensors, prefix, mlp))}
     else:
         kind = "actuator"
         axes = {}
-        for axis, network in model.items():
-            _put(tensors, f"{axis}.to_joint", network.to_joint)
-            _put(tensors, f"{axis}.to_cylinder", network.to_cylinder)
+        for axis, network in static_networks(model).items():
+            put_mlp(tensors, f"{axis}.to_joint", network.to_joint)
+            put_mlp(tensors, f"{axis}.to_cylinder", network.to_cylinder)
             for direction, trust in network.trust.items():
                 tensors |= trust.tensors(f"{axis}.{direction}.trust")
             axes[axis] = {
@@ -68,6 +80,9 @@ def to_files(model: Model) -> tuple[str, dict[str, bytes]]:
                 "courses": {direction: course.to_json() for direction, course in network.courses.items()},
             }
         structure = {"axes": axes}
+        if histories := history_networks(model):
+            kind = "history"
+            structure["memories"] = put_memories(histories, tensors)
     text = json.dumps({"schema": 1, "kind": kind, **structure}, sort_keys=True, indent=1)
     return kind, {WEIGHTS: save(tensors), STRUCTURE: text.encode("utf-8")}
 
@@ -94,9 +109,35 @@ def from_files(files: Mapping[str, bytes], where: object) -> Model:
             raise StoreError(f"{where}: {STRUCTURE}", f"schema {structure['schema']!r}", "schema 1", "Update the toolkit.")
         if structure["kind"] == "forward":
             return _forward(structure, tensors, where)
-        return {axis: _actuator(axis, entry, tensors, where) for axis, entry in structure["axes"].items()}
+        if structure["kind"] == "motion":
+            return take_motions(
+                structure["axes"], lambda prefix, count: take_mlp(tensors, prefix, count, where), _course, where
+            )
+        static = {axis: _actuator(axis, entry, tensors, where) for axis, entry in structure["axes"].items()}
+        return take_memories(structure["memories"], static, tensors, where) if structure["kind"] == "history" else static
     except (ValueError, KeyError, TypeError, SafetensorError) as error:
         raise StoreError(where, f"not a network ({type(error).__name__}: {error})", f"{WEIGHTS} and {STRUCTURE}") from None
+
+
+def motion_networks(model: Model) -> dict[str, MotionNetwork]:
+    """The model, where it is command → motion; else nothing."""
+    if isinstance(model, ForwardNetwork | StructuredForward):
+        return {}
+    return {axis: network for axis, network in model.items() if isinstance(network, MotionNetwork)}
+
+
+def history_networks(model: Model) -> dict[str, HistoryNetwork]:
+    """The model, where it is actuators with history; else nothing."""
+    if isinstance(model, ForwardNetwork | StructuredForward):
+        return {}
+    return {axis: network for axis, network in model.items() if isinstance(network, HistoryNetwork)}
+
+
+def static_networks(model: Model) -> dict[str, ActuatorNetwork]:
+    """The static maps between cylinders and joints: actuators themselves, or the static parts of those with history."""
+    if isinstance(model, ForwardNetwork | StructuredForward):
+        return {}
+    return statics({axis: network for axis, network in model.items() if not isinstance(network, MotionNetwork)})
 
 
 def _put_structure(model: StructuredForward) -> tuple[Tensors, dict[str, Any]]:
@@ -143,7 +184,7 @@ def _structured(structure: dict[str, Any], tensors: Tensors, where: object) -> S
         revolute=revolute,
         structure=_take_structure(structure["structure"], revolute, tensors, where),
         urdf=structure["structure"].get("urdf", ""),
-        members=tuple(_take(tensors, f"member.{number}", count, rectifier, where) for number, count in layers),
+        members=tuple(take_mlp(tensors, f"member.{number}", count, where, rectifier) for number, count in layers),
         bound=float(tensors["bound"][0]),
         low=tensors["low"],
         high=tensors["high"],
@@ -161,7 +202,7 @@ def _forward(structure: dict[str, Any], tensors: Tensors, where: object) -> Forw
         joints=tuple(structure["joints"]),
         revolute=tuple(structure["revolute"]),
         features=structure["features"],
-        members=tuple(_take(tensors, f"member.{number}", count, rectifier, where) for number, count in layers),
+        members=tuple(take_mlp(tensors, f"member.{number}", count, where, rectifier) for number, count in layers),
         low=tensors["low"],
         high=tensors["high"],
         courses=tuple(_course(course) for course in structure["courses"]),
@@ -171,7 +212,7 @@ def _forward(structure: dict[str, Any], tensors: Tensors, where: object) -> Forw
 
 def _actuator(axis: str, entry: dict[str, Any], tensors: Tensors, where: object) -> ActuatorNetwork:
     rectifier = _rectifier(entry, where)
-    networks = {name: _take(tensors, f"{axis}.{name}", entry["layers"][name], rectifier, where) for name in DIRECTIONS}
+    networks = {name: take_mlp(tensors, f"{axis}.{name}", entry["layers"][name], where, rectifier) for name in DIRECTIONS}
     return ActuatorNetwork(
         axis=axis,
         to_joint=networks["to_joint"],
@@ -192,7 +233,8 @@ def _course(entry: dict[str, Any]) -> Course:
     return Course(**values)
 
 
-def _put(tensors: Tensors, prefix: str, mlp: Mlp) -> None:
+def put_mlp(tensors: Tensors, prefix: str, mlp: Mlp) -> None:
+    """Numbers of a perceptron, by names that begin with ``prefix``."""
     for layer, (weight, bias) in enumerate(zip(mlp.weights, mlp.biases, strict=True)):
         # float32 is what training produced: nothing is lost.
         tensors[f"{prefix}.weight.{layer}"] = weight.astype(np.float32)
@@ -210,7 +252,14 @@ def _rectifier(entry: dict[str, Any], where: object) -> Rectifier:
     return name
 
 
-def _take(tensors: Tensors, prefix: str, layers: int, rectifier: Rectifier, where: object) -> Mlp:
+def take_mlp(tensors: Tensors, prefix: str, layers: int, where: object, rectifier: Rectifier = "relu") -> Mlp:
+    """What :func:`put_mlp` put, between whose layers stands ``rectifier``, which tensors do not say.
+
+    Raises:
+        StoreError: the layers do not fit together.
+        KeyError: one is missing.
+    """
+
     def get(name: str) -> npt.NDArray[np.float64]:
         return np.asarray(tensors[f"{prefix}.{name}"], dtype=np.float64)
 

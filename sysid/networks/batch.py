@@ -15,7 +15,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -128,29 +128,53 @@ class BatchedMlp:
         """
         import torch
 
-        weights, biases = self.parameters.layers[::2], self.parameters.layers[1::2]
-        rows, last = x.shape[1], len(weights) - 1
-        outs, deltas = self._rooms(rows)
-        h = x
-        for layer, (weight, bias, out) in enumerate(zip(weights, biases, outs, strict=True)):
-            h = torch.baddbmm(bias, h, weight, out=out)
-            if layer < last:
-                h = out.relu_() if self.rectifier == "relu" else _rounded(out, deltas[layer])
-        delta = torch.sub(h, y, out=deltas[last])
+        rows = x.shape[1]
+        out = self.forward(x)
+        delta = torch.sub(out, y, out=self._rooms(rows)[1][-1])
         share = 1.0 / (outputs * rows)
-        losses = torch.mul(delta, delta, out=outs[last]).sum(dim=1).sum(dim=1).mul_(share[:, 0, 0])
-        delta.mul_(2.0 * share)
-        for layer in range(last, -1, -1):
+        losses = torch.mul(delta, delta, out=out).sum(dim=1).sum(dim=1).mul_(share[:, 0, 0])
+        self.backward(x, delta.mul_(2.0 * share))
+        return losses
+
+    def forward(self, x: torch.Tensor) -> torch.Tensor:
+        """Like :meth:`predict`, in rooms that are kept for :meth:`backward`: the next call for as many rows overwrites them."""
+        import torch
+
+        weights, biases = self.parameters.layers[::2], self.parameters.layers[1::2]
+        outs, rooms = self._rooms(x.shape[1])
+        for weight, bias, out, room in zip(weights, biases, outs, rooms, strict=True):
+            x = torch.baddbmm(bias, x, weight, out=out)
+            if out is not outs[-1]:
+                x = out.relu_() if self.rectifier == "relu" else _rounded(out, room)
+        return x
+
+    def backward(
+        self, x: torch.Tensor, delta: torch.Tensor, of: Literal["parameters", "inputs"] = "parameters"
+    ) -> torch.Tensor:
+        """From the gradient with respect to the outputs of the last :meth:`forward` to that of the parameters, into
+        ``gradients``, or to that of the inputs, which is returned, (m, n, d_in); never both, so that nothing is worked out
+        in vain.
+
+        Args:
+            x: the inputs of that call.
+            delta: (m, n, d_out).
+        """
+        import torch
+
+        weights = self.parameters.layers[::2]
+        outs, deltas = self._rooms(x.shape[1])
+        for layer in range(len(weights) - 1, -1, -1):
             before = outs[layer - 1] if layer else x
-            torch.bmm(before.transpose(1, 2), delta, out=self.gradients.layers[2 * layer])
-            torch.sum(delta, dim=1, keepdim=True, out=self.gradients.layers[2 * layer + 1])
+            if of == "parameters":
+                torch.bmm(before.transpose(1, 2), delta, out=self.gradients.layers[2 * layer])
+                torch.sum(delta, dim=1, keepdim=True, out=self.gradients.layers[2 * layer + 1])
             if layer:
                 delta = torch.bmm(delta, weights[layer].transpose(1, 2), out=deltas[layer - 1])
                 if self.rectifier == "relu":
                     torch.ops.aten.threshold_backward.grad_input(delta, before, 0.0, grad_input=delta)
-                else:  # the outputs of the layer before are not needed any more
-                    delta.mul_(before.add_(1.0).square_().add_(1.0).reciprocal_().neg_().add_(1.0))
-        return losses
+                else:
+                    delta.mul_(before.add(1.0).square_().add_(1.0).reciprocal_().neg_().add_(1.0))
+        return delta if of == "parameters" else torch.bmm(delta, weights[0].transpose(1, 2))
 
     def _rooms(self, rows: int) -> tuple[list[torch.Tensor], list[torch.Tensor]]:
         """Where the layers' outputs and their gradients go, made once: new memory at every update costs a sixth of its time."""

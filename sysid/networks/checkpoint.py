@@ -14,12 +14,13 @@ from typing import Any
 
 import numpy as np
 
-from sysid.errors import StorageError, StoreError
-from sysid.files import written_whole
+from sysid.errors import StoreError
+from sysid.files import write_durably
 from sysid.networks.batch import Floats
 
 #: Of the files; another one is another name.
 FORMAT = 1
+REMEDY = "Make room; training goes on from the last checkpoint that was written."
 _ARRAYS = ("row", "first", "second", "best")
 _NUMBERS = ("step", "loss", "seen", "best_epoch", "best_loss", "finished", "epochs", "fit", "validation")
 
@@ -74,16 +75,7 @@ class Checkpoints:
 
         header = json.dumps({key: getattr(state, key) for key in _NUMBERS})
         content = save({key: getattr(state, key) for key in _ARRAYS}, {"format": str(FORMAT), "state": header})
-        path = self.path(name)
-        try:
-            self.folder.mkdir(parents=True, exist_ok=True)
-            with written_whole(path) as half:
-                half.write_bytes(content)
-        except OSError as error:
-            raise StorageError(
-                f"checkpoint {path}", error.strerror or str(error), f"room for {len(content)} bytes",
-                "Make room; training goes on from the last checkpoint that was written.",
-            ) from error  # fmt: skip
+        write_durably(self.path(name), content, "checkpoint", REMEDY)
 
     def load(self, name: str, size: int) -> State | None:
         """What was saved under ``name``, None where nothing was.

@@ -6,6 +6,7 @@ rate, batch sizes, numbers of epochs and schedules are not published: those here
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -22,7 +23,39 @@ Features = Literal["joints", "sincos", "products"]
 PAPER_MAX = {"ee.x": 15.9e-3, "ee.y": 20.5e-3, "ee.z": 13.6e-3}
 
 _ACTUATOR_TRAINING = TrainingSettings(learning_rate=1e-4, batch=64, epochs=800, patience=100, check_every=5, schedule="cosine")
+_MOTION_TRAINING = TrainingSettings(learning_rate=2e-3, batch=128, epochs=60, patience=20, check_every=2, schedule="cosine")
 _FORWARD_TRAINING = TrainingSettings(learning_rate=3e-3, batch=16, epochs=500, patience=150, check_every=5, schedule="cosine")
+
+
+@dataclass(frozen=True)
+class HistoryRecipe:
+    """The memory on top of each static map (``[actuator] model = "history"``).
+
+    Args:
+        interval: seconds between two looks.
+        units: of its long short-term memory.
+        plays: widths of the plays that it sees, as shares of the fitted range; none: position and speed alone.
+        epochs, check_every, patience: as in :class:`TrainingSettings`; one update an epoch.
+    """
+
+    __pydantic_config__ = STRICT
+
+    interval: float = 0.05
+    units: int = 16
+    plays: tuple[float, ...] = (0.003, 0.01, 0.03)
+    learning_rate: float = 0.02
+    epochs: int = 150
+    check_every: int = 10
+    patience: int = 60
+
+    def check(self, where: object) -> None:
+        """Raises SettingsError for a value that cannot be used."""
+        for key in ("interval", "units", "learning_rate", "epochs", "check_every", "patience"):
+            value = getattr(self, key)
+            if not (math.isfinite(value) and value > 0):
+                raise SettingsError(where, f"{key} = {value}", "a positive number")
+        if not all(0.0 < share < 1.0 for share in self.plays):
+            raise SettingsError(where, f"plays = {list(self.plays)}", "shares of the range between 0 and 1, as in [0.01]")
 
 
 @dataclass(frozen=True)
@@ -30,22 +63,26 @@ class ActuatorRecipe:
     """Both directions of every cylinder-joint map.
 
     Args:
+        model: ``static`` (the paper), or ``history``: with a memory of where the cylinder came from.
         samples: rows learned from, spread over the stroke.
         rows: where they come from. Poses reach the ends of the stroke, which an operator avoids and a network cannot guess.
         hidden: hidden layers of an axis that ``hidden_of`` does not name.
         hidden_of: axis → hidden layers.
         rectifier: between them: ``relu`` (the paper), or ``smooth``: the same with its corner rounded.
         training: how.
+        history: the memory of ``history``.
     """
 
     __pydantic_config__ = STRICT
 
+    model: Literal["static", "history"] = "static"
     samples: int = 1500
     rows: tuple[Literal["motion", "poses"], ...] = ("motion", "poses")
     hidden: tuple[int, ...] = (128, 128)
     hidden_of: dict[str, tuple[int, ...]] = field(default_factory=lambda: {"boom": (256, 128, 128), "stick": (128, 128)})
     rectifier: Rectifier = "relu"
     training: TrainingSettings = _ACTUATOR_TRAINING
+    history: HistoryRecipe = HistoryRecipe()
 
     def layers(self, axis: str) -> tuple[int, ...]:
         return self.hidden_of.get(axis, self.hidden)
@@ -82,6 +119,50 @@ class ForwardRecipe:
 
 
 @dataclass(frozen=True)
+class MotionRecipe:
+    """Command → motion of every axis, after Hwangbo et al., Science Robotics 4 (2019).
+
+    Args:
+        step: seconds from one prediction to the next, rounded to whole samples: long enough that the sensor's noise is small
+            against the motion.
+        history: when commands are looked at, seconds before the step to come; 0 is the command of that step.
+        speeds: edges of the past speeds that are looked at, seconds before now. All times are rounded to whole steps.
+        position: whether the network sees where the axis is.
+        samples: rows learned from and stopped on, each at most, evenly spaced.
+        hidden: hidden layers.
+        members: networks with other first weights whose speeds are averaged. They are trained with and without past speeds; the
+            better free runs are kept.
+        horizons: seconds after which free runs are judged, besides whole recordings.
+        training: how.
+    """
+
+    __pydantic_config__ = STRICT
+
+    step: float = 0.05
+    history: tuple[float, ...] = (0.0, 0.05, 0.1, 0.15, 0.2, 0.3, 0.4)
+    speeds: tuple[float, ...] = (0.05, 0.1, 0.2)
+    position: bool = True
+    samples: int = 8000
+    hidden: tuple[int, ...] = (32, 32)
+    members: int = 3
+    horizons: tuple[float, ...] = (0.5, 1.0, 2.0, 5.0)
+    training: TrainingSettings = _MOTION_TRAINING
+
+    def check(self, where: object) -> None:
+        """Raises SettingsError for a value that cannot be used."""
+        self.training.check(f"{where}.training")
+        for key, values in (
+            ("step", (self.step,)),
+            ("samples", (self.samples,)),
+            ("members", (self.members,)),
+            ("horizons", self.horizons or (0.0,)),
+            ("hidden", self.hidden or (0,)),
+        ):
+            if not all(math.isfinite(value) and value > 0 for value in values):
+                raise SettingsError(f"{where}.{key}", str(getattr(self, key)), "positive numbers")
+
+
+@dataclass(frozen=True)
 class NetworkRecipe:
     """The whole recipe; ``seed`` decides samples, initial weights and order of samples."""
 
@@ -91,6 +172,7 @@ class NetworkRecipe:
     seed: int = 0
     actuator: ActuatorRecipe = ActuatorRecipe()
     forward: ForwardRecipe = ForwardRecipe()
+    motion: MotionRecipe = MotionRecipe()
 
     def to_json(self) -> dict[str, Any]:
         """For lineage records; :func:`parse_recipe` takes it back."""
@@ -118,6 +200,8 @@ def parse_recipe(values: dict[str, Any], where: object) -> NetworkRecipe:
     recipe = parse_settings(_merged(asdict(NetworkRecipe()), values), NetworkRecipe, where)
     for part, settings in (("actuator", recipe.actuator.training), ("forward", recipe.forward.training)):
         settings.check(f"{where}: {part}.training")
+    recipe.actuator.history.check(f"{where}: actuator.history")
+    recipe.motion.check(f"{where}: motion")
     for key, value in (
         ("actuator.samples", recipe.actuator.samples),
         ("forward.poses", recipe.forward.poses),

@@ -1,8 +1,8 @@
 """Trains the small recurrent network that carries what no effect explains: sequences in, weights out.
 
-One layer of long short-term memory behind a bound, ``r = bound·tanh(w·h + w₀)`` (equations in :mod:`sysid.plant.residual`,
-which runs it). Where what it adds is integrated (a speed into a position), it is judged by the changes of the integral over
-several lengths of time at once: short ones hold most of the detail, long ones are least disturbed by the sensor's noise.
+One layer of long short-term memory behind a bound, ``r = bound·tanh(w·h + w₀)``, run by :mod:`sysid.networks.cell`. Where
+what it adds is integrated (a speed into a position), it is judged by the changes of the integral over several lengths of time
+at once: short ones hold most of the detail, long ones are least disturbed by the sensor's noise.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sysid.errors import SettingsError
+from sysid.networks.cell import REACH
 from sysid.progress import Progress, silent
 
 if TYPE_CHECKING:
@@ -25,10 +26,6 @@ Array = npt.NDArray[np.float64]
 
 #: Looks over which changes of an integral are compared.
 LAGS = (4, 16, 64)
-#: Looks in a piece of a sequence that is trained at once, and before it to warm up.
-PIECE, WARM = 160, 40
-#: Inputs are drawn in to this many standard deviations.
-REACH = 4.0
 
 
 @dataclass(frozen=True)
@@ -49,7 +46,13 @@ class Looks:
 
 @dataclass(frozen=True)
 class RecurrentSettings:
-    """How it is trained: ``units`` of memory; ``patience`` counts checks on the recordings to select, each ``check_every``."""
+    """How it is trained.
+
+    Args:
+        units: of its memory.
+        patience: checks on the recordings to select without improvement, one each ``check_every`` epochs.
+        piece, warm: looks in a piece of a sequence that is trained at once, and before it to warm up.
+    """
 
     units: int = 16
     learning_rate: float = 0.02
@@ -58,6 +61,8 @@ class RecurrentSettings:
     patience: int = 8
     decay: float = 1e-4
     threads: int = 1
+    piece: int = 160
+    warm: int = 40
 
 
 @dataclass(frozen=True)
@@ -65,7 +70,7 @@ class Recurrent:
     """A trained network.
 
     Args:
-        weights: arrays by the names that :class:`sysid.plant.residual.Residual` gives them.
+        weights: arrays by the names of :data:`sysid.networks.cell.TENSORS`.
         loss: with the network on the recordings to select, in units of what it is without one.
     """
 
@@ -90,8 +95,10 @@ def train_recurrent(
 
     settings = settings or RecurrentSettings()
     joined = np.concatenate([part.inputs for part in fit]) if fit else np.empty((0, 1))
-    if len(joined) < WARM or not select:
-        raise SettingsError("residual network", f"{len(joined)} looks to learn from", f"at least {WARM}, and some to select")
+    if len(joined) < settings.warm or not select:
+        raise SettingsError(
+            "residual network", f"{len(joined)} looks to learn from", f"at least {settings.warm}, and some to select"
+        )
     mean, spread = joined.mean(axis=0), joined.std(axis=0)
     scale = np.where(spread > 1e-9 * np.maximum(np.abs(mean), 1e-12), 1.0 / np.maximum(spread, 1e-300), 0.0)
     with _seeded(seed, settings.threads):
@@ -103,7 +110,7 @@ def train_recurrent(
         parameters = [*cell.parameters(), *head.parameters()]
         adam = torch.optim.Adam(parameters, lr=settings.learning_rate, weight_decay=settings.decay)
         schedule = torch.optim.lr_scheduler.CosineAnnealingLR(adam, settings.epochs, 0.05 * settings.learning_rate)
-        learned, judged = (_pieces(parts, mean, scale) for parts in (fit, select))
+        learned, judged = (_pieces(parts, mean, scale, settings) for parts in (fit, select))
         units = _units(fit, bound, interval, integrates)
 
         def loss(pieces: tuple[Any, Any, Any, Any]) -> torch.Tensor:
@@ -168,21 +175,21 @@ def _rms(values: Array) -> float:
     return float(np.sqrt(np.mean(there**2))) if len(there) else 0.0
 
 
-def _pieces(parts: Sequence[Looks], mean: Array, scale: Array) -> tuple[Any, Any, Any, Any]:
-    """Pieces of equal length (k, WARM + PIECE, …): inputs, what is left, whether a look counts (warm), size."""
+def _pieces(parts: Sequence[Looks], mean: Array, scale: Array, settings: RecurrentSettings) -> tuple[Any, Any, Any, Any]:
+    """Pieces of equal length (k, warm + piece, …): inputs, what is left, whether a look counts (warm), size."""
     import torch
 
-    inputs, left, counts, size = [], [], [], []
+    inputs, left, counts, size, whole = [], [], [], [], settings.warm + settings.piece
     for part in parts:
         x = np.clip((part.inputs - mean) * scale, -REACH, REACH)
-        for first in range(0, max(len(x) - LAGS[-1], 1), PIECE):
-            begin = max(first - WARM, 0)
-            here = slice(begin, min(begin + WARM + PIECE, len(x)))
-            missing = WARM + PIECE - (here.stop - here.start)
+        for first in range(0, max(len(x) - LAGS[-1], 1), settings.piece):
+            begin = max(first - settings.warm, 0)
+            here = slice(begin, min(begin + whole, len(x)))
+            missing = whole - (here.stop - here.start)
             inputs.append(np.pad(x[here], ((0, missing), (0, 0))))
             left.append(np.pad(part.left[here], (0, missing), constant_values=np.nan))
             size.append(np.pad(part.size[here], (0, missing)))
-            counts.append(np.arange(begin, begin + WARM + PIECE) >= (first if first else 0))
+            counts.append(np.arange(begin, begin + whole) >= (first if first else 0))
     made = [torch.from_numpy(np.array(values)) for values in (inputs, left, counts, size)]
     return made[0], made[1], made[2], made[3]
 

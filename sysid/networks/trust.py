@@ -110,6 +110,12 @@ class Intervals:
         floor = np.array([_floor(e, s) for e, s in zip(errors.T, spread.T, strict=True)])
         return Intervals(floor, np.sort(np.abs(errors) / np.hypot(spread, floor), axis=0))
 
+    @property
+    def most_level(self) -> float:
+        """The highest level that so many rows can tell, to three digits."""
+        count = len(self.scores)
+        return math.floor(1000.0 * count / (count + 1)) / 1000.0
+
     def reach(self, spread: Array, level: float) -> Array:
         """Half widths of intervals at a level, (n, d_out), where the members spread by ``spread`` (n, d_out).
 
@@ -121,9 +127,9 @@ class Intervals:
             raise InputError("interval", f"level {level:g}", "a share between 0 and 1, as 0.95")
         rank = _rank(count, level)
         if rank > count:
-            most = math.floor(1000.0 * count / (count + 1)) / 1000.0
+            expected = f"at most {self.most_level:g}"
             raise InputError(
-                "interval", f"level {level:g} from {count} rows", f"at most {most:g}", "Record more, or ask for a lower level."
+                "interval", f"level {level:g} from {count} rows", expected, "Record more, or ask for a lower level."
             )
         return np.asarray(self.scores[rank - 1] * np.hypot(spread, self.floor))
 

@@ -18,9 +18,9 @@ _PACKAGE = Path(__file__).parents[1]
 
 
 def source_digest() -> str:
-    """sha256 over the sources of all effects and of the plant."""
+    """sha256 over the sources of all effects, the plant, and the controller, whose law takes constants from its tuning."""
     digest = hashlib.sha256(numba.__version__.encode())
-    for folder in ("effects", "plant"):
+    for folder in ("effects", "plant", "control"):
         for path in sorted((_PACKAGE / folder).glob("*.py")):
             digest.update(path.name.encode() + b"\0" + path.read_bytes() + b"\0")
     return digest.hexdigest()

@@ -23,6 +23,7 @@ from sysid.machine import (
     machine_from_files,
     tabulate,
 )
+from sysid.networks.history import HistoryNetwork
 from sysid.plant.layout import Streams, neutral_vector, parameter_indices, side_of
 from sysid.plant.residual import FILE, Residual, check_residual, from_files, to_tensors
 from sysid.plant.uncertainty import NONE, Place, Uncertainty, uncertainty_from
@@ -214,6 +215,9 @@ def nominal_plant(
     Args:
         linkages: fitted actuator networks by axis, for axes whose description has no linkage geometry.
         streams: what each stream of a dataset carries (``dataset.streams``), for effects of its clock.
+
+    Raises:
+        SettingsError: a linkage that depends on the past.
     """
     tables: dict[str, TabulatedLinkage] = {}
     for axis in machine.axes:
@@ -222,8 +226,17 @@ def nominal_plant(
         if axis.linkage is not None:
             tables[axis.name] = tabulate(TriangleLinkage(axis.linkage), axis.stroke)
         elif linkages is not None and axis.name in linkages:
-            tables[axis.name] = tabulate(linkages[axis.name], axis.stroke)
+            tables[axis.name] = tabulate(_static(machine, axis.name, linkages[axis.name]), axis.stroke)
     return Plant(machine, tables, machine.effects, streams or {}, NONE, origin)
+
+
+def _static(machine: Machine, axis: str, found: CylinderJointMap) -> CylinderJointMap:
+    """A linkage is a map of positions: what depends on where the cylinder came from is an effect of the plant (backlash)."""
+    if isinstance(found, HistoryNetwork):
+        remedy = "Hand over its `static` part; a plant has history as effects."
+        where = f"machine {machine.name}: linkage of {axis}"
+        raise SettingsError(where, "a network with history, whose joint depends on the past", "a static map", remedy)
+    return found
 
 
 def _parameter(place: Place) -> Parameter:

@@ -1,10 +1,7 @@
 """``unnamed_residual``: a small recurrent network that carries what no effect explains. No physics, and of bounded size.
 
 Every ``interval`` seconds the network looks at commands, position, speed and load of its axis (x), and says what to add to a
-stage of the chain until it looks again. It is a long short-term memory (Hochreiter & Schmidhuber, Neural Computation 9, 1997)
-behind a bound, gates in the order input, forget, cell, output::
-
-    i, f, o = σ(W·x + U·h + b),  g = tanh(W·x + U·h + b),  c ← f·c + i·g,  h ← o·tanh(c),  r = bound·tanh(w·h + w₀)
+stage of the chain until it looks again: ``bound·tanh(w·h + w₀)`` of a long short-term memory (:mod:`sysid.networks.cell`).
 
 What it adds: a share of the speed that a velocity axis asks for, so that it moves nothing that stands; to the position of a
 servo (both ``command``), to the joint behind a cylinder (``joint``), or to the force that a motion needs (``force``). It looks
@@ -25,6 +22,7 @@ import numpy.typing as npt
 from sysid.effects.compiled import inlined, loop
 from sysid.errors import SettingsError, StoreError
 from sysid.machine import Machine
+from sysid.networks import cell
 from sysid.signals import axis_signal
 
 Array = npt.NDArray[np.float64]
@@ -37,14 +35,10 @@ FILE = "residuals.safetensors"
 #: What a reader has to know of it, wherever it is shown.
 WARNING = "learned from the recordings, no physics: it says nothing about the cause and nothing beyond what was recorded"
 
-#: Inputs are drawn in to this many standard deviations: beyond what was recorded the network says what it says at its edge.
-REACH = 4.0
-
 # Columns of ``Nets.about``.
 AXIS, STAGE, UNITS, INTERVAL, BOUND, PERIOD = range(6)
-# What a network keeps: what it adds now, seconds since it looked, the position then; then h, c and room for the next h.
+# What a network keeps: what it adds now, seconds since it looked, the position then; then what its cell keeps.
 ADDS, SINCE, LAST, STATES = 0, 1, 2, 3
-_TENSORS = ("mean", "scale", "W", "U", "b", "w", "w0")
 
 
 class Nets(NamedTuple):
@@ -149,7 +143,7 @@ def nets_of(machine: Machine, residuals: Sequence[Residual]) -> Nets | None:
     """Networks as the kernels take them; None where there are none."""
     if not residuals:
         return None
-    flat = [np.concatenate([np.ravel(getattr(item, name)) for name in ("W", "U", "b", "w", "w0")]) for item in residuals]
+    flat = [cell.flat(vars(item)) for item in residuals]
     weights = np.zeros((len(residuals), max(map(len, flat))))
     about = np.zeros((len(residuals), 6))
     for row, (item, values) in enumerate(zip(residuals, flat, strict=True)):
@@ -161,7 +155,7 @@ def nets_of(machine: Machine, residuals: Sequence[Residual]) -> Nets | None:
 
 def memory_of(nets: Nets) -> Array:
     """Memory of networks that have not begun, (R, M)."""
-    memory = np.zeros((len(nets.about), STATES + 3 * int(nets.about[:, UNITS].max())))
+    memory = np.zeros((len(nets.about), STATES + cell.room(nets.mean.shape[1], int(nets.about[:, UNITS].max()))))
     memory[:, SINCE] = np.nan
     return memory
 
@@ -228,49 +222,18 @@ def look(nets, r, s, command, x, load, dt):
     axes, units = len(command), int(nets.about[r, UNITS])
     inputs = axes + 5
     turn = 2.0 * math.pi * x / nets.about[r, PERIOD] if nets.about[r, PERIOD] > 0.0 else 0.0
-    sine, cosine = math.sin(turn), math.cos(turn)
-    h, c, new = STATES, STATES + units, STATES + 2 * units
-    U, b = 4 * units * inputs, 4 * units * (inputs + units)
-    w = b + 4 * units
-    for k in range(units):
-        gate_i = nets.weights[r, b + k]
-        gate_f = nets.weights[r, b + units + k]
-        gate_g = nets.weights[r, b + 2 * units + k]
-        gate_o = nets.weights[r, b + 3 * units + k]
-        for j in range(inputs):
-            if j < axes:
-                value = command[j]
-            elif j == axes:
-                value = x
-            elif j == axes + 1:
-                value = speed
-            elif j == axes + 2:
-                value = load
-            else:
-                value = sine if j == axes + 3 else cosine
-            value = min(max((value - nets.mean[r, j]) * nets.scale[r, j], -REACH), REACH)
-            gate_i += nets.weights[r, k * inputs + j] * value
-            gate_f += nets.weights[r, (units + k) * inputs + j] * value
-            gate_g += nets.weights[r, (2 * units + k) * inputs + j] * value
-            gate_o += nets.weights[r, (3 * units + k) * inputs + j] * value
-        for j in range(units):
-            gate_i += nets.weights[r, U + k * units + j] * s[h + j]
-            gate_f += nets.weights[r, U + (units + k) * units + j] * s[h + j]
-            gate_g += nets.weights[r, U + (2 * units + k) * units + j] * s[h + j]
-            gate_o += nets.weights[r, U + (3 * units + k) * units + j] * s[h + j]
-        s[c + k] = _sigmoid(gate_f) * s[c + k] + _sigmoid(gate_i) * math.tanh(gate_g)
-        s[new + k] = _sigmoid(gate_o) * math.tanh(s[c + k])
-    total = nets.weights[r, w + units]
-    for k in range(units):
-        s[h + k] = s[new + k]
-        total += nets.weights[r, w + k] * s[new + k]
-    s[ADDS] = nets.about[r, BOUND] * math.tanh(total)
+    at = STATES + 3 * units
+    for j in range(axes):
+        s[at + j] = command[j]
+    s[at + axes] = x
+    s[at + axes + 1] = speed
+    s[at + axes + 2] = load
+    s[at + axes + 3] = math.sin(turn)
+    s[at + axes + 4] = math.cos(turn)
+    for j in range(inputs):
+        s[at + j] = cell.drawn_in(s[at + j], nets.mean[r, j], nets.scale[r, j])
+    s[ADDS] = nets.about[r, BOUND] * math.tanh(cell.look(nets.weights[r], inputs, units, s, STATES))
     return s[ADDS]
-
-
-@inlined
-def _sigmoid(x):
-    return 1.0 / (1.0 + math.exp(-x))
 
 
 # -- files ------------------------------------------------------------------------------------------------------------------
@@ -281,7 +244,7 @@ def to_tensors(residuals: Sequence[Residual]) -> bytes:
     from safetensors.numpy import save
 
     return save(
-        {f"{r.stage}.{r.target}/{name}": np.ascontiguousarray(getattr(r, name)) for r in residuals for name in _TENSORS}
+        {f"{r.stage}.{r.target}/{name}": np.ascontiguousarray(getattr(r, name)) for r in residuals for name in cell.TENSORS}
     )
 
 
@@ -301,7 +264,7 @@ def from_files(entries: Sequence[Mapping[str, Any]], files: Mapping[str, bytes],
         found = []
         for entry in entries:
             prefix = f"{entry['stage']}.{entry['target']}/"
-            arrays: dict[str, Any] = {name: np.asarray(tensors[prefix + name], dtype=np.float64) for name in _TENSORS}
+            arrays: dict[str, Any] = {name: np.asarray(tensors[prefix + name], dtype=np.float64) for name in cell.TENSORS}
             about: dict[str, Any] = {key: entry[key] for key in ("stage", "target", "bound", "interval", "period")}
             found.append(Residual(**about, **arrays, origin=json.loads(json.dumps(entry["origin"]))))
         return tuple(found)

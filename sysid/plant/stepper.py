@@ -8,7 +8,8 @@ command of *that* sample wants it, so the step to sample k + 1 takes its command
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
 
 import numpy as np
 import numpy.typing as npt
@@ -191,6 +192,30 @@ class Stepper:
 
         workers = min(WORKERS, 1 + self.lanes // _SERIAL_LANES)
         in_parallel(stretch, workers, 1 << 30)
+        return self._state()
+
+    def state(self) -> dict[str, Array]:
+        """All that the next steps depend on, and what the last one returned; rows are lanes."""
+        kept = {name: getattr(self, f"_{name}").copy() for name in ("memory", "load", "swing", "ready")}
+        if self._left is not None:
+            kept["left"] = self._left.copy()
+        return kept | {f"out.{item.name}": getattr(self._out, item.name).copy() for item in fields(LaneState)}
+
+    def restore(self, state: Mapping[str, Array]) -> LaneState:
+        """Go on exactly where :meth:`state` was taken, of this plant at this rate; returns the state of all lanes.
+
+        Raises:
+            SettingsError: it is of another number of lanes, or of another plant.
+        """
+        own = self.state()
+        for name, values in own.items():
+            found = np.shape(state.get(name, ()))
+            if found != values.shape:
+                raise SettingsError("stepper", f"a state with {name} of shape {found}", f"{values.shape}")
+        for name in own:
+            holder, _, item = name.rpartition(".")
+            place: Array = getattr(self._out, item) if holder else getattr(self, f"_{name}")
+            place[:] = state[name]
         return self._state()
 
     @property

@@ -3,12 +3,13 @@
 from sysid.registry.lineage import made_from, made_from_dataset, made_of
 from sysid.registry.promotion import Check, Decision, Promotion, decide
 from sysid.registry.registry import Registry
-from sysid.registry.version import CANDIDATE, CHAMPION, KINDS, Kind, ModelVersion
+from sysid.registry.version import CANDIDATE, CHAMPION, KINDS, NETWORKS, Kind, ModelVersion
 
 __all__ = [
     "CANDIDATE",
     "CHAMPION",
     "KINDS",
+    "NETWORKS",
     "Check",
     "Decision",
     "Kind",

@@ -12,7 +12,9 @@ from typing import Any, Literal, get_args
 from sysid.errors import SettingsError, StoreError, nearest
 from sysid.registry.promotion import Decision
 
-Kind = Literal["actuator", "forward", "plant", "policy"]
+Kind = Literal["actuator", "history", "motion", "forward", "plant", "policy"]
+#: Those that `sysid fit` makes.
+NETWORKS: tuple[str, ...] = ("actuator", "history", "motion", "forward")
 KINDS: tuple[str, ...] = get_args(Kind)
 
 #: Nothing that is executed on reading: no pickle, no ``.pt``, no ``.npy`` (which may hold objects). A ``.diff`` is for people.

@@ -107,7 +107,7 @@ def heat_map(
     def py(value: float) -> float:
         return height - BOTTOM - (height - TOP - BOTTOM) * (value - low) / (high - low)
 
-    parts = []
+    parts = _x_axis(first, last, px, (), np.zeros(0), height)
     for a, b in np.ndindex(values.shape):
         if not counts[a, b]:
             continue
@@ -120,7 +120,6 @@ def heat_map(
             f'<rect class="cell{few}" x="{x:.1f}" y="{y:.1f}" width="{w:.1f}" height="{h:.1f}" fill-opacity="{share:.2f}">'
             f"<title>{escape(told)}</title></rect>"
         )
-    parts += _x_axis(first, last, px, (), np.zeros(0), height)
     for value in ticks(low, high):
         decimals = display.decimals_for(
             [ticks(low, high)[1] - ticks(low, high)[0]] if len(ticks(low, high)) > 1 else [value], 1

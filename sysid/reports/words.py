@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 import string
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, field
 
 
 @dataclass(frozen=True)
 class Words:
-    """``sentences``: templates over ``{target}`` and the parameters; the first one whose parameters are all known is used."""
+    """``sentences``: templates over ``{target}`` and the parameters; the first one whose parameters are all known is used.
+
+    ``beside``: another effect on the same target → the sentence where that one changes what this one's value means.
+    """
 
     title: str
     sentences: tuple[str, ...]
+    beside: Mapping[str, str] = field(default_factory=dict)
 
 
 EFFECTS: dict[str, Words] = {
@@ -23,7 +27,11 @@ EFFECTS: dict[str, Words] = {
         ("The {target} does not move until its command exceeds +{positive} in one direction or −{negative} in the other.",),
     ),
     "valve_hysteresis": Words("Spool hysteresis", ("The spool of the {target} lags its command by a play of {width}.",)),
-    "gain_error": Words("Wrong speed gain", ("The {target} moves at {ratio} times the speed that the simulation assumes.",)),
+    "gain_error": Words(
+        "Wrong speed gain",
+        ("The {target} moves at {ratio} times the speed that the simulation assumes.",),
+        {"valve_deadband": "Beyond its dead-band the {target} answers {ratio} times as steeply as the simulation assumes."},
+    ),
     "asymmetric_gain": Words(
         "Unequal speeds", ("The {target} moves {ratio} times as fast in the negative direction as in the positive one.",)
     ),
@@ -110,10 +118,16 @@ def effect_title(name: str) -> str:
     return EFFECTS[name].title if name in EFFECTS else name.replace("_", " ").capitalize()
 
 
-def effect_sentence(name: str, target: str, parameters: Mapping[str, str]) -> str:
-    """One sentence about a named effect; ``parameters`` are already formatted with their units."""
+def effect_sentence(name: str, target: str, parameters: Mapping[str, str], beside: Collection[str] = ()) -> str:
+    """One sentence about a named effect.
+
+    Args:
+        parameters: already formatted with their units.
+        beside: what else was named on the same target.
+    """
     values = {"target": owner_name(target), **parameters}
-    for template in EFFECTS[name].sentences if name in EFFECTS else ():
+    known = EFFECTS.get(name, Words("", ()))
+    for template in (*(text for other, text in known.beside.items() if other in beside), *known.sentences):
         if {field for _, field, _, _ in string.Formatter().parse(template) if field} <= set(values):
             return template.format(**values)
     listed = ", ".join(f"{key.replace('_', ' ')} {value}" for key, value in parameters.items())

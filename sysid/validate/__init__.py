@@ -3,9 +3,12 @@
 from sysid.validate.coverage import Coverage, Region
 from sysid.validate.error_analysis import Profile, Spike
 from sysid.validate.error_maps import ErrorMap
+from sysid.validate.folds import folds
 from sysid.validate.metrics import ErrorMetrics, error_metrics
 from sysid.validate.report import OutputReport, Trace, ValidationReport
-from sysid.validate.validation import validate_actuator, validate_forward, validate_model
+from sysid.validate.validation import validate_actuator, validate_forward, validate_model  # first: `along` builds on it
+
+from sysid.validate.along import validate_history, validate_motion  # isort: skip
 
 __all__ = [
     "Coverage",
@@ -18,7 +21,10 @@ __all__ = [
     "Trace",
     "ValidationReport",
     "error_metrics",
+    "folds",
     "validate_actuator",
     "validate_forward",
+    "validate_history",
     "validate_model",
+    "validate_motion",
 ]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable
 from typing import Any
 
@@ -16,7 +17,15 @@ Predict = Callable[[Array], Array]
 
 
 def simple_models(inputs: Array, outputs: Array) -> dict[str, Predict]:
-    """Baselines fitted on the rows that the network learned from, (n, d) → (n,) or (n, d_out): name → prediction."""
+    """Baselines fitted on the rows that the network learned from, (n, d) → (n,) or (n, d_out): name → prediction.
+
+    Versions that are compared learned from the same rows: what was fitted to them is kept for the next one.
+    """
+    return dict(_fitted(inputs.tobytes(), inputs.shape, outputs.tobytes(), outputs.shape))
+
+
+@functools.lru_cache(maxsize=16)
+def _fitted(inputs: bytes, in_shape: tuple[int, ...], outputs: bytes, out_shape: tuple[int, ...]) -> dict[str, Predict]:
     from sklearn.ensemble import GradientBoostingRegressor
     from sklearn.linear_model import LinearRegression
     from sklearn.multioutput import MultiOutputRegressor
@@ -28,10 +37,11 @@ def simple_models(inputs: Array, outputs: Array) -> dict[str, Predict]:
         f"polynomial, degree {degree}": make_pipeline(StandardScaler(), PolynomialFeatures(degree), LinearRegression())
         for degree in (3, 5)
     }
+    x, y = np.frombuffer(inputs).reshape(in_shape), np.frombuffer(outputs).reshape(out_shape)
     boosted = GradientBoostingRegressor(n_estimators=200, max_depth=4, subsample=0.7, random_state=0)
-    models["gradient boosting"] = boosted if outputs.ndim == 1 else MultiOutputRegressor(boosted)
+    models["gradient boosting"] = boosted if y.ndim == 1 else MultiOutputRegressor(boosted)
     models["nearest neighbour"] = make_pipeline(StandardScaler(), KNeighborsRegressor(n_neighbors=1))
-    return {name: _predict(model.fit(inputs, outputs)) for name, model in models.items()}
+    return {name: _predict(model.fit(x, y)) for name, model in models.items()}
 
 
 def linkage_geometry(displacements: Array, joints: Array, to_joint: bool) -> Predict:

@@ -81,7 +81,7 @@ class ValidationReport:
     """A network judged on recordings it has not seen.
 
     Args:
-        kind: ``actuator`` or ``forward``.
+        kind: of the network.
         model: name and version, empty for a model that is not registered.
         dataset: name and version.
         role: of the rows: ``held_out`` unless asked otherwise.
@@ -89,7 +89,7 @@ class ValidationReport:
         round_trips: axis → how well the two directions of an actuator network undo each other.
     """
 
-    kind: Literal["actuator", "forward"]
+    kind: Literal["actuator", "history", "motion", "forward"]
     model: str
     dataset: str
     role: Role

@@ -11,9 +11,9 @@ import numpy as np
 import numpy.typing as npt
 
 from sysid.datasets.recording import Dataset, Kind, Role
-from sysid.errors import ExcitationError, InputError
+from sysid.errors import ExcitationError
 from sysid.networks.actuator import ActuatorNetwork, actuator_rows
-from sysid.networks.artifacts import Model
+from sysid.networks.artifacts import Model, history_networks, motion_networks, static_networks
 from sysid.networks.forward import ForwardModel, ForwardNetwork, forward_rows, is_angle
 from sysid.networks.recipe import NetworkRecipe
 from sysid.networks.split import Rows, gather, measures, segments, thin
@@ -40,10 +40,16 @@ SLOPE_ROWS = 500
 def validate_model(
     model: Model, dataset: Dataset, role: Role = "held_out", recipe: NetworkRecipe | None = None, name: str = ""
 ) -> ValidationReport:
-    """:func:`validate_actuator` or :func:`validate_forward`, whichever fits the model."""
+    """:func:`validate_actuator`, :func:`validate_forward`, or one of those for networks that run along a motion."""
+    from sysid.validate.along import validate_history, validate_motion  # which build on this
+
     if isinstance(model, ForwardNetwork | StructuredForward):
         return validate_forward(model, dataset, role, name)
-    return validate_actuator(model, dataset, role, recipe, name)
+    if motions := motion_networks(model):
+        return validate_motion(motions, dataset, role, recipe, name)
+    if histories := history_networks(model):
+        return validate_history(histories, dataset, role, recipe, name)
+    return validate_actuator(static_networks(model), dataset, role, recipe, name)
 
 
 def validate_actuator(
@@ -146,9 +152,10 @@ class _Map:
     number: int = 0
 
 
-def _output_report(dataset: Dataset, rows: Rows, kind: Kind, item: _Map) -> OutputReport:
+def _output_report(dataset: Dataset, rows: Rows, kind: Kind, item: _Map, along: Array | None = None) -> OutputReport:
+    """``along``: what a network with a memory said at ``rows``; its map is what it says without one."""
     inputs, truth, output = rows.values[:, list(item.sources)], rows.values[:, item.target], rows.signals[item.target]
-    unit, predicted = _unit(dataset, output), item.predict(inputs)
+    unit, predicted = _unit(dataset, output), item.predict(inputs) if along is None else along
     errors = predicted - truth
     profiles, maps = _where(dataset, rows, errors, item.sources, kind)
     shown = np.linspace(0, len(rows) - 1, min(len(rows), TRACE_ROWS)).round().astype(np.int64)
@@ -227,13 +234,11 @@ def _coverage(rows: Rows, inputs: Array, truth: Array, predicted: Array, item: _
     spread = np.zeros((len(rows), len(trust.intervals.floor)))
     if item.spread is not None:
         spread[:, item.number] = item.spread(inputs)
-    try:
-        reach = trust.intervals.reach(spread, LEVEL)[:, item.number]
-    except InputError:  # too few rows to select on for this level
-        return None
+    level = min(LEVEL, trust.intervals.most_level)
+    reach = trust.intervals.reach(spread, level)[:, item.number]
     names = [rows.signals[source] for source in item.sources]
     inside = trust.domain.inside(inputs)
-    return coverage_of(truth, (predicted - reach, predicted + reach), inside, inputs, names, FALSE_FLAGS)
+    return coverage_of(truth, (predicted - reach, predicted + reach), inside, inputs, names, FALSE_FLAGS, level)
 
 
 def _noise_floor(dataset: Dataset, rows: Rows, item: _Map) -> float | None:

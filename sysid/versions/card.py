@@ -10,9 +10,10 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from typing import Any
 
-from sysid.networks import ForwardNetwork, Model, StructuredForward
+from sysid.networks import ForwardNetwork, Model, StructuredForward, history_networks, motion_networks, static_networks
+from sysid.networks.policy import PolicyNetwork
 from sysid.networks.trust import FALSE_FLAGS
-from sysid.registry import Decision, ModelVersion
+from sysid.registry import NETWORKS, Decision, ModelVersion
 from sysid.validate import ErrorMap, OutputReport, ValidationReport
 from sysid.versions.lineage import ModelLineage
 from sysid.versions.outputs import output_maps, shown
@@ -22,11 +23,16 @@ from sysid.versions.policy import ROWS
 MAPS_SHOWN = 2
 #: A region with fewer rows says nothing about how often intervals hold in it.
 REGION_ROWS = 20
+#: What `sysid models export` writes: networks without a memory.
+EXPORTED = ("actuator", "motion", "forward")
 WHAT = {
     "actuator": "Actuator networks: cylinder displacement to joint angle and back, one perceptron a direction and axis.",
+    "history": "Actuator networks with history: cylinder displacement to joint angle and back along a motion; a static "
+    "perceptron and a memory a direction and axis.",
+    "motion": "Command to motion: the history of command and speed, and the position, to the next speed of an axis.",
     "forward": "Forward model: joint values to the position of the end effector in the machine's base frame.",
     "plant": "Plant: the simulation of a machine, commands to motion, with named effects.",
-    "policy": "Policy: what a controller does in a state.",
+    "policy": "Policy: joints, end effector and target to joint setpoints, trained on a plant.",
 }
 #: How its layers bend.
 CORNERS = {"relu": "", "smooth": ", with smooth rectifiers"}
@@ -72,28 +78,36 @@ class Card:
 
 
 def card_of(
-    version: ModelVersion, lineage: ModelLineage, model: Model | None = None, report: ValidationReport | None = None
+    version: ModelVersion,
+    lineage: ModelLineage,
+    model: Model | None = None,
+    report: ValidationReport | None = None,
+    policy: PolicyNetwork | None = None,
 ) -> Card:
     """The card of a version.
 
     Args:
         model: the network in it; None for plants and policies.
         report: of it on the held-out rows of the dataset that it was fitted on; None where that cannot be had.
+        policy: the policy in it, if it is one.
     """
     aliases = f" ({', '.join(version.aliases)})" if version.aliases else ""
     made = f"{datetime.fromtimestamp(version.created_ms / 1e3, UTC):%Y-%m-%d %H:%M} UTC"
-    blocks = [Block("What it is", tuple(_what(version, model)))]
+    blocks = [Block("What it is", tuple(_what_policy(version, policy) if policy is not None else _what(version, model)))]
     if report is not None:
         blocks += [_figures(report), *_baselines(report), *_where(report), *_trust(report)]
     elif version.metrics:
         rows = tuple((name, f"{value:.4g}") for name, value in version.metrics.items())
-        text = ("As they were stored with it, in SI units; its dataset cannot be asked again.",)
+        again = "the actor alone, from random poses to random targets (reach), then staying there (hold)"
+        text = (f"As they were stored with it, in SI units; {again if policy else 'its dataset cannot be asked again'}.",)
         blocks.append(Block("Figures", text, ("figure", "value"), rows))
     if version.kind == "plant":
         blocks += _effects(version.lineage)
     if model is not None:
         blocks.append(_ranges(model))
-    blocks.append(Block("Limits", tuple(_limits(model, report))))
+    if policy is not None:
+        blocks.append(_policy_ranges(policy))
+    blocks.append(Block("Limits", tuple(_policy_limits(policy) if policy is not None else _limits(model, report))))
     blocks.append(_lineage(lineage))
     if version.decisions:
         blocks.append(
@@ -135,9 +149,57 @@ def _what(version: ModelVersion, model: Model | None) -> Iterator[str]:
         size = "-".join(map(str, model.members[0].hidden))
         many = f"the mean of {len(model.members)} perceptrons" if len(model.members) > 1 else "one perceptron"
         yield f"It is {many} ({size}) of {FEATURES[model.features]}{CORNERS[model.members[0].rectifier]}."
+    elif motions := motion_networks(model) if model is not None else {}:
+        for axis, network in motions.items():
+            seconds, size = network.window.depth * network.window.step, "-".join(map(str, network.members[0].hidden))
+            many = f"the mean of {len(network.members)} perceptrons" if len(network.members) > 1 else "one perceptron"
+            past = "and past speeds" if len(network.window.edges) > 1 else "alone"
+            yield (
+                f"{axis}: {many} ({size}), steps of {network.window.step:g} s, {seconds:g} s of commands {past}. "
+                "Its inputs are those with the better free runs on the recordings to select."
+            )
     elif model is not None:
-        sizes = (f"{axis} {'-'.join(map(str, network.to_joint.hidden))}" for axis, network in model.items())
+        for axis, item in history_networks(model).items():
+            memories = (item.to_joint, item.to_cylinder)
+            quiet = [way for way, memory in zip(("joint", "cylinder"), memories, strict=True) if memory.silent]
+            said = f"; silent towards {' and '.join(quiet)}, where it did not help" if quiet else ""
+            yield f"{axis}: a memory of {memories[0].units} units that looks every {memories[0].interval:g} s{said}."
+        sizes = (f"{axis} {'-'.join(map(str, network.to_joint.hidden))}" for axis, network in static_networks(model).items())
         yield f"Hidden layers: {', '.join(sizes)}."
+
+
+def _what_policy(version: ModelVersion, policy: PolicyNetwork) -> Iterator[str]:
+    yield WHAT["policy"]
+    size = "-".join(map(str, policy.mlp.hidden))
+    yield f"It is a perceptron ({size}) whose tanh is stretched over the limits of the setpoints."
+    recipe = version.lineage.get("recipe", {})
+    exploration, learning = recipe.get("exploration", {}), recipe.get("learning", {})
+    candidates = exploration.get("candidates", 1)
+    how = f"the best of {candidates} candidates by the forward model" if candidates > 1 else "one noisy action a step"
+    yield (
+        f"DDPG, {learning.get('episodes')} episodes, γ {learning.get('discount')}, batch {learning.get('batch')}, "
+        f"explored with {how}; seed {recipe.get('seed')}."
+    )
+
+
+def _policy_ranges(policy: PolicyNetwork) -> Block:
+    middle, half = policy.mlp.inputs.mean, policy.mlp.inputs.scale
+    rows = [
+        ("seen", name, f"{low:.4g}", f"{high:.4g}")
+        for name, low, high in zip(policy.inputs, middle - half, middle + half, strict=True)
+    ]
+    rows += [
+        ("setpoint", name, f"{low:.4g}", f"{high:.4g}")
+        for name, low, high in zip(policy.outputs, policy.low, policy.high, strict=True)
+    ]
+    return Block("Ranges", ("In rad, m and their rates.",), ("", "signal", "from", "to"), tuple(rows))
+
+
+def _policy_limits(policy: PolicyNetwork) -> Iterator[str]:
+    yield "Setpoints stay within their limits whatever is observed; whether they are good beyond the ranges seen is not known."
+    if not policy.full:
+        yield "It was trained where joints follow at once and nothing sways: delay, lag and sway of the machine come on top."
+    yield "Bounded least-squares inverse kinematics on the calibrated geometry is the baseline: `sysid track` shows both."
 
 
 def _figures(report: ValidationReport) -> Block:
@@ -242,6 +304,12 @@ def _limits(model: Model | None, report: ValidationReport | None) -> Iterator[st
             if len(model.members) > 1
             else "A single member has no scatter: its intervals are as wide everywhere."
         )
+    elif model is not None and motion_networks(model):
+        yield "A free run stays within the speeds and positions that it learned from; at a new load or speed it guesses."
+        yield "It has no parameters that mean anything: `sysid gap` names what a simulation lacks."
+    elif model is not None and history_networks(model):
+        yield "It needs the motion that led to a position; after a gap it begins anew, knowing nothing."
+        yield "Beyond its ranges its static part goes on in straight lines, and its memory adds no more than it learned."
     elif model is not None:
         yield "It is a static map: what depends on direction or speed (backlash, hysteresis) is averaged."
         yield "Beyond its ranges it goes on in straight lines."
@@ -293,18 +361,23 @@ def _effects(lineage: Mapping[str, Any]) -> list[Block]:
 
 def _loading(version: ModelVersion) -> Iterator[str]:
     yield f"`name@version` never changes; `{version.name}` alone means the champion, or the newest where none was promoted."
-    if version.kind in ("actuator", "forward"):
+    if version.kind in (*EXPORTED, "policy"):
         yield f"Without Python: `sysid models export {version.reference}` writes ONNX files."
 
 
 def _code(version: ModelVersion) -> str:
     call = (
         f'network("{version.reference}")'
-        if version.kind in ("actuator", "forward")
+        if version.kind in NETWORKS
+        else f'policy("{version.reference}")'
+        if version.kind == "policy"
         else f'models.load("{version.reference}").files'
     )
     use = {
         "forward": "model.predict(q)  # (n, n_axes) [rad or m] → (n, 3) [m]",
+        "policy": "model.act(observations)  # (n, n_observed) → (n, n_axes) [rad or m]",
+        "history": "model[axis].joint_along(displacement, rate_hz)  # (n,) → (n,); .joint_stream(rate_hz).step(value)",
+        "motion": "model[axis].free_run(recording)  # (n,); .stream(position).step(command) moves it step by step",
         "actuator": "model[axis].joint(displacement)  # [m] → [rad]; .displacement(joint) goes back",
     }.get(version.kind, "")
     lines = ["from sysid.workspace import open_workspace", "", f'model = open_workspace("./workspace").{call}', use]

@@ -14,8 +14,8 @@ from sysid.datasets.versions.diff import Change, Names
 from sysid.errors import StoreError
 from sysid.files import plain
 from sysid.networks import Calibration, Model, StructuredForward, from_files
-from sysid.registry import ModelVersion
-from sysid.versions.outputs import OutputMap, output_maps, points_between
+from sysid.registry import NETWORKS, ModelVersion
+from sysid.versions.outputs import OutputMap, output_maps, points_between, trial_between
 
 Array = npt.NDArray[np.float64]
 
@@ -41,7 +41,7 @@ class PredictionChange:
     """How far two versions' predictions of one output differ over the range that both were fitted on.
 
     Args:
-        largest, rms: of the difference, in ``unit``; NaN where the ranges do not meet.
+        largest, rms: of the difference, in ``unit``; NaN where the ranges do not meet, or the steps in time are not the same.
         at: input signal → its value [SI] where the difference is largest.
         points: at which they were compared.
     """
@@ -106,7 +106,7 @@ def diff_versions(before: ModelVersion, after: ModelVersion) -> ModelDiff:
         raise StoreError(f"model {after.reference}", f"is of kind {after.kind!r}", f"{before.kind!r}, as {before.reference}")
     recipes = [dict(version.lineage.get("recipe") or {}) for version in (before, after)]
     others = [{key: value for key, value in version.lineage.items() if key != "recipe"} for version in (before, after)]
-    models = [from_files(v.files, v.reference) for v in (before, after)] if before.kind in ("actuator", "forward") else []
+    models = [from_files(v.files, v.reference) for v in (before, after)] if before.kind in NETWORKS else []
     maps = [{answer.key: answer for answer in output_maps(model)} for model in models] or [{}, {}]
     return ModelDiff(
         before=before.reference,
@@ -165,9 +165,9 @@ def _geometry(before: Model, after: Model) -> tuple[GeometryChange, ...]:
 
 def _predicted(before: OutputMap, after: OutputMap) -> PredictionChange:
     low, high = np.maximum(before.low, after.low), np.minimum(before.high, after.high)
-    if np.any(low > high):
+    if np.any(low > high) or before.rate_hz != after.rate_hz:
         return PredictionChange(before.output, before.unit, math.nan, math.nan, {}, 0)
-    points = points_between(low, high)
+    points = trial_between(low, high) if before.run is not None else points_between(low, high)
     difference = after.predict(points) - before.predict(points)
     worst = int(np.argmax(np.abs(difference)))
     return PredictionChange(

@@ -141,14 +141,14 @@ def drift_of(model: Model, own: Dataset, new: Dataset, name: str = "", seed: int
         kinds: tuple[Kind, ...] = ("motion", "poses")
         for kind in kinds:
             parts = [Segment(r, 0, len(r)) for r in fresh if r.kind == kind and _measured(r, signals)]
-            if not parts:
+            if not parts or (answer.run is not None and kind == "poses"):
                 continue
             rows = gather(parts, signals)
             used += [part.recording.name for part in parts]
             inside = _inside(answer, rows)
             for column, signal in enumerate(answer.inputs):
                 inputs.setdefault((signal, kind), _input(answer, column, rows, kind))
-            outputs.append(_output(answer, kind, rows, inside, own, seed))
+            outputs.append(_output(answer, kind, rows, inside, new, own, seed))
     if not outputs:
         found = f"none of its {len(new.recordings)} recordings is new to it and measures what it predicts"
         known_text = f" ({', '.join(known)} known)" if known else ""
@@ -158,8 +158,9 @@ def drift_of(model: Model, own: Dataset, new: Dataset, name: str = "", seed: int
     return Drift(name, own.reference, new.reference, recordings, known, tuple(inputs.values()), _corrected(outputs))
 
 
-def _output(answer: OutputMap, kind: Kind, rows: Rows, inside: Mask, own: Dataset, seed: int) -> OutputDrift:
-    new = _squares(answer, rows)[inside]
+def _output(answer: OutputMap, kind: Kind, rows: Rows, inside: Mask, fresh: Dataset, own: Dataset, seed: int) -> OutputDrift:
+    squares = _squares(answer, rows, fresh)
+    new = squares[inside & np.isfinite(squares)]
     before, worst = _before(answer, kind, own)
     counts = (int(inside.sum()), int((~inside).sum()))
     if min(len(new), len(before)) < MIN_ROWS:
@@ -208,14 +209,23 @@ def _before(answer: OutputMap, kind: Kind, own: Dataset) -> tuple[Array, float]:
     for recording in own.of_kind(kind):
         if _measured(recording, signals):
             rows = gather([Segment(recording, 0, len(recording))], signals)
-            errors = _squares(answer, rows)[_inside(answer, rows)]
+            errors = _squares(answer, rows, own)[_inside(answer, rows)]
+            errors = errors[np.isfinite(errors)]
             found += [float(np.sqrt(errors.mean()))] if len(errors) >= MIN_ROWS else []
     rows = gather(segments(own, "held_out", signals, kind), signals)
-    return _squares(answer, rows)[_inside(answer, rows)], max(found, default=math.nan)
+    squares = _squares(answer, rows, own)[_inside(answer, rows)]
+    return squares[np.isfinite(squares)], max(found, default=math.nan)
 
 
-def _squares(answer: OutputMap, rows: Rows) -> Array:
-    return np.asarray((answer.predict(rows.values[:, :-1]) - rows.values[:, -1]) ** 2)
+def _squares(answer: OutputMap, rows: Rows, dataset: Dataset) -> Array:
+    """Squared errors, (n,); NaN where an answer that depends on what came before has none."""
+    if answer.run is None:
+        return np.asarray((answer.predict(rows.values[:, :-1]) - rows.values[:, -1]) ** 2)
+    said = np.full(len(rows), np.nan)
+    for name in np.unique(rows.recording):
+        mine = rows.recording == name
+        said[mine] = answer.run(dataset.recording(str(name)))[rows.row[mine]]
+    return np.asarray((said - rows.values[:, -1]) ** 2)
 
 
 def _inside(answer: OutputMap, rows: Rows) -> Mask:

@@ -15,8 +15,9 @@ import numpy.typing as npt
 
 from sysid.errors import SettingsError, StorageError, StoreError
 from sysid.files import json_text
-from sysid.networks import ForwardNetwork, Model, StructuredForward
+from sysid.networks import ForwardNetwork, Model, StructuredForward, history_networks, motion_networks, static_networks
 from sysid.networks.actuator import DIRECTIONS
+from sysid.networks.policy import PolicyNetwork
 from sysid.signals import axis_signal, point_signals
 from sysid.versions.onnx_graph import IR_VERSION, OPSET, Graph
 
@@ -67,9 +68,13 @@ class _Part:
 
 
 def export_onnx(
-    model: Model, folder: Path, about: Mapping[str, str] | None = None, precision: Precision = "float32", seed: int = 0
+    model: Model | PolicyNetwork,
+    folder: Path,
+    about: Mapping[str, str] | None = None,
+    precision: Precision = "float32",
+    seed: int = 0,
 ) -> tuple[Exported, ...]:
-    """Write a network as ONNX files into ``folder``, all or none: ``forward.onnx``, or ``boom.to_joint.onnx`` and so on.
+    """Write a network as ONNX files into ``folder``, all or none: ``forward.onnx``, ``policy.onnx``, ``boom.to_joint.onnx`` …
 
     Every file is run by ONNX Runtime on random inputs inside and beyond the fitted range; where it does not predict what the
     network does, within rounding, nothing is written.
@@ -79,7 +84,7 @@ def export_onnx(
         about: put into the files as metadata (``reference``, ``digest``).
 
     Raises:
-        SettingsError: onnx or onnxruntime are not installed; the folder holds something else.
+        SettingsError: onnx or onnxruntime are not installed; the folder holds something else; a network with history.
         StoreError: a file does not predict the same.
         StorageError: the disk is full, or may not be written.
     """
@@ -109,7 +114,11 @@ def _runtime() -> Any:
     return onnxruntime
 
 
-def _parts(model: Model) -> tuple[_Part, ...]:
+def _parts(model: Model | PolicyNetwork) -> tuple[_Part, ...]:
+    if isinstance(model, PolicyNetwork):
+        ranges = model.mlp.inputs
+        low, high = ranges.mean - ranges.scale, ranges.mean + ranges.scale
+        return (_Part("policy", model.inputs, model.outputs, low, high, lambda graph, s: graph.policy(model, s), model.act),)
     if isinstance(model, ForwardNetwork | StructuredForward):
         outputs = point_signals("ee")
 
@@ -118,7 +127,25 @@ def _parts(model: Model) -> tuple[_Part, ...]:
 
         return (_Part("forward", model.joints, outputs, model.low, model.high, put, model.predict),)
     found = []
-    for axis, network in model.items():
+    for axis, motion in motion_networks(model).items():
+        names = motion.window.names(motion.command, motion.driven)
+        inputs = motion.members[0].inputs
+        found.append(
+            _Part(
+                f"{axis}.motion",
+                names,
+                (f"speed of {motion.driven}",),
+                inputs.mean - 2.0 * inputs.scale,
+                inputs.mean + 2.0 * inputs.scale,
+                lambda graph, value, motion=motion: graph.mean([graph.mlp(mlp, value) for mlp in motion.members]),  # type: ignore[misc]
+                lambda values, motion=motion: motion.speed(values)[:, None],  # type: ignore[misc]
+            )
+        )
+    if history_networks(model):
+        expected = "networks that answer row by row"
+        remedy = "Export actuator networks without history, or step it in Python."
+        raise SettingsError("sysid models export", "actuator networks with history, which remember", expected, remedy)
+    for axis, network in static_networks(model).items():
         signals = (axis_signal(axis, "cylinder"), axis_signal(axis, "joint"))
         ends = (network.displacements, network.joints)
         for direction, source in zip(DIRECTIONS, (0, 1), strict=True):

@@ -15,6 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sysid.networks import Calibration, Chain, ForwardNetwork, Mlp, StructuredForward
+from sysid.networks.policy import PolicyNetwork
 
 Array = npt.NDArray[np.float64]
 
@@ -67,6 +68,13 @@ class Graph:
         """The smooth rectifier (:data:`sysid.networks.mlp.Rectifier`)."""
         root = self.add("Sqrt", self.add("Add", self.add("Mul", x, x), self.constant([4.0])))
         return self.add("Sub", self.add("Mul", self.add("Add", x, root), self.constant([0.5])), self.constant([1.0]))
+
+    def policy(self, model: PolicyNetwork, value: str) -> str:
+        """Observations (n, O) → setpoints (n, A) within their limits."""
+        shares = self.add("Tanh", self.mlp(model.mlp, value))
+        half, centre = 0.5 * (model.high - model.low), 0.5 * (model.high + model.low)
+        setpoints = self.add("Add", self.add("Mul", shares, self.constant(half)), self.constant(centre))
+        return self.add("Min", self.add("Max", setpoints, self.constant(model.low)), self.constant(model.high))
 
     def mean(self, values: Sequence[str]) -> str:
         """The mean of members; not the operator of that name, which ONNX Runtime has for float32 alone."""

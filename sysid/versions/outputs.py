@@ -8,13 +8,25 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from sysid.networks import ForwardNetwork, Model, StructuredForward
+from sysid.datasets.recording import Recording
+from sysid.networks import (
+    ForwardNetwork,
+    HistoryNetwork,
+    Model,
+    MotionNetwork,
+    StructuredForward,
+    history_networks,
+    motion_networks,
+    static_networks,
+)
 from sysid.signals import axis_signal, point_signals
 
 Array = npt.NDArray[np.float64]
 
 #: Points at which two networks are compared: along a line, and in more dimensions than one.
 LINE_POINTS, CLOUD_POINTS = 1001, 4096
+#: How far ahead command → motion is judged where it is judged row by row [s].
+AHEAD = 1.0
 
 
 @dataclass(frozen=True)
@@ -26,6 +38,8 @@ class OutputMap:
         inputs, units: the signals that it is predicted from, and their SI units.
         low, high: range of each input in the rows that the network was fitted on, (d,).
         predict: inputs (n, d) → output (n,).
+        run: where the answer depends on what came before: a recording → output on its rows (n,), NaN where there is none.
+        rate_hz: at which rows of ``predict`` then follow one another.
     """
 
     output: str
@@ -35,6 +49,8 @@ class OutputMap:
     low: Array
     high: Array
     predict: Callable[[Array], Array]
+    run: Callable[[Recording], Array] | None = None
+    rate_hz: float = 0.0
 
     @property
     def key(self) -> tuple[str, tuple[str, ...]]:
@@ -43,7 +59,10 @@ class OutputMap:
 
 
 def output_maps(model: Model) -> tuple[OutputMap, ...]:
-    """Both directions of every axis, or the three coordinates of the end effector."""
+    """Both directions of every axis, its motion, or the three coordinates of the end effector."""
+    if motions := motion_networks(model):
+        return tuple(_motion(network) for network in motions.values())
+    histories = history_networks(model)
     if isinstance(model, ForwardNetwork | StructuredForward):
         units = tuple("rad" if angle else "m" for angle in model.revolute)
         return tuple(
@@ -59,7 +78,10 @@ def output_maps(model: Model) -> tuple[OutputMap, ...]:
             for number, output in enumerate(point_signals("ee"))
         )
     found = []
-    for axis, network in model.items():
+    for axis, network in static_networks(model).items():
+        if axis in histories:
+            found += _with_history(histories[axis])
+            continue
         cylinder, joint = axis_signal(axis, "cylinder"), axis_signal(axis, "joint")
         for output, source, unit, source_unit, ends, predict in (
             (joint, cylinder, "rad", "m", network.displacements, network.joint),
@@ -78,6 +100,59 @@ def output_maps(model: Model) -> tuple[OutputMap, ...]:
                 )
             )
     return tuple(found)
+
+
+def _with_history(network: HistoryNetwork) -> list[OutputMap]:
+    """Both directions along a motion; the trial is sampled as the memory looks."""
+    cylinder, joint = axis_signal(network.axis, "cylinder"), axis_signal(network.axis, "joint")
+    found = []
+    for output, source, units, ends, along, memory in (
+        (joint, cylinder, ("rad", "m"), network.static.displacements, network.joint_along, network.to_joint),
+        (cylinder, joint, ("m", "rad"), network.static.joints, network.displacement_along, network.to_cylinder),
+    ):
+        rate = 1.0 / memory.interval
+        found.append(
+            OutputMap(
+                output,
+                units[0],
+                (source,),
+                (units[1],),
+                np.array([ends[0]]),
+                np.array([ends[1]]),
+                lambda values, along=along, rate=rate: along(values[:, 0], rate),  # type: ignore[misc]
+                lambda recording, along=along, source=source: along(recording.values(source), recording.rate_hz),  # type: ignore[misc]
+                rate,
+            )
+        )
+    return found
+
+
+def _motion(network: MotionNetwork) -> OutputMap:
+    """The position that a command leads to: :data:`AHEAD` seconds ahead on a recording, from rest in the middle on a trial."""
+
+    def predict(values: Array) -> Array:
+        middle = values[0, 0] if network.window.follows else 0.5 * sum(network.bounds.positions)
+        stream = network.stream(float(middle))
+        return np.array([stream.step(float(value)) for value in values[:, 0]])
+
+    low, high = network.commands
+    return OutputMap(
+        network.driven,
+        network.unit,
+        (network.command,),
+        (network.unit if network.window.follows else "1",),
+        np.array([low]),
+        np.array([high]),
+        predict,
+        lambda recording: network.ahead(recording, AHEAD),
+        1.0 / network.window.step,
+    )
+
+
+def trial_between(low: Array, high: Array) -> Array:
+    """A motion there and back through a range, faster each time, (n, 1)."""
+    turns = 6.0 * np.linspace(0.0, 1.0, LINE_POINTS) ** 2
+    return np.asarray(low + (high - low) * (0.5 + 0.5 * np.sin(2.0 * np.pi * turns))[:, None])
 
 
 def points_between(low: Array, high: Array, seed: int = 0) -> Array:

@@ -16,6 +16,7 @@ from typing import Any, Literal, get_args
 
 from sysid.config import STRICT, load_settings
 from sysid.errors import InputError, SettingsError, nearest
+from sysid.registry import NETWORKS
 from sysid.registry.promotion import Check
 from sysid.units import si_factor
 from sysid.validate import OutputReport, ValidationReport
@@ -75,9 +76,12 @@ class Policy:
     schema: Literal[1] = 1
     actuator: KindPolicy = KindPolicy()
     forward: KindPolicy = KindPolicy()
+    history: KindPolicy = KindPolicy()
+    motion: KindPolicy = KindPolicy()
 
     def of(self, kind: str) -> KindPolicy:
-        return self.actuator if kind == "actuator" else self.forward
+        found: KindPolicy = getattr(self, kind)
+        return found
 
     def to_json(self) -> dict[str, Any]:
         """For the record of a decision."""
@@ -93,7 +97,7 @@ def load_policy(path: Path | None = None) -> Policy:
     if path is None:
         return Policy()
     policy = load_settings(path, Policy)
-    for kind in ("actuator", "forward"):
+    for kind in NETWORKS:
         part = policy.of(kind)
         if not (math.isfinite(part.margin) and part.margin >= 0.0):
             raise SettingsError(f"{path}: {kind}.margin", str(part.margin), "a share from 0 on, as in 0.05")

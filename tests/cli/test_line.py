@@ -13,6 +13,7 @@ from sample_crane import commands
 
 from sysid.cli import main
 from sysid.machine import Linkage, TriangleLinkage
+from sysid.workspace import open_workspace
 
 MACHINE = """
 schema = 1
@@ -144,6 +145,35 @@ def test_validate_repeats_the_report_of_the_fit(answered: Path) -> None:
     assert [entry["metrics"] for entry in again["outputs"]] == [entry["metrics"] for entry in fitted["validation"]["outputs"]]
 
 
+def test_motion_and_history_are_fitted_judged_and_kept(site: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """In a workspace of their own: a plant takes the static part of actuators with history as its linkage."""
+    ws, recipe = tmp_path / "ws", tmp_path / "recipe.toml"
+    history = "[actuator.history]\ninterval = 0.1\nunits = 2\nepochs = 2\ncheck_every = 1\n"
+    motion = "[motion]\nmembers = 1\nsamples = 500\nhorizons = [0.5]\n[motion.training]\nlearning_rate = 5e-3\nepochs = 10\n"
+    recipe.write_text(RECIPE.replace("[actuator]", '[actuator]\nmodel = "history"') + history + motion)
+    assert run("--workspace", ws, "ingest", site / "logs", "--machine", site / "machine.toml") == 0
+    for kind in ("motion", "actuator"):
+        assert run("--workspace", ws, "fit", kind, "lift", "--recipe", recipe, "--json", tmp_path / f"{kind}.json") == 0
+    text = capsys.readouterr().out
+    assert "boom.cylinder after 500 ms" in text
+    assert "by direction of the input" in text
+    moved, along = (json.loads((tmp_path / f"{kind}.json").read_text()) for kind in ("motion", "actuator"))
+    assert (moved["model"], along["model"]) == ("lift-motion@1", "lift-history@1")
+    assert "nominal simulation" in moved["validation"]["outputs"][0]["baselines"]
+    assert "static network" in along["validation"]["outputs"][0]["baselines"]
+    assert run("--workspace", ws, "validate", "lift-motion@1", "lift", "--json", tmp_path / "v.json") == 0
+    again = json.loads((tmp_path / "v.json").read_text())
+    assert again["outputs"][0]["metrics"] == moved["validation"]["outputs"][0]["metrics"]
+    place = open_workspace(ws)
+    data = place.dataset("lift")
+    plant = place.plant(data)
+    assert plant.origin["networks"] == "lift-history@1"
+    assert "boom" in plant.linkages
+    assert {report.kind for report in place.report_inputs(data).validations} == {"history", "motion"}
+    assert run("--workspace", ws, "models", "promote", "lift-motion@1") == 0
+    assert run("--workspace", ws, "models", "card", "lift-history@1") == 0
+
+
 def test_models_shows_what_was_made_from_what(answered: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert run("--workspace", answered / "ws", "models", "--json", answered / "m.json") == 0
     listed = {f"{m['name']}@{m['version']}": m["lineage"] for m in json.loads((answered / "m.json").read_text())["models"]}
@@ -187,7 +217,7 @@ def test_repaired_plant_leaves_no_gap(answered: Path) -> None:
     [
         (("gap", "lift", "--plant", "lift-actuator@1"), "is of kind 'actuator'; expected a plant"),
         (("gap", "lift", "--plant", "lfit"), "'lift'"),
-        (("validate", "lift@1", "lift"), "expected an actuator or forward network"),
+        (("validate", "lift@1", "lift"), "expected a network"),
         (("view", "lift", "--recording", "run-9"), "no recording 'run-9'"),
         (("fit", "forward", "lift"), "ee"),
     ],

@@ -16,14 +16,15 @@ PACKAGE = ROOT / "sysid"
 #: From the ground floor up. A part may import itself and what stands on a lower floor, never a neighbour or a higher one.
 FLOORS: tuple[tuple[str, ...], ...] = (
     ("errors",),
-    ("units", "config", "signals", "progress", "files"),
+    ("units", "config", "signals", "progress", "files", "compiled"),
     ("logs", "machine"),
     ("datasets",),
     ("networks", "effects"),
     ("plant",),
-    ("registry", "validate", "testing", "world"),
+    ("registry", "validate", "testing", "world", "control"),
     ("gap", "versions"),
     ("reports", "view"),
+    ("rl",),
     ("workspace",),
     ("model_versions",),
     ("cli",),
@@ -45,6 +46,7 @@ HEAVY = (
     "deltalake",
     "pint",
     "pyarrow",
+    "gymnasium",
 )
 
 

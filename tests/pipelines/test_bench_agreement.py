@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from types import ModuleType
@@ -78,12 +79,14 @@ def test_two_rows_computed_again(module: ModuleType, committed: list[dict[str, A
 
 
 def test_sizes_have_the_unit_that_suits(module: ModuleType) -> None:
-    sizes = [module.size(value, "m") for value in (0.22, 0.0041, 2.5e-5, 1e-9)]
+    page = sys.modules["agreement.page"]
+    sizes = [page.size(value, "m") for value in (0.22, 0.0041, 2.5e-5, 1e-9)]
     assert sizes == ["0.22 m", "4.1 mm", "25 µm", "< 0.1 µm"]
 
 
 def test_a_setting_is_put_into_nested_tables_and_lists(module: ModuleType) -> None:
+    machines = sys.modules["agreement.machines"]
     tables = {"axes": [{"name": "a", "delay": 0.0}, {"name": "b"}], "oil": {"end": 1.0}}
-    changed = module.with_value(module.with_value(tables, ["axes", "0", "delay"], 0.5), ["oil", "end"], None)
+    changed = machines.with_value(machines.with_value(tables, ["axes", "0", "delay"], 0.5), ["oil", "end"], None)
     assert changed == {"axes": [{"name": "a", "delay": 0.5}, {"name": "b"}], "oil": {}}
     assert tables["oil"] == {"end": 1.0}

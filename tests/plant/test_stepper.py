@@ -245,6 +245,26 @@ def test_some_lanes_are_reset_while_the_others_go_on() -> None:
     np.testing.assert_array_equal(moved.tool[[0, 2]], expected.tool[[0, 2]])
 
 
+@pytest.mark.parametrize("name", MACHINES)
+def test_a_restored_stepper_goes_on_to_the_last_bit(name: str) -> None:
+    plant = everything_of(MACHINES[name])
+    axes = len(plant.machine.axes)
+    one, other = Stepper(plant, RATE_HZ, 2), Stepper(plant, RATE_HZ, 2)
+    rng = np.random.default_rng(0)
+    commands = rng.uniform(-0.4, 0.4, (30, 2, axes))
+    one.reset(0.1 * np.arange(axes))
+    for command in commands[:20]:
+        state = one.step(command)
+    kept = one.state()
+    for again, expected in zip(vars(other.restore(kept)).values(), vars(state).values(), strict=True):
+        np.testing.assert_array_equal(again, expected)
+    for command in commands[20:]:
+        for a, b in zip(vars(one.step(command)).values(), vars(other.step(command)).values(), strict=True):
+            np.testing.assert_array_equal(a, b)
+    with pytest.raises(SettingsError, match=r"a state with memory of shape \(2, .*expected \(3,"):
+        Stepper(plant, RATE_HZ, 3).restore(kept)
+
+
 def test_at_rest_nothing_moves_and_the_first_command_meets_the_dead_time() -> None:
     plant = nominal_plant(probe_machine(), None).with_effect(KnownEffect("input_delay", "slew", {"delay": 0.05}))
     stepper = Stepper(plant, RATE_HZ)

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sysid.reports.charts import Line, chart, ticks
+from sysid.reports.charts import Line, chart, heat_map, ticks
 from sysid.reports.clearance import Canvas
 
 
@@ -48,3 +48,17 @@ def test_a_mark_finds_the_free_side() -> None:
     assert np.abs(second - spot).max() >= 24.0, "the first mark has taken its place"
     assert canvas.room(spot, (12.0, 12.0)) < 0.0
     assert canvas.room(np.array([30.0, 190.0]), (12.0, 12.0)) == pytest.approx(-4.0), "beyond the edge"
+
+
+def test_a_heat_map_is_darkest_at_its_largest_cell_and_blank_where_nothing_is() -> None:
+    values = np.array([[1.0, 2.0], [4.0, np.nan]])
+    counts = np.array([[20, 30], [2, 0]])
+    edges = (np.array([0.0, 1.0, 2.0]), np.array([-1.0, 0.0, 1.0]))
+    text = heat_map(values, counts, edges, ("boom joint [°]", "speed [°/s]"), "mm")
+    cells = re.findall(r'<rect class="cell( few)?"[^>]*fill-opacity="([0-9.]+)"><title>([^<]*)</title>', text)
+    assert [told for _, _, told in cells] == ["1.00 mm, 20 rows", "2.00 mm, 30 rows", "4.00 mm, 2 rows"]
+    shades = [float(shade) for _, shade, _ in cells]
+    assert shades == sorted(shades)
+    assert shades[-1] == 1.0
+    assert [bool(few) for few, _, _ in cells] == [False, False, True]
+    assert 'aria-label="error over boom joint [°] and speed [°/s]"' in text

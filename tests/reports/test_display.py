@@ -9,6 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from sysid.reports.display import MINUS, decimals_for, fixed, interval, number, percent, quantity, ratio, shown_unit
+from sysid.reports.words import effect_sentence
 
 
 def plain(text: str) -> str:
@@ -68,3 +69,10 @@ def test_number_is_right_to_its_digits(value: float, digits: int) -> None:
 def test_units_that_are_shown_as_they_are() -> None:
     assert shown_unit("N·m") == (1.0, "N·m")
     assert shown_unit(None) == (1.0, "")
+
+
+def test_a_gain_beside_a_dead_band_is_told_as_the_slope_that_it_is() -> None:
+    alone = effect_sentence("gain_error", "stick", {"ratio": "9.21"})
+    beside = effect_sentence("gain_error", "stick", {"ratio": "9.21"}, {"gain_error", "valve_deadband"})
+    assert alone == "The stick moves at 9.21 times the speed that the simulation assumes."
+    assert beside == "Beyond its dead-band the stick answers 9.21 times as steeply as the simulation assumes."

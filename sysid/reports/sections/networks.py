@@ -12,9 +12,16 @@ from sysid.reports.figures import figure, packed
 from sysid.reports.inputs import ReportInputs
 from sysid.validate import OutputReport, ValidationReport
 
-TITLES = {"actuator": "Actuator networks", "forward": "Forward network"}
+TITLES = {
+    "actuator": "Actuator networks",
+    "history": "Actuator networks with history",
+    "motion": "Command to motion",
+    "forward": "Forward network",
+}
 ABOUT = {
     "actuator": "Cylinder displacement to joint angle and back, one network a direction.",
+    "history": "Cylinder displacement to joint angle and back along a motion, with a memory of where it came from.",
+    "motion": "Commands to motion, running freely: errors some seconds after each start, and over whole recordings.",
     "forward": "Joint values to the position of the boom tip.",
 }
 ROWS = {"motion": "in motion", "poses": "static poses"}

@@ -183,7 +183,7 @@ def _effect(number: int, effect: NamedEffect, gap: GapResult, machine: Machine) 
     if effect.aliases:
         others = ", ".join(f"{words.effect_title(name)} ({target})" for name, target in effect.aliases)
         quiet.append(f"Cannot be told from: {others}.")
-    sentence = words.effect_sentence(effect.name, effect.target, shown)
+    sentence = words.effect_sentence(effect.name, effect.target, shown, gap.names_on(effect.target))
     target = words.signal_name(effect.target) if "." in effect.target else words.owner_name(effect.target)
     return _card(number, words.effect_title(effect.name), target, sentence, quiet, sure=True)
 

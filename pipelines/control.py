@@ -1,0 +1,134 @@
+"""What each part of the cylinder controller is worth: `python pipelines/control.py` after `make demo`.
+
+Inverse kinematics follows the default helix through controllers of growing knowledge: proportional alone, as one tunes by hand,
+then with the inverse of the valve, speed feed-forward, the play, an integral, and a look-ahead; and tuned from the plant as it
+was before the gap was named. Writes `reports/control/result.json`, the table and the pictures of `docs/control.md`.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from committed import provenance, write_result, write_tables
+from sysid.control import AxisTuning, simple, tune
+from sysid.plant import plant_from_files
+from sysid.registry import Registry
+from sysid.rl.course import Course, lay_out
+from sysid.rl.environment import load_versions
+from sysid.rl.tracking import InversePolicy, Tracked, track, track_environment
+from sysid.testing.picture import Line, svg
+
+ROOT = Path(__file__).resolve().parents[1]
+COMMAND = "python pipelines/control.py"
+Tuning = tuple[AxisTuning, ...]
+
+
+def stages(course: Course, before: Tuning) -> list[tuple[str, Tuning, float]]:
+    """Name, tuning and look-ahead of each row, each with one thing more than the one above it."""
+    full, plain = course.tuning, simple(course.plant)
+    inverse = tuple(
+        replace(item, proportional=poor.proportional, integral=0.0, feed=0.0, play=0.0)
+        for item, poor in zip(full, plain, strict=True)
+    )
+    gains = tuple(replace(item, proportional=good.proportional) for item, good in zip(inverse, full, strict=True))
+    fed = tuple(replace(item, feed=1.0) for item in gains)
+    played = tuple(replace(item, play=good.play) for item, good in zip(fed, full, strict=True))
+    return [
+        ("proportional, 2/s, on the bare valve", plain, 0.0),
+        ("+ inverse of the valve", inverse, 0.0),
+        ("+ gain from the dead time", gains, 0.0),
+        ("+ speed fed forward", fed, 0.0),
+        ("+ way across the play", played, 0.0),
+        ("+ integral: the tuned controller", full, 0.0),
+        ("+ look-ahead by the dead time", full, course.dead_time),
+        ("tuned controller of the simulation before the gap was named", before, 0.0),
+    ]
+
+
+def follow(course: Course, name: str, tuning: Tuning, lookahead: float, noise: bool) -> Tracked:
+    settings = {"tuning": tuning, "preview": lookahead, "noise": noise}
+    place = track_environment(course.plant, course.forward, course.path, full=True, reach=course.reach, settings=settings)
+    return track(place, InversePolicy(course.inverse), course.path, course.start, lookahead=lookahead, name=name)
+
+
+def main(workspace: Path, plant: str, before: str, forward: str) -> None:
+    registry = Registry(workspace)
+    machine, model = load_versions(registry, plant, forward)
+    course = lay_out(machine, model, "helix", full=True)
+    old = registry.load(before)
+    rows, runs = [], {}
+    for name, tuning, lookahead in stages(course, tune(plant_from_files(old.files, old.reference))):
+        run = follow(course, name, tuning, lookahead, noise=True)
+        runs[name] = run
+        rows.append({**run.to_json(), "quiet": follow(course, name, tuning, lookahead, noise=False).to_json()})
+        print(f"{name:<62} {shown(rows[-1]['settled']['rmse_mm'])}")
+    names = list(runs)
+    pictures(course, runs[names[0]], runs[names[5]], runs[names[6]])
+    result = {
+        **provenance(COMMAND, 0),
+        "plant": machine.reference,
+        "before": old.reference,
+        "forward": registry.find(forward).reference,
+        "path": {"name": "helix", "begin": course.path.points[0].tolist(), "speed": course.path.speed},
+        "tuning": {
+            axis: {
+                "lead_s": t.lead,
+                "proportional": t.proportional,
+                "integral": t.integral,
+                "deadband": [t.positive, t.negative],
+            }
+            for axis, t in zip(machine.machine.axis_names, course.tuning, strict=True)
+        },
+        "rows": rows,
+    }
+    write_result(ROOT / "reports" / "control" / "result.json", result)
+    write_tables(ROOT / "docs" / "control.md", page(rows), "pipelines/control.py")
+
+
+def page(rows: Sequence[dict[str, Any]]) -> str:
+    lines = [
+        "| controller | RMSE x / y / z, mm | max x / y / z, mm | RMSE with perfect sensors |",
+        "| --- | --- | --- | --- |",
+    ]
+    for row in rows:
+        late, quiet = row["settled"], row["quiet"]["settled"]
+        lines.append(f"| {row['policy']} | {shown(late['rmse_mm'])} | {shown(late['max_mm'])} | {shown(quiet['rmse_mm'])} |")
+    return "\n".join(lines)
+
+
+def shown(values: Sequence[float]) -> str:
+    return " / ".join(f"{value:.2f}" if value < 10.0 else f"{value:.0f}" for value in values)
+
+
+def pictures(course: Course, poor: Tracked, tuned: Tracked, ahead: Tracked) -> None:
+    folder = ROOT / "docs" / "images"
+    colours = {"by hand": "#c2410c", "tuned": "#0f766e", "look-ahead": "#4338ca"}
+    runs = dict(zip(colours, (poor, tuned, ahead), strict=True))
+    target = Line("target", poor.target[:, 0], poor.target[:, 1], "#9ca3af", dashed=True)
+    lines = [target, *(Line(name, run.ee[:, 0], run.ee[:, 1], colours[name]) for name, run in list(runs.items())[:2])]
+    text = svg("helix from above, with a controller tuned by hand and from the plant", "x [m]", "y [m]", lines, equal=True)
+    (folder / "control-path.svg").write_text(text, "utf-8")
+    curves = [Line(n, run.time, 1e3 * np.linalg.norm(run.error, axis=1), colours[n]) for n, run in list(runs.items())[1:]]
+    text = svg("distance from the target over time", "time [s]", "distance [mm]", curves)
+    (folder / "control-error.svg").write_text(text, "utf-8")
+    boom = course.plant.machine.axis_names.index("boom") if "boom" in course.plant.machine.axis_names else 0
+    degrees = [Line("setpoint", tuned.time, np.degrees(tuned.actions[:, boom]), "#9ca3af", dashed=True)]
+    degrees += [Line(n, run.time, np.degrees(run.joints[:, boom]), colours[n]) for n, run in list(runs.items())[:2]]
+    text = svg("boom on the helix", "time [s]", "boom [°]", degrees)
+    (folder / "control-boom.svg").write_text(text, "utf-8")
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--workspace", type=Path, default=Path("workspace"))
+    parser.add_argument("--plant", default="autolog@2", help="the machine: the repaired plant that `make demo` registers")
+    parser.add_argument("--before", default="autolog@1", help="what the simulation was before its gap was named")
+    parser.add_argument("--forward", default="autolog-forward")
+    chosen = parser.parse_args()
+    main(chosen.workspace, chosen.plant, chosen.before, chosen.forward)

@@ -1,0 +1,211 @@
+"""What feedback, hindsight and the rest are worth: policies trained side by side, followed on one helix.
+
+.venv/bin/python pipelines/training.py [--tier small|full] [--workers N] [--workspace DIR]
+
+Needs the versions that `make demo` makes. It goes on where it was stopped. ``full`` takes some six hours of a core; its result
+goes to reports/training/, its tables into docs/ddpg.md, its curves into docs/images/training.svg. ``small`` is a look at
+whether everything runs, and stays in the workspace.
+"""
+
+from __future__ import annotations
+
+import argparse
+import statistics
+import sys
+from collections import defaultdict
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).resolve().parent))
+
+from committed import provenance, write_result, write_tables
+from sysid.files import json_text
+from sysid.reports.charts import WIDE, Line, chart
+from sysid.rl.seeds import side_by_side
+from training_peer import peer
+from training_runs import CANDIDATES, CHOICES, FORWARDS, PAPER, ROOT, baseline, one, runs, seconds_to
+
+RESULT, PAGE, PICTURE = ROOT / "reports" / "training" / "result.json", ROOT / "docs" / "ddpg.md", "docs/images/training.svg"
+#: Share of the episodes and seeds by part.
+TIERS: dict[str, tuple[float, dict[str, int]]] = {
+    "small": (0.02, {"policies": 1, "choices": 1, "candidates": 1, "peer": 1}),
+    "full": (1.0, {"policies": 5, "choices": 3, "candidates": 3, "peer": 3}),
+}
+#: SB3 gets so many times the processor time of a quick policy.
+PATIENCE = 10.0
+STYLE = (
+    "<style>text{font:12px sans-serif;fill:#666}.grid,.zero{stroke:#999;stroke-opacity:.35}path{fill:none;stroke-width:2}"
+    ".after{stroke:#0a7d78}.before{stroke:#c2491d}.spread{stroke:none;fill-opacity:.2}.spread.after{fill:#0a7d78}"
+    ".spread.before{fill:#c2491d}</style>"
+)
+
+
+def main(tier: str, workspace: Path, workers: int | None) -> Path:
+    """Train what is not there yet and write the result."""
+    share, seeds = TIERS[tier]
+    work = workspace / "training_study" / tier
+    work.mkdir(parents=True, exist_ok=True)
+    todo = list(runs(share, seeds))
+    found = _all(one, [(str(workspace), str(work), run) for run in todo], workers)
+    results: dict[tuple[str, str], list[dict[str, Any]]] = defaultdict(list)
+    for run, result in zip(todo, found, strict=True):
+        results[run.part, run.arm].append(result)
+    limit = PATIENCE * statistics.median(result["cpu_seconds"] for result in results["quick", "feedback"])
+    peers = _all(peer, [(str(workspace), str(work), seed, limit) for seed in range(seeds["peer"])], workers)
+    rows = baseline(str(workspace))[2]
+    head = provenance(f"pipelines/training.py --tier {tier}", 0, ("torch", "stable-baselines3"))
+    whole = head | {"baselines": rows, "runs": found, "stable_baselines3": peers}
+    text, picture = tables(results, peers, rows), curves(results)
+    if tier == "full":
+        write_result(RESULT, whole)
+        write_tables(PAGE, text, "pipelines/training.py")
+        (ROOT / PICTURE).write_text(picture, "utf-8")
+        return RESULT
+    (work / "result.json").write_text(json_text(whole), "utf-8")
+    (work / "tables.md").write_text(text + "\n", "utf-8")
+    (work / "curves.svg").write_text(picture, "utf-8")
+    return work / "result.json"
+
+
+def _all(work: Callable[..., dict[str, Any]], calls: Sequence[tuple[Any, ...]], workers: int | None) -> list[dict[str, Any]]:
+    last = [0.0]
+
+    def tell(share: float, text: str) -> None:
+        if share - last[0] >= 0.01:
+            last[0] = share
+            print(f"{100.0 * share:4.0f} %  {text}", flush=True)
+
+    return side_by_side(work, calls, workers, tell)
+
+
+def tables(
+    results: Mapping[tuple[str, str], Sequence[Mapping[str, Any]]],
+    peers: Sequence[Mapping[str, Any]],
+    baselines: Sequence[Mapping[str, Any]],
+) -> str:
+    """Comparison, choices, candidates, peer, as Markdown."""
+    return "\n".join(
+        [*_comparison(results, baselines), "", *_choices(results), "", *_candidates(results), "", *_peer(results, peers)]
+    )
+
+
+def _comparison(
+    results: Mapping[tuple[str, str], Sequence[Mapping[str, Any]]], baselines: Sequence[Mapping[str, Any]]
+) -> Iterator[str]:
+    yield "| helix, joints follow at once | seeds | RMSE x/y/z, mm (median; worst) | largest error x/y/z, mm | CPU |"
+    yield "| --- | --- | --- | --- | --- |"
+    for arm, number in (("feedback", 1), ("plain", 2)):
+        worst = "27.2/14.5/26.3" if number == 1 else "–"
+        yield f"| the paper's policy {number} ({arm}) | 1 | {_mm(PAPER[arm])} | {worst} | – |"
+    for part, what in (("paper", "the paper's recipe, cut to 60 000 updates"), ("quick", "`quick.toml`")):
+        for arm in ("feedback", "plain"):
+            each = results[part, arm]
+            cpu = statistics.median(result["cpu_seconds"] for result in each)
+            yield f"| {what}, {arm} | {len(each)} | {_spread(each, 'rmse')} | {_spread(each, 'max')} | {cpu:.0f} s |"
+    searched = results["quick", "feedback"]
+    yield f"| the same with candidates at run time | {len(searched)} | {_spread(searched, 'rmse_searched')} | | |"
+    for row in baselines:
+        yield f"| inverse kinematics (`{row['policy']}`) | – | {_list(row['rmse_mm'])} | {_list(row['max_mm'])} | – |"
+    for part in ("paper", "quick"):
+        better = _better(results[part, "feedback"], results[part, "plain"])
+        yield ""
+        many = len(results[part, "plain"])
+        yield f"Feedback is better than none, by the distance over the helix, in {better} of {many} seeds ({part})."
+
+
+def _choices(results: Mapping[tuple[str, str], Sequence[Mapping[str, Any]]]) -> Iterator[str]:
+    yield "| `quick.toml` | RMSE x/y/z on the helix, mm (median; worst) | from afar, anywhere, mm | to the paper's accuracy |"
+    yield "| --- | --- | --- | --- |"
+    for arm in CHOICES:
+        each = results["choices", arm]
+        afar = statistics.median(
+            1e3 * float(np.linalg.norm([result["evaluations"][-1][f"reach_rmse_{axis}"] for axis in "xyz"])) for result in each
+        )
+        yield f"| {arm} | {_spread(each, 'rmse')} | {afar:.1f} | {_until(each)} |"
+
+
+def _candidates(results: Mapping[tuple[str, str], Sequence[Mapping[str, Any]]]) -> Iterator[str]:
+    yield "| the paper's recipe, cut: distance on the helix, mm | " + " | ".join(FORWARDS) + " |"
+    yield "| --- |" + " --- |" * len(FORWARDS)
+    plain = _away(results["candidates", "1"])
+    yield f"| 1 candidate (plain) | {plain} |" + " |" * (len(FORWARDS) - 1)
+    for count in CANDIDATES:
+        yield f"| {count} | " + " | ".join(_away(results["candidates", f"{count} {forward}"]) for forward in FORWARDS) + " |"
+
+
+def _peer(results: Mapping[tuple[str, str], Sequence[Mapping[str, Any]]], peers: Sequence[Mapping[str, Any]]) -> Iterator[str]:
+    ours = [seconds_to(result, PAPER["feedback"]) for result in results["quick", "feedback"]]
+    yield f"Processor time to {_mm(PAPER['feedback'])} mm on the helix: `quick.toml` {_times(ours)}; Stable-Baselines3's DDPG"
+    theirs = [seconds_to(result, PAPER["feedback"]) for result in peers]
+    reached = "; ".join(
+        f"{_mm(min((mark['rmse'] for mark in result['marks']), key=lambda rmse: float(np.linalg.norm(rmse))))} mm at best"
+        for result in peers
+    )
+    yield f"{_times(theirs)}, given {max(result['limit'] for result in peers):.0f} s ({reached})."
+
+
+def curves(results: Mapping[tuple[str, str], Sequence[Mapping[str, Any]]]) -> str:
+    """Reward curves with their spread over the seeds, feedback (green) and plain (orange), of both recipes."""
+    parts = []
+    for number, (part, title) in enumerate((("paper", "the paper's recipe, cut"), ("quick", "quick.toml"))):
+        lines, x = [], np.zeros(1)
+        for arm, look in (("feedback", "after"), ("plain", "before")):
+            found = [[entry["distance"] for entry in result["episodes"]] for result in results[part, arm]]
+            table = 1e3 * np.array([row[: min(map(len, found))] for row in found])
+            x = np.array([entry["step"] for entry in results[part, arm][0]["episodes"]])[: table.shape[1]] / 1e3
+            lines.append(Line(table.mean(axis=0), look, spread=table.std(axis=0) if len(table) > 1 else None))
+        drawn = chart(x, lines, ("thousand steps", f"distance while exploring [mm], {title}"), size=WIDE)
+        parts.append(
+            drawn.replace("<svg ", f'<svg x="{number * WIDE[0]:.0f}" width="{WIDE[0]:.0f}" height="{WIDE[1]:.0f}" ', 1)
+        )
+    size = f'viewBox="0 0 {2 * WIDE[0]:.0f} {WIDE[1]:.0f}" width="{2 * WIDE[0]:.0f}"'
+    return f'<svg xmlns="http://www.w3.org/2000/svg" {size}>{STYLE}{"".join(parts)}</svg>\n'
+
+
+def _spread(results: Sequence[Mapping[str, Any]], key: str) -> str:
+    values = np.array([result[key] for result in results])
+    return f"{_mm(np.median(values, axis=0))}; {_mm(values.max(axis=0))}"
+
+
+def _away(results: Sequence[Mapping[str, Any]]) -> str:
+    found = sorted(_distance(result) for result in results)
+    return f"{statistics.median(found):.1f} ({found[0]:.1f} to {found[-1]:.1f})"
+
+
+def _better(feedback: Sequence[Mapping[str, Any]], plain: Sequence[Mapping[str, Any]]) -> int:
+    return sum(_distance(one) < _distance(other) for one, other in zip(feedback, plain, strict=True))
+
+
+def _distance(result: Mapping[str, Any]) -> float:
+    """Root mean square distance from the helix [mm]."""
+    return 1e3 * float(np.linalg.norm(result["rmse"]))
+
+
+def _until(results: Sequence[Mapping[str, Any]]) -> str:
+    return _times([seconds_to(result, PAPER["feedback"]) for result in results])
+
+
+def _times(values: Sequence[float | None]) -> str:
+    known = [value for value in values if value is not None]
+    missing = f", not reached by {len(values) - len(known)} of {len(values)}" if len(known) < len(values) else ""
+    return (f"{statistics.median(known):.0f} s" if known else "never") + missing
+
+
+def _mm(values: Sequence[float]) -> str:
+    return _list([1e3 * value for value in values])
+
+
+def _list(values: Sequence[float]) -> str:
+    return "/".join(f"{value:.1f}" for value in values)
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--tier", choices=TIERS, default="small")
+    parser.add_argument("--workers", type=int, default=None)
+    parser.add_argument("--workspace", type=Path, default=ROOT / "workspace")
+    given = parser.parse_args()
+    print(main(given.tier, given.workspace, given.workers))

@@ -1,0 +1,245 @@
+"""The runs of pipelines/training.py: which policies are trained, and one of them from its recipe to its figures.
+
+A run is resumed to the same bits where it was interrupted; one that is done has its file and is not repeated.
+"""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Iterator, Mapping
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from sysid.config import read_toml
+from sysid.files import json_text, written_whole
+from sysid.networks.forward import ForwardModel
+from sysid.plant import Plant
+from sysid.progress import Progress
+from sysid.registry import Registry
+from sysid.rl.checkpoint import TrainingFiles
+from sysid.rl.course import Course, Shortened, lay_out
+from sysid.rl.ddpg import JUDGED, Trainer, judged_task
+from sysid.rl.environment import load_versions
+from sysid.rl.inverse import chain_of_plant
+from sysid.rl.kinematic import KinematicEnvironment
+from sysid.rl.policy import Searching
+from sysid.rl.recipe import Recipe, parse_training
+from sysid.rl.training import JUDGE_SEED, policy_of
+
+Array = npt.NDArray[np.float64]
+
+ROOT = Path(__file__).resolve().parents[1]
+RECIPES = ROOT / "rl" / "autolog"
+#: Root mean square error of the paper's helix, x/y/z [m].
+PAPER = {"feedback": (0.017, 0.008, 0.010), "plain": (0.031, 0.017, 0.020)}
+#: The paper's recipe takes 1.5 million updates of 1024 rows: a day of a core and more. Here it is cut to this.
+CUT = {"networks": {"actor": [128, 128], "critic": [128, 128]}, "learning": {"batch": 256}, "episodes": 60}
+#: One thing at a time that the quick recipe does otherwise.
+CHOICES: dict[str, dict[str, Any]] = {
+    "as it is": {},
+    "without hindsight": {"learning": {"hindsight": 0.0}},
+    "critic says Q itself": {"networks": {"critic_head": "value"}},
+    "angles as they are": {"networks": {"critic_features": "plain"}},
+    "γ = 0.99": {"learning": {"discount": 0.99}},
+    "constant rates": {"learning": {"schedule": "constant"}},
+    "without feedback": {"exploration": {"candidates": 1}},
+    "noise that fades to 0.01": {"exploration": {"sigma_end": 0.01}},
+    "time step of the noise 0.01": {"exploration": {"time_step": 0.01}},
+}
+CANDIDATES = (3, 10, 30, 100)
+#: Forward models of the ablation: the plant's own geometry, the registered network, and that with all joints misread by this.
+FORWARDS = ("exact", "fitted", "misread")
+MISREAD = 0.05
+#: Scatter of candidates at run time.
+SCATTER, AT_RUN_TIME = 0.01, 10
+
+
+@dataclass(frozen=True)
+class Run:
+    """One policy to train.
+
+    Args:
+        part, arm: of the study.
+        changes: tables of the recipe ``base`` that are replaced.
+        forward: of :data:`FORWARDS`.
+    """
+
+    part: str
+    arm: str
+    seed: int
+    base: str
+    changes: Mapping[str, Any]
+    forward: str = "fitted"
+
+    @property
+    def name(self) -> str:
+        words = "".join(letter if letter.isalnum() else "-" for letter in f"{self.part}-{self.arm}")
+        return f"{words}-seed{self.seed}"
+
+    def recipe(self) -> Recipe:
+        values = read_toml(RECIPES / f"{self.base}.toml")
+        for key, value in self.changes.items():
+            values[key] = {**values.get(key, {}), **value} if isinstance(value, Mapping) else value
+        return replace(parse_training(values, self.name), seed=self.seed)
+
+
+def runs(share: float, seeds: Mapping[str, int]) -> Iterator[Run]:
+    """All runs of the study; ``share`` of their episodes, ``seeds`` by part."""
+    quick = read_toml(RECIPES / "quick.toml")["learning"]["episodes"]
+    episodes = {"quick": quick, "paper": CUT["episodes"]}
+
+    def cut(base: str, changes: Mapping[str, Any]) -> dict[str, Any]:
+        whole = {**changes}
+        count = max(1, round(share * episodes["quick" if base == "quick" else "paper"]))
+        own = CUT if base != "quick" else {"networks": {}, "learning": {}}
+        for key in ("networks", "learning"):
+            whole[key] = {**own[key], **whole.get(key, {})}
+        whole["learning"]["episodes"] = count
+        return whole
+
+    for seed in range(seeds["policies"]):
+        for arm, changes in (("feedback", {}), ("plain", {"exploration": {"candidates": 1}})):
+            yield Run("quick", arm, seed, "quick", cut("quick", changes))
+            yield Run("paper", arm, seed, arm, cut(arm, {}))
+    for seed in range(seeds["choices"]):
+        for arm, changes in CHOICES.items():
+            yield Run("choices", arm, seed, "quick", cut("quick", changes))
+    for seed in range(seeds["candidates"]):
+        yield Run("candidates", "1", seed, "plain", cut("plain", {}))
+        for forward in FORWARDS:
+            for count in CANDIDATES:
+                changes = {"exploration": {"candidates": count}}
+                yield Run("candidates", f"{count} {forward}", seed, "feedback", cut("feedback", changes), forward)
+
+
+@dataclass(frozen=True)
+class Misread:
+    """A forward model that takes every joint for ``by`` of its range more than it is."""
+
+    model: Any
+    by: float
+
+    def __getattr__(self, name: str) -> Any:
+        if name == "model":  # while it is being copied into another process
+            raise AttributeError(name)
+        return getattr(self.model, name)
+
+    def predict(self, q: npt.ArrayLike) -> Array:
+        return np.asarray(self.model.predict(np.asarray(q) + self.by * (self.model.high - self.model.low)))
+
+
+@dataclass(frozen=True)
+class Exact:
+    """The plant's own geometry in the place of a fitted model."""
+
+    model: Any
+    plant: Plant
+
+    def __getattr__(self, name: str) -> Any:
+        if name in ("model", "plant"):
+            raise AttributeError(name)
+        return getattr(self.model, name)
+
+    def predict(self, q: npt.ArrayLike) -> Array:
+        return chain_of_plant(self.plant).predict(np.asarray(q, dtype=np.float64))
+
+
+def one(workspace: str, work: str, run: Run, progress: Progress) -> dict[str, Any]:
+    """Train, follow the helix, and keep the figures in ``work``; what is there already is read."""
+    done, folder = Path(work) / f"{run.name}.json", Path(work) / run.name
+    if done.exists():
+        return dict(json.loads(done.read_text("utf-8")))
+    recipe = run.recipe()
+    plant, fitted = load_versions(Registry(Path(workspace)), recipe.plant, recipe.forward)
+    forward: Any = {"fitted": fitted, "exact": Exact(fitted, plant), "misread": Misread(fitted, MISREAD)}[run.forward]
+    course = lay_out(plant, fitted, "helix")
+    own, judge = (
+        KinematicEnvironment(plant, forward, size=size, seed=seed, task=task, reach=course.reach)
+        for size, seed, task in (
+            (recipe.setting.copies, run.seed, recipe.setting.task),
+            (JUDGED, JUDGE_SEED, judged_task(recipe.setting.task)),
+        )
+    )
+    trainer, files = Trainer(own, judge, recipe), TrainingFiles(folder)
+    files.load(trainer)
+    marks = _Marks(folder / "marks.json", trainer, course)
+    for turn in trainer.train(lambda kind, step, figures: marks.take(step) if kind == "evaluation" else None):
+        if files.is_due:
+            marks.save()
+            files.save(trainer)
+        progress(turn / recipe.turns, run.name)
+    policy = policy_of(trainer)
+    searched = course.run("searched", Searching(policy, fitted, AT_RUN_TIME, SCATTER))
+    last = marks.found[-1]
+    result = {
+        "run": asdict(run),
+        "updates": trainer.agent.updates,
+        "cpu_seconds": last["cpu_seconds"],
+        "rmse": last["rmse"],
+        "max": last["max"],
+        "rmse_searched": searched.rmse.tolist(),
+        "marks": marks.found,
+        "episodes": _thinned(trainer.episodes),
+        "evaluations": trainer.evaluations,
+    }
+    with written_whole(done) as half:
+        half.write_text(json_text(result), "utf-8")
+    files.remove()
+    return result
+
+
+class _Marks:
+    """What the actor alone does on the helix at each evaluation, and the processor time of training until then."""
+
+    def __init__(self, path: Path, trainer: Trainer, course: Course) -> None:
+        self.path, self.trainer, self.course = path, trainer, course
+        self.found: list[dict[str, Any]] = []
+        now = trainer.turn * trainer.environment.size
+        if now and path.exists():
+            self.found = [mark for mark in json.loads(path.read_text("utf-8"))["marks"] if mark["step"] <= now]
+        self._spent = self.found[-1]["cpu_seconds"] if self.found else 0.0
+        self._begin = time.process_time()
+
+    def take(self, step: int) -> None:
+        self._spent += time.process_time() - self._begin
+        tracked = self.course.run("actor", Shortened(policy_of(self.trainer)))
+        figures = {"rmse": tracked.rmse.tolist(), "max": tracked.worst.tolist()}
+        self.found.append({"step": step, "cpu_seconds": self._spent, **figures})
+        self._begin = time.process_time()
+
+    def save(self) -> None:
+        self.path.parent.mkdir(parents=True, exist_ok=True)
+        with written_whole(self.path) as half:
+            half.write_text(json_text({"marks": self.found}), "utf-8")
+
+
+def _thinned(episodes: list[dict[str, float]], points: int = 60) -> list[dict[str, float]]:
+    """Means of stretches of episodes."""
+    parts = np.array_split(np.arange(len(episodes)), min(points, len(episodes)))
+    return [
+        {
+            "step": episodes[int(part[-1])]["step"],
+            **{key: float(np.mean([episodes[int(k)][key] for k in part])) for key in ("return", "distance")},
+        }
+        for part in parts
+    ]
+
+
+def seconds_to(result: Mapping[str, Any], accuracy: tuple[float, ...]) -> float | None:
+    """Processor time until the helix was first followed to ``accuracy`` in every axis."""
+    for mark in result["marks"]:
+        if all(found <= wanted for found, wanted in zip(mark["rmse"], accuracy, strict=True)):
+            return float(mark["cpu_seconds"])
+    return None
+
+
+def baseline(workspace: str) -> tuple[Plant, ForwardModel, list[dict[str, Any]]]:
+    """Inverse kinematics on the same helix."""
+    recipe = parse_training(read_toml(RECIPES / "quick.toml"), "quick")
+    plant, forward = load_versions(Registry(Path(workspace)), recipe.plant, recipe.forward)
+    return plant, forward, [lay_out(plant, forward, "helix").baseline("ik").to_json()]

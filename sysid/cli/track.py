@@ -1,0 +1,151 @@
+"""``sysid track POLICY``: a policy, or inverse kinematics, follows a path; errors, pictures, Rerun."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from sysid.cli.output import Printer, json_option, progress_bar, rerun_command, write_json
+
+if TYPE_CHECKING:
+    from sysid.rl.tracking import Tracked
+    from sysid.workspace import Workspace
+
+
+@click.command()
+@click.argument("policy")
+@click.option("--path", "path", default="helix", show_default=True, metavar="helix|circle|FILE", help="FILE: CSV with t,x,y,z.")
+@click.option("--plant", default=None, metavar="PLANT[@VERSION]", help="Which machine; else the policy's, or the only one.")
+@click.option("--forward", default=None, metavar="MODEL[@VERSION]", help="Forward model; else the policy's, or the plant's.")
+@click.option("--full", is_flag=True, help="Through cylinder controller, valves and plant; else joints follow at once.")
+@click.option(
+    "--lookahead", type=click.FloatRange(0.0, 5.0), default=None, metavar="S", help="Show it targets S seconds ahead."
+)
+@click.option(
+    "--baseline", "baselines", multiple=True, metavar="ik|ik-lookahead", help="Also follow with this; may be repeated."
+)
+@click.option("--centre", type=(float, float, float), default=None, metavar="X Y Z", help="Of helix or circle [m].")
+@click.option("--untuned", is_flag=True, help="With a plain proportional controller below (--full), for comparison.")
+@click.option("--out", type=click.Path(file_okay=False, path_type=Path), default=None, metavar="DIR", help="Where to write.")
+@json_option
+@click.pass_obj
+def track(
+    workspace: str,
+    policy: str,
+    path: str,
+    plant: str | None,
+    forward: str | None,
+    full: bool,
+    lookahead: float | None,
+    baselines: tuple[str, ...],
+    centre: tuple[float, float, float] | None,
+    untuned: bool,
+    out: Path | None,
+    json_file: str | None,
+) -> None:
+    """Follow a path and say how far off the end effector was, at each sample after the step that was to bring it there.
+
+    POLICY is a policy version, or one of the baselines: ik (bounded least-squares inverse kinematics on calibrated kinematics)
+    and ik-lookahead (the same, with targets ahead by the dead time of the machine).
+    """
+    from sysid.control import simple
+    from sysid.errors import SettingsError
+    from sysid.rl.course import BASELINES, Course, Shortened, lay_out
+    from sysid.rl.environment import load_versions
+    from sysid.rl.policy import load_policy
+    from sysid.rl.record import keep
+    from sysid.workspace import open_workspace
+
+    place = open_workspace(workspace)
+    network, lineage = None, {}
+    if policy not in BASELINES:
+        version = place.models.load(policy)
+        network, lineage, policy = load_policy(version), dict(version.lineage), version.reference
+        full = full or network.full
+    plant = plant or lineage.get("plant") or _only(place, "plant")
+    forward = forward or lineage.get("forward") or _forward_for(place, plant)
+    simulation, model = load_versions(place.models, plant, forward)
+    if untuned and not full:
+        raise SettingsError("--untuned", "without --full", "--full: only there is a controller below")
+    with progress_bar("track") as progress:
+        progress(0.0, f"a place for {path}")
+        course: Course = lay_out(
+            simulation, model, path, full=full, centre=centre, tuning=simple(simulation) if untuned else None
+        )
+        progress(0.3, policy)
+        runs = [course.baseline(policy) if network is None else course.run(policy, Shortened(network), lookahead or 0.0)]
+        for number, name in enumerate(name for name in dict.fromkeys(baselines) if name != policy):
+            progress(0.5 + 0.4 * number / len(baselines), name)
+            runs.append(course.baseline(name))
+        kind = "full" if full else "kinematic"
+        folder = out or place.folder / "tracks" / f"{policy.replace('@', '-')}-{course.path.name}-{kind}"
+        files = keep(folder, simulation.machine, runs)
+    printer = Printer(json_file)
+    _show(printer, runs)
+    how = "cylinder controller, valves and plant" if full else "joints follow at once (the paper's setting)"
+    begin = course.path.points[0]
+    printer.line(
+        f"{course.path.name}: {len(runs[0].time)} steps at {course.path.rate_hz:g} Hz, up to {course.path.speed:.3f} m/s,"
+    )
+    printer.line(f"from ({begin[0]:.3f}, {begin[1]:.3f}, {begin[2]:.3f}) m. {simulation.reference}, {how}.")
+    if full:
+        axis, share = max(course.demand.items(), key=lambda item: item[1], default=("", 0.0))
+        much = ", more than it can: it falls behind" if share > 1.0 else ""
+        printer.line(f"The path asks the most of {axis}: {100.0 * share:.0f} % of its top speed{much}.")
+    printer.line(f"Inverse kinematics on the geometry of the {course.kinematics}; forward model {forward}.")
+    printer.line(f"{folder}   (look at it: {rerun_command(files['rerun'])})")
+    values: dict[str, Any] = {
+        "schema": 1,
+        "plant": simulation.reference,
+        "forward": place.models.find(forward).reference,
+        "full": full,
+        "demand": course.demand if full else None,
+        "controller": ("simple" if untuned else "tuned") if full else None,
+        "path": {
+            "name": course.path.name,
+            "begin": course.path.points[0],
+            "end": course.path.points[-1],
+            "speed": course.path.speed,
+        },
+        "rows": [run.to_json() for run in runs],
+        "files": files,
+    }
+    write_json(json_file, values)
+    write_json(folder / "result.json", values)
+
+
+def _show(out: Printer, runs: list[Tracked]) -> None:
+    from sysid.rl.tracking import SETTLED_S
+
+    header = ("policy", "look-ahead", "RMSE x", "y", "z", "max x", "y", "z", "after 1 s: RMSE x", "y", "z", "max x", "y", "z")
+    rows = []
+    for run in runs:
+        late = run.after(SETTLED_S)
+        figures = [f"{1e3 * value:.2f}" for part in (run.rmse, run.worst, late.rmse, late.worst) for value in part]
+        rows.append((run.policy, f"{1e3 * run.lookahead:.0f} ms", *figures))
+    out.table(header, rows, right=range(1, len(header)))
+    out.line("Errors in mm, end effector against target at the end of each step.")
+
+
+def _only(place: Workspace, kind: str) -> str:
+    """The only model of a kind; its promoted version, or its newest.
+
+    Raises:
+        StoreError: there is none, or several.
+    """
+    from sysid.errors import StoreError
+
+    names = sorted({version.name for version in place.models.list(kind)})
+    if len(names) != 1:
+        listed = ", ".join(names) or "none"
+        raise StoreError(f"workspace {place.location}", f"{len(names)} models of kind {kind} ({listed})", f"--{kind} NAME")
+    return names[0]
+
+
+def _forward_for(place: Workspace, plant: str) -> str:
+    """The forward model of the dataset that a plant was made from; its promoted version, or its newest."""
+    dataset = str(place.models.find(plant).lineage.get("dataset", "")).partition("@")[0]
+    names = {version.name for version in place.models.list("forward")}
+    return f"{dataset}-forward" if f"{dataset}-forward" in names else _only(place, "forward")

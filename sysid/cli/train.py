@@ -1,0 +1,98 @@
+"""``sysid train RECIPE``: a policy, trained on the versions that the recipe names, and registered."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from sysid.cli.output import Printer, json_option, progress_bar, write_json
+from sysid.errors import SettingsError
+
+
+@click.command()
+@click.argument("recipe", type=click.Path(path_type=Path), metavar="RECIPE.toml")
+@click.option("--seed", type=click.IntRange(0), default=None, help="Instead of the recipe's.")
+@click.option("--seeds", type=click.IntRange(1), default=None, metavar="N", help="N policies, from that seed on, side by side.")
+@click.option("--workers", type=click.IntRange(1), default=None, help="Processes for --seeds. Default: one a core.")
+@click.option("--tensorboard", is_flag=True, help="Event files in WORKSPACE/tensorboard.")
+@click.option("--mlflow", metavar="URI", default=None, help="Also tell an MLflow server (or sqlite:///FILE).")
+@json_option
+@click.pass_obj
+def train(
+    workspace: str,
+    recipe: Path,
+    seed: int | None,
+    seeds: int | None,
+    workers: int | None,
+    tensorboard: bool,
+    mlflow: str | None,
+    json_file: str | None,
+) -> None:
+    """Train a policy that moves the end effector to a target, with the plant and forward model that the recipe names.
+
+    Training that is interrupted, be it by a kill or by power, goes on where it was when the same command is given again, to the
+    same bits. What was trained already is not trained again. Curves are in WORKSPACE/curves as JSON lines.
+    """
+    from dataclasses import replace
+
+    from sysid.rl.recipe import load_training
+
+    settings = load_training(recipe)
+    first = settings.seed if seed is None else seed
+    recipes = [replace(settings, seed=number) for number in range(first, first + (seeds or 1))]
+    out = Printer(json_file)
+    if len(recipes) == 1:
+        with progress_bar(f"train {settings.name}") as progress:
+            results = [_one(workspace, recipes[0], tensorboard, mlflow, progress)]
+    else:
+        from sysid.rl.seeds import side_by_side
+
+        with progress_bar(f"train {settings.name}, {len(recipes)} seeds") as progress:
+            calls = [(workspace, entry, tensorboard, mlflow) for entry in recipes]
+            results = side_by_side(_one, calls, workers, progress)
+    columns = ("policy", "seed", "from afar x/y/z", "staying x/y/z", "worst", "time", "CPU", "updates/s")
+    out.table(columns, [_row(result) for result in results], right=(1, 5, 6, 7))
+    out.line("The actor alone, root mean square error in mm, from 512 random poses to random targets, then staying there.")
+    write_json(json_file, {"schema": 1, "policies": results})
+
+
+def _one(workspace: str, recipe: object, tensorboard: bool, mlflow: str | None, progress: object) -> dict[str, object]:
+    from sysid.rl.observers import JsonLines, MlflowRun, Observer, TensorBoard
+    from sysid.rl.recipe import Recipe
+    from sysid.rl.training import train_policy
+    from sysid.workspace import open_workspace
+
+    assert isinstance(recipe, Recipe)
+    assert callable(progress)
+    place = open_workspace(workspace)
+    if not place.folder.is_dir():
+        raise SettingsError(
+            f"--workspace {workspace}", "no such folder", "one with a plant and a forward model", "make demo makes one."
+        )
+    observers: list[Observer] = [JsonLines(place.folder / "curves" / f"{recipe.name}-seed{recipe.seed}.jsonl")]
+    if tensorboard:
+        observers.append(TensorBoard(place.folder / "tensorboard"))
+    if mlflow is not None:
+        observers.append(MlflowRun(mlflow))
+    done = train_policy(place.models, recipe, place.folder / "training", progress, observers)
+    return {
+        "policy": done.version.reference,
+        "seed": recipe.seed,
+        "figures": dict(done.figures),
+        "seconds": done.seconds,
+        "cpu_seconds": done.cpu_seconds,
+        "updates_per_second": done.updates_per_second,
+    }
+
+
+def _row(result: dict[str, object]) -> tuple[str, ...]:
+    figures, rate = result["figures"], result["updates_per_second"]
+    assert isinstance(figures, dict)
+    errors = ("/".join(f"{1e3 * figures[f'{phase}_rmse_{axis}']:.1f}" for axis in "xyz") for phase in ("reach", "hold"))
+    taken = (
+        ("known", "", "")
+        if not isinstance(rate, float)
+        else (f"{result['seconds']:.0f} s", f"{result['cpu_seconds']:.0f} s", f"{rate:.0f}")
+    )
+    return (str(result["policy"]), str(result["seed"]), *errors, f"{1e3 * figures['hold_max']:.0f}", *taken)

@@ -1,0 +1,127 @@
+"""The law of the cylinder controller, compiled: setpoints and measured positions of all copies → valve commands.
+
+    e = r(t) − y(t);  v = feed·ṙ(t + θ) + Kp·e + I  (+ the way across the play at a reversal)
+    effective = (v/gain)^(1/exponent);  command = effective + dead-band of that direction, limited in rate and range
+
+The setpoint given in a step is meant for ``preview`` after the end of the step. With preview the speed is fed forward θ before
+it is due, so that the axis is on time instead of θ late.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from sysid.control.tuning import INTEGRAL_SHARE, STILL, AxisTuning
+from sysid.effects.compiled import inlined, kernel
+
+(
+    SERVO, UP, DOWN, EXPONENT, POSITIVE, NEGATIVE, LIMIT, CREEP, PLAY, LEAD, PROPORTIONAL, INTEGRAL, FEED, RATE, LOW, HIGH,
+) = range(len(AxisTuning.__dataclass_fields__))  # fmt: skip
+
+#: State of an axis: integral [speed], last command, place in the play; then the ring of setpoints, the newest first.
+SUM, LAST, PLACE, RING = range(4)
+
+
+@inlined
+def _past(s, steps):
+    """The setpoint that was given so many steps ago, between two of them."""
+    whole = math.floor(steps)
+    part = steps - whole
+    y = s[RING + whole]
+    return y if part == 0.0 else (1.0 - part) * y + part * s[RING + whole + 1]
+
+
+@inlined
+def _effective(v, a):
+    """The command behind the dead-band that asks for the speed ``v``."""
+    x = v / a[UP] if v >= 0.0 else v / a[DOWN]
+    x = min(max(x, -a[LIMIT]), a[LIMIT])
+    if a[EXPONENT] != 1.0 and x != 0.0:
+        x = math.copysign(abs(x) ** (1.0 / a[EXPONENT]), x)
+    return x
+
+
+@inlined
+def _with_deadband(x, v, a):
+    """A command that leaves ``x`` behind the dead-band; across it in proportion while the axis hardly moves."""
+    still = STILL * min(a[UP], a[DOWN])
+    share = min(1.0, abs(v) / still)
+    return x + share * (a[POSITIVE] if v > 0.0 else -a[NEGATIVE])
+
+
+@kernel
+def look_up(tables, starts, steps, joints, out):
+    """Joints (n, A) → what the commands drive, by even tables (A, points), extended along their end slopes."""
+    last = tables.shape[1] - 1
+    for lane in range(len(joints)):
+        for i in range(joints.shape[1]):
+            if math.isnan(steps[i]):
+                out[lane, i] = joints[lane, i]
+                continue
+            t = (joints[lane, i] - starts[i]) / steps[i]
+            k = min(max(math.floor(t), 0), last - 1)
+            out[lane, i] = tables[i, k] + (t - k) * (tables[i, k + 1] - tables[i, k])
+
+
+@kernel
+def fill(about, state, which, drive):
+    """At rest with the setpoint where the axis is: ``which`` lanes, ``drive`` (len(which), A)."""
+    for row in range(len(which)):
+        for i in range(len(about)):
+            s = state[which[row], i]
+            s[SUM] = 0.0
+            s[LAST] = drive[row, i] if about[i, SERVO] != 0.0 else 0.0
+            s[PLACE] = 0.0
+            s[RING:] = drive[row, i]
+
+
+@kernel
+def command(about, state, setpoints, measured, preview, dt, out):
+    """One step of all copies.
+
+    Args:
+        about: (A, 16), rows of :class:`sysid.control.tuning.AxisTuning`.
+        state: (n, A, RING + setpoints kept), in and out.
+        setpoints, measured: of what the commands drive, (n, A).
+        preview: how far after the end of the step the setpoints are meant [s].
+        out: commands, (n, A).
+    """
+    for lane in range(len(setpoints)):
+        for i in range(len(about)):
+            a, s = about[i], state[lane, i]
+            for k in range(len(s) - 1, RING, -1):
+                s[k] = s[k - 1]
+            s[RING] = min(max(setpoints[lane, i], a[LOW]), a[HIGH])
+            if a[SERVO] != 0.0:
+                s[LAST] = _past(s, preview / dt)
+                out[lane, i] = s[LAST]
+                continue
+            top = min(a[UP], a[DOWN])
+            error = _past(s, preview / dt + 1.0) - measured[lane, i]
+            early = max(0.0, preview - a[LEAD]) / dt
+            fed = (_past(s, early) - _past(s, early + 1.0)) / dt
+            v = a[FEED] * min(max(fed, -top), top) + a[PROPORTIONAL] * error + s[SUM] + a[CREEP]
+            if a[PLAY] > 0.0:
+                half = 0.5 * a[PLAY]
+                if abs(v) > STILL * top:
+                    left = math.copysign(half, v) - s[PLACE]
+                    v += min(max(left / dt, -top), top)
+                s[PLACE] = min(max(s[PLACE] + min(max(v, -top), top) * dt, -half), half)
+            x = _effective(v, a)
+            wanted = _with_deadband(x, v, a)
+            reach = a[RATE] * dt
+            u = min(max(wanted, -1.0, s[LAST] - reach), 1.0, s[LAST] + reach)
+            if s[RING] <= a[LOW] or s[RING] >= a[HIGH]:
+                s[SUM] = 0.0  # against an end stop nothing would ever take it back
+            elif u == wanted or (wanted - u) * error < 0.0:  # an integral that pushes into a limit would have to come back
+                bound = INTEGRAL_SHARE * top
+                s[SUM] = min(max(s[SUM] + a[INTEGRAL] * error * dt, -bound), bound)
+            s[LAST] = u
+            out[lane, i] = u
+
+
+def ring_size(preview: float, dt: float) -> int:
+    """Setpoints to keep: back to the one that is due now, and one more to interpolate."""
+    return int(np.ceil(preview / dt)) + 4

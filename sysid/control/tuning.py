@@ -1,0 +1,137 @@
+"""What the cylinder controller knows of each axis: the inverse of its valve, its dead time and the gains that follow from it.
+
+An axis moved by a valve is an integrator behind a dead time θ = delay + lag (+ half a sample of hold). The gains are those of
+the SIMC rule for it with a closed-loop time of θ: ``Kp = 1/(2θ)``, ``Ti = 8θ``.
+
+Source: Skogestad, Journal of Process Control 13 (2003), §4.3; dead-band inverse: Tao & Kokotović, IEEE TAC 39 (1994).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, fields
+
+import numpy as np
+import numpy.typing as npt
+
+from sysid.errors import SettingsError
+from sysid.plant import Plant
+from sysid.plant.layout import AT, AXIS_WIDTH
+
+Array = npt.NDArray[np.float64]
+
+#: Commands may change this fast [1/s] where the plant says nothing of it: a dead-band is crossed within a step at 100 Hz.
+RATE = 40.0
+#: Below this share of the top speed the dead-band is crossed in proportion instead of in a jump, so that nothing chatters.
+STILL = 0.01
+#: The integral may ask for this share of the top speed.
+INTEGRAL_SHARE = 0.2
+#: Closed loop of an axis without dead time [1/s].
+FASTEST = 20.0
+
+
+@dataclass(frozen=True)
+class AxisTuning:
+    """One axis. Speeds are of what the command drives [m/s or rad/s], positions [m or rad].
+
+    Args:
+        servo: 1.0 where the command is a position and passes through; everything else is then unused.
+        up, down: speed at effective command +1 and −1, magnitudes.
+        exponent: effective command = sign·\\|command\\|^exponent.
+        positive, negative: dead-band (command).
+        limit: effective command above which speed no longer rises.
+        creep: speed that leaks away at zero command.
+        play: between the drive and the sensor, full width.
+        lead: dead time from command to motion [s].
+        proportional, integral: [1/s] and [1/s²].
+        feed: share of the setpoint's own speed that is fed forward, 1.0 or 0.0.
+        rate: of the command [1/s].
+        low, high: setpoints are kept within.
+    """
+
+    servo: float
+    up: float
+    down: float
+    exponent: float
+    positive: float
+    negative: float
+    limit: float
+    creep: float
+    play: float
+    lead: float
+    proportional: float
+    integral: float
+    feed: float
+    rate: float
+    low: float
+    high: float
+
+    @property
+    def fastest(self) -> float:
+        """The lower one of the top speeds of both directions."""
+        ends = (self.up, self.positive), (self.down, self.negative)
+        return min(float(speed * min(self.limit, max(0.0, 1.0 - band) ** self.exponent)) for speed, band in ends)
+
+    def row(self) -> Array:
+        """The numbers in the order of the fields, for the compiled law."""
+        return np.array([getattr(self, field.name) for field in fields(self)])
+
+
+def tune(plant: Plant) -> tuple[AxisTuning, ...]:
+    """The controller that follows from what the plant says of each axis.
+
+    Raises:
+        SettingsError: an axis that is moved by force, or a cylinder without stroke.
+    """
+    theta = plant.vector()
+    return tuple(_tuned(plant, theta, i) for i in range(len(plant.machine.axes)))
+
+
+def simple(plant: Plant, proportional: float = 2.0) -> tuple[AxisTuning, ...]:
+    """What is tried first by hand: proportional alone, no inverse of the valve, no feed-forward. For comparison."""
+    found = []
+    for axis, item in zip(plant.machine.axes, tune(plant), strict=True):
+        values = {field.name: getattr(item, field.name) for field in fields(item)}
+        plain = {"up": axis.gain, "down": axis.gain, "exponent": 1.0, "positive": 0.0, "negative": 0.0, "limit": math.inf}
+        rest = {"creep": 0.0, "play": 0.0, "feed": 0.0, "integral": 0.0, "proportional": proportional}
+        found.append(AxisTuning(**{**values, **plain, **rest}))
+    return tuple(found)
+
+
+def response_time(plant: Plant) -> float:
+    """The longest dead time of any axis, delay and lag together [s]: how far ahead a path must be known to be followed."""
+    return max(item.lead for item in tune(plant))
+
+
+def _tuned(plant: Plant, theta: Array, i: int) -> AxisTuning:
+    axis = plant.machine.axes[i]
+    where = f"cylinder controller: axis {axis.name}"
+    if axis.actuation == "force":
+        raise SettingsError(where, "is moved by force", "a velocity (valve) or position axis")
+    b = i * AXIS_WIDTH
+    low, high = axis.range
+    rate = float(theta[b + AT.command_rate_limit])
+    if axis.actuation == "position":
+        return AxisTuning(1.0, 1, 1, 1, 0, 0, math.inf, 0, 0, 0, 0, 0, 1, math.inf, low, high)
+    lead = float(theta[b + AT.input_delay] + theta[b + AT.first_order_lag])
+    dead = lead + 0.5 / plant.machine.rate_hz
+    up = axis.gain * float(theta[b + AT.gain_error])
+    proportional = min(1.0 / (2.0 * dead), FASTEST)
+    return AxisTuning(
+        servo=0.0,
+        up=up,
+        down=up * float(theta[b + AT.asymmetric_gain]),
+        exponent=float(theta[b + AT.gain_curve]),
+        positive=float(theta[b + AT.valve_deadband]),
+        negative=float(theta[b + AT.valve_deadband + 1]),
+        limit=float(theta[b + AT.flow_saturation]),
+        creep=float(theta[b + AT.internal_leakage]),
+        play=float(theta[b + AT.backlash_drive]) if axis.drives == "joint" else 0.0,
+        lead=lead,
+        proportional=proportional,
+        integral=proportional / (8.0 * dead),
+        feed=1.0,
+        rate=min(rate, RATE),
+        low=low,
+        high=high,
+    )

@@ -1,0 +1,101 @@
+"""Free runs of command → motion models, many at once: each step goes on from what the model itself said before."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from sysid.networks.motion_inputs import Index, Motion, Window
+
+Array = npt.NDArray[np.float64]
+Speed = Callable[[Array], Array]
+
+
+@dataclass(frozen=True)
+class Bounds:
+    """What a free run stays within: ``speeds`` and ``positions``, (lowest, highest) each [SI]."""
+
+    speeds: tuple[float, float]
+    positions: tuple[float, float]
+
+
+def roll(speed: Speed, window: Window, bounds: Bounds, commands: Array, positions: Array) -> Array:
+    """Free runs of one length from measured histories.
+
+    Args:
+        speed: inputs (b, d) → mean speed over the step to come (b,).
+        commands: mean over each step, (b, depth + steps): those of the history first.
+        positions: at the beginning of those steps, (b, depth + 1): the last one is where the runs start.
+
+    Returns:
+        Positions at the start and after every step, (b, steps + 1).
+    """
+    depth = window.depth
+    steps = commands.shape[1] - depth
+    run = np.empty((len(commands), depth + steps + 1))
+    run[:, : depth + 1] = positions
+    seen, edges = -np.array(window.commands), -np.array(window.edges)
+    for k in range(depth, depth + steps):
+        said = np.clip(speed(window.features(commands[:, k + seen], run[:, k + edges])), *bounds.speeds)
+        run[:, k + 1] = np.clip(run[:, k] + window.step * said, *bounds.positions)
+    return run[:, depth:]
+
+
+def horizon_errors(
+    speed: Speed, window: Window, bounds: Bounds, motions: Sequence[Motion], seconds: float, apart: float
+) -> list[tuple[Index, Array, Array]]:
+    """Errors of free runs ``seconds`` after their starts, which lie ``apart`` seconds from each other, all runs at once.
+
+    Returns:
+        For each motion: samples at which the runs end, positions predicted and measured there, (b,) each.
+    """
+    ahead = max(1, round(seconds / window.step))
+    begins, commands, positions = [], [], []
+    for motion in motions:
+        found = motion.starts(window, ahead)
+        at = _spaced(found, max(1, round(apart / window.step)) * motion.stride)
+        begins.append(at)
+        grid = at[:, None] + np.arange(-window.depth, ahead) * motion.stride
+        commands.append(motion.command[grid])
+        positions.append(motion.position[grid[:, : window.depth + 1]])
+    joined = roll(speed, window, bounds, np.concatenate(commands), np.concatenate(positions))[:, -1]
+    parts = np.split(joined, np.cumsum([len(at) for at in begins])[:-1])
+    ends = [at + ahead * motion.stride for at, motion in zip(begins, motions, strict=True)]
+    return [(end, said, motion.position[end]) for end, said, motion in zip(ends, parts, motions, strict=True)]
+
+
+def whole_run(speed: Speed, window: Window, bounds: Bounds, motion: Motion) -> Array:
+    """A free run of a whole recording on its own samples, (n,).
+
+    It starts where history and commands are first complete, goes on without looking at what is measured, and starts again only
+    behind a gap of the commands. NaN before and in between.
+    """
+    n, stride, depth = len(motion.command), motion.stride, window.depth
+    out = np.full(n, np.nan)
+    at = 0
+    begins = motion.starts(window, 1)
+    while len(begins := begins[begins >= at]):
+        start = int(begins[0])
+        grid = np.arange(start, n, stride)
+        there = np.isfinite(motion.command[grid])
+        steps = len(grid) if there.all() else int(np.argmin(there))
+        whole = start + np.arange(-depth, steps) * stride
+        run = roll(speed, window, bounds, motion.command[whole][None], motion.position[whole[: depth + 1]][None])[0]
+        last = min(start + steps * stride, n - 1)
+        samples = np.arange(start, last + 1)
+        out[samples] = np.interp(samples, start + np.arange(steps + 1) * stride, run)
+        at = last + 1
+    return out
+
+
+def _spaced(at: Index, apart: int) -> Index:
+    """Of rising samples those that are ``apart`` or more from the one taken before."""
+    kept, last = [], -apart
+    for sample in at.tolist():
+        if sample - last >= apart:
+            kept.append(sample)
+            last = sample
+    return np.array(kept, dtype=np.int64)

@@ -1,0 +1,1 @@
+"""Reinforcement learning on fitted models: environments, paths, inverse kinematics, tracking. Only the trainer loads torch."""

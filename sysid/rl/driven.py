@@ -1,0 +1,308 @@
+"""The full path: joint setpoint → actuator network → cylinder controller → valve → plant → joints → tip → tool.
+
+Ten numbers are no Markov state under delay, lag and sway: the observation goes on with the commands of the dead time, the
+speeds of the joints, and place and speed of the tool below the tip.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any, Literal, get_args
+
+import numpy as np
+import numpy.typing as npt
+
+from sysid.control import AxisTuning, CylinderController, response_time
+from sysid.effects.gripper_sway import GRAVITY
+from sysid.errors import InputError, SettingsError, nearest
+from sysid.networks.forward import ForwardModel
+from sysid.plant import Plant, compile_plant
+from sysid.plant.stepper import LaneState, Stepper
+from sysid.rl.environment import Flags, Parts, Task, check_pair
+from sysid.rl.reach import Reach, reach_of, tips
+
+if TYPE_CHECKING:
+    from sysid.rl.bullet import Worlds
+
+Array = npt.NDArray[np.float64]
+Feedback = Literal["static", "plant"]
+Mover = Literal["compiled", "pybullet"]
+
+
+class DrivenEnvironment:
+    """Observation: joints (A,), end effector (3,), target (3,), the last commands (H·A,), speeds of the joints (A,), tool
+    relative to the tip (3,) and its speed there (3,). Action: joint setpoints (A,) in SI.
+
+    Args:
+        plant, forward, size, seed, task, reach: as of :class:`sysid.rl.kinematic.KinematicEnvironment`.
+        tuning: of the cylinder controller; else what the plant says (:func:`sysid.control.tune`).
+        preview: how long after its step a setpoint is meant [s]; for policies that look ahead.
+        history: how many past commands are seen; else as many as the longest dead time has steps.
+        feedback: how candidates are judged: ``static``, by the forward model; ``plant``, by where the plant itself, from the
+            state it is in, brings the end effector when a candidate is held for the longest dead time.
+        mover: ``compiled``, the chain of effects; ``pybullet``, the same plant with rigid bodies (:mod:`sysid.rl.bullet`).
+        noise: the controller reads its sensors with the noise that the machine's description gives them.
+
+    Raises:
+        SettingsError: plant and forward model do not fit, a force axis, an unknown feedback, ``size`` below one.
+    """
+
+    def __init__(
+        self,
+        plant: Plant,
+        forward: ForwardModel,
+        *,
+        size: int = 1,
+        seed: int = 0,
+        task: Task | None = None,
+        reach: Reach | None = None,
+        tuning: tuple[AxisTuning, ...] | None = None,
+        preview: float = 0.0,
+        history: int | None = None,
+        feedback: Feedback = "static",
+        mover: Mover = "compiled",
+        noise: bool = False,
+    ) -> None:
+        if size < 1:
+            raise SettingsError("environment", f"size = {size}", "at least one copy")
+        for name, value, valid in (("feedback", feedback, get_args(Feedback)), ("mover", mover, get_args(Mover))):
+            if value not in valid:
+                raise SettingsError("environment", f"{name} = {value!r}", nearest(value, valid))
+        if mover == "pybullet" and feedback == "plant":
+            raise SettingsError("environment", "feedback = 'plant' with PyBullet", "mover = 'compiled', or feedback = 'static'")
+        check_pair(plant, forward)
+        self.plant, self.forward, self.size, self.task = plant, forward, size, task or Task()
+        self.rate_hz, self.feedback, self.preview = plant.machine.rate_hz, feedback, preview
+        self.reach = reach or reach_of(plant, forward)
+        self.model = compile_plant(plant)
+        self._stepper: Stepper | Worlds
+        if mover == "pybullet":
+            from sysid.rl.bullet import Worlds
+
+            self._stepper = Worlds(plant, self.rate_hz, size)
+        else:
+            self._stepper = Stepper(plant, self.rate_hz, size)
+        self._controller = CylinderController(plant, tuning, copies=size, preview=preview)
+        signals = [axis.driven for axis in plant.machine.axes]
+        self._noise = np.array([plant.machine.noise.get(signal, 0.0) if noise else 0.0 for signal in signals])
+        self._judges: tuple[Stepper, CylinderController] | None = None
+        self.horizon = max(1, math.ceil(response_time(plant) * self.rate_hz) + 1)
+        self.history = self.horizon if history is None else history
+        self.parts = Parts.of(self.actions)
+        self._rng = np.random.default_rng(seed)
+        axes = self.actions
+        self._target = np.full((size, 3), np.nan)
+        self._commands = np.zeros((size, self.history, axes))
+        self._speed = np.zeros((size, axes + 3))
+        self._lane: LaneState | None = None
+        self._final = np.full((size, self.observations), np.nan)
+        self._count = np.zeros(size, dtype=np.int64)
+
+    @property
+    def actions(self) -> int:
+        return len(self.plant.machine.axes)
+
+    @property
+    def observations(self) -> int:
+        return self.parts.width + (self.history + 1) * self.actions + 6
+
+    @property
+    def steps(self) -> int:
+        return self.task.steps
+
+    @property
+    def action_low(self) -> Array:
+        return self.reach.low.copy()
+
+    @property
+    def action_high(self) -> Array:
+        return self.reach.high.copy()
+
+    @property
+    def observation_low(self) -> Array:
+        return self._bounds(-1.0)
+
+    @property
+    def observation_high(self) -> Array:
+        return self._bounds(1.0)
+
+    @property
+    def final(self) -> Array:
+        """Observations (n, O) to which the last step led, before any copy was reset."""
+        return self._final.copy()
+
+    @property
+    def tool(self) -> Array:
+        """Where the tools are, (n, 3) [m]."""
+        return self._at().tool.copy()
+
+    @property
+    def commands(self) -> Array:
+        """The last commands, (n, A)."""
+        return self._controller.last
+
+    def reset(self) -> Array:
+        """All copies at rest at random joints, with random targets; the observations (n, O)."""
+        self._reset(np.ones(self.size, dtype=np.bool_))
+        return self._seen()
+
+    def step(self, actions: npt.ArrayLike) -> tuple[Array, Array, Flags]:
+        """Ask for the joints ``actions`` (n, A); see :meth:`sysid.rl.kinematic.KinematicEnvironment.step`.
+
+        Raises:
+            InputError: another shape, or a setpoint that is no number.
+        """
+        wanted = np.asarray(actions, dtype=np.float64)
+        if wanted.shape != (self.size, self.actions):
+            raise InputError("environment", f"actions of shape {wanted.shape}", f"({self.size}, {self.actions})")
+        if not np.isfinite(wanted).all():
+            raise InputError("environment", "an action that is no finite number", "joint setpoints [rad or m]")
+        before = self._at()
+        measured = self._measured(before)
+        if self._noise.any():
+            measured += self._noise * self._rng.standard_normal(measured.shape)
+        commands = self._controller.commands(np.clip(wanted, self.reach.low, self.reach.high), measured)
+        lane = self._stepper.step(commands)
+        if self.history:
+            self._commands[:, 1:] = self._commands[:, :-1]
+            self._commands[:, 0] = commands
+        self._speed[:, : self.actions] = (lane.joints - before.joints) * self.rate_hz
+        self._speed[:, self.actions :] = ((lane.tool - lane.ee) - (before.tool - before.ee)) * self.rate_hz
+        self._lane = lane
+        outside = ((wanted < self.reach.low) | (wanted > self.reach.high)).any(axis=1)
+        rewards = self.task.reward(lane.ee, self._target, outside)
+        self._count += 1
+        truncated = self._count >= self.task.steps
+        self._final = self._seen()
+        fresh = ~truncated & (self._count % self.task.hold == 0) & (self.task.targets > 1)
+        if fresh.any():
+            self._target[fresh] = tips(self.model, self.reach.draw(int(fresh.sum()), self._rng))
+        if truncated.any():
+            self._reset(truncated)
+        changed = fresh.any() or truncated.any()
+        return self._seen() if changed else self._final.copy(), rewards, truncated
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """What the columns of an observation are."""
+        axes = self.plant.machine.axis_names
+        past = tuple(f"{axis}.command[{-1 - k}]" for k in range(self.history) for axis in axes)
+        below = tuple(f"tool.{what}{axis}" for what in ("below.", "speed.") for axis in "xyz")
+        return (*self.parts.names(axes), *past, *(f"{axis}.speed" for axis in axes), *below)
+
+    def seed(self, seed: int) -> None:
+        """Starts and targets from now on."""
+        self._rng = np.random.default_rng(seed)
+
+    def targets(self, observations: Array) -> Array:
+        """Targets (m, 3) inside observations (m, O)."""
+        return np.asarray(observations)[:, self.parts.target]
+
+    def predicted(self, observations: Array, actions: Array) -> Array:
+        """Where candidate ``actions`` (m, A) lead, (m, 3).
+
+        With ``feedback = "plant"`` candidates start from the states the copies are in now: m is a multiple of the number of
+        copies, and the candidates of a copy follow each other.
+        """
+        wanted = np.clip(actions, self.reach.low, self.reach.high)
+        if self.feedback == "static":
+            return self.forward.predict(wanted)
+        each, rest = divmod(len(wanted), self.size)
+        if rest or not each:
+            raise InputError("environment", f"{len(wanted)} candidates", f"as many for each of {self.size} copies")
+        stepper, controller = self._judged_by(len(wanted))
+        stepper.restore({name: np.repeat(values, each, axis=0) for name, values in self._stepper.state().items()})
+        controller.restore({name: np.repeat(values, each, axis=0) for name, values in self._controller.state().items()})
+        lane = _repeated(self._at(), each)
+        for _ in range(self.horizon):
+            lane = stepper.step(controller.commands(wanted, self._measured(lane)))
+        return lane.ee
+
+    def begin(self, joints: npt.ArrayLike, targets: npt.ArrayLike) -> Array:
+        """Put all copies at rest at ``joints`` (A,) or (n, A) with ``targets`` (3,) or (n, 3); an episode begins."""
+        rows = np.broadcast_to(np.asarray(joints, dtype=np.float64), (self.size, self.actions))
+        self._put(np.ones(self.size, dtype=np.bool_), rows, np.asarray(targets, dtype=np.float64))
+        return self._seen()
+
+    def aim(self, targets: npt.ArrayLike) -> Array:
+        """Replace the targets, (3,) or (n, 3)."""
+        self._target[:] = np.asarray(targets, dtype=np.float64)
+        return self._seen()
+
+    def state(self) -> dict[str, Any]:
+        """Everything that the future depends on: arrays, and the generator as plain JSON values."""
+        own = {"target": self._target, "commands": self._commands, "speed": self._speed, "final": self._final}
+        return {
+            **{name: values.copy() for name, values in own.items()},
+            "count": self._count.copy(),
+            **{f"plant.{name}": values for name, values in self._stepper.state().items()},
+            **self._controller.state(),
+            "generator": self._rng.bit_generator.state,
+        }
+
+    def restore(self, state: Mapping[str, Any]) -> None:
+        """Go on exactly where :meth:`state` was taken.
+
+        Raises:
+            InputError, SettingsError: it was taken from another environment.
+        """
+        plant = {name.removeprefix("plant."): np.asarray(values) for name, values in state.items() if name.startswith("plant.")}
+        self._controller.restore(state)
+        self._lane = self._stepper.restore(plant)
+        self._target[:], self._commands[:], self._speed[:] = state["target"], state["commands"], state["speed"]
+        self._final = np.array(state["final"], dtype=np.float64)
+        self._count[:] = state["count"]
+        self._rng.bit_generator.state = state["generator"]
+
+    def _at(self) -> LaneState:
+        if self._lane is None:
+            raise SettingsError("environment", "was never reset", "reset() before the first step")
+        return self._lane
+
+    def _measured(self, lane: LaneState) -> Array:
+        """What the controller sees: draw wires of the cylinders, sensors of the other joints."""
+        return np.where(self._controller.cylinders, lane.drive, lane.joints)
+
+    def _seen(self) -> Array:
+        lane = self._at()
+        parts = (
+            lane.joints, lane.ee, self._target, self._commands.reshape(self.size, -1), self._speed[:, : self.actions],
+            lane.tool - lane.ee, self._speed[:, self.actions :],
+        )  # fmt: skip
+        return np.concatenate(parts, axis=1)
+
+    def _judged_by(self, count: int) -> tuple[Stepper, CylinderController]:
+        if self._judges is None or self._judges[0].lanes != count:
+            controller = CylinderController(self.plant, self._controller.tuning, copies=count, preview=self.preview)
+            self._judges = Stepper(self.plant, self.rate_hz, count), controller
+        return self._judges
+
+    def _reset(self, which: Flags) -> None:
+        count = int(which.sum())
+        joints, aims = self.reach.draw(count, self._rng), self.reach.draw(count, self._rng)
+        self._put(which, joints, tips(self.model, aims))
+
+    def _put(self, which: Flags, joints: Array, targets: Array) -> None:
+        self._lane = lane = self._stepper.reset(np.clip(joints, self.reach.low, self.reach.high), which=which)
+        self._controller.reset(self._measured(lane)[which], which)
+        self._target[which] = targets
+        self._commands[which], self._speed[which], self._count[which] = 0.0, 0.0, 0
+
+    def _bounds(self, sign: float) -> Array:
+        """Lower or upper bounds of an observation, for networks to scale by; speeds and sway are typical, not limits."""
+        reach, tuning = self.reach, self._controller.tuning
+        joints, ends = (reach.low, reach.ee_low) if sign < 0.0 else (reach.high, reach.ee_high)
+        servo = np.array([item.servo for item in tuning], dtype=np.bool_)
+        commands = np.where(servo, joints, sign)
+        speeds = np.array([(high - low) for low, high in zip(reach.low, reach.high, strict=True)])
+        hang = self.plant.effect("gripper_sway", "tool")
+        length = float(np.atleast_1d(hang.parameters["length"])[0]) if hang is not None else 0.1
+        sway, swing = 0.5 * length, 0.5 * math.sqrt(GRAVITY * length)
+        below = np.array([sway, sway, 0.0 if sign > 0.0 else length])
+        rest = [np.tile(commands, self.history), sign * speeds, sign * below, sign * np.full(3, swing)]
+        return np.concatenate([joints, ends, ends, *rest])
+
+
+def _repeated(lane: LaneState, each: int) -> LaneState:
+    return LaneState(*(np.repeat(getattr(lane, name), each, axis=0) for name in ("drive", "joints", "structure", "ee", "tool")))

@@ -1,0 +1,142 @@
+"""The replay buffer: the newest transitions in one table, and their files.
+
+The files are segments of a record that is only ever appended to, so that writing newer rows never touches those that the last
+checkpoint stands on: a process that is killed in between finds them as they were. Segments older than the buffer are deleted.
+"""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from sysid.errors import StorageError, StoreError
+
+if TYPE_CHECKING:
+    import torch
+
+Array = npt.NDArray[np.float64]
+
+#: Transitions of a file.
+SEGMENT = 65_536
+
+
+class Replay:
+    """Rows ``observation | action | reward | next observation`` in float32.
+
+    Args:
+        capacity: rows kept; the oldest make room.
+        observations, actions: widths O and A; a row is 2·O + A + 1 wide.
+        device: where the table lies.
+    """
+
+    def __init__(self, capacity: int, observations: int, actions: int, device: torch.device | str = "cpu") -> None:
+        import torch
+
+        self.capacity, self.width = capacity, 2 * observations + actions + 1
+        self.rows = torch.zeros((capacity, self.width), device=device)
+        #: Rows that were ever added, and those of them that are in files.
+        self.count, self.saved = 0, 0
+        ends = np.cumsum([observations, actions, 1, observations])
+        self.parts = [
+            slice(end - width, end) for end, width in zip(ends, (observations, actions, 1, observations), strict=True)
+        ]
+
+    def __len__(self) -> int:
+        return min(self.count, self.capacity)
+
+    def add(self, observations: Array, actions: Array, rewards: Array, following: Array) -> None:
+        """Transitions of n copies, (n, O), (n, A), (n,), (n, O); n may not be above the capacity."""
+        import torch
+
+        fresh = np.concatenate([observations, actions, rewards[:, None], following], axis=1, dtype=np.float32)
+        at = self.count % self.capacity
+        first = min(len(fresh), self.capacity - at)
+        table = torch.from_numpy(fresh)
+        self.rows[at : at + first] = table[:first].to(self.rows.device)
+        if first < len(fresh):
+            self.rows[: len(fresh) - first] = table[first:].to(self.rows.device)
+        self.count += len(fresh)
+
+    def sample(self, count: int, rng: np.random.Generator, out: torch.Tensor) -> torch.Tensor:
+        """``count`` rows, each drawn from all that are there, into ``out`` (count, width)."""
+        import torch
+
+        chosen = torch.from_numpy(rng.integers(0, len(self), count)).to(self.rows.device)
+        return torch.index_select(self.rows, 0, chosen, out=out)
+
+    def save(self, folder: Path) -> None:
+        """Bring the files up to date with the buffer.
+
+        Raises:
+            StorageError: the disk is full or fails; what the last checkpoint stands on is as it was.
+        """
+        begin = max(self.saved, self.count - self.capacity)
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+            while begin < self.count:
+                end = min(self.count, (begin // SEGMENT + 1) * SEGMENT)
+                self._write(_segment(folder, begin), begin, end)
+                begin = end
+        except OSError as error:
+            raise StorageError(
+                f"replay buffer in {folder}", error.strerror or str(error), f"room for {self.count - self.saved} transitions",
+                "Make room; training goes on from the last checkpoint that was written.",
+            ) from error  # fmt: skip
+        self.saved = self.count
+
+    def prune(self, folder: Path) -> None:
+        """Delete segments that hold nothing of the buffer any more; to be called when a checkpoint that says so is there."""
+        for path in folder.glob("replay-*.f32"):
+            if (int(path.stem.partition("-")[2]) + 1) * SEGMENT <= self.count - self.capacity:
+                path.unlink()
+
+    def load(self, folder: Path, count: int) -> None:
+        """The buffer as it was when ``count`` rows had been added.
+
+        Raises:
+            StoreError: files that are missing or too short.
+        """
+        import torch
+
+        begin = max(0, count - self.capacity)
+        while begin < count:
+            end = min(count, (begin // SEGMENT + 1) * SEGMENT)
+            path = _segment(folder, begin)
+            content = self._read(path, begin, end)
+            # Piece by piece: a segment may end in the middle of the table.
+            at = (np.arange(begin, end)) % self.capacity
+            self.rows[torch.from_numpy(at).to(self.rows.device)] = torch.from_numpy(content).to(self.rows.device)
+            begin = end
+        self.count = self.saved = count
+
+    def _write(self, path: Path, begin: int, end: int) -> None:
+        at = np.arange(begin, end) % self.capacity
+        import torch
+
+        content = self.rows[torch.from_numpy(at).to(self.rows.device)].cpu().numpy().tobytes()
+        with open(os.open(path, os.O_RDWR | os.O_CREAT, 0o644), "r+b") as file:
+            file.seek((begin % SEGMENT) * 4 * self.width)
+            file.write(content)
+            file.flush()
+            os.fsync(file.fileno())
+
+    def _read(self, path: Path, begin: int, end: int) -> npt.NDArray[np.float32]:
+        need: Any = (end - begin) * 4 * self.width
+        try:
+            with path.open("rb") as file:
+                file.seek((begin % SEGMENT) * 4 * self.width)
+                content = file.read(need)
+        except FileNotFoundError:
+            content = b""
+        if len(content) < need:
+            found = f"{len(content)} bytes from row {begin}"
+            raise StoreError(f"replay buffer {path}", found, f"{need}", "Delete the folder; training starts again.")
+        return np.frombuffer(content, dtype="<f4").reshape(-1, self.width).copy()
+
+
+def _segment(folder: Path, row: int) -> Path:
+    return folder / f"replay-{row // SEGMENT:06d}.f32"

@@ -1,0 +1,58 @@
+"""Several trainings side by side, a process each: torch's threads would wait for one another in one."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import threading
+from collections.abc import Callable, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from typing import Any, TypeVar
+
+from sysid.progress import Progress, silent
+
+T = TypeVar("T")
+
+#: Seconds between two looks at how far they are.
+LOOK = 0.5
+
+
+def side_by_side(
+    work: Callable[..., T], calls: Sequence[tuple[Any, ...]], workers: int | None = None, progress: Progress = silent
+) -> list[T]:
+    """``work(*call, progress)`` for every call, ``workers`` at a time; results in the order of the calls.
+
+    Args:
+        work: a function of a module.
+        workers: processes; None: one a core.
+
+    Raises:
+        What the first of them raises; those that have not begun are left out then, the others have their checkpoints.
+    """
+    count = min(workers or len(os.sched_getaffinity(0)), len(calls))
+    context = multiprocessing.get_context("spawn")
+    with context.Manager() as manager, ProcessPoolExecutor(count, context) as pool:
+        shares = manager.dict()
+        futures = [pool.submit(_run, work, call, shares, number) for number, call in enumerate(calls)]
+        done, watched = threading.Event(), 0.0
+        for future in futures:
+            future.add_done_callback(lambda _: done.set() if all(other.done() for other in futures) else None)
+        while not done.wait(LOOK):
+            told = dict(shares)
+            watched = max(watched, sum(share for share, _ in told.values()) / len(calls))
+            progress(watched, ", ".join(text for share, text in told.values() if share < 1.0))
+            if any(future.done() and future.exception() is not None for future in futures):
+                for future in futures:
+                    future.cancel()
+        return [future.result() for future in futures]
+
+
+def _run(work: Callable[..., T], call: tuple[Any, ...], shares: Any, number: int) -> T:
+    last = [-1.0]
+
+    def progress(share: float, text: str) -> None:
+        if share - last[0] >= 1e-3:
+            last[0] = share
+            shares[number] = (share, text)
+
+    return work(*call, progress)

@@ -1,0 +1,145 @@
+"""From a recipe to a policy version: environment of the named versions, training that can be interrupted, registration."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from sysid.networks.mlp import Mlp, Normalisation
+from sysid.networks.policy import PolicyNetwork, policy_to_files
+from sysid.progress import Progress, silent
+from sysid.registry import ModelVersion, Registry
+from sysid.rl.checkpoint import TrainingFiles, training_folder
+from sysid.rl.ddpg import JUDGED, Trainer, judged_task
+from sysid.rl.environment import Environment, Task, from_versions
+from sysid.rl.observers import Observer
+from sysid.rl.recipe import Recipe
+
+#: The actor is judged on the same starts and targets whatever the seed.
+JUDGE_SEED = 2**31
+
+
+@dataclass(frozen=True)
+class Trained:
+    """A policy that is done.
+
+    Args:
+        version: in the registry.
+        figures: of the actor alone, at the end.
+        seconds, cpu_seconds: of this process; what was done before an interruption is not in them.
+        updates_per_second: over the same time; None where it had been trained before and nothing was left to do.
+    """
+
+    version: ModelVersion
+    figures: Mapping[str, float]
+    seconds: float
+    cpu_seconds: float
+    updates_per_second: float | None
+
+
+def train_policy(
+    registry: Registry,
+    recipe: Recipe,
+    root: Path,
+    progress: Progress = silent,
+    observers: Sequence[Observer] = (),
+    every: float = 20.0,
+) -> Trained:
+    """Train the policy of a recipe and register it as ``recipe.name``; goes on where it was interrupted, even by a kill.
+
+    A policy of the same recipe, seed and versions that is registered already is returned as it is.
+
+    Args:
+        root: folder of checkpoints and of the replay buffer's files, one folder a training; removed when it is done.
+        observers: told of every episode and evaluation.
+        every: seconds between two checkpoints.
+
+    Raises:
+        StoreError: no such plant or forward model; a damaged checkpoint.
+        SettingsError: plant and forward model do not fit each other; NaN in a network: the last checkpoint stays.
+        StorageError: the disk is full: the last checkpoint stays.
+    """
+    plant, forward = registry.find(recipe.plant), registry.find(recipe.forward)
+    lineage = {
+        "plant": plant.reference,
+        "plant_digest": plant.digest,
+        "forward": forward.reference,
+        "forward_digest": forward.digest,
+        "recipe": recipe.to_json(),
+    }
+    for version in registry.list("policy"):
+        if version.name == recipe.name and version.lineage == _plain(lineage):
+            return Trained(version, dict(version.metrics), 0.0, 0.0, None)
+
+    def environment(size: int, seed: int, task: Task) -> Environment:
+        setting = recipe.setting
+        more: dict[str, Any] = {"full": True, "feedback": setting.feedback} if setting.full else {}
+        return from_versions(registry, plant.reference, forward.reference, size=size, seed=seed, task=task, **more)
+
+    files = TrainingFiles(training_folder(root, recipe, {"plant": plant.digest, "forward": forward.digest}), every)
+    task = recipe.setting.task
+    own, judge = environment(recipe.setting.copies, recipe.seed, task), environment(JUDGED, JUDGE_SEED, judged_task(task))
+    trainer = Trainer(own, judge, recipe)
+    files.load(trainer)
+    before, begin, begin_cpu = trainer.agent.updates, time.perf_counter(), time.process_time()
+    with ExitStack() as stack:
+        for observer in observers:
+            stack.enter_context(observer.watching(recipe, files.folder, trainer))
+
+        def told(kind: str, step: int, figures: Mapping[str, float]) -> None:
+            for observer in observers:
+                observer.told(kind, step, figures)
+
+        for turn in trainer.train(told):
+            if files.is_due:
+                files.save(trainer)
+            progress(turn / recipe.turns, _how(trainer))
+    trainer.check()
+    seconds, cpu_seconds = time.perf_counter() - begin, time.process_time() - begin_cpu
+    figures = {key: value for key, value in trainer.evaluations[-1].items() if key not in ("step", "updates")}
+    curves = {"episodes": trainer.episodes, "evaluations": trainer.evaluations}
+    version = registry.register(
+        recipe.name, "policy", policy_to_files(policy_of(trainer), curves), lineage, {**figures, "cpu_seconds": cpu_seconds}
+    )
+    files.remove()
+    return Trained(version, figures, seconds, cpu_seconds, (trainer.agent.updates - before) / max(seconds, 1e-9))
+
+
+def policy_of(trainer: Trainer) -> PolicyNetwork:
+    """The actor as it is now, for use without torch."""
+    space, forward = trainer.agent.space, trainer.environment.forward
+    weights, biases = trainer.agent.layers()
+    acts = len(space.action_low)
+    same = Normalisation(np.zeros(acts), np.ones(acts))
+    names = (*forward.joints, *(f"{what}.{axis}" for what in ("ee", "target") for axis in "xyz"))
+    more = tuple(f"further.{number}" for number in range(len(space.low) - len(names)))
+    return PolicyNetwork(
+        inputs=(*names, *more),
+        outputs=forward.joints,
+        mlp=Mlp(weights, biases, Normalisation(space.centre, space.half), same),
+        low=space.action_low,
+        high=space.action_high,
+        full=trainer.recipe.setting.full,
+    )
+
+
+def _how(trainer: Trainer) -> str:
+    episode = trainer.episodes[-1]["return"] if trainer.episodes else float("nan")
+    if not trainer.evaluations:
+        return f"return {episode:.2f}"
+    last = trainer.evaluations[-1]
+    errors = "/".join(f"{1e3 * last[f'hold_rmse_{axis}']:.1f}" for axis in "xyz")
+    return f"return {episode:.2f}, actor alone off by {errors} mm"
+
+
+def _plain(value: Any) -> Any:
+    """Tuples as the lists that JSON makes of them."""
+    if isinstance(value, Mapping):
+        return {key: _plain(item) for key, item in value.items()}
+    return [_plain(item) for item in value] if isinstance(value, list | tuple) else value

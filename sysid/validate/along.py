@@ -1,0 +1,250 @@
+"""Judge networks that run along a motion: actuators with history, and command → motion by its free runs."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from sysid.datasets.recording import Dataset, Recording, Role
+from sysid.errors import ExcitationError
+from sysid.networks.actuator import RoundTrip, actuator_rows
+from sysid.networks.history import HistoryNetwork
+from sysid.networks.motion import APART, MotionNetwork, motion_rows, motions, window_for
+from sysid.networks.motion_inputs import Index, Motion, Window
+from sysid.networks.recipe import NetworkRecipe
+from sysid.networks.rollout import Speed, horizon_errors, whole_run
+from sysid.networks.split import Rows, gather, segments
+from sysid.plant import free_run, nominal_plant
+from sysid.signals import axis_signal
+from sysid.validate.baselines import linkage_geometry, simple_models
+from sysid.validate.error_analysis import direction_profile, profile, speeds, spikes
+from sysid.validate.metrics import error_metrics
+from sysid.validate.report import OutputReport, Trace, ValidationReport
+from sysid.validate.validation import TRACE_ROWS, _ends, _Map, _output_report
+
+Array = npt.NDArray[np.float64]
+
+#: Names of what these networks have to beat.
+STATIC, PLANT, ARX = "static network", "nominal simulation", "linear ARX"
+
+
+def validate_history(
+    networks: Mapping[str, HistoryNetwork],
+    dataset: Dataset,
+    role: Role = "held_out",
+    recipe: NetworkRecipe | None = None,
+    name: str = "",
+) -> ValidationReport:
+    """Both directions of every axis along the recorded motion of ``role``, beside their static parts and simpler models.
+
+    Raises:
+        ExcitationError: no rows of that role have both signals of an axis.
+    """
+    outputs, round_trips = [], dict[str, RoundTrip]()
+    for axis, network in networks.items():
+        signals = (axis_signal(axis, "cylinder"), axis_signal(axis, "joint"))
+        fit, _ = actuator_rows(dataset, axis, recipe or NetworkRecipe())
+        parts = segments(dataset, role, signals)
+        rows = gather(parts, signals)
+        if not len(rows):
+            found = f"no {role} rows that measure {' and '.join(signals)} at the same time"
+            raise ExcitationError(f"dataset {dataset.reference}", found, "at least one")
+        static = network.static
+        for source, target, along, still in (
+            (0, 1, network.joint_along, static.joint),
+            (1, 0, network.displacement_along, static.displacement),
+        ):
+            predicted = []
+            for part in parts:
+                values = part.recording.values(signals[source])[part.start : part.stop]
+                mine = rows.recording == part.recording.name
+                predicted.append(along(values, part.recording.rate_hz)[rows.row[mine] - part.start])
+            item = _Map(
+                predict=lambda x, still=still: still(x[:, 0]),  # type: ignore[misc]
+                simple=simple_models(fit.values[:, [source]], fit.values[:, target])
+                | {"linkage geometry": linkage_geometry(fit.values[:, 0], fit.values[:, 1], target == 1)}
+                | {STATIC: lambda x, still=still: still(x[:, 0])},
+                trust=None,
+                sources=(source,),
+                target=target,
+                ends={signals[0]: _ends(dataset, axis, static)},
+                fitted={signals[source]: (static.displacements, static.joints)[source]},
+            )
+            outputs.append(_output_report(dataset, rows, "motion", item, np.concatenate(predicted)))
+        longest = max(parts, key=lambda part: part.stop - part.start)
+        cylinder, joint = (longest.recording.values(signal)[longest.start : longest.stop] for signal in signals)
+        round_trips[axis] = network.round_trip(cylinder, joint, longest.recording.rate_hz)
+    return ValidationReport("history", name, dataset.reference, role, tuple(outputs), round_trips)
+
+
+@dataclass(frozen=True)
+class _Runs:
+    """Free runs of one model, by stretch: rows where they are judged, rows they began at, and what was said."""
+
+    rows: list[Index]
+    begins: list[Index]
+    said: list[Array]
+
+
+def validate_motion(
+    networks: Mapping[str, MotionNetwork],
+    dataset: Dataset,
+    role: Role = "held_out",
+    recipe: NetworkRecipe | None = None,
+    name: str = "",
+) -> ValidationReport:
+    """Free runs of every axis on ``role``: some seconds after starts all along the recordings, and whole recordings.
+
+    Beside each, on the same rows: the nominal simulation of ``machine.toml``, running freely through the whole recording (what
+    it was off by at the start is taken from axes whose command is a speed or a force), and a linear model of the same inputs,
+    fitted by least squares on the same rows.
+
+    Raises:
+        ExcitationError: nothing of that role is long enough to judge.
+    """
+    settings = (recipe or NetworkRecipe()).motion
+    plant = nominal_plant(dataset.machine, streams=dataset.streams)
+    simulated: dict[str, Mapping[str, Array]] = {}
+    outputs = []
+    for axis, network in networks.items():
+        about = dataset.machine.axis(axis)
+        parts = motions(dataset, about, network.window, role)
+        for recording, _ in parts:
+            if recording.name not in simulated:
+                table = free_run(plant, recording)
+                simulated[recording.name] = {str(column): table[column].to_numpy() for column in table.columns}
+        window = window_for(about, settings, dataset.machine.rate_hz)
+        linear = _linear(*motion_rows(dataset, about, window, "fit", settings.samples))
+        for horizon in (*settings.horizons, None):
+            runs = _runs(network, network.speed, network.window, parts, horizon)
+            baselines = {ARX: _runs(network, linear, window, parts, horizon)}
+            said = _simulated(simulated, network.driven, about.actuation == "position", parts, runs)
+            entry = _motion_report(dataset, network, parts, horizon, runs, baselines, said)
+            outputs += [entry] if entry is not None else []
+    if not outputs:
+        found = f"no {role} motion as long as the history of a network"
+        raise ExcitationError(f"dataset {dataset.reference}", found, "at least one free run", "Record longer motions.")
+    return ValidationReport("motion", name, dataset.reference, role, tuple(outputs))
+
+
+def output_name(driven: str, horizon: float | None) -> str:
+    """``boom.cylinder after 500 ms``, or ``boom.cylinder whole run``."""
+    return f"{driven} whole run" if horizon is None else f"{driven} after {1e3 * horizon:.0f} ms"
+
+
+def _linear(x: Array, y: Array) -> Speed:
+    """Least squares of the same inputs."""
+    weights = np.linalg.lstsq(np.column_stack([x, np.ones(len(x))]), y[:, 0], rcond=None)[0]
+    return lambda inputs: np.asarray(inputs @ weights[:-1] + weights[-1])
+
+
+def _runs(
+    network: MotionNetwork, speed: Speed, window: Window, parts: tuple[tuple[Recording, Motion], ...], horizon: float | None
+) -> _Runs:
+    """Of a model within the network's bounds."""
+    found = [motion for _, motion in parts]
+    if horizon is not None:
+        ends = horizon_errors(speed, window, network.bounds, found, horizon, APART)
+        back = max(1, round(horizon / window.step))
+        begins = [rows - back * motion.stride for (rows, _, _), motion in zip(ends, found, strict=True)]
+        return _Runs([rows for rows, _, _ in ends], begins, [said for _, said, _ in ends])
+    rows, begins, said = [], [], []
+    for motion in found:
+        run = whole_run(speed, window, network.bounds, motion)
+        here = np.flatnonzero(np.isfinite(run) & np.isfinite(motion.position))
+        first = np.flatnonzero(np.isfinite(run) & ~np.r_[False, np.isfinite(run[:-1])])
+        rows.append(here)
+        begins.append(first[np.searchsorted(first, here, side="right") - 1])
+        said.append(run[here])
+    return _Runs(rows, begins, said)
+
+
+def _simulated(
+    simulated: Mapping[str, Mapping[str, Array]],
+    driven: str,
+    is_position: bool,
+    parts: tuple[tuple[Recording, Motion], ...],
+    runs: _Runs,
+) -> list[Array]:
+    """What the nominal simulation says at the same rows, (b,) for each stretch; NaN where it says nothing."""
+    found = []
+    for (recording, motion), rows, begins in zip(parts, runs.rows, runs.begins, strict=True):
+        run = simulated[recording.name].get(driven)
+        if run is None:
+            found.append(np.full(len(rows), np.nan))
+            continue
+        off = 0.0 if is_position else run[begins] - motion.position[begins]
+        found.append(run[rows] - off)
+    return found
+
+
+def _motion_report(
+    dataset: Dataset,
+    network: MotionNetwork,
+    parts: tuple[tuple[Recording, Motion], ...],
+    horizon: float | None,
+    runs: _Runs,
+    others: Mapping[str, _Runs],
+    simulated: list[Array],
+) -> OutputReport | None:
+    """Figures over the rows at which the network and every baseline say something; None where there are none."""
+    rows = _rows(network, parts, runs)
+    predicted, truth = np.concatenate(runs.said), rows.values[:, 1]
+    baselines = {title: np.concatenate(list(_at(runs.rows, other))) for title, other in others.items()}
+    baselines[PLANT] = np.concatenate(simulated)
+    baselines = {title: said for title, said in baselines.items() if np.isfinite(said).any()}
+    common = np.all([np.isfinite(values) for values in (predicted, truth, *baselines.values())], axis=0)
+    if not common.any():
+        return None
+    chosen = np.flatnonzero(common)
+    rows, predicted, truth = rows.take(chosen), predicted[common], truth[common]
+    errors, unit = predicted - truth, network.unit
+    sigma = dataset.machine.noise.get(network.driven)
+    speed = speeds(dataset, rows, network.driven)
+    profiles = [profile(errors, rows.values[:, 0], network.command, "1")]
+    if np.isfinite(speed).any():
+        profiles += [
+            profile(errors, np.abs(speed), f"speed of {network.command}", f"{unit}/s"),
+            direction_profile(errors, speed, f"direction of {network.command}", f"{unit}/s"),
+        ]
+    shown = np.linspace(0, len(rows) - 1, min(len(rows), TRACE_ROWS)).round().astype(np.int64)
+    inputs = {network.command: rows.values[shown, 0]}
+    return OutputReport(
+        output=output_name(network.driven, horizon),
+        inputs=(network.command,),
+        rows="motion",
+        recordings=tuple(dict.fromkeys(map(str, rows.recording))),
+        metrics=error_metrics(truth, predicted, unit),
+        baselines={title: error_metrics(truth, said[common], unit) for title, said in baselines.items()},
+        # The run starts from a measured position and is compared with one.
+        noise_floor=None if sigma is None else float(np.sqrt(2.0) * sigma),
+        profiles=tuple(profiles),
+        spikes=spikes(dataset, rows, errors, {}, {network.command: network.commands}, True),
+        trace=Trace(rows.recording[shown], rows.time[shown], truth[shown], predicted[shown], inputs),
+    )
+
+
+def _rows(network: MotionNetwork, parts: tuple[tuple[Recording, Motion], ...], runs: _Runs) -> Rows:
+    """Command and position where runs are judged."""
+    signals = (network.command, network.driven)
+    columns = [
+        (
+            np.column_stack([recording.values(signal)[rows] for signal in signals]),
+            np.full(len(rows), recording.name),
+            rows,
+            recording.values("time")[rows],
+        )
+        for (recording, _), rows in zip(parts, runs.rows, strict=True)
+    ]
+    values, names, at, times = (np.concatenate(column) for column in zip(*columns, strict=True))
+    return Rows(signals, values, names, at, times)
+
+
+def _at(rows: list[Index], other: _Runs) -> Iterator[Array]:
+    """What another model said at ``rows``; NaN where it said nothing."""
+    for wanted, there, said in zip(rows, other.rows, other.said, strict=True):
+        found = dict(zip(there.tolist(), said.tolist(), strict=True))
+        yield np.array([found.get(row, np.nan) for row in wanted.tolist()])

@@ -1,0 +1,78 @@
+"""A Rerun recording of how a path was followed: path, machines, errors and commands."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+import pandas as pd
+
+from sysid.files import written_whole
+from sysid.machine import Machine
+from sysid.signals import axis_signal, point_signals
+from sysid.view.recording import TIMELINE, Style, _log_machine, _log_points, _rerun, _styles
+
+Array = npt.NDArray[np.float64]
+_PATH = (230, 60, 90)
+
+
+def write_tracks(path: Path, machine: Machine, target: Array, rows: Mapping[str, pd.DataFrame], name: str) -> Path:
+    """Write how one path was followed by one policy or several.
+
+    Args:
+        path: the ``.rrd`` file.
+        target: where the end effector should be, (n, 3) [m], in the rows of the tables.
+        rows: policy → ``time`` [s], joints, ``ee``, and ``tool`` and commands where there are any (SI).
+        name: of the recording.
+    """
+    rr = _rerun()
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with written_whole(path) as half:
+        stream = rr.RecordingStream("sysid", recording_id=name)
+        stream.save(str(half), default_blueprint=_layout(list(rows)))
+        stream.send_recording_name(name)
+        rr.log("machine", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True, recording=stream)
+        rr.log("machine/path", rr.LineStrips3D([target], colors=[_PATH], radii=0.0015), static=True, recording=stream)
+        styles = [Style((138, 148, 158), True), *_styles(rows)]
+        kinematics = machine.kinematics()
+        for style, (policy, table) in zip(styles, rows.items(), strict=False):
+            if kinematics is not None:
+                _log_machine(stream, f"machine/{policy}", machine, kinematics, table, style)
+            _log_points(stream, f"machine/{policy}", machine, table, style)
+            times = [rr.TimeColumn(TIMELINE, duration=table["time"].to_numpy(dtype=np.float64))]
+            error = 1e3 * (table[list(point_signals("ee"))].to_numpy(dtype=np.float64) - target)
+            commands = [axis_signal(axis, "command") for axis in machine.axis_names]
+            curves = {f"error/{axis}/{policy}": (error[:, k], f"{policy} [mm]") for k, axis in enumerate("xyz")}
+            for signal in commands:
+                if signal in table and table[signal].notna().any():
+                    curves[f"commands/{signal}/{policy}"] = (table[signal].to_numpy(dtype=np.float64), policy)
+            for entity, (values, label) in curves.items():
+                rr.log(entity, rr.SeriesLines(colors=[style.colour], names=[label]), static=True, recording=stream)
+                rr.send_columns(entity, indexes=times, columns=rr.Scalars.columns(scalars=values), recording=stream)
+        stream.flush()
+        stream.disconnect()
+    return path
+
+
+def _layout(policies: list[str]) -> object:
+    import rerun as rr
+    import rerun.blueprint as rrb
+
+    past = rr.TimeRangeBoundary.cursor_relative(seconds=-3.0)
+    trail = rrb.VisibleTimeRanges(
+        [rr.VisibleTimeRange(TIMELINE, start=past, end=rr.TimeRangeBoundary.cursor_relative(seconds=0))]
+    )
+    points = [f"machine/{policy}/{point}" for policy in policies for point in ("ee", "tool")]
+    errors = [rrb.TimeSeriesView(origin=f"error/{axis}", name=f"error {axis}") for axis in "xyz"]
+    return rrb.Blueprint(
+        rrb.Horizontal(
+            rrb.Spatial3DView(origin="machine", name="machine", overrides=dict.fromkeys(points, trail)),
+            rrb.Vertical(*errors, rrb.TimeSeriesView(origin="commands", name="commands")),
+        ),
+        rrb.BlueprintPanel(state="collapsed"),
+        rrb.SelectionPanel(state="collapsed"),
+        rrb.TimePanel(timeline=TIMELINE, state="collapsed"),
+        auto_views=False,
+    )

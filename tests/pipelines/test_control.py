@@ -1,0 +1,42 @@
+"""The pipeline of the cylinder controller: each row knows one thing more, and the page says what was measured."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable
+from dataclasses import fields
+from types import ModuleType
+
+from crane_model import Perfect, crane_plant
+
+from sysid.control import AxisTuning, tune
+from sysid.machine import KnownEffect
+from sysid.rl.course import lay_out
+
+PLANT = crane_plant(KnownEffect("backlash", "slew", {"width": 0.01}, "drive"))
+
+
+def changed(one: tuple[AxisTuning, ...], other: tuple[AxisTuning, ...]) -> set[str]:
+    return {
+        field.name
+        for a, b in zip(one, other, strict=True)
+        for field in fields(a)
+        if getattr(a, field.name) != getattr(b, field.name)
+    }
+
+
+def test_each_row_has_one_thing_more(pipeline: Callable[[str], ModuleType]) -> None:
+    course = lay_out(PLANT, Perfect(PLANT), "circle", full=True, centre=(0.85, 0.0, 0.3))
+    rows = pipeline("control").stages(course, tune(crane_plant()))
+    steps = [changed(one[1], other[1]) for one, other in itertools.pairwise(rows)]
+    assert steps[0] <= {"up", "down", "exponent", "positive", "negative", "limit", "creep"}
+    assert steps[1:6] == [{"proportional"}, {"feed"}, {"play"}, {"integral"}, set()]
+    assert rows[5][1] == course.tuning
+    assert [row[2] for row in rows] == [0.0] * 6 + [course.dead_time, 0.0]
+
+
+def test_the_page_shows_the_figures_after_the_first_second(pipeline: Callable[[str], ModuleType]) -> None:
+    late = {"rmse_mm": [61.5, 0.4, 1.25], "max_mm": [86.4, 1.0, 2.0]}
+    row = {"policy": "P", "settled": late, "quiet": {"settled": {**late, "rmse_mm": [1.0, 2.0, 3.0]}}}
+    text = pipeline("control").page([row])
+    assert text.splitlines()[-1] == "| P | 62 / 0.40 / 1.25 | 86 / 1.00 / 2.00 | 1.00 / 2.00 / 3.00 |"

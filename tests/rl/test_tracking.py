@@ -1,0 +1,139 @@
+"""Tracking: error at t + 1 against the target at t + 1; baselines in the paper's setting and on the full path."""
+
+from __future__ import annotations
+
+from pathlib import Path as File
+
+import numpy as np
+import numpy.typing as npt
+import pandas as pd
+import pytest
+from crane_model import Perfect, crane_plant
+
+from sysid.control import simple
+from sysid.errors import InputError, SettingsError
+from sysid.machine import KnownEffect
+from sysid.rl.course import Course, Shortened, lay_out
+from sysid.rl.environment import Task
+from sysid.rl.kinematic import KinematicEnvironment
+from sysid.rl.paths import Path, helix
+from sysid.rl.record import keep, pictures, table
+from sysid.rl.tracking import InversePolicy, track, track_environment
+
+Array = npt.NDArray[np.float64]
+PLANT = crane_plant(
+    KnownEffect("valve_deadband", "boom", {"positive": 0.12, "negative": 0.10}),
+    KnownEffect("gripper_sway", "tool", {"length": 0.22, "damping_ratio": 0.04}),
+)
+CENTRE = (0.85, 0.0, 0.3)
+
+
+@pytest.fixture(scope="module")
+def still() -> Course:
+    return lay_out(PLANT, Perfect(PLANT), "helix", centre=CENTRE)
+
+
+@pytest.fixture(scope="module")
+def driven() -> Course:
+    return lay_out(PLANT, Perfect(PLANT), "circle", full=True, centre=CENTRE)
+
+
+def test_with_a_perfect_static_plant_inverse_kinematics_is_exact(still: Course) -> None:
+    run = still.baseline("ik")
+    assert len(run.time) == 3000
+    np.testing.assert_array_equal(run.target, still.path.points[1:])
+    assert run.worst.max() < 1e-6
+    assert np.isnan(run.tool).all()
+
+
+def test_the_error_is_that_of_the_next_sample() -> None:
+    """A policy that stays where it is: every step is off by the whole way of the path."""
+
+    class Stay:
+        def act(self, observations: Array) -> Array:
+            return observations[:, :4]
+
+    points = np.linspace([0.85, 0.0, 0.3], [0.85, 0.05, 0.3], 6)
+    path = Path("line", 100.0, points)
+    course = lay_out(PLANT, Perfect(PLANT), "helix", centre=CENTRE)
+    start, _ = course.inverse.reach(points[0], np.random.default_rng(0))
+    run = track(track_environment(PLANT, Perfect(PLANT), path), Stay(), path, start)
+    np.testing.assert_allclose(run.error[:, 1], -0.01 * np.arange(1, 6), atol=1e-6)
+    assert run.to_json()["max_mm"][1] == pytest.approx(50.0, abs=1e-3)
+    assert run.to_json()["settled"] is None
+
+
+def test_on_the_full_path_look_ahead_takes_the_dead_time_away(driven: Course) -> None:
+    assert driven.dead_time == pytest.approx(0.11)
+    plain, ahead = driven.baseline("ik").after(1.0), driven.baseline("ik-lookahead").after(1.0)
+    assert plain.rmse.max() < 2e-3
+    assert (ahead.rmse[:2] < 0.6 * plain.rmse[:2]).all()
+    assert np.isfinite(plain.tool).all()
+    assert np.abs(plain.commands).max() <= 1.0
+
+
+def test_what_a_path_asks_of_each_axis_is_said(driven: Course, tmp_path: File) -> None:
+    assert set(driven.demand) == {"slew", "boom", "stick", "telescope"}
+    assert 0.3 < max(driven.demand.values()) < 1.0
+    fast = tmp_path / "fast.csv"
+    fast.write_text("t,x,y,z\n0,0.85,-0.2,0.3\n0.5,0.85,0.2,0.3\n", "utf-8")
+    course = lay_out(PLANT, Perfect(PLANT), str(fast), full=True)
+    assert course.demand["slew"] > 1.5
+    assert course.baseline("ik").worst.max() > 0.05
+
+
+def test_the_low_level_controller_decides(driven: Course) -> None:
+    poor = lay_out(PLANT, Perfect(PLANT), "circle", full=True, centre=CENTRE, tuning=simple(PLANT))
+    assert poor.baseline("ik").after(1.0).rmse.max() > 20.0 * driven.baseline("ik").after(1.0).rmse.max()
+
+
+def test_a_policy_of_the_papers_setting_may_drive_the_full_path(driven: Course) -> None:
+    class Ten:
+        inputs = tuple(f"number {k}" for k in range(10))
+
+        def __init__(self) -> None:
+            self.inner = InversePolicy(driven.inverse)
+
+        def act(self, observations: Array) -> Array:
+            assert observations.shape == (1, 10)
+            return self.inner.act(observations)
+
+    run = driven.run("ten", Shortened(Ten()))
+    assert run.policy == "ten"
+    assert run.rmse.max() < 5e-3
+
+
+def test_what_is_kept_can_be_looked_at(driven: Course, tmp_path: File) -> None:
+    runs = [driven.baseline("ik")]
+    files = keep(tmp_path / "run", PLANT.machine, runs)
+    assert {"steps of ik", "from above", "error ik", "rerun"} <= set(files)
+    rows = pd.read_csv(files["steps of ik"])
+    assert list(rows.columns) == list(table(PLANT.machine, runs[0]).columns)
+    assert {"time", "target.x", "ee.z", "tool.y", "boom.joint", "boom.setpoint", "boom.command"} <= set(rows.columns)
+    np.testing.assert_allclose(rows["ee.x"], runs[0].ee[:, 0], atol=1e-6)
+    assert files["rerun"].stat().st_size > 10_000
+    assert all(text.startswith("<svg") for text in pictures(runs).values())
+
+
+def test_mistakes_are_named(still: Course, driven: Course) -> None:
+    path = helix(CENTRE)
+    policy = InversePolicy(still.inverse)
+    with pytest.raises(SettingsError, match=r"a look-ahead of 0\.11 s where joints follow at once"):
+        still.baseline("ik-lookahead")
+    with pytest.raises(SettingsError, match="expected 'ik-lookahead'"):
+        driven.baseline("ik-look")
+    with pytest.raises(SettingsError, match="an episode of 1000 steps; expected more than the 3000 of helix"):
+        track(KinematicEnvironment(PLANT, Perfect(PLANT)), policy, path, still.start)
+    with pytest.raises(SettingsError, match="2 copies; expected one"):
+        track(KinematicEnvironment(PLANT, Perfect(PLANT), size=2, task=Task(steps=4000)), policy, path, still.start)
+    with pytest.raises(SettingsError, match="expected 'helix'"):
+        lay_out(PLANT, Perfect(PLANT), "hellix")
+    with pytest.raises(SettingsError, match=r"a path at 50\.0 Hz; expected 100\.0 Hz"):
+        track(track_environment(PLANT, Perfect(PLANT), path), policy, helix(CENTRE, 50.0), still.start)
+
+    class Wrong:
+        def act(self, observations: Array) -> Array:
+            return observations[:, :3]
+
+    with pytest.raises(InputError, match=r"the policy answers with shape \(1, 3\); expected \(1, 4\)"):
+        still.run("wrong", Wrong())
