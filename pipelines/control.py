@@ -19,10 +19,10 @@ from committed import provenance, write_result, write_tables
 from sysid.control import AxisTuning, simple, tune
 from sysid.plant import plant_from_files
 from sysid.registry import Registry
+from sysid.reports.line_picture import Line, svg
 from sysid.rl.course import Course, lay_out
 from sysid.rl.environment import load_versions
 from sysid.rl.tracking import InversePolicy, Tracked, track, track_environment
-from sysid.testing.picture import Line, svg
 
 ROOT = Path(__file__).resolve().parents[1]
 COMMAND = "python pipelines/control.py"
