@@ -17,9 +17,9 @@ import numpy as np
 
 from committed import provenance, write_result, write_tables
 from sysid.control import AxisTuning, simple, tune
+from sysid.pictures import Line, svg
 from sysid.plant import plant_from_files
 from sysid.registry import Registry
-from sysid.reports.line_picture import Line, svg
 from sysid.rl.course import Course, lay_out
 from sysid.rl.environment import load_versions
 from sysid.rl.tracking import InversePolicy, Tracked, track, track_environment

@@ -11,7 +11,7 @@ import pandas as pd
 
 from sysid.files import written_whole
 from sysid.machine import Machine
-from sysid.reports.line_picture import Line, svg
+from sysid.pictures import Line, svg
 from sysid.rl.tracking import Tracked
 from sysid.signals import point_signals
 

@@ -10,8 +10,6 @@ from html import escape
 import numpy as np
 import numpy.typing as npt
 
-from sysid.reports.charts import ticks
-
 Array = npt.NDArray[np.float64]
 WIDTH, HEIGHT, LEFT, RIGHT, TOP, BOTTOM = 640, 240, 64, 12, 26, 36
 
@@ -74,6 +72,18 @@ def svg(title: str, x_label: str, y_label: str, lines: Sequence[Line], equal: bo
         style = f'fill="none" stroke="{line.colour}" stroke-width="1.6"{dash}'
         parts.append(f'<polyline points="{place(line.x, line.y)}" {style}/>')
     return "\n".join([*parts, "</svg>", ""])
+
+
+def ticks(low: float, high: float, count: int = 4) -> list[float]:
+    """Round values inside a range, about ``count`` of them."""
+    raw = (high - low) / max(count, 1)
+    power = 10.0 ** math.floor(math.log10(raw))
+    step = min((power * k for k in (1.0, 2.0, 5.0, 10.0)), key=lambda size: abs(math.log(size / raw)))
+    begin = math.ceil(low / step - 1e-9)
+    found: list[float] = []
+    while (begin + len(found)) * step <= high + 1e-9 * step:
+        found.append((begin + len(found)) * step)
+    return found
 
 
 def _named(low: float, high: float, count: int) -> list[tuple[float, str]]:
