@@ -36,6 +36,8 @@ Array = npt.NDArray[np.float64]
 
 #: What the control pipe takes.
 WORDS = ("dead_man", "emergency_stop", "drop", "stuck", "unplug", "quit")
+#: Real-time priority that is asked for (SCHED_FIFO).
+PRIORITY = 60
 #: A process that wakes up later than this goes on from where it is [ns].
 _LONGEST_SLEEP_NS = 1_000_000_000
 #: The machine's clock on the bus begins anew after so many seconds: 32 bits of 0.1 ms.
@@ -207,6 +209,9 @@ def run_live(options: argparse.Namespace) -> None:
         SysidError: a recipe or a database that is none.
     """
     process = LiveProcess(options)
+    # A real machine does not wait for this computer's other processes. Where that is not permitted, it does.
+    with contextlib.suppress(OSError, AttributeError):
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(PRIORITY))
     if not options.control.exists():
         os.mkfifo(options.control)
     # Open for writing as well, so that it does not end when a writer goes.

@@ -12,7 +12,9 @@ the loop sees (:attr:`FlightLog.fault`) and reacts to by its recipe; it never wa
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
+import os
 import platform
 import shutil
 import threading
@@ -36,6 +38,8 @@ from sysid.runner.mcap_pieces import PieceWriter
 SYNC_EVERY, WAITING = 1.0, 3000
 #: Room that has to be left on the disk [bytes]: some minutes of a run, and a little for whoever has to make room.
 RESERVE = 64 * 2**20
+#: Real-time priority of the thread, where it is permitted.
+PRIORITY = 5
 Kind = Literal["motion", "poses"]
 
 
@@ -130,6 +134,9 @@ class FlightLog:
 
     def _write(self) -> None:
         """The thread: one cycle at a time, so that it holds the interpreter for a fraction of a millisecond only."""
+        # A thread that other processes push aside while it holds the interpreter holds up the loop: above them, below the loop.
+        with contextlib.suppress(OSError, AttributeError):
+            os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(PRIORITY))
         synced = time.monotonic()
         cycles = 0
         done = False

@@ -29,7 +29,11 @@ class Line:
 Build = Callable[[dict[str, Any], Assembly, Registry], Line]
 
 #: ``module:function``, imported when it is asked for.
-TRANSPORTS: dict[str, str] = {"simulated": "sysid.runner.transports:simulated", "can": "sysid.runner.transports:can"}
+TRANSPORTS: dict[str, str] = {
+    "simulated": "sysid.runner.transports:simulated",
+    "can": "sysid.runner.transports:can",
+    "slcan": "sysid.runner.transports:slcan",
+}
 
 
 def connect(assembly: Assembly, registry: Registry) -> Line:
@@ -86,5 +90,18 @@ def can(values: dict[str, Any], assembly: Assembly, registry: Registry) -> Line:
 
     where = "transport"
     settings = parse_settings(values, CanSettings, where)
-    settings = replace(settings, database=assembly.folder / settings.database)
+    axes = assembly.machine.axis_names
+    if sorted(settings.valves) != sorted(axes):
+        raise SettingsError(f"{where}.valves", ", ".join(settings.valves) or "none", f"one each for {', '.join(axes)}")
+    settings = replace(
+        settings,
+        database=assembly.folder / settings.database,
+        control=assembly.folder / settings.control if settings.control is not None else None,
+        valves={axis: settings.valves[axis] for axis in axes},
+    )
     return Line(CanTransport(settings, where), stand_in=settings.control is not None)
+
+
+def slcan(values: dict[str, Any], assembly: Assembly, registry: Registry) -> Line:
+    """The same through an adapter on a serial line."""
+    return can(values | {"interface": "slcan"}, assembly, registry)

@@ -16,7 +16,7 @@ PACKAGE = ROOT / "sysid"
 #: From the ground floor up. A part may import itself and what stands on a lower floor, never a neighbour or a higher one.
 FLOORS: tuple[tuple[str, ...], ...] = (
     ("errors",),
-    ("units", "config", "signals", "progress", "files", "compiled"),
+    ("units", "config", "signals", "progress", "files", "compiled", "pictures"),
     ("logs", "machine"),
     ("datasets",),
     ("networks", "effects"),
@@ -27,6 +27,7 @@ FLOORS: tuple[tuple[str, ...], ...] = (
     ("rl",),
     ("workspace",),
     ("model_versions",),
+    ("runner",),
     ("cli",),
 )
 #: The stand-in machine is judged by the library, so it may share nothing with it but errors and settings.

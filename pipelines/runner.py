@@ -1,0 +1,399 @@
+"""The runner on the stand-in machine, over slcan, each in a process of its own: `python pipelines/runner.py` after `make demo`.
+
+Helix and circle are followed by inverse kinematics and, with `--policy`, by a policy, alone on the computer and beside three
+busy processes; then every fault is let loose while the machine moves. What the machine did is read from its own file. Writes
+`reports/runner/result.json` and the tables of `docs/can.md`.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from committed import markdown, provenance, write_result, write_tables
+from runner_flight import LINE, POLICY
+from sysid.bench.live import read_truth
+from sysid.logs.mcap import McapReader
+from sysid.logs.reader import ReadOptions
+
+Array = npt.NDArray[np.float64]
+ROOT = Path(__file__).resolve().parents[1]
+COMMAND = "python pipelines/runner.py"
+DATABASE = ROOT / "rl/autolog/machine.dbc"
+#: Recipe of the runner; the fence holds the path and the place where the machine is parked.
+RECIPE = """schema = 1
+name = "stand-in"
+machine = "{root}/datasets/autolog/machine.toml"
+mode = "track"
+[versions]
+plant = "{plant}"
+forward = "{forward}"
+policy = "{policy}"
+unpromoted = {unpromoted}
+[track]
+path = "{path}"
+laps = {laps}
+[limits.fence]
+x = [0.45, 1.45]
+y = [-0.5, 0.5]
+z = [0.0, 0.85]
+[loop]
+seconds = {seconds}
+[transport]
+kind = "slcan"
+channel = "{folder}/can0"
+control = "{folder}/control"
+database = "{database}"
+[transport.signals]
+"slew.joint" = "SLEW_SENSOR.slew"
+"boom.cylinder" = "DRAW_WIRES.boom"
+"stick.cylinder" = "DRAW_WIRES.stick"
+"telescope.joint" = "DRAW_WIRES.telescope"
+[transport.valves]
+slew = "AUX_VALVE_0_COMMAND"
+boom = "AUX_VALVE_1_COMMAND"
+stick = "AUX_VALVE_2_COMMAND"
+telescope = "AUX_VALVE_3_COMMAND"
+"""
+FENCE = np.array([[0.45, 1.45], [-0.5, 0.5], [0.0, 0.85]])
+#: Motion after a fault is looked at for so long [s].
+AFTER = 4.0
+
+
+@dataclass
+class Flown:
+    """A run and what is left of it: lines that the runner said, its outcome, the machine's truth, when the fault came."""
+
+    lines: list[tuple[str, int, str]]
+    outcome: dict[str, Any]
+    truth: dict[str, Array]
+    cycles: dict[str, Array]
+    fault_ns: int = 0
+    said: dict[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Outside:
+    """A fault that does not come from inside the runner.
+
+    Args:
+        machine: lines for the control pipe. kill: ``runner`` or ``machine``. pause: the runner stands still for so long [s].
+    """
+
+    machine: tuple[str, ...] = ()
+    kill: str = ""
+    pause: float = 0.0
+
+
+def _dropped(count: int) -> Outside:
+    return Outside(tuple(f"drop {name} {count}" for name in ("MACHINE_STATUS", "DRAW_WIRES", "SLEW_SENSOR")))
+
+
+OUTSIDE = {
+    "1 frame dropped": _dropped(1),
+    "5 frames in a row dropped": _dropped(5),
+    "20 frames in a row dropped": _dropped(20),
+    "sensor unplugged": Outside(("unplug DRAW_WIRES 1",)),
+    "sensor repeats a frame": Outside(("stuck DRAW_WIRES 1",)),
+    "emergency stop": Outside(("emergency_stop 1",)),
+    "dead-man released": Outside(("dead_man 0",)),
+    "runner paused 300 ms": Outside(pause=0.3),
+    "kill -9 of the runner": Outside(kill="runner"),
+    "kill -9 of the machine": Outside(kill="machine"),
+}
+#: The state that a fault has to end in.
+ENDS: dict[str, tuple[str, ...]] = {
+    "1 frame dropped": ("goes on",),
+    "5 frames in a row dropped": ("goes on", "stopped"),
+    "sensor unplugged": ("stopped", "fault"),
+    "emergency stop": ("fault",),
+    "bus off": ("fault",),
+    "kill -9 of the machine": ("fault",),
+    "kill -9 of the runner": ("machine's own time-out",),
+    "policy emits NaN": ("goes on", "stopped"),
+    "policy emits extremes": ("goes on", "stopped"),
+    "wrong DBC": ("refused",),
+}
+STOPS = ("stopped", "fault")
+
+
+@contextmanager
+def machine(folder: Path, seconds: float) -> Iterator[subprocess.Popen[str]]:
+    words = [sys.executable, "-m", "sysid.bench", "live", str(ROOT / "datasets/autolog/bench.toml")]
+    words += ["--database", str(DATABASE), "--pty", str(folder / "can0"), "--control", str(folder / "control")]
+    words += ["--truth", str(folder / "truth.bin"), "--seconds", str(seconds)]
+    with subprocess.Popen(words, stdout=subprocess.PIPE, text=True, env=_environment()) as process:
+        try:
+            assert process.stdout is not None
+            if not process.stdout.readline().startswith("ready"):
+                raise RuntimeError("the stand-in machine did not start")
+            yield process
+        finally:
+            process.kill()
+
+
+@contextmanager
+def busy(count: int) -> Iterator[None]:
+    """So many processes that do nothing but compute."""
+    with ExitStack() as stack:
+        for _ in range(count):
+            process = stack.enter_context(subprocess.Popen([sys.executable, "-c", "while True: pass"]))
+            stack.callback(process.kill)
+        yield
+
+
+def _environment() -> dict[str, str]:
+    """One thread each: this computer has few cores."""
+    threads = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
+    return os.environ | {"PYTHONPATH": str(ROOT)} | threads
+
+
+def fly(options: argparse.Namespace, path: str, policy: str, seconds: float, fault: str = "", **change: str) -> Flown:
+    """One run, with a fault where one is named."""
+    with tempfile.TemporaryDirectory(prefix="runner-") as name:
+        folder = Path(name)
+        values = {
+            "root": ROOT, "plant": options.plant, "forward": options.forward, "policy": policy, "path": path,
+            "unpromoted": json.dumps(options.unpromoted), "laps": int(seconds / 5.0) + 5, "seconds": seconds,
+            "folder": folder, "database": DATABASE, **change,
+        }  # fmt: skip
+        if "wrong" in change:
+            (folder / "wrong.dbc").write_text(DATABASE.read_text("utf-8").replace("BO_ 423 ", "BO_ 424 "), "utf-8")
+            values["database"] = folder / "wrong.dbc"
+        recipe = folder / "runner.toml"
+        recipe.write_text(RECIPE.format(**values), "utf-8")
+        with machine(folder, seconds + 120.0) as stand_in:
+            words = [sys.executable, str(ROOT / "pipelines/runner_flight.py"), str(recipe), str(options.workspace), fault]
+            with subprocess.Popen(words, stdout=subprocess.PIPE, text=True, env=_environment()) as runner:
+                lines, fault_ns = _listen(runner, stand_in, folder, OUTSIDE.get(fault))
+            if fault:
+                time.sleep(0.5)
+            outcome = folder / "outcome.json"
+            said = json.loads(outcome.read_text("utf-8")) if outcome.exists() else {}
+            return Flown(lines, said, read_truth(folder / "truth.bin"), _cycles(folder), fault_ns)
+
+
+def _listen(
+    runner: subprocess.Popen[str], stand_in: subprocess.Popen[str], folder: Path, outside: Outside | None
+) -> tuple[list[tuple[str, int, str]], int]:
+    """What the runner says until it ends, and when the fault came."""
+    assert runner.stdout is not None
+    lines, fault_ns = [], 0
+    for line in runner.stdout:
+        word, ns, *rest = line.rstrip("\n").split(" ", 2)
+        lines.append((word, int(ns), rest[0] if rest else ""))
+        if word == "fault":
+            fault_ns = int(ns)
+        elif word == "track" and outside is not None:
+            fault_ns = time.monotonic_ns()
+            if outside.machine:
+                with (folder / "control").open("w") as pipe:
+                    pipe.write("".join(f"{item}\n" for item in outside.machine))
+            if outside.pause:
+                runner.send_signal(signal.SIGSTOP)
+                time.sleep(outside.pause)
+                runner.send_signal(signal.SIGCONT)
+            if outside.kill:
+                (runner if outside.kill == "runner" else stand_in).kill()
+    return lines, fault_ns
+
+
+def _cycles(folder: Path) -> dict[str, Array]:
+    """Numbers of the flight log's cycles; nothing where the run was refused."""
+    for path in (folder / "logs").glob("*/flight.mcap"):
+        if path.stat().st_size > 10_000:
+            for stream in McapReader().read(path, ReadOptions()):
+                if stream.name == "/cycles":
+                    return {name: np.asarray(values, dtype=np.float64) for name, values in stream.columns.items()}
+    return {}
+
+
+def _places(truth: dict[str, Array]) -> Array:
+    """Boom tips (n, 3) [m]."""
+    return np.stack([truth[f"ee.{letter}"] for letter in "xyz"], axis=1)
+
+
+def _begun(flown: Flown) -> Array:
+    """When each turn began, on the monotonic clock [ns]; the log is dated, the first line says when the first turn began."""
+    begun = flown.cycles["due_ns"] + flown.cycles["lateness_ns"]
+    return np.asarray(begun - (begun[0] - flown.lines[0][1]))
+
+
+def _off(flown: Flown, first_ns: float, last_ns: float) -> Array:
+    """Boom tip less its target in the turns between, (n, 3) [m]; a target is for the end of its turn."""
+    targets = np.stack([flown.cycles[f"target[{k}]"] for k in range(3)], axis=1)
+    at = _begun(flown) + 1e7
+    own = (at >= first_ns) & (at <= last_ns) & np.isfinite(targets[:, 0])
+    places = _places(flown.truth)
+    there = np.stack([np.interp(at[own], flown.truth["at_ns"], column) for column in places.T], axis=1)
+    return np.asarray(there - targets[own])
+
+
+def timing(flown: Flown) -> dict[str, Any]:
+    """Lateness, missed deadlines, from the command to the valve, and how far the tip is from its target."""
+    truth, cycles = flown.truth, flown.cycles
+    if not cycles:
+        raise RuntimeError(f"the run did not come about: {flown.outcome.get('why')}")
+    # The n-th set of commands has the counter n + 1; when it arrived is in the truth, as is when each turn began.
+    begun = _begun(flown)
+    fresh = np.flatnonzero(np.diff(truth["counter"]) != 0) + 1
+    turns = (truth["counter"][fresh].astype(int) - 1) % 256
+    arrived = truth["counter_ns"][fresh]
+    near = np.searchsorted(begun, arrived) - 1
+    numbers = near - (near - turns) % 256
+    numbers = np.where(near - numbers > 128, numbers + 256, numbers)
+    good = (numbers >= 0) & (numbers < len(begun))
+    ways = (arrived[good] - begun[numbers[good]]) * 1e-3
+    error = 1e3 * _off(flown, 0.0, np.inf)[200:]
+    if not len(error):
+        raise RuntimeError(f"the run ended before it tracked: {flown.outcome.get('why')} {flown.lines}")
+    outcome = flown.outcome
+    return {
+        "lateness_us": outcome["lateness_us"],
+        "turn_us": outcome["turn_us"],
+        "turns": outcome["turns"],
+        "missed": outcome["missed"],
+        "begin_to_valve_us": {
+            "p50": float(np.percentile(ways, 50)), "p99": float(np.percentile(ways, 99)), "max": float(ways.max())
+        },
+        "rmse_mm": np.sqrt((error**2).mean(axis=0)).tolist(),
+        "max_mm": np.abs(error).max(axis=0).tolist(),
+        "ended": outcome["ended"],
+        "notes": outcome["notes"],
+    }  # fmt: skip
+
+
+def judged(name: str, flown: Flown) -> dict[str, Any]:
+    """What became of the machine after a fault."""
+    truth, t0 = flown.truth, flown.fault_ns
+    at, places = truth["at_ns"], _places(truth)
+    inside = bool(((places >= FENCE[:, 0]) & (places <= FENCE[:, 1])).all())
+    if flown.outcome.get("ended") == "refused":
+        moved = float(np.linalg.norm(places - places[0], axis=1).max())
+        row = {"reaction_ms": 0.0, "peak_motion_m": moved, "state": "refused", "noticed": flown.outcome["why"]}
+        return {"fault": name, **row, "ok": moved < 1e-6 and name == "wrong DBC"}
+    after = (at >= t0) & (at <= t0 + AFTER * 1e9)
+    passed = np.stack([truth[f"{axis}.passed"] for axis in ("slew", "boom", "stick", "telescope")], axis=1)
+    moving = np.flatnonzero(after & passed.any(axis=1))
+    neutral = float((at[moving[-1]] - t0) * 1e-6) if len(moving) and moving[-1] + 30 < len(at) else 0.0
+    verdicts = [(ns, text) for word, ns, text in flown.lines if word == "verdict" and ns >= t0]
+    states = [(ns, text) for word, ns, text in flown.lines if word == "state" and ns >= t0]
+    noticed = min([ns for ns, _ in [*verdicts, *states]], default=0)
+    killed = OUTSIDE.get(name, Outside()).kill
+    if killed == "runner":
+        state, reaction = "machine's own time-out", neutral
+    else:
+        goes_on = flown.outcome.get("ended") in ("time", "done")
+        # Verdicts long after a fault that is over are about something else.
+        reaction = (noticed - t0) * 1e-6 if noticed and not (goes_on and noticed - t0 > 1e9) else 0.0
+        state = "goes on" if goes_on else "fault" if flown.outcome.get("state") == "fault" else "stopped"
+    start = places[np.searchsorted(at, t0) - 1] if len(at) else places[0]
+    peak = float(np.linalg.norm(places[after] - start, axis=1).max()) if after.any() else 0.0
+    if state == "goes on" and flown.cycles:
+        # It is on its way: what counts is how far off.
+        peak = float(np.linalg.norm(_off(flown, t0, t0 + 1e9), axis=1).max())
+    ok = state in ENDS.get(name, STOPS) and inside
+    if state != "goes on" and killed != "machine":
+        still = places[at >= at[-1] - 2e8]
+        ok = ok and bool(np.ptp(still, axis=0).max() < 1e-3)
+    return {
+        "fault": name,
+        "reaction_ms": reaction,
+        "neutral_ms": None if state == "goes on" or killed == "machine" else neutral,
+        "peak_motion_m": peak,
+        "state": state,
+        "noticed": verdicts[0][1] if verdicts else "",
+        "why": flown.outcome.get("why", ""),
+        "inside_fence": inside,
+        "ok": ok,
+    }
+
+
+def main(options: argparse.Namespace) -> None:
+    result: dict[str, Any] = {**provenance(COMMAND, 0, ("python-can", "cantools", "mcap")), "minutes": options.minutes}
+    result["plant"], result["forward"] = options.plant, options.forward
+    policies = ["ik-lookahead", *options.policy]
+    result["runs"] = []
+    for path in options.paths:
+        for policy in policies:
+            for load in (0, 3) if policy == policies[0] and path == options.paths[0] else (0,):
+                with busy(load):
+                    flown = fly(options, path, policy, 60.0 * options.minutes)
+                row = {"path": path, "policy": policy, "busy": load, **timing(flown)}
+                result["runs"].append(row)
+                print(path, policy, load, row["lateness_us"], row["missed"], row["rmse_mm"], flush=True)
+    idle = next(row for row in result["runs"] if row["busy"] == 0)
+    loaded = next(row for row in result["runs"] if row["busy"] == 3)
+    result["lateness_us"] = {"idle": idle["lateness_us"], "loaded": loaded["lateness_us"]}
+    result["missed"] = {"idle": idle["missed"], "loaded": loaded["missed"]}
+    result["begin_to_valve_us"] = {"idle": idle["begin_to_valve_us"], "loaded": loaded["begin_to_valve_us"]}
+    result["faults"] = []
+    names = [*OUTSIDE, *LINE, *POLICY, "disk full", "wrong DBC"] if options.faults else []
+    for name in [name for name in names if not options.only or name in options.only]:
+        change = {"wrong": "yes"} if name == "wrong DBC" else {}
+        row = judged(name, fly(options, options.paths[0], policies[-1], 13.0, name, **change))
+        result["faults"].append(row)
+        print(json.dumps(row), flush=True)
+    write_result(options.out, result)
+    if options.out == ROOT / "reports" / "runner" / "result.json":
+        write_tables(ROOT / "docs" / "can.md", page(result), COMMAND.partition(" ")[2])
+    wrong = [row["fault"] for row in result["faults"] if not row["ok"]]
+    print(f"{options.out}; not as they should be: {', '.join(wrong) or 'none'}")
+
+
+def page(result: dict[str, Any]) -> str:
+    def three(values: dict[str, float]) -> str:
+        return " / ".join(f"{values[key]:.0f}" for key in ("p50", "p99", "max"))
+
+    runs = [
+        [f"{row['path']}, {row['policy']}", str(row["busy"]), str(row["turns"]), three(row["lateness_us"]), str(row["missed"]),
+         three(row["begin_to_valve_us"]), " / ".join(f"{value:.1f}" for value in row["rmse_mm"])]
+        for row in result["runs"]
+    ]  # fmt: skip
+    head = ["run", "busy processes", "turns", "lateness p50 / p99 / max, µs", "deadlines missed",
+            "turn begins → command at the valve, µs", "RMSE x / y / z, mm"]  # fmt: skip
+    faults = [
+        [row["fault"], f"{row['reaction_ms']:.0f} ms", "–" if row.get("neutral_ms") is None else f"{row['neutral_ms']:.0f} ms",
+         f"{1e3 * row['peak_motion_m']:.1f} mm", row["state"], "yes" if row["ok"] else "**no**"]
+        for row in result["faults"]
+    ]  # fmt: skip
+    return (
+        markdown(head, runs)
+        + "\n\n"
+        + markdown(["fault", "noticed after", "valves neutral after", "peak motion", "ends as", "as it should"], faults)
+    )
+
+
+def _options(arguments: Sequence[str] | None = None) -> argparse.Namespace:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--workspace", type=Path, default=Path("workspace"))
+    parser.add_argument("--plant", default="autolog@2")
+    parser.add_argument("--forward", default="autolog-forward")
+    parser.add_argument("--policy", action="append", default=[], help="a policy version to follow the paths with as well")
+    parser.add_argument("--unpromoted", action="append", default=[], help="a version to run though it was not promoted")
+    parser.add_argument("--paths", nargs="+", default=["helix", "circle"])
+    parser.add_argument("--minutes", type=float, default=10.0, help="of each run that is timed")
+    parser.add_argument("--no-faults", dest="faults", action="store_false")
+    parser.add_argument("--only", nargs="+", default=[], help="of all faults these alone")
+    parser.add_argument("--out", type=Path, default=ROOT / "reports" / "runner" / "result.json")
+    chosen = parser.parse_args(arguments)
+    chosen.workspace = chosen.workspace.resolve()
+    return chosen
+
+
+if __name__ == "__main__":
+    main(_options())

@@ -1,0 +1,66 @@
+"""What the runner's pipeline makes of a run: only the machine's own truth counts."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+import pytest
+
+BEGIN = 1_000_000_000_000
+AXES = ("slew", "boom", "stick", "telescope")
+
+
+@pytest.fixture(scope="module")
+def runner(pipeline: Callable[[str], ModuleType]) -> Any:
+    return pipeline("runner")
+
+
+def flown(
+    runner: Any, stops_after: float, speed: float = 0.1, outcome: dict[str, Any] | None = None, drift: float = 0.0
+) -> Any:
+    """A machine that moves along x at ``speed`` [m/s]; its valves are shut ``stops_after`` seconds after a fault at 1 s."""
+    time = np.arange(0.0, 6.0, 0.01)
+    open_ = time <= 1.0 + stops_after
+    x = 0.8 + speed * np.minimum(time, 1.0 + stops_after) + drift * np.maximum(time - 1.0 - stops_after, 0.0)
+    truth = {"at_ns": BEGIN + time * 1e9, "ee.x": x, "ee.y": 0.0 * time, "ee.z": 0.3 + 0.0 * time}
+    truth |= {f"{axis}.passed": 0.3 * open_ * (axis == "slew") for axis in AXES}
+    lines = [("track", BEGIN, ""), ("fault", BEGIN + 10**9, "NaN"), ("verdict", BEGIN + 1_012_000_000, "not_finite hold x")]
+    ended = {"ended": "stopped", "state": "ready", "why": "x"} if outcome is None else outcome
+    return runner.Flown(lines, ended, truth, {}, BEGIN + 10**9)
+
+
+def test_a_stop_is_measured_at_the_valves(runner: Any) -> None:
+    row = runner.judged("NaN", flown(runner, 0.25))
+    assert row["reaction_ms"] == pytest.approx(12.0)
+    assert row["neutral_ms"] == pytest.approx(250.0, abs=10.0)
+    assert row["peak_motion_m"] == pytest.approx(0.026, abs=0.002)
+    assert (row["state"], row["ok"]) == ("stopped", True)
+
+
+@pytest.mark.parametrize(
+    ("run", "why"),
+    [
+        ({"stops_after": 0.25, "speed": 0.9}, "it left the fence"),
+        ({"stops_after": 0.25, "drift": 0.05}, "it moves on"),
+        ({"stops_after": 5.0, "outcome": {"ended": "time", "state": "ready"}}, "it went on where it had to stop"),
+    ],
+)
+def test_what_is_not_as_it_should_be(runner: Any, run: dict[str, Any], why: str) -> None:
+    assert not runner.judged("NaN", flown(runner, **run))["ok"], why
+
+
+def test_the_machines_own_time_out_counts_where_the_runner_is_dead(runner: Any) -> None:
+    row = runner.judged("kill -9 of the runner", flown(runner, 0.1, outcome={}))
+    assert row["state"] == "machine's own time-out"
+    assert row["reaction_ms"] == row["neutral_ms"] == pytest.approx(100.0, abs=10.0)
+    assert row["ok"]
+
+
+def test_a_refusal_has_to_be_wanted_and_nothing_may_have_moved(runner: Any) -> None:
+    refused = {"ended": "refused", "state": "refused", "why": "another database"}
+    assert runner.judged("wrong DBC", flown(runner, 0.0, speed=0.0, outcome=refused))["ok"]
+    assert not runner.judged("NaN", flown(runner, 0.0, speed=0.0, outcome=refused))["ok"]
+    assert not runner.judged("wrong DBC", flown(runner, 0.0, outcome=refused))["ok"]
