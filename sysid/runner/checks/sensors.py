@@ -8,7 +8,6 @@ from sysid.runner.checks.settings import CheckSettings
 from sysid.runner.cycle import Verdict
 from sysid.runner.senses import Seen, Sensor
 
-
 #: A value came so often that its being old does not explain it.
 REPEATS = 4
 
