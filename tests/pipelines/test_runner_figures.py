@@ -64,3 +64,10 @@ def test_a_refusal_has_to_be_wanted_and_nothing_may_have_moved(runner: Any) -> N
     assert runner.judged("wrong DBC", flown(runner, 0.0, speed=0.0, outcome=refused))["ok"]
     assert not runner.judged("NaN", flown(runner, 0.0, speed=0.0, outcome=refused))["ok"]
     assert not runner.judged("wrong DBC", flown(runner, 0.0, outcome=refused))["ok"]
+
+
+def test_a_run_that_ended_before_its_fault_proves_nothing(runner: Any) -> None:
+    early = flown(runner, 0.25)
+    early.fault_ns = 0
+    row = runner.judged("NaN", early)
+    assert (row["state"], row["ok"]) == ("ended before the fault", False)
