@@ -25,8 +25,8 @@ from committed import provenance, write_result, write_tables
 from sysid.files import json_text
 from sysid.reports.charts import WIDE, Line, chart
 from sysid.rl.seeds import side_by_side
-from training_peer import peer
-from training_runs import CANDIDATES, CHOICES, FORWARDS, PAPER, ROOT, baseline, one, runs, seconds_to
+from trained.peer import peer
+from trained.runs import CANDIDATES, CHOICES, FORWARDS, PAPER, ROOT, baseline, one, runs, seconds_to
 
 RESULT, PAGE, PICTURE = ROOT / "reports" / "training" / "result.json", ROOT / "docs" / "ddpg.md", "docs/images/training.svg"
 #: Share of the episodes and seeds by part.

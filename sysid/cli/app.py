@@ -97,7 +97,9 @@ def main(argv: Sequence[str] | None = None) -> NoReturn:
 
 def _run(argv: list[str] | None) -> int:
     try:
-        app.main(args=argv, prog_name="sysid", standalone_mode=False)
+        status = app.main(args=argv, prog_name="sysid", standalone_mode=False)
+        if isinstance(status, int) and status:
+            return status  # of a verb that says by it how its work ended
     except SysidError as error:
         return _complain(str(error), 1 if isinstance(error, StorageError) else 2)
     except click.ClickException as error:

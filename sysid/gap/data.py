@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sysid.datasets.recording import Recording
-from sysid.gap.drift import BIN, Drift, estimate_drift, to_bins, white_noise, whiten_lanes
+from sysid.gap.drift import BIN, Drift, bins_of, estimate_drift, to_bins, white_noise, whiten_lanes
 from sysid.gap.problem import Problem
 
 Array = npt.NDArray[np.float64]
@@ -42,7 +42,7 @@ class Data:
     def bins(self, thetas: Array, problem: Problem | None = None) -> list[Array]:
         """Binned residuals in units of noise, one (lanes, m, d) a recording."""
         at = problem or self.problem
-        return [to_bins(part, at.rate(r)) for part, r in zip(self.residuals(thetas, at), self.recordings, strict=True)]
+        return [bins_of(at.measured(r), at.predict(thetas, r), self.sigma, at.rate(r)) for r in self.recordings]
 
     def residuals(self, thetas: Array, problem: Problem | None = None) -> list[Array]:
         """(measured − predicted)/σ, one (lanes, n, d) a recording, NaN where either is missing."""

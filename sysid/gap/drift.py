@@ -112,15 +112,18 @@ def estimate_drift(series: Sequence[Array], activities: Sequence[Array], memory:
         series, activities: one array of bins for each recording.
         memory: share of the level that is left a bin later; 1 for a stage that integrates.
     """
+    joined, active = np.concatenate(series), np.concatenate(activities)
+    starts = np.concatenate([[0], np.cumsum([len(part) for part in series])])
+    room = np.empty((2, len(joined)))
     best = (Drift(memory=memory), -np.inf)
     calm: Sequence[float] = _STRENGTHS
     moving: Sequence[float] = _STRENGTHS if any(np.ptp(a) > 0 for a in activities) else (0.0,)
     for _ in range(2):
         for c in calm:
             for m in moving:
-                candidate = _likelihood(series, activities, c, m, memory)
-                if candidate[1] > best[1]:
-                    best = candidate
+                noise, total = _likelihood(joined, active, starts, c, m, memory, room)
+                if total > best[1]:
+                    best = Drift(c, m, noise, memory), total
         calm, moving = _around(best[0].calm), _around(best[0].moving) if len(moving) > 1 else (0.0,)
     return best
 
@@ -137,42 +140,82 @@ def _around(value: float) -> tuple[float, ...]:
     return (0.0,) if value == 0.0 else tuple(value * f for f in (0.3, 0.5, 0.7, 1.0, 1.5, 2.0, 3.0))
 
 
+@njit(nogil=True, cache=True)
 def _likelihood(
-    series: Sequence[Array], activities: Sequence[Array], calm: float, moving: float, memory: float
-) -> tuple[Drift, float]:
-    errors, logs = [], []
-    for residual, activity in zip(series, activities, strict=True):
-        error, log_variance = whiten(residual, activity, Drift(calm, moving, memory=memory))
-        there = ~np.isnan(error)
-        errors.append(error[there])
-        logs.append(log_variance[there])
-    joined = np.concatenate(errors)
-    count = len(joined)
+    residual: Array, activity: Array, starts: npt.NDArray[np.int64], calm: float, moving: float, memory: float, room: Array
+) -> tuple[float, float]:
+    """Noise and log-likelihood of series one after the other, (m,), each beginning at ``starts``; ``room``: (2, m)."""
+    error, variance = room[0], room[1]
+    for s in range(len(starts) - 1):
+        here = slice(starts[s], starts[s + 1])
+        _filter(residual[here], activity[here], calm, moving, memory, error[here], variance[here])
+    count, logs = 0, 0.0
+    for k in range(len(error)):
+        if not np.isnan(error[k]):
+            error[count] = error[k] / np.sqrt(variance[k])
+            logs += np.log(variance[k])
+            count += 1
     if count == 0:
-        return Drift(memory=memory), -np.inf
-    noise = robust_scale(joined)
-    total = float(_normal(joined / noise).sum()) - 0.5 * float(np.concatenate(logs).sum()) - count * np.log(noise)
-    return Drift(calm, moving, noise, memory), float(total)
+        return 1.0, -np.inf
+    noise = _scale(error[:count])
+    total = 0.0
+    for k in range(count):
+        total -= 0.5 * min(abs(error[k]) / noise, CLIP) ** 2
+    return noise, total - 0.5 * logs - count * np.log(noise)
 
 
 def robust_scale(values: Array) -> float:
     """Standard deviation with what lies beyond :data:`CLIP` of itself drawn in (a few outliers do not count)."""
-    scale = float(np.sqrt(np.mean(values**2)))
+    return float(_scale(np.ascontiguousarray(values, dtype=np.float64)))
+
+
+@njit(nogil=True, cache=True)
+def _scale(values: Array) -> float:
+    scale = np.sqrt(np.mean(values**2))
     for _ in range(20):
-        clipped = float(np.sqrt(np.mean(np.clip(values, -CLIP * scale, CLIP * scale) ** 2)))
+        total = 0.0
+        for value in values:
+            total += min(abs(value), CLIP * scale) ** 2
+        clipped = np.sqrt(total / len(values))
         if scale - clipped < 1e-6 * scale:
             break
         scale = clipped
-    return max(scale, 1e-12)
+    return float(max(scale, 1e-12))
 
 
-def to_bins(residual: Array, rate_hz: float, seconds: float = BIN) -> Array:
+def to_bins(values: Array, rate_hz: float, seconds: float = BIN) -> Array:
     """Means over bins along the second to last axis, (…, n, d) → (…, m, d); NaN where fewer than half the samples are there."""
+    nothing = np.zeros(values.shape[-2:])
+    flat = np.ascontiguousarray(values, dtype=np.float64).reshape(-1, *values.shape[-2:])
+    found = bins_of(nothing, flat, np.full(values.shape[-1], -1.0), rate_hz, seconds)
+    return found.reshape(*values.shape[:-2], *found.shape[1:])
+
+
+def bins_of(measured: Array, predicted: Array, sigma: Array, rate_hz: float, seconds: float = BIN) -> Array:
+    """Means of (measured − predicted)/σ over bins, in one pass.
+
+    Args:
+        measured: (n, d); predicted: (lanes, n, d); NaN in either is missing.
+        sigma: (d,).
+
+    Returns:
+        (lanes, m, d), NaN where fewer than half the samples of a bin are there.
+    """
     width = max(1, round(seconds * rate_hz))
-    count = residual.shape[-2] // width
-    shape = residual.shape[:-2]
-    blocks = residual[..., : count * width, :].reshape(*shape, count, width, residual.shape[-1])
-    there = ~np.isnan(blocks)
-    totals = np.where(there, blocks, 0.0).sum(axis=-2)
-    counts = there.sum(axis=-2)
-    return np.where(counts >= 0.5 * width, totals / np.maximum(counts, 1), np.nan)
+    out = np.empty((len(predicted), len(measured) // width, len(sigma)))
+    _bin_lanes(np.ascontiguousarray(measured), np.ascontiguousarray(predicted), sigma, width, out)
+    return out
+
+
+@njit(nogil=True, cache=True)
+def _bin_lanes(measured: Array, predicted: Array, sigma: Array, width: int, out: Array) -> None:
+    for lane in range(out.shape[0]):
+        for k in range(out.shape[1]):
+            for j in range(out.shape[2]):
+                total, count = 0.0, 0
+                for i in range(k * width, (k + 1) * width):
+                    left = (measured[i, j] - predicted[lane, i, j]) / sigma[j]
+                    if not np.isnan(left):
+                        total += left
+                        count += 1
+                out[lane, k, j] = total / count if 2 * count >= width else np.nan

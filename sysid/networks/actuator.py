@@ -143,6 +143,7 @@ def fit_actuator(
                 input_names=(fit.signals[source],),
                 output_names=(fit.signals[target],),
                 hidden=recipe.actuator.layers(axis),
+                rectifier=recipe.actuator.rectifier,
             )
     settings = recipe.actuator.training
     results = train(list(members.values()), recipe.actuator.hidden, settings, recipe.seed, progress, checkpoints)

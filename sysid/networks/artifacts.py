@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 import numpy.typing as npt
 
-from sysid.errors import StoreError
+from sysid.errors import StoreError, nearest
 from sysid.machine.kinematics import Kinematics
 from sysid.networks.actuator import DIRECTIONS, ActuatorNetwork
 from sysid.networks.along_files import put_memories, put_motions, take_memories, take_motions
@@ -19,7 +19,7 @@ from sysid.networks.forward import ForwardNetwork
 from sysid.networks.geometry import Geometry
 from sysid.networks.history import HistoryNetwork, statics
 from sysid.networks.member import Course
-from sysid.networks.mlp import Mlp, Normalisation
+from sysid.networks.mlp import Mlp, Normalisation, Rectifier
 from sysid.networks.motion import MotionNetwork
 from sysid.networks.structured import StructuredForward
 from sysid.networks.trust import Trust
@@ -53,6 +53,7 @@ def to_files(model: Model) -> tuple[str, dict[str, bytes]]:
             "joints": list(model.joints),
             "revolute": list(model.revolute),
             "members": [len(member.weights) for member in model.members],
+            "rectifier": model.members[0].rectifier if model.members else "relu",
             "courses": [course.to_json() for course in model.courses],
         }
         if isinstance(model, ForwardNetwork):
@@ -73,6 +74,7 @@ def to_files(model: Model) -> tuple[str, dict[str, bytes]]:
                 tensors |= trust.tensors(f"{axis}.{direction}.trust")
             axes[axis] = {
                 "layers": {direction: len(getattr(network, direction).weights) for direction in DIRECTIONS},
+                "rectifier": network.to_joint.rectifier,
                 "displacements": list(network.displacements),
                 "joints": list(network.joints),
                 "courses": {direction: course.to_json() for direction, course in network.courses.items()},
@@ -176,12 +178,13 @@ def _take_structure(entry: dict[str, Any], revolute: tuple[bool, ...], tensors: 
 def _structured(structure: dict[str, Any], tensors: Tensors, where: object) -> StructuredForward:
     revolute = tuple(structure["revolute"])
     layers = enumerate(structure["members"])
+    rectifier = _rectifier(structure, where)
     return StructuredForward(
         joints=tuple(structure["joints"]),
         revolute=revolute,
         structure=_take_structure(structure["structure"], revolute, tensors, where),
         urdf=structure["structure"].get("urdf", ""),
-        members=tuple(take_mlp(tensors, f"member.{number}", count, where) for number, count in layers),
+        members=tuple(take_mlp(tensors, f"member.{number}", count, where, rectifier) for number, count in layers),
         bound=float(tensors["bound"][0]),
         low=tensors["low"],
         high=tensors["high"],
@@ -194,11 +197,12 @@ def _forward(structure: dict[str, Any], tensors: Tensors, where: object) -> Forw
     if "structure" in structure:
         return _structured(structure, tensors, where)
     layers = enumerate(structure["members"])
+    rectifier = _rectifier(structure, where)
     return ForwardNetwork(
         joints=tuple(structure["joints"]),
         revolute=tuple(structure["revolute"]),
         features=structure["features"],
-        members=tuple(take_mlp(tensors, f"member.{number}", count, where) for number, count in layers),
+        members=tuple(take_mlp(tensors, f"member.{number}", count, where, rectifier) for number, count in layers),
         low=tensors["low"],
         high=tensors["high"],
         courses=tuple(_course(course) for course in structure["courses"]),
@@ -207,7 +211,8 @@ def _forward(structure: dict[str, Any], tensors: Tensors, where: object) -> Forw
 
 
 def _actuator(axis: str, entry: dict[str, Any], tensors: Tensors, where: object) -> ActuatorNetwork:
-    networks = {name: take_mlp(tensors, f"{axis}.{name}", entry["layers"][name], where) for name in DIRECTIONS}
+    rectifier = _rectifier(entry, where)
+    networks = {name: take_mlp(tensors, f"{axis}.{name}", entry["layers"][name], where, rectifier) for name in DIRECTIONS}
     return ActuatorNetwork(
         axis=axis,
         to_joint=networks["to_joint"],
@@ -239,8 +244,21 @@ def put_mlp(tensors: Tensors, prefix: str, mlp: Mlp) -> None:
         tensors[f"{prefix}.{role}.scale"] = scaler.scale
 
 
-def take_mlp(tensors: Tensors, prefix: str, layers: int, where: object) -> Mlp:
-    """What :func:`put_mlp` put; raises StoreError where the layers do not fit together, KeyError where one is missing."""
+def _rectifier(entry: dict[str, Any], where: object) -> Rectifier:
+    """Files of before there was a choice do not name theirs."""
+    name: Rectifier = entry.get("rectifier", "relu")
+    if name not in get_args(Rectifier):
+        raise StoreError(where, f"rectifier {name!r}", nearest(str(name), get_args(Rectifier)), "Update the toolkit.")
+    return name
+
+
+def take_mlp(tensors: Tensors, prefix: str, layers: int, where: object, rectifier: Rectifier = "relu") -> Mlp:
+    """What :func:`put_mlp` put, between whose layers stands ``rectifier``, which tensors do not say.
+
+    Raises:
+        StoreError: the layers do not fit together.
+        KeyError: one is missing.
+    """
 
     def get(name: str) -> npt.NDArray[np.float64]:
         return np.asarray(tensors[f"{prefix}.{name}"], dtype=np.float64)
@@ -250,6 +268,7 @@ def take_mlp(tensors: Tensors, prefix: str, layers: int, where: object) -> Mlp:
         biases=tuple(get(f"bias.{layer}") for layer in range(layers)),
         inputs=Normalisation(get("inputs.mean"), get("inputs.scale")),
         outputs=Normalisation(get("outputs.mean"), get("outputs.scale")),
+        rectifier=rectifier,
     )
     width = len(mlp.inputs.mean)
     for layer, (weight, bias) in enumerate(zip(mlp.weights, mlp.biases, strict=True)):

@@ -1,12 +1,13 @@
 """Several perceptrons of equal shape as one batch of matrix products, with their gradient written out.
 
-For layers ``h_l = max(0, h_{l−1} W_l + b_l)`` and the error ``e = h_L − y`` of n rows, with ``D_L = 2e/(n·d_out)``:
-``∂W_l = h_{l−1}ᵀ D_l``, ``∂b_l = Σ D_l`` and ``D_{l−1} = (D_l W_lᵀ) ∘ [h_{l−1} > 0]``. Written out it takes two thirds of the
-time of autograd, since the layers are so small that bookkeeping counts.
+For layers ``h_l = f(h_{l−1} W_l + b_l)``, f a rectifier, and the error ``e = h_L − y`` of n rows, with ``D_L = 2e/(n·d_out)``:
+``∂W_l = h_{l−1}ᵀ D_l``, ``∂b_l = Σ D_l`` and ``D_{l−1} = (D_l W_lᵀ) ∘ f′``. The slope f′ follows from the rectifier's output
+alone: [h > 0], or 1 − 1/((h + 1)² + 1) of the smooth one. Written out it takes two thirds of the time of autograd, since the
+layers are so small that bookkeeping counts.
 
-Every width is filled up with zeros to a multiple of :data:`LANE`. Such units start at zero, get no gradient and stay at zero,
-so nothing changes but this: every matrix begins at the same alignment and none is a vector, and a matrix product then gives a
-member the same bits whoever else is in the batch (on a CPU; the tests hold it to that).
+Every width is filled up with zeros to a multiple of :data:`LANE`. Such units start at zero, get no gradient, since f(0) = 0,
+and stay at zero, so nothing changes but this: every matrix begins at the same alignment and none is a vector, and a product
+then gives a member the same bits whoever else is in the batch (on a CPU; the tests hold it to that).
 """
 
 from __future__ import annotations
@@ -18,6 +19,8 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 import numpy.typing as npt
+
+from sysid.networks.mlp import Rectifier
 
 if TYPE_CHECKING:
     import torch
@@ -98,11 +101,14 @@ class BatchedMlp:
     sizes: tuple[int, ...]
     parameters: Stack
     gradients: Stack
+    rectifier: Rectifier = "relu"
     _room: dict[int, tuple[list[torch.Tensor], list[torch.Tensor]]] = field(default_factory=dict, repr=False)
 
     @staticmethod
-    def of_rows(sizes: tuple[int, ...], rows: Sequence[Floats], device: torch.device | str = "cpu") -> BatchedMlp:
-        return BatchedMlp(sizes, Stack.of_rows(sizes, rows, device), Stack.zeros(sizes, len(rows), device))
+    def of_rows(
+        sizes: tuple[int, ...], rows: Sequence[Floats], device: torch.device | str = "cpu", rectifier: Rectifier = "relu"
+    ) -> BatchedMlp:
+        return BatchedMlp(sizes, Stack.of_rows(sizes, rows, device), Stack.zeros(sizes, len(rows), device), rectifier)
 
     def predict(self, x: torch.Tensor, members: Sequence[int] | None = None) -> torch.Tensor:
         """(m, n, d_in) → (m, n, d_out), of ``members`` alone where they are named."""
@@ -110,7 +116,8 @@ class BatchedMlp:
 
         layers = self.parameters.layers if members is None else tuple(layer[list(members)] for layer in self.parameters.layers)
         for weight, bias in zip(layers[:-2:2], layers[1:-2:2], strict=True):
-            x = torch.baddbmm(bias, x, weight).relu_()
+            x = torch.baddbmm(bias, x, weight)
+            x = x.relu_() if self.rectifier == "relu" else _rounded(x, torch.empty_like(x))
         return torch.baddbmm(layers[-1], x, layers[-2])
 
     def accumulate(self, x: torch.Tensor, y: torch.Tensor, outputs: torch.Tensor) -> torch.Tensor:
@@ -134,10 +141,11 @@ class BatchedMlp:
         import torch
 
         weights, biases = self.parameters.layers[::2], self.parameters.layers[1::2]
-        outs = self._rooms(x.shape[1])[0]
-        for weight, bias, out in zip(weights, biases, outs, strict=True):
-            torch.baddbmm(bias, x, weight, out=out)
-            x = out.relu_() if out is not outs[-1] else out
+        outs, rooms = self._rooms(x.shape[1])
+        for weight, bias, out, room in zip(weights, biases, outs, rooms, strict=True):
+            x = torch.baddbmm(bias, x, weight, out=out)
+            if out is not outs[-1]:
+                x = out.relu_() if self.rectifier == "relu" else _rounded(out, room)
         return x
 
     def backward(
@@ -162,7 +170,10 @@ class BatchedMlp:
                 torch.sum(delta, dim=1, keepdim=True, out=self.gradients.layers[2 * layer + 1])
             if layer:
                 delta = torch.bmm(delta, weights[layer].transpose(1, 2), out=deltas[layer - 1])
-                torch.ops.aten.threshold_backward.grad_input(delta, before, 0.0, grad_input=delta)
+                if self.rectifier == "relu":
+                    torch.ops.aten.threshold_backward.grad_input(delta, before, 0.0, grad_input=delta)
+                else:
+                    delta.mul_(before.add(1.0).square_().add_(1.0).reciprocal_().neg_().add_(1.0))
         return delta if of == "parameters" else torch.bmm(delta, weights[0].transpose(1, 2))
 
     def _rooms(self, rows: int) -> tuple[list[torch.Tensor], list[torch.Tensor]]:
@@ -175,6 +186,14 @@ class BatchedMlp:
             made = [[torch.empty(shape, dtype=like.dtype, device=like.device) for shape in shapes] for _ in range(2)]
             self._room[rows] = (made[0], made[1])
         return self._room[rows]
+
+
+def _rounded(x: torch.Tensor, room: torch.Tensor) -> torch.Tensor:
+    """The smooth rectifier of ``x``, in its place: one rounding an operation, the same wherever in memory a number lies."""
+    import torch
+
+    torch.mul(x, x, out=room).add_(4.0).sqrt_()
+    return x.add_(room).mul_(0.5).sub_(1.0)
 
 
 class BatchedAdam:

@@ -11,7 +11,9 @@ Wahba, Technometrics 21 (1979).
 
 from __future__ import annotations
 
+import functools
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -21,6 +23,7 @@ import numpy.typing as npt
 from sysid.errors import ExcitationError, SettingsError
 
 Array = npt.NDArray[np.float64]
+Index = npt.NDArray[np.int64]
 
 #: More products than this are not offered: poses to match them would take days.
 MOST = 400
@@ -108,16 +111,33 @@ def fit_chain(q: Array, tip: Array, revolute: tuple[bool, ...]) -> Chain:
 
 def products(q: Array, revolute: tuple[bool, ...]) -> Array:
     """All products with one of (1, sin q, cos q) or (1, q) from each joint but the one of ones alone, (n, P)."""
-    rows = np.ones((len(q), 1))
-    own = np.ones((len(q), 1, 3))
-    for column, angle in zip(q.T, revolute, strict=True):
-        if angle:
-            np.sin(column, out=own[:, 0, 1])
-            np.cos(column, out=own[:, 0, 2])
-        else:
-            own[:, 0, 1] = column
-        rows = (rows[:, :, None] * own[:, :, : 3 if angle else 2]).reshape(len(q), -1)
-    return rows[:, 1:]
+    slides, places = _places(revolute)
+    factors = np.ones((len(q), len(revolute), 3))
+    np.sin(q, out=factors[:, :, 1])
+    np.cos(q, out=factors[:, :, 2])
+    if len(slides):
+        factors[:, slides, 1] = q[:, slides]
+    flat = factors.reshape(len(q), -1)
+    rows = flat.take(places[0], axis=1)
+    for place in places[1:]:
+        rows *= flat.take(place, axis=1)
+    return rows
+
+
+@functools.lru_cache(maxsize=64)
+def _places(revolute: tuple[bool, ...]) -> tuple[Index, tuple[Index, ...]]:
+    """Which joints slide, and for each joint which of all factors stands in each of the products, (P,)."""
+    own = np.meshgrid(*(np.arange(3 if angle else 2) for angle in revolute), indexing="ij")
+    return np.flatnonzero(~np.array(revolute)), tuple(3 * k + each.ravel()[1:] for k, each in enumerate(own))
+
+
+def product_names(joints: Sequence[str], revolute: Sequence[bool]) -> tuple[str, ...]:
+    """What the columns of :func:`products` are, for messages: ``sin(boom.joint)·telescope.joint``."""
+    names: list[tuple[str, ...]] = [()]
+    for joint, angle in zip(joints, revolute, strict=True):
+        own = ((), (f"sin({joint})",), (f"cos({joint})",)) if angle else ((), (joint,))
+        names = [(*before, *factor) for before in names for factor in own]
+    return tuple("·".join(factors) for factors in names[1:])
 
 
 def _count(revolute: tuple[bool, ...]) -> int:

@@ -128,7 +128,7 @@ class _Run:
             return
         sizes, states = padded(jobs[0].sizes), [job.state for job in jobs]
         if moved is None:
-            self.model = BatchedMlp.of_rows(sizes, [state.row for state in states], device)
+            self.model = BatchedMlp.of_rows(sizes, [state.row for state in states], device, jobs[0].rectifier)
             first, second = (Stack.of_rows(sizes, [getattr(s, key) for s in states], device) for key in ("first", "second"))
             self.adam = BatchedAdam(first, second, states[0].step)
         else:
@@ -218,7 +218,8 @@ class _Run:
         for k, loss in zip(stay, self.loss[stay].tolist(), strict=True):
             self.jobs[k].state.loss = loss
         sizes = self.model.sizes
-        model = BatchedMlp(sizes, self.model.parameters.kept(sizes, stay), Stack.zeros(sizes, len(stay), self.device))
+        room = Stack.zeros(sizes, len(stay), self.device)
+        model = BatchedMlp(sizes, self.model.parameters.kept(sizes, stay), room, self.model.rectifier)
         adam = BatchedAdam(self.adam.first.kept(sizes, stay), self.adam.second.kept(sizes, stay), self.adam.steps)
         return _Run([self.jobs[k] for k in stay], self.device, (model, adam))
 

@@ -19,7 +19,7 @@ from sklearn.utils.validation import check_is_fitted, validate_data
 
 from sysid.errors import SettingsError
 from sysid.networks.member import Course, Member, TrainingSettings
-from sysid.networks.mlp import Mlp
+from sysid.networks.mlp import Mlp, Rectifier
 from sysid.networks.training import train
 
 Array = npt.NDArray[np.float64]
@@ -34,6 +34,7 @@ class NetworkRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         learning_rate, batch, epochs, patience, check_every, schedule, threads, device: as in :class:`TrainingSettings`.
         validation_fraction: share of the rows that stop the training; whole groups where ``fit`` is given ``groups``.
         random_state: seed of the split, the weights and the orders.
+        rectifier: between the layers, ``relu`` or ``smooth``.
 
     Attributes:
         networks_: one :class:`Mlp` a member. ``courses_``: how the training of each went.
@@ -54,6 +55,7 @@ class NetworkRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         random_state: int = 0,
         threads: int = 0,
         device: Literal["auto", "cpu", "cuda"] = "auto",
+        rectifier: Rectifier = "relu",
     ) -> None:
         self.hidden = hidden
         self.members = members
@@ -67,6 +69,7 @@ class NetworkRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         self.random_state = random_state
         self.threads = threads
         self.device = device
+        self.rectifier = rectifier
 
     def fit(self, X: npt.ArrayLike, y: npt.ArrayLike, groups: npt.ArrayLike | None = None) -> Self:
         """Learn ``y`` (n,) or (n, d_out) from ``X`` (n, d_in), both in SI units.
@@ -136,6 +139,7 @@ class NetworkRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
                 output_names=tuple(f"output {k}" for k in range(outputs.shape[1])),
                 hidden=tuple(self.hidden),
                 learning_rate=self.learning_rate,
+                rectifier=self.rectifier,
             )
             for number in range(self.members)
         ]

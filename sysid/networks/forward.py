@@ -1,7 +1,8 @@
 """The forward network: joint values → end-effector position, learned from static poses.
 
 Source: the paper's forward network (256-128 hidden units, ReLU, Adam, 500 random poses). With ``features = "sincos"`` a
-revolute joint enters as sine and cosine, which spares the network from learning that angles are periodic.
+revolute joint enters as sine and cosine, which spares the network from learning that angles are periodic; with ``"products"``
+their products enter as well, in which the tip of any open chain is linear (:mod:`sysid.networks.chain`).
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ import numpy.typing as npt
 
 from sysid.datasets.recording import Dataset, Role
 from sysid.errors import ExcitationError, InputError
+from sysid.networks.chain import product_names, products
 from sysid.networks.checkpoint import Checkpoints
 from sysid.networks.member import Course, Member
 from sysid.networks.mlp import Mlp
@@ -142,6 +144,7 @@ def learn_forward(
             validation_outputs=select.values[:, count:],
             input_names=names,
             output_names=point_signals("ee"),
+            rectifier=recipe.forward.rectifier,
         )
         for number in range(1, recipe.forward.members + 1)
     ]
@@ -204,6 +207,8 @@ def to_features(q: Array, revolute: tuple[bool, ...], features: Features) -> Arr
     """Joint values (n, n_axes) as the network's inputs (n, d)."""
     if features == "joints":
         return q
+    if features == "products":
+        return products(q, revolute)
     angles, others = _columns(revolute)
     turned = q.take(angles, axis=1)
     return np.concatenate([np.sin(turned), np.cos(turned), q.take(others, axis=1)], axis=1)
@@ -218,6 +223,8 @@ def feature_names(joints: tuple[str, ...], revolute: tuple[bool, ...], features:
     """What the columns of :func:`to_features` are, for messages."""
     if features == "joints":
         return joints
+    if features == "products":
+        return product_names(joints, revolute)
     angles = [joint for joint, angle in zip(joints, revolute, strict=True) if angle]
     others = [joint for joint, angle in zip(joints, revolute, strict=True) if not angle]
     return (*(f"sin({joint})" for joint in angles), *(f"cos({joint})" for joint in angles), *others)

@@ -22,7 +22,7 @@ from sysid.errors import InputError, SettingsError
 from sysid.networks.batch import Floats, padded, parameters
 from sysid.networks.checkpoint import FORMAT, Checkpoints, State
 from sysid.networks.member import Member, TrainingSettings
-from sysid.networks.mlp import Normalisation
+from sysid.networks.mlp import Normalisation, Rectifier
 from sysid.networks.order import Order, initial_row
 
 if TYPE_CHECKING:
@@ -62,6 +62,7 @@ class Job:
     cosine: bool
     state: State
     file: str = ""
+    rectifier: Rectifier = "relu"
 
     @property
     def updates(self) -> int:
@@ -71,7 +72,7 @@ class Job:
     @property
     def shape(self) -> tuple[object, ...]:
         """Jobs that are equal in this can share a batch."""
-        return (padded(self.sizes), self.width, self.state.step)
+        return (padded(self.sizes), self.rectifier, self.width, self.state.step)
 
     @property
     def bytes(self) -> int:
@@ -180,7 +181,7 @@ def job_of(
     ]
     rate = settings.learning_rate if member.learning_rate is None else member.learning_rate
     own = replace(settings, learning_rate=rate)
-    file = _file(member.name, sizes, own, seed, device, rows) if checkpoints else ""
+    file = _file(member, sizes, own, seed, device, rows) if checkpoints else ""
     saved = checkpoints.load(file, parameters(padded(sizes))) if checkpoints else None
     return Job(
         name=member.name,
@@ -198,6 +199,7 @@ def job_of(
         cosine=settings.schedule == "cosine",
         state=saved or State.at_start(initial_row(seed, member.name, sizes)),
         file=file,
+        rectifier=member.rectifier,
     )
 
 
@@ -208,7 +210,9 @@ def _columns(values: Array, columns: int) -> Floats:
     return filled
 
 
-def _file(name: str, sizes: tuple[int, ...], settings: TrainingSettings, seed: int, device: str, rows: Sequence[Floats]) -> str:
+def _file(
+    member: Member, sizes: tuple[int, ...], settings: TrainingSettings, seed: int, device: str, rows: Sequence[Floats]
+) -> str:
     """A name for a member's checkpoint that changes with all that its result follows from."""
     import torch
 
@@ -216,7 +220,8 @@ def _file(name: str, sizes: tuple[int, ...], settings: TrainingSettings, seed: i
         "threads": None,
         "device": device,
         "format": FORMAT,
-        "member": name,
+        "member": member.name,
+        "rectifier": member.rectifier,
         "sizes": sizes,
         "seed": seed,
     }
@@ -224,4 +229,4 @@ def _file(name: str, sizes: tuple[int, ...], settings: TrainingSettings, seed: i
     digest = hashlib.sha256(json.dumps(decides | versions, sort_keys=True).encode())
     for values in rows:
         digest.update(f"{values.shape}".encode() + np.ascontiguousarray(values).tobytes())
-    return "".join(letter if letter.isalnum() else "-" for letter in name)[:60] + f"-{digest.hexdigest()[:24]}"
+    return "".join(letter if letter.isalnum() else "-" for letter in member.name)[:60] + f"-{digest.hexdigest()[:24]}"

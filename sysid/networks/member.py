@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from sysid.config import STRICT
 from sysid.errors import SettingsError
-from sysid.networks.mlp import Mlp
+from sysid.networks.mlp import Mlp, Rectifier
 
 Array = npt.NDArray[np.float64]
 
@@ -63,6 +63,7 @@ class Member:
         input_names, output_names: of the columns, for messages.
         hidden: units of the hidden layers, where they are not those of the others.
         learning_rate: where it is not that of the settings.
+        rectifier: between its layers.
     """
 
     name: str
@@ -74,6 +75,7 @@ class Member:
     output_names: tuple[str, ...]
     hidden: tuple[int, ...] | None = None
     learning_rate: float | None = None
+    rectifier: Rectifier = "relu"
 
 
 @dataclass(frozen=True)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -12,6 +13,11 @@ import numpy.typing as npt
 from sysid.errors import ExcitationError, InputError
 
 Array = npt.NDArray[np.float64]
+
+#: What stands between two layers: ``relu`` is max(0, x); ``smooth`` is (x + √(x² + 4))/2 − 1, the same with its corner rounded
+#: (squareplus: Barron 2021, arXiv:2112.11687; less one, so that zero stays zero). It takes a root and no exponential, so it has
+#: the same bits wherever it is computed.
+Rectifier = Literal["relu", "smooth"]
 
 
 @dataclass(frozen=True)
@@ -45,18 +51,20 @@ class Normalisation:
 
 @dataclass(frozen=True)
 class Mlp:
-    """Layers ``h ← max(0, h·W + b)``, the last one linear, between normalised inputs and outputs.
+    """Layers ``h ← f(h·W + b)``, f a rectifier, the last one linear, between normalised inputs and outputs.
 
     Args:
         weights: (in, out) per layer, held in float64 with float32 resolution.
         biases: (out,) per layer.
         inputs, outputs: from and to SI units.
+        rectifier: f.
     """
 
     weights: tuple[Array, ...]
     biases: tuple[Array, ...]
     inputs: Normalisation
     outputs: Normalisation
+    rectifier: Rectifier = "relu"
 
     @property
     def hidden(self) -> tuple[int, ...]:
@@ -83,15 +91,24 @@ class Mlp:
         for weight, bias in zip(weights[:-1], biases[:-1], strict=True):
             h = h.dot(weight)
             h += bias
-            np.maximum(h, 0.0, out=h)
+            if self.rectifier == "relu":
+                np.maximum(h, 0.0, out=h)
+            else:
+                root = h * h
+                root += 4.0
+                np.sqrt(root, out=root)
+                h += root  # half of it, less one, is in the weights of the next layer
         h = h.dot(weights[-1])
         h += biases[-1]
         return np.asarray(h)
 
     @cached_property
     def _folded(self) -> tuple[tuple[Array, ...], tuple[Array, ...]]:
-        """Weights and biases with both normalisations in them: a prediction is nothing but its layers."""
+        """Weights and biases with both normalisations, and what is linear of the rectifier, in them."""
         weights, biases = list(self.weights), list(self.biases)
+        if self.rectifier == "smooth":
+            biases[1:] = [bias - weight.sum(axis=0) for weight, bias in zip(weights[1:], biases[1:], strict=True)]
+            weights[1:] = [0.5 * weight for weight in weights[1:]]
         weights[0] = weights[0] / self.inputs.scale[:, None]
         biases[0] = biases[0] - self.inputs.mean @ weights[0]
         weights[-1] = weights[-1] * self.outputs.scale

@@ -15,8 +15,9 @@ from typing import Any, Literal
 from sysid.config import STRICT, parse_settings, read_toml
 from sysid.errors import SettingsError, nearest
 from sysid.networks.member import TrainingSettings
+from sysid.networks.mlp import Rectifier
 
-Features = Literal["joints", "sincos"]
+Features = Literal["joints", "sincos", "products"]
 
 #: Largest error of the paper's forward network, learned from 500 poses, by output [m]. It does not say on which rows.
 PAPER_MAX = {"ee.x": 15.9e-3, "ee.y": 20.5e-3, "ee.z": 13.6e-3}
@@ -67,6 +68,7 @@ class ActuatorRecipe:
         rows: where they come from. Poses reach the ends of the stroke, which an operator avoids and a network cannot guess.
         hidden: hidden layers of an axis that ``hidden_of`` does not name.
         hidden_of: axis → hidden layers.
+        rectifier: between them: ``relu`` (the paper), or ``smooth``: the same with its corner rounded.
         training: how.
         history: the memory of ``history``.
     """
@@ -78,6 +80,7 @@ class ActuatorRecipe:
     rows: tuple[Literal["motion", "poses"], ...] = ("motion", "poses")
     hidden: tuple[int, ...] = (128, 128)
     hidden_of: dict[str, tuple[int, ...]] = field(default_factory=lambda: {"boom": (256, 128, 128), "stick": (128, 128)})
+    rectifier: Rectifier = "relu"
     training: TrainingSettings = _ACTUATOR_TRAINING
     history: HistoryRecipe = HistoryRecipe()
 
@@ -92,7 +95,9 @@ class ForwardRecipe:
     Args:
         poses: static poses used at most, those to learn from and those that stop the training together.
         hidden: hidden layers.
-        features: ``joints`` (the paper) or ``sincos``: sine and cosine of every revolute joint instead of its angle.
+        features: ``joints`` (the paper); ``sincos``: sine and cosine of every revolute joint instead of its angle;
+            ``products``: their products as well, one factor a joint, in which the tip of any open chain is linear.
+        rectifier: between the layers: ``relu`` (the paper), or ``smooth``: the same with its corner rounded.
         members: networks with different initial weights whose predictions are averaged (the paper: one).
         training: how.
         model: ``network`` (the paper), or ``structured``: the URDF's kinematics with its geometry calibrated on the poses,
@@ -105,6 +110,7 @@ class ForwardRecipe:
     poses: int = 500
     hidden: tuple[int, ...] = (256, 128)
     features: Features = "joints"
+    rectifier: Rectifier = "relu"
     members: int = 1
     training: TrainingSettings = _FORWARD_TRAINING
     model: Literal["network", "structured", "chain"] = "network"

@@ -175,6 +175,7 @@ def _rest(
             validation_outputs=_unbounded(unseen, bound),
             input_names=feature_names(joints, revolute, "sincos"),
             output_names=point_signals("ee"),
+            rectifier=recipe.forward.rectifier,
         )
         for number in range(1, recipe.forward.members + 1)
     ]

@@ -133,7 +133,7 @@ def _terminable(wanted: bool) -> Iterator[None]:
 
 def _result(member: Member, job: Job, scalers: tuple[Normalisation, Normalisation], seconds: float) -> Trained:
     state = job.state
-    mlp = Mlp(*unpack(job.sizes, state.best), *scalers)
+    mlp = Mlp(*unpack(job.sizes, state.best), *scalers, job.rectifier)
     residual = mlp.predict(member.validation_inputs) - member.validation_outputs
     course = Course(
         rows=(len(member.inputs), len(member.validation_inputs)),

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from html import escape
@@ -10,6 +9,7 @@ from html import escape
 import numpy as np
 import numpy.typing as npt
 
+from sysid.pictures import ticks
 from sysid.reports import display
 
 Array = npt.NDArray[np.float64]
@@ -158,18 +158,6 @@ def _range(lines: Sequence[Line], noise: float, include_zero: bool) -> tuple[flo
         high, low = high + 0.5 * max(abs(high), 1e-12), low - 0.5 * max(abs(low), 1e-12)
     margin = 0.05 * (high - low)
     return low - margin, high + margin
-
-
-def ticks(low: float, high: float, count: int = 4) -> list[float]:
-    """Round values inside a range, about ``count`` of them."""
-    raw = (high - low) / max(count, 1)
-    power = 10.0 ** math.floor(math.log10(raw))
-    step = min((power * k for k in (1.0, 2.0, 5.0, 10.0)), key=lambda size: abs(math.log(size / raw)))
-    begin = math.ceil(low / step - 1e-9)
-    found: list[float] = []
-    while (begin + len(found)) * step <= high + 1e-9 * step:
-        found.append((begin + len(found)) * step)
-    return found
 
 
 def grid_lines(low: float, high: float, py: Scale, width: float) -> list[str]:

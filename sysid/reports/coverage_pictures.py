@@ -9,8 +9,9 @@ from html import escape
 from sysid.datasets.quality.coverage import GRID, PairMap, Span
 from sysid.datasets.quality.rest import Rest
 from sysid.datasets.quality.use import CELLS, SMALL, VISITED_S, AxisUse
+from sysid.pictures import ticks
 from sysid.reports import display
-from sysid.reports.charts import BOTTOM, LEFT, RIGHT, TOP, grid_lines, ticks
+from sysid.reports.charts import BOTTOM, LEFT, RIGHT, TOP, grid_lines
 from sysid.reports.charts import SMALL as SIZE
 
 #: Side of the square of a map, and its margins [px].

@@ -11,9 +11,9 @@ import pandas as pd
 
 from sysid.files import written_whole
 from sysid.machine import Machine
+from sysid.pictures import Line, svg
 from sysid.rl.tracking import Tracked
 from sysid.signals import point_signals
-from sysid.testing.picture import Line, svg
 
 Array = npt.NDArray[np.float64]
 

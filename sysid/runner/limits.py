@@ -188,12 +188,12 @@ class SetpointLimiter:
         of = self.limits
         top, most, jerk = float(of.speed[i]), float(of.acceleration[i]), float(of.jerk[i])
         low, high = min(float(of.low[i]), at), max(float(of.high[i]), at)  # whoever stands outside may come back
-        wanted = min(max(asked, low), high)
+        wanted = min(max(asked, low), high) if math.isfinite(asked) else at  # no number asks for nothing
         moved = (wanted - float(self._wanted[i])) / dt  # the target's own speed; a jump has none
         self._wanted[i] = wanted
         self._own[i] += SMOOTH * ((moved if abs(moved) <= top else 0.0) - float(self._own[i]))
         if wanted != asked:
-            broken.append(("position", i, asked, high if asked > high else low))
+            broken.append(("position", i, asked, low if asked < low else high))
         v = (wanted - at) / dt
         a = (v - speed) / dt
         j = (a - acceleration) / dt

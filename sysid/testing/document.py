@@ -12,9 +12,9 @@ import pandas as pd
 from sysid.datasets.recording import Recording
 from sysid.effects import BY_NAME, CATALOGUE, Effect, Form
 from sysid.effects.separators import separator
+from sysid.pictures import Line, svg
 from sysid.signals import point_signals
 from sysid.testing.check import typical_values
-from sysid.testing.picture import Line, svg
 from sysid.testing.probe import RATE_HZ, Place, Values, places_of, plant_run, probe_machine, probe_recording, with_inputs
 
 Array = npt.NDArray[np.float64]

@@ -34,6 +34,14 @@ WHAT = {
     "plant": "Plant: the simulation of a machine, commands to motion, with named effects.",
     "policy": "Policy: joints, end effector and target to joint setpoints, trained on a plant.",
 }
+#: How its layers bend.
+CORNERS = {"relu": "", "smooth": ", with smooth rectifiers"}
+#: What enters a forward network.
+FEATURES = {
+    "joints": "joint values",
+    "sincos": "sines and cosines of the angles",
+    "products": "products of sines and cosines of the angles",
+}
 
 
 @dataclass(frozen=True)
@@ -139,9 +147,8 @@ def _what(version: ModelVersion, model: Model | None) -> Iterator[str]:
             yield f"{len(model.members)} perceptrons ({size}) correct it by at most {shown(model.bound, 'm')}."
     elif isinstance(model, ForwardNetwork):
         size = "-".join(map(str, model.members[0].hidden))
-        features = "joint values" if model.features == "joints" else "sines and cosines of the angles"
         many = f"the mean of {len(model.members)} perceptrons" if len(model.members) > 1 else "one perceptron"
-        yield f"It is {many} ({size}) of {features}."
+        yield f"It is {many} ({size}) of {FEATURES[model.features]}{CORNERS[model.members[0].rectifier]}."
     elif motions := motion_networks(model) if model is not None else {}:
         for axis, network in motions.items():
             seconds, size = network.window.depth * network.window.step, "-".join(map(str, network.members[0].hidden))

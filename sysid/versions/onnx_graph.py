@@ -61,8 +61,13 @@ class Graph:
         for number, (weight, bias) in enumerate(zip(network.weights, network.biases, strict=True)):
             h = self.add("Gemm", h, self.constant(weight), self.constant(bias))
             if number < last:
-                h = self.add("Relu", h)
+                h = self.add("Relu", h) if network.rectifier == "relu" else self.rounded(h)
         return self.add("Add", self.add("Mul", h, self.constant(network.outputs.scale)), self.constant(network.outputs.mean))
+
+    def rounded(self, x: str) -> str:
+        """The smooth rectifier (:data:`sysid.networks.mlp.Rectifier`)."""
+        root = self.add("Sqrt", self.add("Add", self.add("Mul", x, x), self.constant([4.0])))
+        return self.add("Sub", self.add("Mul", self.add("Add", x, root), self.constant([0.5])), self.constant([1.0]))
 
     def policy(self, model: PolicyNetwork, value: str) -> str:
         """Observations (n, O) → setpoints (n, A) within their limits."""
@@ -115,7 +120,11 @@ class Graph:
     def forward(self, model: ForwardNetwork | StructuredForward, q: str) -> str:
         """Joint values (n, n_axes) → tip (n, 3)."""
         if isinstance(model, ForwardNetwork):
-            inputs = q if model.features == "joints" else self.features(q, model.revolute)
+            if model.features == "products":
+                every = self.products(q, model.revolute)
+                inputs = self.columns(every, range(1, len(model.members[0].inputs.mean) + 1))
+            else:
+                inputs = q if model.features == "joints" else self.features(q, model.revolute)
             return self.mean([self.mlp(member, inputs) for member in model.members])
         stretch, weights = chain_weights(model.structure, model.revolute)
         turned = self.add("Mul", q, self.constant(stretch)) if np.any(stretch != 1.0) else q

@@ -16,7 +16,7 @@ PACKAGE = ROOT / "sysid"
 #: From the ground floor up. A part may import itself and what stands on a lower floor, never a neighbour or a higher one.
 FLOORS: tuple[tuple[str, ...], ...] = (
     ("errors",),
-    ("units", "config", "signals", "progress", "files", "compiled"),
+    ("units", "config", "signals", "progress", "files", "compiled", "pictures"),
     ("logs", "machine"),
     ("datasets",),
     ("networks", "effects"),

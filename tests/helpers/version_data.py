@@ -11,6 +11,7 @@ from crane_data import HIGH, LINKAGES, LOW, crane
 
 from sysid.networks import ActuatorNetwork, Calibration, ForwardNetwork, Geometry, Mlp, Normalisation, StructuredForward
 from sysid.networks.chain import fit_chain
+from sysid.networks.mlp import Rectifier
 
 Array = npt.NDArray[np.float64]
 JOINTS = ("slew.joint", "boom.joint", "stick.joint", "telescope.joint")
@@ -40,7 +41,7 @@ def actuator(axis: str = "boom", off: float = 0.0, low: float = -0.43, high: flo
     return {axis: ActuatorNetwork(axis, to_joint, piecewise(joints, displacements), ends, (low, high))}
 
 
-def perceptron(inputs: int, outputs: int, seed: int, hidden: tuple[int, ...] = (24, 16)) -> Mlp:
+def perceptron(inputs: int, outputs: int, seed: int, hidden: tuple[int, ...] = (24, 16), rectifier: Rectifier = "relu") -> Mlp:
     """Random weights of the size that training gives."""
     rng = np.random.default_rng(seed)
     sizes = (inputs, *hidden, outputs)
@@ -53,12 +54,13 @@ def perceptron(inputs: int, outputs: int, seed: int, hidden: tuple[int, ...] = (
         biases,
         Normalisation(rng.normal(size=inputs), rng.uniform(0.5, 2.0, inputs)),
         Normalisation(rng.normal(size=outputs), rng.uniform(0.2, 1.0, outputs)),
+        rectifier,
     )
 
 
-def forward(features: str = "joints", members: int = 1, seed: int = 0) -> ForwardNetwork:
-    width = 4 if features == "joints" else 7
-    every = tuple(perceptron(width, 3, seed + number) for number in range(members))
+def forward(features: str = "joints", members: int = 1, seed: int = 0, rectifier: Rectifier = "relu") -> ForwardNetwork:
+    width = {"joints": 4, "sincos": 7, "products": 53}[features]
+    every = tuple(perceptron(width, 3, seed + number, rectifier=rectifier) for number in range(members))
     return ForwardNetwork(JOINTS, REVOLUTE, features, every, LOW, HIGH)  # type: ignore[arg-type]
 
 

@@ -26,7 +26,7 @@ from sysid.networks import (
     to_files,
 )
 from sysid.networks.actuator import actuator_rows
-from sysid.networks.forward import forward_rows
+from sysid.networks.forward import feature_names, forward_rows
 from sysid.networks.split import gather, segments, spread_sample
 
 QUICK = parse_recipe(
@@ -98,6 +98,29 @@ def test_sine_and_cosine_inputs_and_several_members(data: Dataset) -> None:
     np.testing.assert_allclose(
         network.predict(q), 0.5 * sum(replace(network, members=(m,)).predict(q) for m in network.members)
     )
+
+
+def test_products_of_sines_and_cosines_and_smooth_rectifiers(data: Dataset) -> None:
+    """What the tip is made of goes in, and the network has no corners: more accurate from the same poses, in less training."""
+    training = {"epochs": 60, "batch": 32}
+    plain, better = (
+        learn_forward(data, parse_recipe({"forward": {**own, "training": training}}, "test"))
+        for own in ({}, {"features": "products", "rectifier": "smooth"})
+    )
+    kinematics = crane().kinematics()
+    assert kinematics is not None
+    q = np.random.default_rng(5).uniform(LOW, HIGH, (500, 4))
+    errors = [float(np.sqrt(np.mean((model.predict(q) - kinematics.tip_position(q)) ** 2))) for model in (plain, better)]
+    assert errors[1] < 0.6 * errors[0]
+    again = from_files(to_files(better)[1], "crane-forward@1")
+    assert isinstance(again, ForwardNetwork)
+    assert again.members[0].rectifier == "smooth"
+    np.testing.assert_array_equal(again.predict(q), better.predict(q))
+    assert feature_names(("a", "b"), (True, False), "products") == ("b", "sin(a)", "sin(a)·b", "cos(a)", "cos(a)·b")
+    _, files = to_files(better)
+    other = files["network.json"].replace(b'"smooth"', b'"smoth"')
+    with pytest.raises(StoreError, match=r"crane-forward@1: rectifier 'smoth'; .*smooth"):
+        from_files({**files, "network.json": other}, "crane-forward@1")
 
 
 def test_only_fit_and_select_rows_matter(data: Dataset, actuators: dict[str, ActuatorNetwork], forward: ForwardNetwork) -> None:
@@ -303,7 +326,10 @@ def test_a_recipe_overrides_single_keys(tmp_path: Path) -> None:
     ("text", "message"),
     [
         ("[forward]\nfeature = 'sincos'", r"unknown key 'forward.feature'; expected 'features'\?"),
-        ("[forward]\nfeatures = 'cosine'", r"forward.features = 'cosine'; expected input should be 'joints' or 'sincos'"),
+        (
+            "[forward]\nfeatures = 'cosine'",
+            r"forward.features = 'cosine'; expected input should be 'joints', 'sincos' or 'products'",
+        ),
         ("[actuator.training]\nepochs = 0", r"actuator.training: epochs = 0; expected a positive number"),
         ("[actuator]\nrows = ['poses']", r"actuator.rows: \['poses'\]; expected motion, with or without poses"),
         ("[actuator]\nsamples = 0", r"actuator.samples: 0; expected a positive number"),

@@ -14,6 +14,7 @@ from sysid.errors import ExcitationError, InputError, SettingsError
 from sysid.networks import Member, Mlp, Normalisation, Trained, TrainingSettings, train
 from sysid.networks.batch import BatchedAdam, BatchedMlp, Stack, pack, padded, unpack
 from sysid.networks.jobs import batches, job_of, layers_of, scalers_of
+from sysid.networks.mlp import Rectifier
 from sysid.networks.order import Order, initial_row
 
 QUICK = TrainingSettings(learning_rate=1e-2, batch=32, epochs=60, patience=60)
@@ -52,10 +53,18 @@ def padded_rows(columns: int, *shape: int) -> torch.Tensor:
     return rows
 
 
-def test_the_written_out_gradient_is_that_of_autograd() -> None:
+def rounded(x: torch.Tensor) -> torch.Tensor:
+    return 0.5 * (x + torch.sqrt(x**2 + 4.0)) - 1.0
+
+
+RECTIFIERS = {"relu": torch.relu, "smooth": rounded}
+
+
+@pytest.mark.parametrize("rectifier", RECTIFIERS)
+def test_the_written_out_gradient_is_that_of_autograd(rectifier: Rectifier) -> None:
     sizes = (3, 12, 5, 2)
     rows = random_rows(sizes, 2)
-    model = BatchedMlp.of_rows(padded(sizes), rows)
+    model = BatchedMlp.of_rows(padded(sizes), rows, rectifier=rectifier)
     x, y = padded_rows(3, 2, 17), padded_rows(2, 2, 17)
     with torch.no_grad():
         losses = model.accumulate(x, y, torch.full((2, 1, 1), 2.0))
@@ -63,7 +72,7 @@ def test_the_written_out_gradient_is_that_of_autograd() -> None:
         weights, biases = ([torch.tensor(part, requires_grad=True) for part in parts] for parts in unpack(sizes, row))
         h = x[k, :, :3].double()
         for w, b in zip(weights[:-1], biases[:-1], strict=True):
-            h = torch.relu(h @ w + b)
+            h = RECTIFIERS[rectifier](h @ w + b)
         expected = ((h @ weights[-1] + biases[-1] - y[k, :, :2]) ** 2).mean()
         expected.backward()
         torch.testing.assert_close(losses[k].double(), expected.detach(), rtol=1e-5, atol=0.0)
@@ -72,9 +81,10 @@ def test_the_written_out_gradient_is_that_of_autograd() -> None:
             np.testing.assert_allclose(found, wanted.grad.numpy(), rtol=1e-3, atol=1e-6)
 
 
-def test_what_fills_up_a_width_stays_zero() -> None:
+@pytest.mark.parametrize("rectifier", RECTIFIERS)
+def test_what_fills_up_a_width_stays_zero(rectifier: Rectifier) -> None:
     sizes = (3, 12, 5, 2)
-    model = BatchedMlp.of_rows(padded(sizes), random_rows(sizes, 1))
+    model = BatchedMlp.of_rows(padded(sizes), random_rows(sizes, 1), rectifier=rectifier)
     adam = BatchedAdam(Stack.zeros(model.sizes, 1), Stack.zeros(model.sizes, 1), 0)
     with torch.no_grad():
         for _ in range(5):
@@ -122,11 +132,12 @@ def test_training_recovers_a_known_map() -> None:
     assert result.course.fit_loss[-1] < 0.1 * result.course.fit_loss[0]
 
 
-def test_numpy_inference_is_that_of_the_weights() -> None:
-    (result,) = train([member()], (8,), replace(QUICK, epochs=5), seed=0)
+@pytest.mark.parametrize("rectifier", RECTIFIERS)
+def test_numpy_inference_is_that_of_the_weights(rectifier: Rectifier) -> None:
+    (result,) = train([replace(member(), rectifier=rectifier)], (8,), replace(QUICK, epochs=5), seed=0)
     mlp, x = result.mlp, member(seed=3).inputs
     by_torch = torch.from_numpy((x - mlp.inputs.mean) / mlp.inputs.scale)
-    by_torch = torch.relu(by_torch @ torch.from_numpy(mlp.weights[0]) + torch.from_numpy(mlp.biases[0]))
+    by_torch = RECTIFIERS[rectifier](by_torch @ torch.from_numpy(mlp.weights[0]) + torch.from_numpy(mlp.biases[0]))
     by_torch = by_torch @ torch.from_numpy(mlp.weights[1]) + torch.from_numpy(mlp.biases[1])
     np.testing.assert_allclose(mlp.predict(x), by_torch.numpy() * mlp.outputs.scale + mlp.outputs.mean, rtol=1e-12)
     np.testing.assert_array_equal(np.isnan(mlp.predict([[0.0, np.nan], [0.0, 0.0]])).any(axis=1), [True, False])
@@ -150,6 +161,7 @@ def test_a_member_is_trained_as_if_it_were_alone_bit_for_bit() -> None:
     members = [
         member("a", 1), member("b", 2, rows=301), member("c", 3, rows=97), replace(member("d", 4), learning_rate=3e-3),
         member("few", 5, rows=20), one_column, replace(member("deep", 6), hidden=(9, 7)), misled("misled", 7), member("e", 8),
+        replace(member("smooth", 9, rows=97), rectifier="smooth"), replace(member("smoother", 10), rectifier="smooth"),
     ]  # fmt: skip
     alone = [train([one], (19, 33), quick, 0)[0] for one in members]
     assert len({result.course.epochs for result in alone}) > 1

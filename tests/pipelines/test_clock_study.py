@@ -81,6 +81,6 @@ def test_the_picture_has_a_line_a_motion_and_mishap(study: dict[str, ModuleType]
         for k in ("plain", "gaps")
     ]
     text = study["clock_picture"].picture(rows, (30.0, 120.0), (0.5, 1.0), {30.0: "30 s", 120.0: "2 min"})
-    assert text.count("<polyline") == 8
-    assert text.count('class="mishap"') == 4
+    assert text.count("<polyline") == 8 + 2  # and what the colours mean
+    assert text.count('class="dashed"') == 4
     assert "nan" not in text

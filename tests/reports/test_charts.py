@@ -9,7 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sysid.reports.charts import Line, chart, heat_map, ticks
+from sysid.pictures import ticks
+from sysid.reports.charts import Line, chart, heat_map
 from sysid.reports.clearance import Canvas
 
 

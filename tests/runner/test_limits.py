@@ -73,3 +73,11 @@ def test_whoever_stands_outside_may_come_back_and_no_further_out() -> None:
 def test_limits_that_cannot_be_are_refused(settings: LimitSettings, message: str) -> None:
     with pytest.raises(SettingsError, match=message):
         limits_of(PLANT, VALVES, settings, "runner.toml")
+
+
+def test_no_number_asks_for_nothing() -> None:
+    limiter = SetpointLimiter(LIMITS, DT)
+    limiter.reset(MIDDLE)
+    passed, broken = limiter.step(np.array([np.nan, np.inf, MIDDLE[2], -np.inf]))
+    np.testing.assert_array_equal(passed, MIDDLE)
+    assert [(check, axis) for check, axis, *_ in broken] == [("position", 0), ("position", 1), ("position", 3)]

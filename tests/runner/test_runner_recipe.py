@@ -13,6 +13,7 @@ from click.testing import CliRunner
 from crane_model import AUTOLOG, crane, crane_plant
 from crane_store import learned
 
+from sysid.cli.app import _run as run_command
 from sysid.cli.app import app
 from sysid.errors import SettingsError
 from sysid.networks import to_files
@@ -156,3 +157,10 @@ def test_a_path_that_leaves_the_fence_is_refused_before_anything_is_opened(works
     path = write(workspace, "[track]\ncentre = [0.85, 0.0, 0.3]\n[limits.fence]\ny = [-0.1, 0.1]\n", mode='"track"')
     error = invoke(workspace, path).exception
     assert "outside the fence in y, margin included; expected a path inside limits.fence" in str(error)
+
+
+def test_a_run_that_ends_in_a_fault_says_so_by_its_exit_status(workspace: Path) -> None:
+    path = write(workspace, "[collect]\nposes = 1\n[checks.motion]\nseconds = 1e-5\n", mode='"collect"')
+    arguments = ["--workspace", str(workspace / "ws"), "run", str(path), "--log", str(workspace / "faults")]
+    assert run_command(arguments) == 1
+    assert run_command([*arguments[:-2], "--dry-run"]) == 0

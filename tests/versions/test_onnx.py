@@ -23,6 +23,7 @@ onnxruntime = pytest.importorskip("onnxruntime", reason="the extra onnx is not i
 MODELS: dict[str, Model] = {
     "network": forward(),
     "sincos": forward("sincos", members=3),
+    "products": forward("products", members=2, rectifier="smooth"),
     "calibrated": structured(),
     "calibrated and corrected": structured(members=2),
     "chain": structured("chain"),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from html import escape
@@ -47,17 +48,16 @@ def svg(title: str, x_label: str, y_label: str, lines: Sequence[Line], equal: bo
         'font-family="sans-serif" font-size="11" role="img">',
         f"<title>{escape(title)}</title>",
         f'<rect width="{WIDTH}" height="{HEIGHT}" fill="#ffffff"/>',
-        f'<rect x="{LEFT}" y="{TOP}" width="{wide}" height="{high}" fill="none" stroke="#c8ccd0"/>',
     ]
-    for k, value in enumerate((x0, 0.5 * (x0 + x1), x1)):
-        anchor = ("start", "middle", "end")[k]
-        parts.append(
-            f'<text x="{LEFT + k * wide / 2:.1f}" y="{HEIGHT - 20}" text-anchor="{anchor}" fill="#555b61">{value:.3g}</text>'
-        )
-    for k, value in enumerate((y1, 0.5 * (y0 + y1), y0)):
-        parts.append(
-            f'<text x="{LEFT - 6}" y="{TOP + k * high / 2 + 4:.1f}" text-anchor="end" fill="#555b61">{value + 0.0:.3g}</text>'
-        )
+    for value, text in _named(x0, x1, 6):
+        at = LEFT + (value - x0) / (x1 - x0) * wide
+        parts.append(f'<path d="M{at:.1f} {TOP}v{high}" stroke="#eceef0"/>')
+        parts.append(f'<text x="{at:.1f}" y="{HEIGHT - 20}" text-anchor="middle" fill="#555b61">{text}</text>')
+    for value, text in _named(y0, y1, 4):
+        at = TOP + (y1 - value) / (y1 - y0) * high
+        parts.append(f'<path d="M{LEFT} {at:.1f}h{wide}" stroke="#eceef0"/>')
+        parts.append(f'<text x="{LEFT - 6}" y="{at + 4:.1f}" text-anchor="end" fill="#555b61">{text}</text>')
+    parts.append(f'<rect x="{LEFT}" y="{TOP}" width="{wide}" height="{high}" fill="none" stroke="#c8ccd0"/>')
     parts.append(
         f'<text x="{LEFT + wide / 2:.1f}" y="{HEIGHT - 6}" text-anchor="middle" fill="#30363c">{escape(x_label)}</text>'
     )
@@ -72,6 +72,25 @@ def svg(title: str, x_label: str, y_label: str, lines: Sequence[Line], equal: bo
         style = f'fill="none" stroke="{line.colour}" stroke-width="1.6"{dash}'
         parts.append(f'<polyline points="{place(line.x, line.y)}" {style}/>')
     return "\n".join([*parts, "</svg>", ""])
+
+
+def ticks(low: float, high: float, count: int = 4) -> list[float]:
+    """Round values inside a range, about ``count`` of them."""
+    raw = (high - low) / max(count, 1)
+    power = 10.0 ** math.floor(math.log10(raw))
+    step = min((power * k for k in (1.0, 2.0, 5.0, 10.0)), key=lambda size: abs(math.log(size / raw)))
+    begin = math.ceil(low / step - 1e-9)
+    found: list[float] = []
+    while (begin + len(found)) * step <= high + 1e-9 * step:
+        found.append((begin + len(found)) * step)
+    return found
+
+
+def _named(low: float, high: float, count: int) -> list[tuple[float, str]]:
+    """Round values inside a range, and what they are called."""
+    found = ticks(low, high, count)
+    decimals = max(0, -math.floor(math.log10(found[1] - found[0]) + 1e-9)) if len(found) > 1 else 2
+    return [(value, f"{value:.{decimals}f}".replace("-", "−") if abs(value) > 1e-12 else "0") for value in found]
 
 
 def _span(values: Array) -> tuple[float, float]:

@@ -33,7 +33,7 @@ from sysid.rl.training import JUDGE_SEED, policy_of
 
 Array = npt.NDArray[np.float64]
 
-ROOT = Path(__file__).resolve().parents[1]
+ROOT = Path(__file__).resolve().parents[2]
 RECIPES = ROOT / "rl" / "autolog"
 #: Root mean square error of the paper's helix, x/y/z [m].
 PAPER = {"feedback": (0.017, 0.008, 0.010), "plain": (0.031, 0.017, 0.020)}

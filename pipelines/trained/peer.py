@@ -18,7 +18,7 @@ from sysid.rl.course import lay_out
 from sysid.rl.environment import load_versions
 from sysid.rl.kinematic import KinematicEnvironment
 from sysid.rl.recipe import parse_training
-from training_runs import PAPER, RECIPES
+from trained.runs import PAPER, RECIPES
 
 Array = npt.NDArray[np.float64]
 

@@ -1,0 +1,47 @@
+"""Queries beyond the data of a network are objected to, ways back are not; sensors that contradict each other stop."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from crane_store import learned
+from runner_case import DT, MIDDLE, PLANT, case
+
+from sysid.errors import SettingsError
+from sysid.networks.trust import Trust
+from sysid.runner.domain import Domains
+from sysid.runner.faults import Injection, Scaled
+from sysid.runner.modes.hold import Hold
+from sysid.runner.senses import Seen
+from sysid.runner.transport import NOBODY
+
+AXES = PLANT.machine.axis_names
+
+
+def at(joints: np.ndarray) -> Seen:
+    return Seen(0, 0.0, 0, NOBODY, [], joints.copy(), np.ones(4, dtype=np.bool_), joints.copy(), joints.copy())
+
+
+def test_beyond_the_data_and_back() -> None:
+    rng = np.random.default_rng(0)
+    poses = MIDDLE + rng.uniform(-0.2, 0.2, (800, 4)) * [1.0, 1.0, 1.0, 0.2]
+    model = replace(learned(PLANT), trust=Trust.of(poses, 1e-3 * rng.standard_normal((800, 3)), np.zeros((800, 3))))
+    domains = Domains(model, {}, AXES)
+    way = np.array([0.0, 0.1, 0.4, 0.6, 0.5, 0.3, 0.1])
+    said = [bool(domains(at(MIDDLE + np.array([step, 0.0, 0.0, 0.0])))) for step in way]
+    assert said == [False, False, True, True, False, False, False]
+
+
+def test_a_version_that_does_not_know_its_data_is_refused() -> None:
+    with pytest.raises(SettingsError, match=r"does not know where its data were; .* \[checks.without\] domain"):
+        Domains(learned(PLANT), {}, AXES)
+
+
+def test_a_joint_sensor_that_contradicts_its_cylinder_stops_and_latches() -> None:
+    made = case(lambda limits, chain: Hold(DT, 3.0), plan=[Injection(Scaled("boom.joint", 1.3), 0.6)], noise=False)
+    made.transport.start()
+    made.loop.run()
+    assert "contradiction" in made.verdicts()
+    assert made.states()[-1] == "fault"
