@@ -308,6 +308,9 @@ class Loop:
         self.supervisor.begin(seen.joints)
         self.chain.rest(seen.drive, seen.joints)
         self.mode.begin(seen.joints, seen.ee)
+        if outside := self.supervisor.beyond(seen):
+            self.outcome.notes.append(f"{outside}: only ways back inside are open")
+            self.operator.told(self.outcome.notes[-1])
         self._k, self._fallback, self._drive_setpoints, self._neutral_s, self._latch = 0, False, None, 0.0, ""
 
     def _decide(self, seen: Seen, verdicts: list[Verdict], now: int) -> Decision:

@@ -103,7 +103,7 @@ class Supervisor:
         return self.barrier.ramp(seen.drive, reckonings)
 
     def beyond(self, seen: Seen) -> str:
-        """Why nobody should let the machine go from here; "" where it may start."""
+        """Which limit the machine stands beyond, margins left out; "" where it is inside."""
         for name, q, low, high in zip(self.axes, seen.joints, self.limits.hard_low, self.limits.hard_high, strict=True):
             if not low - 1e-6 <= q <= high + 1e-6:
                 return f"{name} stands at {q:.4g}, outside {low:.4g} … {high:.4g}"

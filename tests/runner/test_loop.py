@@ -17,9 +17,10 @@ from sysid.rl.paths import Path as Course
 from sysid.runner import faults as f
 from sysid.runner.chain import Chain
 from sysid.runner.faults import FaultyTransport, Injection
-from sysid.runner.limits import Limits
+from sysid.runner.limits import AxisLimits, Limits, LimitSettings
 from sysid.runner.modes.hold import Hold, Shadow, Teleop
 from sysid.runner.modes.mode import Mode
+from sysid.runner.modes.replay import ReplayJoints
 from sysid.runner.modes.track import TrackPath
 from sysid.runner.operator import Nobody, Unattended
 
@@ -221,3 +222,15 @@ def test_a_run_loads_no_torch() -> None:
     program = f"import sys; sys.path[:0] = {env_path!r}; {text}"
     done = subprocess.run([sys.executable, "-c", program, str(here)], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
+
+
+def test_a_machine_that_stands_outside_comes_back_in_and_is_told_so() -> None:
+    narrow = LimitSettings(axes={"slew": AxisLimits(low=0.05, high=1.0)})
+    made = run(
+        lambda limits, chain: ReplayJoints(np.tile(MIDDLE + np.array([0.3, 0.0, 0.0, 0.0]), (20, 1)), limits, DT), limits=narrow
+    )
+    assert made.loop.outcome.ended == "done"
+    assert "slew stands at" in "\n".join(made.loop.outcome.notes)
+    joints = np.array(made.machine.joints)[:, 0]
+    assert joints.min() > -2e-3
+    assert abs(joints[-1] - 0.3) < 5e-3
