@@ -283,6 +283,7 @@ def judged(name: str, flown: Flown) -> dict[str, Any]:
     at, places = truth["at_ns"], _places(truth)
     inside = bool(((places >= FENCE[:, 0]) & (places <= FENCE[:, 1])).all())
     if flown.outcome.get("ended") == "refused":
+        # Before anything was sent.
         moved = float(np.linalg.norm(places - places[0], axis=1).max())
         row = {"reaction_ms": 0.0, "peak_motion_m": moved, "state": "refused", "noticed": flown.outcome["why"]}
         return {"fault": name, **row, "ok": moved < 1e-6 and name == "wrong DBC"}

@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from sysid.errors import SysidError
+from sysid.errors import StorageError, SysidError
 from sysid.registry import Registry
 from sysid.runner.assemble import assemble
 from sysid.runner.chain import Chain
@@ -120,13 +120,17 @@ def fly(flight: Flight) -> dict[str, Any]:
     transport = FaultyTransport(connect(assembly, registry).transport, ())
     versions = {version.kind: version.reference for version in assembly.loaded.versions}
     words = provenance({"machine": assembly.machine_file, "recipe": flight.recipe}, versions)
-    with FlightLog(folder / "logs", assembly.machine_file, transport.axes, transport.signals, words) as log:
-        loop = assembly.loop(transport, log, Unattended(transport))
-        transport.open()
-        try:
-            outcome = loop.run(Watch(flight, transport, loop.chain))
-        finally:
-            transport.close()
+    log = FlightLog(folder / "logs", assembly.machine_file, transport.axes, transport.signals, words)
+    loop = assembly.loop(transport, log, Unattended(transport))
+    transport.open()
+    try:
+        outcome = loop.run(Watch(flight, transport, loop.chain))
+    finally:
+        transport.close()
+    try:
+        log.close()
+    except StorageError as error:
+        outcome.notes.append(str(error))
     return {
         "ended": outcome.ended,
         "state": outcome.state,

@@ -133,6 +133,7 @@ class Loop:
         self._readings: Mapping[str, Reading] = {}
         self._k = 0
         self._drive_setpoints: Array | None = None
+        self._held_at: Array | None = None
         self._line = ""
 
     def warm_up(self, joints: Array) -> None:
@@ -362,7 +363,9 @@ class Loop:
         """Joint setpoints (A,), and whose they are."""
         here = self.supervisor.limiter.position
         if held:
-            return here.copy(), "hold"
+            return self._hold(here)
+        if not self._fallback or (self.settings.fallback == "ik" and self.chain.policy is not None):
+            self._held_at = None
         if goal.joints is not None:
             self.chain.solve_from(goal.joints)
             return goal.joints, goal.phase
@@ -382,8 +385,14 @@ class Loop:
                 f"{wrong.text}: {'inverse kinematics goes on' if self.settings.fallback == 'ik' else 'it holds'}"
             )
         if self.settings.fallback == "hold" or self.chain.policy is None:
-            return here.copy(), "hold"
+            return self._hold(here)
         return self.chain.solve(seen.joints, goal.aim), "fallback"
+
+    def _hold(self, here: Array) -> tuple[Array, str]:
+        """Where the hold began: a setpoint that went along with the limiter would keep the speed that it had."""
+        if self._held_at is None:
+            self._held_at = here.copy()
+        return self._held_at.copy(), "hold"
 
     def _slow_down(self, seen: Seen, decision: Decision, now: int) -> None:
         decision.source = "stop"

@@ -172,6 +172,14 @@ def test_a_policy_that_fails_is_taken_off_and_the_fallback_goes_on(wrong: Array 
     assert made.cycles[-60].source in ("hold", "stop")
 
 
+def test_a_hold_that_begins_in_motion_comes_to_rest() -> None:
+    made = run(tracking, policy=Answers(np.full(4, np.nan), after=150), fallback="hold", seconds=7.0)
+    held = np.array([cycle.setpoints for cycle in made.cycles if cycle.source == "hold"])
+    assert len(held) > 100
+    assert np.abs(held[1] - held[0]).max() > 1e-4, "it was in motion"
+    assert np.abs(held[-20:] - held[0]).max() < 2e-3
+
+
 def test_a_full_disk_stops() -> None:
     made = run(recorder=Memory(fails_at=220))
     assert made.loop.outcome.ended == "stopped"
