@@ -10,7 +10,7 @@ from fault_runs import TOUCH, fault_run
 from sysid.runner.barrier import Barrier
 
 Array = npt.NDArray[np.float64]
-FAST, SLOW = range(50), range(50, 1050)
+FAST, SLOW = range(10), range(10, 1010)
 
 
 def check(seed: int) -> None:
@@ -32,9 +32,8 @@ def check(seed: int) -> None:
         assert np.abs(cycle.commands).max() <= 1.0
 
 
-@pytest.mark.parametrize("block", range(5))
-def test_nothing_leaves_the_fence(block: int) -> None:
-    for seed in FAST[10 * block : 10 * block + 10]:
+def test_nothing_leaves_the_fence() -> None:
+    for seed in FAST:
         check(seed)
 
 
