@@ -17,11 +17,12 @@ from sysid.control import AxisTuning, CylinderController, response_time
 from sysid.effects.gripper_sway import GRAVITY
 from sysid.errors import InputError, SettingsError, nearest
 from sysid.networks.forward import ForwardModel
-from sysid.plant import Plant, compile_plant
+from sysid.plant import Plant
 from sysid.plant.stepper import LaneState, Stepper
-from sysid.rl.environment import Flags, Parts, Task, check_pair
+from sysid.rl.copies import Copies
+from sysid.rl.environment import Flags, Task
 from sysid.rl.observation import DrivenObservation
-from sysid.rl.reach import Reach, reach_of, tips
+from sysid.rl.reach import Reach, tips
 
 if TYPE_CHECKING:
     from sysid.rl.bullet import Worlds
@@ -31,7 +32,7 @@ Feedback = Literal["static", "plant"]
 Mover = Literal["compiled", "pybullet"]
 
 
-class DrivenEnvironment:
+class DrivenEnvironment(Copies):
     """Observation: joints (A,), end effector (3,), target (3,), the last commands (H·A,), speeds of the joints (A,), tool
     relative to the tip (3,) and its speed there (3,). Action: joint setpoints (A,) in SI.
 
@@ -65,18 +66,13 @@ class DrivenEnvironment:
         mover: Mover = "compiled",
         noise: bool = False,
     ) -> None:
-        if size < 1:
-            raise SettingsError("environment", f"size = {size}", "at least one copy")
         for name, value, valid in (("feedback", feedback, get_args(Feedback)), ("mover", mover, get_args(Mover))):
             if value not in valid:
                 raise SettingsError("environment", f"{name} = {value!r}", nearest(value, valid))
         if mover == "pybullet" and feedback == "plant":
             raise SettingsError("environment", "feedback = 'plant' with PyBullet", "mover = 'compiled', or feedback = 'static'")
-        check_pair(plant, forward)
-        self.plant, self.forward, self.size, self.task = plant, forward, size, task or Task()
-        self.rate_hz, self.feedback, self.preview = plant.machine.rate_hz, feedback, preview
-        self.reach = reach or reach_of(plant, forward)
-        self.model = compile_plant(plant)
+        super().__init__(plant, forward, size, seed, task, reach)
+        self.feedback, self.preview = feedback, preview
         self._stepper: Stepper | Worlds
         if mover == "pybullet":
             from sysid.rl.bullet import Worlds
@@ -90,33 +86,14 @@ class DrivenEnvironment:
         self._judges: tuple[Stepper, CylinderController] | None = None
         self.horizon = max(1, math.ceil(response_time(plant) * self.rate_hz) + 1)
         self.history = self.horizon if history is None else history
-        self.parts = Parts.of(self.actions)
-        self._rng = np.random.default_rng(seed)
         self._target = np.full((size, 3), np.nan)
         self._view = DrivenObservation(plant.machine.axis_names, self.history, self.rate_hz, size)
         self._lane: LaneState | None = None
         self._final = np.full((size, self.observations), np.nan)
-        self._count = np.zeros(size, dtype=np.int64)
-
-    @property
-    def actions(self) -> int:
-        return len(self.plant.machine.axes)
 
     @property
     def observations(self) -> int:
         return self._view.width
-
-    @property
-    def steps(self) -> int:
-        return self.task.steps
-
-    @property
-    def action_low(self) -> Array:
-        return self.reach.low.copy()
-
-    @property
-    def action_high(self) -> Array:
-        return self.reach.high.copy()
 
     @property
     def observation_low(self) -> Array:
@@ -152,9 +129,7 @@ class DrivenEnvironment:
         Raises:
             InputError: another shape, or a setpoint that is no number.
         """
-        wanted = np.asarray(actions, dtype=np.float64)
-        if wanted.shape != (self.size, self.actions):
-            raise InputError("environment", f"actions of shape {wanted.shape}", f"({self.size}, {self.actions})")
+        wanted = self._checked(actions)
         if not np.isfinite(wanted).all():
             raise InputError("environment", "an action that is no finite number", "joint setpoints [rad or m]")
         before = self._at()
@@ -183,14 +158,6 @@ class DrivenEnvironment:
     def names(self) -> tuple[str, ...]:
         """What the columns of an observation are."""
         return self._view.names
-
-    def seed(self, seed: int) -> None:
-        """Starts and targets from now on."""
-        self._rng = np.random.default_rng(seed)
-
-    def targets(self, observations: Array) -> Array:
-        """Targets (m, 3) inside observations (m, O)."""
-        return np.asarray(observations)[:, self.parts.target]
 
     def predicted(self, observations: Array, actions: Array) -> Array:
         """Where candidate ``actions`` (m, A) lead, (m, 3).
@@ -268,11 +235,6 @@ class DrivenEnvironment:
             controller = CylinderController(self.plant, self._controller.tuning, copies=count, preview=self.preview)
             self._judges = Stepper(self.plant, self.rate_hz, count), controller
         return self._judges
-
-    def _reset(self, which: Flags) -> None:
-        count = int(which.sum())
-        joints, aims = self.reach.draw(count, self._rng), self.reach.draw(count, self._rng)
-        self._put(which, joints, tips(self.model, aims))
 
     def _put(self, which: Flags, joints: Array, targets: Array) -> None:
         self._lane = lane = self._stepper.reset(np.clip(joints, self.reach.low, self.reach.high), which=which)

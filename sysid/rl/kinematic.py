@@ -8,17 +8,18 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from sysid.errors import InputError, SettingsError
+from sysid.errors import InputError
 from sysid.networks.forward import ForwardModel
-from sysid.plant import Plant, compile_plant
-from sysid.rl.environment import Flags, Parts, Task, check_pair
+from sysid.plant import Plant
+from sysid.rl.copies import Copies
+from sysid.rl.environment import Flags, Task
 from sysid.rl.motion import follow
-from sysid.rl.reach import Reach, reach_of, tips
+from sysid.rl.reach import Reach, tips
 
 Array = npt.NDArray[np.float64]
 
 
-class KinematicEnvironment:
+class KinematicEnvironment(Copies):
     """Observation: joints (A,), end effector (3,), target (3,). Action: joint setpoints (A,) in SI, clipped to their limits.
 
     Args:
@@ -42,38 +43,13 @@ class KinematicEnvironment:
         task: Task | None = None,
         reach: Reach | None = None,
     ) -> None:
-        if size < 1:
-            raise SettingsError("environment", f"size = {size}", "at least one copy")
-        check_pair(plant, forward)
-        self.plant, self.forward, self.size, self.task = plant, forward, size, task or Task()
-        self.model = compile_plant(plant)
-        self.reach = reach or reach_of(plant, forward)
-        self.parts = Parts.of(self.model.axes)
-        self.rate_hz = plant.machine.rate_hz
-        self._rng = np.random.default_rng(seed)
+        super().__init__(plant, forward, size, seed, task, reach)
         self._now = np.full((size, self.parts.width), np.nan)
         self._final = self._now.copy()
-        self._count = np.zeros(size, dtype=np.int64)
 
     @property
     def observations(self) -> int:
         return self.parts.width
-
-    @property
-    def actions(self) -> int:
-        return self.model.axes
-
-    @property
-    def steps(self) -> int:
-        return self.task.steps
-
-    @property
-    def action_low(self) -> Array:
-        return self.reach.low.copy()
-
-    @property
-    def action_high(self) -> Array:
-        return self.reach.high.copy()
 
     @property
     def observation_low(self) -> Array:
@@ -118,14 +94,6 @@ class KinematicEnvironment:
         """What the columns of an observation are."""
         return self.parts.names(self.plant.machine.axis_names)
 
-    def seed(self, seed: int) -> None:
-        """Starts and targets from now on."""
-        self._rng = np.random.default_rng(seed)
-
-    def targets(self, observations: Array) -> Array:
-        """Targets (m, 3) inside observations (m, O)."""
-        return np.asarray(observations)[:, self.parts.target]
-
     def predicted(self, observations: Array, actions: Array) -> Array:
         """Where the forward model says that candidate ``actions`` (m, A) lead, (m, 3)."""
         return self.forward.predict(np.clip(actions, self.reach.low, self.reach.high))
@@ -162,12 +130,6 @@ class KinematicEnvironment:
         self._count[:] = state["count"]
         self._rng.bit_generator.state = state["generator"]
 
-    def _checked(self, actions: npt.ArrayLike) -> Array:
-        wanted = np.ascontiguousarray(actions, dtype=np.float64)
-        if wanted.shape != (self.size, self.actions):
-            raise InputError("environment", f"actions of shape {wanted.shape}", f"({self.size}, {self.actions})")
-        return wanted
-
     def _move(self, wanted: Array) -> Array:
         rewards = np.empty(self.size)
         task = self.task
@@ -178,11 +140,6 @@ class KinematicEnvironment:
         if not finite:
             raise InputError("environment", "an action that is no finite number", "joint setpoints [rad or m]")
         return rewards
-
-    def _reset(self, which: Flags) -> None:
-        count = int(which.sum())
-        joints, aims = self.reach.draw(count, self._rng), self.reach.draw(count, self._rng)
-        self._put(which, joints, tips(self.model, aims))
 
     def _put(self, which: Flags, joints: Array, targets: Array) -> None:
         self._now[which, self.parts.joints] = np.clip(joints, self.reach.low, self.reach.high)
