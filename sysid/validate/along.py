@@ -23,7 +23,7 @@ from sysid.validate.baselines import linkage_geometry, simple_models
 from sysid.validate.error_analysis import direction_profile, profile, speeds, spikes
 from sysid.validate.metrics import error_metrics
 from sysid.validate.report import OutputReport, Trace, ValidationReport
-from sysid.validate.validation import TRACE_ROWS, _ends, _Map, _output_report
+from sysid.validate.validation import TRACE_ROWS, JudgedMap, axis_ends, output_report
 
 Array = npt.NDArray[np.float64]
 
@@ -62,7 +62,7 @@ def validate_history(
                 values = part.recording.values(signals[source])[part.start : part.stop]
                 mine = rows.recording == part.recording.name
                 predicted.append(along(values, part.recording.rate_hz)[rows.row[mine] - part.start])
-            item = _Map(
+            item = JudgedMap(
                 predict=lambda x, still=still: still(x[:, 0]),  # type: ignore[misc]
                 simple=simple_models(fit.values[:, [source]], fit.values[:, target])
                 | {"linkage geometry": linkage_geometry(fit.values[:, 0], fit.values[:, 1], target == 1)}
@@ -70,10 +70,10 @@ def validate_history(
                 trust=None,
                 sources=(source,),
                 target=target,
-                ends={signals[0]: _ends(dataset, axis, static)},
+                ends={signals[0]: axis_ends(dataset, axis, static)},
                 fitted={signals[source]: (static.displacements, static.joints)[source]},
             )
-            outputs.append(_output_report(dataset, rows, "motion", item, np.concatenate(predicted)))
+            outputs.append(output_report(dataset, rows, "motion", item, np.concatenate(predicted)))
         longest = max(parts, key=lambda part: part.stop - part.start)
         cylinder, joint = (longest.recording.values(signal)[longest.start : longest.stop] for signal in signals)
         round_trips[axis] = network.round_trip(cylinder, joint, longest.recording.rate_hz)

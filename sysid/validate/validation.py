@@ -76,14 +76,14 @@ def validate_actuator(
         fit, _ = actuator_rows(dataset, axis, recipe or NetworkRecipe())
         judged = _judged(dataset, role, signals, ("motion", "poses"))
         maps = tuple(
-            _Map(
+            JudgedMap(
                 predict=lambda x, predict=predict: predict(x[:, 0]),  # type: ignore[misc]
                 simple=simple_models(fit.values[:, [source]], fit.values[:, target])
                 | {"linkage geometry": linkage_geometry(fit.values[:, 0], fit.values[:, 1], target == 1)},
                 trust=network.trust.get(direction),
                 sources=(source,),
                 target=target,
-                ends={signals[0]: _ends(dataset, axis, network)},
+                ends={signals[0]: axis_ends(dataset, axis, network)},
                 fitted={signals[source]: (network.displacements, network.joints)[source]},
             )
             for direction, source, target, predict in (
@@ -91,7 +91,7 @@ def validate_actuator(
                 ("to_cylinder", 1, 0, network.displacement),
             )
         )
-        outputs += [_output_report(dataset, rows, kind, item) for kind, rows in judged.items() for item in maps]
+        outputs += [output_report(dataset, rows, kind, item) for kind, rows in judged.items() for item in maps]
     round_trips = {axis: network.round_trip() for axis, network in networks.items()}
     return ValidationReport("actuator", name, dataset.reference, role, tuple(outputs), round_trips)
 
@@ -111,7 +111,7 @@ def validate_forward(network: ForwardModel, dataset: Dataset, role: Role = "held
     if urdf is not None:
         simple["URDF kinematics"] = urdf
     maps = tuple(
-        _Map(
+        JudgedMap(
             predict=lambda q, number=number: network.predict(q)[:, number],  # type: ignore[misc]
             simple={title: lambda q, each=each, number=number: each(q)[:, number] for title, each in simple.items()},  # type: ignore[misc]
             trust=network.trust,
@@ -125,12 +125,12 @@ def validate_forward(network: ForwardModel, dataset: Dataset, role: Role = "held
         for number in range(3)
     )
     judged = _judged(dataset, role, signals, ("poses", "motion"))
-    outputs = [_output_report(dataset, rows, kind, item) for kind, rows in judged.items() for item in maps]
+    outputs = [output_report(dataset, rows, kind, item) for kind, rows in judged.items() for item in maps]
     return ValidationReport("forward", name, dataset.reference, role, tuple(outputs))
 
 
 @dataclass(frozen=True)
-class _Map:
+class JudgedMap:
     """One output of a network to judge.
 
     Args:
@@ -152,7 +152,7 @@ class _Map:
     number: int = 0
 
 
-def _output_report(dataset: Dataset, rows: Rows, kind: Kind, item: _Map, along: Array | None = None) -> OutputReport:
+def output_report(dataset: Dataset, rows: Rows, kind: Kind, item: JudgedMap, along: Array | None = None) -> OutputReport:
     """``along``: what a network with a memory said at ``rows``; its map is what it says without one."""
     inputs, truth, output = rows.values[:, list(item.sources)], rows.values[:, item.target], rows.signals[item.target]
     unit, predicted = _unit(dataset, output), item.predict(inputs) if along is None else along
@@ -227,7 +227,7 @@ def _loads(dataset: Dataset, rows: Rows) -> dict[str, tuple[str, Array]]:
     return found
 
 
-def _coverage(rows: Rows, inputs: Array, truth: Array, predicted: Array, item: _Map) -> Coverage | None:
+def _coverage(rows: Rows, inputs: Array, truth: Array, predicted: Array, item: JudgedMap) -> Coverage | None:
     trust = item.trust
     if trust is None:
         return None
@@ -241,7 +241,7 @@ def _coverage(rows: Rows, inputs: Array, truth: Array, predicted: Array, item: _
     return coverage_of(truth, (predicted - reach, predicted + reach), inside, inputs, names, FALSE_FLAGS, level)
 
 
-def _noise_floor(dataset: Dataset, rows: Rows, item: _Map) -> float | None:
+def _noise_floor(dataset: Dataset, rows: Rows, item: JudgedMap) -> float | None:
     """√(σ_out² + Σ (∂f/∂x · σ_in)²), the slopes taken from the network itself; None where a σ is not stated."""
     noise, sources = dataset.machine.noise, item.sources
     if any(rows.signals[column] not in noise for column in (*sources, item.target)):
@@ -257,7 +257,7 @@ def _noise_floor(dataset: Dataset, rows: Rows, item: _Map) -> float | None:
     return float(np.sqrt(variance.mean()))
 
 
-def _ends(dataset: Dataset, axis: str, network: ActuatorNetwork) -> tuple[float, float]:
+def axis_ends(dataset: Dataset, axis: str, network: ActuatorNetwork) -> tuple[float, float]:
     """End stops of the cylinder, or what was fitted where the machine's description gives none."""
     return dataset.machine.axis(axis).stroke or network.displacements
 
