@@ -185,6 +185,7 @@ def _scale(values: Array) -> float:
 
 def to_bins(values: Array, rate_hz: float, seconds: float = BIN) -> Array:
     """Means over bins along the second to last axis, (…, n, d) → (…, m, d); NaN where fewer than half the samples are there."""
+    # (0 − value)/−1 is the value: the one kernel serves both.
     nothing = np.zeros(values.shape[-2:])
     flat = np.ascontiguousarray(values, dtype=np.float64).reshape(-1, *values.shape[-2:])
     found = bins_of(nothing, flat, np.full(values.shape[-1], -1.0), rate_hz, seconds)
