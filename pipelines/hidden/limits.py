@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 import pandas as pd
+from scipy.optimize import brentq
 from scipy.signal import sosfiltfilt
 
 from hidden.kinds import Kind
@@ -40,7 +41,7 @@ EVERY = 10
 #: Recordings that are looked at: the first ones already hold one of every program that matters.
 SEEN = 3
 #: The search stops where it is this close [1].
-CLOSE = 0.05
+CLOSE = 0.02
 
 
 @dataclass(frozen=True)
@@ -60,22 +61,19 @@ def limit_of(kind: Kind, direction: int, visible: Tables, error: Callable[[Table
     base, noise = error(visible)
     wanted = base**2 + noise**2
 
-    def excess(magnitude: float) -> float:
-        changed = kind.change(visible, magnitude, direction)
-        return error(overlaid_lists(visible, changed))[0] ** 2 - base**2 - wanted
+    def excess(logarithm: float) -> float:
+        """Of what the effect adds over what is there without it; a straight line where it adds in proportion."""
+        changed = kind.change(visible, float(np.exp(logarithm)), direction)
+        added = error(overlaid_lists(visible, changed))[0] ** 2 - base**2
+        return float(np.log(max(added, 1e-12 * wanted) / wanted))
 
-    low, high = 1e-4 * kind.most, kind.most
+    low, high = np.log(1e-4 * kind.most), np.log(kind.most)
+    without = float(np.sqrt(wanted))
     if excess(high) < 0.0:
-        return Limit(float("inf"), float(np.sqrt(wanted)))
+        return Limit(float("inf"), without)
     if excess(low) > 0.0:
-        return Limit(low, float(np.sqrt(wanted)))
-    while high / low > 1.0 + CLOSE:
-        middle = float(np.sqrt(low * high))
-        if excess(middle) > 0.0:
-            high = middle
-        else:
-            low = middle
-    return Limit(float(np.sqrt(low * high)), float(np.sqrt(wanted)))
+        return Limit(float(np.exp(low)), without)
+    return Limit(float(np.exp(brentq(excess, low, high, xtol=CLOSE))), without)
 
 
 def overlaid_lists(below: Tables, above: Tables) -> Tables:

@@ -38,7 +38,7 @@ from sysid.bench.nominal import (
     Chain,
     fit_effects,
     fit_nominal,
-    gravity_moments,
+    gravity_along,
     model_error,
     noise_free,
 )
@@ -205,7 +205,7 @@ def _compliance(real: Recipe, visible: Recipe, axis: str, runs: tuple[Truth, ...
     above = below = 0.0
     for run in runs:
         for joint, place in zip(run.joint[:: 10 * STRIDE], run.drive[:: 10 * STRIDE, i], strict=True):
-            moment = gravity_moments(joint, bodies)[i - 1]
+            moment = gravity_along(joint[None], bodies)[0, i - 1]
             above += moment * (joint_of(float(place), drive) - joint[i])
             below += moment * moment
     return above / below

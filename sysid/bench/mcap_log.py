@@ -2,15 +2,25 @@
 
 from __future__ import annotations
 
+import struct
+from collections.abc import Sequence
+from io import BytesIO
 from pathlib import Path
-from typing import Any
 
 import numpy as np
+import numpy.typing as npt
+from mcap.reader import make_reader
+from mcap.well_known import MessageEncoding, SchemaEncoding
 from mcap.writer import CompressionType
+from mcap.writer import Writer as McapWriter
 from mcap_ros2.writer import Writer
 
 from sysid.bench.recipe import AXES
 from sysid.bench.run import WIRED, MachineLog
+
+Array = npt.NDArray[np.float64]
+Counts = npt.NDArray[np.int64]
+Octets = npt.NDArray[np.uint8]
 
 _SEPARATOR = "=" * 80
 
@@ -39,31 +49,56 @@ float64[] velocity
 float64[] effort
 {_HEADER}"""
 
+VALVES = ("autolog_msgs/msg/ValveCommand", VALVE_COMMAND)
+STATES = ("sensor_msgs/msg/JointState", JOINT_STATE)
 TOPICS = ("/valves/command", "/draw_wires", "/slew_sensor")
+
+#: A message begins with four bytes of encapsulation, then its stamp: seconds and nanoseconds, four bytes each.
+_STAMP = 4
+
+
+#: Stands for a number in the message that a topic's others are made from.
+_PLACEHOLDER = -1.2345e-67
 
 
 def write_mcap(log: MachineLog, path: Path) -> None:
     """Write ``log`` in the order in which the messages arrived."""
-    with path.open("wb") as file, Writer(file, chunk_size=256 * 1024, compression=CompressionType.ZSTD) as writer:
-        command = writer.register_msgdef("autolog_msgs/msg/ValveCommand", VALVE_COMMAND)
-        state = writer.register_msgdef("sensor_msgs/msg/JointState", JOINT_STATE)
-        order = np.argsort(log.logged.ravel(), kind="stable")
-        for place in order:
+    fields = (("command", AXES, log.command), ("position", WIRED, log.wires), ("position", ("slew",), log.slew[:, None]))
+    with path.open("wb") as file:
+        writer = McapWriter(file, chunk_size=256 * 1024, compression=CompressionType.ZSTD)
+        writer.start(profile="ros2", library="sysid.bench")
+        channels, payloads = [], []
+        schemas: dict[str, int] = {}
+        for topic, (field, names, values) in zip(TOPICS, fields, strict=True):
+            kind, text = VALVES if field == "command" else STATES
+            if kind not in schemas:
+                schemas[kind] = writer.register_schema(kind, SchemaEncoding.ROS2, text.encode())
+            channels.append(writer.register_channel(topic, MessageEncoding.CDR, schemas[kind]))
+            payloads.append(_encoded(kind, text, field, names, log.stamps, values))
+        for place in np.argsort(log.logged.ravel(), kind="stable"):
             cycle, column = divmod(int(place), len(TOPICS))
-            writer.write_message(
-                topic=TOPICS[column],
-                schema=command if column == 0 else state,
-                message=_message(log, cycle, column),
+            writer.add_message(
+                channels[column],
                 log_time=int(log.logged[cycle, column]),
                 publish_time=int(log.published[cycle, column]),
                 sequence=cycle,
+                data=payloads[column][cycle].tobytes(),
             )
+        writer.finish()
 
 
-def _message(log: MachineLog, cycle: int, column: int) -> dict[str, Any]:
-    seconds, nanoseconds = divmod(int(log.stamps[cycle]), 1_000_000_000)
-    header = {"stamp": {"sec": seconds, "nanosec": nanoseconds}, "frame_id": ""}
-    if column == 0:
-        return {"header": header, "name": list(AXES), "command": log.command[cycle].tolist()}
-    name, position = (list(WIRED), log.wires[cycle].tolist()) if column == 1 else (["slew"], [float(log.slew[cycle])])
-    return {"header": header, "name": name, "position": position, "velocity": [], "effort": []}
+def _encoded(kind: str, text: str, field: str, names: Sequence[str], stamps: Counts, values: Array) -> Octets:
+    """Every message of a topic, (n, bytes): one that the library encodes, with the stamps and numbers of all put in."""
+    header = {"stamp": {"sec": 0, "nanosec": 0}, "frame_id": ""}
+    empty = {"velocity": [], "effort": []} if field == "position" else {}
+    message = {"header": header, "name": list(names), field: [_PLACEHOLDER] * len(names), **empty}
+    buffer = BytesIO()
+    with Writer(buffer) as writer:
+        writer.write_message("/one", writer.register_msgdef(kind, text), message)
+    (_, _, one), *_ = make_reader(BytesIO(buffer.getvalue())).iter_messages()
+    numbers = one.data.index(struct.pack("<d", _PLACEHOLDER))
+    encoded = np.tile(np.frombuffer(one.data, np.uint8), (len(stamps), 1))
+    clock = np.stack(np.divmod(stamps, 1_000_000_000), axis=1).astype("<u4")
+    encoded[:, _STAMP : _STAMP + 8] = clock.view(np.uint8)
+    encoded[:, numbers : numbers + 8 * len(names)] = np.ascontiguousarray(values, "<f8").view(np.uint8)
+    return encoded

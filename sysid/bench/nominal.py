@@ -10,6 +10,7 @@ import numpy.typing as npt
 from scipy.optimize import least_squares, minimize
 
 from sysid.bench.circuit import lever
+from sysid.bench.compiled import compiled
 from sysid.bench.contract_chain import KEYS, PARAMETERS, neutral_row, share_pump, speeds, travel
 from sysid.bench.cylinder import drive_of, position_of
 from sysid.bench.machine import Truth, run_machine
@@ -27,8 +28,8 @@ STEP_TESTS = (
     RecordingSettings("stairs", seed=9002, seconds=60.0, program="stairs"),
     RecordingSettings("hand", seed=9003, seconds=60.0),
 )
-#: Runs that the nominal plant is fitted to: twelve minutes of every kind of work, so that it is that of the machine and not of a
-#: few strokes. Slow ones show the overlap best: without the flown ones it came out up to 0.003 wrong.
+#: Runs that the nominal plant is fitted to: twelve minutes of every kind of work, so that it is that of the machine and not of
+#: a few strokes. Slow ones show the overlap best: without the flown ones it came out up to 0.003 wrong.
 FLOWN = RecordingSettings("flight", seed=9004, seconds=60.0, program="flight")
 OWNERS_TESTS = tuple(replace(test, seed=test.seed + 10 * k) for k in range(1, 4) for test in (*STEP_TESTS, FLOWN))
 #: The owner's tests are the machine's own, whatever is recorded of it afterwards.
@@ -67,7 +68,7 @@ def loads(recipe: Recipe, truth: Truth) -> Array:
     bodies = bodies_of(replace(recipe.masses, balanced=0.0), recipe.geometry.boom, recipe.geometry.stick, recipe.gripper.length)
     found = np.zeros((len(AXES), len(truth.time)))
     coarse = truth.joint[::STRIDE]
-    moments = np.array([gravity_moments(joint, bodies) for joint in coarse])
+    moments = gravity_along(coarse, bodies)
     at = np.arange(len(truth.time))
     for i, name in enumerate(AXES[1:], start=1):
         drive = drive_of(recipe.axis(name))
@@ -77,10 +78,13 @@ def loads(recipe: Recipe, truth: Truth) -> Array:
     return found
 
 
-def gravity_moments(joint: Array, bodies: Bodies) -> Array:
-    """About boom, stick [N·m] and along the telescope [N], (3,)."""
-    mass, bias, weight = np.empty((3, 3)), np.empty(3), np.empty(3)
-    equations(joint, np.zeros(4), bodies, mass, bias, weight)
+@compiled
+def gravity_along(joints: Array, bodies: Bodies) -> Array:
+    """About boom, stick [N·m] and along the telescope [N] at every row of ``joints`` (n, 4), (n, 3)."""
+    mass, bias, rest = np.empty((3, 3)), np.empty(3), np.zeros(4)
+    weight = np.empty((len(joints), 3))
+    for k in range(len(joints)):
+        equations(joints[k], rest, bodies, mass, bias, weight[k])
     return weight
 
 
