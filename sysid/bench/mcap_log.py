@@ -6,6 +6,7 @@ import struct
 from collections.abc import Sequence
 from io import BytesIO
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -84,14 +85,15 @@ def write_mcap(log: MachineLog, path: Path) -> None:
                 sequence=cycle,
                 data=payloads[column][cycle].tobytes(),
             )
-        writer.finish()
+        writer.finish()  # type: ignore[no-untyped-call]
 
 
 def _encoded(kind: str, text: str, field: str, names: Sequence[str], stamps: Counts, values: Array) -> Octets:
     """Every message of a topic, (n, bytes): one that the library encodes, with the stamps and numbers of all put in."""
     header = {"stamp": {"sec": 0, "nanosec": 0}, "frame_id": ""}
-    empty = {"velocity": [], "effort": []} if field == "position" else {}
-    message = {"header": header, "name": list(names), field: [_PLACEHOLDER] * len(names), **empty}
+    message: dict[str, Any] = {"header": header, "name": list(names), field: [_PLACEHOLDER] * len(names)}
+    if field == "position":
+        message |= {"velocity": [], "effort": []}
     buffer = BytesIO()
     with Writer(buffer) as writer:
         writer.write_message("/one", writer.register_msgdef(kind, text), message)
