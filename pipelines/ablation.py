@@ -20,8 +20,11 @@ from typing import Any
 from committed import provenance, write_result, write_tables
 from hidden.cases import SEED, CaseSpec, case
 from hidden.judge import judge
+from hidden.make import make_case
 from hidden.runner import ANSWERING, MAKING, Place, run_process
 from hidden.score import scored
+from hidden.solve import solve
+from sysid.gap.strictness import Strictness
 
 ROOT = Path(__file__).resolve().parents[1]
 RESULT = ROOT / "reports" / "hidden_effects" / "ablation.json"
@@ -44,20 +47,17 @@ def answer_all(specs: Sequence[CaseSpec], work: Path, workers: int) -> None:
     for number, changed in enumerate(VARIANTS.values()):
         folder = answers_of(work, number)
         folder.mkdir(parents=True, exist_ok=True)
-        (folder / "strictness.json").write_text(json.dumps(changed), "utf-8")
-        settings.append(folder)
+        settings.append((folder, Strictness(**changed)))
 
     def one(spec: CaseSpec) -> None:
         begin = time.perf_counter()
-        waiting = [folder for folder in settings if not (folder / f"{spec.name}.json").exists()]
+        waiting = [(folder, strict) for folder, strict in settings if not (folder / f"{spec.name}.json").exists()]
         if not waiting:
             return
-        made = run_process("hidden.make", [str(place.keep_spec(spec)), str(work)], MAKING)
-        for folder in waiting:
+        made = run_process(make_case, [spec, work], MAKING)
+        for folder, strict in waiting:
             out = folder / f"{spec.name}.json"
-            failure = made or run_process(
-                "hidden.solve", [str(place.site(spec)), str(out), str(folder / "strictness.json")], ANSWERING
-            )
+            failure = made or run_process(solve, [place.site(spec), out, strict], ANSWERING)
             if failure:
                 out.write_text(json.dumps({"failure": failure}) + "\n", "utf-8")
         shutil.rmtree(place.site(spec).parent, ignore_errors=True)

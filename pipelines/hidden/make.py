@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import json
 import math
-import sys
 from collections.abc import Sequence
 from hashlib import sha256
 from pathlib import Path
@@ -177,7 +176,3 @@ def _joint_truth(kind: Kind, owner: ServoArm | Slide, real: ServoArm | Slide) ->
             }[name]
         found.append({"name": name, "target": target, "parameters": values, "exact": True})
     return found
-
-
-if __name__ == "__main__":
-    make_case(CaseSpec.from_json(json.loads(Path(sys.argv[1]).read_text("utf-8"))), Path(sys.argv[2]))

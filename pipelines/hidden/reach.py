@@ -1,12 +1,8 @@
-"""What the true plant scores on the held-out recordings of a case: nobody can close more. Run as a process of its own.
-
-python -m hidden.reach SITE SEALED.json OUT.json
-"""
+"""What the true plant scores on the held-out recordings of a case: nobody can close more."""
 
 from __future__ import annotations
 
 import json
-import sys
 import tempfile
 from pathlib import Path
 from typing import Any
@@ -35,7 +31,3 @@ def with_truth(plant: Plant, effect: dict[str, Any]) -> Plant:
     """The plant with one sealed effect; a play of a drive or a cylinder is on that side of its sensor."""
     side = "drive" if effect["name"] in ("backlash", "joint_compliance") else None
     return plant.with_effect(KnownEffect(effect["name"], effect["target"], effect["parameters"], side))  # type: ignore[arg-type]
-
-
-if __name__ == "__main__":
-    reach(*(Path(each) for each in sys.argv[1:4]))

@@ -4,20 +4,25 @@ from __future__ import annotations
 
 import json
 import math
+import multiprocessing
 import os
 import resource
 import shutil
 import signal
-import subprocess
 import sys
+import threading
 import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from functools import partial
+from multiprocessing.connection import Connection
+from multiprocessing.forkserver import ensure_running
 from pathlib import Path
 
 from hidden.cases import CaseSpec
+from hidden.make import make_case
+from hidden.reach import reach
+from hidden.solve import solve
 
 #: Longest processor time for making a case and for answering it [s]; an answer that takes longer is a failure. Each process
 #: computes on one thread, so that this is the time on a quiet machine, whatever else this one does.
@@ -26,6 +31,10 @@ MAKING, ANSWERING = 300.0, 180.0
 PATIENCE = 6.0
 #: Each process computes on one thread; cases run side by side instead.
 ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"), "1")
+#: Each step of each case is a process of its own, forked from one that has imported what they need and done nothing yet.
+_FRESH = multiprocessing.get_context("forkserver")
+_FRESH.set_forkserver_preload(["hidden.make", "hidden.solve", "hidden.reach"])
+_STARTING = threading.Lock()
 
 
 @dataclass(frozen=True)
@@ -46,12 +55,6 @@ class Place:
     def reach(self, spec: CaseSpec) -> Path:
         """What the true plant scores."""
         return self.work / "reach" / f"{spec.name}.json"
-
-    def keep_spec(self, spec: CaseSpec) -> Path:
-        path = self.work / "specs" / f"{spec.name}.json"
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(json.dumps(spec.to_json()), "utf-8")
-        return path
 
 
 def run_all(
@@ -75,36 +78,61 @@ def run_all(
 
 def make_and_answer(spec: CaseSpec, place: Place, limit: float) -> str | None:
     """Leave an answer, which may be that there is none; returns why, if so."""
-    made = run_process("hidden.make", [str(place.keep_spec(spec)), str(place.work)], MAKING)
+    made = run_process(make_case, [spec, place.work], MAKING)
     failure = f"not made: {made}" if made else None
     if failure is None:
         # The folder with the truth is not among what this process is told of.
-        failed = run_process("hidden.solve", [str(place.site(spec)), str(place.answer(spec))], limit)
+        failed = run_process(solve, [place.site(spec), place.answer(spec)], limit)
         failure = f"not answered: {failed}" if failed else None
     if failure is None and spec.hidden and spec.group != "unknown":
         place.reach(spec).parent.mkdir(parents=True, exist_ok=True)
         # A truth that the plant cannot take leaves nothing to compare with.
-        run_process("hidden.reach", [str(place.site(spec)), str(place.sealed(spec)), str(place.reach(spec))], limit)
+        run_process(reach, [place.site(spec), place.sealed(spec), place.reach(spec)], limit)
     if failure is not None:
         place.answer(spec).write_text(json.dumps({"failure": failure}) + "\n", "utf-8")
     return failure
 
 
-def run_process(module: str, arguments: list[str], limit: float) -> str | None:
-    """Run a module of this package; what went wrong, if anything did."""
-    here = Path(__file__).resolve().parents[1]
-    environment = {**os.environ, **ONE_THREAD, "PYTHONPATH": os.pathsep.join((str(here), str(here.parent)))}
-    command = [sys.executable, "-m", module, *arguments]
-    try:
-        done = subprocess.run(
-            command, env=environment, capture_output=True, text=True, timeout=PATIENCE * limit, check=False,
-            preexec_fn=partial(resource.setrlimit, resource.RLIMIT_CPU, (math.ceil(limit), math.ceil(limit) + 5)),
-        )  # fmt: skip
-    except subprocess.TimeoutExpired:
+def run_process(task: Callable[..., object], arguments: Sequence[object], limit: float) -> str | None:
+    """Call a function of this package in a process of its own; what went wrong, if anything did.
+
+    Args:
+        limit: of its processor time [s].
+    """
+    ours, theirs = _FRESH.Pipe(duplex=False)
+    process = _FRESH.Process(target=_limited, args=(task, arguments, limit, theirs), daemon=True)
+    with _STARTING:
+        _ensure_ancestor()
+        process.start()
+    theirs.close()
+    process.join(PATIENCE * limit)
+    if process.is_alive():
+        process.kill()
+        process.join()
         return f"took more than {PATIENCE * limit:.0f} s of wall time"
-    if done.returncode == -signal.SIGXCPU:
+    if process.exitcode == -signal.SIGXCPU:
         return f"took more than {limit:.0f} s"
-    if done.returncode != 0:
-        last = done.stderr.strip().splitlines()[-1:] or [f"exit status {done.returncode}"]
-        return last[0][:300]
+    if process.exitcode != 0:
+        return ours.recv() if ours.poll() else f"exit status {process.exitcode}"
     return None
+
+
+def _ensure_ancestor() -> None:
+    """Start the process that the others are forked from, with its environment and not this one's."""
+    before = dict(os.environ)
+    here = Path(__file__).resolve().parents[1]
+    os.environ.update(ONE_THREAD, PYTHONPATH=os.pathsep.join((str(here), str(here.parent))))
+    try:
+        ensure_running()
+    finally:
+        os.environ.clear()
+        os.environ.update(before)
+
+
+def _limited(task: Callable[..., object], arguments: Sequence[object], limit: float, report: Connection) -> None:
+    resource.setrlimit(resource.RLIMIT_CPU, (math.ceil(limit), math.ceil(limit) + 5))
+    try:
+        task(*arguments)
+    except Exception as error:
+        report.send(f"{type(error).__module__}.{type(error).__name__}: {error}".splitlines()[0][:300])
+        sys.exit(1)

@@ -1,12 +1,8 @@
-"""Runs the workflow on one site, blind: logs and description in, the workflow's answer out. Run as a process of its own.
-
-python -m hidden.solve SITE OUT.json [STRICTNESS.json]
-"""
+"""Runs the workflow on one site, blind: logs and description in, the workflow's answer out."""
 
 from __future__ import annotations
 
 import json
-import sys
 import tempfile
 import time
 from pathlib import Path
@@ -18,13 +14,13 @@ from sysid.gap.strictness import Strictness
 from sysid.plant import nominal_plant
 
 
-def solve(site: Path, out: Path, strict: Strictness) -> None:
+def solve(site: Path, out: Path, strict: Strictness | None = None) -> None:
     """Write what :func:`sysid.gap.find_gap` answers about the logs in ``site``, and the processor time of that."""
     begin = time.process_time()
     with tempfile.TemporaryDirectory() as workspace:
         dataset = ingest(site, workspace)
         ingested = time.process_time() - begin
-        result = find_gap(dataset, nominal_plant(dataset.machine), strict=strict)
+        result = find_gap(dataset, nominal_plant(dataset.machine), strict=strict or Strictness())
     answer = {"ingest_seconds": ingested, "seconds": time.process_time() - begin, "answer": _without_maps(result.to_json())}
     beside = out.with_suffix(".part")
     beside.write_text(json.dumps(answer, indent=1) + "\n", "utf-8")
@@ -34,8 +30,3 @@ def solve(site: Path, out: Path, strict: Strictness) -> None:
 def _without_maps(answer: dict[str, Any]) -> dict[str, Any]:
     """The answer less its maps of the disagreement: megabytes that no score looks at."""
     return {key: value for key, value in answer.items() if key != "maps"}
-
-
-if __name__ == "__main__":
-    changed = json.loads(Path(sys.argv[3]).read_text("utf-8")) if len(sys.argv) > 3 else {}
-    solve(Path(sys.argv[1]), Path(sys.argv[2]), Strictness(**changed))

@@ -7,7 +7,7 @@ import json
 import math
 import sys
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
@@ -137,23 +137,30 @@ def test_case_with_an_answer_is_not_run_again_and_a_crash_is_an_answer(
     runner, specs = hidden["runner"], hidden["cases"].cases_of("smoke")[:2]
     calls: list[str] = []
 
-    def process(module: str, arguments: list[str], limit: float) -> str | None:
-        calls.append(module)
-        if module == "hidden.solve":
-            assert "sealed" not in "".join(arguments)
+    def process(task: Callable[..., None], arguments: list[object], limit: float) -> str | None:
+        calls.append(task.__name__)
+        if task.__name__ == "solve":
+            assert "sealed" not in "".join(str(argument) for argument in arguments)
             return "took more than 180 s"
         return None
 
     monkeypatch.setattr(runner, "run_process", process)
     told: list[str] = []
     runner.run_all(specs, tmp_path, 1, False, told.append)
-    assert calls == ["hidden.make", "hidden.solve"] * 2
+    assert calls == ["make_case", "solve"] * 2
     assert json.loads(runner.Place(tmp_path).answer(specs[0]).read_text("utf-8")) == {
         "failure": "not answered: took more than 180 s"
     }
     runner.run_all(specs, tmp_path, 1, False, told.append)
     assert len(calls) == 4
     assert len(told) == 2
+
+
+def test_step_that_fails_or_takes_too_long_says_so(hidden: dict[str, ModuleType]) -> None:
+    run = hidden["runner"].run_process
+    assert run(json.loads, ["[1]"], 10.0) is None
+    assert run(json.loads, ["[1"], 10.0).startswith("json.decoder.JSONDecodeError: ")
+    assert run(math.factorial, [30_000_000], 1.0) == "took more than 1 s"
 
 
 # ---- Judging ------------------------------------------------------------------------------------------------------------
