@@ -11,7 +11,7 @@ from sysid.cli.output import Printer, json_option, write_json
 
 if TYPE_CHECKING:
     from sysid.runner.assemble import Assembly
-    from sysid.runner.loop import Outcome
+    from sysid.runner.outcome import Outcome
     from sysid.runner.rehearse import Ranges
 
 

@@ -10,7 +10,7 @@ from sysid.config import STRICT, parse_settings, read_toml
 from sysid.errors import SettingsError, nearest
 from sysid.runner.checks.settings import CheckSettings, check_checks
 from sysid.runner.limits import LimitSettings
-from sysid.runner.loop import LoopSettings
+from sysid.runner.loop_settings import LoopSettings
 
 ModeName = Literal["track", "hold", "collect", "experiment", "replay", "shadow", "teleop"]
 MODES: tuple[ModeName, ...] = get_args(ModeName)

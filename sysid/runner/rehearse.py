@@ -9,8 +9,8 @@ import numpy.typing as npt
 
 from sysid.runner.assemble import Assembly
 from sysid.runner.cycle import Cycle
-from sysid.runner.loop import Outcome
 from sysid.runner.operator import Unattended
+from sysid.runner.outcome import Outcome
 from sysid.runner.simulated import SimulatedTransport
 
 Array = npt.NDArray[np.float64]

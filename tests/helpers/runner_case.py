@@ -20,7 +20,8 @@ from sysid.runner.checks.settings import CheckSettings
 from sysid.runner.cycle import Cycle
 from sysid.runner.faults import FaultyTransport, Injection
 from sysid.runner.limits import Limits, LimitSettings, limits_of
-from sysid.runner.loop import Loop, LoopSettings
+from sysid.runner.loop import Loop
+from sysid.runner.loop_settings import LoopSettings
 from sysid.runner.modes.mode import Mode
 from sysid.runner.operator import Operator, Unattended
 from sysid.runner.senses import Senses

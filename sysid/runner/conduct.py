@@ -1,0 +1,176 @@
+"""What verdicts, a person's words, switches and time make of the state of a run, and when the run is over."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from sysid.errors import InputError
+from sysid.runner.clock import SECOND
+from sysid.runner.cycle import Verdict
+from sysid.runner.loop_settings import LoopSettings
+from sysid.runner.modes.mode import Goal, Mode
+from sysid.runner.operator import WORDS, Operator
+from sysid.runner.outcome import Ended, Outcome
+from sysid.runner.senses import Seen
+from sysid.runner.states import States
+from sysid.runner.supervisor import at_least, sternest
+
+#: Where one of these stopped the machine, it is not simply ready again: a person has to look, and reset it.
+LATCHING = ("stale", "not_finite", "jump", "frozen", "clock", "contradiction", "motion", "following")
+
+
+class Conduct:
+    """Of one run.
+
+    Args:
+        states: changed by this alone.
+        mode, operator, settings, dt: of the run.
+        outcome: notes and the reason of the end are kept in it.
+    """
+
+    def __init__(
+        self, states: States, mode: Mode, operator: Operator, settings: LoopSettings, dt: float, outcome: Outcome
+    ) -> None:
+        self.states, self.mode, self.operator, self.settings = states, mode, operator, settings
+        self.dt, self.outcome = dt, outcome
+        #: A task that moves nothing is under way.
+        self.thinking = False
+        self._sound_s, self._neutral_s = 0.0, 0.0
+        self._released, self._ran, self._leaving = False, False, False
+        self._wrong, self._latch = "", ""
+
+    def react(self, verdicts: Sequence[Verdict], now: int) -> None:
+        """What is seen decides over the state."""
+        worst, state = sternest(verdicts), self.states.state
+        if worst is None:
+            return
+        self._wrong = worst.text
+        if worst.reaction == "fault":
+            self.fault(worst.text, now)
+        elif worst.reaction == "stop" and state == "running":
+            self._halt(worst, now)
+        elif worst.reaction in ("hold", "stop") and state in ("ready", "armed"):
+            self._tell(self.states.on("unhealthy", now, worst.text))
+
+    def listen(self, verdicts: Sequence[Verdict], now: int) -> bool:
+        """Take what the operator says; whether that was a reset."""
+        reset = False
+        for word in self.operator.words(self.states.state, now):
+            if word == "quit":
+                self._leave("quit")
+                self._tell(self.states.on("stop", now, "the operator quits"))
+            elif word not in WORDS:
+                self.operator.told(f"{word!r} is none of {', '.join(WORDS)}")
+            elif word == "reset" and at_least(verdicts, "fault"):
+                self.operator.told(f"not reset while it lasts: {next(v.text for v in verdicts if v.reaction == 'fault')}")
+            elif word == "arm" and not self.mode.moves:
+                self.operator.told(f"{self.mode.name} moves nothing: there is nothing to arm")
+            else:
+                try:
+                    self.states.demand("stop" if word == "stop" else word, now)  # type: ignore[arg-type]
+                except InputError as error:
+                    self.operator.told(str(error))
+                    continue
+                if word == "stop":
+                    self.states.why = "the operator says stop"
+                if word in ("stop", "disarm") and not self.operator.stays and not self.states.moving:
+                    self._leave("stopped")
+                reset = reset or word == "reset"
+                self._tell(True)
+        return reset
+
+    def advance(self, seen: Seen, verdicts: Sequence[Verdict], now: int) -> bool:
+        """What time and switches make of the state; whether the task starts now."""
+        state = self.states.state
+        sound = not at_least(verdicts, "hold") and bool(np.isfinite(seen.joints).all())
+        if state == "idle":
+            self._sound_s = self._sound_s + self.dt if sound else 0.0
+            if self._sound_s >= self.settings.settle_s:
+                self._tell(self.states.on("healthy", now))
+        else:
+            self._sound_s = 0.0
+        if state in ("ready", "armed") and not seen.inputs.dead_man:
+            self._released = True  # a switch that is held all the time, or taped down, does not count
+        if state == "armed" and seen.inputs.dead_man and self._released and sound:
+            self._released, self._ran = False, True
+            self._neutral_s, self._latch = 0.0, ""
+            self._tell(self.states.on("hold", now))
+            return True
+        if state == "ready" and not self.mode.moves and self.mode.thinks and not self.thinking:
+            self.thinking = True
+            return True
+        return False
+
+    def allow(self, verdicts: Sequence[Verdict], now: int) -> bool:
+        """Whether the valves may still move after what a turn's own setpoints and commands were found to be."""
+        worst = sternest(verdicts)
+        if worst is not None and worst.reaction == "stop":
+            self._halt(worst, now)
+        elif worst is not None and worst.reaction == "fault":
+            self.fault(worst.text, now)
+        return self.states.state != "fault"
+
+    def end(self, goal: Goal, now: int) -> None:
+        """The task is over."""
+        self.thinking = False
+        if goal.done or not self.mode.moves:
+            self._leave("done" if goal.done else "stopped")
+        self._tell(self.states.on("stop", now, goal.stop))
+
+    def slowing(self, neutral: bool, seen: Seen, now: int) -> None:
+        """A turn of a stop, with or without neutral valves."""
+        self._neutral_s = self._neutral_s + self.dt if neutral else 0.0
+        still = np.isfinite(seen.drive).all() and bool(seen.measured.all())
+        if self._neutral_s >= self.settings.rest_s and self._latch:
+            self.fault(self._latch, now)
+        elif self._neutral_s >= self.settings.rest_s and still:
+            self._tell(self.states.on("rest", now))
+        elif self._neutral_s > self.settings.rest_within_s:
+            self.fault("nothing says that the machine came to rest", now)
+
+    def fault(self, why: str, now: int) -> None:
+        self._tell(self.states.on("fault", now, why))
+
+    def over(self, elapsed_ns: int, now: int) -> bool:
+        """Whether the run is, ``elapsed_ns`` after its beginning."""
+        settings, state = self.settings, self.states.state
+        waited_s = (now - self.states.entered_ns) / SECOND
+        if not self.operator.stays:
+            if state == "fault":  # neutral is said for a while, so that it is heard
+                self._leaving, self.outcome.ended = True, "fault"
+                return waited_s >= settings.rest_s
+            if self._ran and state == "ready":
+                self._leave("stopped")
+            if state == "idle" and waited_s >= settings.ready_within_s:
+                self.states.why = self._wrong or "nothing says that the machine is sound"
+                self._leave("stopped")
+        if settings.seconds is not None and elapsed_ns >= settings.seconds * SECOND and not self._leaving:
+            self._leave("time")
+            self._tell(self.states.on("stop", now, f"{settings.seconds:g} s are over"))
+        if self._leaving and not self.states.moving:
+            if self.states.state == "fault":
+                self.outcome.ended = "fault"
+            return True
+        return False
+
+    def note(self, text: str) -> None:
+        """For the operator, and kept."""
+        self.outcome.notes.append(text)
+        self.operator.told(text)
+
+    def _halt(self, verdict: Verdict, now: int) -> None:
+        """A verdict stops the machine."""
+        if self.states.state == "running" and verdict.check in LATCHING:
+            self._latch = verdict.text
+        self._tell(self.states.on("stop", now, verdict.text))
+
+    def _leave(self, ended: Ended) -> None:
+        """The run is over as soon as nothing moves any more."""
+        if not self._leaving:
+            self._leaving, self.outcome.ended = True, ended
+
+    def _tell(self, changed: bool) -> None:
+        if changed:
+            self.note(f"{self.states.state}" + (f": {self.states.why}" if self.states.why else ""))

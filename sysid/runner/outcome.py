@@ -1,0 +1,34 @@
+"""How a run went."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass, field
+from typing import Literal
+
+from sysid.runner.histogram import Histogram
+
+Ended = Literal["done", "stopped", "fault", "quit", "time"]
+
+
+@dataclass
+class Outcome:
+    """How a run went.
+
+    Args:
+        ended: why it is over; ``state``, ``why``: of the machine of states then.
+        turns: made; ``missed``: deadlines that passed before their turn began.
+        lateness, latency: of all turns.
+        verdicts: check → turns in which it objected.
+        notes: what the operating system refused, and what the operator was told.
+    """
+
+    ended: Ended = "time"
+    state: str = "idle"
+    why: str = ""
+    turns: int = 0
+    missed: int = 0
+    lateness: Histogram = field(default_factory=Histogram)
+    latency: Histogram = field(default_factory=Histogram)
+    verdicts: Counter[str] = field(default_factory=Counter)
+    notes: list[str] = field(default_factory=list)
