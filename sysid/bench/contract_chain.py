@@ -57,6 +57,7 @@ def speeds(command: Array, load: Array, row: Array, gain: float, step: float, ou
     whole = math.floor(delay / step)
     part = delay / step - whole
     keep = math.exp(-step / lag) if lag > 0.0 else 0.0
+    share = lag / step * (1.0 - keep)
     held = command[0]
     ramp = 0.0
     filtered = 0.0
@@ -78,8 +79,9 @@ def speeds(command: Array, load: Array, row: Array, gain: float, step: float, ou
             u = math.copysign(abs(u) ** curve, u)
         u = min(max(u, -limit), limit)
         ramp += min(max(u - ramp, -rate * step), rate * step)
+        # A drive moves by the mean over the step; with what holds at its end it would seem to answer half a step early.
+        x = ratio * (ramp + (filtered - ramp) * share)
         filtered = ramp + (filtered - ramp) * keep
-        x = ratio * filtered
         if x < 0.0:
             x *= sides
         if breakaway > 0.0:
@@ -97,8 +99,8 @@ def speeds(command: Array, load: Array, row: Array, gain: float, step: float, ou
         v -= leak
         if omega > 0.0:
             slope += step * (omega * omega * (v - ringing) - 2.0 * damping * omega * slope)
+            v = ringing + 0.5 * step * slope
             ringing += step * slope
-            v = ringing
         out[k] = v
 
 
