@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 @click.option("--dry-run", is_flag=True, help="Check everything, and rehearse on the simulated machine; nothing is opened.")
 @click.option("--unattended", is_flag=True, help="Arm and hold the dead-man switch by program; on stand-in machines alone.")
 @click.option("--seconds", type=click.FloatRange(0.1), default=None, help="End the run after so long at the latest.")
+@click.option("--view", is_flag=True, help="Show the run in Rerun while it goes on, a second behind.")
 @click.option("--log", "log", type=click.Path(file_okay=False, path_type=Path), default=None, help="Folder of recordings.")
 @json_option
 @click.pass_context
@@ -29,6 +30,7 @@ def run(
     dry_run: bool,
     unattended: bool,
     seconds: float | None,
+    view: bool,
     log: Path | None,
     json_file: str | None,
 ) -> None:
@@ -83,6 +85,8 @@ def run(
                 folder, assembly.machine_file, transport.axes, transport.signals, words, kind=kind, clock_ns=transport.now_ns()
             ) as flight:
                 pair.second = flight
+                if view:
+                    _show(flight.path)
                 outcome = loop.run()
         finally:
             transport.close()
@@ -92,6 +96,16 @@ def run(
     write_json(json_file, {"schema": 1, "dry_run": False, "log": str(flight.path), "lost_cycles": flight.lost, **figures})
     if outcome.ended == "fault":
         ctx.exit(1)
+
+
+def _show(log: Path) -> None:
+    """A viewer that follows the log: a process of its own, behind the loop, that a Ctrl-C of the runner does not end."""
+    import os
+    import subprocess
+    import sys
+
+    command = [sys.executable, "-m", "sysid.cli", "view", str(log)]
+    subprocess.Popen(command, start_new_session=True, preexec_fn=lambda: os.nice(10))  # noqa: PLW1509
 
 
 class Both:

@@ -10,7 +10,7 @@ from sysid.cli.output import Printer, json_option, rerun_command, write_json
 
 
 @click.command()
-@click.argument("reference", metavar="NAME[@VERSION]")
+@click.argument("reference", metavar="NAME[@VERSION]|FLIGHT.mcap")
 @click.option("--recording", default=None, help="Which one; else the first held-out recording.")
 @click.option("--plant", default=None, metavar="PLANT[@VERSION]", help="Simulate with this plant; else before and after.")
 @click.option("--out", "path", type=click.Path(dir_okay=False, path_type=Path), default=None, metavar="FILE.rrd")
@@ -28,7 +28,13 @@ def view(
     live: bool,
     json_file: str | None,
 ) -> None:
-    """Write a Rerun recording: machine, trails and signals, measured and simulated."""
+    """Write a Rerun recording: machine, trails and signals, measured and simulated.
+
+    A flight log is shown while the runner writes it, or with --out made into a file.
+    """
+    if reference.endswith(".mcap"):
+        _flight(Path(reference), path, Printer(json_file), json_file)
+        return
     from sysid.errors import StoreError
     from sysid.view import write_rerun
     from sysid.workspace import open_workspace
@@ -64,3 +70,15 @@ def view(
         json_file,
         {"schema": 1, "file": path, "dataset": dataset.reference, "recording": recording, "simulations": list(predictions)},
     )
+
+
+def _flight(log: Path, path: Path | None, out: Printer, json_file: str | None) -> None:
+    from sysid.errors import InputError
+    from sysid.machine import load_machine
+    from sysid.runner.live_view import show_flight
+
+    if not log.is_file():
+        raise InputError(str(log), "no such file", "a flight log of the runner")
+    turns = show_flight(log, load_machine(log.parent.parent / "machine.toml"), path)
+    out.line(f"{path or 'viewer'}  ({turns} turns of {log.parent.name})")
+    write_json(json_file, {"schema": 1, "file": path, "log": str(log), "turns": turns})

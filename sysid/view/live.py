@@ -15,8 +15,8 @@ from sysid.errors import SettingsError
 from sysid.machine import Machine
 from sysid.plant import Plant
 from sysid.signals import axis_signal, point_signals
+from sysid.view.drawing import SHOWN, STYLES, TIMELINE, log_shapes, sdk
 from sysid.view.layout import blueprint
-from sysid.view.recording import SHOWN, STYLES, TIMELINE, _drawn, _rerun
 from sysid.view.visuals import link_shapes
 from sysid.world import World, WorldState
 
@@ -44,7 +44,7 @@ def show_live(dataset: Dataset, recording: str, plant: Plant, path: Path | None 
     if not speed > 0.0:
         raise SettingsError("live view", f"speed = {speed}", "a positive factor")
     source = dataset.recording(recording)
-    rr = _rerun()
+    rr = sdk()
     with World(plant, source.rate_hz) as world:
         stream = rr.RecordingStream(
             "sysid", recording_id=f"{dataset.reference}/{recording}/live/{os.getpid()}/{time.time_ns()}"
@@ -68,12 +68,12 @@ def show_live(dataset: Dataset, recording: str, plant: Plant, path: Path | None 
 
 def _play(stream: Any, world: World, source: Recording, units: Mapping[str, str], pace: float) -> int:
     """Show the run; ``pace`` is seconds of waiting a second of the machine, zero for none."""
-    rr = _rerun()
+    rr = sdk()
     machine = world.plant.machine
     kinematics = machine.kinematics()
     assert kinematics is not None  # the world has checked it
     rr.log("machine", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True, recording=stream)
-    shapes_of = link_shapes(machine.urdf_text or "", kinematics)
+    links = link_shapes(machine.urdf_text or "", kinematics)
     factors = {}
     for signal in source.signals:
         unit = units.get(signal, "1")
@@ -82,9 +82,7 @@ def _play(stream: Any, world: World, source: Recording, units: Mapping[str, str]
             label = name if shown_as in ("", "1") else f"{name} [{shown_as}]"
             look = rr.SeriesLines(colors=[style.colour], names=[label])
             rr.log(f"signals/{signal}/{name}", look, static=True, recording=stream)
-    for link, shapes in shapes_of.items():
-        for number, shape in enumerate(shapes):
-            rr.log(f"machine/world/{link}/shape-{number}", *_drawn(shape, STYLES["measured"]), static=True, recording=stream)
+    log_shapes(stream, "machine/world", machine, kinematics, STYLES["measured"])
     every = max(1, round(source.rate_hz / SHOWN_HZ))
     picture_every = every * max(1, round(source.rate_hz / CAMERA_HZ / every))
     begin, first, shown = time.monotonic(), None, 0
@@ -97,7 +95,7 @@ def _play(stream: Any, world: World, source: Recording, units: Mapping[str, str]
         if pace and late > 0.0:
             time.sleep(late)
         stream.set_time(TIMELINE, duration=float(times[row]))
-        _log_bodies(stream, world, state, shapes_of)
+        _log_bodies(stream, world, state, links)
         _log_signals(stream, machine, source, row, state, factors)
         if row % picture_every == 0:
             rr.log("camera", rr.Image(world.picture(*CAMERA)).compress(), recording=stream)
@@ -106,7 +104,7 @@ def _play(stream: Any, world: World, source: Recording, units: Mapping[str, str]
 
 
 def _log_bodies(stream: Any, world: World, state: WorldState, links: Iterable[str]) -> None:
-    rr = _rerun()
+    rr = sdk()
     poses = world.link_poses()
     for link in links:
         place, turn = poses[link]
@@ -123,7 +121,7 @@ def _log_bodies(stream: Any, world: World, state: WorldState, links: Iterable[st
 def _log_signals(
     stream: Any, machine: Machine, source: Recording, row: int, state: WorldState, factors: Mapping[str, float]
 ) -> None:
-    rr = _rerun()
+    rr = sdk()
     simulated = {axis.driven: value for axis, value in zip(machine.axes, state.drive, strict=True)}
     simulated |= {axis_signal(name, "joint"): value for name, value in zip(machine.axis_names, state.joints, strict=True)}
     for point, place in (("ee", state.ee), ("tool", state.tool)):

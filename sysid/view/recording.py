@@ -2,49 +2,19 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import pandas as pd
-from scipy.spatial.transform import Rotation
 
 from sysid.datasets.recording import Dataset, Recording
 from sysid.files import written_whole
 from sysid.gap.result import Map
-from sysid.machine import Kinematics, Machine
-from sysid.signals import axis_signal, point_signals
+from sysid.view.drawing import OTHERS, SHOWN, STYLES, TIMELINE, Style, log_machine, log_points, sdk, styles_of
 from sysid.view.layout import blueprint
 from sysid.view.maps import log_maps
-from sysid.view.visuals import Shape, link_shapes
-
-Array = npt.NDArray[np.float64]
-
-TIMELINE = "time"
-
-
-@dataclass(frozen=True)
-class Style:
-    """Colour (RGB) of one version of the machine, and whether its links are drawn solid."""
-
-    colour: tuple[int, int, int]
-    solid: bool
-
-
-#: What was measured is solid; simulations are wire frames around it, so that they stay apart where they agree.
-STYLES = {
-    "measured": Style((138, 148, 158), True),
-    "before": Style((222, 104, 52), False),
-    "after": Style((20, 160, 150), False),
-}
-OTHERS = ((70, 130, 190), (200, 150, 40), (160, 100, 200), (120, 160, 60))
-
-#: SI unit → factor and unit in the plots.
-SHOWN = {"m": (1e3, "mm"), "rad": (180.0 / np.pi, "°")}
 
 
 def write_rerun(
@@ -66,20 +36,20 @@ def write_rerun(
     """
     source = dataset.recording(recording)
     tables = {"measured": source.table, **predictions}
-    rr = _rerun()
+    rr = sdk()
     path.parent.mkdir(parents=True, exist_ok=True)
     with written_whole(path) as half:
         # The same dataset version and recording are the same recording for the viewer, however often they are written.
         stream = rr.RecordingStream("sysid", recording_id=f"{dataset.reference}/{recording}/{dataset.digest[:16]}")
         stream.save(str(half), default_blueprint=blueprint(dataset, source, tables, TIMELINE, maps))
         stream.send_recording_name(f"{dataset.reference} {recording}")
-        styles = dict(zip(tables, _styles(tables), strict=True))
+        styles = dict(zip(tables, styles_of(tables), strict=True))
         kinematics = dataset.machine.kinematics()
         if kinematics is not None:
             rr.log("machine", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True, recording=stream)
             for name, table in tables.items():
-                _log_machine(stream, f"machine/{name}", dataset.machine, kinematics, table, styles[name])
-                _log_points(stream, f"machine/{name}", dataset.machine, table, styles[name])
+                log_machine(stream, f"machine/{name}", dataset.machine, kinematics, table, styles[name])
+                log_points(stream, f"machine/{name}", dataset.machine, table, styles[name])
         _log_signals(stream, dataset, source, tables, styles)
         log_maps(stream, maps, {name: STYLES[name].colour for name in ("before", "after")}, SHOWN)
         stream.flush()
@@ -87,92 +57,11 @@ def write_rerun(
     return path
 
 
-def _rerun() -> Any:
-    """The SDK, imported late: it takes half a second. Only its viewer counts usage; writing a file starts no viewer."""
-    os.environ.setdefault("TELEMETRY_ENABLED", "false")
-    import rerun
-
-    return rerun
-
-
-def _styles(names: Mapping[str, Any]) -> list[Style]:
-    others = iter(Style(colour, False) for colour in OTHERS * (1 + len(names)))
-    return [STYLES[name] if name in STYLES else next(others) for name in names]
-
-
-def _log_machine(stream: Any, root: str, machine: Machine, kinematics: Kinematics, table: pd.DataFrame, style: Style) -> None:
-    """Poses of all links over time, and once their shapes. Rows in which a joint is unknown are left out."""
-    rr = _rerun()
-    columns = [axis_signal(axis.name, "joint") for axis in machine.axes]
-    if not set(columns) <= set(table.columns):
-        return
-    joints = table[columns].to_numpy(dtype=np.float64)
-    known = np.isfinite(joints).all(axis=1)
-    if not known.any():
-        return
-    times = [rr.TimeColumn(TIMELINE, duration=table["time"].to_numpy(dtype=np.float64)[known])]
-    shapes = link_shapes(machine.urdf_text or "", kinematics)
-    for link, pose in kinematics.link_poses(joints[known]).items():
-        turn = Rotation.from_matrix(pose[:, :3, :3]).as_quat()
-        place = rr.Transform3D.columns(translation=pose[:, :3, 3], quaternion=turn)
-        rr.send_columns(f"{root}/{link}", indexes=times, columns=place, recording=stream)
-        for number, shape in enumerate(shapes.get(link, ())):
-            rr.log(f"{root}/{link}/shape-{number}", *_drawn(shape, style), static=True, recording=stream)
-
-
-def _drawn(shape: Shape, style: Style) -> list[Any]:
-    rr = _rerun()
-    mode = "Solid" if style.solid else "MajorWireframe"
-    colour = [*style.colour, 255]
-    turn = rr.Quaternion(xyzw=Rotation.from_matrix(shape.pose[:3, :3]).as_quat())
-    place = rr.Transform3D(translation=shape.pose[:3, 3], quaternion=turn)
-    if shape.kind == "box":
-        # A little smaller than its simulations, so that where all agree the wire frames stay visible.
-        scale = 1.0 if style.solid else 1.02
-        half_sizes = [[0.5 * scale * side for side in shape.size]]
-        return [place, rr.Boxes3D(half_sizes=half_sizes, colors=[colour], fill_mode=mode, radii=0.0015)]
-    if shape.kind == "cylinder":
-        radius, length = shape.size
-        return [place, rr.Cylinders3D(radii=[radius], lengths=[length], colors=[colour], fill_mode=mode)]
-    if shape.kind == "sphere":
-        return [place, rr.Ellipsoids3D(half_sizes=[[shape.size[0]] * 3], colors=[colour], fill_mode=mode)]
-    return [rr.LineStrips3D([[[0.0, 0.0, 0.0], list(shape.size)]], radii=0.012 if style.solid else 0.004, colors=[colour])]
-
-
-def _log_points(stream: Any, root: str, machine: Machine, table: pd.DataFrame, style: Style) -> None:
-    """Boom tip and tool as points (their last seconds make the trail) and the line between the two."""
-    rr = _rerun()
-    time = table["time"].to_numpy(dtype=np.float64)
-    found: dict[str, Array] = {}
-    for point in ("ee", "tool"):
-        if set(point_signals(point)) <= set(table.columns):
-            found[point] = table[list(point_signals(point))].to_numpy(dtype=np.float64)
-    for point, values in found.items():
-        known = np.isfinite(values).all(axis=1)
-        if not known.any():
-            continue
-        radius = 0.008 if point == "tool" else 0.005
-        rr.log(f"{root}/{point}", rr.Points3D.from_fields(colors=[style.colour], radii=[radius]), static=True, recording=stream)
-        times = [rr.TimeColumn(TIMELINE, duration=time[known])]
-        rr.send_columns(
-            f"{root}/{point}", indexes=times, columns=rr.Points3D.columns(positions=values[known]), recording=stream
-        )
-    if set(found) == {"ee", "tool"}:
-        known = np.isfinite(np.hstack([found["ee"], found["tool"]])).all(axis=1)
-        strips = np.stack([found["ee"][known], found["tool"][known]], axis=1)
-        if len(strips):
-            look = rr.LineStrips3D.from_fields(colors=[style.colour], radii=[0.002])
-            rr.log(f"{root}/cable", look, static=True, recording=stream)
-            times = [rr.TimeColumn(TIMELINE, duration=time[known])]
-            lines = rr.LineStrips3D.columns(strips=list(strips))
-            rr.send_columns(f"{root}/cable", indexes=times, columns=lines, recording=stream)
-
-
 def _log_signals(
     stream: Any, dataset: Dataset, source: Recording, tables: Mapping[str, pd.DataFrame], styles: Mapping[str, Style]
 ) -> None:
     """Every signal as a curve a version, in mm, degrees or as it is; commands once."""
-    rr = _rerun()
+    rr = sdk()
     commands = dict(zip((s for s in source.signals if s.endswith(".command")), OTHERS * len(source.signals), strict=False))
     for signal in source.signals:
         factor, unit = SHOWN.get(dataset.units.get(signal, "1"), (1.0, dataset.units.get(signal, "")))

@@ -12,7 +12,7 @@ import pandas as pd
 from sysid.files import written_whole
 from sysid.machine import Machine
 from sysid.signals import axis_signal, point_signals
-from sysid.view.recording import TIMELINE, Style, _log_machine, _log_points, _rerun, _styles
+from sysid.view.drawing import TIMELINE, Style, log_machine, log_points, sdk, styles_of
 
 Array = npt.NDArray[np.float64]
 _PATH = (230, 60, 90)
@@ -27,7 +27,7 @@ def write_tracks(path: Path, machine: Machine, target: Array, rows: Mapping[str,
         rows: policy → ``time`` [s], joints, ``ee``, and ``tool`` and commands where there are any (SI).
         name: of the recording.
     """
-    rr = _rerun()
+    rr = sdk()
     path.parent.mkdir(parents=True, exist_ok=True)
     with written_whole(path) as half:
         stream = rr.RecordingStream("sysid", recording_id=name)
@@ -35,12 +35,12 @@ def write_tracks(path: Path, machine: Machine, target: Array, rows: Mapping[str,
         stream.send_recording_name(name)
         rr.log("machine", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True, recording=stream)
         rr.log("machine/path", rr.LineStrips3D([target], colors=[_PATH], radii=0.0015), static=True, recording=stream)
-        styles = [Style((138, 148, 158), True), *_styles(rows)]
+        styles = [Style((138, 148, 158), True), *styles_of(rows)]
         kinematics = machine.kinematics()
         for style, (policy, table) in zip(styles, rows.items(), strict=False):
             if kinematics is not None:
-                _log_machine(stream, f"machine/{policy}", machine, kinematics, table, style)
-            _log_points(stream, f"machine/{policy}", machine, table, style)
+                log_machine(stream, f"machine/{policy}", machine, kinematics, table, style)
+            log_points(stream, f"machine/{policy}", machine, table, style)
             times = [rr.TimeColumn(TIMELINE, duration=table["time"].to_numpy(dtype=np.float64))]
             error = 1e3 * (table[list(point_signals("ee"))].to_numpy(dtype=np.float64) - target)
             commands = [axis_signal(axis, "command") for axis in machine.axis_names]

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 from crane_data import LINKAGES, dataset, motion
+from rerun_file import curves
 
 from sysid.datasets.recording import Dataset, Recording
 from sysid.errors import SettingsError, StoreError
@@ -37,7 +36,7 @@ def test_states_arrive_in_the_file(crane: tuple[Dataset, Plant], tmp_path: Path)
     shown = show_live(crane[0], "run-1", crane[1], path)
     assert shown == 2.0 * SHOWN_HZ
     assert [file.name for file in path.parent.iterdir()] == ["live.rrd"]
-    entities = read(path)
+    entities = curves(path)
     expected = free_run(crane[1], crane[0].recordings[0])
     for signal in ("boom.joint", "slew.joint"):
         time, values = entities[f"/signals/{signal}/world"]
@@ -46,23 +45,6 @@ def test_states_arrive_in_the_file(crane: tuple[Dataset, Plant], tmp_path: Path)
         np.testing.assert_allclose(values, np.degrees(expected[signal].to_numpy()[rows]), atol=1e-6)
     assert {"/machine/world/boom", "/machine/world/tool", "/signals/boom.cylinder/measured"} <= set(entities)
     assert len(entities["/camera"][0]) == 2.0 * CAMERA_HZ
-
-
-def read(path: Path) -> dict[str, tuple[npt.NDArray[np.float64], list[Any]]]:
-    """Entity → times [s], and the values where they are scalars."""
-    from rerun.chunk import RrdReader
-
-    found: dict[str, tuple[list[float], list[Any]]] = {}
-    for chunk in RrdReader(str(path)).stream().to_chunks():
-        batch = chunk.to_record_batch()
-        if "time" not in batch.schema.names:
-            continue
-        times, values = found.setdefault(chunk.entity_path, ([], []))
-        times += list(batch.column("time").cast("int64").to_numpy() * 1e-9)
-        for name in batch.schema.names:
-            if name.endswith("Scalars:scalars"):
-                values += [entry[0] for entry in batch.column(name).to_pylist()]
-    return {entity: (np.array(times), values) for entity, (times, values) in found.items()}
 
 
 def test_mistakes(crane: tuple[Dataset, Plant], tmp_path: Path) -> None:

@@ -1,0 +1,7 @@
+"""``python -m sysid.cli`` is ``sysid``."""
+
+import sys
+
+from sysid.cli import main
+
+sys.exit(main())

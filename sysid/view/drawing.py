@@ -1,0 +1,134 @@
+"""How a machine looks in Rerun: colours, the shapes of its links, their poses and the trails of its points over time."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pandas as pd
+from scipy.spatial.transform import Rotation
+
+from sysid.machine import Kinematics, Machine
+from sysid.signals import axis_signal, point_signals
+from sysid.view.visuals import Shape, link_shapes
+
+Array = npt.NDArray[np.float64]
+
+TIMELINE = "time"
+
+
+@dataclass(frozen=True)
+class Style:
+    """Colour (RGB) of one version of the machine, and whether its links are drawn solid."""
+
+    colour: tuple[int, int, int]
+    solid: bool
+
+
+#: What was measured is solid; simulations are wire frames around it, so that they stay apart where they agree.
+STYLES = {
+    "measured": Style((138, 148, 158), True),
+    "before": Style((222, 104, 52), False),
+    "after": Style((20, 160, 150), False),
+}
+OTHERS = ((70, 130, 190), (200, 150, 40), (160, 100, 200), (120, 160, 60))
+
+#: SI unit → factor and unit in the plots.
+SHOWN = {"m": (1e3, "mm"), "rad": (180.0 / np.pi, "°")}
+
+
+def sdk() -> Any:
+    """The SDK, imported late: it takes half a second. Only its viewer counts usage; writing a file starts no viewer."""
+    os.environ.setdefault("TELEMETRY_ENABLED", "false")
+    import rerun
+
+    return rerun
+
+
+def styles_of(names: Mapping[str, Any]) -> list[Style]:
+    others = iter(Style(colour, False) for colour in OTHERS * (1 + len(names)))
+    return [STYLES[name] if name in STYLES else next(others) for name in names]
+
+
+def log_machine(stream: Any, root: str, machine: Machine, kinematics: Kinematics, table: pd.DataFrame, style: Style) -> None:
+    """Poses of all links over time, and once their shapes. Rows in which a joint is unknown are left out."""
+    if log_poses(stream, root, machine, kinematics, table):
+        log_shapes(stream, root, machine, kinematics, style)
+
+
+def log_shapes(stream: Any, root: str, machine: Machine, kinematics: Kinematics, style: Style) -> None:
+    """What the links look like, at all times."""
+    rr = sdk()
+    for link, shapes in link_shapes(machine.urdf_text or "", kinematics).items():
+        for number, shape in enumerate(shapes):
+            rr.log(f"{root}/{link}/shape-{number}", *drawn(shape, style), static=True, recording=stream)
+
+
+def log_poses(stream: Any, root: str, machine: Machine, kinematics: Kinematics, table: pd.DataFrame) -> bool:
+    """Where the links are in the rows of ``table`` in which every joint is known; whether there are any."""
+    rr = sdk()
+    columns = [axis_signal(axis.name, "joint") for axis in machine.axes]
+    if not set(columns) <= set(table.columns):
+        return False
+    joints = table[columns].to_numpy(dtype=np.float64)
+    known = np.isfinite(joints).all(axis=1)
+    if not known.any():
+        return False
+    times = [rr.TimeColumn(TIMELINE, duration=table["time"].to_numpy(dtype=np.float64)[known])]
+    for link, pose in kinematics.link_poses(joints[known]).items():
+        turn = Rotation.from_matrix(pose[:, :3, :3]).as_quat()
+        place = rr.Transform3D.columns(translation=pose[:, :3, 3], quaternion=turn)
+        rr.send_columns(f"{root}/{link}", indexes=times, columns=place, recording=stream)
+    return True
+
+
+def drawn(shape: Shape, style: Style) -> list[Any]:
+    rr = sdk()
+    mode = "Solid" if style.solid else "MajorWireframe"
+    colour = [*style.colour, 255]
+    turn = rr.Quaternion(xyzw=Rotation.from_matrix(shape.pose[:3, :3]).as_quat())
+    place = rr.Transform3D(translation=shape.pose[:3, 3], quaternion=turn)
+    if shape.kind == "box":
+        # A little smaller than its simulations, so that where all agree the wire frames stay visible.
+        scale = 1.0 if style.solid else 1.02
+        half_sizes = [[0.5 * scale * side for side in shape.size]]
+        return [place, rr.Boxes3D(half_sizes=half_sizes, colors=[colour], fill_mode=mode, radii=0.0015)]
+    if shape.kind == "cylinder":
+        radius, length = shape.size
+        return [place, rr.Cylinders3D(radii=[radius], lengths=[length], colors=[colour], fill_mode=mode)]
+    if shape.kind == "sphere":
+        return [place, rr.Ellipsoids3D(half_sizes=[[shape.size[0]] * 3], colors=[colour], fill_mode=mode)]
+    return [rr.LineStrips3D([[[0.0, 0.0, 0.0], list(shape.size)]], radii=0.012 if style.solid else 0.004, colors=[colour])]
+
+
+def log_points(stream: Any, root: str, machine: Machine, table: pd.DataFrame, style: Style) -> None:
+    """Boom tip and tool as points (their last seconds make the trail) and the line between the two."""
+    rr = sdk()
+    time = table["time"].to_numpy(dtype=np.float64)
+    found: dict[str, Array] = {}
+    for point in ("ee", "tool"):
+        if set(point_signals(point)) <= set(table.columns):
+            found[point] = table[list(point_signals(point))].to_numpy(dtype=np.float64)
+    for point, values in found.items():
+        known = np.isfinite(values).all(axis=1)
+        if not known.any():
+            continue
+        radius = 0.008 if point == "tool" else 0.005
+        rr.log(f"{root}/{point}", rr.Points3D.from_fields(colors=[style.colour], radii=[radius]), static=True, recording=stream)
+        times = [rr.TimeColumn(TIMELINE, duration=time[known])]
+        rr.send_columns(
+            f"{root}/{point}", indexes=times, columns=rr.Points3D.columns(positions=values[known]), recording=stream
+        )
+    if set(found) == {"ee", "tool"}:
+        known = np.isfinite(np.hstack([found["ee"], found["tool"]])).all(axis=1)
+        strips = np.stack([found["ee"][known], found["tool"][known]], axis=1)
+        if len(strips):
+            look = rr.LineStrips3D.from_fields(colors=[style.colour], radii=[0.002])
+            rr.log(f"{root}/cable", look, static=True, recording=stream)
+            times = [rr.TimeColumn(TIMELINE, duration=time[known])]
+            lines = rr.LineStrips3D.columns(strips=list(strips))
+            rr.send_columns(f"{root}/cable", indexes=times, columns=lines, recording=stream)
