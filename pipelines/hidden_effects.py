@@ -1,11 +1,11 @@
 """How often the gap workflow is right: sealed cases of the stand-in machine, answered blind, then judged.
 
-    .venv/bin/python pipelines/hidden_effects.py --tier smoke|quick|full [--only GROUP] [--workers N] [--limit N]
+    .venv/bin/python pipelines/hidden_effects.py --tier smoke|quick|full [--only GROUP] [--workers N] [--limit N] [--answered]
 
 Each case is a machine that hides no, one, two or three effects, or something that the catalogue does not know, recorded with
 noise, disturbances and more or less excitation. The workflow sees logs and description alone, in a process of its own; the
-truth is opened when all have answered. A run that was stopped goes on where it was. A whole tier writes
-reports/hidden_effects/result.json and the tables of docs/hidden-effects.md.
+truth is opened when all have answered. A run that was stopped goes on where it was. A whole tier, or with --answered what there
+is of it, writes reports/hidden_effects/result.json and the tables of docs/hidden-effects.md.
 
 Order of reading of hidden/: machines, kinds, cases (what is tried), limits, make (files), solve (the run, which sees the site's
 files alone), runner, judge, score, page.
@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import Any
 
 from committed import provenance, write_result, write_tables
-from hidden.cases import COUNTS, GROUPS, SEED, CaseSpec, cases_of, listed
+from hidden.cases import COUNTS, GROUPS, SEED, CaseSpec, Group, Tier, cases_of, listed
 from hidden.judge import Judgement, judge
 from hidden.page import page_tables
 from hidden.runner import ANSWERING, Place, run_all
@@ -53,12 +53,13 @@ def _unmade(spec: CaseSpec, answer: dict[str, Any]) -> Judgement:
     return judge({"spec": spec.to_json(), "hidden": [], "effects": []}, answer)
 
 
-def result_of(tier: str, cases: Sequence[Judgement], command: str) -> dict[str, Any]:
+def result_of(tier: str, cases: Sequence[Judgement], listed: int, command: str) -> dict[str, Any]:
     """The contents of the result file."""
     return {
         **provenance(command, SEED),
         "tier": tier,
         "cases": len(cases),
+        "listed": listed,
         **scored(cases),
         "judgements": [_line(case) for case in cases],
     }
@@ -71,12 +72,20 @@ def _line(case: Judgement) -> dict[str, Any]:
 
 
 def main(
-    tier: str, work: Path, only: str | None = None, workers: int = 1, limit: int | None = None, keep: bool = False
+    tier: Tier,
+    work: Path,
+    only: Group | None = None,
+    workers: int = 1,
+    limit: int | None = None,
+    keep: bool = False,
+    answered: bool = False,
 ) -> dict[str, Any]:
-    """Run the cases of a tier that have no answer yet and score what there is."""
-    specs = cases_of(tier, only)[:limit]  # type: ignore[arg-type]
-    run_all(specs, work, workers, keep, lambda text: print(text, flush=True), ANSWERING)
-    result = result_of(tier, judged(specs, work), f"python pipelines/hidden_effects.py --tier {tier}")
+    """Run the cases of a tier that have no answer yet, or none of them, and score what there is."""
+    specs = cases_of(tier, only)[:limit]
+    if not answered:
+        run_all(specs, work, workers, keep, lambda text: print(text, flush=True), ANSWERING)
+    command = f"python pipelines/hidden_effects.py --tier {tier}"
+    result = result_of(tier, judged(specs, work), len(specs), command)
     write_result(work / f"result-{tier}.json", result)
     print(page_tables(result))
     if only is None and limit is None:
@@ -93,9 +102,10 @@ if __name__ == "__main__":
     parser.add_argument("--limit", type=int, help="at most so many cases")
     parser.add_argument("--work", type=Path, default=ROOT / "workspace" / "hidden_effects", help="folder of cases and answers")
     parser.add_argument("--keep", action="store_true", help="keep the logs of the cases")
+    parser.add_argument("--answered", action="store_true", help="run nothing, score the cases that have an answer")
     parser.add_argument("--list", action="store_true", help="show the cases and stop")
     given = parser.parse_args()
     if given.list:
         print("\n".join(listed(given.tier)))
     else:
-        main(given.tier, given.work, given.only, given.workers, given.limit, given.keep)
+        main(given.tier, given.work, given.only, given.workers, given.limit, given.keep, given.answered)

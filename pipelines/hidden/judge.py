@@ -20,6 +20,10 @@ CLOSABLE = 1.5
 COARSE = (("gripper_sway", "damping_ratio"), ("stiction", "release"))
 
 
+#: A hidden thing is described by its name where the name's best fit takes away this share of what it does.
+DESCRIBED = 0.5
+
+
 @dataclass(frozen=True)
 class Judgement:
     """One case.
@@ -31,6 +35,7 @@ class Judgement:
         covered: whether the 95 % interval holds the truth, by the same keys.
         closed: least share of the closable gap that was closed over all signals; None where nothing was named or closable.
         unnamed: whether structure was described that has no name.
+        explained: share of what is hidden that the best fit of its own names takes away, noise-free; 1 where they are exact.
         failure: why there is no answer.
     """
 
@@ -46,6 +51,7 @@ class Judgement:
     closed: float | None
     unnamed: bool
     seconds: float
+    explained: float = 1.0
     failure: str | None = None
 
     @property
@@ -71,7 +77,9 @@ def judge(sealed: Mapping[str, Any], answered: Mapping[str, Any], reach: Mapping
     hidden = tuple((e["name"], e["target"]) for each in sealed["hidden"] for e in each["effects"])
     factor = min((each["factor"] for each in sealed["hidden"]), default=math.inf)
     if "failure" in answered:
-        return Judgement(spec, hidden, (), factor, "failure", (), hidden, {}, {}, None, False, math.nan, answered["failure"])
+        return Judgement(
+            spec, hidden, (), factor, "failure", (), hidden, {}, {}, None, False, math.nan, failure=answered["failure"]
+        )
     answer = answered["answer"]
     effects = answer["effects"]
     right = {(e["name"], e["target"]): e for e in effects if _meant(e, hidden) is not None}
@@ -97,6 +105,7 @@ def judge(sealed: Mapping[str, Any], answered: Mapping[str, Any], reach: Mapping
         closed=_closed(answer["gap"], reach or {}) if right else None,
         unnamed=bool(answer["unnamed"]),
         seconds=answered["seconds"],
+        explained=_explained(sealed.get("model_error", {})),
     )
 
 
@@ -132,3 +141,16 @@ def _closed(gap: Mapping[str, Mapping[str, float]], reach: Mapping[str, float]) 
         if before > CLOSABLE * least[signal]
     ]
     return min(shares, default=None)
+
+
+def _explained(error: Mapping[str, Mapping[str, float]]) -> float:
+    """Of the signals that what is hidden moves, the one that its names explain worst; what they leave is no fault of a search.
+
+    Squares are compared: RMSE of noise-free runs with nothing hidden, before and after the best fit of the names.
+    """
+    shares = [1.0]
+    for signal, before in error.get("before", {}).items():
+        without, after = error["nothing_hidden"][signal], error["after"][signal]
+        if before > CLOSABLE * without:
+            shares.append(1.0 - max(after**2 - without**2, 0.0) / (before**2 - without**2))
+    return min(shares)

@@ -9,6 +9,7 @@ from typing import Any
 GOALS: tuple[tuple[str, str, str], ...] = (
     ("false_naming_none", "nothing hidden: anything named", "≤ 1 %"),
     ("single_right", "one effect, three detection limits and more: right name and place, nothing else", "≥ 97 %"),
+    ("single_described_right", "— without those of which their own name, fitted at best, explains less than half: right", ""),
     ("single_abstained", "— of these: no name", ""),
     ("single_wrong", "— of these: a wrong name", ""),
     ("single_below_limit_wrong", "one effect, less than that: a wrong name", ""),
@@ -25,7 +26,7 @@ GOALS: tuple[tuple[str, str, str], ...] = (
 def page_tables(result: Mapping[str, Any]) -> str:
     """Goals, figures and confusion as Markdown tables."""
     lines = [
-        f"Tier `{result['tier']}`, {result['cases']} cases, {result['date']}: `{result['command']}`.",
+        f"Tier `{result['tier']}`, {_count(result)}, {result['date']}: `{result['command']}`.",
         "",
         "| | goal | measured | 95 % | cases |",
         "| --- | --- | ---: | --- | ---: |",
@@ -56,13 +57,25 @@ def page_tables(result: Mapping[str, Any]) -> str:
         "",
         "Cases that were not as they should be:",
         "",
-        "| case | hides | named | verdict |",
-        "| --- | --- | --- | --- |",
+        "The last column: how much of what is hidden the best fit of its own name takes away, where that is not nearly all.",
+        "",
+        "| case | hides | named | verdict | explained |",
+        "| --- | --- | --- | --- | ---: |",
     ]
     for case in result["judgements"]:
         if case["failure"] or case["wrong"] or (case["due"] and not case["exact"]):
-            lines.append(f"| {_seen(case)} | {_hides(case)} | {_names(case['named'])} | {case['failure'] or case['verdict']} |")
+            told = (_seen(case), _hides(case), _names(case["named"]), case["failure"] or case["verdict"], _explained(case))
+            lines.append(f"| {' | '.join(told)} |")
     return "\n".join(lines)
+
+
+def _count(result: Mapping[str, Any]) -> str:
+    cases, listed = result["cases"], result.get("listed", result["cases"])
+    return f"{cases} cases" if cases == listed else f"{cases} of {listed} cases, the others not run yet"
+
+
+def _explained(case: Mapping[str, Any]) -> str:
+    return _percent(case["explained"]) if case["explained"] < 0.9 else ""
 
 
 def _seen(case: Mapping[str, Any]) -> str:

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from hidden.judge import COARSE, Judgement
+from hidden.judge import COARSE, DESCRIBED, Judgement
 
 #: Quantile of the normal distribution for 95 %.
 Z = 1.959964
@@ -48,6 +48,7 @@ def scored(cases: Sequence[Judgement]) -> dict[str, Any]:
         "rates": {
             "false_naming_none": rate(bool(case.named) for case in of("none") if case.failure is None),
             "single_right": rate(case.exact for case in due),
+            "single_described_right": rate(case.exact for case in due if case.explained >= DESCRIBED),
             "single_abstained": rate(not case.named for case in due),
             "single_wrong": rate(bool(case.wrong) for case in due),
             "single_below_limit_wrong": rate(bool(case.wrong) for case in of("single") if not case.due),

@@ -156,7 +156,8 @@ def test_case_with_an_answer_is_not_run_again_and_a_crash_is_an_answer(
     assert len(told) == 2
 
 
-def test_step_that_fails_or_takes_too_long_says_so(hidden: dict[str, ModuleType]) -> None:
+def test_step_that_fails_or_takes_too_long_says_so(hidden: dict[str, ModuleType], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(hidden["runner"], "PATIENCE", 600.0)
     run = hidden["runner"].run_process
     assert run(json.loads, ["[1]"], 10.0) is None
     assert run(json.loads, ["[1"], 10.0).startswith("json.decoder.JSONDecodeError: ")
@@ -202,6 +203,20 @@ def test_right_wrong_missed_and_aliases(hidden: dict[str, ModuleType]) -> None:
     assert alias.exact
     silent = judge(sealed, answer(verdict="ambiguous"))
     assert (silent.wrong, silent.missed, silent.closed) == ((), (("backlash", "slew"),), None)
+
+
+def test_what_its_own_name_does_not_explain_is_told(hidden: dict[str, ModuleType]) -> None:
+    """Of 0.0003 that the owner's plant leaves anyway, 0.0009 with the effect, and 0.0006 with its name put in."""
+    error = {"nothing_hidden": {"a": 3e-4, "b": 0.0}, "before": {"a": 9e-4, "b": 1e-4}, "after": {"a": 6e-4, "b": 0.0}}
+    sealed = {**sealed_case(hidden, "single", ("backlash", "slew")), "model_error": error}
+    told = hidden["judge"].judge(sealed, answer())
+    assert told.explained == pytest.approx(1.0 - 27.0 / 72.0)
+    exact = hidden["judge"].judge({**sealed, "model_error": {}}, answer())
+    assert exact.explained == 1.0
+    values = hidden["score"].scored(
+        [told, exact, hidden["judge"].judge({**sealed, "model_error": {**error, "after": error["before"]}}, answer())]
+    )["rates"]["single_described_right"]
+    assert values["cases"] == 2
 
 
 def test_rates_over_cases(hidden: dict[str, ModuleType]) -> None:
@@ -254,7 +269,7 @@ def test_page_replaces_only_what_it_generated(hidden: dict[str, ModuleType], tmp
         sys.path.remove(PIPELINES)
     sealed = sealed_case(hidden, "single", ("backlash", "slew"))
     judged = [hidden["judge"].judge(sealed, answer(effect("stiction", "slew")))]
-    result = json.loads(json.dumps(pipeline.result_of("quick", judged, "make hidden-effects"), allow_nan=False))
+    result = json.loads(json.dumps(pipeline.result_of("quick", judged, 60, "make hidden-effects"), allow_nan=False))
     assert result["rates"]["wrong_name"]["value"] == 1.0
     agreed = "tier cases rates parameter_error closed_min seconds confusion command seed versions machine date"
     assert set(agreed.split()) <= set(result)
