@@ -10,7 +10,9 @@ import click
 from sysid.cli.output import Printer, json_option, write_json
 
 if TYPE_CHECKING:
+    from sysid.errors import StorageError
     from sysid.runner.assemble import Assembly
+    from sysid.runner.flight_log import FlightLog
     from sysid.runner.outcome import Outcome
     from sysid.runner.rehearse import Ranges
 
@@ -81,19 +83,24 @@ def run(
             words = provenance(files, versions) | {"run": {"name": settings.name, "mode": settings.mode}}
             folder = log or Path(settings.log.folder)
             kind: Any = "poses" if settings.mode == "collect" else "motion"
-            with FlightLog(
+            flight = FlightLog(
                 folder, assembly.machine_file, transport.axes, transport.signals, words, kind=kind, clock_ns=transport.now_ns()
-            ) as flight:
-                pair.second = flight
+            )
+            pair.second = flight
+            try:
                 if view:
                     _show(flight.path)
                 outcome = loop.run()
+            finally:
+                unwritten = _closed(flight)
         finally:
             transport.close()
     _tell(printer, assembly, outcome, ranges)
     printer.line(f"{flight.path}   (a recording: sysid ingest {folder} --recipe {folder / 'recipe.toml'})")
     figures = _figures(assembly, outcome, ranges)
     write_json(json_file, {"schema": 1, "dry_run": False, "log": str(flight.path), "lost_cycles": flight.lost, **figures})
+    if unwritten is not None:
+        raise unwritten
     if outcome.ended == "fault":
         ctx.exit(1)
 
@@ -106,6 +113,17 @@ def _show(log: Path) -> None:
 
     command = [sys.executable, "-m", "sysid.cli", "view", str(log)]
     subprocess.Popen(command, start_new_session=True, preexec_fn=lambda: os.nice(10))  # noqa: PLW1509
+
+
+def _closed(flight: FlightLog) -> StorageError | None:
+    """Close the log; what is missing of it is told after how the run ended."""
+    from sysid.errors import StorageError
+
+    try:
+        flight.close()
+    except StorageError as error:
+        return error
+    return None
 
 
 class Both:

@@ -15,12 +15,13 @@ from crane_store import learned
 
 from sysid.cli.app import _run as run_command
 from sysid.cli.app import app
-from sysid.errors import SettingsError
+from sysid.errors import SettingsError, StorageError
 from sysid.networks import to_files
 from sysid.networks.trust import Trust
 from sysid.registry import CHAMPION, Registry
 from sysid.rl.reach import joint_limits
 from sysid.runner.checks.settings import CHECKS, MILDEST
+from sysid.runner.flight_log import FlightLog
 from sysid.runner.recipe import load_runner, parse_runner
 from sysid.workspace import open_workspace
 
@@ -126,6 +127,21 @@ def test_a_run_of_the_command_and_its_record(workspace: Path) -> None:
     assert set(result["versions"]) == {"crane@1", "crane-forward@1"}
     assert Path(result["log"]).stat().st_size > 10_000
     assert "NOT promoted, accepted by the recipe" in done.output
+
+
+def test_a_log_that_cannot_be_ended_is_told_after_how_the_run_ended(workspace: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    close = FlightLog.close
+
+    def full(log: FlightLog) -> None:
+        close(log)
+        raise StorageError(str(log.path), "disk full", "room on the disk", "")
+
+    monkeypatch.setattr(FlightLog, "close", full)
+    path = write(workspace, "[hold]\nseconds = 0.5\n[loop]\npriority = 0\nlock_memory = false\n")
+    done = invoke(workspace, path, "--log", str(workspace / "full"), "--json", str(workspace / "full.json"))
+    assert isinstance(done.exception, StorageError)
+    assert "ended: done; state ready" in done.output
+    assert json.loads((workspace / "full.json").read_text("utf-8"))["ended"] == "done"
 
 
 def test_versions_have_to_be_promoted_or_named_and_of_this_machine(workspace: Path) -> None:
