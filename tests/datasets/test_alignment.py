@@ -254,3 +254,29 @@ def test_of_two_lags_that_look_alike_the_one_whose_positions_agree_is_taken() ->
     found = estimate([pair])
     assert not found.refused
     assert found.at(30.0) == pytest.approx(2.4, abs=2e-3)
+
+
+def test_strokes_that_go_the_other_way_or_less_far_are_others() -> None:
+    """Three strokes between long rests, out, back and out: a polynomial maps any of them on any other, one to one does not."""
+    rng = np.random.default_rng(5)
+    times = np.arange(0.0, 46.0, 0.01)
+    x = np.zeros(len(times))
+    for begin, size in ((1.0, 0.92), (16.0, -0.81), (31.0, 0.97)):
+        x += 0.1 * size * np.clip((times - begin) / 2.0, 0.0, 1.0)
+    y_times = np.arange(0.0, 46.0, 1.0 / 60.0)
+    pairs = []
+    for name, map_ in (
+        ("telescope.joint~telescope.joint", lambda v: v),
+        ("boom.cylinder~boom.joint", lambda v: np.sin(9.0 * v)),
+    ):
+        y = map_(np.interp(y_times + 0.9, times, x)) + 1e-4 * rng.standard_normal(len(y_times))
+        degree = 7 if name.startswith("telescope") else 9
+        pairs.append(Pair(name, times, x + 2e-5 * rng.standard_normal(len(x)), y_times, y, degree, 0.035))
+    lag = coarse_lag(pairs)
+    assert "the motion repeats itself" in lag.refused
+    assert len(lag.rivals) >= 3
+    found = estimate(pairs)
+    assert not found.refused
+    assert found.at(20.0) == pytest.approx(0.9, abs=2e-3)
+    # Of the cylinder and its joint alone nothing says which strokes are which.
+    assert "the motion repeats itself" in estimate(pairs[1:]).refused

@@ -46,6 +46,8 @@ DEGREE_SAME, DEGREE_LINKAGE = 7, 9
 MIN_EXPLAINED, MAX_SKEW = 0.95, 2e-3
 #: Of two lags one is taken where it leaves less than this share of what the other leaves unexplained.
 CLEAR = 0.25
+#: Differences beyond this quantile are taken for mistaken frames.
+TRUSTED = 0.98
 #: The first window [s], and by how much each one is longer than the one before.
 WINDOW_S, GROWTH = 120.0, 3.0
 #: Samples of a pair that are enough to iterate on.
@@ -134,22 +136,19 @@ def estimate(pairs: Sequence[Pair], start: float | None = None) -> Estimate:
     if not moving:
         names = ", ".join(pair.name for pair in pairs)
         return Estimate(refused=f"nothing moves that both clocks have seen ({names})")
-    centre, doubt, rival = None, "", None
+    centre, doubt, rivals = None, "", ()
     if start is None:
         lag = coarse_lag(moving)
-        start, centre, doubt, rival = lag.offset, lag.centre, lag.refused, lag.rival
+        start, centre, doubt, rivals = lag.offset, lag.centre, lag.refused, lag.rivals
     ready = [smoothed(pair) for pair in moving]
     result, explained = _refine(ready, start, centre)
-    if doubt and rival is not None:
+    if rivals:
         # Rates of a motion that nearly repeats itself look alike; what the positions leave unexplained does not.
-        second, share = _refine(ready, rival, centre)
-        left, left_second = (
-            1.0 - min(shares) if not found.refused else 1.0 for found, shares in ((result, explained), (second, share))
-        )
-        if left_second < CLEAR * left:
-            result, explained, start, doubt = second, share, rival, ""
-        elif left < CLEAR * left_second:
-            doubt = ""
+        tried = [(start, result, explained), *((rival, *_refine(ready, rival, centre)) for rival in rivals)]
+        left = [_unexplained(ready, found, shares) for _, found, shares in tried]
+        first, second = np.argsort(left, kind="stable")[:2]
+        if left[first] < CLEAR * left[second]:
+            (start, result, explained), doubt = tried[first], ""
     if doubt:
         return replace(result, refused=doubt)
     good = [pair for pair, share in zip(ready, explained, strict=True) if share >= MIN_EXPLAINED]
@@ -159,6 +158,31 @@ def estimate(pairs: Sequence[Pair], start: float | None = None) -> Estimate:
         listed = ", ".join(f"{pair.name}: {share:.2f}" for pair, share in zip(good or ready, explained, strict=True))
         return replace(result, refused=f"the motions do not agree at the best lag (explained shares {listed})")
     return result
+
+
+def _unexplained(pairs: Sequence[Pair], found: Estimate, shares: Sequence[float]) -> float:
+    """Share of the variance that the worst pair leaves at a lag; all of it where no lag or no clock is like that.
+
+    Where both measured the same quantity, one sees what the other does, and not some function of it: strokes that look alike
+    and are not as long, or go the other way, are others.
+    """
+    if found.refused or abs(found.skew) > MAX_SKEW:
+        return 1.0
+    return max(1.0 - min(shares), *(_apart(pair, found) for pair in pairs if pair.degree == DEGREE_SAME), 0.0)
+
+
+def _apart(pair: Pair, found: Estimate) -> float:
+    """Variance of the difference of a pair, constant left out, in that of the motion; mistaken frames do not count."""
+    known, seen = np.isfinite(pair.x), np.isfinite(pair.y)
+    times, y = pair.y_times[seen], pair.y[seen]
+    there = times + found.mid_offset + found.skew * (times - found.mid_time)
+    both = (there >= pair.x_times[known][0]) & (there <= pair.x_times[known][-1])
+    if not both.any():
+        return 0.0
+    left = y[both] - np.interp(there[both], pair.x_times[known], pair.x[known])
+    away = np.abs(left - np.median(left))
+    usual = np.minimum(away, np.quantile(away, TRUSTED))
+    return min(float(np.mean(usual**2)) / max(float(np.var(y[both])), 1e-300), 1.0)
 
 
 def conditional(found: Estimate, skew: float) -> Estimate:

@@ -14,6 +14,8 @@ Array = npt.NDArray[np.float64]
 
 #: A lag counts where the rates correlate this well and no other one comes near.
 MIN_CORRELATION, MAX_RIVAL = 0.5, 0.85
+#: So many others are looked at more closely.
+MOST_RIVALS = 8
 #: Of a long stream a stretch of this length is looked for [s]: over hours a skew would smear the correlation.
 STRETCH_S = 240.0
 #: Neighbours that the noise of a signal is told from.
@@ -40,13 +42,13 @@ class Pair:
 class Lag:
     """``t_machine = t + offset`` around ``centre`` [s of the stream]; ``refused`` says why no lag stands out.
 
-    ``rival`` is the offset of another lag that comes near, where that is the reason.
+    ``rivals`` are the offsets of other lags that come near, where that is the reason.
     """
 
     offset: float = 0.0
     centre: float = 0.0
     refused: str = ""
-    rival: float | None = None
+    rivals: tuple[float, ...] = ()
 
 
 def coarse_lag(pairs: Sequence[Pair]) -> Lag:
@@ -82,28 +84,38 @@ def coarse_lag(pairs: Sequence[Pair]) -> Lag:
     total /= len(pairs)
     best = int(np.argmax(total))
     centre = start_y + (first + last) / 2.0 * step
-    other = _rival(total, best)
-    offset, other_offset = (((at if at < count_x else at - size) - first) * step + start_x - start_y for at in (best, other))
-    rival = float(total[other]) if other != best else 0.0
+    near = _rivals(total, best)
+    offset, *others = (((at if at < count_x else at - size) - first) * step + start_x - start_y for at in (best, *near))
     refused = ""
     if total[best] < MIN_CORRELATION:
         refused = f"the motions do not resemble each other at any lag (correlation {total[best]:.2f} at best)"
-    elif rival > MAX_RIVAL * total[best]:
+    elif near:
         refused = (
-            f"two lags fit almost equally well (correlations {total[best]:.2f} and {rival:.2f}): the motion repeats itself"
+            f"{len(near) + 1} lags fit almost equally well (correlations {total[best]:.2f} and {total[near[0]]:.2f}): "
+            f"the motion repeats itself"
         )
-        return Lag(float(offset), float(centre), refused, float(other_offset))
+        return Lag(float(offset), float(centre), refused, tuple(map(float, others)))
     return Lag(float(offset), float(centre), refused)
 
 
-def _rival(total: Array, best: int) -> int:
-    """Where the correlation is highest outside of the lobe around the best one: up to where it has fallen well below."""
-    turned = np.roll(total, -best)
-    low = turned < 0.7 * turned[0]
-    if not low.any():
-        return (best + 1) % len(total)
-    after, before = int(np.argmax(low)), len(turned) - int(np.argmax(low[::-1]))
-    return (best + after + int(np.argmax(turned[after:before]))) % len(total)
+def _rivals(total: Array, best: int) -> list[int]:
+    """Where the correlation comes near that of the best lag, the highest first; a lobe reaches to where it has fallen well."""
+    left = total.copy()
+    found: list[int] = []
+    at = best
+    while True:
+        turned = np.roll(left, -at)
+        low = turned < 0.7 * turned[0]
+        if not low.any():
+            return found or [(best + 1) % len(total)]
+        after, before = int(np.argmax(low)), int(np.argmax(low[::-1]))
+        left[(at + np.arange(-before, after)) % len(left)] = -np.inf
+        at = int(np.argmax(left))
+        if left[at] <= MAX_RIVAL * total[best]:
+            return found
+        if len(found) == MOST_RIVALS:
+            return found
+        found.append(at)
 
 
 def _liveliest(rates: Sequence[Array], count: int) -> tuple[int, int]:
