@@ -20,7 +20,7 @@ from agreement.machines import description, record
 from hidden.cases import CaseSpec, Hidden
 from hidden.kinds import BY_KEY, Kind
 from hidden.limits import Limit, error_of, limit_of, overlaid_lists
-from hidden.machines import parsed, recorded, visible_tables
+from hidden.machines import Tables, parsed, recorded, visible_tables
 from sysid.bench.case import Case, write_case
 from sysid.bench.joint_machines import write_joint_machine
 from sysid.bench.joint_recipe import ServoArm, Slide
@@ -34,7 +34,7 @@ SERVO = ("input_delay", "first_order_lag")
 
 def make_case(spec: CaseSpec, work: Path) -> dict[str, Any]:
     """Write the case; returns what is sealed."""
-    visible = recorded(visible_tables(spec.family, spec.variant), spec.excitation, spec.noise, spec.disturbance, spec.seed)
+    visible = recorded(known_tables(spec), spec.excitation, spec.noise, spec.disturbance, spec.seed)
     owner = parsed(visible, spec.name)
     nominal = kept_nominal(owner, work / "nominal") if isinstance(owner, Recipe) else None
     hidden = []
@@ -63,6 +63,14 @@ def make_case(spec: CaseSpec, work: Path) -> dict[str, Any]:
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_text(json.dumps(sealed, indent=1) + "\n", "utf-8")
     return sealed
+
+
+def known_tables(spec: CaseSpec) -> Tables:
+    """The machine as its owner knows it, without its recordings."""
+    tables = visible_tables(spec.family, spec.variant)
+    for each in spec.hidden:
+        tables = overlaid_lists(tables, BY_KEY[each.kind].known)
+    return tables
 
 
 def _described(each: Hidden, kind: Kind, limit: Limit, magnitude: float) -> dict[str, Any]:

@@ -204,7 +204,8 @@ def advance(
             inlet, outlet = edges(
                 row[SPOOL], valves[i].positive, valves[i].negative, circuit.meter_out_lap, valves[i].saturation
             )
-            inlet, outlet = metered(inlet, valves[i].notch), metered(outlet, valves[i].notch)
+            inlet = metered(inlet, valves[i].notch, valves[i].taper)
+            outlet = metered(outlet, valves[i].notch, valves[i].taper)
             if inlet >= 0.0:
                 k = circuit.conductance_positive
                 # A load check in the valve: oil does not flow back to the pump.

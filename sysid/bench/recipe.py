@@ -33,6 +33,7 @@ class ValveSettings:
         saturation: opening beyond which the flow no longer rises [command].
         direction_ratio: speed at −1 over speed at +1 (area ratio of a cylinder).
         notch: share of the full opening over which V-notches meter before the land's whole edge does; 0 = a plain land.
+        taper: how much wider the metering edge is at full opening than on average, as a share; below 0: narrower.
         silt: command that frees a spool which has come to rest with its ports closed (particles lock it); then it moves freely.
         spool_speed: fastest that pilot oil or the driver's ramp lets the spool travel [command/s].
         disturbance: standard deviation of a slow relative flow fluctuation [1].
@@ -49,6 +50,7 @@ class ValveSettings:
     saturation: float = math.inf
     direction_ratio: float = 1.0
     notch: float = 0.0
+    taper: float = 0.0
     silt: float = 0.0
     spool_speed: float = math.inf
     disturbance: float = 0.0

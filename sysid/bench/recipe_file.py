@@ -71,6 +71,8 @@ def _check_axis(axis: AxisSettings, where: str) -> None:
             raise SettingsError(f"{where}.valve.{key}", f"{getattr(valve, key)}", "more than zero")
     if not 0.0 <= valve.notch <= 1.0:
         raise SettingsError(f"{where}.valve.notch", f"{valve.notch}", "a share from 0 to 1 of the full opening")
+    if not -1.0 < valve.taper < 1.0:
+        raise SettingsError(f"{where}.valve.taper", f"{valve.taper}", "a share between -1 and 1 of the edge's width")
     if axis.backlash < 0.0:
         raise SettingsError(f"{where}.backlash", f"{axis.backlash}", "zero or more")
     if not axis.stiffness > 0.0:

@@ -197,7 +197,7 @@ def advance_machine(built: Built, motion: Motion, fluctuation: Array, time: floa
             continue
         target = opening(freed(motion.received[i], spool[i], valve.silt), valve.positive, valve.negative, valve.saturation)
         spool[i], mean = piloted_step(spool[i], target, step, valve.time_constant, valve.spool_speed)
-        speed = drive_speed(metered(mean, valve.notch), valve.gain, valve.ratio, fluctuation[i])
+        speed = drive_speed(metered(mean, valve.notch, valve.taper), valve.gain, valve.ratio, fluctuation[i])
         share, motion.held[i] = flow_share(mean, position[i], time, motion.held[i], built.irregulars[i], step)
         position[i] = against_stops(position[i] + share * speed * step, drives[i].low, drives[i].high)
         if built.powered:

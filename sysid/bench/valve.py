@@ -1,8 +1,8 @@
 """A proportional valve: from the command to the speed of the drive it feeds.
 
 Order: delay → silt → overlap (dead-band) → saturation → first-order lag of the spool, no faster than its pilot → notches →
-gain → direction ratio. The spool is integrated exactly over a step, so that the step of the simulation leaves no trace in
-speed or displacement.
+taper → gain → direction ratio. The spool is integrated exactly over a step, so that the step of the simulation leaves no trace
+in speed or displacement.
 """
 
 from __future__ import annotations
@@ -33,6 +33,7 @@ class Valve(NamedTuple):
     saturation: float
     ratio: float
     notch: float
+    taper: float
     silt: float
     spool_speed: float
 
@@ -47,6 +48,7 @@ def valve_of(settings: ValveSettings) -> Valve:
         settings.saturation,
         settings.direction_ratio,
         settings.notch,
+        settings.taper,
         settings.silt,
         settings.spool_speed,
     )
@@ -123,16 +125,18 @@ def freed(command: float, spool: float, silt: float) -> float:
 
 
 @compiled
-def metered(opening: float, notch: float) -> float:
+def metered(opening: float, notch: float, taper: float) -> float:
     """Metering area over that of the full opening, of a land with V-notches that reach over the share ``notch`` of it.
 
-    The width of a V grows with its depth, so the area grows with the square; beyond the notches the whole edge opens.
+    The width of a V grows with its depth, so the area grows with the square; beyond the notches the whole edge opens. That edge
+    is ``1 − taper`` times as wide where it begins as on average, and widens evenly.
     """
-    if notch <= 0.0:
+    if notch <= 0.0 and taper == 0.0:
         return opening
     size = abs(opening)
-    area = 0.5 * size * size / notch if size < notch else size - 0.5 * notch
-    return math.copysign(area / (1.0 - 0.5 * notch), opening)
+    if notch > 0.0:
+        size = (0.5 * size * size / notch if size < notch else size - 0.5 * notch) / (1.0 - 0.5 * notch)
+    return math.copysign((1.0 - taper) * size + taper * size * size, opening)
 
 
 @compiled

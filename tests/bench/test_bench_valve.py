@@ -72,14 +72,25 @@ def test_pilot_bounds_the_spool_and_is_integrated_exactly(start: float, target: 
 
 @given(st.floats(-1.0, 1.0), st.floats(0.01, 1.0))
 def test_notches_open_with_the_square_and_then_the_whole_edge(spool: float, notch: float) -> None:
-    area = metered(spool, notch)
-    assert metered(-spool, notch) == -area
+    area = metered(spool, notch, 0.0)
+    assert metered(-spool, notch, 0.0) == -area
     assert abs(area) <= abs(spool) + 1e-12
-    assert metered(1.0, notch) == pytest.approx(1.0)
-    assert metered(0.5 * notch, notch) == pytest.approx(metered(notch, notch) / 4.0)
-    slope = (metered(1.0, notch) - metered(1.0 - 1e-6, notch)) / 1e-6
+    assert metered(1.0, notch, 0.0) == pytest.approx(1.0)
+    assert metered(0.5 * notch, notch, 0.0) == pytest.approx(metered(notch, notch, 0.0) / 4.0)
+    slope = (metered(1.0, notch, 0.0) - metered(1.0 - 1e-6, notch, 0.0)) / 1e-6
     assert slope == pytest.approx(1.0 / (1.0 - 0.5 * notch), rel=1e-4)
-    assert metered(spool, 0.0) == spool
+    assert metered(spool, 0.0, 0.0) == spool
+
+
+@given(st.floats(0.0, 1.0), st.floats(-0.9, 0.9))
+def test_a_tapered_edge_widens_evenly(spool: float, taper: float) -> None:
+    assert metered(-spool, 0.0, taper) == -metered(spool, 0.0, taper)
+    assert metered(1.0, 0.0, taper) == pytest.approx(1.0)
+    assert metered(1e-9, 0.0, taper) == pytest.approx((1.0 - taper) * 1e-9)
+    step = 1e-4
+    widths = [(metered(x + step, 0.0, taper) - metered(x, 0.0, taper)) / step for x in (0.2, 0.4, 0.6)]
+    assert widths[1] - widths[0] == pytest.approx(widths[2] - widths[1], abs=1e-8)
+    assert min(widths) > 0.0
 
 
 def test_silt_locks_a_spool_at_rest_and_no_other() -> None:

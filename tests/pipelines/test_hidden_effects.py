@@ -72,7 +72,8 @@ def test_tiers_share_their_cases_and_are_the_same_every_time(hidden: dict[str, M
 def test_every_kind_changes_its_machine_and_is_a_machine(hidden: dict[str, ModuleType]) -> None:
     machines, overlaid = hidden["machines"], hidden["limits"].overlaid_lists
     for kind in (*hidden["kinds"].KNOWN, *hidden["kinds"].UNKNOWN):
-        visible = machines.recorded(machines.visible_tables(kind.family, kind.variants[0]), kind.excitation, 1.0, 0.0, 5)
+        known = overlaid(machines.visible_tables(kind.family, kind.variants[0]), kind.known)
+        visible = machines.recorded(known, kind.excitation, 1.0, 0.0, 5)
         owner = machines.parsed(visible, "owner")
         for magnitude in (0.1 * kind.most, kind.most):
             assert machines.parsed(overlaid(visible, kind.change(visible, magnitude, 1)), kind.key) != owner

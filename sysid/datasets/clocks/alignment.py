@@ -136,7 +136,9 @@ def estimate(pairs: Sequence[Pair], start: float | None = None) -> Estimate:
     if not moving:
         names = ", ".join(pair.name for pair in pairs)
         return Estimate(refused=f"nothing moves that both clocks have seen ({names})")
-    centre, doubt, rivals = None, "", ()
+    centre: float | None = None
+    doubt = ""
+    rivals: tuple[float, ...] = ()
     if start is None:
         lag = coarse_lag(moving)
         start, centre, doubt, rivals = lag.offset, lag.centre, lag.refused, lag.rivals
