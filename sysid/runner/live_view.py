@@ -170,11 +170,11 @@ def _layout(machine: Machine) -> Any:
     now, past = (rr.TimeRangeBoundary.cursor_relative(seconds=seconds) for seconds in (0.0, -3.0))
     trail = rrb.VisibleTimeRanges([rr.VisibleTimeRange(TIMELINE, start=past, end=now)])
     axes = [rrb.TimeSeriesView(origin=f"axes/{axis}", name=axis) for axis in machine.axis_names]
-    points = dict.fromkeys(("machine/now/ee", "machine/target"), trail)
+    points = ("machine/now/ee", "machine/target")
     return rrb.Blueprint(
         rrb.Horizontal(
             rrb.Vertical(
-                rrb.Spatial3DView(origin="machine", name="machine", overrides=points),
+                rrb.Spatial3DView(origin="machine", name="machine", overrides=dict.fromkeys(points, trail)),
                 rrb.TextLogView(origin="log", name="states and objections"),
                 row_shares=[3, 1],
             ),
