@@ -65,11 +65,18 @@ class Case:
 
 @dataclass(frozen=True)
 class Stage:
-    """One problem of the case: its recordings, its noise floor by signal (d,), and in the end what was found."""
+    """One problem of the case.
+
+    Args:
+        sigma: noise floor by signal, (d,).
+        theta: the vector of the questioned plant, with what other stages say of the sensors that this one is read by.
+        finding: what was found, in the end.
+    """
 
     problem: Problem
     split: Split
     sigma: Array
+    theta: Array
     finding: Finding | None = None
 
     @property
@@ -113,7 +120,7 @@ def open_case(dataset: Dataset, simulation: Plant | Simulator, seed: int) -> tup
 def _stage(case: Case, problem: Problem) -> Stage:
     split = stage_split(case, problem)
     sigma = problem_floor(problem, case.theta, split.fit, case.noise, case.seed)
-    return Stage(problem, split, np.maximum(sigma, 1e-12))
+    return Stage(problem, split, np.maximum(sigma, 1e-12), case.theta)
 
 
 def stage_split(case: Case, problem: Problem) -> Split:

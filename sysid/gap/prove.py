@@ -34,6 +34,8 @@ MOST = 0.5
 MATTERS = 1.05
 #: Where the recordings to select on miss it by more than this factor, the held-out ones, which may move otherwise, need not.
 CLEARLY = 1.5
+#: Another value of an effect that the plant has already gets a name where it is so many half intervals away.
+CLEAR = 2.0
 #: A stage that stays above this multiple of its noise floor has structure that nothing explains.
 UNEXPLAINED = 1.5
 #: Where errors add up over a run and it stays above this one, how clear something looked on other recordings says little.
@@ -58,17 +60,17 @@ def judge(case: Case, stages: Sequence[Stage]) -> Outcome:
     for coarse in case.coarse:
         _read_off(case, stages, coarse, outcome)
     for found in stages:
-        stage = _that_matter(case, found, outcome)
+        stage = _that_matter(found, outcome)
         finding = stage.found
         proven = not finding.fit.candidates or held_out_score(stage, finding.fit.theta) < BETTER * held_out_score(
-            stage, case.theta
+            stage, stage.theta
         )
         if proven:
             _accept(case, stage, outcome)
         elif finding.named:
             outcome.notes.append(f"{stage.label}: what was found did not help on held-out recordings")
         if (finding.final_rmse if proven else finding.nominal_rmse) > UNEXPLAINED:
-            fit = finding.fit if proven else Fit((), (), np.empty(0), case.theta, (), 0.0, True)
+            fit = finding.fit if proven else Fit((), (), np.empty(0), stage.theta, (), 0.0, True)
             outcome.unnamed += describe_remainder(stage.problem, fit, stage.split.seen, case.plant.machine)
     return outcome
 
@@ -90,13 +92,13 @@ def _explained(case: Case, stage: Stage, coarse: Coarse) -> float:
     """Share of what the sensor's stage leaves above the noise that it is said to have which its steps account for."""
     k = stage.problem.signals.index(coarse.signal)
     said = {**case.noise, coarse.signal: coarse.noise}
-    floor = float(problem_floor(stage.problem, case.theta, stage.split.fit, said, case.seed)[k])
+    floor = float(problem_floor(stage.problem, stage.theta, stage.split.fit, said, case.seed)[k])
     off = float(stage_rmse(stage.problem, stage.found.fit.theta, stage.split.held_out)[k])
     stepped = float(stage.sigma[k])
     return (min(off, stepped) - floor) / (off - floor) if min(off, stepped) > SHOWS * floor else 0.0
 
 
-def _that_matter(case: Case, stage: Stage, outcome: Outcome) -> Stage:
+def _that_matter(stage: Stage, outcome: Outcome) -> Stage:
     """The stage without effects that explain next to nothing on held-out recordings, the least of them dropped first.
 
     Short-term evidence can be overwhelming for a mechanism that no physics of the catalogue has quite right; where it hardly
@@ -106,7 +108,7 @@ def _that_matter(case: Case, stage: Stage, outcome: Outcome) -> Stage:
     strange = stage.problem.integrates and finding.final_rmse > STRANGE
     while finding.named:
         full = held_out_score(stage, finding.fit.theta)
-        dropped = {kept: _without(case, stage, finding.fit, kept.candidate) for kept in finding.named}
+        dropped = {kept: _without(stage, finding.fit, kept.candidate) for kept in finding.named}
         scores = {kept: held_out_score(stage, fit.theta) for kept, fit in dropped.items()}
         least = min(finding.named, key=lambda kept: scores[kept])
         clear = not strange and scores[least] >= full and least.comparison.ratio > CLEARLY
@@ -133,17 +135,23 @@ def _shrank(candidate: Candidate, finding: Finding, fit: Fit) -> bool:
     return finding.fit.departs(candidate, finding.leeway) and not fit.departs(candidate, finding.leeway)
 
 
-def _without(case: Case, stage: Stage, fit: Fit, candidate: Candidate) -> Fit:
+def _without(stage: Stage, fit: Fit, candidate: Candidate) -> Fit:
     """The fit with one of its candidates dropped and the rest refitted."""
     rest = tuple(c for c in fit.candidates if c is not candidate)
     start = np.concatenate([fit.values_of(c) for c in rest]) if rest else np.empty(0)
-    return fit_candidates(Data(stage.problem, stage.split.seen, stage.sigma), case.theta, rest, [start])
+    return fit_candidates(Data(stage.problem, stage.split.seen, stage.sigma), stage.theta, rest, [start])
 
 
 def _accept(case: Case, stage: Stage, outcome: Outcome) -> None:
     seen = Data(stage.problem, stage.split.seen, stage.sigma)
-    known = known_of(seen, case.theta, stage.found.fit, case.noise, case.seed)
+    known = known_of(seen, stage.theta, stage.found.fit, case.noise, case.seed)
     finding = replace(stage.found, fit=known.fit)
+    vague = [k for k in finding.named if k.candidate.known and not _departs_clearly(k.candidate, known.fit, known.limits)]
+    finding = replace(
+        finding,
+        named=tuple(k for k in finding.named if k not in vague),
+        adjusted=(*finding.adjusted, *(k.candidate for k in vague)),
+    )
     stage = replace(stage, finding=finding)
     for kept in finding.named:
         instance = kept.candidate.instance(finding.fit.values_of(kept.candidate))
@@ -159,7 +167,7 @@ def _accept(case: Case, stage: Stage, outcome: Outcome) -> None:
             outcome.ties.append(tie)
             outcome.notes.append(f"{instance.name} on {instance.target} stands in the plant for {len(tie)} that tie: {shown}")
         else:
-            outcome.named.append(_named(case, stage, kept, known.limits))
+            outcome.named.append(_named(stage, kept, known.limits))
     for candidate in finding.adjusted:
         values = finding.fit.values_of(candidate)
         outcome.repaired = outcome.repaired.with_effect(candidate.instance(values))
@@ -168,6 +176,17 @@ def _accept(case: Case, stage: Stage, outcome: Outcome) -> None:
         outcome.notes.append(f"{what} adjusted, too small or too poorly shown for a name: {shown}")
     if finding.fit.candidates:
         outcome.repaired = outcome.repaired.with_uncertainty(_uncertainty(finding.fit, known.covariance))
+
+
+def _departs_clearly(candidate: Candidate, fit: Fit, limits: Array) -> bool:
+    """Whether any number of an effect that the plant has is further from its value there than :data:`CLEAR` half intervals."""
+    for k, unknown in enumerate(fit.unknowns):
+        if any(unknown is own for own in candidate.unknowns):
+            value = float(fit.values[k])
+            side = limits[k, 0] if unknown.nominal < value else limits[k, 1]
+            if abs(value - unknown.nominal) > CLEAR * abs(value - side):
+                return True
+    return False
 
 
 def _uncertainty(fit: Fit, covariance: Array) -> Uncertainty:
@@ -180,7 +199,7 @@ def _uncertainty(fit: Fit, covariance: Array) -> Uncertainty:
     return Uncertainty(tuple(places), covariance)
 
 
-def _named(case: Case, stage: Stage, kept: Kept, limits: Array) -> NamedEffect:
+def _named(stage: Stage, kept: Kept, limits: Array) -> NamedEffect:
     candidate, fit, compared = kept.candidate, stage.found.fit, kept.comparison
     begin = next(k for k, u in enumerate(fit.unknowns) if u is candidate.unknowns[0])
     parameters: dict[str, Value] = {}
@@ -197,7 +216,7 @@ def _named(case: Case, stage: Stage, kept: Kept, limits: Array) -> NamedEffect:
         candidate.target,
         parameters,
         interval,
-        _share(case, stage, candidate),
+        _share(stage, candidate),
         tuple(Alternative(c.effect.name, c.target, why) for c, why in kept.rejected),
         candidate.aliases,
         side=candidate.side,
@@ -205,11 +224,11 @@ def _named(case: Case, stage: Stage, kept: Kept, limits: Array) -> NamedEffect:
     )
 
 
-def _share(case: Case, stage: Stage, candidate: Candidate) -> float:
+def _share(stage: Stage, candidate: Candidate) -> float:
     """Closed share of the held-out stage gap that is lost when the effect is dropped and the rest refitted."""
     fit = stage.found.fit
-    dropped = _without(case, stage, fit, candidate)
-    closable = held_out_score(stage, case.theta) - 1.0
+    dropped = _without(stage, fit, candidate)
+    closable = held_out_score(stage, stage.theta) - 1.0
     lost = held_out_score(stage, dropped.theta) - held_out_score(stage, fit.theta)
     return float(np.clip(lost / closable, 0.0, 1.0)) if closable > 0 else 0.0
 

@@ -128,7 +128,7 @@ def readiness(dataset: Dataset, plant: Plant) -> Readiness:
     case = Case(dataset, plant, plant.vector(), {}, split, 0)
     stages = []
     for problem in problems_of(model, dataset):
-        stage = Stage(problem, stage_split(case, problem), np.ones(len(problem.signals)))
+        stage = Stage(problem, stage_split(case, problem), np.ones(len(problem.signals)), case.theta)
         if stage.split.fit:
             stages.append(stage)
     if not stages:

@@ -170,7 +170,11 @@ class Search:
         for fit in fits:
             self._note(fit, model, f"in the place of {candidate.label}")
         # A rival ties only if neither the fitted nor the unseen recordings tell the two apart.
-        near = [k for k, fit in enumerate(fits) if self.scores.delta_bic(fit, model) < self.strict.delta_bic]
+        near = [
+            k
+            for k, fit in enumerate(fits)
+            if self.scores.delta_bic(fit, model) < self.strict.delta_bic and not self._needlessly_rich(fit, model)
+        ]
         surviving = confidence_set(
             [-series for series in self.scores.log_densities(model, *(fits[k] for k in near))], self.seed
         )
@@ -208,6 +212,16 @@ class Search:
             gains = likely_gains(self.scores.fitted, self.theta, base, new)
             known.update(zip((c.label for c in new), map(float, gains), strict=True))
         return sorted(free, key=lambda c: -known[c.label])[: self.strict.tried]
+
+    def _needlessly_rich(self, rival: Fit, model: Fit) -> bool:
+        """Whether a rival needs more numbers than ``model`` and tells no more with them, neither of fitted nor of unseen runs.
+
+        A load and a friction that differs by direction are one thing while a carriage moves: the simpler of two such names.
+        """
+        if len(rival.unknowns) <= len(model.unknowns):
+            return False
+        gains = rival.log_likelihood - model.log_likelihood, self.scores.density(rival) - self.scores.density(model)
+        return max(gains) < self.strict.forward
 
     def _as_far(self, rival: Fit, model: Fit) -> bool:
         """Whether a rival leaves about as much as ``model`` of a stage that stays far from explained.

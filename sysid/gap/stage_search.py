@@ -19,6 +19,8 @@ from sysid.gap.strictness import Strictness
 from sysid.plant.model import WORKERS
 from sysid.progress import Progress, part
 
+#: What a sensor that reads too much is called.
+SCALE = "sensor_scale"
 Forms = Literal["all", "simple"]
 
 
@@ -45,7 +47,33 @@ def _side_by_side(
         return replace(stages[k], finding=_found(case, stages[k], strict, forms, tell))
 
     with ThreadPoolExecutor(min(WORKERS, max(len(stages), 1)), thread_name_prefix="sysid-stage") as pool:
-        return tuple(pool.map(one, range(len(stages))))
+        found = tuple(pool.map(one, range(len(stages))))
+    return _as_read(case, found, strict, forms, progress)
+
+
+def _as_read(case: Case, stages: tuple[Stage, ...], strict: Strictness, forms: Forms, progress: Progress) -> tuple[Stage, ...]:
+    """Drives that a sensor of the wrong scale reads are searched again with that scale in the plant: it looks like a gain."""
+    scales = [
+        (stage.found.fit, kept.candidate)
+        for stage in stages
+        for kept in stage.found.named
+        if stage.problem.stage == "joint" and kept.candidate.effect.name == SCALE and not kept.ties
+    ]
+    found = []
+    for stage in stages:
+        read = [(fit, scale) for fit, scale in scales if scale.target in stage.problem.signals]
+        if stage.problem.stage != "command" or not read or not stage.found.fit.candidates:
+            found.append(stage)
+            continue
+        theta = stage.theta.copy()
+        for fit, scale in read:
+            for unknown, value in zip(scale.unknowns, fit.values_of(scale), strict=True):
+                theta[list(unknown.places)] = value
+        again = replace(stage, theta=theta)
+        again = replace(again, finding=_found(case, again, strict, forms, lambda share, text: progress(1.0, text)))
+        # What a sensor says of a joint may not make the motion behind it worse.
+        found.append(again if again.found.final_rmse <= strict.worse * stage.found.final_rmse else stage)
+    return tuple(found)
 
 
 def _one_by_one(
@@ -74,8 +102,8 @@ def _found(case: Case, stage: Stage, strict: Strictness, forms: Forms, tell: Pro
     nuisances = [as_nuisance(c) for c in tried if strict.free and c.effect.name in stage.problem.nuisances]
     problem = stage.problem if case.around is None else case.around.to_search(stage.problem)
     finding = Search(
-        problem, case.theta, stage.split, stage.sigma, tried, nuisances, gated, strict, case.seed,
+        problem, stage.theta, stage.split, stage.sigma, tried, nuisances, gated, strict, case.seed,
         on_fit=lambda text: tell(0.0, f"{stage.label}: {text}"),
     ).run()  # fmt: skip
     tell(1.0, stage.label)
-    return finding if problem is stage.problem else on_itself(finding, stage, case.theta)
+    return finding if problem is stage.problem else on_itself(finding, stage, stage.theta)

@@ -6,15 +6,16 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from plant_data import dataset_of, nominal
+from plant_data import dataset_of, nominal, slide
 
+from sysid.gap import find_gap
 from sysid.gap.candidates import as_nuisance
 from sysid.gap.case import open_case, stage_candidates
 from sysid.gap.data import Data
 from sysid.gap.evidence import Comparison
 from sysid.gap.finding import Finding, Kept
 from sysid.gap.fit import fit_candidates, place
-from sysid.gap.prove import judge
+from sysid.gap.prove import _departs_clearly, judge
 from sysid.machine import KnownEffect
 
 
@@ -40,3 +41,37 @@ def test_a_gain_that_departed_beside_a_dropped_effect_alone_gets_no_name(leeway:
     assert any("gain_error on slew adjusted" in note for note in outcome.notes) != named
     (ratio,) = [e.parameters["ratio"] for e in outcome.repaired.effects if (e.name, e.target) == ("gain_error", "slew")]
     assert ratio == pytest.approx(1.02, abs=2e-3)
+
+
+def test_a_sensor_that_reads_too_much_is_no_gain_as_well() -> None:
+    """The cylinder's own sensor reads 0.6 % too much: at its joint that is a scale, and at its valve it looks like a gain."""
+    plant = nominal()
+    true = plant.with_effect(KnownEffect("sensor_scale", "boom.cylinder", {"scale": 1.006}))
+    found = find_gap(dataset_of(true, 20.0, seed=5), plant)
+    assert [(effect.name, effect.target) for effect in found.effects] == [("sensor_scale", "boom.cylinder")]
+    assert found.effects[0].parameters["scale"] == pytest.approx(1.006, abs=1e-4)
+    after, floor = found.stage_gap.after["boom.cylinder"], found.stage_gap.noise_floor["boom.cylinder"]
+    assert after < 1.1 * floor
+
+
+@pytest.mark.parametrize(("ratio", "clearly"), [(1.02, True), (1.0004, False)])
+def test_another_value_of_what_is_known_has_to_be_clear_of_it(ratio: float, clearly: bool) -> None:
+    plant = nominal().with_effect(KnownEffect("gain_error", "slew", {"ratio": 1.0}))
+    case, stages = open_case(dataset_of(plant, 14.0, seed=5), plant, 0)
+    stage = next(s for s in stages if s.label == "command stage of slew")
+    gain = next(c for c in stage_candidates(case, stage) if c.effect.name == "gain_error")
+    assert gain.known
+    seen = Data(stage.problem, stage.split.seen, stage.sigma)
+    fit = fit_candidates(seen, case.theta, (gain,), [np.array([1.0])])
+    fit = replace(fit, values=np.array([ratio]))
+    assert _departs_clearly(gain, fit, np.array([[ratio - 0.0005, ratio + 0.0005]])) == clearly
+
+
+def test_of_two_names_for_one_thing_the_simpler_one_is_taken() -> None:
+    """While a slide moves, a load is a friction that differs by direction; the latter takes one number more to say so."""
+    known = KnownEffect("coulomb_friction", "slide", {"force": 8.0})
+    true = nominal(known, KnownEffect("load_bias", "slide", {"force": 3.0}), machine=slide())
+    found = find_gap(dataset_of(true, 8.0, seed=5), nominal(known, machine=slide()))
+    assert [effect.name for effect in found.effects] == ["load_bias"]
+    assert found.effects[0].parameters["force"] == pytest.approx(3.0, abs=0.02)
+    assert found.ambiguous == ()

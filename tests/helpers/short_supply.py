@@ -72,5 +72,5 @@ def tie(dataset: Dataset, plant: Plant, stage_name: str, target: str, kept: str,
     fit = fit_candidates(seen, case.theta, (one,), starting_values((one,), (), 0))
     repaired = plant.with_effect(one.instance(fit.values))
     finding = Finding(stage.problem, (Kept(one, Comparison(0.0, 0.0, 1.0, 1.0), (), (other,)),), (), fit, 2.0, 1.0)
-    searched = Stage(stage.problem, stage.split, stage.sigma, finding)
+    searched = Stage(stage.problem, stage.split, stage.sigma, stage.theta, finding)
     return case, repaired, tie_between(case, searched, repaired.vector(), one, (other,), seen)
