@@ -109,7 +109,7 @@ def fit_candidates(data: Data, theta: Array, candidates: Sequence[Candidate], st
 
 
 def _promising(data: Data, theta: Array, unknowns: Sequence[Unknown], starts: list[Array]) -> list[Array]:
-    """The best :data:`DESCENTS` starts by what they leave and the best by how that changes, judged in one batch, distinct ones.
+    """The best :data:`DESCENTS` starts, judged in one batch (distinct ones only).
 
     Where something is absent in all of them, slopes may say nothing about it: then the best in which all is present as well.
     """
@@ -118,13 +118,10 @@ def _promising(data: Data, theta: Array, unknowns: Sequence[Unknown], starts: li
         return list(unique)
     problem = data.problem.short or data.problem
     plain = (Drift(),) * len(data.sigma)
-    left = data.whitened(place(theta, unknowns, unique), plain, problem)
-    order = [int(k) for k in np.argsort(np.mean(np.abs(left), axis=1))]
+    costs = np.mean(np.abs(data.whitened(place(theta, unknowns, unique), plain, problem)), axis=1)
+    order = [int(k) for k in np.argsort(costs)]
     present = (unique != np.array([u.nominal for u in unknowns])).all(axis=1)
     chosen = order[:DESCENTS]
-    # What rings or lags is drowned by what drifts; it shows from one bin to the next.
-    quick = int(np.argmin(np.mean(np.abs(np.diff(left, axis=1)), axis=1)))
-    chosen += [quick] if quick not in chosen else []
     if not present[chosen].any():
         chosen += [k for k in order if present[k]][:1]
     return [unique[k] for k in chosen]

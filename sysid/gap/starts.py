@@ -28,9 +28,6 @@ def starting_values(candidates: Sequence[Candidate], parents: Sequence[Fit], see
     rows = range(max(len(c.starts) for c in candidates))
     spread = np.vstack([spread, *(np.concatenate([c.starts[min(r, len(c.starts) - 1)] for c in candidates]) for r in rows)])
     starts = [nominal, *spread]
-    # What is free beside an effect may have taken its place in a smaller fit: from there it is not found any more.
-    beside = np.concatenate([np.full(len(c.unknowns), c.nuisance) for c in candidates])
-    starts += [np.where(beside, nominal, row) for row in spread[STARTS:]]
     for parent in parents:
         known = np.concatenate([_known(c, parent) for c in candidates])
         new = np.isnan(known)
