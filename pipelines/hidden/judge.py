@@ -18,8 +18,6 @@ DUE = 3.0
 CLOSABLE = 1.5
 #: Parameters that are known to fewer digits than others: their error has a bound of its own.
 COARSE = (("gripper_sway", "damping_ratio"), ("stiction", "release"))
-
-
 #: A hidden thing is described by its name where the name's best fit takes away this share of what it does.
 DESCRIBED = 0.5
 

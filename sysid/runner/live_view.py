@@ -22,6 +22,7 @@ from sysid.runner.flight_messages import CYCLES, VERDICTS
 from sysid.runner.tail import Heard, Tail
 from sysid.signals import axis_signal, point_signals
 from sysid.view.drawing import OTHERS, SHOWN, STYLES, TIMELINE, log_points, log_poses, log_shapes, sdk
+from sysid.view.layout import machine_view, screen
 
 Array = npt.NDArray[np.float64]
 
@@ -164,28 +165,17 @@ def _stacked(cycles: Sequence[Any], field: str) -> Array:
 
 
 def _layout(machine: Machine) -> Any:
-    import rerun as rr
     import rerun.blueprint as rrb
 
-    now, past = (rr.TimeRangeBoundary.cursor_relative(seconds=seconds) for seconds in (0.0, -3.0))
-    trail = rrb.VisibleTimeRanges([rr.VisibleTimeRange(TIMELINE, start=past, end=now)])
     axes = [rrb.TimeSeriesView(origin=f"axes/{axis}", name=axis) for axis in machine.axis_names]
-    points = ("machine/now/ee", "machine/target")
-    return rrb.Blueprint(
-        rrb.Horizontal(
-            rrb.Vertical(
-                rrb.Spatial3DView(origin="machine", name="machine", overrides=dict.fromkeys(points, trail)),
-                rrb.TextLogView(origin="log", name="states and objections"),
-                row_shares=[3, 1],
-            ),
-            rrb.Vertical(
-                rrb.Tabs(rrb.Grid(*axes, name="axes"), rrb.TimeSeriesView(origin="timing", name="timing")),
-                rrb.TimeSeriesView(origin="commands", name="commands"),
-                row_shares=[3, 1],
-            ),
-        ),
-        rrb.BlueprintPanel(state="collapsed"),
-        rrb.SelectionPanel(state="collapsed"),
-        rrb.TimePanel(timeline=TIMELINE, state="collapsed"),
-        auto_views=False,
+    left = rrb.Vertical(
+        machine_view(("machine/now/ee", "machine/target"), TIMELINE),
+        rrb.TextLogView(origin="log", name="states and objections"),
+        row_shares=[3, 1],
     )
+    right = rrb.Vertical(
+        rrb.Tabs(rrb.Grid(*axes, name="axes"), rrb.TimeSeriesView(origin="timing", name="timing")),
+        rrb.TimeSeriesView(origin="commands", name="commands"),
+        row_shares=[3, 1],
+    )
+    return screen(rrb.Horizontal(left, right), TIMELINE)

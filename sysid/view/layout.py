@@ -37,26 +37,33 @@ def blueprint(
         rrb.TimeSeriesView(origin="signals", contents=commands, name="commands"),
         row_shares=[3, 1],
     )
-    panels = (
+    if dataset.machine.kinematics() is None:
+        return screen(right, timeline)
+    points = [f"machine/{name}/{point}" for name in tables for point in ("ee", "tool")]
+    return screen(rrb.Horizontal(machine_view(points, timeline), right, column_shares=[1.1, 1]), timeline)
+
+
+def screen(views: Any, timeline: str) -> Any:
+    """A blueprint of ``views`` alone, everything around them folded away."""
+    import rerun.blueprint as rrb
+
+    return rrb.Blueprint(
+        views,
         rrb.BlueprintPanel(state="collapsed"),
         rrb.SelectionPanel(state="collapsed"),
         rrb.TimePanel(timeline=timeline, state="collapsed"),
-    )
-    if dataset.machine.kinematics() is None:
-        return rrb.Blueprint(right, *panels, auto_views=False)
-    return rrb.Blueprint(
-        rrb.Horizontal(_machine_view(tables, timeline), right, column_shares=[1.1, 1]), *panels, auto_views=False
+        auto_views=False,
     )
 
 
-def _machine_view(tables: Mapping[str, pd.DataFrame], timeline: str) -> Any:
+def machine_view(points: Sequence[str], timeline: str) -> Any:
+    """The machine in space; ``points`` leave a trail of :data:`TRAIL_S`."""
     import rerun as rr
     import rerun.blueprint as rrb
 
     now = rr.TimeRangeBoundary.cursor_relative(seconds=0.0)
     then = rr.TimeRangeBoundary.cursor_relative(seconds=-TRAIL_S)
     trail = rrb.VisibleTimeRanges([rr.VisibleTimeRange(timeline, start=then, end=now)])
-    points = [f"machine/{name}/{point}" for name in tables for point in ("ee", "tool")]
     return rrb.Spatial3DView(origin="machine", name="machine", overrides=dict.fromkeys(points, trail))
 
 

@@ -13,6 +13,7 @@ from sysid.files import written_whole
 from sysid.machine import Machine
 from sysid.signals import axis_signal, point_signals
 from sysid.view.drawing import TIMELINE, Style, log_machine, log_points, sdk, styles_of
+from sysid.view.layout import machine_view, screen
 
 Array = npt.NDArray[np.float64]
 _PATH = (230, 60, 90)
@@ -57,22 +58,9 @@ def write_tracks(path: Path, machine: Machine, target: Array, rows: Mapping[str,
 
 
 def _layout(policies: list[str]) -> object:
-    import rerun as rr
     import rerun.blueprint as rrb
 
-    past = rr.TimeRangeBoundary.cursor_relative(seconds=-3.0)
-    trail = rrb.VisibleTimeRanges(
-        [rr.VisibleTimeRange(TIMELINE, start=past, end=rr.TimeRangeBoundary.cursor_relative(seconds=0))]
-    )
     points = [f"machine/{policy}/{point}" for policy in policies for point in ("ee", "tool")]
     errors = [rrb.TimeSeriesView(origin=f"error/{axis}", name=f"error {axis}") for axis in "xyz"]
-    return rrb.Blueprint(
-        rrb.Horizontal(
-            rrb.Spatial3DView(origin="machine", name="machine", overrides=dict.fromkeys(points, trail)),
-            rrb.Vertical(*errors, rrb.TimeSeriesView(origin="commands", name="commands")),
-        ),
-        rrb.BlueprintPanel(state="collapsed"),
-        rrb.SelectionPanel(state="collapsed"),
-        rrb.TimePanel(timeline=TIMELINE, state="collapsed"),
-        auto_views=False,
-    )
+    right = rrb.Vertical(*errors, rrb.TimeSeriesView(origin="commands", name="commands"))
+    return screen(rrb.Horizontal(machine_view(points, TIMELINE), right), TIMELINE)
