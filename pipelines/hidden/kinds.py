@@ -10,7 +10,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
-from hidden.machines import COLD_VARIANTS, VARIANTS, Family, Tables, hydraulic_axes
+from hidden.machines import COLD_VARIANTS, PISTONS, VARIANTS, Family, Tables, hydraulic_axes
 from sysid.bench.recipe import AXES
 
 Stage = Literal["command", "joint", "end_effector", "tool", "force"]
@@ -209,7 +209,10 @@ def _hydraulic_kinds() -> list[Kind]:
             kind("oil_compressibility", _circuit(axis, "dead_volume", lambda m: 2e-5 * (1.0 + m)), 200.0),
         ]
         if variant in COLD_VARIANTS:
-            found.append(kind("temperature_drift", _warming, 45.0, excitation="long"))
+            # Of a differential cylinder, warming oil makes one direction faster more than both; one with a rod at either end
+            # warms up as the name says.
+            even = {"axes": {axis: {"hydraulics": {"area_rod": PISTONS[axis]["area"]}}}}
+            found.append(kind("temperature_drift", _warming, 45.0, excitation="long", known=even))
     found.append(
         Kind(
             "pump_flow_limit(machine)",
