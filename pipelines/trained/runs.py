@@ -49,6 +49,7 @@ CHOICES: dict[str, dict[str, Any]] = {
     "constant rates": {"learning": {"schedule": "constant"}},
     "without feedback": {"exploration": {"candidates": 1}},
     "noise that fades to 0.01": {"exploration": {"sigma_end": 0.01}},
+    "targets that move away, half of the time": {"setting": {"curriculum": 0.5}},
     "time step of the noise 0.01": {"exploration": {"time_step": 0.01}},
 }
 CANDIDATES = (3, 10, 30, 100)

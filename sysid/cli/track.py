@@ -26,6 +26,20 @@ if TYPE_CHECKING:
 @click.option(
     "--baseline", "baselines", multiple=True, metavar="ik|ik-lookahead", help="Also follow with this; may be repeated."
 )
+@click.option(
+    "--candidates",
+    type=click.IntRange(min=1),
+    default=None,
+    metavar="N",
+    help="A row more: N setpoints around the policy's, the best one by the forward model.",
+)
+@click.option(
+    "--scatter",
+    type=click.FloatRange(0.0, 1.0),
+    default=0.01,
+    show_default=True,
+    help="Of the candidates, in half ranges of the joints.",
+)
 @click.option("--centre", type=(float, float, float), default=None, metavar="X Y Z", help="Of helix or circle [m].")
 @click.option("--untuned", is_flag=True, help="With a plain proportional controller below (--full), for comparison.")
 @click.option("--out", type=click.Path(file_okay=False, path_type=Path), default=None, metavar="DIR", help="Where to write.")
@@ -40,6 +54,8 @@ def track(
     full: bool,
     lookahead: float | None,
     baselines: tuple[str, ...],
+    candidates: int | None,
+    scatter: float,
     centre: tuple[float, float, float] | None,
     untuned: bool,
     out: Path | None,
@@ -54,7 +70,7 @@ def track(
     from sysid.errors import SettingsError
     from sysid.rl.course import BASELINES, Course, Shortened, lay_out
     from sysid.rl.environment import load_versions
-    from sysid.rl.policy import load_policy
+    from sysid.rl.policy import Searching, load_policy
     from sysid.rl.record import keep
     from sysid.workspace import open_workspace
 
@@ -67,6 +83,8 @@ def track(
     plant = plant or lineage.get("plant") or _only(place, "plant")
     forward = forward or lineage.get("forward") or _forward_for(place, plant)
     simulation, model = load_versions(place.models, plant, forward)
+    if candidates is not None and network is None:
+        raise SettingsError("--candidates", f"with {policy}", "a policy version: around inverse kinematics nothing is nearer")
     if untuned and not full:
         raise SettingsError("--untuned", "without --full", "--full: only there is a controller below")
     with progress_bar("track") as progress:
@@ -76,6 +94,10 @@ def track(
         )
         progress(0.3, policy)
         runs = [course.baseline(policy) if network is None else course.run(policy, Shortened(network), lookahead or 0.0)]
+        if candidates is not None and network is not None:
+            progress(0.4, f"{candidates} candidates")
+            searching = Shortened(Searching(network, model, candidates, scatter))
+            runs.append(course.run(f"{policy} and {candidates} candidates", searching, lookahead or 0.0))
         for number, name in enumerate(name for name in dict.fromkeys(baselines) if name != policy):
             progress(0.5 + 0.4 * number / len(baselines), name)
             runs.append(course.baseline(name))

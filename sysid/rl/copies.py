@@ -35,6 +35,8 @@ class Copies(ABC):
         self.model = compile_plant(plant)
         self.rate_hz = plant.machine.rate_hz
         self.parts = Parts.of(self.actions)
+        #: How far from where a copy stands its targets lie: 1, anywhere within reach; less, on the way there.
+        self.spread = 1.0
         self._rng = np.random.default_rng(seed)
         self._count = np.zeros(size, dtype=np.int64)
 
@@ -70,9 +72,15 @@ class Copies(ABC):
 
     def _reset(self, which: Flags) -> None:
         """Random joints and targets."""
-        count = int(which.sum())
-        joints, aims = self.reach.draw(count, self._rng), self.reach.draw(count, self._rng)
-        self._put(which, joints, tips(self.model, aims))
+        joints = self.reach.draw(int(which.sum()), self._rng)
+        self._put(which, joints, self._aims(joints))
+
+    def _aims(self, joints: Array) -> Array:
+        """Targets (n, 3) for copies that stand at ``joints`` (n, A): end effectors of random ones within :attr:`spread`."""
+        aims = self.reach.draw(len(joints), self._rng)
+        if self.spread < 1.0:
+            aims = joints + self.spread * (aims - joints)
+        return tips(self.model, aims)
 
     @abstractmethod
     def _put(self, which: Flags, joints: Array, targets: Array) -> None:

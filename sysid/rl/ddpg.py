@@ -32,6 +32,9 @@ LOOK = 200
 #: Copies that the actor alone is judged on, and steps until it has to be there, on the full path.
 JUDGED, SETTLE = 512, 300
 
+#: How far away the first targets of a curriculum are, as a share of the way to anywhere within reach.
+NEAREST = 0.1
+
 #: ``told(kind, step, figures)``: an ``episode`` or ``evaluation`` that is over.
 Told = Callable[[str, int, Mapping[str, float]], None]
 
@@ -87,6 +90,7 @@ class Trainer:
         self._returns, self._away = np.zeros(environment.size), np.zeros(environment.size)
         self._begin = judge.reset()
         self._task = judge.state()
+        environment.spread = self._spread()
         self._now = environment.reset()
 
     @property
@@ -181,6 +185,7 @@ class Trainer:
         """One step of all copies, and the updates that belong to it."""
         learning, environment = self.recipe.learning, self.environment
         actions = self.explored()
+        environment.spread = self._spread()
         following, rewards, truncated = environment.step(actions)
         final = environment.final
         self.replay.add(self._now, actions, rewards, final)
@@ -245,6 +250,11 @@ class Trainer:
         if exploration.sigma_end is None or exploration.sigma == 0.0:
             return 1.0
         return float((exploration.sigma_end / exploration.sigma) ** (self.turn / self.recipe.turns))
+
+    def _spread(self) -> float:
+        """How far away targets are by now."""
+        part = self.recipe.setting.curriculum * self.recipe.turns
+        return min(1.0, NEAREST + (1.0 - NEAREST) * self.turn / part) if part else 1.0
 
     def _rate(self) -> float:
         if self.recipe.learning.schedule == "constant":

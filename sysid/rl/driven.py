@@ -22,7 +22,7 @@ from sysid.plant.stepper import LaneState, Stepper
 from sysid.rl.copies import Copies
 from sysid.rl.environment import Flags, Task
 from sysid.rl.observation import DrivenObservation
-from sysid.rl.reach import Reach, tips
+from sysid.rl.reach import Reach
 
 if TYPE_CHECKING:
     from sysid.rl.bullet import Worlds
@@ -148,7 +148,7 @@ class DrivenEnvironment(Copies):
         self._final = self._seen()
         fresh = ~truncated & (self._count % self.task.hold == 0) & (self.task.targets > 1)
         if fresh.any():
-            self._target[fresh] = tips(self.model, self.reach.draw(int(fresh.sum()), self._rng))
+            self._target[fresh] = self._aims(lane.joints[fresh])
         if truncated.any():
             self._reset(truncated)
         changed = fresh.any() or truncated.any()

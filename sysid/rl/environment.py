@@ -62,7 +62,12 @@ class Task:
 
 
 class Environment(Protocol):
-    """``size`` copies that know nothing of each other; all arrays are fresh, so they may be kept."""
+    """``size`` copies that know nothing of each other; all arrays are fresh, so they may be kept.
+
+    ``spread``: how far from where a copy stands its next target lies, as a share of the way to anywhere within reach.
+    """
+
+    spread: float
 
     @property
     def size(self) -> int: ...

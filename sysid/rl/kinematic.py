@@ -84,7 +84,7 @@ class KinematicEnvironment(Copies):
         fresh = ~truncated & (self._count % self.task.hold == 0) if self.task.targets > 1 else None
         self._final[:] = self._now
         if fresh is not None and fresh.any():
-            self._now[fresh, self.parts.target] = tips(self.model, self.reach.draw(int(fresh.sum()), self._rng))
+            self._now[fresh, self.parts.target] = self._aims(self._now[fresh, self.parts.joints])
         if truncated.any():
             self._reset(truncated)
         return self._now.copy(), rewards, truncated

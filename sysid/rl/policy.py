@@ -46,6 +46,11 @@ class Searching:
         self._rng = np.random.default_rng(seed)
         self._target = Parts.of(len(policy.outputs)).target
 
+    @property
+    def inputs(self) -> tuple[str, ...]:
+        """What it observes: what the policy does."""
+        return self.policy.inputs
+
     def act(self, observations: npt.ArrayLike) -> Array:
         """Setpoints (n, A) for observations (n, O)."""
         seen = np.atleast_2d(np.asarray(observations, dtype=np.float64))

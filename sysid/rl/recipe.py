@@ -25,6 +25,8 @@ class Setting:
         feedback: how candidates are judged: ``static``, by the forward model, as in the paper; ``plant``, on the full path
             alone, by where the machine will be, delay and lag included.
         task: steps of an episode and its rewards.
+        curriculum: share of the training in which targets move away from where an episode begins, from a tenth of the way to
+            anywhere within reach; 0: they are anywhere from the start, as in the paper.
     """
 
     __pydantic_config__ = STRICT
@@ -33,6 +35,7 @@ class Setting:
     full: bool = False
     feedback: Literal["static", "plant"] = "static"
     task: Task = field(default_factory=Task)
+    curriculum: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -169,6 +172,7 @@ def parse_training(values: dict[str, Any], where: object) -> Recipe:
         ("evaluations", recipe.evaluations, 1, None),
         ("threads", recipe.threads, 1, None),
         ("setting.copies", recipe.setting.copies, 1, None),
+        ("setting.curriculum", recipe.setting.curriculum, 0, 1),
         ("exploration.candidates", exploration.candidates, 1, None),
         ("exploration.sigma", exploration.sigma, 0, None),
         ("exploration.sigma_end", exploration.sigma_end, 0, exploration.sigma),

@@ -214,6 +214,28 @@ def test_the_end_of_an_episode_is_no_end_of_the_world() -> None:
     np.testing.assert_allclose(ee, FORWARD.predict(actions.double().numpy()), atol=1e-5)
 
 
+@pytest.mark.parametrize("full", [False, True])
+def test_targets_of_a_curriculum_move_away_until_they_are_anywhere(full: bool) -> None:
+    """From where an episode begins, and from where the copy is when an episode shows another target."""
+    setting = {"copies": 64, "full": full, "curriculum": 0.5, "task": {"steps": 4, "targets": 2}}
+    each = trainer(recipe(setting=setting, learning={"episodes": 64 * 20, "start": 100_000, "buffer": 200_000}))
+    asked: list[float] = []
+    parts = each.parts
+
+    def mean_way() -> float:
+        return float(np.linalg.norm(each._now[:, parts.target] - each._now[:, parts.ee], axis=1).mean())
+
+    asked.append(mean_way())
+    while not each.is_done:
+        each._turn(lambda *_: None)
+        asked.append(mean_way() if each.turn % 2 == 0 else np.nan)
+    way = np.array(asked)
+    anywhere = np.nanmean(way[48:])
+    assert way[0] < 0.25 * anywhere
+    assert np.nanmean(way[1:10]) < np.nanmean(way[18:28]) < 0.9 * anywhere
+    assert each.environment.spread == 1.0
+
+
 def test_it_learns() -> None:
     networks = {"actor": [32, 32], "critic": [32, 32], "critic_head": "distance", "critic_features": "sincos"}
     learning = {"episodes": 640, "batch": 128, "buffer": 20000, "discount": 0.0, "updates": 4, "schedule": "cosine",

@@ -207,6 +207,30 @@ def test_the_command_line(workspace: Workspace, tmp_path: Path) -> None:
     assert {"episode.return", "evaluation.hold_rmse_x"} <= keys
 
 
+def test_candidates_at_run_time_have_a_row_of_their_own(workspace: Workspace, tmp_path: Path) -> None:
+    train_policy(workspace.models, recipe(name="asked"), tmp_path / "training")
+    words = [
+        "--workspace",
+        str(workspace.folder),
+        "track",
+        "asked",
+        "--path",
+        "circle",
+        "--candidates",
+        "50",
+        "--scatter",
+        "0.3",
+    ]
+    words += ["--json", str(tmp_path / "out.json"), "--out", str(tmp_path / "run")]
+    for more in ([], ["--full"]):
+        assert CliRunner().invoke(app, [*words, *more], catch_exceptions=False).exit_code == 0
+        own, searched = json.loads((tmp_path / "out.json").read_text("utf-8"))["rows"]
+        assert (own["policy"], searched["policy"]) == ("asked@1", "asked@1 and 50 candidates")
+        assert searched["distance_mm"]["rms"] < own["distance_mm"]["rms"]
+    with pytest.raises(SettingsError, match=r"--candidates: with ik; expected a policy version"):
+        CliRunner().invoke(app, [*words[:2], "track", "ik", "--candidates", "3"], catch_exceptions=False)
+
+
 def test_a_workspace_that_is_not_there(tmp_path: Path) -> None:
     result = CliRunner().invoke(app, ["--workspace", str(tmp_path / "none"), "train", str(RECIPES / "quick.toml")])
     assert isinstance(result.exception, SettingsError)
@@ -234,6 +258,7 @@ def test_the_recipes_are_the_papers() -> None:
         ({"learning": {"batch": 50, "buffer": 40}}, r"learning.batch: 50; expected 1 to 40"),
         ({"learning": {"actor_rate": 0.0}}, r"learning.actor_rate: 0; expected above zero"),
         ({"exploration": {"sigma_end": 0.2}}, r"exploration.sigma_end: 0.2; expected 0 to 0.1"),
+        ({"setting": {"curriculum": 1.5}}, r"setting.curriculum: 1.5; expected 0 to 1"),
         ({"networks": {"actor": []}}, r"networks.actor: 0; expected above zero"),
         ({"setting": {"feedback": "plant"}}, r"setting.feedback: 'plant' without full; expected the full path"),
     ],

@@ -59,6 +59,12 @@ def test_going_on_anywhere_gives_the_same_bits(tmp_path: Path) -> None:
     assert whole.replay.count == 900 > whole.replay.capacity
 
 
+def test_a_curriculum_goes_on_where_it_was(tmp_path: Path) -> None:
+    settings = recipe(setting={"curriculum": 0.7})
+    assert run(tmp_path, settings, until=121).turn == 121
+    assert_equal(run(tmp_path, settings), run(None, settings))
+
+
 def test_saving_changes_nothing(tmp_path: Path) -> None:
     assert_equal(run(tmp_path, recipe()), run(None, recipe()))
 
