@@ -39,9 +39,21 @@ def processor() -> str:
 
 
 def write_result(path: Path, result: Mapping[str, Any]) -> None:
-    """``result`` as JSON; numbers that JSON does not know are an error."""
+    """``result`` as JSON, an entry of its parts a line, so that what changed can be read; numbers that JSON does not know are
+    an error."""
+    parts = [f"{json.dumps(key)}: {_listed(value)}" for key, value in result.items()]
     path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text(json.dumps(result, indent=1, allow_nan=False) + "\n", "utf-8")
+    path.write_text("{\n" + ",\n".join(parts) + "\n}\n", "utf-8")
+
+
+def _listed(part: Any) -> str:
+    """A part of a result: each entry of a table or list on a line of its own."""
+    if isinstance(part, Mapping) and part:
+        lines = [f"{json.dumps(key)}: {json.dumps(value, allow_nan=False)}" for key, value in part.items()]
+        return "{\n " + ",\n ".join(lines) + "\n}"
+    if isinstance(part, list | tuple) and part:
+        return "[\n " + ",\n ".join(json.dumps(value, allow_nan=False) for value in part) + "\n]"
+    return json.dumps(part, allow_nan=False)
 
 
 def write_tables(page: Path, text: str, pipeline: str) -> None:

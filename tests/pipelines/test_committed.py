@@ -59,3 +59,12 @@ def test_a_page_without_its_marks_stays_as_it_was(committed: ModuleType, tmp_pat
 def test_a_result_that_json_does_not_know_is_an_error(committed: ModuleType, tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="JSON"):
         committed.write_result(tmp_path / "result.json", {"rate": math.nan})
+
+
+def test_a_result_has_a_line_for_each_entry_of_its_parts(committed: ModuleType, tmp_path: Path) -> None:
+    result = {"date": "2026-01-01", "rates": {"a": {"value": 0.5, "cases": 2}, "b": None}, "rows": [{"x": [1, 2]}, {"x": []}]}
+    for given in (result, {"rows": [], "rates": {}, "number": 1.5}):
+        committed.write_result(tmp_path / "result.json", given)
+        assert json.loads((tmp_path / "result.json").read_text("utf-8")) == given
+    committed.write_result(tmp_path / "result.json", result)
+    assert (tmp_path / "result.json").read_text("utf-8").splitlines()[6:9] == ['"rows": [', ' {"x": [1, 2]},', ' {"x": []}']
