@@ -8,11 +8,13 @@ import numpy as np
 import pytest
 from plant_data import arm, dataset_of, nominal
 
+from sysid.datasets import Dataset
 from sysid.gap.candidates import candidates_at
 from sysid.gap.data import Data
 from sysid.gap.fit import Fit, fit_candidates, place
 from sysid.gap.floor import problem_floor, run_floor, with_noise
 from sysid.gap.intervals import Known, known_of
+from sysid.gap.intervals.shared import FRAMES
 from sysid.gap.localise import run_rmse
 from sysid.gap.noise import noise_levels
 from sysid.gap.problem import Problem, drive_problem, problems_of, split_of
@@ -22,18 +24,49 @@ from sysid.plant import compile_plant, free_run
 TRUTH = KnownEffect("valve_deadband", "slew", {"positive": 0.09, "negative": 0.06})
 
 
-def known(truth: KnownEffect, seed: int, noise: float = 5.0, stage: str = "command", start: float = 1.1) -> Known:
-    """What is known of an effect from two noisy recordings; the fit starts a little off."""
+def known(
+    truth: KnownEffect, seed: int, noise: float = 5.0, stage: str = "command", start: float = 1.1, frames: int = 0
+) -> Known:
+    """What is known of an effect from two noisy recordings; the fit starts a little off.
+
+    Args:
+        frames: signals have offsets, the same in all recordings: what noise leaves of the mean of so many frames; 0: none.
+    """
     plant = nominal()
     dataset = dataset_of(plant.with_effect(truth), 12.0, seed, noise)
+    if frames:
+        dataset = shifted(dataset, noise / frames**0.5, np.random.default_rng(seed))
     model, split = compile_plant(plant), split_of(dataset)
-    problem: Problem = next(p for p in problems_of(model, dataset) if p.target == truth.target and p.stage == stage)
-    (candidate,) = (c for c in candidates_at(plant, model.theta, problem.stage, (truth.target,)) if c.effect.name == truth.name)
+    problem: Problem = next(p for p in problems_of(model, dataset) if truth.target in p.targets and p.stage == stage)
+    offered = candidates_at(plant, model.theta, problem.stage, (truth.target,))
+    candidate = next(c for c in offered if c.effect.name == truth.name)
     levels = {signal: noise * level for signal, level in dataset.machine.noise.items()}
     sigma = np.array([levels[signal] for signal in problem.signals])
     data = Data(problem, split.fit, sigma)
     fit = fit_candidates(data, model.theta, [candidate], [start * np.array([float(v) for v in truth.parameters.values()])])  # type: ignore[arg-type]
     return known_of(data, model.theta, fit, levels, seed)
+
+
+def shifted(dataset: Dataset, times: float, rng: np.random.Generator) -> Dataset:
+    """All measured signals off by so many times their noise, in all recordings alike."""
+    off = {signal: times * level * rng.standard_normal() for signal, level in dataset.machine.noise.items()}
+    tables = [r.table.assign(**{s: r.table[s] + off[s] for s in off if s in r.table}) for r in dataset.recordings]
+    return replace(
+        dataset, recordings=tuple(replace(r, table=table) for r, table in zip(dataset.recordings, tables, strict=True))
+    )
+
+
+def test_what_all_recordings_share_is_in_the_interval() -> None:
+    """Zeros and mounts are off alike in all recordings, so that their scatter says nothing about it."""
+    truth = KnownEffect("joint_offset", "boom", {"offset": 0.01})
+    found = [known(truth, seed, stage="end_effector", frames=FRAMES) for seed in range(20)]
+    hits = [bool(each.limits[0, 0] <= 0.01 <= each.limits[0, 1]) for each in found]
+    assert np.mean(hits) >= 0.85
+    errors = [abs(each.fit.values[0] - 0.01) for each in found]
+    halves = [0.5 * float(np.ptp(each.limits[0])) for each in found]
+    assert np.median(halves) < 5.0 * np.median(errors), "an interval that holds everything says nothing"
+    without = [known(truth, seed, stage="end_effector") for seed in range(4)]
+    assert np.median([abs(each.fit.values[0] - 0.01) for each in without]) < 0.5 * np.median(errors)
 
 
 def test_intervals_cover_the_truth() -> None:

@@ -13,9 +13,10 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from sysid.datasets.recording import Recording
 from sysid.gap.candidates import Unknown
 from sysid.gap.data import Data
-from sysid.gap.drift import Drift, robust_scale, whiten_lanes
+from sysid.gap.drift import Drift, robust_scale, to_bins, whiten_lanes
 from sysid.gap.fit import forgiveness, place
 
 Array = npt.NDArray[np.float64]
@@ -60,6 +61,21 @@ class Criterion:
                 series = part[:, :, k]
                 lanes.append((whiten_lanes(series, activity, drift) if self.data.problem.integrates else series) / scale)
         joined: Array = np.nan_to_num(np.concatenate(lanes, axis=1))
+        return joined
+
+    def predicted(self, values: Array, recordings: Sequence[Recording]) -> list[Array]:
+        """Outputs (1, n, d) of each recording at ``values`` (k,)."""
+        thetas = place(self.theta, self.unknowns, values[None])
+        return [self.data.problem.predict(thetas, recording) for recording in recordings]
+
+    def between(self, made: Sequence[Array], predicted: Sequence[Array]) -> Array:
+        """Standardised residuals (n,) of outputs that were ``made`` without noise, where they are measured."""
+        data, bins = self.data, []
+        for recording, one, other in zip(data.recordings, made, predicted, strict=True):
+            missing = np.isnan(data.problem.measured(recording))
+            residual = np.where(missing, np.nan, (one - other) / data.sigma)
+            bins.append(to_bins(residual, data.problem.rate(recording)))
+        joined: Array = self.joined(bins, data.activities)[0]
         return joined
 
     def weights(self, errors: Array) -> Array:

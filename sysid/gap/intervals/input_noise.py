@@ -16,8 +16,6 @@ import numpy.typing as npt
 from scipy import signal as filters
 
 from sysid.datasets.recording import Recording
-from sysid.gap.drift import to_bins
-from sysid.gap.fit import place
 from sysid.gap.intervals.criterion import Criterion
 from sysid.gap.intervals.curvature import Curvature
 from sysid.signals import split_signal
@@ -62,9 +60,9 @@ def input_noise(
     shift, steps, errors = np.zeros(len(values)), np.zeros((DRAWS, len(values))), np.empty(0)
     true = values
     for _ in range(ROUNDS):
-        made = _predicted(criterion, true, smooth)
+        made = criterion.predicted(true, smooth)
         lanes = np.clip(true + shift, criterion.low, criterion.high)
-        errors = np.stack([_joined(criterion, made, _predicted(criterion, lanes, copy)) for copy in copies])
+        errors = np.stack([criterion.between(made, criterion.predicted(lanes, copy)) for copy in copies])
         steps = -((criterion.weights(errors) * errors) @ curvature.slopes) @ curvature.inverse
         shift = shift + steps.mean(axis=0)
         true = np.clip(values - shift, criterion.low, criterion.high)
@@ -105,20 +103,3 @@ def _noisy(recording: Recording, inputs: Mapping[str, float], rng: np.random.Gen
         if name in recording.signals:
             table[name] = recording.values(name) + rng.normal(0.0, level, len(table))
     return replace(recording, table=table)
-
-
-def _predicted(criterion: Criterion, values: Array, recordings: list[Recording]) -> list[Array]:
-    thetas = place(criterion.theta, criterion.unknowns, values[None])
-    return [criterion.data.problem.predict(thetas, recording) for recording in recordings]
-
-
-def _joined(criterion: Criterion, made: list[Array], predicted: list[Array]) -> Array:
-    """Standardised residuals (n,) of an output that was made without noise."""
-    data = criterion.data
-    bins = []
-    for recording, one, other in zip(data.recordings, made, predicted, strict=True):
-        missing = np.isnan(data.problem.measured(recording))
-        residual = np.where(missing, np.nan, (one - other) / data.sigma)
-        bins.append(to_bins(residual, data.problem.rate(recording)))
-    joined: Array = criterion.joined(bins, data.activities)[0]
-    return joined

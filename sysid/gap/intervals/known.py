@@ -2,7 +2,7 @@
 
 An interval is the wider of two: the profile of the likelihood, which knows bounds and thresholds, and the parabola of the
 sandwich, which is not misled where the cost has a kink right beside its least. What noise in the stage's input adds is taken
-off the values.
+off the values, and what zeros and mounts may be off widens it.
 """
 
 from __future__ import annotations
@@ -22,6 +22,7 @@ from sysid.gap.intervals.curvature import Curvature, curvature_at
 from sysid.gap.intervals.input_noise import DRAWS, InputNoise, input_noise
 from sysid.gap.intervals.profile import profiled
 from sysid.gap.intervals.settle import settled
+from sysid.gap.intervals.shared import shared_offsets
 
 Array = npt.NDArray[np.float64]
 
@@ -30,9 +31,6 @@ NOISE_KNOWN = 0.15
 #: Nothing is known to a smaller share of itself, since plants compute no more exactly; nor to less of what is negligible, since
 #: clocks, the steps of an integration and samples stand behind it (of what can not be zero, at most the third share of itself).
 EXACT, EXACT_ZERO, EXACT_FORM = 2e-4, 0.1, 0.05
-#: What ingest takes as given (zeros of joints, mounts of bodies) is shared by all recordings, so that their scatter does not
-#: show it; where joints and bodies meet nothing is known to less than this share of what is negligible.
-GIVEN, MEETS = 0.3, ("joint", "end_effector")
 #: 95 % of a normal distribution lie within so many standard deviations.
 Z = float(stats.norm.ppf(0.975))
 
@@ -76,7 +74,8 @@ def known_of(data: Data, theta: Array, fit: Fit, noise: Mapping[str, float], see
         reach = np.hypot(reach, unsure[:, None])
         values = np.clip(values - added.shift, criterion.low, criterion.high)
         fit = replace(fit, values=values, theta=place(theta, fit.unknowns, values[None])[0])
-    least = _least(fit.unknowns, values, GIVEN if data.problem.stage in MEETS else EXACT_ZERO)
+    reach = np.hypot(reach, Z * shared_offsets(criterion, curvature, values, noise)[:, None])
+    least = _least(fit.unknowns, values)
     ends = values[:, None] + np.maximum(reach, least[:, None]) * [-1.0, 1.0]
     limits = np.clip(ends, criterion.low[:, None], criterion.high[:, None])
     deviations = np.abs(limits - values[:, None]).max(axis=1) / Z
@@ -94,12 +93,12 @@ def _correlations(covariance: Array) -> Array:
     return found
 
 
-def _least(unknowns: Sequence[Unknown], values: Array, share: float) -> Array:
+def _least(unknowns: Sequence[Unknown], values: Array) -> Array:
     """Half widths below which no interval is drawn."""
     least = EXACT * np.abs(values)
     for k, unknown in enumerate(unknowns):
         most = EXACT_FORM * abs(values[k]) if unknown.bounds[0] > 0.0 else np.inf
-        least[k] += min(share * unknown.negligible, most)
+        least[k] += min(EXACT_ZERO * unknown.negligible, most)
     return np.asarray(least)
 
 
