@@ -50,7 +50,11 @@ def _slide(
     force: Array,
     position: Array,
 ) -> None:
-    """Closed loop in sub-steps; dry friction is applied as an impulse that may stop the carriage but not turn it round."""
+    """Closed loop in sub-steps; dry friction is applied as an impulse that may stop the carriage but not turn it round.
+
+    The carriage moves by the mean of a sub-step's speeds: by the last one alone it would be half a sub-step early, which passes
+    for 0.2 % of viscous friction.
+    """
     mass, coulomb, static, stribeck, viscous, constant, bristle, cogging, waves = numbers
     stiffness, damping, most = drive
     x, v, deflection = path[0], 0.0, 0.0
@@ -65,10 +69,12 @@ def _slide(
             offset = constant + (cogging * math.sin(waves * x) if cogging != 0.0 else 0.0)
             if bristle > 0.0 and coulomb > 0.0:
                 deflection, friction = seal_step(deflection, v, coulomb, static, stribeck, viscous, coulomb / bristle, h)
-                v += h / mass * (u - offset - friction)
-                x += h * v
+                after = v + h / mass * (u - offset - friction)
+                x += 0.5 * h * (v + after)
+                v = after
                 continue
             free = v + h / mass * (u - offset - viscous * v)
             grip = h / mass * (coulomb + (static - coulomb) * math.exp(-((v / stribeck) ** 2)))
-            v = free - grip if free > grip else free + grip if free < -grip else 0.0
-            x += h * v
+            after = free - grip if free > grip else free + grip if free < -grip else 0.0
+            x += 0.5 * h * (v + after)
+            v = after
