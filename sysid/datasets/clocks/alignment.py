@@ -46,6 +46,9 @@ DEGREE_SAME, DEGREE_LINKAGE = 7, 9
 MIN_EXPLAINED, MAX_SKEW = 0.95, 2e-3
 #: Of two lags one is taken where it leaves less than this share of what the other leaves unexplained.
 CLEAR = 0.25
+#: Or where less than the first share of the motion falls where the other device has seen nothing, and more than the second one
+#: at any other lag that explains as much; the way a signal goes is added up in steps of so long [s].
+UNMET, MOSTLY_UNMET, PACE_S = 0.1, 0.5, 0.5
 #: Differences beyond this quantile are taken for mistaken frames.
 TRUSTED = 0.98
 #: The first window [s], and by how much each one is longer than the one before.
@@ -148,9 +151,12 @@ def estimate(pairs: Sequence[Pair], start: float | None = None) -> Estimate:
         # Rates of a motion that nearly repeats itself look alike; what the positions leave unexplained does not.
         tried = [(start, result, explained), *((rival, *_refine(ready, rival, centre)) for rival in rivals)]
         left = [_unexplained(ready, found, shares) for _, found, shares in tried]
-        first, second = np.argsort(left, kind="stable")[:2]
-        if left[first] < CLEAR * left[second]:
-            (start, result, explained), doubt = tried[first], ""
+        near = [k for k, value in enumerate(left) if value < 1.0 and CLEAR * value <= min(left)]
+        if len(near) > 1:  # strokes between long rests: one of few fits another one, with nothing to compare the rest with
+            most = [k for k in near if _unmet(ready, tried[k][1]) < UNMET]
+            near = most if all(_unmet(ready, tried[k][1]) > MOSTLY_UNMET for k in near if k not in most) else near
+        if len(near) == 1:
+            (start, result, explained), doubt = tried[near[0]], ""
     if doubt:
         return replace(result, refused=doubt)
     good = [pair for pair, share in zip(ready, explained, strict=True) if share >= MIN_EXPLAINED]
@@ -171,6 +177,26 @@ def _unexplained(pairs: Sequence[Pair], found: Estimate, shares: Sequence[float]
     if found.refused or abs(found.skew) > MAX_SKEW:
         return 1.0
     return max(1.0 - min(shares), *(_apart(pair, found) for pair in pairs if pair.degree == DEGREE_SAME), 0.0)
+
+
+def _unmet(pairs: Sequence[Pair], found: Estimate) -> float:
+    """Share of the motion where the other device has seen nothing, of whichever has less of it; mean of all pairs."""
+    shares = []
+    for pair in pairs:
+        known, seen = np.isfinite(pair.x), np.isfinite(pair.y)
+        times = pair.y_times[seen]
+        there = times + found.mid_offset + found.skew * (times - found.mid_time)
+        ways = (pair.x_times[known], pair.x[known], there), (there, pair.y[seen], pair.x_times[known])
+        shares.append(min(_outside(at, values, span[0], span[-1]) for at, values, span in ways))
+    return float(np.mean(shares))
+
+
+def _outside(times: Array, values: Array, first: float, last: float) -> float:
+    """Share of the way that ``values`` go before ``first`` or after ``last``."""
+    grid = np.arange(times[0], times[-1], PACE_S)
+    way = np.abs(np.diff(np.interp(grid, times, values)))
+    middle = grid[:-1] + 0.5 * PACE_S
+    return float(way[(middle < first) | (middle > last)].sum() / max(float(way.sum()), 1e-300))
 
 
 def _apart(pair: Pair, found: Estimate) -> float:
