@@ -34,7 +34,7 @@ MOST = 0.5
 MATTERS = 1.05
 #: Where the recordings to select on miss it by more than this factor, the held-out ones, which may move otherwise, need not.
 CLEARLY = 1.5
-#: Another value of an effect that the plant has already gets a name where it is so many half intervals away.
+#: Another value of an effect that the plant has already gets a name where it is so many half intervals away, or missed clearly.
 CLEAR = 2.0
 #: A stage that stays above this multiple of its noise floor has structure that nothing explains.
 UNEXPLAINED = 1.5
@@ -146,7 +146,11 @@ def _accept(case: Case, stage: Stage, outcome: Outcome) -> None:
     seen = Data(stage.problem, stage.split.seen, stage.sigma)
     known = known_of(seen, stage.theta, stage.found.fit, case.noise, case.seed)
     finding = replace(stage.found, fit=known.fit)
-    vague = [k for k in finding.named if k.candidate.known and not _departs_clearly(k.candidate, known.fit, known.limits)]
+    vague = [
+        k
+        for k in finding.named
+        if k.candidate.known and k.comparison.ratio <= CLEARLY and not _departs_clearly(k.candidate, known.fit, known.limits)
+    ]
     finding = replace(
         finding,
         named=tuple(k for k in finding.named if k not in vague),

@@ -121,7 +121,7 @@ def _noisy_step(parts: Sequence[Array]) -> float:
     Readings of a sensor without steps are spread smoothly over what was travelled, so that their phases within any small step
     cancel. Where the machine stands all readings are alike, whatever the sensor: rest does not count.
     """
-    values = np.concatenate([_in_motion(part) for part in parts])
+    values = _in_motion(parts)
     if len(values) < 5 * FEWEST:
         return 0.0
     low, span = float(values.min()), float(np.ptp(values))
@@ -141,11 +141,10 @@ def _noisy_step(parts: Sequence[Array]) -> float:
     return 1.0 / frequency
 
 
-def _in_motion(part: Array) -> Array:
-    """Readings around which the sensor moved at more than a twentieth of its top speed."""
-    if len(part) < 12:
-        return np.empty(0)
-    moved = np.full(len(part), np.nan)
-    moved[5:-5] = np.abs(part[10:] - part[:-10])
-    most = np.nanmax(moved) if not np.isnan(moved).all() else 0.0
-    return np.asarray(part[(moved > 0.05 * most) & ~np.isnan(part)])
+def _in_motion(parts: Sequence[Array]) -> Array:
+    """Readings around which the sensor moved at more than a twentieth of its top speed in any of the recordings."""
+    ways = [np.abs(part[10:] - part[:-10]) for part in parts]
+    most = max((float(np.nanmax(way)) for way in ways if len(way) and not np.isnan(way).all()), default=0.0)
+    readings = [part[5:-5][way > 0.05 * most] for part, way in zip(parts, ways, strict=True) if len(way)]
+    values = np.concatenate([*readings, np.empty(0)])
+    return np.asarray(values[~np.isnan(values)])

@@ -67,6 +67,16 @@ def test_another_value_of_what_is_known_has_to_be_clear_of_it(ratio: float, clea
     assert _departs_clearly(gain, fit, np.array([[ratio - 0.0005, ratio + 0.0005]])) == clearly
 
 
+def test_a_small_value_that_everything_depends_on_gets_its_name() -> None:
+    """A dead time that is 0.7 ms longer: hardly more than clocks are known by, and most of what a precise servo is off."""
+    lag = KnownEffect("first_order_lag", "wrist", {"time_constant": 0.04})
+    plant = nominal(lag, KnownEffect("input_delay", "wrist", {"delay": 0.03}))
+    true = nominal(lag, KnownEffect("input_delay", "wrist", {"delay": 0.0307}))
+    found = find_gap(dataset_of(true, 20.0, seed=5), plant)
+    assert [(effect.name, effect.target) for effect in found.effects] == [("input_delay", "wrist")]
+    assert found.effects[0].parameters["delay"] == pytest.approx(0.0307, abs=1e-4)
+
+
 def test_of_two_names_for_one_thing_the_simpler_one_is_taken() -> None:
     """While a slide moves, a load is a friction that differs by direction; the latter takes one number more to say so."""
     known = KnownEffect("coulomb_friction", "slide", {"force": 8.0})

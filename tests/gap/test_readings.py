@@ -55,6 +55,14 @@ def test_a_sensor_without_steps_has_none(seed: int) -> None:
     assert reading_step([np.full(4000, 0.1) + 2e-5 * rng.standard_normal(4000)]) == 0.0
 
 
+@pytest.mark.parametrize("seed", range(4))
+def test_a_sensor_that_stands_in_most_recordings_has_none(seed: int) -> None:
+    """Readings of rest are all alike; what moves in them is noise."""
+    rng = np.random.default_rng(seed)
+    still = [np.full(4000, 0.1 + 0.01 * k) + 2e-5 * rng.standard_normal(4000) for k in range(3)]
+    assert reading_step([strokes(seed) + 2e-5 * rng.standard_normal(len(strokes(seed))), *still]) == 0.0
+
+
 def test_steps_that_a_data_sheet_does_not_promise_are_noise_with_a_name() -> None:
     plant = nominal()
     truth = KnownEffect("sensor_quantisation", "boom.cylinder", {"step": 1e-3})
