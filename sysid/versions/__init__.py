@@ -1,6 +1,7 @@
 """Versions of networks compared, judged and handed on: promotion by a policy, drift, differences, lineage, cards, ONNX."""
 
-from sysid.versions.card import Card, card_of
+from sysid.versions.card import card_of
+from sysid.versions.card_block import Card
 from sysid.versions.diff import ModelDiff, diff_versions
 from sysid.versions.drift import Drift, OutputDrift, drift_of
 from sysid.versions.lineage import ModelLineage, lineage_of

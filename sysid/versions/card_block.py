@@ -1,0 +1,44 @@
+"""What a card is made of; it is Markdown here and a page in :mod:`sysid.reports.model_pages`, both from the same blocks."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from sysid.validate import ErrorMap
+
+
+@dataclass(frozen=True)
+class Block:
+    """One heading of a card: paragraphs, a table, code, maps of errors (output, unit, map); any of them may be empty."""
+
+    title: str
+    text: tuple[str, ...] = ()
+    header: tuple[str, ...] = ()
+    rows: tuple[tuple[str, ...], ...] = ()
+    code: str = ""
+    maps: tuple[tuple[str, str, ErrorMap], ...] = ()
+
+
+@dataclass(frozen=True)
+class Card:
+    """A card; ``facts`` is the line under its title."""
+
+    title: str
+    facts: str
+    blocks: tuple[Block, ...]
+
+    def markdown(self) -> str:
+        """The card as Markdown."""
+        parts = [f"# {self.title}", self.facts]
+        for block in self.blocks:
+            parts += [f"## {block.title}", *block.text]
+            if block.rows:
+                lines = [block.header, tuple("---" for _ in block.header), *block.rows]
+                parts.append("\n".join("| " + " | ".join(_cell(cell) for cell in line) + " |" for line in lines))
+            if block.code:
+                parts.append(f"```python\n{block.code}\n```")
+        return "\n\n".join(parts) + "\n"
+
+
+def _cell(text: str) -> str:
+    return text.replace("|", "\\|")

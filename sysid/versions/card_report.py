@@ -1,0 +1,104 @@
+"""What a card says of an error report: figures, simple models beside it, where its errors are, how sure it is."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from sysid.networks.trust import FALSE_FLAGS
+from sysid.validate import OutputReport, ValidationReport
+from sysid.versions.card_block import Block
+from sysid.versions.outputs import shown
+from sysid.versions.policy import ROWS
+
+#: Maps of an output that the page shows.
+MAPS_SHOWN = 2
+#: A region with fewer rows says nothing about how often intervals hold in it.
+REGION_ROWS = 20
+
+
+def figures(report: ValidationReport) -> Block:
+    rows = []
+    for entry in report.outputs:
+        unit, metrics = entry.unit, entry.metrics
+        best = best_simple(entry)
+        rows.append(
+            (
+                f"{entry.output} {ROWS[entry.rows]}",
+                shown(metrics.rmse, unit),
+                shown(metrics.p95, unit),
+                shown(metrics.max, unit),
+                "–" if entry.noise_floor is None else shown(entry.noise_floor, unit),
+                "–" if best is None else f"{best}: {shown(entry.baselines[best].rmse, unit)}",
+            )
+        )
+    recordings = dict.fromkeys(name for entry in report.outputs for name in entry.recordings)
+    text = f"On rows of {report.dataset} that it has not seen ({', '.join(recordings)})."
+    return Block("Figures", (text,), ("output", "RMSE", "95 %", "max", "sensor noise alone", "best simple model"), tuple(rows))
+
+
+def baselines(report: ValidationReport) -> Iterator[Block]:
+    """The RMSE of every simple model, fitted on the same rows, beside its own."""
+    names = list(dict.fromkeys(name for entry in report.outputs for name in entry.baselines))
+    if not names:
+        return
+    rows = tuple(
+        (
+            f"{entry.output} {ROWS[entry.rows]}",
+            shown(entry.metrics.rmse, entry.unit),
+            *(shown(entry.baselines[name].rmse, entry.unit) if name in entry.baselines else "–" for name in names),
+        )
+        for entry in report.outputs
+    )
+    yield Block("Beside simple models", ("RMSE; all learned from the same rows.",), ("output", "this version", *names), rows)
+
+
+def where_it_errs(report: ValidationReport) -> Iterator[Block]:
+    """The worst bin of the most telling map of each output; the maps themselves on the page."""
+    rows, maps = [], []
+    for entry in report.outputs:
+        for item in entry.maps[:MAPS_SHOWN]:
+            maps.append((f"{entry.output} {ROWS[entry.rows]}", entry.unit, item))
+        if entry.maps:
+            first = entry.maps[0]
+            a, b = first.worst
+            ends = (
+                f"{name} {edges[k]:.3g} … {edges[k + 1]:.3g} {unit}"
+                for name, unit, edges, k in zip(first.over, first.units, first.edges, (a, b), strict=True)
+            )
+            size, count = shown(first.rmse[a][b], entry.unit), str(first.count[a][b])
+            rows.append((f"{entry.output} {ROWS[entry.rows]}", ", ".join(ends), size, count, f"{100.0 * first.explains:.0f} %"))
+    if rows:
+        header = ("output", "largest where", "RMSE there", "rows", "explained by place")
+        yield Block("Where its errors are", (), header, tuple(rows), maps=tuple(maps))
+
+
+def trust(report: ValidationReport) -> Iterator[Block]:
+    """Whether its intervals hold, and what it flags as outside its data."""
+    rows = []
+    for entry in report.outputs:
+        if entry.coverage is None:
+            continue
+        found = entry.coverage
+        crowded = [region for region in found.regions if region.count >= REGION_ROWS]
+        worst = min(crowded, key=lambda region: region.covered, default=None)
+        rows.append(
+            (
+                f"{entry.output} {ROWS[entry.rows]}",
+                f"± {shown(found.half_width, entry.unit)}",
+                f"{100.0 * found.covered:.1f} %",
+                "–" if worst is None else f"{worst.name}: {100.0 * worst.covered:.0f} %",
+                f"{100.0 * found.flagged:.1f} %",
+            )
+        )
+    if rows:
+        level = next(entry.coverage.level for entry in report.outputs if entry.coverage is not None)
+        text = (
+            f"Its {100.0 * level:g} % intervals (`predict_interval`) on rows that it has not seen, and the rows that it flags "
+            f"as outside its data (`inside`; of rows like those that it learned from {100.0 * FALSE_FLAGS:g} %)."
+        )
+        header = ("output", "half width, median", "hold in", "least often in", "flagged")
+        yield Block("How sure it is", (text,), header, tuple(rows))
+
+
+def best_simple(entry: OutputReport) -> str | None:
+    return min(entry.baselines, key=lambda name: entry.baselines[name].rmse, default=None)
