@@ -11,7 +11,7 @@ import pytest
 from scipy.signal import butter, sosfiltfilt
 
 from sysid.datasets.channel import Channel
-from sysid.datasets.clocks.alignment import Estimate, Pair, estimate
+from sysid.datasets.clocks.alignment import MAX_SKEW, Estimate, Pair, conditional, estimate
 from sysid.datasets.clocks.coarse import coarse_lag
 from sysid.datasets.clocks.records import Clocked, align, machine_times
 from sysid.errors import AlignmentError
@@ -299,3 +299,21 @@ def test_a_lag_at_which_most_of_the_motion_meets_nothing_is_no_rival() -> None:
     assert not found.refused
     assert found.at(20.0) == pytest.approx(0.9, abs=2e-3)
     assert "the motion repeats itself" in estimate([pair([(2.0, 0.92), (17.0, 0.92), (32.0, 0.92)])]).refused
+
+
+def test_a_skew_that_little_motion_tells_badly_refuses_nothing() -> None:
+    """One joint makes four small strokes: its skew comes out as any, within its interval; the other recordings know better."""
+    times, y_times = np.arange(0.0, 46.0, 0.01), np.arange(0.0, 46.0, 1.0 / 60.0)
+    beyond = 0
+    for seed in range(20):
+        rng = np.random.default_rng(seed)
+        x = np.sum(
+            [0.05 * size * np.clip(times - at, 0.0, 1.0) for at, size in ((9, 1), (18, 0.7), (25, -1.2), (33, 0.4))], axis=0
+        )
+        y = np.interp(y_times + 0.9, times, x) + 4e-3 * rng.standard_normal(len(y_times))
+        found = estimate([Pair("slew.joint~slew.joint", times, x + 1e-4 * rng.standard_normal(len(x)), y_times, y, 7, 0.035)])
+        assert not found.refused
+        beyond += abs(found.skew) > MAX_SKEW
+        known = conditional(found, 0.0)
+        assert abs(known.at(22.0) - 0.9) < 4.0 * known.variance_at(22.0) ** 0.5
+    assert beyond > 0, "none of them is what this is about"

@@ -162,10 +162,15 @@ def estimate(pairs: Sequence[Pair], start: float | None = None) -> Estimate:
     good = [pair for pair, share in zip(ready, explained, strict=True) if share >= MIN_EXPLAINED]
     if good and len(good) < len(ready):  # a broken sensor must not spoil what the others know
         result, explained = _refine(good, start, centre)
-    if not result.refused and (min(explained) < MIN_EXPLAINED or abs(result.skew) > MAX_SKEW):
+    if not result.refused and (min(explained) < MIN_EXPLAINED or _beyond(result)):
         listed = ", ".join(f"{pair.name}: {share:.2f}" for pair, share in zip(good or ready, explained, strict=True))
         return replace(result, refused=f"the motions do not agree at the best lag (explained shares {listed})")
     return result
+
+
+def _beyond(found: Estimate) -> bool:
+    """Whether the skew is one that no clock has, also where the little motion there was tells it badly."""
+    return abs(found.skew) > MAX_SKEW + 2.0 * float(np.sqrt(found.covariance[1, 1]))
 
 
 def _unexplained(pairs: Sequence[Pair], found: Estimate, shares: Sequence[float]) -> float:
