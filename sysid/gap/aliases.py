@@ -2,12 +2,13 @@
 
 A stick that is longer and a telescope whose zero is off move the end effector in the same way in every pose. Whether two
 are such aliases is asked of the kinematics themselves, at poses all over the joints' ranges; that recordings happen not to
-tell two apart is another matter (a tie).
+tell two apart is another matter (a tie). So is whether one is a special case of another: a first joint whose zero is off turns
+everything behind it as a base does that stands askew.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -15,7 +16,7 @@ import numpy.typing as npt
 import pandas as pd
 
 from sysid.datasets.recording import Recording
-from sysid.gap.candidates import Candidate
+from sysid.gap.candidates import Candidate, Unknown
 from sysid.machine import Axis
 from sysid.plant import Model
 from sysid.signals import axis_signal
@@ -24,8 +25,8 @@ Array = npt.NDArray[np.float64]
 
 #: Poses at which effects are compared.
 POSES = 24
-#: Sine of the angle between what two aliases do, at most.
-SAME = 1e-5
+#: Sine of the angle between what two aliases do, at most; they are asked for steps of this share of what is negligible.
+SAME, SHORT = 1e-5, 0.01
 #: The name that stays: a length before a telescope is that of the revolute axis that carries it (contract).
 ORDER = ("link_length_error", "joint_offset")
 #: Range of an axis without limits [rad or m].
@@ -57,7 +58,22 @@ def without_aliases(candidates: Sequence[Candidate], model: Model) -> list[Candi
         elif at in folded:
             aliases = tuple((single[k].effect.name, single[k].target) for k in folded[at])
             found.append(replace(candidate, aliases=aliases) if aliases else candidate)
-    return found
+    ways = {(c.effect.name, c.target): way for c, way in zip(single, directions, strict=True)}
+    return [_with_special(candidate, ways, model, poses) for candidate in found]
+
+
+def _with_special(candidate: Candidate, ways: Mapping[tuple[str, str], Array], model: Model, poses: Recording) -> Candidate:
+    """The candidate with those of one number that its several can do as well."""
+    if len(candidate.unknowns) < 2:
+        return candidate
+    room = np.linalg.qr(np.stack([_way(model, poses, unknown) for unknown in candidate.unknowns], axis=1))[0]
+    special = tuple(key for key, way in ways.items() if float(way @ way) > 0.0 and _beside(way, room) < SAME)
+    return replace(candidate, special=special) if special else candidate
+
+
+def _beside(way: Array, room: Array) -> float:
+    """Length of what of a unit vector lies outside of a space."""
+    return float(np.linalg.norm(way - room @ (room.T @ way)))
 
 
 def _poses(axes: Sequence[Axis]) -> Recording:
@@ -71,8 +87,12 @@ def _poses(axes: Sequence[Axis]) -> Recording:
 def _direction(model: Model, poses: Recording, candidate: Candidate) -> Array:
     """How the end effector moves with the candidate's parameter, as a unit vector; zero where it does not."""
     (unknown,) = candidate.unknowns
+    return _way(model, poses, unknown)
+
+
+def _way(model: Model, poses: Recording, unknown: Unknown) -> Array:
     thetas = np.repeat(model.theta[None], 2, axis=0)
-    thetas[1, list(unknown.places)] += unknown.negligible
+    thetas[1, list(unknown.places)] += SHORT * unknown.negligible
     ends = model.tip(thetas, poses)
     moved: Array = (ends[1] - ends[0]).ravel()
     length = float(np.linalg.norm(moved))

@@ -50,7 +50,7 @@ class Candidate:
     A ``nuisance`` is free in every fit, since other effects would absorb it otherwise; its label ends in ``~``. It is named
     like any other effect where it departs from nominal by more than is negligible. An effect that the plant has already is
     ``known``: what may be missing is another value of it, or a richer form. ``aliases``: (name, target) of what no recording
-    can tell from it.
+    can tell from it; ``special``: of what is a special case of it on this machine.
     """
 
     effect: Effect
@@ -62,6 +62,7 @@ class Candidate:
     nuisance: bool = False
     known: bool = False
     aliases: tuple[tuple[str, str], ...] = ()
+    special: tuple[tuple[str, str], ...] = ()
 
     @property
     def key(self) -> tuple[str, str, str | None]:
@@ -77,7 +78,8 @@ class Candidate:
 
     def contains(self, other: Candidate) -> bool:
         """Whether ``other`` is a special case of this one."""
-        return other.effect.name in self.effect.generalises and other.target == self.target
+        same = other.effect.name in self.effect.generalises and other.target == self.target
+        return same or (other.effect.name, other.target) in self.special
 
     def instance(self, values: Array) -> KnownEffect:
         """The effect with these values, as a plant takes it."""

@@ -173,7 +173,9 @@ class Search:
         near = [
             k
             for k, fit in enumerate(fits)
-            if self.scores.delta_bic(fit, model) < self.strict.delta_bic and not self._needlessly_rich(fit, model)
+            if self.scores.delta_bic(fit, model) < self.strict.delta_bic
+            and not self._needlessly_rich(fit, model)
+            and not self._hardly_better(rivals[k], fit, candidate, model)
         ]
         surviving = confidence_set(
             [-series for series in self.scores.log_densities(model, *(fits[k] for k in near))], self.seed
@@ -222,6 +224,10 @@ class Search:
             return False
         gains = rival.log_likelihood - model.log_likelihood, self.scores.density(rival) - self.scores.density(model)
         return max(gains) < self.strict.forward
+
+    def _hardly_better(self, rival: Candidate, fit: Fit, candidate: Candidate, model: Fit) -> bool:
+        """Whether a rival contains the effect as a special case and predicts hardly better: it is what it is there."""
+        return rival.contains(candidate) and self.scores.rmse(model) <= self.strict.richer * self.scores.rmse(fit)
 
     def _as_far(self, rival: Fit, model: Fit) -> bool:
         """Whether a rival leaves about as much as ``model`` of a stage that stays far from explained.
