@@ -7,6 +7,9 @@ import numpy as np
 from sysid.effects.compiled import inlined
 from sysid.effects.effect import Effect, Form, Need, Parameter, Slot
 
+#: No valve meters less than this share of its flow: an axis that is asked for less stands.
+REST = 1e-4
+
 EFFECT = Effect(
     name="stiction",
     stage="command",
@@ -36,7 +39,7 @@ EFFECT = Effect(
             )
         ),
     ),
-    equation="at rest until |x| > breakaway, then y = x until |x| < release",
+    equation="at rest until |x| > breakaway, then y = x until |x| < release (0.0001 at the least)",
     source="Karnopp, J. Dyn. Syst. Meas. Control 107 (1985)",
     excited_by="slow starts from rest and slow stops on both sides",
     confused_with=("valve_deadband", "backlash"),
@@ -48,13 +51,16 @@ EFFECT = Effect(
 
 @inlined
 def step(v, p, i, s, j, gain):
-    """Speed ``v`` is ``gain``·effective command; ``s[j]`` is 1 while moving. The release is at most the break-away."""
+    """Speed ``v`` is ``gain``·effective command; ``s[j]`` is 1 while moving.
+
+    The release is at most the break-away, and no less than :data:`REST`: a lag never gets to zero.
+    """
     if np.isnan(s[j]):
         s[j] = 0.0
     size = abs(v)
     if s[j] == 0.0:
         if size > p[i] * gain:
             s[j] = 1.0
-    elif size < min(p[i + 1], p[i]) * gain:
+    elif size < min(max(p[i + 1], REST), p[i]) * gain:
         s[j] = 0.0
     return v if s[j] == 1.0 else 0.0

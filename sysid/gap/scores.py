@@ -54,13 +54,18 @@ class Scores:
         return self._fits[key][0]
 
     def _score(self, fit: Fit) -> tuple[Array, float]:
-        """(log predictive density of every unseen bin, NaN where there is none, and unseen RMSE in noise floors)."""
+        """(log predictive density of every unseen bin, NaN where there is none, and unseen RMSE in noise floors).
+
+        How much a machine wanders belongs to what it was recorded doing, so every model has the drift there that suits it best:
+        with that of the fitted recordings, a model that leaves more of them is forgiven more elsewhere.
+        """
         key = frozenset(fit.labels)
         if key not in self._scores:
             densities, left = [], []
             for (_, unseen), fitted in zip(self.folds, self._fits_of(fit), strict=True):
+                drifts, _ = unseen.drifts(fitted.theta)
                 for part, activity in zip(unseen.bins(fitted.theta[None]), unseen.activities, strict=True):
-                    densities += [log_density(part[0, :, k], activity, d) for k, d in enumerate(fitted.drifts)]
+                    densities += [log_density(part[0, :, k], activity, d) for k, d in enumerate(drifts)]
                 left += unseen.residuals(fitted.theta[None])
             self._scores[key] = np.concatenate(densities), spread_of(left)
         return self._scores[key]
