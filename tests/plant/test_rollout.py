@@ -308,3 +308,18 @@ def test_a_cache_that_cannot_be_written_warns(tmp_path: Path) -> None:
         check=True,
     )
     assert done.stdout.split() == ["True", "True"]
+
+
+def test_behind_a_lag_a_release_of_nothing_comes_as_well() -> None:
+    """What is asked for fades and never gets to zero; after three seconds the axis stands, and sticks."""
+    time = np.arange(800) / 100.0
+    command = np.where(time < 1.0, 0.5, np.where(time < 4.0, 0.0, 0.05))
+    start = np.where(time < 0.005, 1.0, np.nan)
+    table = {"time": time, "slew.command": command, "boom.command": 0.0, "wrist.command": 0.0}
+    table |= {"slew.joint": 0.0 * start, "boom.cylinder": 0.06 * start}
+    lag = KnownEffect("first_order_lag", "slew", {"time_constant": 0.1})
+    sticks = KnownEffect("stiction", "slew", {"breakaway": 0.1, "release": 0.0})
+    run = free_run(compile_plant(nominal(lag, sticks)), Recording("run", pd.DataFrame(table), 100.0))
+    place = run["slew.joint"].to_numpy()
+    assert place[150] > 0.1
+    assert place[-1] == place[395]
