@@ -133,12 +133,10 @@ def worth_seeing(candidate: Candidate) -> Array:
 
 def _within(one: Hypothesis, other: Hypothesis) -> bool:
     """Whether ``one`` is a special case of ``other``."""
-    assert one.candidate is not None
-    assert other.candidate is not None
-    return one.candidate.target == other.candidate.target and (
-        one.candidate.effect.name in other.candidate.effect.generalises
-        or (one.candidate.key == other.candidate.key and len(one.unknowns) < len(other.unknowns))
-    )
+    a, b = one.candidate, other.candidate
+    assert a is not None
+    assert b is not None
+    return b.contains(a) or (a.key == b.key and len(one.unknowns) < len(other.unknowns))
 
 
 def _model(base: Array, candidate: Candidate, fit: Fit, seen: Data, drifts: Sequence[Drift]) -> Hypothesis:
