@@ -39,7 +39,7 @@ EFFECT = Effect(
             )
         ),
     ),
-    equation="at rest until |x| > breakaway, then y = x until |x| < release (0.0001 at the least)",
+    equation=f"at rest until |x| > breakaway, then y = x until |x| < release ({REST:g} at the least)",
     source="Karnopp, J. Dyn. Syst. Meas. Control 107 (1985)",
     excited_by="slow starts from rest and slow stops on both sides",
     confused_with=("valve_deadband", "backlash"),

@@ -34,7 +34,10 @@ UNLIMITED = (-1.0, 1.0)
 
 
 def without_aliases(candidates: Sequence[Candidate], model: Model) -> list[Candidate]:
-    """The candidates of the end-effector stage, those that are the same as another in every pose folded into it."""
+    """The candidates of the end-effector stage, those that are the same as another in every pose folded into it.
+
+    One of several numbers knows which of them are special cases of it.
+    """
     single = [c for c in candidates if c.effect.name in ORDER and len(c.unknowns) == 1]
     if len(single) < 2 or not model.posed:
         return list(candidates)

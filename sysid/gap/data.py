@@ -62,7 +62,10 @@ class Data:
 
     def drifts(self, theta: Array) -> tuple[tuple[Drift, ...], float]:
         """Drift of every signal under one parameter vector, and the log-likelihood."""
-        bins = self.bins(theta[None])
+        return self.drifts_of(self.bins(theta[None]))
+
+    def drifts_of(self, bins: Sequence[Array]) -> tuple[tuple[Drift, ...], float]:
+        """The same, of binned residuals, one (1, m, d) a recording."""
         memory = 1.0 if self.problem.integrates else FORGETS
         found, total = [], 0.0
         for k in range(len(self.sigma)):

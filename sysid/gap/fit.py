@@ -55,10 +55,14 @@ class Fit:
 
     def values_of(self, candidate: Candidate) -> Array:
         """The part of ``values`` that belongs to one of the fitted candidates."""
+        return self.values[self.rows_of(candidate)]
+
+    def rows_of(self, candidate: Candidate) -> slice:
+        """Which of ``unknowns`` belong to one of the fitted candidates."""
         at = 0
         for known in self.candidates:
             if known is candidate:
-                return self.values[at : at + len(known.unknowns)]
+                return slice(at, at + len(known.unknowns))
             at += len(known.unknowns)
         raise KeyError(candidate.label)
 

@@ -184,13 +184,10 @@ def _accept(case: Case, stage: Stage, outcome: Outcome) -> None:
 
 def _departs_clearly(candidate: Candidate, fit: Fit, limits: Array) -> bool:
     """Whether any number of an effect that the plant has is further from its value there than :data:`CLEAR` half intervals."""
-    for k, unknown in enumerate(fit.unknowns):
-        if any(unknown is own for own in candidate.unknowns):
-            value = float(fit.values[k])
-            side = limits[k, 0] if unknown.nominal < value else limits[k, 1]
-            if abs(value - unknown.nominal) > CLEAR * abs(value - side):
-                return True
-    return False
+    nominal = np.array([unknown.nominal for unknown in candidate.unknowns])
+    values, ends = fit.values_of(candidate), limits[fit.rows_of(candidate)]
+    towards = np.where(nominal < values, ends[:, 0], ends[:, 1])
+    return bool((np.abs(values - nominal) > CLEAR * np.abs(values - towards)).any())
 
 
 def _uncertainty(fit: Fit, covariance: Array) -> Uncertainty:
@@ -205,7 +202,7 @@ def _uncertainty(fit: Fit, covariance: Array) -> Uncertainty:
 
 def _named(stage: Stage, kept: Kept, limits: Array) -> NamedEffect:
     candidate, fit, compared = kept.candidate, stage.found.fit, kept.comparison
-    begin = next(k for k, u in enumerate(fit.unknowns) if u is candidate.unknowns[0])
+    begin = fit.rows_of(candidate).start
     parameters: dict[str, Value] = {}
     interval: dict[str, tuple[Any, Any]] = {}
     for parameter in candidate.form.parameters:

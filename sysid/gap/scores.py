@@ -63,8 +63,9 @@ class Scores:
         if key not in self._scores:
             densities, left = [], []
             for (_, unseen), fitted in zip(self.folds, self._fits_of(fit), strict=True):
-                drifts, _ = unseen.drifts(fitted.theta)
-                for part, activity in zip(unseen.bins(fitted.theta[None]), unseen.activities, strict=True):
+                bins = unseen.bins(fitted.theta[None])
+                drifts, _ = unseen.drifts_of(bins)
+                for part, activity in zip(bins, unseen.activities, strict=True):
                     densities += [log_density(part[0, :, k], activity, d) for k, d in enumerate(drifts)]
                 left += unseen.residuals(fitted.theta[None])
             self._scores[key] = np.concatenate(densities), spread_of(left)

@@ -209,18 +209,8 @@ def test_the_command_line(workspace: Workspace, tmp_path: Path) -> None:
 
 def test_candidates_at_run_time_have_a_row_of_their_own(workspace: Workspace, tmp_path: Path) -> None:
     train_policy(workspace.models, recipe(name="asked"), tmp_path / "training")
-    words = [
-        "--workspace",
-        str(workspace.folder),
-        "track",
-        "asked",
-        "--path",
-        "circle",
-        "--candidates",
-        "50",
-        "--scatter",
-        "0.3",
-    ]
+    words = ["--workspace", str(workspace.folder), "track", "asked", "--path", "circle"]
+    words += ["--candidates", "50", "--scatter", "0.3"]
     words += ["--json", str(tmp_path / "out.json"), "--out", str(tmp_path / "run")]
     for more in ([], ["--full"]):
         assert CliRunner().invoke(app, [*words, *more], catch_exceptions=False).exit_code == 0

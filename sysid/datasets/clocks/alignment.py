@@ -100,6 +100,10 @@ class Estimate:
         """The offset at a time of the stream [s]."""
         return self.mid_offset + self.skew * (time - self.mid_time)
 
+    def on_machine(self, times: Array) -> Array:
+        """Times of the stream (n,) on the machine's clock [s]."""
+        return times + self.mid_offset + self.skew * (times - self.mid_time)
+
     def variance_at(self, time: float) -> float:
         """Of :meth:`at` [s²]."""
         row = np.array([1.0, time - self.mid_time])
@@ -153,8 +157,9 @@ def estimate(pairs: Sequence[Pair], start: float | None = None) -> Estimate:
         left = [_unexplained(ready, found, shares) for _, found, shares in tried]
         near = [k for k, value in enumerate(left) if value < 1.0 and CLEAR * value <= min(left)]
         if len(near) > 1:  # strokes between long rests: one of few fits another one, with nothing to compare the rest with
-            most = [k for k in near if _unmet(ready, tried[k][1]) < UNMET]
-            near = most if all(_unmet(ready, tried[k][1]) > MOSTLY_UNMET for k in near if k not in most) else near
+            unmet = {k: _unmet(ready, tried[k][1]) for k in near}
+            if not any(UNMET <= share <= MOSTLY_UNMET for share in unmet.values()):
+                near = [k for k in near if unmet[k] < UNMET]
         if len(near) == 1:
             (start, result, explained), doubt = tried[near[0]], ""
     if doubt:
@@ -190,7 +195,7 @@ def _unmet(pairs: Sequence[Pair], found: Estimate) -> float:
     for pair in pairs:
         known, seen = np.isfinite(pair.x), np.isfinite(pair.y)
         times = pair.y_times[seen]
-        there = times + found.mid_offset + found.skew * (times - found.mid_time)
+        there = found.on_machine(times)
         ways = (pair.x_times[known], pair.x[known], there), (there, pair.y[seen], pair.x_times[known])
         shares.append(min(_outside(at, values, span[0], span[-1]) for at, values, span in ways))
     return float(np.mean(shares))
@@ -208,7 +213,7 @@ def _apart(pair: Pair, found: Estimate) -> float:
     """Variance of the difference of a pair, constant left out, in that of the motion; mistaken frames do not count."""
     known, seen = np.isfinite(pair.x), np.isfinite(pair.y)
     times, y = pair.y_times[seen], pair.y[seen]
-    there = times + found.mid_offset + found.skew * (times - found.mid_time)
+    there = found.on_machine(times)
     both = (there >= pair.x_times[known][0]) & (there <= pair.x_times[known][-1])
     if not both.any():
         return 0.0
