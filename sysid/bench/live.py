@@ -120,7 +120,7 @@ class Line:
             link.unlink()
         link.symlink_to(self.name)
         self._link = link
-        self._rest = b""
+        self._rest = self._unsent = b""
         self.open = False
 
     def receive(self) -> list[Frame]:
@@ -133,16 +133,29 @@ class Line:
         frames = []
         for line in lines:
             if line in (b"O", b"C"):
-                self.open = line == b"O"
+                self.open, self._unsent = line == b"O", b""
             elif self.open and (frame := parse_line(line)) is not None:
                 frames.append(frame)
         return frames
 
     def send(self, frames: list[Frame]) -> None:
         """Whole frames, or none of them where nobody takes them: an adapter whose buffer is full loses what comes."""
-        if self.open and frames:
-            with contextlib.suppress(BlockingIOError):
-                os.write(self.master, b"".join(frame.line() for frame in frames))
+        if not self.open:
+            return
+        self._unsent = self._unsent[self._taken(self._unsent) :]
+        if not self._unsent:
+            lines = b"".join(frame.line() for frame in frames)
+            taken = self._taken(lines)
+            end = lines.rfind(b"\r", 0, taken) + 1
+            if end < taken:  # the frame that is begun has to be ended; those after it are lost
+                self._unsent = lines[taken : lines.index(b"\r", taken) + 1]
+
+    def _taken(self, lines: bytes) -> int:
+        """How many bytes of ``lines`` the line took."""
+        try:
+            return os.write(self.master, lines) if lines else 0
+        except BlockingIOError:
+            return 0
 
     def close(self) -> None:
         with contextlib.suppress(FileNotFoundError):

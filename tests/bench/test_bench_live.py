@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
+import os
+import time
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,7 +15,7 @@ from hypothesis import strategies as st
 
 from sysid.bench.__main__ import main
 from sysid.bench.can_log import database
-from sysid.bench.live import COLUMNS, Switches, read_truth
+from sysid.bench.live import COLUMNS, Line, Switches, read_truth
 from sysid.bench.live_bus import VALVES, Frame, LiveBus, parse_line
 from sysid.bench.live_machine import TIME_OUT_NS, LiveMachine, Watchdog
 from sysid.bench.recipe_file import load_recipe
@@ -105,6 +108,41 @@ def test_fail_safe_bits_of_one_valve_stop_all_at_once() -> None:
 def test_frames_survive_the_line(identifier: int, extended: bool, data: bytes) -> None:
     frame = Frame(identifier if extended else identifier % 2048, extended, data)
     assert parse_line(frame.line()[:-1]) == frame
+
+
+def test_a_line_that_nobody_reads_loses_whole_frames(tmp_path: Path) -> None:
+    line = Line(tmp_path / "can0")
+    other = os.open(tmp_path / "can0", os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
+
+    def take() -> bytes:
+        """All that waits in the line; its two ends are brought together by the kernel when it gets to it."""
+        taken, end = b"", time.monotonic() + 0.2
+        while time.monotonic() < end:
+            with contextlib.suppress(BlockingIOError):
+                taken += os.read(other, 65536)
+                end = time.monotonic() + 0.2
+        return taken
+
+    try:
+        os.write(other, b"O\r")
+        while not line.open:
+            line.receive()
+        sent = 0
+        heard = []
+        for burst in (3000, 1, 1, 20, 3000, 1):
+            line.send([Frame(0x100, False, (sent + k).to_bytes(8, "big")) for k in range(burst)])
+            sent += burst
+            heard.append(take())
+    finally:
+        os.close(other)
+        line.close()
+    *whole, rest = b"".join(heard).split(b"\r")
+    frames = [parse_line(one) for one in whole]
+    assert rest == b""
+    assert all(frame is not None and len(frame.data) == 8 for frame in frames)
+    numbers = [int.from_bytes(frame.data, "big") for frame in frames if frame is not None]
+    assert numbers == sorted(set(numbers))
+    assert len(numbers) < sent, "all of it found room: nothing was tried"
 
 
 @given(st.binary(max_size=40))
