@@ -19,7 +19,6 @@ SECONDS = {"temperature_drift": 90.0, "clock_skew": 90.0}
 #: Cases in which something else is named as well, and why.
 NOT_YET = {
     "sensor_scale-boom.joint": "the next stage believes the joint that was measured: joint_offset of the boom is named there",
-    "sensor_scale-boom.cylinder": "the stage before is judged by the measured cylinder: gain_error of the boom is named there",
     "sensor_bias-boom.joint": "the next stage believes the joint that was measured: joint_offset of the boom is named there",
 }
 
