@@ -80,6 +80,7 @@ class CanTransport(MonotonicClock):
         self._status_ns = 0
         self._clock = MachineClock()
         self._fault = ""
+        self._commanded = False
         #: Frames that alive counters say were lost, and frames that no database entry explains.
         self.lost = 0
         self.strange: set[tuple[int, bool]] = set()
@@ -212,6 +213,7 @@ class CanTransport(MonotonicClock):
 
         if self._bus is None or self._fault:
             raise OSError(self._fault or "the bus is not open")
+        self._commanded = True
         try:
             for identifier, data in self.machine.say([float(command) for command in commands], enabled):
                 self._bus.send(Message(arbitration_id=identifier, is_extended_id=True, data=data), timeout=_SEND)
@@ -241,13 +243,16 @@ class CanTransport(MonotonicClock):
             os.close(pipe)
 
     def close(self) -> None:
-        """Say that nobody commands, and let go of the bus; where the machine does not hear it, its own time-out does."""
+        """Say that nobody commands any more, if somebody did, and let go of the bus.
+
+        Where the machine does not hear it, its own time-out does.
+        """
         from can import CanError
 
         if self._bus is None:
             return
         try:
-            if not self._fault:
+            if self._commanded and not self._fault:
                 self.write(np.zeros(len(self.axes)), enabled=False)
         except OSError as error:
             self._fault = str(error)

@@ -64,6 +64,18 @@ def test_readings_and_commands_cross_the_line(live: Live, transport: CanTranspor
     assert 0 <= age < 100_000_000, "the machine's stamp, on the clock of this computer"
 
 
+def test_who_only_listens_sends_nothing_when_he_goes(live: Live) -> None:
+    """Somebody else may be moving the machine."""
+    time.sleep(0.1)  # until what was said before has come
+    before = live.truth["counter_ns"][-1]
+    listening = CanTransport(live.settings)
+    listening.open()
+    listening.read()
+    listening.close()
+    time.sleep(0.1)
+    assert live.truth["counter_ns"][-1] == before
+
+
 def test_negative_commands_and_steps_of_04_percent(live: Live, transport: CanTransport) -> None:
     drive(transport, np.array([0.123456, -0.3, 0.001, -1.0]), 0.05)
     wanted = [0.124, -0.3, 0.0, -1.0]
