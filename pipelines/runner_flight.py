@@ -122,11 +122,7 @@ def fly(flight: Flight) -> dict[str, Any]:
     words = provenance({"machine": assembly.machine_file, "recipe": flight.recipe}, versions)
     log = FlightLog(folder / "logs", assembly.machine_file, transport.axes, transport.signals, words)
     loop = assembly.loop(transport, log, Unattended(transport))
-    transport.open()
-    try:
-        outcome = loop.run(Watch(flight, transport, loop.chain))
-    finally:
-        transport.close()
+    outcome = loop.run(Watch(flight, transport, loop.chain))
     try:
         log.close()
     except StorageError as error:

@@ -76,25 +76,21 @@ def run(
     with Interruptible(operator) as person:
         pair = Both(ranges)
         loop = assembly.loop(transport, pair, person)
-        transport.open()
+        files = {"recipe": recipe, "machine": assembly.machine_file}
+        versions = {version.reference: version.digest for version in assembly.loaded.versions}
+        words = provenance(files, versions) | {"run": {"name": settings.name, "mode": settings.mode}}
+        folder = log or Path(settings.log.folder)
+        kind: Any = "poses" if settings.mode == "collect" else "motion"
+        flight = FlightLog(
+            folder, assembly.machine_file, transport.axes, transport.signals, words, kind=kind, clock_ns=transport.now_ns()
+        )
+        pair.second = flight
         try:
-            files = {"recipe": recipe, "machine": assembly.machine_file}
-            versions = {version.reference: version.digest for version in assembly.loaded.versions}
-            words = provenance(files, versions) | {"run": {"name": settings.name, "mode": settings.mode}}
-            folder = log or Path(settings.log.folder)
-            kind: Any = "poses" if settings.mode == "collect" else "motion"
-            flight = FlightLog(
-                folder, assembly.machine_file, transport.axes, transport.signals, words, kind=kind, clock_ns=transport.now_ns()
-            )
-            pair.second = flight
-            try:
-                if view:
-                    _show(flight.path)
-                outcome = loop.run()
-            finally:
-                unwritten = _closed(flight)
+            if view:
+                _show(flight.path)
+            outcome = loop.run()
         finally:
-            transport.close()
+            unwritten = _closed(flight)
     _tell(printer, assembly, outcome, ranges)
     printer.line(f"{flight.path}   (a recording: sysid ingest {folder} --recipe {folder / 'recipe.toml'})")
     figures = _figures(assembly, outcome, ranges)

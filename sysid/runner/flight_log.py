@@ -115,7 +115,7 @@ class FlightLog:
         return self._fault
 
     def close(self) -> None:
-        """Write what waits, and the end of the file; may be called again.
+        """Write what waits, and the end of the file; one without a cycle is taken away. May be called again.
 
         Raises:
             StorageError: that cannot be written. What was synced before is there.
@@ -123,6 +123,9 @@ class FlightLog:
         if self._thread.is_alive():
             self._queue.put(None)
             self._thread.join()
+            if not (self.written or self._broken):
+                self.path.unlink(missing_ok=True)
+                self.folder.rmdir()
         if self._broken:
             raise StorageError(str(self.path), self._fault, "room on the disk", f"{self.written} cycles are written.")
 

@@ -86,16 +86,20 @@ class Loop:
         self.senses.reset()
 
     def run(self, watch: Callable[[Cycle], None] | None = None) -> Outcome:
-        """Turn until the task is done, somebody says so, or a fault ends it; the valves are neutral then.
+        """Open the transport, turn until the task is done, somebody says so, or a fault ends it, and let go, valves neutral.
 
         Args:
             watch: shown every turn, for live views and tests.
+
+        Raises:
+            InputError, SettingsError: the transport cannot be opened.
         """
         settings, outcome = self.settings, self.outcome
         with on_time(settings.priority, settings.lock_memory) as refused:
             outcome.notes += refused
             for text in refused:
                 self.operator.told(text)
+            self.transport.open()  # last: to lock the memory takes seconds, in which a line that nobody reads would overflow
             begin = due = self.transport.now_ns() + self.period_ns
             self.states.entered_ns = begin
             try:
@@ -115,6 +119,7 @@ class Loop:
             finally:
                 if self.mode.writes:
                     self._send(self._zero, False)
+                self.transport.close()
         outcome.state, outcome.why = self.states.state, self.states.why
         return outcome
 

@@ -100,7 +100,6 @@ def fault_run(seed: int) -> tuple[Case, dict[str, float]]:
         return Wild(rng, bounds)
 
     run = case(mode, start=start, true=true_crane(int(rng.integers(1000))), plan=plan, limits=limits, seed=seed, seconds=2.2)
-    run.transport.start()
     run.loop.run()
     joints, ends = np.array(run.machine.joints), np.array(run.machine.ends)
     of, fence = run.limits, run.limits.hard_fence

@@ -41,7 +41,6 @@ def test_a_version_that_does_not_know_its_data_is_refused() -> None:
 
 def test_a_joint_sensor_that_contradicts_its_cylinder_stops_and_latches() -> None:
     made = case(lambda limits, chain: Hold(DT, 3.0), plan=[Injection(Scaled("boom.joint", 1.3), 0.6)], noise=False)
-    made.transport.start()
     made.loop.run()
     assert "contradiction" in made.verdicts()
     assert made.states()[-1] == "fault"

@@ -129,6 +129,12 @@ def test_a_full_disk_is_a_fault_and_what_was_synced_stays(tmp_path: Path) -> Non
     assert list(stream.columns["number"]) == list(range(len(stream.columns["number"])))
 
 
+def test_a_run_that_never_began_leaves_no_recording(tmp_path: Path) -> None:
+    log = flown(tmp_path, 0)
+    log.close()
+    assert not list(tmp_path.glob("motion-*"))
+
+
 def test_a_disk_that_is_nearly_full_is_refused(tmp_path: Path) -> None:
     with pytest.raises(StorageError, match=r"MiB free; expected .* Make room"):
         FlightLog(tmp_path, MACHINE, AXES, SIGNALS, WORDS, reserve=2**60)

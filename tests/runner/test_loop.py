@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -45,10 +46,32 @@ def tracking(limits: Limits, chain: Chain) -> Mode:
 
 def run(mode: Callable[[Limits, Chain], Mode] = tracking, *plan: Injection, **settings: object) -> Case:
     made = case(mode, plan=plan, **settings)  # type: ignore[arg-type]
-    made.transport.start()
     made.loop.warm_up(MIDDLE)
     made.loop.run()
     return made
+
+
+def test_the_line_is_opened_last(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Locking memory takes seconds, in which nobody would read."""
+    made = case(tracking)
+    order: list[str] = []
+
+    @contextmanager
+    def slow(priority: int, lock: bool) -> Iterator[tuple[str, ...]]:
+        order.append("locked")
+        yield ()
+
+    def told(name: str) -> None:
+        whole = getattr(made.transport, name)
+        monkeypatch.setattr(made.transport, name, lambda *given: (order.append(name), whole(*given))[1])
+
+    monkeypatch.setattr("sysid.runner.loop.on_time", slow)
+    for name in ("open", "read", "close"):
+        told(name)
+    made.loop.run()
+    assert order[:3] == ["locked", "open", "read"]
+    assert order.count("open") == order.count("close") == 1
+    assert order[-1] == "close"
 
 
 def test_a_run_from_idle_to_rest() -> None:

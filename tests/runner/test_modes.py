@@ -59,7 +59,6 @@ def test_collect_draws_inside_and_stays_at_each_pose() -> None:
     made = case(
         lambda limits, chain: Collect(3, limits, chain.tip, DT, settle_s=0.4, record_s=0.2, seed=3), limits=FENCED, true=PLANT
     )
-    made.transport.start()
     made.loop.run()
     assert made.loop.outcome.ended == "done", made.loop.outcome.notes
     for number in (1, 2, 3):
@@ -80,7 +79,6 @@ def test_an_experiment_goes_to_its_start_and_ends_where_its_limits_are_left() ->
             "taps", "crane", "taps", "", ("boom",), 100.0, 1, start, {"boom.cylinder": (0.0, high)}, {}, (), {}, table
         )
         made = case(lambda limits, chain, it=experiment: of_experiment(it, PLANT, limits, DT))
-        made.transport.start()
         made.loop.run()
         assert made.loop.outcome.ended == ended, made.loop.outcome.notes
         sent = [cycle.commands[1] for cycle in made.cycles if cycle.source == "experiment"]
