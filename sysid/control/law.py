@@ -1,6 +1,6 @@
 """The law of the cylinder controller, compiled: setpoints and measured positions of all copies → valve commands.
 
-    e = r(t) − y(t);  v = feed·ṙ(t + θ) + Kp·e + I  (+ the way across the play at a reversal)
+    e = r(t) − y(t);  v = feed·ṙ(t + θ) + Kp·e + I  (+ the way across the play where the setpoint turns round)
     effective = (v/gain)^(1/exponent);  command = effective + dead-band of that direction, limited in rate and range
 
 The setpoint given in a step is meant for ``preview`` after the end of the step. With preview the speed is fed forward θ before
@@ -105,7 +105,7 @@ def command(about, state, setpoints, measured, preview, dt, out):
             v = a[FEED] * min(max(fed, -top), top) + a[PROPORTIONAL] * error + s[SUM] + a[CREEP]
             if a[PLAY] > 0.0:
                 half = 0.5 * a[PLAY]
-                if abs(v) > STILL * top:
+                if abs(fed) > STILL * top and fed * v > 0.0:  # of a setpoint that stands, noise would ask to and fro
                     left = math.copysign(half, v) - s[PLACE]
                     v += min(max(left / dt, -top), top)
                 s[PLACE] = min(max(s[PLACE] + min(max(v, -top), top) * dt, -half), half)

@@ -125,6 +125,20 @@ def test_at_rest_nothing_chatters() -> None:
     assert np.abs(commands).max() < 1e-4
 
 
+def test_a_noisy_sensor_opens_no_valve_while_a_setpoint_stands() -> None:
+    """Nor the way across the play: noise has either sign, and would ask for it to and fro."""
+    rng = np.random.default_rng(0)
+    tuning = tune(PLANT)
+    controller = CylinderController(PLANT, tuning)
+    drive = controller.drive(BEGIN)[0]
+    controller.reset(drive)
+    noise = np.array([5e-4, 2e-5, 2e-5, 2e-5])
+    commands = np.array([controller.commands(BEGIN, drive + noise * rng.standard_normal(4))[0] for _ in range(500)])
+    bands = np.array([[item.positive, item.negative] for item in tuning])
+    assert (commands <= bands[:, 0] + 0.02).all()
+    assert (-commands <= bands[:, 1] + 0.02).all()
+
+
 def test_copies_are_the_same_as_one_machine_and_resume_exactly() -> None:
     rng = np.random.default_rng(0)
     setpoints = BEGIN + 0.05 * rng.standard_normal((30, 3, 4))
