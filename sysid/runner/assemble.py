@@ -17,12 +17,13 @@ from sysid.registry import Registry
 from sysid.rl.course import Course, lay_out
 from sysid.rl.inverse import Inverse, chain_of_forward, chain_of_plant
 from sysid.rl.reach import joint_limits
+from sysid.runner.barrier import Barrier
 from sysid.runner.chain import Chain
 from sysid.runner.cycle import Recorder
 from sysid.runner.domain import Domains
 from sysid.runner.limits import Limits, limits_of
 from sysid.runner.loop import Loop
-from sysid.runner.modes.collect import Collect
+from sysid.runner.modes.collect import Collect, Ways
 from sysid.runner.modes.hold import Hold, Shadow, Teleop
 from sysid.runner.modes.mode import Mode
 from sysid.runner.modes.replay import of_experiment, of_file
@@ -88,12 +89,12 @@ class Assembly:
         senses = Senses(self.loaded.plant, self.valves, self.dt, transport.signals, checks)
         inside = Domains(self.loaded.forward, self.loaded.actuators, axes) if checks.on("domain") else lambda seen: ""
         supervisor = Supervisor(axes, self.limits, self.valves, senses.linkages, chain.tip, self.dt, checks, inside)
-        mode = self.mode(self.recipe.mode, chain)
+        mode = self.mode(self.recipe.mode, chain, supervisor.barrier)
         loop = Loop(transport, chain, senses, supervisor, mode, recorder, operator, self.recipe.loop)
         loop.warm_up(self.middle)
         return loop
 
-    def mode(self, name: str, chain: Chain) -> Mode:
+    def mode(self, name: str, chain: Chain, barrier: Barrier) -> Mode:
         """The task ``name`` of the recipe."""
         recipe, limits, dt = self.recipe, self.limits, self.dt
         if name == "track":
@@ -109,7 +110,7 @@ class Assembly:
         if name == "collect":
             collect = recipe.collect
             return Collect(
-                collect.poses, limits, chain.tip, dt,
+                collect.poses, Ways(limits, barrier, dt), dt,
                 settle_s=collect.settle_s, record_s=collect.record_s, seed=collect.seed,
             )  # fmt: skip
         if name == "experiment":
@@ -117,7 +118,7 @@ class Assembly:
             return of_experiment(experiment, self.loaded.plant, limits, dt)
         if name == "replay":
             return of_file(self.folder / recipe.replay.file, self.machine, limits)
-        return Shadow(self.mode(recipe.shadow.of, chain)) if name == "shadow" else Teleop()
+        return Shadow(self.mode(recipe.shadow.of, chain, barrier)) if name == "shadow" else Teleop()
 
 
 def assemble(recipe: RunnerRecipe, registry: Registry, path: Path) -> Assembly:

@@ -79,6 +79,23 @@ class Barrier:
         passed, _ = self.pass_on(commands, drive, reckonings)
         return passed
 
+    def stopped(self, joints: Array, speeds: Array) -> Array:
+        """Where stops end that begin at ``joints`` (n, A) in motion at ``speeds`` (n, A), judged as commands are.
+
+        Returns:
+            Joints (n, A).
+        """
+        ends = np.empty_like(joints)
+        for i, (valve, linkage) in enumerate(zip(self.valves, self.linkages, strict=True)):
+            q, v = joints[:, i], speeds[:, i]
+            if linkage is not None:
+                q, v = linkage.displacement(q), (linkage.displacement(q + v * self.dt) - linkage.displacement(q)) / self.dt
+            v = SPREAD * v
+            way = v * (valve.late * self.dt + self.dt + UNSEEN_S) + np.sign(v) * v * v / (2.0 * self.limits.braking[i])
+            place = np.clip(q + way, valve.low, valve.high)
+            ends[:, i] = place if linkage is None else linkage.joint(place)
+        return ends
+
     def _one(self, i: int, asked: float, drive: float, reckoning: Reckoning, broken: list[Broken]) -> float:
         valve, most = self.valves[i], float(self.limits.command[i])
         if not math.isfinite(asked):

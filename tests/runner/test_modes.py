@@ -15,9 +15,9 @@ from sysid.errors import InputError
 from sysid.gap.experiment.experiment import Experiment
 from sysid.rl.paths import Path as Course
 from sysid.rl.paths import circle
-from sysid.runner.barrier import outside
-from sysid.runner.limits import AxisLimits, LimitSettings, limits_of
-from sysid.runner.modes.collect import Collect, draw
+from sysid.runner.barrier import Barrier, outside
+from sysid.runner.limits import AxisLimits, Limits, LimitSettings, limits_of
+from sysid.runner.modes.collect import Collect, Ways, draw
 from sysid.runner.modes.mode import Move
 from sysid.runner.modes.replay import ReplayCommands, ReplayJoints, of_experiment, of_file
 from sysid.runner.modes.track import TrackLive, eased
@@ -31,6 +31,11 @@ FENCED = LimitSettings(
     axes={"slew": AxisLimits(low=-0.5, high=0.5)},
 )
 LIMITS = limits_of(PLANT, VALVES, FENCED, "test")
+
+
+def ways(limits: Limits) -> Ways:
+    linkages = [PLANT.linkages[axis.name] if axis.drives == "cylinder" else None for axis in PLANT.machine.axes]
+    return Ways(limits, Barrier(limits, VALVES, linkages, TIP, DT), DT)
 
 
 def test_a_move_keeps_its_share_of_the_limits() -> None:
@@ -53,19 +58,51 @@ def test_an_eased_path_has_the_same_points_and_starts_from_rest() -> None:
 
 
 def test_collect_draws_inside_and_stays_at_each_pose() -> None:
-    poses = draw(20, MIDDLE, LIMITS, TIP, 3)
+    poses = draw(20, ways(LIMITS), 3)
     assert ((poses >= LIMITS.low) & (poses <= LIMITS.high)).all()
     assert not outside(TIP(poses), LIMITS.fence_low, LIMITS.fence_high).any()
     made = case(
-        lambda limits, chain: Collect(3, limits, chain.tip, DT, settle_s=0.4, record_s=0.2, seed=3), limits=FENCED, true=PLANT
+        lambda limits, chain: Collect(3, ways(limits), DT, settle_s=0.4, record_s=0.2, seed=3), limits=FENCED, true=PLANT
     )
     made.loop.run()
     assert made.loop.outcome.ended == "done", made.loop.outcome.notes
+    assert "fence" not in made.verdicts()
     for number in (1, 2, 3):
         rows = np.array([cycle.joints for cycle in made.cycles if cycle.source == f"record {number}"])
         assert len(rows) == 20
         assert np.ptp(rows[:, 3]) < 1e-3
         np.testing.assert_allclose(rows.mean(axis=0), made.loop.mode.poses[number - 1], atol=5e-3)  # type: ignore[attr-defined]
+
+
+def test_a_stop_on_any_way_of_a_collection_ends_inside() -> None:
+    """Not only at the poses: the barrier would end the collection at the first way that it cannot stop on."""
+    known = ways(LIMITS)
+    poses = draw(30, known, 1)
+    for begin, end in zip(poses, np.roll(poses, -1, axis=0), strict=True):
+        move = Move(begin, end, LIMITS, DT)
+        joints = np.array([move.at(k) for k in range(move.steps + 1)])
+        speeds = np.gradient(joints, DT, axis=0)
+        stopped = known.barrier.stopped(joints, speeds)
+        assert not outside(TIP(joints), LIMITS.fence_low, LIMITS.fence_high).any()
+        assert not outside(TIP(stopped), LIMITS.fence_low, LIMITS.fence_high).any()
+
+
+def test_joints_and_speeds_along_a_move() -> None:
+    move = Move(MIDDLE, MIDDLE + np.array([0.4, -0.3, 0.2, 0.05]), LIMITS, DT)
+    joints, speeds = move.along(move.steps + 1)
+    np.testing.assert_allclose(joints, [move.at(k) for k in range(move.steps + 1)], atol=1e-12)
+    np.testing.assert_allclose(speeds[1:-1], (joints[2:] - joints[:-2]) / (2.0 * DT), atol=2e-4)
+
+
+def test_a_collection_begins_where_the_way_is_free(monkeypatch: pytest.MonkeyPatch) -> None:
+    known = ways(LIMITS)
+    collect = Collect(5, known, DT, seed=2)
+    drawn = collect.poses.copy()
+    for left, first in (((0.1, 0.2, 0.0, 0.0, 0.3), 2), ((0.4, 0.2, 0.1, 0.3, 0.5), 2), ((0.0, 0.1, 0.1, 0.1, 0.0), 0)):
+        collect.poses = drawn.copy()
+        monkeypatch.setattr(known, "outside", lambda begin, end, left=left: left[int((drawn == end).all(axis=1).argmax())])
+        collect.begin(MIDDLE, EE)
+        np.testing.assert_array_equal(collect.poses, np.roll(drawn, -first, axis=0))
 
 
 def test_an_experiment_goes_to_its_start_and_ends_where_its_limits_are_left() -> None:

@@ -2,50 +2,69 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 import numpy.typing as npt
 
 from sysid.errors import SettingsError
-from sysid.runner.barrier import outside
+from sysid.runner.barrier import Barrier, outside
 from sysid.runner.limits import Limits
 from sysid.runner.modes.mode import Goal, Move, done
 
 Array = npt.NDArray[np.float64]
 
-#: Points of a move at which the fence is looked at.
-_LOOKED_AT = 12
+#: Moments of a move at which the fence is looked at.
+_LOOKED_AT = 24
+#: What the machine may be off its setpoints [m].
+CLEARANCE = 0.01
 #: Configurations that are tried for each one that is kept.
 _TRIES = 200
 
 
-def draw(count: int, begin: Array, limits: Limits, tip: Callable[[Array], Array], seed: int) -> Array:
-    """Joints (count, A) at random within the limits, so that they, and the straight moves between them, stay inside the fence.
+class Ways:
+    """Which straight moves keep away from the fence, so far that a stop from anywhere on them ends inside it.
 
     Args:
-        begin: joints (A,) where the machine stands.
-        tip: joints (n, A) → end effector (n, 3) [m].
+        limits, barrier, dt: of the machine.
+    """
+
+    def __init__(self, limits: Limits, barrier: Barrier, dt: float) -> None:
+        self.limits, self.barrier, self.dt = limits, barrier, dt
+
+    def outside(self, begin: Array, end: Array) -> float:
+        """How far the move from ``begin`` to ``end`` (A,), or a stop from it, leaves the fence less a clearance [m].
+
+        Where it begins outside, what counts is how much farther it leads.
+        """
+        if not self.limits.fenced:
+            return 0.0
+        joints, speeds = Move(begin, end, self.limits, self.dt).along(_LOOKED_AT)
+        ends = self.barrier.tip(np.concatenate([joints, self.barrier.stopped(joints, speeds)]))
+        left = outside(ends, self.limits.fence_low + CLEARANCE, self.limits.fence_high - CLEARANCE)
+        return max(float(left[len(joints) - 1]), float(left.max()) - float(left[0]))
+
+
+def draw(count: int, ways: Ways, seed: int) -> Array:
+    """Joints (count, A) at random within the limits, so that they, the moves between them, and from the last to the first keep
+    away from the fence.
 
     Raises:
         SettingsError: hardly any configuration does.
     """
     rng = np.random.default_rng(seed)
-    shares = np.linspace(0.0, 1.0, _LOOKED_AT)[:, None]
-    last = np.clip(begin, limits.low, limits.high)
+    low, high = ways.limits.low, ways.limits.high
     found: list[Array] = []
-    for _ in range(count):
+    for number in range(count):
         for _ in range(_TRIES):
-            joints = rng.uniform(limits.low, limits.high)
-            ends = tip(last + shares * (joints - last))
-            left = outside(ends, limits.fence_low, limits.fence_high)
-            if not left[-1] and (left <= left[0]).all():
+            joints = rng.uniform(low, high)
+            last = found[-1] if found else joints
+            if ways.outside(last, joints) == 0.0 and (
+                number < count - 1 or ways.outside(joints, (found or [joints])[0]) == 0.0
+            ):
                 break
         else:
-            where = f"collect: pose {len(found) + 1}"
+            where = f"collect: pose {number + 1}"
             raise SettingsError(where, f"none of {_TRIES} draws stays inside the fence", "more room in limits.fence")
         found.append(joints)
-        last = joints
     return np.array(found)
 
 
@@ -53,36 +72,37 @@ class Collect:
     """Go to each of the configurations, settle, stay while it is recorded.
 
     Args:
-        poses: configurations (n, A), or how many to draw where the run starts.
-        limits, tip, dt: of the machine.
+        poses: configurations (n, A), or how many to draw.
+        ways, dt: of the machine.
         settle_s, record_s: at each of them.
         seed: of the draw.
+
+    Raises:
+        SettingsError: hardly any configuration stays inside the fence.
     """
 
     name, moves, writes, thinks = "collect", True, True, True
 
     def __init__(
-        self,
-        poses: int | Array,
-        limits: Limits,
-        tip: Callable[[Array], Array],
-        dt: float,
-        *,
-        settle_s: float = 1.0,
-        record_s: float = 0.5,
-        seed: int = 0,
+        self, poses: int | Array, ways: Ways, dt: float, *, settle_s: float = 1.0, record_s: float = 0.5, seed: int = 0
     ) -> None:
-        self._asked, self._limits, self._tip, self._dt, self._seed = poses, limits, tip, dt, seed
+        self._ways, self._dt = ways, dt
         self._stay = round(settle_s / dt), round(record_s / dt)
-        self.poses = np.empty((0, len(limits.low)))
+        #: In the order in which they are gone to; it begins with one to which the way is free.
+        self.poses = draw(poses, ways, seed) if isinstance(poses, int) else np.array(poses)
         self._next, self._begun = 0, 0
         self._move: Move | None = None
 
     def begin(self, joints: Array, ee: Array) -> None:
-        asked = self._asked
-        self.poses = draw(asked, joints, self._limits, self._tip, self._seed) if isinstance(asked, int) else np.array(asked)
+        # The line waits: one after the other until one fits.
+        left = []
+        for pose in self.poses:
+            left.append(self._ways.outside(joints, pose))
+            if left[-1] == 0.0:
+                break
+        self.poses = np.roll(self.poses, -int(np.argmin(left)), axis=0)
         self._next, self._begun = 0, 0
-        self._move = Move(joints, self.poses[0], self._limits, self._dt)
+        self._move = Move(joints, self.poses[0], self._ways.limits, self._dt)
 
     def goal(self, k: int, joints: Array, ee: Array) -> Goal:
         assert self._move is not None
@@ -91,7 +111,7 @@ class Collect:
             self._next += 1
             if self._next >= len(self.poses):
                 return done("collect")
-            self._move = Move(self.poses[self._next - 1], self.poses[self._next], self._limits, self._dt)
+            self._move = Move(self.poses[self._next - 1], self.poses[self._next], self._ways.limits, self._dt)
             self._begun = k
         since = k - self._begun - self._move.steps
         phase = "move" if since < 0 else "settle" if since < settle else "record"

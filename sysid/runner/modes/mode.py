@@ -89,11 +89,21 @@ class Move:
             np.cbrt(60.0 * way / (SHARE * limits.jerk)),
         )
         self.steps = max(1, math.ceil(float(np.max(least)) / dt)) if way.size else 1
+        self._seconds = self.steps * dt
 
     def at(self, k: int) -> Array:
         """Joints (A,) ``k`` turns after the beginning; the last ones beyond the end."""
         s = min(max(k / self.steps, 0.0), 1.0)
         return np.asarray(self.begin + (self.end - self.begin) * s**3 * (10.0 - 15.0 * s + 6.0 * s * s))
+
+    def along(self, count: int) -> tuple[Array, Array]:
+        """Joints and their speeds at ``count`` moments from the beginning to the end, (count, A) each."""
+        s = np.linspace(0.0, 1.0, count)[:, None]
+        way = self.end - self.begin
+        return (
+            self.begin + way * s**3 * (10.0 - 15.0 * s + 6.0 * s * s),
+            way * 30.0 * s * s * (1.0 - s) ** 2 / self._seconds,
+        )
 
     def over(self, k: int) -> bool:
         return k >= self.steps
