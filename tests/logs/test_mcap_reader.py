@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import struct
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -208,6 +209,27 @@ def test_of_a_cut_off_file_everything_before_the_cut_is_read(tmp_path: Path, com
     # The last, incomplete chunk holds 60 kB, about 600 messages: all but its broken end is read.
     assert read[1] > 0.5 * 4000 - 650
     assert read[3] < 4000
+
+
+def test_a_file_that_grows_is_read_as_it_was_when_opened(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    whole, path = tmp_path / "whole.mcap", tmp_path / "log.mcap"
+    states = [state(t, ["boom"], [float(t)]) for t in range(400)]
+    write_states(whole, states, compression=CompressionType.NONE, chunk_size=6000)
+    data = whole.read_bytes()
+    for cut in range(len(data) // 2, len(data) // 2 + 700):
+        path.write_bytes(data[:cut])
+        (expected,) = McapReader().read(path, ReadOptions())
+
+        def grows(file: object, size: int, cut: int = cut) -> Iterator[tuple[int, bytes]]:
+            with path.open("ab") as more:
+                more.write(data[cut:])
+            return iter(())
+
+        with monkeypatch.context() as patch:
+            patch.setattr("sysid.logs.mcap_file._summary", grows)
+            (stream,) = McapReader().read(path, ReadOptions())
+        assert stream.losses == expected.losses
+        np.testing.assert_array_equal(stream.columns["position[0]"], expected.columns["position[0]"])
 
 
 def test_a_damaged_chunk_is_left_out_and_reported(tmp_path: Path) -> None:
