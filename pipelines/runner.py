@@ -296,16 +296,20 @@ def judged(name: str, flown: Flown) -> dict[str, Any]:
     passed = np.stack([truth[f"{axis}.passed"] for axis in ("slew", "boom", "stick", "telescope")], axis=1)
     moving = np.flatnonzero(after & passed.any(axis=1))
     neutral = float((at[moving[-1]] - t0) * 1e-6) if len(moving) and moving[-1] + 30 < len(at) else 0.0
-    verdicts = [(ns, text) for word, ns, text in flown.lines if word == "verdict" and ns >= t0]
+    # A clamp is everyday: setpoints of a policy that sees noise are held within their acceleration in every other turn.
+    verdicts = [
+        (ns, text) for word, ns, text in flown.lines if word == "verdict" and ns >= t0 and text.split(" ")[1] != "clamp"
+    ]
     states = [(ns, text) for word, ns, text in flown.lines if word == "state" and ns >= t0]
     noticed = min([ns for ns, _ in [*verdicts, *states]], default=0)
     killed = OUTSIDE.get(name, Outside()).kill
+    reaction: float | None
     if killed == "runner":
         state, reaction = "machine's own time-out", neutral
     else:
         goes_on = flown.outcome.get("ended") in ("time", "done")
         # Verdicts long after a fault that is over are about something else.
-        reaction = (noticed - t0) * 1e-6 if noticed and not (goes_on and noticed - t0 > 1e9) else 0.0
+        reaction = (noticed - t0) * 1e-6 if noticed and not (goes_on and noticed - t0 > 1e9) else None
         state = "goes on" if goes_on else "fault" if flown.outcome.get("state") == "fault" else "stopped"
     start = places[np.searchsorted(at, t0) - 1] if len(at) else places[0]
     peak = float(np.linalg.norm(places[after] - start, axis=1).max()) if after.any() else 0.0
@@ -365,15 +369,19 @@ def page(result: dict[str, Any]) -> str:
     def three(values: dict[str, float]) -> str:
         return " / ".join(f"{values[key]:.0f}" for key in ("p50", "p99", "max"))
 
+    def milliseconds(value: float | None) -> str:
+        return "–" if value is None else f"{value:.0f} ms"
+
     runs = [
         [f"{row['path']}, {row['policy']}", str(row["busy"]), str(row["turns"]), three(row["lateness_us"]), str(row["missed"]),
-         three(row["begin_to_valve_us"]), " / ".join(f"{value:.1f}" for value in row["rmse_mm"] or ()) or row["why"]]
+         three(row["begin_to_valve_us"]), " / ".join(f"{value:.1f}" for value in row["rmse_mm"] or ()) or "–",
+         "" if row["ended"] == "time" else row["why"]]
         for row in result["runs"]
     ]  # fmt: skip
     head = ["run", "busy processes", "turns", "lateness p50 / p99 / max, µs", "deadlines missed",
-            "turn begins → command at the valve, µs", "RMSE x / y / z, mm"]  # fmt: skip
+            "turn begins → command at the valve, µs", "RMSE x / y / z, mm", "ended early"]  # fmt: skip
     faults = [
-        [row["fault"], f"{row['reaction_ms']:.0f} ms", "–" if row.get("neutral_ms") is None else f"{row['neutral_ms']:.0f} ms",
+        [row["fault"], milliseconds(row["reaction_ms"]), milliseconds(row.get("neutral_ms")),
          f"{1e3 * row['peak_motion_m']:.1f} mm", row["state"], "yes" if row["ok"] else "**no**"]
         for row in result["faults"]
     ]  # fmt: skip

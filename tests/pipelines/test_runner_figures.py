@@ -40,6 +40,16 @@ def test_a_stop_is_measured_at_the_valves(runner: Any) -> None:
     assert (row["state"], row["ok"]) == ("stopped", True)
 
 
+def test_a_clamp_is_no_notice_of_a_fault(runner: Any) -> None:
+    run = flown(runner, 0.25)
+    run.lines.insert(2, ("verdict", BEGIN + 1_007_000_000, "acceleration clamp acceleration of slew: 13.3, limit 1.9"))
+    assert runner.judged("NaN", run)["reaction_ms"] == pytest.approx(12.0)
+    goes_on = flown(runner, 5.0, outcome={"ended": "time", "state": "ready"})
+    goes_on.lines[-1] = ("verdict", BEGIN + 1_007_000_000, "acceleration clamp acceleration of slew: 13.3, limit 1.9")
+    row = runner.judged("1 frame dropped", goes_on)
+    assert (row["reaction_ms"], row["state"]) == (None, "goes on")
+
+
 @pytest.mark.parametrize(
     ("run", "why"),
     [

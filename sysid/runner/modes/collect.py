@@ -56,10 +56,9 @@ def draw(count: int, ways: Ways, seed: int) -> Array:
     for number in range(count):
         for _ in range(_TRIES):
             joints = rng.uniform(low, high)
-            last = found[-1] if found else joints
-            if ways.outside(last, joints) == 0.0 and (
-                number < count - 1 or ways.outside(joints, (found or [joints])[0]) == 0.0
-            ):
+            first, last = (found[0], found[-1]) if found else (joints, joints)
+            closed = number < count - 1 or ways.outside(joints, first) == 0.0
+            if closed and ways.outside(last, joints) == 0.0:
                 break
         else:
             where = f"collect: pose {number + 1}"

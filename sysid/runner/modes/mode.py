@@ -72,6 +72,11 @@ class Mode(Protocol):
         ...
 
 
+def _quintic(s: Array | float) -> Array | float:
+    """From 0 at 0 to 1 at 1, at rest and without acceleration at both."""
+    return s**3 * (10.0 - 15.0 * s + 6.0 * s * s)
+
+
 class Move:
     """From joints to joints (A,) along a straight line of joint space, jerk-limited (quintic), all axes together.
 
@@ -94,16 +99,13 @@ class Move:
     def at(self, k: int) -> Array:
         """Joints (A,) ``k`` turns after the beginning; the last ones beyond the end."""
         s = min(max(k / self.steps, 0.0), 1.0)
-        return np.asarray(self.begin + (self.end - self.begin) * s**3 * (10.0 - 15.0 * s + 6.0 * s * s))
+        return np.asarray(self.begin + (self.end - self.begin) * _quintic(s))
 
     def along(self, count: int) -> tuple[Array, Array]:
         """Joints and their speeds at ``count`` moments from the beginning to the end, (count, A) each."""
         s = np.linspace(0.0, 1.0, count)[:, None]
         way = self.end - self.begin
-        return (
-            self.begin + way * s**3 * (10.0 - 15.0 * s + 6.0 * s * s),
-            way * 30.0 * s * s * (1.0 - s) ** 2 / self._seconds,
-        )
+        return self.begin + way * _quintic(s), way * 30.0 * (s * (1.0 - s)) ** 2 / self._seconds
 
     def over(self, k: int) -> bool:
         return k >= self.steps
