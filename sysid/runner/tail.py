@@ -55,10 +55,14 @@ class Tail:
                 raise InputError(str(path), "no MCAP file", "a flight log of the runner")
 
     def new(self) -> list[Heard]:
-        """Messages since the last time."""
-        with self.path.open("rb") as file:
-            file.seek(self._at)
-            data = file.read()
+        """Messages since the last time; none any more where the log was taken away, as that of a run that never began is."""
+        try:
+            with self.path.open("rb") as file:
+                file.seek(self._at)
+                data = file.read()
+        except FileNotFoundError:
+            self.finished = True
+            return []
         found: list[Heard] = []
         at = 0
         while len(data) - at >= _HEAD and not self.finished:

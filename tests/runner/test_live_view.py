@@ -14,6 +14,7 @@ from sysid.errors import InputError
 from sysid.runner.cycle import Verdict
 from sysid.runner.flight_log import FlightLog
 from sysid.runner.flight_messages import CYCLES, VERDICTS
+from sysid.runner.mcap_pieces import MAGIC
 from sysid.runner.tail import Tail
 
 TOPICS = frozenset((CYCLES, VERDICTS))
@@ -54,6 +55,15 @@ def test_an_end_that_is_taken_back_is_not_heard(tmp_path: Path) -> None:
     assert tail.new() == []
     path.write_bytes(whole)
     assert len(before) + len(tail.new()) == 41
+
+
+def test_a_log_that_is_taken_away_has_ended(tmp_path: Path) -> None:
+    path = tmp_path / "flight.mcap"
+    path.write_bytes(MAGIC)
+    tail = Tail(path, TOPICS)
+    assert (tail.new(), tail.finished) == ([], False)
+    path.unlink()
+    assert (tail.new(), tail.finished) == ([], True)
 
 
 def test_what_is_no_log_is_refused(tmp_path: Path) -> None:
