@@ -112,7 +112,7 @@ def _data_section(file: BinaryIO, size: int) -> Iterator[_Chunk | Block | str]:
     chunk: bytes | None = None
     index: list[bytes] = []
     while True:
-        head = file.read(max(0, min(RECORD, size - position)))  # what has come since belongs to whoever opens it next
+        head = file.read(min(RECORD, size - position))  # what has come since belongs to whoever opens it next
         opcode, length = struct.unpack("<BQ", head) if len(head) == RECORD else (0, 0)
         if chunk is not None and opcode != MESSAGE_INDEX:
             yield _Chunk(chunk, tuple(index))

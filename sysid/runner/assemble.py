@@ -110,7 +110,7 @@ class Assembly:
         if name == "collect":
             collect = recipe.collect
             return Collect(
-                collect.poses, Ways(limits, barrier, dt), dt,
+                collect.poses, Ways(barrier), dt,
                 settle_s=collect.settle_s, record_s=collect.record_s, seed=collect.seed,
             )  # fmt: skip
         if name == "experiment":

@@ -85,16 +85,22 @@ class Barrier:
         Returns:
             Joints (n, A).
         """
-        ends = np.empty_like(joints)
+        driven = np.empty_like(joints)
         for i, (valve, linkage) in enumerate(zip(self.valves, self.linkages, strict=True)):
             q, v = joints[:, i], speeds[:, i]
             if linkage is not None:
                 q, v = linkage.displacement(q), (linkage.displacement(q + v * self.dt) - linkage.displacement(q)) / self.dt
-            v = SPREAD * v
-            way = v * (valve.late * self.dt + self.dt + UNSEEN_S) + np.sign(v) * v * v / (2.0 * self.limits.braking[i])
-            place = np.clip(q + way, valve.low, valve.high)
-            ends[:, i] = place if linkage is None else linkage.joint(place)
-        return ends
+            after = valve.late * self.dt + self.dt + UNSEEN_S
+            driven[:, i] = np.clip(q + stopping(SPREAD * v, after, float(self.limits.braking[i])), valve.low, valve.high)
+        return self._joints(driven)
+
+    def _joints(self, driven: Array) -> Array:
+        """Joints (n, A) at places (n, A) of what is driven."""
+        joints = driven.copy()
+        for i, linkage in enumerate(self.linkages):
+            if linkage is not None:
+                joints[:, i] = linkage.joint(joints[:, i])
+        return joints
 
     def _one(self, i: int, asked: float, drive: float, reckoning: Reckoning, broken: list[Broken]) -> float:
         valve, most = self.valves[i], float(self.limits.command[i])
@@ -134,10 +140,7 @@ class Barrier:
                 way = stopping(SPREAD * share * speeds[i], self.dt + UNSEEN_S, float(self.limits.braking[i]))
                 for n, place in enumerate((drive[i], reckoning.position)):
                     ends[k, n, i] = min(max(place + SPREAD * coming + way, valve.low), valve.high)
-        joints = ends.reshape(-1, len(speeds)).copy()
-        for i, linkage in enumerate(self.linkages):
-            if linkage is not None:
-                joints[:, i] = linkage.joint(joints[:, i])
+        joints = self._joints(ends.reshape(-1, len(speeds)))
         left = outside(self.tip(joints), self.limits.fence_low, self.limits.fence_high).reshape(len(SHARES), 2).max(axis=1)
         fits = left <= max(0.0, float(left[-1]) - 1e-9)
         if fits[0]:

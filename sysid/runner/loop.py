@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from contextlib import closing
 
 import numpy as np
 import numpy.typing as npt
@@ -95,7 +96,7 @@ class Loop:
             InputError, SettingsError: the transport cannot be opened.
         """
         settings, outcome = self.settings, self.outcome
-        with on_time(settings.priority, settings.lock_memory) as refused:
+        with on_time(settings.priority, settings.lock_memory) as refused, closing(self.transport):
             outcome.notes += refused
             for text in refused:
                 self.operator.told(text)
@@ -119,7 +120,6 @@ class Loop:
             finally:
                 if self.mode.writes:
                     self._send(self._zero, False)
-                self.transport.close()
         outcome.state, outcome.why = self.states.state, self.states.why
         return outcome
 

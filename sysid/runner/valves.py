@@ -7,8 +7,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import TypeVar
+
+import numpy as np
+import numpy.typing as npt
 
 from sysid.control import AxisTuning
+
+#: One, or one of each of many.
+Speed = TypeVar("Speed", float, npt.NDArray[np.float64])
 
 #: Below this share of the top speed a valve counts as shut.
 SHUT = 1e-3
@@ -57,9 +64,9 @@ def braked(distance: float, after: float, braking: float) -> float:
     return braking * (math.sqrt(after * after + 2.0 * distance / braking) - after)
 
 
-def stopping(speed: float, after: float, braking: float) -> float:
+def stopping(speed: Speed, after: float, braking: float) -> Speed:
     """How far a stop goes that begins ``after`` seconds from now, with the sign of ``speed``."""
-    return speed * after + math.copysign(speed * speed / (2.0 * braking), speed)
+    return speed * after + abs(speed) * speed / (2.0 * braking)
 
 
 class Reckoning:

@@ -35,7 +35,7 @@ LIMITS = limits_of(PLANT, VALVES, FENCED, "test")
 
 def ways(limits: Limits) -> Ways:
     linkages = [PLANT.linkages[axis.name] if axis.drives == "cylinder" else None for axis in PLANT.machine.axes]
-    return Ways(limits, Barrier(limits, VALVES, linkages, TIP, DT), DT)
+    return Ways(Barrier(limits, VALVES, linkages, TIP, DT))
 
 
 def test_a_move_keeps_its_share_of_the_limits() -> None:

@@ -22,6 +22,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from typing import TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -35,6 +36,7 @@ from sysid.signals import split_signal
 __all__ = ["Estimate", "Pair", "conditional", "estimate", "pairs_of"]
 
 Array = npt.NDArray[np.float64]
+Time = TypeVar("Time", float, Array)
 
 #: Length over which residuals may be correlated [s].
 BLOCK_S = 2.0
@@ -96,13 +98,13 @@ class Estimate:
     span: tuple[float, float] = (float("nan"), float("nan"))
     blocks: Blocks | None = None
 
-    def at(self, time: float) -> float:
+    def at(self, time: Time) -> Time:
         """The offset at a time of the stream [s]."""
         return self.mid_offset + self.skew * (time - self.mid_time)
 
     def on_machine(self, times: Array) -> Array:
         """Times of the stream (n,) on the machine's clock [s]."""
-        return times + self.mid_offset + self.skew * (times - self.mid_time)
+        return times + self.at(times)
 
     def variance_at(self, time: float) -> float:
         """Of :meth:`at` [s²]."""

@@ -7,7 +7,6 @@ import numpy.typing as npt
 
 from sysid.errors import SettingsError
 from sysid.runner.barrier import Barrier, outside
-from sysid.runner.limits import Limits
 from sysid.runner.modes.mode import Goal, Move, done
 
 Array = npt.NDArray[np.float64]
@@ -24,11 +23,11 @@ class Ways:
     """Which straight moves keep away from the fence, so far that a stop from anywhere on them ends inside it.
 
     Args:
-        limits, barrier, dt: of the machine.
+        barrier: of the machine.
     """
 
-    def __init__(self, limits: Limits, barrier: Barrier, dt: float) -> None:
-        self.limits, self.barrier, self.dt = limits, barrier, dt
+    def __init__(self, barrier: Barrier) -> None:
+        self.barrier, self.limits = barrier, barrier.limits
 
     def outside(self, begin: Array, end: Array) -> float:
         """How far the move from ``begin`` to ``end`` (A,), or a stop from it, leaves the fence less a clearance [m].
@@ -37,7 +36,7 @@ class Ways:
         """
         if not self.limits.fenced:
             return 0.0
-        joints, speeds = Move(begin, end, self.limits, self.dt).along(_LOOKED_AT)
+        joints, speeds = Move(begin, end, self.limits, self.barrier.dt).along(_LOOKED_AT)
         ends = self.barrier.tip(np.concatenate([joints, self.barrier.stopped(joints, speeds)]))
         left = outside(ends, self.limits.fence_low + CLEARANCE, self.limits.fence_high - CLEARANCE)
         return max(float(left[len(joints) - 1]), float(left.max()) - float(left[0]))
