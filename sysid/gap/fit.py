@@ -24,6 +24,8 @@ Array = npt.NDArray[np.float64]
 FORGIVE = 4.0
 #: Half widths of the grids on which stepwise parameters are searched, in what is negligible of each.
 GRID = (20.0, 7.5, 2.5, 1.0, 0.375, 0.125)
+#: The same where they have been fitted and other recordings are met as well.
+SETTLING = (7.5, 2.5, 1.0)
 #: Starts from which a fit descends.
 DESCENTS = 2
 #: Relative tolerances of a descent on its way, and where it ends.
@@ -112,6 +114,20 @@ def fit_candidates(data: Data, theta: Array, candidates: Sequence[Candidate], st
     return best
 
 
+def settled(fit: Fit, parts: Sequence[Data]) -> Array:
+    """``fit.theta`` with its stepwise parameters where they suit all of ``parts`` best, (N,).
+
+    Recordings tell no more of a threshold than an interval, between the largest command at which the axis stood and the least
+    at which it moved. Where a fit ends within it is chance, and one stroke elsewhere that falls between would be missed whole.
+    """
+    low, high = (np.array([u.bounds[side] for u in fit.unknowns]) for side in (0, 1))
+    x = fit.values
+    for reach in SETTLING if any(u.stepwise for u in fit.unknowns) else ():
+        x = _search_grid(parts, fit.theta, fit.unknowns, x, low, high, reach)
+    theta: Array = place(fit.theta, fit.unknowns, x[None])[0]
+    return theta
+
+
 def _promising(data: Data, theta: Array, unknowns: Sequence[Unknown], starts: list[Array]) -> list[Array]:
     """The best :data:`DESCENTS` starts, judged in one batch (distinct ones only).
 
@@ -149,7 +165,7 @@ def _descend(
     x, done = _least_squares(data, theta, unknowns, x, low, high, scale, plain, data.problem, ROUGH)
     if any(u.stepwise for u in unknowns):
         for reach in GRID:
-            x = _search_grid(data, theta, unknowns, x, low, high, reach)
+            x = _search_grid((data,), theta, unknowns, x, low, high, reach)
             x, done = _least_squares(data, theta, unknowns, x, low, high, scale, plain, data.problem, ROUGH)
     drifts, log_likelihood = data.drifts(place(theta, unknowns, x[None])[0])
     if not data.problem.integrates or not any(drift.present for drift in drifts):
@@ -208,18 +224,18 @@ def _least_squares(
 
 
 def _search_grid(
-    data: Data, theta: Array, unknowns: Sequence[Unknown], x: Array, low: Array, high: Array, reach: float
+    parts: Sequence[Data], theta: Array, unknowns: Sequence[Unknown], x: Array, low: Array, high: Array, reach: float
 ) -> Array:
     """Parameters whose slopes say nothing, searched together around ``x`` on a grid; the others stay."""
     searched = [k for k, u in enumerate(unknowns) if u.stepwise]
-    plain = (Drift(),) * len(data.sigma)
     steps = np.linspace(-reach, reach, 9 if len(searched) < 3 else 3)
     lanes = np.repeat(x[None], len(steps) ** len(searched), axis=0)
     sizes = np.array([unknowns[k].negligible for k in searched])
     lanes[:, searched] += sizes * np.stack(np.meshgrid(*[steps] * len(searched)), axis=-1).reshape(-1, len(searched))
     lanes = np.clip(lanes, low, high)
-    costs = np.mean(np.abs(data.whitened(place(theta, unknowns, lanes), plain)), axis=1)
-    best: Array = lanes[int(np.argmin(costs))]
+    thetas = place(theta, unknowns, lanes)
+    costs = [np.sum(np.abs(data.whitened(thetas, (Drift(),) * len(data.sigma))), axis=1) for data in parts]
+    best: Array = lanes[int(np.argmin(np.sum(costs, axis=0)))]
     return best
 
 

@@ -12,7 +12,7 @@ from sysid.gap.candidates import Candidate
 from sysid.gap.data import Data
 from sysid.gap.drift import log_density
 from sysid.gap.evidence import Comparison, gain_p_value
-from sysid.gap.fit import Fit, fit_candidates, jacobian, spread_of
+from sysid.gap.fit import Fit, fit_candidates, jacobian, settled, spread_of
 from sysid.gap.starts import starting_values
 
 Array = npt.NDArray[np.float64]
@@ -57,17 +57,19 @@ class Scores:
         """(log predictive density of every unseen bin, NaN where there is none, and unseen RMSE in noise floors).
 
         How much a machine wanders belongs to what it was recorded doing, so every model has the drift there that suits it best:
-        with that of the fitted recordings, a model that leaves more of them is forgiven more elsewhere.
+        with that of the fitted recordings, a model that leaves more of them is forgiven more elsewhere. Nor does it matter
+        where in its interval a threshold was fitted.
         """
         key = frozenset(fit.labels)
         if key not in self._scores:
             densities, left = [], []
-            for (_, unseen), fitted in zip(self.folds, self._fits_of(fit), strict=True):
-                bins = unseen.bins(fitted.theta[None])
+            for (data, unseen), fitted in zip(self.folds, self._fits_of(fit), strict=True):
+                theta = settled(fitted, (data, unseen))[None]
+                bins = unseen.bins(theta)
                 drifts, _ = unseen.drifts_of(bins)
                 for part, activity in zip(bins, unseen.activities, strict=True):
                     densities += [log_density(part[0, :, k], activity, d) for k, d in enumerate(drifts)]
-                left += unseen.residuals(fitted.theta[None])
+                left += unseen.residuals(theta)
             self._scores[key] = np.concatenate(densities), spread_of(left)
         return self._scores[key]
 

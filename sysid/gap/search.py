@@ -256,15 +256,17 @@ class Search:
     def _matters(self, candidate: Candidate, model: Fit) -> bool:
         """Whether a departure is large enough for a name: in itself, or since everything depends on it.
 
-        What ends at the bound of its range is no value of that effect: something else is passed off as it.
+        What ends at the bound of its range is no value of that effect: something else is passed off as it. A plant that errs
+        in ways of its own moves the values of what it has by little, and much may depend on that: of these, more is asked.
         """
         if model.at_bound(candidate):
             return False
         if model.departs(candidate, self._leeway(model)):
             return True
-        left = self.scores.rmse(model)
         without = self.scores.fit(tuple(c for c in model.candidates if c is not candidate), (model,))
-        return self.scores.rmse(without) > self.strict.decides * left * max(1.0, left / self.strict.explained)
+        most = np.inf if candidate.nuisance or candidate.known else self.strict.doubt
+        asked = self.strict.decides * float(np.clip(self.scores.rmse(model) / self.strict.explained, 1.0, most))
+        return all(figure(without) > asked * figure(model) for figure in (self.scores.rmse, self.scores.fitted_rmse))
 
     def _leeway(self, model: Fit) -> float:
         """So many times what is negligible still is."""

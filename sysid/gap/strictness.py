@@ -19,7 +19,8 @@ class Strictness:
         worse: no step may raise the unseen RMSE by more than this factor, whatever short-term evidence says.
         richer: an effect that contains a simpler one has to predict unseen recordings better than that by this factor.
         decides, explained: a departure that is small enough to be negligible gets a name where the stage is this many times
-            further off without it; as many times more as what is left exceeds ``explained`` noise floors.
+            further off without it; as many times more as what is left exceeds ``explained`` noise floors, up to ``doubt`` times
+            for an effect that the plant lacks.
         doubt: where errors add up over a run, what is negligible grows with what stays unexplained (unseen RMSE in noise
             floors), up to this factor: a model that is wrong in ways of its own moves its parameters a little wherever the
             machine is used otherwise.
