@@ -114,7 +114,7 @@ def fit_candidates(data: Data, theta: Array, candidates: Sequence[Candidate], st
     return best
 
 
-def settled(fit: Fit, parts: Sequence[Data]) -> Array:
+def at_common_thresholds(fit: Fit, parts: Sequence[Data]) -> Array:
     """``fit.theta`` with its stepwise parameters where they suit all of ``parts`` best, (N,).
 
     Recordings tell no more of a threshold than an interval, between the largest command at which the axis stood and the least

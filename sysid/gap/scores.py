@@ -12,7 +12,7 @@ from sysid.gap.candidates import Candidate
 from sysid.gap.data import Data
 from sysid.gap.drift import log_density
 from sysid.gap.evidence import Comparison, gain_p_value
-from sysid.gap.fit import Fit, fit_candidates, jacobian, settled, spread_of
+from sysid.gap.fit import Fit, at_common_thresholds, fit_candidates, jacobian, spread_of
 from sysid.gap.starts import starting_values
 
 Array = npt.NDArray[np.float64]
@@ -64,7 +64,7 @@ class Scores:
         if key not in self._scores:
             densities, left = [], []
             for (data, unseen), fitted in zip(self.folds, self._fits_of(fit), strict=True):
-                theta = settled(fitted, (data, unseen))[None]
+                theta = at_common_thresholds(fitted, (data, unseen))[None]
                 bins = unseen.bins(theta)
                 drifts, _ = unseen.drifts_of(bins)
                 for part, activity in zip(bins, unseen.activities, strict=True):

@@ -12,7 +12,7 @@ from plant_data import arm_inputs, measured, nominal
 from sysid.datasets.recording import Dataset, Recording
 from sysid.gap.case import open_case, stage_candidates
 from sysid.gap.data import Data
-from sysid.gap.fit import fit_candidates, settled, spread_of
+from sysid.gap.fit import at_common_thresholds, fit_candidates, spread_of
 from sysid.gap.scores import Scores
 from sysid.gap.starts import starting_values
 from sysid.machine import KnownEffect
@@ -51,7 +51,7 @@ def test_unseen_strokes_are_predicted_with_the_part_of_the_interval_that_they_le
     low_fit = replace(fit, values=np.array([0.1, fit.values[1]]), theta=low)
     assert spread_of(fitted.residuals(low[None])) < 1.2
     assert spread_of(unseen.residuals(low[None])) > 50.0
-    theta = settled(low_fit, (fitted, unseen))
+    theta = at_common_thresholds(low_fit, (fitted, unseen))
     assert spread_of(fitted.residuals(theta[None])) < 1.2
     assert spread_of(unseen.residuals(theta[None])) < 1.2
     assert 0.11 <= theta[stiction.unknowns[0].places[0]] < 0.2
@@ -71,6 +71,6 @@ def test_a_threshold_that_is_not_there_is_not_found_for_unseen_strokes() -> None
     fit = fit_candidates(parts[0], case.theta, [known], [np.array([0.5, 0.02])])
     wrong = replace(fit, values=np.array([0.5, 0.02]), theta=fit.theta.copy())
     wrong.theta[list(known.unknowns[0].places)] = 0.5
-    theta = settled(wrong, parts)
-    assert theta[known.unknowns[0].places[0]] > 0.4  # no further than thresholds are settled, however wrong it is
+    theta = at_common_thresholds(wrong, parts)
+    assert theta[known.unknowns[0].places[0]] > 0.4  # no further than they are moved, however wrong it is
     assert spread_of(parts[1].residuals(theta[None])) > 50.0
