@@ -12,7 +12,7 @@ from sysid.gap.candidates import Candidate
 from sysid.gap.data import Data
 from sysid.gap.drift import log_density
 from sysid.gap.evidence import Comparison, gain_p_value
-from sysid.gap.fit import Fit, at_common_thresholds, fit_candidates, jacobian, spread_of
+from sysid.gap.fit import Fit, at_common_thresholds, fit_candidates, jacobian, least_left, spread_of
 from sysid.gap.starts import starting_values
 
 Array = npt.NDArray[np.float64]
@@ -36,6 +36,7 @@ class Scores:
     _fits: dict[frozenset[str], tuple[Fit, ...]] = field(default_factory=dict)
     _scores: dict[frozenset[str], tuple[Array, float]] = field(default_factory=dict)
     _fitted: dict[frozenset[str], float] = field(default_factory=dict)
+    _least: dict[frozenset[str], tuple[float, float]] = field(default_factory=dict)
 
     @property
     def fitted(self) -> Data:
@@ -98,6 +99,18 @@ class Scores:
         if key not in self._fitted:
             self._fitted[key] = spread_of(self.fitted.residuals(fit.theta[None]))
         return self._fitted[key]
+
+    def least(self, fit: Fit) -> tuple[float, float]:
+        """RMSE in noise floors of fitted and of unseen recordings with the values that leave least of the fitted ones."""
+        key = frozenset(fit.labels)
+        if key not in self._least:
+            seen, unseen = list[Array](), list[Array]()
+            for (data, other), fitted in zip(self.folds, self._fits_of(fit), strict=True):
+                moved = least_left(fitted, data)
+                seen += data.residuals(moved.theta[None])
+                unseen += other.residuals(at_common_thresholds(moved, (data, other))[None])
+            self._least[key] = spread_of(seen), spread_of(unseen)
+        return self._least[key]
 
     def compare(self, smaller: Fit, larger: Fit) -> Comparison:
         gain = -np.diff(self.log_densities(larger, smaller), axis=0)[0]

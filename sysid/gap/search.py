@@ -74,11 +74,17 @@ class Search:
             if better is model or set(better.labels) == set(model.labels):
                 break
             model = better
+        while crumbs := [c for c in self._crumbs(model) if not c.nuisance]:
+            rest = tuple(c for c in model.candidates if c not in crumbs)
+            model, _ = self._backward(self.scores.fit(rest, (model,)), keep_nuisances=True)
         doubtful = [c for c in model.candidates if not c.nuisance or self._matters(c, model)]
         rivals = {c.key: self._rivals(model, c) for c in doubtful}  # while nuisances are free: they imitate much
         model, kept = self._backward(model)
+        crumbs = self._crumbs(model)
         ordinary = [
-            c for c in model.candidates if not c.nuisance or (self._matters(c, model) and self._lasts(kept[c.label], model))
+            c
+            for c in model.candidates
+            if not c.nuisance or (c not in crumbs and self._matters(c, model) and self._lasts(kept[c.label], model))
         ]
         named = tuple(Kept(c, kept[c.label], *rivals.get(c.key, ((), ()))) for c in ordinary)
         adjusted = tuple(c for c in model.candidates if c not in ordinary)
@@ -130,8 +136,7 @@ class Search:
             weakest: tuple[float, Fit, str] | None = None
             shares = self.scores.own_shares(model)
             for candidate in self._ordinary(model) if keep_nuisances else model.candidates:
-                rest = tuple(c for c in model.candidates if c is not candidate)
-                smaller = self.scores.fit(rest, (model,))
+                smaller = self._without(candidate, model)
                 simpler = self._simpler(model, candidate)
                 if simpler is not None and self.scores.merit(simpler) > self.scores.merit(smaller):
                     smaller = simpler
@@ -148,6 +153,21 @@ class Search:
                 return model, kept
             self._note(weakest[1], model, f"drops {weakest[2]}")
             model = weakest[1]
+
+    def _crumbs(self, model: Fit) -> list[Candidate]:
+        """What explains little beside the strongest effect of a stage that stays far from explained.
+
+        No formula is quite what a machine does: what is left there may be what the strongest one's is off by, and a second name
+        what makes up for it. A spool that is slow to follow is a rate limit and, a little, another lag.
+        """
+        if self._doubtful(model) < self.strict.strange:
+            return []
+        shares = np.zeros(len(model.candidates))
+        for figure in (self.scores.rmse, self.scores.fitted_rmse):
+            left = np.array([figure(self._without(c, model)) for c in model.candidates])
+            own = np.sqrt(np.maximum(left**2 - figure(model) ** 2, 0.0))
+            shares = np.maximum(shares, own / max(own.max(initial=0.0), 1e-12))
+        return [c for c, share in zip(model.candidates, shares, strict=True) if share < self.strict.crumb]
 
     def _plainer(self, model: Fit) -> Fit:
         """The model with simpler effects in the place of those that contain them and hardly predict better."""
@@ -176,6 +196,7 @@ class Search:
             if self.scores.delta_bic(fit, model) < self.strict.delta_bic
             and not self._needlessly_rich(fit, model)
             and not self._hardly_better(rivals[k], fit, candidate, model)
+            and not self._falls_short(fit, model)
         ]
         surviving = confidence_set(
             [-series for series in self.scores.log_densities(model, *(fits[k] for k in near))], self.seed
@@ -229,6 +250,11 @@ class Search:
         """Whether a rival contains the effect as a special case and predicts hardly better: it is what it is there."""
         return rival.contains(candidate) and self.scores.rmse(model) <= self.strict.richer * self.scores.rmse(fit)
 
+    def _falls_short(self, rival: Fit, model: Fit) -> bool:
+        """Whether a rival leaves a multiple of what ``model`` leaves, however well it predicts from one moment to the next."""
+        pairs = zip(self.scores.least(rival), self.scores.least(model), strict=True)
+        return all(left > self.strict.short * best for left, best in pairs)
+
     def _as_far(self, rival: Fit, model: Fit) -> bool:
         """Whether a rival leaves about as much as ``model`` of a stage that stays far from explained.
 
@@ -237,8 +263,8 @@ class Search:
         """
         if self._doubtful(model) < self.strict.strange or any(rival.at_bound(c) for c in rival.candidates):
             return False
-        figures = self.scores.fitted_rmse, self.scores.rmse
-        return all(figure(rival) < self.strict.clearer * figure(model) for figure in figures)
+        pairs = zip(self.scores.least(rival), self.scores.least(model), strict=True)
+        return all(left < self.strict.clearer * best for left, best in pairs)
 
     # -- parts ---------------------------------------------------------------------------------------------------
 
@@ -261,12 +287,16 @@ class Search:
         """
         if model.at_bound(candidate):
             return False
-        if model.departs(candidate, self._leeway(model)):
+        had = candidate.nuisance or candidate.known
+        if model.departs(candidate, min(self._leeway(model), np.inf if had else self.strict.lacking)):
             return True
-        without = self.scores.fit(tuple(c for c in model.candidates if c is not candidate), (model,))
-        most = np.inf if candidate.nuisance or candidate.known else self.strict.doubt
+        without = self._without(candidate, model)
+        most = np.inf if had else self.strict.doubt
         asked = self.strict.decides * float(np.clip(self.scores.rmse(model) / self.strict.explained, 1.0, most))
         return all(figure(without) > asked * figure(model) for figure in (self.scores.rmse, self.scores.fitted_rmse))
+
+    def _without(self, candidate: Candidate, model: Fit) -> Fit:
+        return self.scores.fit(tuple(c for c in model.candidates if c is not candidate), (model,))
 
     def _leeway(self, model: Fit) -> float:
         """So many times what is negligible still is."""

@@ -21,11 +21,13 @@ class Strictness:
         decides, explained: a departure that is small enough to be negligible gets a name where the stage is this many times
             further off without it; as many times more as what is left exceeds ``explained`` noise floors, up to ``doubt`` times
             for an effect that the plant lacks.
-        doubt: where errors add up over a run, what is negligible grows with what stays unexplained (unseen RMSE in noise
-            floors), up to this factor: a model that is wrong in ways of its own moves its parameters a little wherever the
-            machine is used otherwise.
+        doubt, lacking: where errors add up over a run, what is negligible grows with what stays unexplained (unseen RMSE in
+            noise floors), up to ``doubt`` times: a model that is wrong in ways of its own moves its parameters a little
+            wherever the machine is used otherwise. Of an effect that the plant lacks it grows up to ``lacking`` times.
         clearer: where such a stage stays unexplained, an effect has to be missed by this ratio of unseen RMSE; where it stays
             above ``strange`` noise floors, a rival has to leave so many times more as well.
+        short: a rival that leaves more than so many times as much of fitted and of unseen recordings is none.
+        crumb: least share, of what the strongest effect of such a stage explains, that a second one has to explain.
         sensitivity: least share of an effect's influence that no other fitted parameter can imitate.
         most: largest number of effects at one stage.
         tried: so many of the candidates that promise most are fitted at a time.
@@ -47,8 +49,11 @@ class Strictness:
     decides: float = 2.0
     explained: float = 1.5
     doubt: float = 2.5
+    lacking: float = 1.5
     clearer: float = 1.25
     strange: float = 3.0
+    short: float = 3.0
+    crumb: float = 0.2
     sensitivity: float = 0.02
     most: int = 6
     tried: int = 6
