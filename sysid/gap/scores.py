@@ -100,8 +100,12 @@ class Scores:
             self._fitted[key] = spread_of(self.fitted.residuals(fit.theta[None]))
         return self._fitted[key]
 
+    def left(self, fit: Fit) -> tuple[float, float]:
+        """RMSE in noise floors of fitted and of unseen recordings."""
+        return self.fitted_rmse(fit), self.rmse(fit)
+
     def least(self, fit: Fit) -> tuple[float, float]:
-        """RMSE in noise floors of fitted and of unseen recordings with the values that leave least of the fitted ones."""
+        """The same with the values that leave least of the fitted ones."""
         key = frozenset(fit.labels)
         if key not in self._least:
             seen, unseen = list[Array](), list[Array]()

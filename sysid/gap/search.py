@@ -259,12 +259,15 @@ class Search:
         """Whether a rival leaves about as much as ``model`` of a stage that stays far from explained.
 
         What is left is then much larger than noise and of unknown kind, so that it may decide between the two by chance,
-        however clear the evidence looks.
+        however clear the evidence looks. Both the likeliest values have to say so and those that leave least: the former are
+        off by little that adds up, the latter follow what wanders.
         """
         if self._doubtful(model) < self.strict.strange or any(rival.at_bound(c) for c in rival.candidates):
             return False
-        pairs = zip(self.scores.least(rival), self.scores.least(model), strict=True)
-        return all(left < self.strict.clearer * best for left, best in pairs)
+        views = (self.scores.left, self.scores.least)
+        return all(
+            left < self.strict.clearer * best for view in views for left, best in zip(view(rival), view(model), strict=True)
+        )
 
     # -- parts ---------------------------------------------------------------------------------------------------
 
