@@ -43,6 +43,11 @@ class Scores:
         """What the first fold is fitted to."""
         return self.folds[0][0]
 
+    @property
+    def short(self) -> bool:
+        """Whether there is so little to select on that fitting and selecting recordings change places."""
+        return len(self.folds) > 1
+
     def fit(self, candidates: tuple[Candidate, ...], parents: tuple[Fit, ...]) -> Fit:
         key = frozenset(c.label for c in candidates)
         if key not in self._fits:

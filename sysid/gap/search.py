@@ -260,14 +260,15 @@ class Search:
 
         What is left is then much larger than noise and of unknown kind, so that it may decide between the two by chance,
         however clear the evidence looks. Both the likeliest values have to say so and those that leave least: the former are
-        off by little that adds up, the latter follow what wanders.
+        off by little that adds up, the latter follow what wanders. Of short logs one of them is enough.
         """
         if self._doubtful(model) < self.strict.strange or any(rival.at_bound(c) for c in rival.candidates):
             return False
-        views = (self.scores.left, self.scores.least)
-        return all(
-            left < self.strict.clearer * best for view in views for left, best in zip(view(rival), view(model), strict=True)
+        said = (
+            all(left < self.strict.clearer * best for left, best in zip(view(rival), view(model), strict=True))
+            for view in (self.scores.left, self.scores.least)
         )
+        return any(said) if self.scores.short else all(said)
 
     # -- parts ---------------------------------------------------------------------------------------------------
 
