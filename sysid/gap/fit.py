@@ -103,8 +103,7 @@ def fit_candidates(data: Data, theta: Array, candidates: Sequence[Candidate], st
     if not unknowns:
         drifts, log_likelihood = data.drifts(theta)
         return Fit((), (), np.empty(0), theta, drifts, log_likelihood, True)
-    low = np.array([u.bounds[0] for u in unknowns])
-    high = np.array([u.bounds[1] for u in unknowns])
+    low, high = _bounds(unknowns)
     best: Fit | None = None
     for start in _promising(data, theta, unknowns, [np.clip(s, low, high) for s in starts]):
         fitted = _descend(data, theta, tuple(candidates), unknowns, start, low, high)
@@ -120,9 +119,11 @@ def at_common_thresholds(fit: Fit, parts: Sequence[Data]) -> Array:
     Recordings tell no more of a threshold than an interval, between the largest command at which the axis stood and the least
     at which it moved. Where a fit ends within it is chance, and one stroke elsewhere that falls between would be missed whole.
     """
-    low, high = (np.array([u.bounds[side] for u in fit.unknowns]) for side in (0, 1))
+    if not any(u.stepwise for u in fit.unknowns):
+        return fit.theta
+    low, high = _bounds(fit.unknowns)
     x = fit.values
-    for reach in SETTLING if any(u.stepwise for u in fit.unknowns) else ():
+    for reach in SETTLING:
         x = _search_grid(parts, fit.theta, fit.unknowns, x, low, high, reach)
     theta: Array = place(fit.theta, fit.unknowns, x[None])[0]
     return theta
@@ -135,11 +136,16 @@ def least_left(fit: Fit, data: Data) -> Fit:
     """
     if not any(drift.present for drift in fit.drifts):
         return fit
-    low, high = (np.array([u.bounds[side] for u in fit.unknowns]) for side in (0, 1))
+    low, high = _bounds(fit.unknowns)
     scale = np.array([u.negligible for u in fit.unknowns])
     plain = (Drift(),) * len(data.sigma)
     x, done = _least_squares(data, fit.theta, fit.unknowns, fit.values, low, high, scale, plain, data.problem, EXACT)
     return replace(fit, values=x, theta=place(fit.theta, fit.unknowns, x[None])[0], converged=done)
+
+
+def _bounds(unknowns: Sequence[Unknown]) -> tuple[Array, Array]:
+    """Least and greatest values, (k,) each."""
+    return np.array([u.bounds[0] for u in unknowns]), np.array([u.bounds[1] for u in unknowns])
 
 
 def _promising(data: Data, theta: Array, unknowns: Sequence[Unknown], starts: list[Array]) -> list[Array]:
