@@ -13,6 +13,7 @@ from sysid.gap.data import Data
 from sysid.gap.drift import log_density
 from sysid.gap.evidence import Comparison, gain_p_value
 from sysid.gap.fit import Fit, at_common_thresholds, fit_candidates, jacobian, least_left, spread_of
+from sysid.gap.free_curve import free_curve
 from sysid.gap.starts import starting_values
 
 Array = npt.NDArray[np.float64]
@@ -134,6 +135,26 @@ class Scores:
         for (data, _), a, b in zip(self.folds, self._fits_of(one), self._fits_of(other), strict=True):
             total += 2.0 * (b.log_likelihood - a.log_likelihood) - extra * np.log(max(data.samples, 2))
         return total
+
+    def beyond(self, fit: Fit) -> tuple[float, float]:
+        """Nats that a speed of no known form over the command gains beside ``fit``.
+
+        Of fitted recordings, less what BIC asks for so many numbers, and with the same curve of unseen ones.
+        """
+        seen = other = 0.0
+        for (data, unseen), fitted in zip(self.folds, self._fits_of(fit), strict=True):
+            curve = free_curve(data, fitted.theta, fitted.drifts[0])
+            values = curve.values()
+            seen += curve.gain(values) - 0.5 * len(values) * np.log(max(data.samples, 2))
+            theta = at_common_thresholds(fitted, (data, unseen))
+            (drift, *_), _ = unseen.drifts(theta)
+            other += free_curve(unseen, theta, drift, curve.fastest).gain(values)
+        return seen, other
+
+    def curved(self, fit: Fit, smaller: Fit) -> float:
+        """Share of what the effects do that ``fit`` has and ``smaller`` lacks that is a curve of speed over command."""
+        curve = free_curve(self.fitted, fit.theta, fit.drifts[0])
+        return curve.imitates(self.fitted.whitened(smaller.theta[None], fit.drifts)[0])
 
     def own_shares(self, model: Fit) -> dict[str, float]:
         """For each effect, the smallest share of a parameter's influence that the other parameters cannot imitate.

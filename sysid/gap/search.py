@@ -27,6 +27,8 @@ Array = npt.NDArray[np.float64]
 
 #: An addition that leaves more than this of the unseen RMSE hardly lowers it.
 SLIGHT = 0.98
+#: An effect of which a curve of the speed over the command does more than this share is one.
+MOSTLY = 0.5
 
 
 @dataclass
@@ -75,8 +77,10 @@ class Search:
                 break
             model = better
         while crumbs := [c for c in self._crumbs(model) if not c.nuisance]:
-            rest = tuple(c for c in model.candidates if c not in crumbs)
-            model, _ = self._backward(self.scores.fit(rest, (model,)), keep_nuisances=True)
+            model = self._cleared(model, crumbs)
+        misshapen = self._misshapen(model)
+        if any(not c.nuisance for c in misshapen):
+            model = self._cleared(model, misshapen)
         doubtful = [c for c in model.candidates if not c.nuisance or self._matters(c, model)]
         rivals = {c.key: self._rivals(model, c) for c in doubtful}  # while nuisances are free: they imitate much
         model, kept = self._backward(model)
@@ -84,7 +88,8 @@ class Search:
         ordinary = [
             c
             for c in model.candidates
-            if not c.nuisance or (c not in crumbs and self._matters(c, model) and self._lasts(kept[c.label], model))
+            if not c.nuisance
+            or (c not in (*crumbs, *misshapen) and self._matters(c, model) and self._lasts(kept[c.label], model))
         ]
         named = tuple(Kept(c, kept[c.label], *rivals.get(c.key, ((), ()))) for c in ordinary)
         adjusted = tuple(c for c in model.candidates if c not in ordinary)
@@ -169,6 +174,27 @@ class Search:
             shares = np.maximum(shares, own / max(own.max(initial=0.0), 1e-12))
         return [c for c, share in zip(model.candidates, shares, strict=True) if share < self.strict.crumb]
 
+    def _misshapen(self, model: Fit) -> list[Candidate]:
+        """Gains, curves and limits beside which a speed of no known form over the command tells nearly as much as they do.
+
+        A clutch that slips looks like a gain and its curve, since these are the nearest that have a name.
+        """
+        if self._doubtful(model) < self.strict.strange or not self.strict.whitened:
+            return []
+        kind = [c for c in model.candidates if self.scores.curved(model, self._without(c, model)) > MOSTLY]
+        if not kind:
+            return []
+        shapes = [c for c in kind if not c.nuisance] or kind  # a gain beside them is free with or without them
+        smaller = self.scores.fit(tuple(c for c in model.candidates if c not in shapes), (model,))
+        own = model.log_likelihood - smaller.log_likelihood, self.scores.density(model) - self.scores.density(smaller)
+        more = zip(self.scores.beyond(model), own, strict=True)
+        return kind if all(gain > max(self.strict.shapeless * named, self.strict.delta_bic) for gain, named in more) else []
+
+    def _cleared(self, model: Fit, of: Sequence[Candidate]) -> Fit:
+        """The model without the ordinary ones of some effects, and without what only they had needed."""
+        rest = tuple(c for c in model.candidates if c.nuisance or c not in of)
+        return self._backward(self.scores.fit(rest, (model,)), keep_nuisances=True)[0]
+
     def _plainer(self, model: Fit) -> Fit:
         """The model with simpler effects in the place of those that contain them and hardly predict better."""
         for old in self._ordinary(model):
@@ -202,6 +228,9 @@ class Search:
             [-series for series in self.scores.log_densities(model, *(fits[k] for k in near))], self.seed
         )
         tied = {near[k - 1] for k in surviving if k > 0}
+        if self._doubtful(model) >= self.strict.strange:
+            # What is left is no noise. Where it speaks for one name here and for another there, it is neither.
+            tied |= {k for k in near if self.scores.delta_bic(fits[k], model) < -self.strict.delta_bic}
         # What contains the effect as a special case leaves as much by itself.
         tied |= {k for k, fit in enumerate(fits) if not rivals[k].contains(candidate) and self._as_far(fit, model)}
         ties = tuple(rivals[k] for k in sorted(tied))

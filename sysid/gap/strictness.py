@@ -28,6 +28,8 @@ class Strictness:
             above ``strange`` noise floors, a rival has to leave so many times more as well.
         short: a rival that leaves more than so many times as much of fitted and of unseen recordings is none.
         crumb: least share, of what the strongest effect of such a stage explains, that a second one has to explain.
+        shapeless: where a speed of no known form over the command, beside what is named, gains so many times what the names of
+            that kind gain, these are not what is there.
         sensitivity: least share of an effect's influence that no other fitted parameter can imitate.
         most: largest number of effects at one stage.
         tried: so many of the candidates that promise most are fitted at a time.
@@ -54,6 +56,7 @@ class Strictness:
     strange: float = 3.0
     short: float = 3.0
     crumb: float = 0.2
+    shapeless: float = 0.5
     sensitivity: float = 0.02
     most: int = 6
     tried: int = 6
