@@ -26,6 +26,8 @@ FORGIVE = 4.0
 GRID = (20.0, 7.5, 2.5, 1.0, 0.375, 0.125)
 #: The same where they have been fitted and other recordings are met as well.
 SETTLING = (7.5, 2.5, 1.0)
+#: Values on such a grid: of one parameter, of each of two on the widest grid and on others, of each of more.
+ALONE, WIDE, NARROW, MANY = 9, 9, 5, 3
 #: Starts from which a fit descends.
 DESCENTS = 2
 #: Relative tolerances of a descent on its way, and where it ends.
@@ -185,8 +187,10 @@ def _descend(
     x, done = _least_squares(data, theta, unknowns, x, low, high, scale, plain, data.problem, ROUGH)
     if any(u.stepwise for u in unknowns):
         for reach in GRID:
-            x = _search_grid((data,), theta, unknowns, x, low, high, reach)
-            x, done = _least_squares(data, theta, unknowns, x, low, high, scale, plain, data.problem, ROUGH)
+            found = _search_grid((data,), theta, unknowns, x, low, high, reach)
+            if np.array_equal(found, x):  # the others stand where they suit that best already
+                continue
+            x, done = _least_squares(data, theta, unknowns, found, low, high, scale, plain, data.problem, ROUGH)
     drifts, log_likelihood = data.drifts(place(theta, unknowns, x[None])[0])
     if not data.problem.integrates or not any(drift.present for drift in drifts):
         x, done = _least_squares(data, theta, unknowns, x, low, high, scale, plain, data.problem, EXACT)
@@ -222,6 +226,7 @@ def _least_squares(
     x = np.clip(start, low + 1e-9 * (high - low), high - 1e-9 * (high - low))
     if not smooth.any():
         return x, True
+    known: dict[bytes, Array] = {}  # residuals of the last point: slopes are asked for where errors were
 
     def whole(part: Array) -> Array:
         full = x.copy()
@@ -229,12 +234,13 @@ def _least_squares(
         return full
 
     def errors(part: Array) -> Array:
-        error: Array = data.whitened(place(theta, unknowns, whole(part)[None]), drifts, problem)[0]
-        return error
+        if part.tobytes() not in known:
+            known.clear()
+            known[part.tobytes()] = data.whitened(place(theta, unknowns, whole(part)[None]), drifts, problem)[0]
+        return known[part.tobytes()].copy()  # the solver scales what it is given
 
     def slopes(part: Array) -> Array:
-        slope: Array = jacobian(data, theta, unknowns, whole(part), drifts, high, problem)[1][:, smooth]
-        return slope
+        return jacobian(data, theta, unknowns, whole(part), drifts, high, problem, errors(part), smooth)[1]
 
     solution = least_squares(
         errors, x[smooth], slopes, (low[smooth], high[smooth]), x_scale=scale[smooth], loss="soft_l1",
@@ -248,7 +254,8 @@ def _search_grid(
 ) -> Array:
     """Parameters whose slopes say nothing, searched together around ``x`` on a grid; the others stay."""
     searched = [k for k, u in enumerate(unknowns) if u.stepwise]
-    steps = np.linspace(-reach, reach, 9 if len(searched) < 3 else 3)
+    pair = WIDE if reach >= GRID[0] else NARROW
+    steps = np.linspace(-reach, reach, {1: ALONE, 2: pair}.get(len(searched), MANY))
     lanes = np.repeat(x[None], len(steps) ** len(searched), axis=0)
     sizes = np.array([unknowns[k].negligible for k in searched])
     lanes[:, searched] += sizes * np.stack(np.meshgrid(*[steps] * len(searched)), axis=-1).reshape(-1, len(searched))
@@ -267,16 +274,28 @@ def jacobian(
     drifts: Sequence[Drift],
     high: Array | None = None,
     problem: Problem | None = None,
+    known: Array | None = None,
+    of: npt.NDArray[np.bool_] | None = None,
 ) -> tuple[Array, Array]:
-    """Whitened residuals (n,) and their derivatives (n, k) at ``x``, all perturbations in one batch."""
+    """Whitened residuals (n,) and their derivatives (n, k) at ``x``, all perturbations in one batch.
+
+    Args:
+        known: the residuals, where they were computed before.
+        of: whether the derivative by each unknown is asked for; all of them otherwise.
+    """
     step = np.array([(0.5 if u.stepwise else 0.05) * u.negligible for u in unknowns])
     smooth = np.array([not u.stepwise for u in unknowns])
     # What may vary widely before it is worth a name still bends within a small part of its value.
     step[smooth] = np.minimum(step, np.maximum(0.05 * np.abs(x), 0.01 * step))[smooth]
     if high is not None:
         step = np.where(x + step > high, -step, step)
-    r = data.whitened(place(theta, unknowns, np.vstack([x, x + np.diag(step)])), drifts, problem)
-    return r[0], ((r[1:] - r[0]) / step[:, None]).T
+    asked = np.arange(len(x)) if of is None else np.flatnonzero(of)
+    lanes = (x + np.diag(step))[asked]
+    if known is None:
+        known, *moved = data.whitened(place(theta, unknowns, np.vstack([x, lanes])), drifts, problem)
+    else:
+        moved = list(data.whitened(place(theta, unknowns, lanes), drifts, problem))
+    return known, ((np.array(moved).reshape(len(asked), -1) - known) / step[asked, None]).T
 
 
 def forgiveness(r: Array) -> float:

@@ -28,7 +28,7 @@ def gravity_load(machine: Machine, recording: Recording, within: Segments | None
     """
     names = [axis_signal(name, "joint") for name in machine.axis_names]
     axes, links = len(names), links_of(machine.kinematics())
-    out, neutral = np.zeros((len(recording), axes)), neutral_vector(axes)
+    out, neutral = np.zeros((len(recording), axes)), neutral_vector(axes).copy()
     if len(links) < 2:
         return out
     for first, last in [(0, len(recording))] if within is None else within:

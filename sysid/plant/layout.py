@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections import namedtuple
 from collections.abc import Mapping, Sequence
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -20,10 +21,10 @@ import numpy.typing as npt
 from sysid.effects import CATALOGUE, Effect, effect_named
 from sysid.effects.effect import TargetKind
 from sysid.errors import SettingsError, nearest
-from sysid.plant import cache
+from sysid.plant.cache import CACHE_FOLDER
 from sysid.signals import axis_signal, point_signals
 
-assert cache.CACHE_FOLDER is not None  # chosen before anything compiles
+assert CACHE_FOLDER is not None  # chosen before anything compiles
 
 Array = npt.NDArray[np.float64]
 Key = tuple[str, str | None, str]
@@ -98,16 +99,20 @@ def tool_place(axes: int) -> int:
     return base_place(axes) + len(_BASE)
 
 
-def signal_place(axis_names: Sequence[str], signal: str) -> int:
+@cache
+def signal_place(axis_names: tuple[str, ...], signal: str) -> int:
     """Where the block of a signal begins."""
     return tool_place(len(axis_names)) + len(_TOOL) + signals_of(axis_names).index(signal) * SIGNAL_WIDTH
 
 
+@cache
 def neutral_vector(axes: int) -> Array:
-    """``theta`` of a plant without any effect."""
+    """``theta`` of a plant without any effect, read-only: it is asked for with every run."""
     axis, signal = ([neutral for _, neutral in block.values()] for block in (_AXIS, _SIGNAL))
     rest = [neutral for block in (_MACHINE, _BASE, _TOOL) for _, neutral in block.values()]
-    return np.array(axis * axes + rest + signal * (2 * axes + 6))
+    neutral = np.array(axis * axes + rest + signal * (2 * axes + 6))
+    neutral.setflags(write=False)
+    return neutral
 
 
 def slot_indices(

@@ -69,7 +69,7 @@ class Plant:
 
     def vector(self) -> Array:
         """The flat parameter vector of the compiled chain."""
-        theta = neutral_vector(len(self.machine.axes))
+        theta = neutral_vector(len(self.machine.axes)).copy()
         for item in self.effects:
             for name, value in item.parameters.items():
                 places = parameter_indices(self.machine.axis_names, item.name, item.target, item.side, name, self.streams)

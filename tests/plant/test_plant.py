@@ -67,7 +67,7 @@ def test_commands_of_a_stream_have_no_sensor() -> None:
 
 def test_neutral_values_stand_in_their_places() -> None:
     machine = probe_machine()
-    theta = layout.neutral_vector(len(machine.axes))
+    theta = layout.neutral_vector(len(machine.axes)).copy()
     for effect in CATALOGUE:
         for slot in effect.slots:
             places = layout.slot_indices(machine.axis_names, effect, targets_of(effect)[-1], None, slot.name, STREAMS)
