@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, fields
 from typing import Any
 
 import numpy as np
@@ -62,7 +62,18 @@ class Judgement:
         return self.factor >= DUE * 0.99
 
     def to_json(self) -> dict[str, Any]:
-        return {**asdict(self), "spec": self.spec.to_json(), "exact": self.exact, "due": self.due}
+        """Without infinity and not-a-number, which JSON lacks: nothing hidden has no factor, no answer took no time."""
+        values = {**asdict(self), "spec": self.spec.to_json(), "exact": self.exact, "due": self.due}
+        return {key: None if isinstance(value, float) and not math.isfinite(value) else value for key, value in values.items()}
+
+    @classmethod
+    def from_json(cls, values: Mapping[str, Any]) -> Judgement:
+        """What :meth:`to_json` wrote."""
+        given = {each.name: values[each.name] for each in fields(cls)}
+        given |= {key: tuple((name, target) for name, target in given[key]) for key in ("hidden", "named", "wrong", "missed")}
+        given["factor"] = math.inf if given["factor"] is None else given["factor"]
+        given["seconds"] = math.nan if given["seconds"] is None else given["seconds"]
+        return cls(**(given | {"spec": CaseSpec.from_json(given["spec"])}))
 
 
 def judge(sealed: Mapping[str, Any], answered: Mapping[str, Any], reach: Mapping[str, float] | None = None) -> Judgement:

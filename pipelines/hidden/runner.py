@@ -62,7 +62,6 @@ def run_all(
 ) -> None:
     """Make and answer every case that has no answer yet."""
     place = Place(work)
-    place.answer(specs[0]).parent.mkdir(parents=True, exist_ok=True)
     waiting = [spec for spec in specs if not place.answer(spec).exists()]
 
     def one(spec: CaseSpec) -> None:
@@ -78,6 +77,7 @@ def run_all(
 
 def make_and_answer(spec: CaseSpec, place: Place, limit: float) -> str | None:
     """Leave an answer, which may be that there is none; returns why, if so."""
+    place.answer(spec).parent.mkdir(parents=True, exist_ok=True)
     made = run_process(make_case, [spec, place.work], MAKING)
     failure = f"not made: {made}" if made else None
     if failure is None:

@@ -13,11 +13,12 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 
+from sysid.datasets.recording import Recording
 from sysid.gap.candidates import Candidate
 from sysid.gap.data import Data
 from sysid.gap.evidence import Comparison, confidence_set
 from sysid.gap.finding import Finding, Kept, Trial
-from sysid.gap.fit import Fit, fit_candidates
+from sysid.gap.fit import Fit, fit_candidates, spread_of
 from sysid.gap.problem import Problem, Split
 from sysid.gap.scores import Scores
 from sysid.gap.screen import likely_gains
@@ -56,12 +57,23 @@ class Search:
     _trials: list[Trial] = field(default_factory=list)
 
     def __post_init__(self) -> None:
-        fit, select = (
-            Data(self.problem, part, self.sigma, self.strict.whitened) for part in (self.split.fit, self.split.select)
-        )
-        seconds = sum(len(r) / r.rate_hz for r in self.split.select)
-        folds = ((fit, select), (select, fit)) if seconds < self.strict.crossed else ((fit, select),)
+        fit, select = self._data(self.split.fit), self._data(self.split.select)
+        crossed = sum(len(r) / r.rate_hz for r in self.split.select) < self.strict.crossed
+        before, after = (spread_of(data.residuals(self.theta[None])) for data in (fit, select))
+        if before > max(self.strict.unshown * after, self.strict.gap):
+            fit, select = self._dealt()
+            crossed = True
+        folds = ((fit, select), (select, fit)) if crossed else ((fit, select),)
         self.scores = Scores(self.theta, folds, self.strict.whitened, self.seed, self.on_fit)
+
+    def _data(self, recordings: Sequence[Recording]) -> Data:
+        return Data(self.problem, recordings, self.sigma, self.strict.whitened)
+
+    def _dealt(self) -> tuple[Data, Data]:
+        """What may be seen, in halves that show as much of the gap: by turns, from the recording that shows most of it."""
+        shown = [spread_of(self._data((r,)).residuals(self.theta[None])) for r in self.split.seen]
+        order = [self.split.seen[k] for k in np.argsort(shown, kind="stable")[::-1]]
+        return self._data(order[0::2]), self._data(order[1::2])
 
     def run(self) -> Finding:
         """Name what is missing, or nothing."""
@@ -181,7 +193,8 @@ class Search:
         """
         if self._doubtful(model) < self.strict.strange or not self.strict.whitened:
             return []
-        kind = [c for c in model.candidates if self.scores.curved(model, self._without(c, model)) > MOSTLY]
+        static = [c for c in model.candidates if c.effect.memory(1.0) == 0]
+        kind = [c for c in static if self.scores.curved(model, self._without(c, model)) > MOSTLY]
         if not kind:
             return []
         shapes = [c for c in kind if not c.nuisance] or kind  # a gain beside them is free with or without them

@@ -35,6 +35,8 @@ class Strictness:
         tried: so many of the candidates that promise most are fitted at a time.
         slight: an addition that hardly lowers the unseen RMSE needs as many nats.
         crossed: with less than this much to select on [s], fitting and selecting recordings change places as well.
+        unshown: where what is to be selected by shows so many times less of the gap than what is to be fitted, nothing could be
+            selected: what may be seen is dealt anew, and the halves change places.
         whitened, gate, free: evidence is taken on whitened residuals and on unseen recordings; what is not excited gets no
             name; gain and dead time are free in every fit. Off only to measure their worth (``pipelines/ablation.py``).
     """
@@ -62,6 +64,7 @@ class Strictness:
     tried: int = 6
     slight: float = 30.0
     crossed: float = 90.0
+    unshown: float = 3.0
     whitened: bool = True
     gate: bool = True
     free: bool = True
