@@ -96,17 +96,16 @@ class Search:
         doubtful = [c for c in model.candidates if not c.nuisance or self._matters(c, model)]
         rivals = {c.key: self._rivals(model, c) for c in doubtful}  # while nuisances are free: they imitate much
         model, kept = self._backward(model)
-        crumbs = self._crumbs(model)
+        seen = self._data(self.split.seen)
+        final = fit_candidates(seen, self.theta, model.candidates, [model.values])
+        unnamed = (*self._crumbs(model), *misshapen)
         ordinary = [
             c
             for c in model.candidates
-            if not c.nuisance
-            or (c not in (*crumbs, *misshapen) and self._matters(c, model) and self._lasts(kept[c.label], model))
+            if not c.nuisance or (c not in unnamed and self._matters(c, model, final) and self._lasts(kept[c.label], model))
         ]
         named = tuple(Kept(c, kept[c.label], *rivals.get(c.key, ((), ()))) for c in ordinary)
         adjusted = tuple(c for c in model.candidates if c not in ordinary)
-        seen = Data(self.problem, self.split.seen, self.sigma, self.strict.whitened)
-        final = fit_candidates(seen, self.theta, model.candidates, [model.values])
         final_rmse, leeway = self.scores.rmse(final), self._leeway(model)
         return Finding(self.problem, named, adjusted, final, nominal_rmse, final_rmse, tuple(self._trials), leeway)
 
@@ -243,9 +242,14 @@ class Search:
         tied = {near[k - 1] for k in surviving if k > 0}
         if self._doubtful(model) >= self.strict.strange:
             # What is left is no noise. Where it speaks for one name here and for another there, it is neither.
-            tied |= {k for k in near if self.scores.delta_bic(fits[k], model) < -self.strict.delta_bic}
-        # What contains the effect as a special case leaves as much by itself.
-        tied |= {k for k, fit in enumerate(fits) if not rivals[k].contains(candidate) and self._as_far(fit, model)}
+            tied |= {k for k in near if self._contradicts(fits[k], model)}
+        # What contains the effect as a special case leaves as much by itself. What tells less than nothing is none.
+        nothing = self.scores.fit(rest, (model,))
+        tied |= {
+            k
+            for k, fit in enumerate(fits)
+            if not rivals[k].contains(candidate) and self._as_far(fit, model) and self.scores.delta_bic(nothing, fit) > 0.0
+        }
         ties = tuple(rivals[k] for k in sorted(tied))
         rejected = tuple(
             (
@@ -297,6 +301,11 @@ class Search:
         pairs = zip(self.scores.least(rival), self.scores.least(model), strict=True)
         return all(left > self.strict.short * best for left, best in pairs)
 
+    def _contradicts(self, rival: Fit, model: Fit) -> bool:
+        """Whether fitted recordings prefer a rival clearly, and it leaves hardly more of them."""
+        clear = self.scores.delta_bic(rival, model) < -self.strict.delta_bic
+        return clear and self.scores.fitted_rmse(rival) < self.strict.clearer * self.scores.fitted_rmse(model)
+
     def _as_far(self, rival: Fit, model: Fit) -> bool:
         """Whether a rival leaves about as much as ``model`` of a stage that stays far from explained.
 
@@ -318,15 +327,16 @@ class Search:
         """Whether evidence for an effect of ``model`` is enough to keep it."""
         if not self.strict.whitened:
             return c.delta_bic > self.strict.delta_bic
-        if self._doubtful(model) > self.strict.explained and c.ratio < self.strict.clearer:
+        strangeness = self._strangeness(model)
+        if strangeness > 0.0 and c.ratio < 1.0 + (self.strict.clearer - 1.0) * strangeness:
             return False
         sure = c.p_value < self.strict.p_value
         likely = c.gain > self.strict.delta_bic and (c.p_value < self.strict.likely or c.ratio > self.strict.ratio)
         halved = c.gain > self.strict.forward and c.ratio > self.strict.halves
         return c.delta_bic > self.strict.delta_bic and (sure or likely or halved)
 
-    def _matters(self, candidate: Candidate, model: Fit) -> bool:
-        """Whether a departure is large enough for a name: in itself, or since everything depends on it.
+    def _matters(self, candidate: Candidate, model: Fit, final: Fit | None = None) -> bool:
+        """Whether a departure is large enough for a name: in itself (in a final fit too), or since everything depends on it.
 
         What ends at the bound of its range is no value of that effect: something else is passed off as it. A plant that errs
         in ways of its own moves the values of what it has by little, and much may depend on that: of these, more is asked.
@@ -334,7 +344,8 @@ class Search:
         if model.at_bound(candidate):
             return False
         had = candidate.nuisance or candidate.known
-        if model.departs(candidate, min(self._leeway(model), np.inf if had else self.strict.lacking)):
+        negligible = min(self._leeway(model), np.inf if had else self.strict.lacking)
+        if all(fit.departs(candidate, negligible) for fit in (model, final or model)):
             return True
         without = self._without(candidate, model)
         most = np.inf if had else self.strict.doubt
@@ -351,6 +362,11 @@ class Search:
     def _doubtful(self, model: Fit) -> float:
         """Noise floors that are left where errors add up over a run, so that they say less than they seem to; else none."""
         return self.scores.rmse(model) if self.problem.integrates else 0.0
+
+    def _strangeness(self, model: Fit) -> float:
+        """0 where a stage counts as explained, 1 where it stays far from that."""
+        span = self.strict.strange - self.strict.explained
+        return float(np.clip((self._doubtful(model) - self.strict.explained) / span, 0.0, 1.0))
 
     def _ordinary(self, model: Fit) -> list[Candidate]:
         return [c for c in model.candidates if not c.nuisance]

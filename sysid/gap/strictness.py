@@ -24,8 +24,8 @@ class Strictness:
         doubt, lacking: where errors add up over a run, what is negligible grows with what stays unexplained (unseen RMSE in
             noise floors), up to ``doubt`` times: a model that is wrong in ways of its own moves its parameters a little
             wherever the machine is used otherwise. Of an effect that the plant lacks it grows up to ``lacking`` times.
-        clearer: where such a stage stays unexplained, an effect has to be missed by this ratio of unseen RMSE; where it stays
-            above ``strange`` noise floors, a rival has to leave so many times more as well.
+        clearer: where such a stage stays above ``strange`` noise floors, an effect has to be missed by this ratio of unseen
+            RMSE, and a rival has to leave so many times more. Below, the former shrinks to nothing at ``explained``.
         short: a rival that leaves more than so many times as much of fitted and of unseen recordings is none.
         crumb: least share, of what the strongest effect of such a stage explains, that a second one has to explain.
         shapeless: where a speed of no known form over the command, beside what is named, gains so many times what the names of
