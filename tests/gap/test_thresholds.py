@@ -14,7 +14,9 @@ from sysid.gap.case import open_case, stage_candidates
 from sysid.gap.data import Data
 from sysid.gap.fit import at_common_thresholds, fit_candidates, spread_of
 from sysid.gap.scores import Scores
+from sysid.gap.stage_search import search_stages
 from sysid.gap.starts import starting_values
+from sysid.gap.strictness import Strictness
 from sysid.machine import KnownEffect
 
 TRUE = {"breakaway": 0.12, "release": 0.02}
@@ -74,3 +76,21 @@ def test_a_threshold_that_is_not_there_is_not_found_for_unseen_strokes() -> None
     theta = at_common_thresholds(wrong, parts)
     assert theta[known.unknowns[0].places[0]] > 0.4  # no further than they are moved, however wrong it is
     assert spread_of(parts[1].residuals(theta[None])) > 50.0
+
+
+def test_recordings_that_never_show_the_gap_do_not_judge_what_closes_it() -> None:
+    """Two recordings have small strokes, which stiction swallows; the one that is kept to select has none."""
+    small, large = (0.3, 0.09, 0.2, 0.5, 0.11, 0.09, 0.8, 0.4), (0.3, 0.5, 0.6, 0.4, 0.8, 0.5, 0.3, 0.6)
+    runs = [strokes(f"run-{k + 1}", sizes, k) for k, sizes in enumerate((small, small[::-1], large, large[::-1]))]
+    splits = dict(zip((r.name for r in runs), ("fit", "fit", "select", "held_out"), strict=True))
+    machine = nominal().machine
+    dataset = Dataset(machine.name, 1, "0" * 64, machine, tuple(runs), {}, splits)  # type: ignore[arg-type]
+    case, stages = open_case(dataset, nominal(), 0)
+    slew = [stage for stage in stages if stage.label == "command stage of slew"]
+
+    def named(strict: Strictness) -> set[str]:
+        (stage,) = search_stages(case, slew, strict, "all", lambda share, text: None)
+        return {kept.candidate.effect.name for kept in stage.found.named}
+
+    assert named(Strictness(crossed=0.0)) == {"stiction"}
+    assert named(Strictness(crossed=0.0, unshown=np.inf)) == set()

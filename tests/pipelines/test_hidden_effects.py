@@ -279,6 +279,30 @@ def test_page_replaces_only_what_it_generated(hidden: dict[str, ModuleType], tmp
     assert "| backlash | stiction 1 |" in text
 
 
+def test_a_committed_result_is_gone_on_from(hidden: dict[str, ModuleType], tmp_path: Path) -> None:
+    """What was judged comes back as it was; a case that is another one by now does not."""
+    sys.path.insert(0, PIPELINES)
+    try:
+        pipeline = importlib.import_module("hidden_effects")
+    finally:
+        sys.path.remove(PIPELINES)
+    judge = hidden["judge"].judge
+    specs = [hidden["cases"].case(group, 0) for group in ("none", "single")]
+    sealed = [{"spec": spec.to_json(), "hidden": [], "effects": []} for spec in specs]
+    judged = [judge(sealed[0], answer()), judge(sealed[1], {"failure": "took more than 180 s"})]
+    path = tmp_path / "result.json"
+    path.write_text(json.dumps(pipeline.result_of("full", judged, 660, "a command"), allow_nan=False), "utf-8")
+    found = pipeline.judged_in(path, specs)
+    assert list(found) == [spec.name for spec in specs]
+    assert found["none-000"] == judged[0]
+    assert found["single-000"].failure == "took more than 180 s"
+    assert math.isnan(found["single-000"].seconds)
+    changed = [replace(specs[0], seed=1), specs[1]]
+    assert list(pipeline.judged_in(path, changed)) == ["single-000"]
+    assert pipeline.judged_in(tmp_path / "none.json", specs) == {}
+    assert [case.failure for case in pipeline.judged(specs, tmp_path, found)] == [None, "took more than 180 s"]
+
+
 def test_crane_stages_are_silent_where_nothing_is_hidden(hidden: dict[str, ModuleType]) -> None:
     """Without its effect the residual of every stage but the command's is rounding; with it, it is what geometry says."""
     machines, limits, kinds = hidden["machines"], hidden["limits"], hidden["kinds"].BY_KEY
