@@ -97,7 +97,7 @@ def _found(case: Case, stage: Stage, strict: Strictness, forms: Forms, tell: Pro
     offered = [c for c in stage_candidates(case, stage) if forms == "all" or c.form is c.effect.forms[0]]
     tried, gated = list[Candidate](), list[Candidate]()
     for candidate in offered:
-        shown = not strict.gate or excitation_of(candidate, stage.split.fit, machine).sufficient
+        shown = not strict.gate or excitation_of(candidate, stage.split.seen, machine).sufficient
         (tried if shown else gated).append(candidate)
     nuisances = [as_nuisance(c) for c in tried if strict.free and c.effect.name in stage.problem.nuisances]
     problem = stage.problem if case.around is None else case.around.to_search(stage.problem)

@@ -109,7 +109,7 @@ def candidates(study: Study) -> tuple[Offer, ...]:
     """What may be missing at each stage; what the recordings cannot show is not tried."""
     machine = study.case.plant.machine
     return tuple(
-        Offer(stage.label, c.label, excitation_of(c, stage.split.fit, machine))
+        Offer(stage.label, c.label, excitation_of(c, stage.split.seen, machine))
         for stage in study.stages
         for c in stage_candidates(study.case, stage)
     )
