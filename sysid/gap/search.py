@@ -82,7 +82,7 @@ class Search:
         if nominal_rmse <= self.strict.gap:
             return Finding(self.problem, (), (), nominal, nominal_rmse, nominal_rmse)
         model = self.scores.fit(tuple(self.nuisances), ())
-        if self.scores.rmse(model) > self.strict.worse * nominal_rmse:  # a sensor that reads in steps favours what stands still
+        if self.scores.rmse(model) > self.strict.short * nominal_rmse:  # a sensor that reads in steps favours what stands still
             model = nominal
         for _ in range(3):
             model, _ = self._backward(self._forward(model), keep_nuisances=True)
