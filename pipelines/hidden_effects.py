@@ -38,9 +38,7 @@ def judged(specs: Sequence[CaseSpec], work: Path, earlier: Mapping[str, Judgemen
     place = Place(work)
     found = []
     for spec in specs:
-        if not place.answer(spec).exists() and spec.name in earlier:
-            found.append(earlier[spec.name])
-        elif place.answer(spec).exists():
+        if place.answer(spec).exists():
             answer = json.loads(place.answer(spec).read_text("utf-8"))
             sealed = place.sealed(spec)
             if not sealed.exists():  # it could not be made
@@ -49,6 +47,8 @@ def judged(specs: Sequence[CaseSpec], work: Path, earlier: Mapping[str, Judgemen
             reach = place.reach(spec)
             reached = json.loads(reach.read_text("utf-8")) if reach.exists() else None
             found.append(judge(json.loads(sealed.read_text("utf-8")), answer, reached))
+        elif spec.name in earlier:
+            found.append(earlier[spec.name])
     return found
 
 

@@ -292,10 +292,9 @@ def jacobian(
     asked = np.arange(len(x)) if of is None else np.flatnonzero(of)
     lanes = (x + np.diag(step))[asked]
     if known is None:
-        known, *moved = data.whitened(place(theta, unknowns, np.vstack([x, lanes])), drifts, problem)
-    else:
-        moved = list(data.whitened(place(theta, unknowns, lanes), drifts, problem))
-    return known, ((np.array(moved).reshape(len(asked), -1) - known) / step[asked, None]).T
+        known = data.whitened(place(theta, unknowns, x[None]), drifts, problem)[0]
+    moved = data.whitened(place(theta, unknowns, lanes), drifts, problem)
+    return known, ((moved - known) / step[asked, None]).T
 
 
 def forgiveness(r: Array) -> float:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -46,7 +46,7 @@ class Scores:
 
     @property
     def short(self) -> bool:
-        """Whether there is so little to select on that fitting and selecting recordings change places."""
+        """Whether fitting and selecting recordings change places, since one half alone says too little."""
         return len(self.folds) > 1
 
     def fit(self, candidates: tuple[Candidate, ...], parents: tuple[Fit, ...]) -> Fit:
@@ -151,10 +151,10 @@ class Scores:
             other += free_curve(unseen, theta, drift, curve.fastest).gain(values)
         return seen, other
 
-    def curved(self, fit: Fit, smaller: Fit) -> float:
-        """Share of what the effects do that ``fit`` has and ``smaller`` lacks that is a curve of speed over command."""
+    def curved(self, fit: Fit, smaller: Sequence[Fit]) -> list[float]:
+        """Share of what the effects do that ``fit`` has and each of ``smaller`` lacks that is a curve of speed over command."""
         curve = free_curve(self.fitted, fit.theta, fit.drifts[0])
-        return curve.imitates(self.fitted.whitened(smaller.theta[None], fit.drifts)[0])
+        return [curve.imitates(self.fitted.whitened(without.theta[None], fit.drifts)[0]) for without in smaller]
 
     def own_shares(self, model: Fit) -> dict[str, float]:
         """For each effect, the smallest share of a parameter's influence that the other parameters cannot imitate.

@@ -195,7 +195,8 @@ class Search:
         if self._doubtful(model) < self.strict.strange or not self.strict.whitened:
             return []
         static = [c for c in model.candidates if c.effect.memory(1.0) == 0]
-        kind = [c for c in static if self.scores.curved(model, self._without(c, model)) > MOSTLY]
+        shares = self.scores.curved(model, [self._without(c, model) for c in static])
+        kind = [c for c, share in zip(static, shares, strict=True) if share > MOSTLY]
         if not kind:
             return []
         shapes = [c for c in kind if not c.nuisance] or kind  # a gain beside them is free with or without them
@@ -246,7 +247,7 @@ class Search:
             # What is left is no noise. Where it speaks for one name here and for another there, it is neither.
             tied |= {k for k in near if self._contradicts(fits[k], model)}
         # What contains the effect as a special case leaves as much by itself. What tells less than nothing is none.
-        nothing = self.scores.fit(rest, (model,))
+        nothing = self._without(candidate, model)
         tied |= {
             k
             for k, fit in enumerate(fits)

@@ -26,8 +26,8 @@ class Strictness:
             wherever the machine is used otherwise. Of an effect that the plant lacks it grows up to ``lacking`` times.
         clearer: where such a stage stays above ``strange`` noise floors, an effect has to be missed by this ratio of unseen
             RMSE, and a rival has to leave so many times more. Below, the former shrinks to nothing at ``explained``.
-        short: a rival that leaves more than so many times as much of fitted and of unseen recordings is none, nor are a gain and a
-            dead time that leave so many times more than the plant as it is.
+        short: a rival that leaves more than so many times as much of fitted and of unseen recordings is none, nor are a gain
+            and a dead time that leave so many times more than the plant as it is.
         crumb: least share, of what the strongest effect of such a stage explains, that a second one has to explain.
         shapeless: where a speed of no known form over the command, beside what is named, gains so many times what the names of
             that kind gain, these are not what is there.

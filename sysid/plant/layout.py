@@ -142,7 +142,7 @@ def slot_indices(
         return [tool_place(axes) + _TOOL[effect.name, side, slot][0]]
     read = signals_of(axis_names)
     carried = (target,) if effect.target == "signal" else [s for s in (streams or {})[target] if s in read]
-    return [signal_place(axis_names, signal) + _SIGNAL[effect.name, side, slot][0] for signal in carried]
+    return [signal_place(tuple(axis_names), signal) + _SIGNAL[effect.name, side, slot][0] for signal in carried]
 
 
 def side_of(effect: Effect, side: str | None) -> str | None:

@@ -7,13 +7,13 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 from plant_data import ROLES, arm_inputs, measured, nominal
+from slew_search import named_at_slew
 
 from sysid.datasets.recording import Dataset
 from sysid.gap.case import open_case, stage_candidates
 from sysid.gap.data import Data
 from sysid.gap.fit import least_left, spread_of
 from sysid.gap.scores import Scores
-from sysid.gap.stage_search import search_stages
 from sysid.gap.strictness import Strictness
 from sysid.machine import KnownEffect
 
@@ -55,15 +55,9 @@ def spooled() -> Dataset:
 def test_what_a_formula_is_off_by_is_no_second_effect() -> None:
     """The owner knows the spool as a lag; where it cannot keep up it is a lag behind a limit, but not quite."""
     plant = nominal(KnownEffect("first_order_lag", "slew", {"time_constant": 2.0 * DAMPING / FREQUENCY}))
-    case, stages = open_case(spooled(), plant, 0)
-    slew = [stage for stage in stages if stage.label == "command stage of slew"]
-
-    def named(strict: Strictness) -> set[str]:
-        (stage,) = search_stages(case, slew, strict, "all", lambda share, text: None)
-        return {kept.candidate.effect.name for kept in stage.found.named}
-
-    assert named(Strictness()) == {"command_rate_limit"}
-    assert named(Strictness(crumb=0.0)) > {"command_rate_limit"}
+    dataset = spooled()
+    assert named_at_slew(dataset, plant, Strictness()) == {"command_rate_limit"}
+    assert named_at_slew(dataset, plant, Strictness(crumb=0.0)) > {"command_rate_limit"}
 
 
 def test_what_a_name_leaves_is_what_its_best_values_leave() -> None:

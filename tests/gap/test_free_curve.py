@@ -8,10 +8,9 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 from plant_data import ROLES, arm_inputs, measured, nominal
+from slew_search import named_at_slew
 
 from sysid.datasets.recording import Dataset
-from sysid.gap.case import open_case
-from sysid.gap.stage_search import search_stages
 from sysid.gap.strictness import Strictness
 
 Array = npt.NDArray[np.float64]
@@ -44,18 +43,11 @@ def driven(shape: Callable[[Array], Array]) -> Dataset:
     return Dataset(machine.name, 1, "0" * 64, machine, tuple(runs), {}, splits)
 
 
-def named(dataset: Dataset, strict: Strictness) -> set[str]:
-    case, stages = open_case(dataset, nominal(), 0)
-    slew = [stage for stage in stages if stage.label == "command stage of slew"]
-    (stage,) = search_stages(case, slew, strict, "all", lambda share, text: None)
-    return {kept.candidate.effect.name for kept in stage.found.named}
-
-
 def test_a_clutch_that_slips_is_no_gain_and_no_curve() -> None:
     dataset = driven(slipping)
-    assert named(dataset, Strictness()) == set()
-    assert named(dataset, Strictness(shapeless=np.inf)) & {"gain_curve", "gain_error", "flow_saturation"}
+    assert named_at_slew(dataset, nominal(), Strictness()) == set()
+    assert named_at_slew(dataset, nominal(), Strictness(shapeless=np.inf)) & {"gain_curve", "gain_error", "flow_saturation"}
 
 
 def test_a_curve_is_one() -> None:
-    assert named(driven(progressive), Strictness()) == {"gain_curve"}
+    assert named_at_slew(driven(progressive), nominal(), Strictness()) == {"gain_curve"}

@@ -8,13 +8,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from plant_data import arm_inputs, measured, nominal
+from slew_search import named_at_slew
 
 from sysid.datasets.recording import Dataset, Recording
 from sysid.gap.case import open_case, stage_candidates
 from sysid.gap.data import Data
 from sysid.gap.fit import at_common_thresholds, fit_candidates, spread_of
 from sysid.gap.scores import Scores
-from sysid.gap.stage_search import search_stages
 from sysid.gap.starts import starting_values
 from sysid.gap.strictness import Strictness
 from sysid.machine import KnownEffect
@@ -85,12 +85,5 @@ def test_recordings_that_never_show_the_gap_do_not_judge_what_closes_it() -> Non
     splits = dict(zip((r.name for r in runs), ("fit", "fit", "select", "held_out"), strict=True))
     machine = nominal().machine
     dataset = Dataset(machine.name, 1, "0" * 64, machine, tuple(runs), {}, splits)  # type: ignore[arg-type]
-    case, stages = open_case(dataset, nominal(), 0)
-    slew = [stage for stage in stages if stage.label == "command stage of slew"]
-
-    def named(strict: Strictness) -> set[str]:
-        (stage,) = search_stages(case, slew, strict, "all", lambda share, text: None)
-        return {kept.candidate.effect.name for kept in stage.found.named}
-
-    assert named(Strictness(crossed=0.0)) == {"stiction"}
-    assert named(Strictness(crossed=0.0, unshown=np.inf)) == set()
+    assert named_at_slew(dataset, nominal(), Strictness(crossed=0.0)) == {"stiction"}
+    assert named_at_slew(dataset, nominal(), Strictness(crossed=0.0, unshown=np.inf)) == set()

@@ -32,6 +32,16 @@ def hidden() -> Iterator[dict[str, ModuleType]]:
         sys.path.remove(PIPELINES)
 
 
+@pytest.fixture(scope="module")
+def pipeline() -> ModuleType:
+    """pipelines/hidden_effects.py itself."""
+    sys.path.insert(0, PIPELINES)
+    try:
+        return importlib.import_module("hidden_effects")
+    finally:
+        sys.path.remove(PIPELINES)
+
+
 # ---- The list -----------------------------------------------------------------------------------------------------------
 
 
@@ -262,12 +272,7 @@ def test_wilson_interval(hidden: dict[str, ModuleType]) -> None:
     assert wilson(0, 0) == [0.0, 1.0]
 
 
-def test_page_replaces_only_what_it_generated(hidden: dict[str, ModuleType], tmp_path: Path) -> None:
-    sys.path.insert(0, PIPELINES)
-    try:
-        pipeline = importlib.import_module("hidden_effects")
-    finally:
-        sys.path.remove(PIPELINES)
+def test_page_replaces_only_what_it_generated(hidden: dict[str, ModuleType], pipeline: ModuleType, tmp_path: Path) -> None:
     sealed = sealed_case(hidden, "single", ("backlash", "slew"))
     judged = [hidden["judge"].judge(sealed, answer(effect("stiction", "slew")))]
     result = json.loads(json.dumps(pipeline.result_of("quick", judged, 60, "make hidden-effects"), allow_nan=False))
@@ -279,13 +284,8 @@ def test_page_replaces_only_what_it_generated(hidden: dict[str, ModuleType], tmp
     assert "| backlash | stiction 1 |" in text
 
 
-def test_a_committed_result_is_gone_on_from(hidden: dict[str, ModuleType], tmp_path: Path) -> None:
+def test_a_committed_result_is_gone_on_from(hidden: dict[str, ModuleType], pipeline: ModuleType, tmp_path: Path) -> None:
     """What was judged comes back as it was; a case that is another one by now does not."""
-    sys.path.insert(0, PIPELINES)
-    try:
-        pipeline = importlib.import_module("hidden_effects")
-    finally:
-        sys.path.remove(PIPELINES)
     judge = hidden["judge"].judge
     specs = [hidden["cases"].case(group, 0) for group in ("none", "single")]
     sealed = [{"spec": spec.to_json(), "hidden": [], "effects": []} for spec in specs]
