@@ -10,7 +10,7 @@ EFFECT = Effect(
     stage="command",
     target="axis",
     slots=(Slot("rate"),),
-    forms=(Form((Parameter("rate", "drive/s", (-0.05, 0.05), (-3e-4, 3e-4), 5e-6, "speed lost, at any command"),)),),
+    forms=(Form((Parameter("rate", "drive/s", (-0.05, 0.05), (-3e-4, 3e-4), 3e-6, "speed lost, at any command"),)),),
     equation="v = speed − rate",
     source="Merritt 1967, §5.3; 0.01–0.2 mm/s (machine facts)",
     excited_by="rest under load for tens of seconds",

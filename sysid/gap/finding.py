@@ -38,7 +38,7 @@ class Finding:
 
     Args:
         named: effects that a name is given to.
-        adjusted: nuisance parameters that matter, but moved too little or are too poorly shown for a name.
+        adjusted: what moved in the fit, but too little for a name, or is too poorly shown, or makes up for another's formula.
         fit: the final fit, on all recordings that may be seen.
         nominal_rmse, final_rmse: of unseen recordings, as multiples of the noise floor.
         leeway: a departure needs so many times what is negligible for a name at this stage.

@@ -6,6 +6,7 @@ neither pulls parameters nor counts as evidence.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -70,10 +71,11 @@ class Fit:
             at += len(known.unknowns)
         raise KeyError(candidate.label)
 
-    def departs(self, candidate: Candidate, times: float) -> bool:
-        """Whether any parameter of it moved by more than so many times what is negligible."""
-        values = self.values_of(candidate)
-        return any(abs(v - u.nominal) > times * u.negligible for u, v in zip(candidate.unknowns, values, strict=True))
+    def departure(self, candidate: Candidate) -> float:
+        """How far its parameters moved from nominal, in what is negligible of each; of the one that moved furthest."""
+        moved = zip(candidate.unknowns, self.values_of(candidate), strict=True)
+        away = [(abs(float(value) - u.nominal), u.negligible) for u, value in moved]
+        return max((far / least if least > 0.0 else math.inf for far, least in away if far > 0.0), default=0.0)
 
     def at_bound(self, candidate: Candidate) -> bool:
         """Whether any parameter of it ends at a bound that does not mean "absent"."""

@@ -132,7 +132,7 @@ def _that_matter(stage: Stage, outcome: Outcome) -> Stage:
 
 def _shrank(candidate: Candidate, finding: Finding, fit: Fit) -> bool:
     """Whether its departure was worth a name when it was found and is negligible in ``fit``."""
-    return finding.fit.departs(candidate, finding.leeway) and not fit.departs(candidate, finding.leeway)
+    return finding.fit.departure(candidate) > finding.leeway >= fit.departure(candidate)
 
 
 def _without(stage: Stage, fit: Fit, candidate: Candidate) -> Fit:
@@ -177,7 +177,7 @@ def _accept(case: Case, stage: Stage, outcome: Outcome) -> None:
         outcome.repaired = outcome.repaired.with_effect(candidate.instance(values))
         shown = ", ".join(f"{u.key} = {v:.4g}" for u, v in zip(candidate.unknowns, values, strict=True))
         what = f"{candidate.effect.name} on {candidate.target}"
-        outcome.notes.append(f"{what} adjusted, too small or too poorly shown for a name: {shown}")
+        outcome.notes.append(f"{what} adjusted, no finding of its own: {shown}")
     if finding.fit.candidates:
         outcome.repaired = outcome.repaired.with_uncertainty(_uncertainty(finding.fit, known.covariance))
 

@@ -19,6 +19,7 @@ from sysid.gap.data import Data
 from sysid.gap.evidence import Comparison, confidence_set
 from sysid.gap.finding import Finding, Kept, Trial
 from sysid.gap.fit import Fit, fit_candidates, spread_of
+from sysid.gap.makeshift import makeshift
 from sysid.gap.problem import Problem, Split
 from sysid.gap.scores import Scores
 from sysid.gap.screen import likely_gains
@@ -101,10 +102,12 @@ class Search:
         seen = self._data(self.split.seen)
         final = fit_candidates(seen, self.theta, model.candidates, [model.values])
         unnamed = (*self._crumbs(model), *misshapen)
+        instead = makeshift(model, self._doubtful(model) >= self.strict.strange)
         ordinary = [
             c
             for c in model.candidates
-            if not c.nuisance or (c not in unnamed and self._matters(c, model, final) and self._lasts(kept[c.label], model))
+            if c not in instead
+            and (not c.nuisance or (c not in unnamed and self._matters(c, model, final) and self._lasts(kept[c.label], model)))
         ]
         named = tuple(Kept(c, kept[c.label], *rivals.get(c.key, ((), ()))) for c in ordinary)
         adjusted = tuple(c for c in model.candidates if c not in ordinary)
@@ -253,7 +256,7 @@ class Search:
             for k, fit in enumerate(fits)
             if not rivals[k].contains(candidate) and self._as_far(fit, model) and self.scores.delta_bic(nothing, fit) > 0.0
         }
-        ties = tuple(rivals[k] for k in sorted(tied))
+        ties = tuple(rivals[k] for k in sorted(tied) if not self._elsewhere(fits[k], candidate, model))
         rejected = tuple(
             (
                 rival,
@@ -304,6 +307,19 @@ class Search:
         pairs = zip(self.scores.least(rival), self.scores.least(model), strict=True)
         return all(left > self.strict.short * best for left, best in pairs)
 
+    def _elsewhere(self, rival: Fit, candidate: Candidate, model: Fit) -> bool:
+        """Whether an effect tells beside a rival most of what it tells without it: the rival explains something else.
+
+        Oil that rings after every stop does not make a boom sink at rest, though the one may be as clear as the other.
+        """
+        if any(candidate.contains(c) or c.contains(candidate) for c in rival.candidates):
+            return False
+        nothing, both = self._without(candidate, model), self.scores.fit((*rival.candidates, candidate), (rival, model))
+        pairs = ((one.log_likelihood, self.scores.density(one)) for one in (nothing, model, rival, both))
+        without, alone, other, beside = (np.array(pair) for pair in pairs)
+        least = np.maximum(MOSTLY * (alone - without), self.strict.delta_bic)
+        return bool(np.all(beside - other > least))
+
     def _contradicts(self, rival: Fit, model: Fit) -> bool:
         """Whether fitted recordings prefer a rival clearly, and it leaves hardly more of them."""
         clear = self.scores.delta_bic(rival, model) < -self.strict.delta_bic
@@ -343,16 +359,20 @@ class Search:
 
         What ends at the bound of its range is no value of that effect: something else is passed off as it. A plant that errs
         in ways of its own moves the values of what it has by little, and much may depend on that: of these, more is asked.
+        Where it leaves nothing of what was fitted, so that it does not err, the less is asked the further the departure is.
         """
         if model.at_bound(candidate):
             return False
         had = candidate.nuisance or candidate.known
         negligible = min(self._leeway(model), np.inf if had else self.strict.lacking)
-        if all(fit.departs(candidate, negligible) for fit in (model, final or model)):
+        departure = min(fit.departure(candidate) for fit in (model, final or model))
+        if departure > negligible:
             return True
         without = self._without(candidate, model)
         most = np.inf if had else self.strict.doubt
         asked = self.strict.decides * float(np.clip(self.scores.rmse(model) / self.strict.explained, 1.0, most))
+        if self.scores.fitted_rmse(model) <= self.strict.explained:
+            asked *= (self.strict.clearer / asked) ** (departure / negligible)
         return all(figure(without) > asked * figure(model) for figure in (self.scores.rmse, self.scores.fitted_rmse))
 
     def _without(self, candidate: Candidate, model: Fit) -> Fit:
