@@ -41,7 +41,9 @@ def judged(specs: Sequence[CaseSpec], work: Path, earlier: Mapping[str, Judgemen
         if place.answer(spec).exists():
             answer = json.loads(place.answer(spec).read_text("utf-8"))
             sealed = place.sealed(spec)
-            if not sealed.exists():  # it could not be made
+            if not sealed.exists():
+                if "failure" not in answer:
+                    raise FileNotFoundError(f"{spec.name} has an answer, but no truth to compare it with: {sealed}")
                 found.append(_unmade(spec, answer))
                 continue
             reach = place.reach(spec)

@@ -303,6 +303,19 @@ def test_a_committed_result_is_gone_on_from(hidden: dict[str, ModuleType], pipel
     assert [case.failure for case in pipeline.judged(specs, tmp_path, found)] == [None, "took more than 180 s"]
 
 
+def test_an_answer_without_its_truth_is_not_judged(hidden: dict[str, ModuleType], pipeline: ModuleType, tmp_path: Path) -> None:
+    """Without the truth every name would be a wrong one; a case that could not be made has none, and failed."""
+    spec = hidden["cases"].cases_of("smoke")[0]
+    (tmp_path / "answers").mkdir()
+    answer = tmp_path / "answers" / f"{spec.name}.json"
+    answer.write_text(json.dumps({"failure": "not made: no such machine"}))
+    (judged,) = pipeline.judged([spec], tmp_path, {})
+    assert judged.failure == "not made: no such machine"
+    answer.write_text(json.dumps({"answer": {"effects": []}, "seconds": 1.0}))
+    with pytest.raises(FileNotFoundError, match=f"{spec.name} has an answer, but no truth"):
+        pipeline.judged([spec], tmp_path, {})
+
+
 def test_crane_stages_are_silent_where_nothing_is_hidden(hidden: dict[str, ModuleType]) -> None:
     """Without its effect the residual of every stage but the command's is rounding; with it, it is what geometry says."""
     machines, limits, kinds = hidden["machines"], hidden["limits"], hidden["kinds"].BY_KEY
