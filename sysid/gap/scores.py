@@ -60,6 +60,10 @@ class Scores:
             self._fits[key] = tuple(fits)
         return self._fits[key][0]
 
+    def without(self, candidate: Candidate, model: Fit) -> Fit:
+        """The fit of what is left of ``model``."""
+        return self.fit(tuple(c for c in model.candidates if c is not candidate), (model,))
+
     def _score(self, fit: Fit) -> tuple[Array, float]:
         """(log predictive density of every unseen bin, NaN where there is none, and unseen RMSE in noise floors).
 
@@ -87,6 +91,10 @@ class Scores:
 
     def density(self, fit: Fit) -> float:
         return float(np.nansum(self._score(fit)[0]))
+
+    def told(self, fit: Fit) -> Array:
+        """Log likelihood of fitted recordings and log predictive density of unseen ones, (2,)."""
+        return np.array([fit.log_likelihood, self.density(fit)])
 
     def merit(self, fit: Fit) -> float:
         """Log evidence from fitted recordings (penalised for parameters) and from unseen ones together."""

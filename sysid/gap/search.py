@@ -16,21 +16,20 @@ import numpy.typing as npt
 from sysid.datasets.recording import Recording
 from sysid.gap.candidates import Candidate
 from sysid.gap.data import Data
-from sysid.gap.evidence import Comparison, confidence_set
+from sysid.gap.evidence import Comparison
 from sysid.gap.finding import Finding, Kept, Trial
 from sysid.gap.fit import Fit, fit_candidates, spread_of
-from sysid.gap.makeshift import makeshift
 from sysid.gap.problem import Problem, Split
 from sysid.gap.scores import Scores
 from sysid.gap.screen import likely_gains
 from sysid.gap.strictness import Strictness
+from sysid.gap.ties import Ties
+from sysid.gap.worth import Worth
 
 Array = npt.NDArray[np.float64]
 
 #: An addition that leaves more than this of the unseen RMSE hardly lowers it.
 SLIGHT = 0.98
-#: An effect of which a curve of the speed over the command does more than this share is one.
-MOSTLY = 0.5
 
 
 @dataclass
@@ -54,6 +53,8 @@ class Search:
     seed: int = 0
     on_fit: Callable[[str], None] = lambda text: None
     scores: Scores = field(init=False)
+    worth: Worth = field(init=False)
+    ties: Ties = field(init=False)
     _gains: dict[frozenset[str], dict[str, float]] = field(default_factory=dict)
     _trials: list[Trial] = field(default_factory=list)
 
@@ -66,6 +67,8 @@ class Search:
             crossed = True
         folds = ((fit, select), (select, fit)) if crossed else ((fit, select),)
         self.scores = Scores(self.theta, folds, self.strict.whitened, self.seed, self.on_fit)
+        self.worth = Worth(self.scores, self.strict, self.problem.integrates)
+        self.ties = Ties(self.scores, self.strict, self.worth, self.seed)
 
     def _data(self, recordings: Sequence[Recording]) -> Data:
         return Data(self.problem, recordings, self.sigma, self.strict.whitened)
@@ -91,27 +94,30 @@ class Search:
             if better is model or set(better.labels) == set(model.labels):
                 break
             model = better
-        while crumbs := [c for c in self._crumbs(model) if not c.nuisance]:
+        while crumbs := [c for c in self.worth.crumbs(model) if not c.nuisance]:
             model = self._cleared(model, crumbs)
-        misshapen = self._misshapen(model)
+        misshapen = self.worth.misshapen(model)
         if any(not c.nuisance for c in misshapen):
             model = self._cleared(model, misshapen)
-        doubtful = [c for c in model.candidates if not c.nuisance or self._matters(c, model)]
+        doubtful = [c for c in model.candidates if not c.nuisance or self.worth.matters(c, model)]
         rivals = {c.key: self._rivals(model, c) for c in doubtful}  # while nuisances are free: they imitate much
         model, kept = self._backward(model)
         seen = self._data(self.split.seen)
         final = fit_candidates(seen, self.theta, model.candidates, [model.values])
-        unnamed = (*self._crumbs(model), *misshapen)
-        instead = makeshift(model, self._doubtful(model) >= self.strict.strange)
+        unnamed = (*self.worth.crumbs(model), *misshapen)
+        instead = self.worth.makeshift(model)
         ordinary = [
             c
             for c in model.candidates
             if c not in instead
-            and (not c.nuisance or (c not in unnamed and self._matters(c, model, final) and self._lasts(kept[c.label], model)))
+            and (
+                not c.nuisance
+                or (c not in unnamed and self.worth.matters(c, model, final) and self.worth.lasts(kept[c.label], model))
+            )
         ]
         named = tuple(Kept(c, kept[c.label], *rivals.get(c.key, ((), ()))) for c in ordinary)
         adjusted = tuple(c for c in model.candidates if c not in ordinary)
-        final_rmse, leeway = self.scores.rmse(final), self._leeway(model)
+        final_rmse, leeway = self.scores.rmse(final), self.worth.leeway(model)
         return Finding(self.problem, named, adjusted, final, nominal_rmse, final_rmse, tuple(self._trials), leeway)
 
     # -- steps ---------------------------------------------------------------------------------------------------
@@ -157,7 +163,7 @@ class Search:
             weakest: tuple[float, Fit, str] | None = None
             shares = self.scores.own_shares(model)
             for candidate in self._ordinary(model) if keep_nuisances else model.candidates:
-                smaller = self._without(candidate, model)
+                smaller = self.scores.without(candidate, model)
                 simpler = self._simpler(model, candidate)
                 if simpler is not None and self.scores.merit(simpler) > self.scores.merit(smaller):
                     smaller = simpler
@@ -166,7 +172,7 @@ class Search:
                 if candidate.nuisance:  # stays as an adjustment as long as it predicts better; a name needs more
                     lasting = self.scores.merit(model) > self.scores.merit(smaller) + self.strict.forward
                 else:
-                    lasting = self._lasts(comparison, model) and self._matters(candidate, model)
+                    lasting = self.worth.lasts(comparison, model) and self.worth.matters(candidate, model)
                 lasting &= shares[candidate.label] >= self.strict.sensitivity
                 if not lasting and (weakest is None or comparison.gain < weakest[0]):
                     weakest = (comparison.gain, smaller, candidate.label)
@@ -174,39 +180,6 @@ class Search:
                 return model, kept
             self._note(weakest[1], model, f"drops {weakest[2]}")
             model = weakest[1]
-
-    def _crumbs(self, model: Fit) -> list[Candidate]:
-        """What explains little beside the strongest effect of a stage that stays far from explained.
-
-        No formula is quite what a machine does: what is left there may be what the strongest one's is off by, and a second name
-        what makes up for it. A spool that is slow to follow is a rate limit and, a little, another lag.
-        """
-        if self._doubtful(model) < self.strict.strange:
-            return []
-        shares = np.zeros(len(model.candidates))
-        for figure in (self.scores.rmse, self.scores.fitted_rmse):
-            left = np.array([figure(self._without(c, model)) for c in model.candidates])
-            own = np.sqrt(np.maximum(left**2 - figure(model) ** 2, 0.0))
-            shares = np.maximum(shares, own / max(own.max(initial=0.0), 1e-12))
-        return [c for c, share in zip(model.candidates, shares, strict=True) if share < self.strict.crumb]
-
-    def _misshapen(self, model: Fit) -> list[Candidate]:
-        """Gains, curves and limits beside which a speed of no known form over the command tells nearly as much as they do.
-
-        A clutch that slips looks like a gain and its curve, since these are the nearest that have a name.
-        """
-        if self._doubtful(model) < self.strict.strange or not self.strict.whitened:
-            return []
-        static = [c for c in model.candidates if c.effect.memory(1.0) == 0]
-        shares = self.scores.curved(model, [self._without(c, model) for c in static])
-        kind = [c for c, share in zip(static, shares, strict=True) if share > MOSTLY]
-        if not kind:
-            return []
-        shapes = [c for c in kind if not c.nuisance] or kind  # a gain beside them is free with or without them
-        smaller = self.scores.fit(tuple(c for c in model.candidates if c not in shapes), (model,))
-        own = model.log_likelihood - smaller.log_likelihood, self.scores.density(model) - self.scores.density(smaller)
-        more = zip(self.scores.beyond(model), own, strict=True)
-        return kind if all(gain > max(self.strict.shapeless * named, self.strict.delta_bic) for gain, named in more) else []
 
     def _cleared(self, model: Fit, of: Sequence[Candidate]) -> Fit:
         """The model without the ordinary ones of some effects, and without what only they had needed."""
@@ -233,40 +206,7 @@ class Search:
         fits = [self.scores.fit(_joined(rest, rival), (model,)) for rival in rivals]
         for fit in fits:
             self._note(fit, model, f"in the place of {candidate.label}")
-        # A rival ties only if neither the fitted nor the unseen recordings tell the two apart.
-        near = [
-            k
-            for k, fit in enumerate(fits)
-            if self.scores.delta_bic(fit, model) < self.strict.delta_bic
-            and not self._needlessly_rich(fit, model)
-            and not self._hardly_better(rivals[k], fit, candidate, model)
-            and not self._falls_short(fit, model)
-        ]
-        surviving = confidence_set(
-            [-series for series in self.scores.log_densities(model, *(fits[k] for k in near))], self.seed
-        )
-        tied = {near[k - 1] for k in surviving if k > 0}
-        if self._doubtful(model) >= self.strict.strange:
-            # What is left is no noise. Where it speaks for one name here and for another there, it is neither.
-            tied |= {k for k in near if self._contradicts(fits[k], model)}
-        # What contains the effect as a special case leaves as much by itself. What tells less than nothing is none.
-        nothing = self._without(candidate, model)
-        tied |= {
-            k
-            for k, fit in enumerate(fits)
-            if not rivals[k].contains(candidate) and self._as_far(fit, model) and self.scores.delta_bic(nothing, fit) > 0.0
-        }
-        ties = tuple(rivals[k] for k in sorted(tied) if not self._elsewhere(fits[k], candidate, model))
-        rejected = tuple(
-            (
-                rival,
-                f"evidence: ΔBIC {self.scores.delta_bic(fit, model):.0f} on fitted recordings, "
-                f"{self.scores.density(model) - self.scores.density(fit):.0f} nats on unseen ones",
-            )
-            for rival, fit in zip(rivals, fits, strict=True)
-            if rival not in ties
-        )
-        return rejected, ties
+        return self.ties.judged(model, candidate, rivals, fits)
 
     def _likely(
         self,
@@ -288,108 +228,7 @@ class Search:
             known.update(zip((c.label for c in new), map(float, gains), strict=True))
         return sorted(free, key=lambda c: -known[c.label])[: self.strict.tried]
 
-    def _needlessly_rich(self, rival: Fit, model: Fit) -> bool:
-        """Whether a rival needs more numbers than ``model`` and tells no more with them, neither of fitted nor of unseen runs.
-
-        A load and a friction that differs by direction are one thing while a carriage moves: the simpler of two such names.
-        """
-        if len(rival.unknowns) <= len(model.unknowns):
-            return False
-        gains = rival.log_likelihood - model.log_likelihood, self.scores.density(rival) - self.scores.density(model)
-        return max(gains) < self.strict.forward
-
-    def _hardly_better(self, rival: Candidate, fit: Fit, candidate: Candidate, model: Fit) -> bool:
-        """Whether a rival contains the effect as a special case and predicts hardly better: it is what it is there."""
-        return rival.contains(candidate) and self.scores.rmse(model) <= self.strict.richer * self.scores.rmse(fit)
-
-    def _falls_short(self, rival: Fit, model: Fit) -> bool:
-        """Whether a rival leaves a multiple of what ``model`` leaves, however well it predicts from one moment to the next."""
-        pairs = zip(self.scores.least(rival), self.scores.least(model), strict=True)
-        return all(left > self.strict.short * best for left, best in pairs)
-
-    def _elsewhere(self, rival: Fit, candidate: Candidate, model: Fit) -> bool:
-        """Whether an effect tells beside a rival most of what it tells without it: the rival explains something else.
-
-        Oil that rings after every stop does not make a boom sink at rest, though the one may be as clear as the other.
-        """
-        if any(candidate.contains(c) or c.contains(candidate) for c in rival.candidates):
-            return False
-        nothing, both = self._without(candidate, model), self.scores.fit((*rival.candidates, candidate), (rival, model))
-        pairs = ((one.log_likelihood, self.scores.density(one)) for one in (nothing, model, rival, both))
-        without, alone, other, beside = (np.array(pair) for pair in pairs)
-        least = np.maximum(MOSTLY * (alone - without), self.strict.delta_bic)
-        return bool(np.all(beside - other > least))
-
-    def _contradicts(self, rival: Fit, model: Fit) -> bool:
-        """Whether fitted recordings prefer a rival clearly, and it leaves hardly more of them."""
-        clear = self.scores.delta_bic(rival, model) < -self.strict.delta_bic
-        return clear and self.scores.fitted_rmse(rival) < self.strict.clearer * self.scores.fitted_rmse(model)
-
-    def _as_far(self, rival: Fit, model: Fit) -> bool:
-        """Whether a rival leaves about as much as ``model`` of a stage that stays far from explained.
-
-        What is left is then much larger than noise and of unknown kind, so that it may decide between the two by chance,
-        however clear the evidence looks. Both the likeliest values have to say so and those that leave least: the former are
-        off by little that adds up, the latter follow what wanders. Of short logs one of them is enough.
-        """
-        if self._doubtful(model) < self.strict.strange or any(rival.at_bound(c) for c in rival.candidates):
-            return False
-        said = (
-            all(left < self.strict.clearer * best for left, best in zip(view(rival), view(model), strict=True))
-            for view in (self.scores.left, self.scores.least)
-        )
-        return any(said) if self.scores.short else all(said)
-
     # -- parts ---------------------------------------------------------------------------------------------------
-
-    def _lasts(self, c: Comparison, model: Fit) -> bool:
-        """Whether evidence for an effect of ``model`` is enough to keep it."""
-        if not self.strict.whitened:
-            return c.delta_bic > self.strict.delta_bic
-        strangeness = self._strangeness(model)
-        if strangeness > 0.0 and c.ratio < 1.0 + (self.strict.clearer - 1.0) * strangeness:
-            return False
-        sure = c.p_value < self.strict.p_value
-        likely = c.gain > self.strict.delta_bic and (c.p_value < self.strict.likely or c.ratio > self.strict.ratio)
-        halved = c.gain > self.strict.forward and c.ratio > self.strict.halves
-        return c.delta_bic > self.strict.delta_bic and (sure or likely or halved)
-
-    def _matters(self, candidate: Candidate, model: Fit, final: Fit | None = None) -> bool:
-        """Whether a departure is large enough for a name: in itself (in a final fit too), or since everything depends on it.
-
-        What ends at the bound of its range is no value of that effect: something else is passed off as it. A plant that errs
-        in ways of its own moves the values of what it has by little, and much may depend on that: of these, more is asked.
-        Where it leaves nothing of what was fitted, so that it does not err, the less is asked the further the departure is.
-        """
-        if model.at_bound(candidate):
-            return False
-        had = candidate.nuisance or candidate.known
-        negligible = min(self._leeway(model), np.inf if had else self.strict.lacking)
-        departure = min(fit.departure(candidate) for fit in (model, final or model))
-        if departure > negligible:
-            return True
-        without = self._without(candidate, model)
-        most = np.inf if had else self.strict.doubt
-        asked = self.strict.decides * float(np.clip(self.scores.rmse(model) / self.strict.explained, 1.0, most))
-        if self.scores.fitted_rmse(model) <= self.strict.explained:
-            asked *= (self.strict.clearer / asked) ** (departure / negligible)
-        return all(figure(without) > asked * figure(model) for figure in (self.scores.rmse, self.scores.fitted_rmse))
-
-    def _without(self, candidate: Candidate, model: Fit) -> Fit:
-        return self.scores.fit(tuple(c for c in model.candidates if c is not candidate), (model,))
-
-    def _leeway(self, model: Fit) -> float:
-        """So many times what is negligible still is."""
-        return float(np.clip(self._doubtful(model), 1.0, self.strict.doubt))
-
-    def _doubtful(self, model: Fit) -> float:
-        """Noise floors that are left where errors add up over a run, so that they say less than they seem to; else none."""
-        return self.scores.rmse(model) if self.problem.integrates else 0.0
-
-    def _strangeness(self, model: Fit) -> float:
-        """0 where a stage counts as explained, 1 where it stays far from that."""
-        span = self.strict.strange - self.strict.explained
-        return float(np.clip((self._doubtful(model) - self.strict.explained) / span, 0.0, 1.0))
 
     def _ordinary(self, model: Fit) -> list[Candidate]:
         return [c for c in model.candidates if not c.nuisance]

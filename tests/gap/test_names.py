@@ -51,7 +51,7 @@ def test_what_depends_on_it_is_not_enough_where_fitted_recordings_stay_unexplain
 def test_a_gain_that_makes_up_for_a_curve_has_no_name(monkeypatch: pytest.MonkeyPatch) -> None:
     dataset = slewing(narrowing, part=0.4)
     assert named_at_slew(dataset, nominal(), Strictness()) == {"gain_curve"}
-    monkeypatch.setattr("sysid.gap.search.makeshift", lambda fit, strange: [])
+    monkeypatch.setattr("sysid.gap.worth.makeshift", lambda fit, strange: [])
     assert named_at_slew(dataset, nominal(), Strictness()) == {"gain_curve", "gain_error"}
 
 
@@ -75,7 +75,7 @@ def elsewhere(search: Search, found: str, rival: str) -> bool:
     """Whether ``rival`` in the place of ``found`` explains something else."""
     one, other = (next(c for c in search.candidates if c.effect.name == name) for name in (found, rival))
     model = search.scores.fit((one,), ())
-    return search._elsewhere(search.scores.fit((other,), (model,)), one, model)
+    return search.ties.explains_else(search.scores.fit((other,), (model,)), one, model)
 
 
 def test_a_rival_that_explains_something_else_is_none() -> None:
