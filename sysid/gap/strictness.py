@@ -20,7 +20,8 @@ class Strictness:
         richer: an effect that contains a simpler one has to predict unseen recordings better than that by this factor.
         decides, explained: a departure that is small enough to be negligible gets a name where the stage is this many times
             further off without it; as many times more as what is left exceeds ``explained`` noise floors, up to ``doubt`` times
-            for an effect that the plant lacks.
+            for an effect that the plant lacks. Where the fitted recordings are explained it shrinks to ``clearer`` as the
+            departure grows to one that is worth a name by itself.
         doubt, lacking: where errors add up over a run, what is negligible grows with what stays unexplained (unseen RMSE in
             noise floors), up to ``doubt`` times: a model that is wrong in ways of its own moves its parameters a little
             wherever the machine is used otherwise. Of an effect that the plant lacks it grows up to ``lacking`` times.
