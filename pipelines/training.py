@@ -1,19 +1,24 @@
 """What feedback, hindsight and the rest are worth: policies trained side by side, followed on one helix.
 
-.venv/bin/python pipelines/training.py [--tier small|full] [--workers N] [--workspace DIR]
+.venv/bin/python pipelines/training.py [--tier small|full] [--workers N] [--workspace DIR] [--minutes N]
 
-Needs the versions that `make demo` makes. It goes on where it was stopped. ``full`` takes some six hours of a core; its result
-goes to reports/training/, its tables into docs/ddpg.md, its curves into docs/images/training.svg. ``small`` is a look at
-whether everything runs, and stays in the workspace.
+Needs the versions that `make demo` makes. It goes on where it was stopped, elsewhere from what the committed result has.
+``full`` takes some six hours of a core; with ``--minutes`` nothing is begun after so many, and what there is then is written.
+Its result goes to reports/training/, its tables into docs/ddpg.md, its curves into docs/images/training.svg. ``small`` is a
+look at whether everything runs, and stays in the workspace.
 """
 
 from __future__ import annotations
 
 import argparse
+import json
+import math
 import statistics
 import sys
+import time
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -26,7 +31,7 @@ from sysid.files import json_text
 from sysid.reports.charts import WIDE, Line, chart
 from sysid.rl.seeds import side_by_side
 from trained.peer import peer
-from trained.runs import CANDIDATES, CHOICES, FORWARDS, PAPER, ROOT, baseline, one, runs, seconds_to
+from trained.runs import CANDIDATES, CHOICES, FORWARDS, PAPER, ROOT, Run, baseline, one, runs, seconds_to
 
 RESULT, PAGE, PICTURE = ROOT / "reports" / "training" / "result.json", ROOT / "docs" / "ddpg.md", "docs/images/training.svg"
 #: Share of the episodes and seeds by part.
@@ -43,22 +48,28 @@ STYLE = (
 )
 
 
-def main(tier: str, workspace: Path, workers: int | None) -> Path:
+def main(tier: str, workspace: Path, workers: int | None, minutes: float = math.inf) -> Path:
     """Train what is not there yet and write the result."""
+    until = time.time() + 60.0 * minutes
     share, seeds = TIERS[tier]
     work = workspace / "training_study" / tier
     work.mkdir(parents=True, exist_ok=True)
     todo = list(runs(share, seeds))
-    found = _all(one, [(str(workspace), str(work), run) for run in todo], workers)
+    if tier == "full":
+        put_back(RESULT, todo, work)
+    found = _all(one, [(str(workspace), str(work), run, until) for run in todo], workers)
     results: dict[tuple[str, str], list[dict[str, Any]]] = defaultdict(list)
     for run, result in zip(todo, found, strict=True):
-        results[run.part, run.arm].append(result)
+        if result is not None:
+            results[run.part, run.arm].append(result)
+    if not results["quick", "feedback"]:
+        raise SystemExit(f"no policy of quick.toml was done in {minutes:g} minutes; give it more, the next start goes on")
     limit = PATIENCE * statistics.median(result["cpu_seconds"] for result in results["quick", "feedback"])
-    peers = _all(peer, [(str(workspace), str(work), seed, limit) for seed in range(seeds["peer"])], workers)
+    peers = _done(_all(peer, [(str(workspace), str(work), seed, limit, until) for seed in range(seeds["peer"])], workers))
     rows = baseline(str(workspace))[2]
     head = provenance(f"pipelines/training.py --tier {tier}", 0, ("torch", "stable-baselines3"))
-    whole = head | {"baselines": rows, "runs": found, "stable_baselines3": peers}
-    text, picture = tables(results, peers, rows), curves(results)
+    whole = head | {"listed": len(todo), "baselines": rows, "runs": _done(found), "stable_baselines3": peers}
+    text, picture = tables(results, peers, rows, len(todo)), curves(results)
     if tier == "full":
         write_result(RESULT, whole)
         write_tables(PAGE, text, "pipelines/training.py")
@@ -70,7 +81,26 @@ def main(tier: str, workspace: Path, workers: int | None) -> Path:
     return work / "result.json"
 
 
-def _all(work: Callable[..., dict[str, Any]], calls: Sequence[tuple[Any, ...]], workers: int | None) -> list[dict[str, Any]]:
+def put_back(result: Path, todo: Sequence[Run], work: Path) -> None:
+    """Leave in ``work`` what a committed result has of these runs, so that they are not trained again."""
+    if not result.exists():
+        return
+    known = json.loads(result.read_text("utf-8"))
+    wanted = {run.name: json.loads(json_text(asdict(run))) for run in todo}
+    kept = {run.name: each for run in todo for each in known["runs"] if each["run"] == wanted[run.name]}
+    kept |= {f"sb3-seed{each['seed']}": each for each in known["stable_baselines3"]}
+    for name, each in kept.items():
+        if not (work / f"{name}.json").exists():
+            (work / f"{name}.json").write_text(json_text(each), "utf-8")
+
+
+def _done(found: Sequence[dict[str, Any] | None]) -> list[dict[str, Any]]:
+    return [each for each in found if each is not None]
+
+
+def _all(
+    work: Callable[..., dict[str, Any] | None], calls: Sequence[tuple[Any, ...]], workers: int | None
+) -> list[dict[str, Any] | None]:
     last = [0.0]
 
     def tell(share: float, text: str) -> None:
@@ -85,11 +115,13 @@ def tables(
     results: Mapping[tuple[str, str], Sequence[Mapping[str, Any]]],
     peers: Sequence[Mapping[str, Any]],
     baselines: Sequence[Mapping[str, Any]],
+    listed: int,
 ) -> str:
-    """Comparison, choices, candidates, peer, as Markdown."""
-    return "\n".join(
-        [*_comparison(results, baselines), "", *_choices(results), "", *_candidates(results), "", *_peer(results, peers)]
-    )
+    """Comparison, choices, candidates, peer, as Markdown; ``listed`` runs belong to it, of which some may not be done."""
+    done = sum(map(len, results.values()))
+    head = [f"{done} of {listed} policies; the others are not trained yet.", ""] if done < listed else []
+    parts = [_comparison(results, baselines), _choices(results), _candidates(results), _peer(results, peers)]
+    return "\n".join([*head, *"\n\n".join("\n".join(part) for part in parts).splitlines()])
 
 
 def _comparison(
@@ -102,43 +134,48 @@ def _comparison(
         yield f"| the paper's policy {number} ({arm}) | 1 | {_mm(PAPER[arm])} | {worst} | – |"
     for part, what in (("paper", "the paper's recipe, cut to 60 000 updates"), ("quick", "`quick.toml`")):
         for arm in ("feedback", "plain"):
-            each = results[part, arm]
-            cpu = statistics.median(result["cpu_seconds"] for result in each)
-            yield f"| {what}, {arm} | {len(each)} | {_spread(each, 'rmse')} | {_spread(each, 'max')} | {cpu:.0f} s |"
+            if each := results.get((part, arm)):
+                cpu = statistics.median(result["cpu_seconds"] for result in each)
+                yield f"| {what}, {arm} | {len(each)} | {_spread(each, 'rmse')} | {_spread(each, 'max')} | {cpu:.0f} s |"
     searched = results["quick", "feedback"]
     yield f"| `quick.toml`, feedback, candidates at run time too | {len(searched)} | {_spread(searched, 'rmse_searched')} | | |"
     for row in baselines:
         yield f"| inverse kinematics (`{row['policy']}`) | – | {_list(row['rmse_mm'])} | {_list(row['max_mm'])} | – |"
     for part in ("paper", "quick"):
-        better = _better(results[part, "feedback"], results[part, "plain"])
+        better = _better(results.get((part, "feedback"), ()), results.get((part, "plain"), ()))
         yield ""
-        many = len(results[part, "plain"])
-        yield f"Feedback is better than none, by the distance over the helix, in {better} of {many} seeds ({part})."
+        yield f"Feedback is better than none, by the distance over the helix, in {sum(better)} of {len(better)} seeds ({part})."
 
 
 def _choices(results: Mapping[tuple[str, str], Sequence[Mapping[str, Any]]]) -> Iterator[str]:
-    yield "| `quick.toml` | RMSE x/y/z on the helix, mm (median; worst) | from afar, anywhere, mm | to the paper's accuracy |"
-    yield "| --- | --- | --- | --- |"
+    yield "| `quick.toml` | seeds | RMSE x/y/z, helix, mm (median; worst) | from afar, anywhere, mm | to the paper's accuracy |"
+    yield "| --- | --- | --- | --- | --- |"
     for arm in CHOICES:
-        each = results["choices", arm]
+        each = results.get(("choices", arm), ())
+        if not each:
+            continue
         afar = statistics.median(
             1e3 * float(np.linalg.norm([result["evaluations"][-1][f"reach_rmse_{axis}"] for axis in "xyz"])) for result in each
         )
-        yield f"| {arm} | {_spread(each, 'rmse')} | {afar:.1f} | {_until(each)} |"
+        yield f"| {arm} | {len(each)} | {_spread(each, 'rmse')} | {afar:.1f} | {_until(each)} |"
 
 
 def _candidates(results: Mapping[tuple[str, str], Sequence[Mapping[str, Any]]]) -> Iterator[str]:
     yield "| the paper's recipe, cut: distance on the helix, mm | " + " | ".join(FORWARDS) + " |"
     yield "| --- |" + " --- |" * len(FORWARDS)
-    plain = _away(results["candidates", "1"])
+    plain = _away(results.get(("candidates", "1"), ()))
     yield f"| 1 candidate (plain) | {plain} |" + " |" * (len(FORWARDS) - 1)
     for count in CANDIDATES:
-        yield f"| {count} | " + " | ".join(_away(results["candidates", f"{count} {forward}"]) for forward in FORWARDS) + " |"
+        away = (_away(results.get(("candidates", f"{count} {forward}"), ())) for forward in FORWARDS)
+        yield f"| {count} | " + " | ".join(away) + " |"
 
 
 def _peer(results: Mapping[tuple[str, str], Sequence[Mapping[str, Any]]], peers: Sequence[Mapping[str, Any]]) -> Iterator[str]:
     ours = [seconds_to(result, PAPER["feedback"]) for result in results["quick", "feedback"]]
     yield f"Processor time to {_mm(PAPER['feedback'])} mm on the helix: `quick.toml` {_times(ours)}; Stable-Baselines3's DDPG"
+    if not peers:
+        yield "has not been run yet."
+        return
     theirs = [seconds_to(result, PAPER["feedback"]) for result in peers]
     reached = "; ".join(
         f"{_mm(min((mark['rmse'] for mark in result['marks']), key=lambda rmse: float(np.linalg.norm(rmse))))} mm at best"
@@ -153,7 +190,9 @@ def curves(results: Mapping[tuple[str, str], Sequence[Mapping[str, Any]]]) -> st
     for number, (part, title) in enumerate((("paper", "the paper's recipe, cut"), ("quick", "quick.toml"))):
         lines, x = [], np.zeros(1)
         for arm, look in (("feedback", "after"), ("plain", "before")):
-            found = [[entry["distance"] for entry in result["episodes"]] for result in results[part, arm]]
+            found = [[entry["distance"] for entry in result["episodes"]] for result in results.get((part, arm), ())]
+            if not found:
+                continue
             table = 1e3 * np.array([row[: min(map(len, found))] for row in found])
             x = np.array([entry["step"] for entry in results[part, arm][0]["episodes"]])[: table.shape[1]] / 1e3
             lines.append(Line(table.mean(axis=0), look, spread=table.std(axis=0) if len(table) > 1 else None))
@@ -172,11 +211,13 @@ def _spread(results: Sequence[Mapping[str, Any]], key: str) -> str:
 
 def _away(results: Sequence[Mapping[str, Any]]) -> str:
     found = sorted(_distance(result) for result in results)
-    return f"{statistics.median(found):.1f} ({found[0]:.1f} to {found[-1]:.1f})"
+    return f"{statistics.median(found):.1f} ({found[0]:.1f} to {found[-1]:.1f})" if found else "–"
 
 
-def _better(feedback: Sequence[Mapping[str, Any]], plain: Sequence[Mapping[str, Any]]) -> int:
-    return sum(_distance(one) < _distance(other) for one, other in zip(feedback, plain, strict=True))
+def _better(feedback: Sequence[Mapping[str, Any]], plain: Sequence[Mapping[str, Any]]) -> list[bool]:
+    """For every seed that both have, whether feedback ends nearer to the helix."""
+    other = {result["run"]["seed"]: _distance(result) for result in plain}
+    return [_distance(result) < other[seed] for result in feedback if (seed := result["run"]["seed"]) in other]
 
 
 def _distance(result: Mapping[str, Any]) -> float:
@@ -207,5 +248,6 @@ if __name__ == "__main__":
     parser.add_argument("--tier", choices=TIERS, default="small")
     parser.add_argument("--workers", type=int, default=None)
     parser.add_argument("--workspace", type=Path, default=ROOT / "workspace")
+    parser.add_argument("--minutes", type=float, default=math.inf, help="begin nothing new after so many")
     given = parser.parse_args()
-    print(main(given.tier, given.workspace, given.workers))
+    print(main(given.tier, given.workspace, given.workers, given.minutes))

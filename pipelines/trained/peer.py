@@ -26,14 +26,17 @@ Array = npt.NDArray[np.float64]
 LOOK = 2000
 
 
-def peer(workspace: str, work: str, seed: int, limit: float, progress: Progress) -> dict[str, Any]:
+def peer(workspace: str, work: str, seed: int, limit: float, until: float, progress: Progress) -> dict[str, Any] | None:
     """Train SB3's DDPG for ``limit`` seconds of processor time at most, at the batch and layers of the quick recipe's actor.
 
-    Its own defaults else, with the paper's γ, τ and rates and its noise with time step 1.
+    Its own defaults else, with the paper's γ, τ and rates and its noise with time step 1. None where it would begin only after
+    the clock has reached ``until`` [s since the epoch].
     """
     done = Path(work) / f"sb3-seed{seed}.json"
     if done.exists():
         return dict(json.loads(done.read_text("utf-8")))
+    if time.time() > until:
+        return None
     import gymnasium
     import torch
     from stable_baselines3 import DDPG

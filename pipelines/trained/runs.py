@@ -150,11 +150,17 @@ class Exact:
         return chain_of_plant(self.plant).predict(np.asarray(q, dtype=np.float64))
 
 
-def one(workspace: str, work: str, run: Run, progress: Progress) -> dict[str, Any]:
-    """Train, follow the helix, and keep the figures in ``work``; what is there already is read."""
+def one(workspace: str, work: str, run: Run, until: float, progress: Progress) -> dict[str, Any] | None:
+    """Train, follow the helix, and keep the figures in ``work``; what is there already is read.
+
+    Args:
+        until: clock after which nothing is begun [s since the epoch]; None is what comes of it then.
+    """
     done, folder = Path(work) / f"{run.name}.json", Path(work) / run.name
     if done.exists():
         return dict(json.loads(done.read_text("utf-8")))
+    if time.time() > until:
+        return None
     recipe = run.recipe()
     plant, fitted = load_versions(Registry(Path(workspace)), recipe.plant, recipe.forward)
     forward: Any = {"fitted": fitted, "exact": Exact(fitted, plant), "misread": Misread(fitted, MISREAD)}[run.forward]
