@@ -12,6 +12,7 @@ from plant_data import ROLES, arm_inputs, measured, nominal
 from slew_search import named_at_slew, search_at_slew, slewing
 
 from sysid.datasets.recording import Dataset
+from sysid.gap.makeshift import makeshift
 from sysid.gap.search import Search
 from sysid.gap.strictness import Strictness
 from sysid.machine import KnownEffect
@@ -69,6 +70,18 @@ def plain(effects: Mapping[str, Mapping[str, float]], one_size: bool = False) ->
         still = replace(made, table=made.table.assign(**{"slew.command": command, "boom.command": 0.0, "wrist.command": 0.0}))
         runs.append(measured(plant, still, k))
     return Dataset(machine.name, 1, "0" * 64, machine, tuple(runs), {}, dict(zip((r.name for r in runs), ROLES, strict=True)))
+
+
+def test_what_scales_a_speed_beside_a_pump_that_gives_out_has_no_name() -> None:
+    search = search_at_slew(plain({"gain_error": {"ratio": 0.9}}), nominal())
+    pump, side, lag = (
+        next(c for c in search.candidates if c.effect.name == name)
+        for name in ("pump_flow_limit", "asymmetric_gain", "first_order_lag")
+    )
+    fit = search.scores.fit((pump, side, lag), ())
+    assert makeshift(fit, strange=True) == [side]
+    assert makeshift(fit, strange=False) == []
+    assert makeshift(search.scores.fit((side, lag), ()), strange=True) == []
 
 
 def elsewhere(search: Search, found: str, rival: str) -> bool:
