@@ -27,7 +27,7 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 
 from committed import provenance, write_result, write_tables
-from sysid.files import json_text
+from sysid.files import json_text, written_whole
 from sysid.reports.charts import WIDE, Line, chart
 from sysid.rl.seeds import side_by_side
 from trained.peer import peer
@@ -86,12 +86,14 @@ def put_back(result: Path, todo: Sequence[Run], work: Path) -> None:
     if not result.exists():
         return
     known = json.loads(result.read_text("utf-8"))
-    wanted = {run.name: json.loads(json_text(asdict(run))) for run in todo}
-    kept = {run.name: each for run in todo for each in known["runs"] if each["run"] == wanted[run.name]}
+    names = {json_text(asdict(run)): run.name for run in todo}
+    kept = {names[text]: each for each in known["runs"] if (text := json_text(each["run"])) in names}
     kept |= {f"sb3-seed{each['seed']}": each for each in known["stable_baselines3"]}
     for name, each in kept.items():
-        if not (work / f"{name}.json").exists():
-            (work / f"{name}.json").write_text(json_text(each), "utf-8")
+        done = work / f"{name}.json"
+        if not done.exists():
+            with written_whole(done) as half:
+                half.write_text(json_text(each), "utf-8")
 
 
 def _done(found: Sequence[dict[str, Any] | None]) -> list[dict[str, Any]]:
@@ -119,9 +121,9 @@ def tables(
 ) -> str:
     """Comparison, choices, candidates, peer, as Markdown; ``listed`` runs belong to it, of which some may not be done."""
     done = sum(map(len, results.values()))
-    head = [f"{done} of {listed} policies; the others are not trained yet.", ""] if done < listed else []
-    parts = [_comparison(results, baselines), _choices(results), _candidates(results), _peer(results, peers)]
-    return "\n".join([*head, *"\n\n".join("\n".join(part) for part in parts).splitlines()])
+    head = [f"{done} of {listed} policies; the others are not trained yet."] if done < listed else []
+    parts = head, _comparison(results, baselines), _choices(results), _candidates(results), _peer(results, peers)
+    return "\n\n".join(text for part in parts if (text := "\n".join(part)))
 
 
 def _comparison(

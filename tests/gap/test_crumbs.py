@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 from plant_data import ROLES, arm_inputs, measured, nominal
-from slew_search import named_at_slew
+from slew_search import gathered, named_at_slew
 
 from sysid.datasets.recording import Dataset
 from sysid.gap.case import open_case, stage_candidates
@@ -48,9 +48,7 @@ def spooled() -> Dataset:
         run = measured(nominal(), inputs, k)
         noise = np.random.default_rng([k, 2]).normal(0.0, 2e-4, len(run))
         runs.append(replace(run, table=run.table.assign(**{"slew.joint": turned(run.values("slew.command")) + noise})))
-    machine = nominal().machine
-    splits = dict(zip((r.name for r in runs), ROLES, strict=True))
-    return Dataset(machine.name, 1, "0" * 64, machine, tuple(runs), {}, splits)
+    return gathered(nominal().machine, runs)
 
 
 def test_what_a_formula_is_off_by_is_no_second_effect(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 from plant_data import ROLES, arm_inputs, measured, nominal
-from slew_search import named_at_slew, search_at_slew, slewing
+from slew_search import gathered, named_at_slew, search_at_slew, slewing
 
 from sysid.datasets.recording import Dataset
 from sysid.gap.makeshift import makeshift
@@ -61,7 +61,6 @@ def plain(effects: Mapping[str, Mapping[str, float]], one_size: bool = False) ->
     plant = nominal()
     for name, parameters in effects.items():
         plant = plant.with_effect(KnownEffect(name, "slew", dict(parameters)))
-    machine = nominal().machine
     runs = []
     for k in range(len(ROLES)):
         made = arm_inputs(f"run-{k + 1}", 60.0, k)
@@ -69,7 +68,7 @@ def plain(effects: Mapping[str, Mapping[str, float]], one_size: bool = False) ->
         command = 0.5 * np.sign(slew) if one_size else slew
         still = replace(made, table=made.table.assign(**{"slew.command": command, "boom.command": 0.0, "wrist.command": 0.0}))
         runs.append(measured(plant, still, k))
-    return Dataset(machine.name, 1, "0" * 64, machine, tuple(runs), {}, dict(zip((r.name for r in runs), ROLES, strict=True)))
+    return gathered(nominal().machine, runs)
 
 
 def test_what_scales_a_speed_beside_a_pump_that_gives_out_has_no_name() -> None:

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from plant_data import arm_inputs, measured, nominal
-from slew_search import named_at_slew
+from slew_search import gathered, named_at_slew
 
 from sysid.datasets.recording import Dataset, Recording
 from sysid.gap.case import open_case, stage_candidates
@@ -36,9 +36,7 @@ def lopsided() -> Dataset:
     """Strokes to fit tell that the threshold is between 0.09 and 0.2; those to select know strokes of 0.11 that do nothing."""
     coarse, fine = (0.3, 0.09, 0.2, 0.5, 0.2, 0.09, 0.8, 0.4), (0.3, 0.11, 0.11, 0.6, 0.2, 0.11, 0.5, 0.2)
     runs = [strokes(f"run-{k + 1}", sizes, k) for k, sizes in enumerate((coarse, coarse[::-1], fine, fine[::-1]))]
-    splits = dict(zip((r.name for r in runs), ("fit", "fit", "select", "held_out"), strict=True))
-    machine = nominal().machine
-    return Dataset(machine.name, 1, "0" * 64, machine, tuple(runs), {}, splits)  # type: ignore[arg-type]
+    return gathered(nominal().machine, runs)
 
 
 def test_unseen_strokes_are_predicted_with_the_part_of_the_interval_that_they_leave(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -82,8 +80,6 @@ def test_recordings_that_never_show_the_gap_do_not_judge_what_closes_it() -> Non
     """Two recordings have small strokes, which stiction swallows; the one that is kept to select has none."""
     small, large = (0.3, 0.09, 0.2, 0.5, 0.11, 0.09, 0.8, 0.4), (0.3, 0.5, 0.6, 0.4, 0.8, 0.5, 0.3, 0.6)
     runs = [strokes(f"run-{k + 1}", sizes, k) for k, sizes in enumerate((small, small[::-1], large, large[::-1]))]
-    splits = dict(zip((r.name for r in runs), ("fit", "fit", "select", "held_out"), strict=True))
-    machine = nominal().machine
-    dataset = Dataset(machine.name, 1, "0" * 64, machine, tuple(runs), {}, splits)  # type: ignore[arg-type]
+    dataset = gathered(nominal().machine, runs)
     assert named_at_slew(dataset, nominal(), Strictness(crossed=0.0)) == {"stiction"}
     assert named_at_slew(dataset, nominal(), Strictness(crossed=0.0, unshown=np.inf)) == set()

@@ -9,12 +9,12 @@ import numpy as np
 import numpy.typing as npt
 from plant_data import ROLES, arm, arm_inputs, measured
 
-from sysid.datasets.recording import Dataset
+from sysid.datasets.recording import Dataset, Recording
 from sysid.gap.case import open_case, stage_candidates
 from sysid.gap.search import Search
 from sysid.gap.stage_search import search_stages
 from sysid.gap.strictness import Strictness
-from sysid.machine import machine_from_files
+from sysid.machine import Machine, machine_from_files
 from sysid.plant import Plant, nominal_plant
 
 Array = npt.NDArray[np.float64]
@@ -49,6 +49,11 @@ def slewing(
         joint = np.concatenate([[0.0], np.cumsum(speed[:-1]) / run.rate_hz])
         said = joint + random.normal(0.0, noise, len(run))
         runs.append(replace(run, table=run.table.assign(**{"slew.joint": said})))
+    return gathered(machine, runs)
+
+
+def gathered(machine: Machine, runs: Sequence[Recording]) -> Dataset:
+    """A dataset of recordings, one for every role."""
     splits = dict(zip((r.name for r in runs), ROLES, strict=True))
     return Dataset(machine.name, 1, "0" * 64, machine, tuple(runs), {}, splits)
 
