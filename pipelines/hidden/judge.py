@@ -31,6 +31,8 @@ class Judgement:
         factor: of the least visible hidden effect, in detection limits.
         errors: relative error by ``effect(target).parameter``, of what was rightly named.
         covered: whether the 95 % interval holds the truth, by the same keys.
+        alike: keys whose truth is a number of the machine, in a formula that bench and plant share; elsewhere the truth is
+            itself a fit, that of the plant's formula to what the machine did without noise.
         closed: least share of the closable gap that was closed over all signals; None where nothing was named or closable.
         unnamed: whether structure was described that has no name.
         explained: share of what is hidden that the best fit of its own names takes away, noise-free; 1 where they are exact.
@@ -50,6 +52,7 @@ class Judgement:
     unnamed: bool
     seconds: float
     explained: float = 1.0
+    alike: tuple[str, ...] = ()
     failure: str | None = None
 
     @property
@@ -71,6 +74,7 @@ class Judgement:
         """What :meth:`to_json` wrote."""
         given = {each.name: values[each.name] for each in fields(cls)}
         given |= {key: tuple((name, target) for name, target in given[key]) for key in ("hidden", "named", "wrong", "missed")}
+        given["alike"] = tuple(given["alike"])
         given["factor"] = math.inf if given["factor"] is None else given["factor"]
         given["seconds"] = math.nan if given["seconds"] is None else given["seconds"]
         return cls(**(given | {"spec": CaseSpec.from_json(given["spec"])}))
@@ -93,13 +97,15 @@ def judge(sealed: Mapping[str, Any], answered: Mapping[str, Any], reach: Mapping
     effects = answer["effects"]
     right = {(e["name"], e["target"]): e for e in effects if _meant(e, hidden) is not None}
     named = tuple((e["name"], e["target"]) for e in effects)
-    truths = {(e["name"], e["target"]): e["parameters"] for e in sealed["effects"]}
+    truths = {(e["name"], e["target"]): e for e in sealed["effects"]}
     judged = {(e["name"], e["target"]) for each in sealed["hidden"] if each["judged"] for e in each["effects"]}
     errors: dict[str, float] = {}
     covered: dict[str, bool] = {}
+    alike: list[str] = []
     for name, effect in right.items():
         if name in judged and name in truths:
-            _compare(name, effect, truths[name], errors, covered)
+            labels = _compare(name, effect, truths[name]["parameters"], errors, covered)
+            alike += labels if truths[name].get("exact") else ()
     found = {_meant(e, hidden) for e in effects}
     return Judgement(
         spec=spec,
@@ -115,6 +121,7 @@ def judge(sealed: Mapping[str, Any], answered: Mapping[str, Any], reach: Mapping
         unnamed=bool(answer["unnamed"]),
         seconds=answered["seconds"],
         explained=_explained(sealed.get("model_error", {})),
+        alike=tuple(alike),
     )
 
 
@@ -126,8 +133,9 @@ def _meant(effect: Mapping[str, Any], hidden: tuple[Name, ...]) -> Name | None:
 
 def _compare(
     name: Name, effect: Mapping[str, Any], truth: Mapping[str, Any], errors: dict[str, float], covered: dict[str, bool]
-) -> None:
-    """Of vectors the largest component sets the scale; an interval covers if it does so in all components."""
+) -> list[str]:
+    """The keys of what was compared. Of vectors the largest component sets the scale, and an interval covers in all or not."""
+    labels = []
     for key, value in truth.items():
         if key not in effect["parameters"]:
             continue
@@ -136,9 +144,11 @@ def _compare(
         if scale == 0.0 or found.shape != true.shape:
             continue
         label = f"{name[0]}({name[1]}).{key}"
+        labels.append(label)
         errors[label] = float(np.max(np.abs(found - true)) / scale)
         low, high = (np.atleast_1d(side) for side in effect["interval95"][key])
         covered[label] = bool(np.all((low <= true) & (true <= high)))
+    return labels
 
 
 def _closed(gap: Mapping[str, Mapping[str, float]], reach: Mapping[str, float]) -> float | None:

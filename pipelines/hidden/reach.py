@@ -8,13 +8,15 @@ from pathlib import Path
 from typing import Any
 
 from sysid.datasets import ingest
+from sysid.gap.case import open_case
 from sysid.gap.localise import run_rmse
+from sysid.gap.prove import stage_gap
 from sysid.machine import KnownEffect
 from sysid.plant import Plant, compile_plant, free_run, nominal_plant
 
 
 def reach(site: Path, sealed: Path, out: Path) -> None:
-    """Write the RMSE of free runs of the owner's plant with what is hidden put in, by signal."""
+    """Write the RMSE by signal of the owner's plant with what is hidden put in: free runs, and forces at measured motion."""
     effects = json.loads(sealed.read_text("utf-8"))["effects"]
     with tempfile.TemporaryDirectory() as workspace:
         dataset = ingest(site, workspace)
@@ -24,6 +26,10 @@ def reach(site: Path, sealed: Path, out: Path) -> None:
         model = compile_plant(plant)
         held_out = [r for r in dataset.recordings if dataset.splits[r.name] == "held_out" and r.kind == "motion"]
         scores = run_rmse([(r, free_run(model, r)) for r in held_out])
+        if any(axis.actuation == "force" for axis in dataset.machine.axes):
+            case, stages = open_case(dataset, plant, 0)
+            driven = stage_gap(case, stages, case.theta).before
+            scores |= {signal: driven[signal] for signal in driven if signal.endswith(".command")}
     out.write_text(json.dumps(scores) + "\n", "utf-8")
 
 

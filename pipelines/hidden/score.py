@@ -13,6 +13,8 @@ from hidden.judge import COARSE, DESCRIBED, Judgement
 
 #: Quantile of the normal distribution for 95 %.
 Z = 1.959964
+#: So much of the closable gap is to close.
+CLOSED = 0.95
 
 
 def wilson(hits: int, cases: int) -> list[float]:
@@ -40,8 +42,11 @@ def scored(cases: Sequence[Judgement]) -> dict[str, Any]:
 
     answered = [case for case in cases if case.failure is None]
     due = [case for case in of("single") if case.due]
-    fine = [e for case in cases for key, e in case.errors.items() if not _coarse(key)]
-    coarse = [e for case in cases for key, e in case.errors.items() if _coarse(key)]
+    fine = [e for case in cases for key, e in case.errors.items() if not any(_is(key, *each) for each in COARSE)]
+    coarse = {
+        f"{effect}.{parameter}": _spread([e for case in cases for key, e in case.errors.items() if _is(key, effect, parameter)])
+        for effect, parameter in COARSE
+    }
     closed = [case.closed for case in cases if case.closed is not None]
     seconds = [case.seconds for case in cases if math.isfinite(case.seconds)]
     return {
@@ -58,9 +63,11 @@ def scored(cases: Sequence[Judgement]) -> dict[str, Any]:
             "unknown_not_misnamed": rate(not case.named and case.failure is None for case in of("unknown")),
             "unknown_described": rate(case.unnamed for case in of("unknown")),
             "interval_coverage": rate(hit for case in cases for hit in case.covered.values()),
+            "interval_coverage_alike": rate(case.covered[key] for case in cases for key in case.alike),
+            "closed": rate(case.closed >= CLOSED for case in cases if case.exact and case.closed is not None),
             "failure": rate(case.failure is not None for case in cases),
         },
-        "parameter_error": {**_spread(fine), "coarse": _spread(coarse)},
+        "parameter_error": {**_spread(fine), "coarse": coarse},
         "closed_min": min(closed, default=None),
         "closed_median": float(np.median(closed)) if closed else None,
         "seconds": {"median": float(np.median(seconds)) if seconds else None, "max": max(seconds, default=None)},
@@ -83,8 +90,8 @@ def confusion(cases: Sequence[Judgement]) -> dict[str, dict[str, int]]:
     return {row: dict(sorted(counts.items())) for row, counts in sorted(table.items())}
 
 
-def _coarse(key: str) -> bool:
-    return any(key.startswith(f"{effect}(") and key.endswith(f".{parameter}") for effect, parameter in COARSE)
+def _is(key: str, effect: str, parameter: str) -> bool:
+    return key.startswith(f"{effect}(") and key.endswith(f".{parameter}")
 
 
 def _spread(values: Sequence[float]) -> dict[str, Any]:
