@@ -16,6 +16,9 @@ def show_stability(out: Printer, repeats: Sequence[Repeat], machine: Machine) ->
     """What was named in which share of the runs, and how far its values spread."""
     from sysid.reports.effect_units import shown
 
+    if not repeats:
+        out.line("nothing was named in any of them")
+        return
     words = {
         "consistent": "consistent",
         "moves": "NOT consistent: value moves",

@@ -67,7 +67,7 @@ class Search:
             crossed = True
         folds = ((fit, select), (select, fit)) if crossed else ((fit, select),)
         self.scores = Scores(self.theta, folds, self.strict.whitened, self.seed, self.on_fit)
-        self.worth = Worth(self.scores, self.strict, self.problem.integrates)
+        self.worth = Worth(self.scores, self.strict, self.problem)
         self.ties = Ties(self.scores, self.strict, self.worth, self.seed)
 
     def _data(self, recordings: Sequence[Recording]) -> Data:
@@ -88,12 +88,10 @@ class Search:
         model = self.scores.fit(tuple(self.nuisances), ())
         if self.scores.rmse(model) > self.strict.short * nominal_rmse:  # a sensor that reads in steps favours what stands still
             model = nominal
-        for _ in range(3):
-            model, _ = self._backward(self._forward(model), keep_nuisances=True)
-            better = self._plainer(self._exchange(model))
-            if better is model or set(better.labels) == set(model.labels):
-                break
-            model = better
+        start, model = model, self._grown(model)
+        if droops := self.worth.droops(model):
+            self._gate(droops)
+            model = self._grown(start)
         while crumbs := [c for c in self.worth.crumbs(model) if not c.nuisance]:
             model = self._cleared(model, crumbs)
         misshapen = self.worth.misshapen(model)
@@ -121,6 +119,22 @@ class Search:
         return Finding(self.problem, named, adjusted, final, nominal_rmse, final_rmse, tuple(self._trials), leeway)
 
     # -- steps ---------------------------------------------------------------------------------------------------
+
+    def _grown(self, model: Fit) -> Fit:
+        """Forward, backward, and again while something else in the place of an effect does better."""
+        for _ in range(3):
+            model, _ = self._backward(self._forward(model), keep_nuisances=True)
+            better = self._plainer(self._exchange(model))
+            if better is model or set(better.labels) == set(model.labels):
+                break
+            model = better
+        return model
+
+    def _gate(self, found: Sequence[Candidate]) -> None:
+        """These get no name here, and none is given where one of them does as well."""
+        keys = {c.key for c in found}
+        self.gated = (*self.gated, *found)
+        self.candidates = tuple(c for c in self.candidates if c.key not in keys)
 
     def _forward(self, model: Fit) -> Fit:
         """Add what has most evidence, until nothing helps or the stage is explained."""

@@ -14,6 +14,7 @@ from sysid.gap.candidates import Candidate
 from sysid.gap.evidence import Comparison
 from sysid.gap.fit import Fit
 from sysid.gap.makeshift import makeshift
+from sysid.gap.problem import Problem
 from sysid.gap.scores import Scores
 from sysid.gap.strictness import Strictness
 
@@ -23,15 +24,11 @@ MOSTLY = 0.5
 
 @dataclass(frozen=True)
 class Worth:
-    """The judgement at one stage.
-
-    Args:
-        integrates: whether errors add up over a run at this stage, so that evidence says less than it seems to.
-    """
+    """The judgement at one stage. Where errors add up over a run, evidence says less than it seems to."""
 
     scores: Scores
     strict: Strictness
-    integrates: bool
+    problem: Problem
 
     # -- how much is left ----------------------------------------------------------------------------------------
 
@@ -45,7 +42,7 @@ class Worth:
 
     def _left(self, model: Fit) -> float:
         """Noise floors that are left where errors add up; else none."""
-        return self.scores.rmse(model) if self.integrates else 0.0
+        return self.scores.rmse(model) if self.problem.integrates else 0.0
 
     def _strangeness(self, model: Fit) -> float:
         """0 where a stage counts as explained, 1 where it stays far from that."""
@@ -121,6 +118,17 @@ class Worth:
         named = self.scores.told(model) - self.scores.told(smaller)
         beyond = np.array(self.scores.beyond(model))
         return kind if np.all(beyond > np.maximum(self.strict.shapeless * named, self.strict.delta_bic)) else []
+
+    def droops(self, model: Fit) -> list[Candidate]:
+        """The scale of a servo's own sensor, where the servo stays far from explained.
+
+        A controller that is too weak for what it carries falls short of its setpoint, by less with more gain and by more with
+        more weight. Setpoint and sensor alone cannot tell that from a sensor that reads too little.
+        """
+        servo = self.problem.stage == "command" and not self.problem.integrates
+        if not servo or self.scores.rmse(model) < self.strict.strange:
+            return []
+        return [c for c in model.candidates if c.effect.name == "sensor_scale"]
 
     def makeshift(self, model: Fit) -> list[Candidate]:
         """What makes up for the formula of an effect beside it."""

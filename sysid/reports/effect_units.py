@@ -23,7 +23,10 @@ def parameter_unit(effect: str, parameter: str, target: str, machine: Machine) -
 
 
 def _resolve(unit: str, target: str, machine: Machine) -> str:
-    """The unit on this target: ``drive`` and ``joint`` stand for m or rad; of ``N or N·m`` a sliding axis takes the first."""
+    """Here ``signal``, ``drive`` and ``joint`` stand for m or rad; of ``N or N·m`` a sliding axis takes the first."""
+    if unit == "signal":
+        owner, _, _ = target.partition(".")
+        return machine.expected_unit(target) or _resolve("joint", owner, machine)
     try:
         axis = machine.axis(target)
     except SettingsError:

@@ -20,6 +20,10 @@ from sysid.reports.words import EFFECTS
         ("backlash", "width", "telescope", "m"),
         ("valve_deadband", "positive", "boom", "1"),
         ("gripper_sway", "length", "tool", "m"),
+        ("sensor_bias", "bias", "boom.joint", "rad"),
+        ("sensor_bias", "bias", "boom.cylinder", "m"),
+        ("sensor_quantisation", "step", "tool.x", "m"),
+        ("sensor_scale", "scale", "slew.joint", "1"),
         ("input_delay", "delay", "stick", "s"),
         ("no_such_effect", "width", "slew", "1"),
     ],
@@ -33,6 +37,12 @@ def test_a_force_axis_without_geometry_slides(crane: Dataset) -> None:
     machine = replace(crane.machine, axes=(slide,), urdf=None, urdf_text=None, tip=None, tool=None)
     assert parameter_unit("coulomb_friction", "force", "slide", machine) == "N"
     assert shown("coulomb_friction", "force", "slide", 20.71, machine).startswith("20.7")
+
+
+def test_a_sensor_of_a_servo_without_geometry_reads_an_angle(crane: Dataset) -> None:
+    servo = Axis("pitch", "position", "joint")
+    machine = replace(crane.machine, axes=(servo,), urdf=None, urdf_text=None, tip=None, tool=None)
+    assert shown("sensor_bias", "bias", "pitch.joint", 0.037, machine) == "2.12°"
 
 
 @pytest.mark.parametrize(
