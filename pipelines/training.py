@@ -198,7 +198,7 @@ def curves(results: Mapping[tuple[str, str], Sequence[Mapping[str, Any]]]) -> st
             table = 1e3 * np.array([row[: min(map(len, found))] for row in found])
             x = np.array([entry["step"] for entry in results[part, arm][0]["episodes"]])[: table.shape[1]] / 1e3
             lines.append(Line(table.mean(axis=0), look, spread=table.std(axis=0) if len(table) > 1 else None))
-        drawn = chart(x, lines, ("thousand steps", f"distance while exploring [mm], {title}"), size=WIDE)
+        drawn = chart(x, lines, ("thousand steps", f"{title}: distance [mm]"), size=WIDE)
         parts.append(
             drawn.replace("<svg ", f'<svg x="{number * WIDE[0]:.0f}" width="{WIDE[0]:.0f}" height="{WIDE[1]:.0f}" ', 1)
         )
