@@ -99,13 +99,9 @@ def judge(sealed: Mapping[str, Any], answered: Mapping[str, Any], reach: Mapping
     named = tuple((e["name"], e["target"]) for e in effects)
     truths = {(e["name"], e["target"]): e for e in sealed["effects"]}
     judged = {(e["name"], e["target"]) for each in sealed["hidden"] if each["judged"] for e in each["effects"]}
-    errors: dict[str, float] = {}
-    covered: dict[str, bool] = {}
-    alike: list[str] = []
-    for name, effect in right.items():
-        if name in judged and name in truths:
-            labels = _compare(name, effect, truths[name]["parameters"], errors, covered)
-            alike += labels if truths[name].get("exact") else ()
+    compared = {
+        name: _compare(name, e, truths[name]["parameters"]) for name, e in right.items() if name in judged & truths.keys()
+    }
     found = {_meant(e, hidden) for e in effects}
     return Judgement(
         spec=spec,
@@ -115,13 +111,13 @@ def judge(sealed: Mapping[str, Any], answered: Mapping[str, Any], reach: Mapping
         verdict=answer["verdict"],
         wrong=tuple(name for name in named if name not in right),
         missed=tuple(name for name in hidden if name not in found),
-        errors=errors,
-        covered=covered,
+        errors={key: error for each in compared.values() for key, (error, _) in each.items()},
+        covered={key: holds for each in compared.values() for key, (_, holds) in each.items()},
         closed=_closed(answer["gap"], reach or {}) if right else None,
         unnamed=bool(answer["unnamed"]),
         seconds=answered["seconds"],
         explained=_explained(sealed.get("model_error", {})),
-        alike=tuple(alike),
+        alike=tuple(key for name, each in compared.items() if truths[name].get("exact") for key in each),
     )
 
 
@@ -131,11 +127,12 @@ def _meant(effect: Mapping[str, Any], hidden: tuple[Name, ...]) -> Name | None:
     return next((name for name in names if name in hidden), None)
 
 
-def _compare(
-    name: Name, effect: Mapping[str, Any], truth: Mapping[str, Any], errors: dict[str, float], covered: dict[str, bool]
-) -> list[str]:
-    """The keys of what was compared. Of vectors the largest component sets the scale, and an interval covers in all or not."""
-    labels = []
+def _compare(name: Name, effect: Mapping[str, Any], truth: Mapping[str, Any]) -> dict[str, tuple[float, bool]]:
+    """Relative error, and whether the interval holds the truth, by ``effect(target).parameter``.
+
+    Of vectors the largest component sets the scale; an interval covers if it does so in all components.
+    """
+    compared = {}
     for key, value in truth.items():
         if key not in effect["parameters"]:
             continue
@@ -143,12 +140,10 @@ def _compare(
         scale = float(np.max(np.abs(true)))
         if scale == 0.0 or found.shape != true.shape:
             continue
-        label = f"{name[0]}({name[1]}).{key}"
-        labels.append(label)
-        errors[label] = float(np.max(np.abs(found - true)) / scale)
         low, high = (np.atleast_1d(side) for side in effect["interval95"][key])
-        covered[label] = bool(np.all((low <= true) & (true <= high)))
-    return labels
+        error, holds = float(np.max(np.abs(found - true)) / scale), bool(np.all((low <= true) & (true <= high)))
+        compared[f"{name[0]}({name[1]}).{key}"] = error, holds
+    return compared
 
 
 def _closed(gap: Mapping[str, Mapping[str, float]], reach: Mapping[str, float]) -> float | None:

@@ -8,11 +8,9 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 from plant_data import ROLES, arm_inputs, measured, nominal
-from slew_search import gathered
+from slew_search import gathered, named_at
 
 from sysid.datasets.recording import Dataset
-from sysid.gap.case import open_case
-from sysid.gap.stage_search import search_stages
 from sysid.gap.strictness import Strictness
 
 Array = npt.NDArray[np.float64]
@@ -43,10 +41,7 @@ def servo(stands: Callable[[Array], Array]) -> Dataset:
 
 
 def named_at_wrist(dataset: Dataset) -> set[str]:
-    case, stages = open_case(dataset, nominal(), 0)
-    wrist = [stage for stage in stages if stage.label == "command stage of wrist"]
-    (stage,) = search_stages(case, wrist, Strictness(), "all", lambda share, text: None)
-    return {kept.candidate.effect.name for kept in stage.found.named}
+    return named_at("command stage of wrist", dataset, nominal(), Strictness())
 
 
 def test_a_weak_servo_is_no_sensor_that_reads_too_little() -> None:

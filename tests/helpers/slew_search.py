@@ -60,9 +60,14 @@ def gathered(machine: Machine, runs: Sequence[Recording]) -> Dataset:
 
 def named_at_slew(dataset: Dataset, plant: Plant, strict: Strictness) -> set[str]:
     """Names of the effects that are found between the slew's command and its joint."""
+    return named_at(SLEW, dataset, plant, strict)
+
+
+def named_at(label: str, dataset: Dataset, plant: Plant, strict: Strictness) -> set[str]:
+    """Names of the effects that are found at one stage."""
     case, stages = open_case(dataset, plant, 0)
-    slew = [stage for stage in stages if stage.label == SLEW]
-    (stage,) = search_stages(case, slew, strict, "all", lambda share, text: None)
+    asked = [stage for stage in stages if stage.label == label]
+    (stage,) = search_stages(case, asked, strict, "all", lambda share, text: None)
     return {kept.candidate.effect.name for kept in stage.found.named}
 
 
