@@ -3,7 +3,7 @@
 .venv/bin/python pipelines/training.py [--tier small|full] [--workers N] [--workspace DIR] [--minutes N]
 
 Needs the versions that `make demo` makes. It goes on where it was stopped, elsewhere from what the committed result has.
-``full`` takes some six hours of a core; with ``--minutes`` nothing is begun after so many, and what there is then is written.
+``full`` takes some four hours of a core; with ``--minutes`` nothing is begun after so many, and what there is then is written.
 Its result goes to reports/training/, its tables into docs/ddpg.md, its curves into docs/images/training.svg. ``small`` is a
 look at whether everything runs, and stays in the workspace.
 """
@@ -31,7 +31,7 @@ from sysid.files import json_text, written_whole
 from sysid.reports.charts import WIDE, Line, chart
 from sysid.rl.seeds import side_by_side
 from trained.peer import peer
-from trained.runs import CANDIDATES, CHOICES, FORWARDS, PAPER, ROOT, Run, baseline, one, runs, seconds_to
+from trained.runs import CANDIDATES, CHOICES, FORWARDS, PAPER, ROOT, SAME, Run, baseline, one, runs, seconds_to
 
 RESULT, PAGE, PICTURE = ROOT / "reports" / "training" / "result.json", ROOT / "docs" / "ddpg.md", "docs/images/training.svg"
 #: Share of the episodes and seeds by part.
@@ -39,8 +39,10 @@ TIERS: dict[str, tuple[float, dict[str, int]]] = {
     "small": (0.02, {"policies": 1, "choices": 1, "candidates": 1, "peer": 1}),
     "full": (1.0, {"policies": 5, "choices": 3, "candidates": 3, "peer": 3}),
 }
-#: SB3 gets so many times the processor time of a quick policy.
-PATIENCE = 10.0
+#: SB3 gets so many times the processor time of a whole quick policy.
+PATIENCE = 5.0
+#: The policies that are trained before SB3's; the others are trained after them.
+FIRST = ("quick", "paper")
 STYLE = (
     "<style>text{font:12px sans-serif;fill:#666}.grid,.zero{stroke:#999;stroke-opacity:.35}path{fill:none;stroke-width:2}"
     ".after{stroke:#0a7d78}.before{stroke:#c2491d}.spread{stroke:none;fill-opacity:.2}.spread.after{fill:#0a7d78}"
@@ -57,19 +59,26 @@ def main(tier: str, workspace: Path, workers: int | None, minutes: float = math.
     todo = list(runs(share, seeds))
     if tier == "full":
         put_back(RESULT, todo, work)
-    found = _all(one, [(str(workspace), str(work), run, until) for run in todo], workers)
     results: dict[tuple[str, str], list[dict[str, Any]]] = defaultdict(list)
-    for run, result in zip(todo, found, strict=True):
-        if result is not None:
-            results[run.part, run.arm].append(result)
+
+    def train(those: Sequence[Run]) -> None:
+        found = _all(one, [(str(workspace), str(work), run, until) for run in those], workers)
+        for run, result in zip(those, found, strict=True):
+            if result is not None:
+                results[run.part, run.arm].append(result)
+
+    train([run for run in todo if run.part in FIRST])
     if not results["quick", "feedback"]:
         raise SystemExit(f"no policy of quick.toml was done in {minutes:g} minutes; give it more, the next start goes on")
     limit = PATIENCE * statistics.median(result["cpu_seconds"] for result in results["quick", "feedback"])
-    peers = _done(_all(peer, [(str(workspace), str(work), seed, limit, until) for seed in range(seeds["peer"])], workers))
+    peers = _all(peer, [(str(workspace), str(work), seed, limit, until) for seed in range(seeds["peer"])], workers)
+    theirs = [each for each in peers if each is not None]
+    train([run for run in todo if run.part not in FIRST])
     rows = baseline(str(workspace))[2]
     head = provenance(f"pipelines/training.py --tier {tier}", 0, ("torch", "stable-baselines3"))
-    whole = head | {"listed": len(todo), "baselines": rows, "runs": _done(found), "stable_baselines3": peers}
-    text, picture = tables(results, peers, rows, len(todo)), curves(results)
+    done = [result for each in results.values() for result in each]
+    whole = head | {"listed": len(todo), "baselines": rows, "runs": done, "stable_baselines3": theirs}
+    text, picture = tables(results, theirs, rows, len(todo)), curves(results)
     if tier == "full":
         write_result(RESULT, whole)
         write_tables(PAGE, text, "pipelines/training.py")
@@ -94,10 +103,6 @@ def put_back(result: Path, todo: Sequence[Run], work: Path) -> None:
         if not done.exists():
             with written_whole(done) as half:
                 half.write_text(json_text(each), "utf-8")
-
-
-def _done(found: Sequence[dict[str, Any] | None]) -> list[dict[str, Any]]:
-    return [each for each in found if each is not None]
 
 
 def _all(
@@ -153,8 +158,7 @@ def _choices(results: Mapping[tuple[str, str], Sequence[Mapping[str, Any]]]) -> 
     yield "| `quick.toml` | seeds | RMSE x/y/z, helix, mm (median; worst) | from afar, anywhere, mm | to the paper's accuracy |"
     yield "| --- | --- | --- | --- | --- |"
     for arm in CHOICES:
-        each = results.get(("choices", arm), ())
-        if not each:
+        if not (each := _arm(results, "choices", arm)):
             continue
         afar = statistics.median(
             1e3 * float(np.linalg.norm([result["evaluations"][-1][f"reach_rmse_{axis}"] for axis in "xyz"])) for result in each
@@ -165,11 +169,19 @@ def _choices(results: Mapping[tuple[str, str], Sequence[Mapping[str, Any]]]) -> 
 def _candidates(results: Mapping[tuple[str, str], Sequence[Mapping[str, Any]]]) -> Iterator[str]:
     yield "| the paper's recipe, cut: distance on the helix, mm | " + " | ".join(FORWARDS) + " |"
     yield "| --- |" + " --- |" * len(FORWARDS)
-    plain = _away(results.get(("candidates", "1"), ()))
+    plain = _away(_arm(results, "candidates", "1"))
     yield f"| 1 candidate (plain) | {plain} |" + " |" * (len(FORWARDS) - 1)
     for count in CANDIDATES:
-        away = (_away(results.get(("candidates", f"{count} {forward}"), ())) for forward in FORWARDS)
+        away = (_away(_arm(results, "candidates", f"{count} {forward}")) for forward in FORWARDS)
         yield f"| {count} | " + " | ".join(away) + " |"
+
+
+def _arm(results: Mapping[tuple[str, str], Sequence[Mapping[str, Any]]], part: str, arm: str) -> Sequence[Mapping[str, Any]]:
+    """The policies of an arm of an ablation; where the comparison has trained them, those with the seeds of the other arms."""
+    if (same := SAME.get((part, arm))) is None:
+        return results.get((part, arm), ())
+    seeds = {result["run"]["seed"] for (other, _), each in results.items() if other == part for result in each}
+    return [result for result in results.get(same, ()) if result["run"]["seed"] in seeds]
 
 
 def _peer(results: Mapping[tuple[str, str], Sequence[Mapping[str, Any]]], peers: Sequence[Mapping[str, Any]]) -> Iterator[str]:

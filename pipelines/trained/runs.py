@@ -56,6 +56,13 @@ CANDIDATES = (3, 10, 30, 100)
 #: Forward models of the ablation: the plant's own geometry, the registered network, and that with all joints misread by this.
 FORWARDS = ("exact", "fitted", "misread")
 MISREAD = 0.05
+#: Arms of an ablation that are arms of the comparison already.
+SAME = {
+    ("choices", "as it is"): ("quick", "feedback"),
+    ("choices", "without feedback"): ("quick", "plain"),
+    ("candidates", "1"): ("paper", "plain"),
+    ("candidates", "10 fitted"): ("paper", "feedback"),
+}
 #: Scatter of candidates at run time.
 SCATTER, AT_RUN_TIME = 0.01, 10
 
@@ -90,7 +97,7 @@ class Run:
 
 
 def runs(share: float, seeds: Mapping[str, int]) -> Iterator[Run]:
-    """All runs of the study; ``share`` of their episodes, ``seeds`` by part."""
+    """All runs of the study, each policy once; ``share`` of their episodes, ``seeds`` by part."""
     quick = read_toml(RECIPES / "quick.toml")["learning"]["episodes"]
     episodes = {"quick": quick, "paper": CUT["episodes"]}
 
@@ -109,13 +116,14 @@ def runs(share: float, seeds: Mapping[str, int]) -> Iterator[Run]:
             yield Run("paper", arm, seed, arm, cut(arm, {}))
     for seed in range(seeds["choices"]):
         for arm, changes in CHOICES.items():
-            yield Run("choices", arm, seed, "quick", cut("quick", changes))
+            if ("choices", arm) not in SAME:
+                yield Run("choices", arm, seed, "quick", cut("quick", changes))
     for seed in range(seeds["candidates"]):
-        yield Run("candidates", "1", seed, "plain", cut("plain", {}))
         for forward in FORWARDS:
             for count in CANDIDATES:
-                changes = {"exploration": {"candidates": count}}
-                yield Run("candidates", f"{count} {forward}", seed, "feedback", cut("feedback", changes), forward)
+                arm, changes = f"{count} {forward}", {"exploration": {"candidates": count}}
+                if ("candidates", arm) not in SAME:
+                    yield Run("candidates", arm, seed, "feedback", cut("feedback", changes), forward)
 
 
 @dataclass(frozen=True)
