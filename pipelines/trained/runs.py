@@ -23,13 +23,12 @@ from sysid.progress import Progress
 from sysid.registry import Registry
 from sysid.rl.checkpoint import TrainingFiles
 from sysid.rl.course import Course, Shortened, lay_out
-from sysid.rl.ddpg import JUDGED, Trainer, judged_task
+from sysid.rl.ddpg import Trainer
 from sysid.rl.environment import load_versions
 from sysid.rl.inverse import chain_of_plant
-from sysid.rl.kinematic import KinematicEnvironment
 from sysid.rl.policy import Searching
 from sysid.rl.recipe import Recipe, parse_training
-from sysid.rl.training import JUDGE_SEED, policy_of
+from sysid.rl.training import environments, policy_of
 
 Array = npt.NDArray[np.float64]
 
@@ -173,14 +172,8 @@ def one(workspace: str, work: str, run: Run, until: float, progress: Progress) -
     plant, fitted = load_versions(Registry(Path(workspace)), recipe.plant, recipe.forward)
     forward: Any = {"fitted": fitted, "exact": Exact(fitted, plant), "misread": Misread(fitted, MISREAD)}[run.forward]
     course = lay_out(plant, fitted, "helix")
-    own, judge = (
-        KinematicEnvironment(plant, forward, size=size, seed=seed, task=task, reach=course.reach)
-        for size, seed, task in (
-            (recipe.setting.copies, run.seed, recipe.setting.task),
-            (JUDGED, JUDGE_SEED, judged_task(recipe.setting.task)),
-        )
-    )
-    trainer, files = Trainer(own, judge, recipe), TrainingFiles(folder)
+    trainer = Trainer(*environments(recipe, plant, forward, reach=course.reach), recipe)
+    files = TrainingFiles(folder)
     files.load(trainer)
     marks = _Marks(folder / "marks.json", trainer, course)
     for turn in trainer.train(lambda kind, step, figures: marks.take(step) if kind == "evaluation" else None):

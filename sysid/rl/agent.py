@@ -98,7 +98,7 @@ class Agent:
         self.angles = [number for number, angle in enumerate(space.angles) if angle] if sincos else []
         self.sizes = {
             "actor": (wide, *networks.actor, acts),
-            "critic": (wide + acts + 2 * len(self.angles), *networks.critic, 4 if networks.critic_head == "distance" else 1),
+            "critic": (wide + acts + 2 * len(self.angles), *networks.critic, 1 if networks.critic_head == "value" else 4),
         }
         rows = {name: _first_weights(self.sizes[name], rng, ACTOR_START if name == "actor" else None) for name in TRAINED}
         self.models = {
@@ -214,8 +214,9 @@ class Agent:
         return (observations - self._centre) * self._per_half
 
     def _point(self, observations: torch.Tensor) -> torch.Tensor:
-        """Targets in the critic's unit, about the middle of their range, (N, 3)."""
-        return (observations[:, slice(*self.space.target)] - self._target_centre) / self.space.reach
+        """Targets in the critic's unit, from the end effector or from the middle of their range, (N, 3)."""
+        begin = observations[:, slice(*self.space.ee)] if self.networks.critic_head == "offset" else self._target_centre
+        return (observations[:, slice(*self.space.target)] - begin) / self.space.reach
 
     def _room(self, name: str, like: torch.Tensor, width: int = 0) -> torch.Tensor:
         """A table (1, N, width) that is kept for the next time, zero where nothing is written."""

@@ -12,7 +12,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -20,7 +20,7 @@ import numpy.typing as npt
 
 from sysid.errors import SettingsError
 from sysid.rl.agent import Agent, Space
-from sysid.rl.environment import Environment, Parts, Task
+from sysid.rl.environment import Environment, Parts
 from sysid.rl.noise import OrnsteinUhlenbeck
 from sysid.rl.recipe import Recipe
 from sysid.rl.replay import Replay
@@ -29,8 +29,8 @@ Array = npt.NDArray[np.float64]
 
 #: Updates between two looks at whether the loss is still a number.
 LOOK = 200
-#: Copies that the actor alone is judged on, and steps until it has to be there, on the full path.
-JUDGED, SETTLE = 512, 300
+#: Steps until the actor alone has to be there, on the full path.
+SETTLE = 300
 
 #: How far away the first targets of a curriculum are, as a share of the way to anywhere within reach.
 NEAREST = 0.1
@@ -58,7 +58,7 @@ class Trainer:
 
     Args:
         environment: ``recipe.setting.copies`` copies; it is reset.
-        judge: another one, of the same machine and with :func:`judged_task`, on which the actor alone is judged.
+        judge: another one, of the same machine (:func:`sysid.rl.training.environments`), on which the actor alone is judged.
         recipe: how.
     """
 
@@ -260,11 +260,6 @@ class Trainer:
         if self.recipe.learning.schedule == "constant":
             return 1.0
         return 0.5 * (1.0 + math.cos(math.pi * self.turn / self.recipe.turns))
-
-
-def judged_task(task: Task) -> Task:
-    """The same task, with one target and episodes that outlast an evaluation."""
-    return replace(task, steps=max(task.steps, 2 * SETTLE + 1), targets=1)
 
 
 def _space(environment: Environment, parts: Parts, recipe: Recipe) -> Space:

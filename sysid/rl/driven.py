@@ -41,13 +41,15 @@ class DrivenEnvironment(Copies):
         tuning: of the cylinder controller; else what the plant says (:func:`sysid.control.tune`).
         preview: how long after its step a setpoint is meant [s]; for policies that look ahead.
         history: how many past commands are seen; else as many as the longest dead time has steps.
+        repeat: samples of the machine for which an action stays, one step of the environment; its reward is that of the last.
+            For training: under delay and lag a single sample of 10 ms tells next to nothing about an action.
         feedback: how candidates are judged: ``static``, by the forward model; ``plant``, by where the plant itself, from the
-            state it is in, brings the end effector when a candidate is held for the longest dead time.
+            state it is in, brings the end effector when a candidate is held for the longest dead time, or for ``repeat``.
         mover: ``compiled``, the chain of effects; ``pybullet``, the same plant with rigid bodies (:mod:`sysid.rl.bullet`).
         noise: the controller reads its sensors with the noise that the machine's description gives them.
 
     Raises:
-        SettingsError: plant and forward model do not fit, a force axis, an unknown feedback, ``size`` below one.
+        SettingsError: plant and forward model do not fit, a force axis, an unknown feedback, ``size`` or ``repeat`` below one.
     """
 
     def __init__(
@@ -62,6 +64,7 @@ class DrivenEnvironment(Copies):
         tuning: tuple[AxisTuning, ...] | None = None,
         preview: float = 0.0,
         history: int | None = None,
+        repeat: int = 1,
         feedback: Feedback = "static",
         mover: Mover = "compiled",
         noise: bool = False,
@@ -69,25 +72,28 @@ class DrivenEnvironment(Copies):
         for name, value, valid in (("feedback", feedback, get_args(Feedback)), ("mover", mover, get_args(Mover))):
             if value not in valid:
                 raise SettingsError("environment", f"{name} = {value!r}", nearest(value, valid))
+        if repeat < 1:
+            raise SettingsError("environment", f"repeat = {repeat}", "one sample or more")
         if mover == "pybullet" and feedback == "plant":
             raise SettingsError("environment", "feedback = 'plant' with PyBullet", "mover = 'compiled', or feedback = 'static'")
         super().__init__(plant, forward, size, seed, task, reach)
-        self.feedback, self.preview = feedback, preview
+        self.feedback, self.preview, self.repeat = feedback, preview, repeat
+        sampled, self.rate_hz = self.rate_hz, self.rate_hz / repeat
         self._stepper: Stepper | Worlds
         if mover == "pybullet":
             from sysid.rl.bullet import Worlds
 
-            self._stepper = Worlds(plant, self.rate_hz, size)
+            self._stepper = Worlds(plant, sampled, size)
         else:
-            self._stepper = Stepper(plant, self.rate_hz, size)
+            self._stepper = Stepper(plant, sampled, size)
         self._controller = CylinderController(plant, tuning, copies=size, preview=preview)
         signals = [axis.driven for axis in plant.machine.axes]
         self._noise = np.array([plant.machine.noise.get(signal, 0.0) if noise else 0.0 for signal in signals])
         self._judges: tuple[Stepper, CylinderController] | None = None
-        self.horizon = max(1, math.ceil(response_time(plant) * self.rate_hz) + 1)
+        self.horizon = max(1, math.ceil(response_time(plant) * sampled) + 1)
         self.history = self.horizon if history is None else history
         self._target = np.full((size, 3), np.nan)
-        self._view = DrivenObservation(plant.machine.axis_names, self.history, self.rate_hz, size)
+        self._view = DrivenObservation(plant.machine.axis_names, self.history, sampled, size)
         self._lane: LaneState | None = None
         self._final = np.full((size, self.observations), np.nan)
 
@@ -132,15 +138,9 @@ class DrivenEnvironment(Copies):
         wanted = self._checked(actions)
         if not np.isfinite(wanted).all():
             raise InputError("environment", "an action that is no finite number", "joint setpoints [rad or m]")
-        before = self._at()
-        measured = self._measured(before)
-        if self._noise.any():
-            measured += self._noise * self._rng.standard_normal(measured.shape)
-        commands = self._controller.commands(np.clip(wanted, self.reach.low, self.reach.high), measured)
-        lane = self._stepper.step(commands)
-        self._view.sent(commands)
-        self._view.moved(lane.joints, before.joints, lane.tool - lane.ee, before.tool - before.ee)
-        self._lane = lane
+        lane = self._at()
+        for _ in range(self.repeat):
+            lane = self._sample(np.clip(wanted, self.reach.low, self.reach.high), lane)
         outside = ((wanted < self.reach.low) | (wanted > self.reach.high)).any(axis=1)
         rewards = self.task.reward(lane.ee, self._target, outside)
         self._count += 1
@@ -175,7 +175,7 @@ class DrivenEnvironment(Copies):
         stepper.restore({name: np.repeat(values, each, axis=0) for name, values in self._stepper.state().items()})
         controller.restore({name: np.repeat(values, each, axis=0) for name, values in self._controller.state().items()})
         lane = _repeated(self._at(), each)
-        for _ in range(self.horizon):
+        for _ in range(max(self.horizon, self.repeat)):
             lane = stepper.step(controller.commands(wanted, self._measured(lane)))
         return lane.ee
 
@@ -217,6 +217,17 @@ class DrivenEnvironment(Copies):
         self._count[:] = state["count"]
         self._rng.bit_generator.state = state["generator"]
 
+    def _sample(self, setpoints: Array, before: LaneState) -> LaneState:
+        """One sample of the machine: sensors, controller, valves, plant, and what is seen of it."""
+        measured = self._measured(before)
+        if self._noise.any():
+            measured += self._noise * self._rng.standard_normal(measured.shape)
+        commands = self._controller.commands(setpoints, measured)
+        self._lane = lane = self._stepper.step(commands)
+        self._view.sent(commands)
+        self._view.moved(lane.joints, before.joints, lane.tool - lane.ee, before.tool - before.ee)
+        return lane
+
     def _at(self) -> LaneState:
         if self._lane is None:
             raise SettingsError("environment", "was never reset", "reset() before the first step")
@@ -233,7 +244,7 @@ class DrivenEnvironment(Copies):
     def _judged_by(self, count: int) -> tuple[Stepper, CylinderController]:
         if self._judges is None or self._judges[0].lanes != count:
             controller = CylinderController(self.plant, self._controller.tuning, copies=count, preview=self.preview)
-            self._judges = Stepper(self.plant, self.rate_hz, count), controller
+            self._judges = Stepper(self.plant, self.plant.machine.rate_hz, count), controller
         return self._judges
 
     def _put(self, which: Flags, joints: Array, targets: Array) -> None:

@@ -24,6 +24,7 @@ class Setting:
         full: joint setpoints pass cylinder controllers, valves and plant; else joints follow at once, as in the paper.
         feedback: how candidates are judged: ``static``, by the forward model, as in the paper; ``plant``, on the full path
             alone, by where the machine will be, delay and lag included.
+        repeat: samples for which an action stays while training, on the full path alone; the policy acts at every sample.
         task: steps of an episode and its rewards.
         curriculum: share of the training in which targets move away from where an episode begins, from a tenth of the way to
             anywhere within reach; 0: they are anywhere from the start, as in the paper.
@@ -34,6 +35,7 @@ class Setting:
     copies: int = 1
     full: bool = False
     feedback: Literal["static", "plant"] = "static"
+    repeat: int = 1
     task: Task = field(default_factory=Task)
     curriculum: float = 0.0
 
@@ -68,7 +70,8 @@ class Networks:
     Args:
         actor, critic: hidden layers.
         critic_head: ``value``: the last layer is Q. ``distance``: it is a point p and an offset b, and Q = b − ‖p − target‖:
-            the form of the reward is built in, and where an action leads is left to learn.
+            the form of the reward is built in, and where an action leads is left to learn. ``offset``: p is given from the end
+            effector, for the full path, on which an action leads not far.
         critic_features: ``plain``, or ``sincos``: sine and cosine of the angles of the action beside it.
     """
 
@@ -76,7 +79,7 @@ class Networks:
 
     actor: tuple[int, ...] = (400, 300)
     critic: tuple[int, ...] = (400, 300)
-    critic_head: Literal["value", "distance"] = "value"
+    critic_head: Literal["value", "distance", "offset"] = "value"
     critic_features: Literal["plain", "sincos"] = "plain"
 
 
@@ -172,6 +175,7 @@ def parse_training(values: dict[str, Any], where: object) -> Recipe:
         ("evaluations", recipe.evaluations, 1, None),
         ("threads", recipe.threads, 1, None),
         ("setting.copies", recipe.setting.copies, 1, None),
+        ("setting.repeat", recipe.setting.repeat, 1, None),
         ("setting.curriculum", recipe.setting.curriculum, 0, 1),
         ("exploration.candidates", exploration.candidates, 1, None),
         ("exploration.sigma", exploration.sigma, 0, None),
@@ -194,6 +198,9 @@ def parse_training(values: dict[str, Any], where: object) -> Recipe:
     if recipe.setting.feedback == "plant" and not recipe.setting.full:
         remedy = "Set setting.full, or feedback = 'static'."
         raise SettingsError(f"{where}: setting.feedback", "'plant' without full", "the full path", remedy)
+    if recipe.setting.repeat > 1 and not recipe.setting.full:
+        alone = f"{recipe.setting.repeat} where joints follow at once"
+        raise SettingsError(f"{where}: setting.repeat", alone, "the full path", "Set setting.full, or repeat = 1.")
     for key, found in (
         ("learning.actor_rate", learning.actor_rate),
         ("learning.critic_rate", learning.critic_rate),

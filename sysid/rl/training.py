@@ -5,24 +5,30 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from sysid.control import AxisTuning
+from sysid.networks.forward import ForwardModel
 from sysid.networks.mlp import Mlp, Normalisation
 from sysid.networks.policy import PolicyNetwork, policy_to_files
+from sysid.plant import Plant
 from sysid.progress import Progress, silent
 from sysid.registry import ModelVersion, Registry
 from sysid.rl.checkpoint import TrainingFiles, training_folder
-from sysid.rl.ddpg import JUDGED, Trainer, judged_task
-from sysid.rl.environment import Environment, Task, from_versions
+from sysid.rl.ddpg import SETTLE, Trainer
+from sysid.rl.driven import DrivenEnvironment
+from sysid.rl.environment import Environment, Task, load_versions
+from sysid.rl.kinematic import KinematicEnvironment
 from sysid.rl.observers import Observer
+from sysid.rl.reach import Reach
 from sysid.rl.recipe import Recipe
 
-#: The actor is judged on the same starts and targets whatever the seed.
-JUDGE_SEED = 2**31
+#: The actor is judged on so many copies, with the same starts and targets whatever the seed.
+JUDGED, JUDGE_SEED = 512, 2**31
 
 
 @dataclass(frozen=True)
@@ -77,15 +83,8 @@ def train_policy(
         if version.name == recipe.name and version.lineage == _plain(lineage):
             return Trained(version, dict(version.metrics), 0.0, 0.0, None)
 
-    def environment(size: int, seed: int, task: Task) -> Environment:
-        setting = recipe.setting
-        more: dict[str, Any] = {"full": True, "feedback": setting.feedback} if setting.full else {}
-        return from_versions(registry, plant.reference, forward.reference, size=size, seed=seed, task=task, **more)
-
     files = TrainingFiles(training_folder(root, recipe, {"plant": plant.digest, "forward": forward.digest}), every)
-    task = recipe.setting.task
-    own, judge = environment(recipe.setting.copies, recipe.seed, task), environment(JUDGED, JUDGE_SEED, judged_task(task))
-    trainer = Trainer(own, judge, recipe)
+    trainer = Trainer(*environments(recipe, *load_versions(registry, plant.reference, forward.reference)), recipe)
     files.load(trainer)
     before, begin, begin_cpu = trainer.agent.updates, time.perf_counter(), time.process_time()
     with ExitStack() as stack:
@@ -109,6 +108,53 @@ def train_policy(
     )
     files.remove()
     return Trained(version, figures, seconds, cpu_seconds, (trainer.agent.updates - before) / max(seconds, 1e-9))
+
+
+def environments(
+    recipe: Recipe,
+    plant: Plant,
+    forward: ForwardModel,
+    *,
+    reach: Reach | None = None,
+    tuning: tuple[AxisTuning, ...] | None = None,
+    judged: int = JUDGED,
+) -> tuple[Environment, Environment]:
+    """What a policy is trained in, and what its actor alone is judged in.
+
+    Args:
+        reach: limits, starts and targets; else those of plant and forward model.
+        tuning: of the cylinder controller, on the full path; else what the plant says.
+        judged: copies of the judge, the same for every seed.
+
+    Raises:
+        SettingsError: plant and forward model do not fit each other.
+    """
+    setting = recipe.setting
+
+    def environment(size: int, seed: int, task: Task, repeat: int) -> Environment:
+        if not setting.full:
+            return KinematicEnvironment(plant, forward, size=size, seed=seed, task=task, reach=reach)
+        return DrivenEnvironment(
+            plant,
+            forward,
+            size=size,
+            seed=seed,
+            task=task,
+            reach=reach,
+            tuning=tuning,
+            repeat=repeat,
+            feedback=setting.feedback,
+        )
+
+    return (
+        environment(setting.copies, recipe.seed, setting.task, setting.repeat),
+        environment(judged, JUDGE_SEED, judged_task(setting.task), 1),
+    )
+
+
+def judged_task(task: Task) -> Task:
+    """The same task, with one target and episodes that outlast an evaluation."""
+    return replace(task, steps=max(task.steps, 2 * SETTLE + 1), targets=1)
 
 
 def policy_of(trainer: Trainer) -> PolicyNetwork:

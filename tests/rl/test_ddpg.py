@@ -76,7 +76,9 @@ class Reference:
         out = self.mlp(name, torch.cat([(s - t(self.space.centre)) / t(self.space.half), a, angle.sin(), angle.cos()], dim=1))
         if out.shape[1] == 1:
             return out[:, 0]
-        aim = (s[:, slice(*self.space.target)] - t(self.space.centre)[slice(*self.space.target)]) / self.space.reach
+        offset = self.agent.networks.critic_head == "offset"
+        begin = s[:, slice(*self.space.ee)] if offset else t(self.space.centre)[slice(*self.space.target)]
+        aim = (s[:, slice(*self.space.target)] - begin) / self.space.reach
         return out[:, 3] - self.space.reach * (out[:, :3] - aim).norm(dim=1)
 
     def update(self, s: torch.Tensor, a: torch.Tensor, r: torch.Tensor, following: torch.Tensor) -> float:
@@ -102,7 +104,7 @@ def t(values: Any) -> torch.Tensor:
     return torch.tensor(np.asarray(values), dtype=torch.float64)
 
 
-@pytest.mark.parametrize("head", ["value", "distance"])
+@pytest.mark.parametrize("head", ["value", "distance", "offset"])
 @pytest.mark.parametrize("features", ["plain", "sincos"])
 def test_an_update_is_that_of_the_textbook(head: str, features: str) -> None:
     agent = trainer(recipe(networks={"critic_head": head, "critic_features": features}, learning={"discount": 0.9})).agent

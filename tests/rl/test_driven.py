@@ -114,6 +114,34 @@ def test_an_episode_ends_at_rest_elsewhere() -> None:
     np.testing.assert_array_equal(seen[:, 10 : 10 + 4 * env.history], 0.0)
 
 
+@pytest.mark.parametrize("noise", [False, True])
+def test_an_action_may_stay_for_several_samples(noise: bool) -> None:
+    """One step of it is as many of the others with the same action; its reward is that of the last of them."""
+    each, held = environment(noise=noise, task=Task(steps=30)), environment(noise=noise, task=Task(steps=6), repeat=5)
+    assert (each.rate_hz, held.rate_hz) == (100.0, 20.0)
+    assert each.history == held.history
+    actions = each.reset()[:, :4] + 0.1 * np.random.default_rng(1).standard_normal((6, 2, 4))
+    held.reset()
+    for action in actions:
+        for _ in range(5):
+            _, rewards, over = each.step(action)
+        _, found, truncated = held.step(action)
+        np.testing.assert_array_equal(held.final, each.final)
+        np.testing.assert_array_equal(found, rewards)
+        np.testing.assert_array_equal(truncated, over)
+    assert truncated.all()
+
+
+def test_the_plant_judges_a_candidate_as_long_as_it_stays() -> None:
+    env = environment(size=2, feedback="plant", repeat=40)
+    assert env.repeat > env.horizon
+    seen = env.reset()
+    actions = seen[:, :4] + 0.05
+    predicted = env.predicted(seen, actions)
+    env.step(actions)
+    np.testing.assert_array_equal(predicted, env.final[:, 4:7])
+
+
 def test_in_pybullet_it_moves_the_same() -> None:
     pytest.importorskip("pybullet")
     compiled, world = environment(size=1), environment(size=1, mover="pybullet")
@@ -149,3 +177,5 @@ def test_unknown_settings_suggest_the_nearest() -> None:
         environment(feedback="plan")
     with pytest.raises(SettingsError, match="mover = 'bullet'; expected 'pybullet'"):
         environment(mover="bullet")
+    with pytest.raises(SettingsError, match="repeat = 0; expected one sample or more"):
+        environment(repeat=0)

@@ -251,6 +251,7 @@ def test_the_recipes_are_the_papers() -> None:
         ({"setting": {"curriculum": 1.5}}, r"setting.curriculum: 1.5; expected 0 to 1"),
         ({"networks": {"actor": []}}, r"networks.actor: 0; expected above zero"),
         ({"setting": {"feedback": "plant"}}, r"setting.feedback: 'plant' without full; expected the full path"),
+        ({"setting": {"repeat": 5}}, r"setting.repeat: 5 where joints follow at once; expected the full path"),
     ],
 )
 def test_impossible_recipes_say_why(values: dict[str, Any], message: str) -> None:

@@ -6,11 +6,9 @@ from typing import Any
 
 from crane_model import Perfect, crane_plant
 
-from sysid.rl.ddpg import Trainer, judged_task
-from sysid.rl.driven import DrivenEnvironment
-from sysid.rl.environment import Environment, Task
-from sysid.rl.kinematic import KinematicEnvironment
+from sysid.rl.ddpg import Trainer
 from sysid.rl.recipe import Recipe, parse_training
+from sysid.rl.training import environments
 
 PLANT = crane_plant()
 
@@ -42,15 +40,4 @@ def recipe(**parts: Any) -> Recipe:
 
 
 def trainer(settings: Recipe) -> Trainer:
-    setting = settings.setting
-
-    def environment(size: int, seed: int, task: Task) -> Environment:
-        if setting.full:
-            return DrivenEnvironment(PLANT, FORWARD, size=size, seed=seed, task=task, feedback=setting.feedback)
-        return KinematicEnvironment(PLANT, FORWARD, size=size, seed=seed, task=task)
-
-    own, judge = (
-        environment(setting.copies, settings.seed, setting.task),
-        environment(16, 2**31, judged_task(setting.task)),
-    )
-    return Trainer(own, judge, settings)
+    return Trainer(*environments(settings, PLANT, FORWARD, judged=16), settings)
