@@ -31,13 +31,13 @@ from sysid.files import json_text, written_whole
 from sysid.reports.charts import WIDE, Line, chart
 from sysid.rl.seeds import side_by_side
 from trained.peer import peer
-from trained.runs import CANDIDATES, CHOICES, FORWARDS, PAPER, ROOT, SAME, Run, baseline, one, runs, seconds_to
+from trained.runs import CANDIDATES, CHOICES, DRIVEN, FORWARDS, PAPER, ROOT, SAME, Run, baselines, one, runs, seconds_to
 
 RESULT, PAGE, PICTURE = ROOT / "reports" / "training" / "result.json", ROOT / "docs" / "ddpg.md", "docs/images/training.svg"
 #: Share of the episodes and seeds by part.
 TIERS: dict[str, tuple[float, dict[str, int]]] = {
-    "small": (0.02, {"policies": 1, "choices": 1, "candidates": 1, "peer": 1}),
-    "full": (1.0, {"policies": 5, "choices": 3, "candidates": 3, "peer": 3}),
+    "small": (0.02, {"policies": 1, "driven": 1, "choices": 1, "candidates": 1, "peer": 1}),
+    "full": (1.0, {"policies": 5, "driven": 3, "choices": 3, "candidates": 3, "peer": 3}),
 }
 #: SB3 gets so many times the processor time of a whole quick policy.
 PATIENCE = 5.0
@@ -74,7 +74,7 @@ def main(tier: str, workspace: Path, workers: int | None, minutes: float = math.
     peers = _all(peer, [(str(workspace), str(work), seed, limit, until) for seed in range(seeds["peer"])], workers)
     theirs = [each for each in peers if each is not None]
     train([run for run in todo if run.part not in FIRST])
-    rows = baseline(str(workspace))[2]
+    rows = baselines(str(workspace))
     head = provenance(f"pipelines/training.py --tier {tier}", 0, ("torch", "stable-baselines3"))
     done = [result for each in results.values() for result in each]
     whole = head | {"listed": len(todo), "baselines": rows, "runs": done, "stable_baselines3": theirs}
@@ -121,18 +121,24 @@ def _all(
 def tables(
     results: Mapping[tuple[str, str], Sequence[Mapping[str, Any]]],
     peers: Sequence[Mapping[str, Any]],
-    baselines: Sequence[Mapping[str, Any]],
+    inverse: Mapping[str, Sequence[Mapping[str, Any]]],
     listed: int,
 ) -> str:
-    """Comparison, choices, candidates, peer, as Markdown; ``listed`` runs belong to it, of which some may not be done."""
+    """Comparison, full path, choices, candidates, peer, as Markdown; ``inverse``: figures of inverse kinematics.
+
+    ``listed`` runs belong to it, of which some may not be done.
+    """
     done = sum(map(len, results.values()))
     head = [f"{done} of {listed} policies; the others are not trained yet."] if done < listed else []
-    parts = head, _comparison(results, baselines), _choices(results), _candidates(results), _peer(results, peers)
+    parts = (
+        head, _comparison(results, inverse["at once"]), _driven(results, inverse), _choices(results), _candidates(results),
+        _peer(results, peers),
+    )  # fmt: skip
     return "\n\n".join(text for part in parts if (text := "\n".join(part)))
 
 
 def _comparison(
-    results: Mapping[tuple[str, str], Sequence[Mapping[str, Any]]], baselines: Sequence[Mapping[str, Any]]
+    results: Mapping[tuple[str, str], Sequence[Mapping[str, Any]]], inverse: Sequence[Mapping[str, Any]]
 ) -> Iterator[str]:
     yield "| helix, joints follow at once | seeds | RMSE x/y/z, mm (median; worst) | largest error x/y/z, mm | CPU |"
     yield "| --- | --- | --- | --- | --- |"
@@ -146,12 +152,33 @@ def _comparison(
                 yield f"| {what}, {arm} | {len(each)} | {_spread(each, 'rmse')} | {_spread(each, 'max')} | {cpu:.0f} s |"
     searched = results["quick", "feedback"]
     yield f"| `quick.toml`, feedback, candidates at run time too | {len(searched)} | {_spread(searched, 'rmse_searched')} | | |"
-    for row in baselines:
+    for row in inverse:
         yield f"| inverse kinematics (`{row['policy']}`) | – | {_list(row['rmse_mm'])} | {_list(row['max_mm'])} | – |"
     for part in ("paper", "quick"):
         better = _better(results.get((part, "feedback"), ()), results.get((part, "plain"), ()))
         yield ""
         yield f"Feedback is better than none, by the distance over the helix, in {sum(better)} of {len(better)} seeds ({part})."
+
+
+def _driven(
+    results: Mapping[tuple[str, str], Sequence[Mapping[str, Any]]], inverse: Mapping[str, Sequence[Mapping[str, Any]]]
+) -> Iterator[str]:
+    yield (
+        "| helix, full path, after the first second: RMSE x/y/z, mm | "
+        + " | ".join(f"controller {name}" for name in DRIVEN)
+        + " |"
+    )
+    yield "| --- |" + " --- |" * len(DRIVEN)
+    plain, ahead = zip(*(inverse[name] for name in DRIVEN), strict=True)
+    yield "| inverse kinematics | " + " | ".join(_list(row["settled"]["rmse_mm"]) for row in plain) + " |"
+    figures = (f"{_list(row['settled']['rmse_mm'])} ({row['lookahead_s']:.2f} s)" for row in ahead)
+    yield "| the same, shown the path as far ahead as suits it best | " + " | ".join(figures) + " |"
+    found = [results.get(("driven", name), ()) for name in DRIVEN]
+    if any(found):
+        yield "| `driven.toml`, seeds | " + " | ".join(str(len(each)) for each in found) + " |"
+        for key, how in (("rmse", "trained through the controller below it (median; worst)"), ("rmse_ahead", "{:.2f} s ahead")):
+            text = how.format(next(each[0]["ahead_s"] for each in found if each))
+            yield f"| {text} | " + " | ".join(_spread(each, key) if each else "–" for each in found) + " |"
 
 
 def _choices(results: Mapping[tuple[str, str], Sequence[Mapping[str, Any]]]) -> Iterator[str]:

@@ -16,8 +16,8 @@ import numpy as np
 import numpy.typing as npt
 
 from sysid.config import read_toml
+from sysid.control import simple
 from sysid.files import json_text, written_whole
-from sysid.networks.forward import ForwardModel
 from sysid.plant import Plant
 from sysid.progress import Progress
 from sysid.registry import Registry
@@ -28,6 +28,7 @@ from sysid.rl.environment import load_versions
 from sysid.rl.inverse import chain_of_plant
 from sysid.rl.policy import Searching
 from sysid.rl.recipe import Recipe, parse_training
+from sysid.rl.tracking import SETTLED_S, InversePolicy, Tracked
 from sysid.rl.training import environments, policy_of
 
 Array = npt.NDArray[np.float64]
@@ -62,6 +63,10 @@ SAME = {
     ("candidates", "1"): ("paper", "plain"),
     ("candidates", "10 fitted"): ("paper", "feedback"),
 }
+#: Cylinder controllers below a policy that is trained and followed on the full path.
+DRIVEN = ("by hand", "from the plant")
+#: How far ahead inverse kinematics is shown the path, to find what suits it best [s].
+AHEAD = tuple(0.05 * k for k in range(21))
 #: Scatter of candidates at run time.
 SCATTER, AT_RUN_TIME = 0.01, 10
 
@@ -97,22 +102,27 @@ class Run:
 
 def runs(share: float, seeds: Mapping[str, int]) -> Iterator[Run]:
     """All runs of the study, each policy once; ``share`` of their episodes, ``seeds`` by part."""
-    quick = read_toml(RECIPES / "quick.toml")["learning"]["episodes"]
-    episodes = {"quick": quick, "paper": CUT["episodes"]}
+
+    def episodes(base: str) -> int:
+        recipe = read_toml(RECIPES / f"{base}.toml")
+        whole = recipe["learning"]["episodes"] if base in ("quick", "driven") else CUT["episodes"]
+        return max(3, round(share * whole), recipe["setting"]["copies"])
 
     def cut(base: str, changes: Mapping[str, Any]) -> dict[str, Any]:
         whole = {**changes}
-        count = max(3, round(share * episodes["quick" if base == "quick" else "paper"]))
         own = CUT if base != "quick" else {"networks": {}, "learning": {}}
         for key in ("networks", "learning"):
             whole[key] = {**own[key], **whole.get(key, {})}
-        whole["learning"]["episodes"] = count
+        whole["learning"]["episodes"] = episodes(base)
         return whole
 
     for seed in range(seeds["policies"]):
         for arm, changes in (("feedback", {}), ("plain", {"exploration": {"candidates": 1}})):
             yield Run("quick", arm, seed, "quick", cut("quick", changes))
             yield Run("paper", arm, seed, arm, cut(arm, {}))
+    for seed in range(seeds["driven"]):
+        for arm in DRIVEN:
+            yield Run("driven", arm, seed, "driven", {"learning": {"episodes": episodes("driven")}})
     for seed in range(seeds["choices"]):
         for arm, changes in CHOICES.items():
             if ("choices", arm) not in SAME:
@@ -171,8 +181,9 @@ def one(workspace: str, work: str, run: Run, until: float, progress: Progress) -
     recipe = run.recipe()
     plant, fitted = load_versions(Registry(Path(workspace)), recipe.plant, recipe.forward)
     forward: Any = {"fitted": fitted, "exact": Exact(fitted, plant), "misread": Misread(fitted, MISREAD)}[run.forward]
-    course = lay_out(plant, fitted, "helix")
-    trainer = Trainer(*environments(recipe, plant, forward, reach=course.reach), recipe)
+    tuning = simple(plant) if run.arm == DRIVEN[0] else None
+    course = lay_out(plant, fitted, "helix", full=recipe.setting.full, tuning=tuning)
+    trainer = Trainer(*environments(recipe, plant, forward, reach=course.reach, tuning=tuning), recipe)
     files = TrainingFiles(folder)
     files.load(trainer)
     marks = _Marks(folder / "marks.json", trainer, course)
@@ -181,16 +192,19 @@ def one(workspace: str, work: str, run: Run, until: float, progress: Progress) -
             marks.save()
             files.save(trainer)
         progress(turn / recipe.turns, run.name)
-    policy = policy_of(trainer)
-    searched = course.run("searched", Searching(policy, fitted, AT_RUN_TIME, SCATTER))
-    last = marks.found[-1]
+    last, policy = marks.found[-1], policy_of(trainer)
+    if course.full:
+        ahead = recipe.setting.repeat / plant.machine.rate_hz
+        more = {"rmse_ahead": _late(course.run("ahead", Shortened(policy), ahead)).rmse.tolist(), "ahead_s": ahead}
+    else:
+        more = {"rmse_searched": course.run("searched", Searching(policy, fitted, AT_RUN_TIME, SCATTER)).rmse.tolist()}
     result = {
         "run": asdict(run),
         "updates": trainer.agent.updates,
         "cpu_seconds": last["cpu_seconds"],
         "rmse": last["rmse"],
         "max": last["max"],
-        "rmse_searched": searched.rmse.tolist(),
+        **more,
         "marks": marks.found,
         "episodes": _thinned(trainer.episodes),
         "evaluations": trainer.evaluations,
@@ -215,7 +229,7 @@ class _Marks:
 
     def take(self, step: int) -> None:
         self._spent += time.process_time() - self._begin
-        tracked = self.course.run("actor", Shortened(policy_of(self.trainer)))
+        tracked = _late(self.course.run("actor", Shortened(policy_of(self.trainer))))
         figures = {"rmse": tracked.rmse.tolist(), "max": tracked.worst.tolist()}
         self.found.append({"step": step, "cpu_seconds": self._spent, **figures})
         self._begin = time.process_time()
@@ -224,6 +238,11 @@ class _Marks:
         self.path.parent.mkdir(parents=True, exist_ok=True)
         with written_whole(self.path) as half:
             half.write_text(json_text({"marks": self.found}), "utf-8")
+
+
+def _late(tracked: Tracked) -> Tracked:
+    """What counts: on the full path a machine at rest catches up with a path that moves at once."""
+    return tracked.after(SETTLED_S) if np.isfinite(tracked.commands).all() else tracked
 
 
 def _thinned(episodes: list[dict[str, float]], points: int = 60) -> list[dict[str, float]]:
@@ -246,8 +265,13 @@ def seconds_to(result: Mapping[str, Any], accuracy: tuple[float, ...]) -> float 
     return None
 
 
-def baseline(workspace: str) -> tuple[Plant, ForwardModel, list[dict[str, Any]]]:
-    """Inverse kinematics on the same helix."""
+def baselines(workspace: str) -> dict[str, list[dict[str, Any]]]:
+    """Inverse kinematics on the same helix: where joints follow at once, and above each of :data:`DRIVEN`."""
     recipe = parse_training(read_toml(RECIPES / "quick.toml"), "quick")
     plant, forward = load_versions(Registry(Path(workspace)), recipe.plant, recipe.forward)
-    return plant, forward, [lay_out(plant, forward, "helix").baseline("ik").to_json()]
+    found = {"at once": [lay_out(plant, forward, "helix").baseline("ik").to_json()]}
+    for name in DRIVEN:
+        course = lay_out(plant, forward, "helix", full=True, tuning=simple(plant) if name == DRIVEN[0] else None)
+        ahead = [course.run("ik", InversePolicy(course.inverse), lookahead).to_json() for lookahead in AHEAD]
+        found[name] = [ahead[0], min(ahead, key=lambda row: float(row["settled"]["distance_mm"]["rms"]))]
+    return found

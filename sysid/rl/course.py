@@ -77,7 +77,9 @@ class Course:
         return math.ceil(response_time(self.plant) * rate - 1e-9) / rate
 
     def run(self, name: str, policy: Policy, lookahead: float = 0.0) -> Tracked:
-        """Follow the path with ``policy``, which is shown targets ``lookahead`` seconds ahead; the controller knows of it.
+        """Follow the path with ``policy``, which is shown targets ``lookahead`` seconds ahead.
+
+        The controller is told of it where it feeds speeds forward; another one would only wait until a setpoint is due.
 
         Raises:
             SettingsError: looking ahead in the paper's setting, where there is nothing to make up for.
@@ -85,7 +87,8 @@ class Course:
         if lookahead and not self.full:
             found = f"a look-ahead of {lookahead:g} s where joints follow at once"
             raise SettingsError(f"tracking with {name}", found, "none, or the full path (--full)")
-        settings = {"tuning": self.tuning, "preview": lookahead}
+        told = any(item.feed for item in self.tuning)
+        settings = {"tuning": self.tuning, "preview": lookahead if told else 0.0}
         place = track_environment(self.plant, self.forward, self.path, full=self.full, reach=self.reach, settings=settings)
         return track(place, policy, self.path, self.start, lookahead=lookahead, name=name)
 

@@ -53,12 +53,17 @@ def test_tables_of_what_there_is(study: ModuleType) -> None:
     results: dict[tuple[str, str], list[dict[str, Any]]] = defaultdict(list)
     for run, distance in zip(todo, (0.009, 0.002, 0.004), strict=True):
         results[run.part, run.arm].append(outcome(run, distance))
-    text = study.tables(results, [], [], 90)
+    figures = {"policy": "ik", "rmse_mm": [0.0, 0.1, 0.2], "max_mm": [1.0, 1.0, 1.0]}
+    row = {**figures, "lookahead_s": 0.7, "settled": {"rmse_mm": [61.0, 60.0, 7.0]}}
+    text = study.tables(results, [], {"at once": [row], **{name: [row, row] for name in study.DRIVEN}}, 90)
     assert text.startswith("3 of 90 policies; the others are not trained yet.")
     assert "in 1 of 1 seeds (quick)" in text
     assert "in 0 of 0 seeds (paper)" in text
     assert "| `quick.toml`, feedback | 2 | 5.5/0.0/0.0; 9.0/0.0/0.0 |" in text
     assert "without hindsight" not in text
+    assert "| inverse kinematics | 61.0/60.0/7.0 | 61.0/60.0/7.0 |" in text
+    assert "as suits it best | 61.0/60.0/7.0 (0.70 s) |" in text
+    assert "driven.toml" not in text
     assert "has not been run yet" in text
     assert "| 10 | – | – | – |" in text
     assert study.curves(results).startswith("<svg")

@@ -87,6 +87,13 @@ def test_the_low_level_controller_decides(driven: Course) -> None:
     assert poor.baseline("ik").after(1.0).rmse.max() > 20.0 * driven.baseline("ik").after(1.0).rmse.max()
 
 
+def test_a_controller_that_feeds_nothing_forward_is_not_told_to_wait() -> None:
+    """What is shown to it ahead makes up for some of its lag, instead of being kept until it is due."""
+    poor = lay_out(PLANT, Perfect(PLANT), "circle", full=True, centre=CENTRE, tuning=simple(PLANT))
+    late, ahead = (poor.baseline(name).after(1.0).to_json()["distance_mm"]["rms"] for name in ("ik", "ik-lookahead"))
+    assert ahead < 0.9 * late
+
+
 def test_a_policy_of_the_papers_setting_may_drive_the_full_path(driven: Course) -> None:
     class Ten:
         inputs = tuple(f"number {k}" for k in range(10))
