@@ -31,7 +31,8 @@ from sysid.files import json_text, written_whole
 from sysid.reports.charts import WIDE, Line, chart
 from sysid.rl.seeds import side_by_side
 from trained.peer import peer
-from trained.runs import CANDIDATES, CHOICES, DRIVEN, FORWARDS, PAPER, ROOT, SAME, Run, baselines, one, runs, seconds_to
+from trained.policies import baselines, one
+from trained.runs import CANDIDATES, CHOICES, DRIVEN, FORWARDS, PAPER, ROOT, SAME, Run, runs, seconds_to
 
 RESULT, PAGE, PICTURE = ROOT / "reports" / "training" / "result.json", ROOT / "docs" / "ddpg.md", "docs/images/training.svg"
 #: Share of the episodes and seeds by part.

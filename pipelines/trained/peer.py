@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import time
 from pathlib import Path
 from typing import Any
@@ -11,13 +10,13 @@ import numpy as np
 import numpy.typing as npt
 
 from sysid.config import read_toml
-from sysid.files import json_text, written_whole
 from sysid.progress import Progress
 from sysid.registry import Registry
 from sysid.rl.course import lay_out
 from sysid.rl.environment import load_versions
 from sysid.rl.kinematic import KinematicEnvironment
 from sysid.rl.recipe import parse_training
+from trained.policies import kept
 from trained.runs import PAPER, RECIPES
 
 Array = npt.NDArray[np.float64]
@@ -27,16 +26,15 @@ LOOK = 2000
 
 
 def peer(workspace: str, work: str, seed: int, limit: float, until: float, progress: Progress) -> dict[str, Any] | None:
+    """SB3's DDPG and how it gets on, as :func:`trained.policies.kept` in ``work``; ``limit`` as of :func:`_trained`."""
+    return kept(Path(work) / f"sb3-seed{seed}.json", until, lambda: _trained(workspace, seed, limit, progress))
+
+
+def _trained(workspace: str, seed: int, limit: float, progress: Progress) -> dict[str, Any]:
     """Train SB3's DDPG for ``limit`` seconds of processor time at most, at the batch and layers of the quick recipe's actor.
 
-    Its own defaults else, with the paper's γ, τ and rates and its noise with time step 1. None where it would begin only after
-    the clock has reached ``until`` [s since the epoch].
+    Its own defaults else, with the paper's γ, τ and rates and its noise with time step 1.
     """
-    done = Path(work) / f"sb3-seed{seed}.json"
-    if done.exists():
-        return dict(json.loads(done.read_text("utf-8")))
-    if time.time() > until:
-        return None
     import gymnasium
     import torch
     from stable_baselines3 import DDPG
@@ -90,7 +88,4 @@ def peer(workspace: str, work: str, seed: int, limit: float, until: float, progr
         progress(min(1.0, spent / limit), f"SB3 seed {seed}")
         if all(found <= wanted for found, wanted in zip(marks[-1]["rmse"], PAPER["feedback"], strict=True)):
             break
-    result = {"seed": seed, "limit": limit, "updates": int(model._n_updates), "marks": marks}
-    with written_whole(done) as part:
-        part.write_text(json_text(result), "utf-8")
-    return result
+    return {"seed": seed, "limit": limit, "updates": int(model._n_updates), "marks": marks}

@@ -1,0 +1,177 @@
+"""One run of pipelines/training.py, from its recipe to its figures; and inverse kinematics on the same helix.
+
+A run is resumed to the same bits where it was interrupted; one that is done has its file and is not repeated.
+"""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from sysid.config import read_toml
+from sysid.control import simple
+from sysid.files import json_text, written_whole
+from sysid.plant import Plant
+from sysid.progress import Progress
+from sysid.registry import Registry
+from sysid.rl.checkpoint import TrainingFiles
+from sysid.rl.course import Course, Shortened, lay_out
+from sysid.rl.ddpg import Trainer
+from sysid.rl.environment import load_versions
+from sysid.rl.inverse import chain_of_plant
+from sysid.rl.policy import Searching
+from sysid.rl.recipe import parse_training
+from sysid.rl.tracking import SETTLED_S, InversePolicy, Tracked
+from sysid.rl.training import environments, policy_of
+from trained.runs import AHEAD, AT_RUN_TIME, DRIVEN, MISREAD, RECIPES, SCATTER, Run
+
+Array = npt.NDArray[np.float64]
+
+
+def kept(done: Path, until: float, made: Callable[[], dict[str, Any]]) -> dict[str, Any] | None:
+    """What ``done`` has; else what ``made`` gives, which it has from then on.
+
+    Args:
+        until: clock after which nothing is begun [s since the epoch]; None is what comes of it then.
+    """
+    if done.exists():
+        return dict(json.loads(done.read_text("utf-8")))
+    if time.time() > until:
+        return None
+    result = made()
+    with written_whole(done) as half:
+        half.write_text(json_text(result), "utf-8")
+    return result
+
+
+def one(workspace: str, work: str, run: Run, until: float, progress: Progress) -> dict[str, Any] | None:
+    """A policy and what it does on the helix, as :func:`kept` in ``work``."""
+    return kept(Path(work) / f"{run.name}.json", until, lambda: _trained(workspace, Path(work) / run.name, run, progress))
+
+
+@dataclass(frozen=True)
+class Misread:
+    """A forward model that takes every joint for ``by`` of its range more than it is."""
+
+    model: Any
+    by: float
+
+    def __getattr__(self, name: str) -> Any:
+        if name == "model":  # while it is being copied into another process
+            raise AttributeError(name)
+        return getattr(self.model, name)
+
+    def predict(self, q: npt.ArrayLike) -> Array:
+        return np.asarray(self.model.predict(np.asarray(q) + self.by * (self.model.high - self.model.low)))
+
+
+@dataclass(frozen=True)
+class Exact:
+    """The plant's own geometry in the place of a fitted model."""
+
+    model: Any
+    plant: Plant
+
+    def __getattr__(self, name: str) -> Any:
+        if name in ("model", "plant"):
+            raise AttributeError(name)
+        return getattr(self.model, name)
+
+    def predict(self, q: npt.ArrayLike) -> Array:
+        return chain_of_plant(self.plant).predict(np.asarray(q, dtype=np.float64))
+
+
+def _trained(workspace: str, folder: Path, run: Run, progress: Progress) -> dict[str, Any]:
+    recipe = run.recipe()
+    plant, fitted = load_versions(Registry(Path(workspace)), recipe.plant, recipe.forward)
+    forward: Any = {"fitted": fitted, "exact": Exact(fitted, plant), "misread": Misread(fitted, MISREAD)}[run.forward]
+    tuning = simple(plant) if run.arm == DRIVEN[0] else None
+    course = lay_out(plant, fitted, "helix", full=recipe.setting.full, tuning=tuning)
+    trainer = Trainer(*environments(recipe, plant, forward, reach=course.reach, tuning=tuning), recipe)
+    files = TrainingFiles(folder)
+    files.load(trainer)
+    marks = _Marks(folder / "marks.json", trainer, course)
+    for turn in trainer.train(lambda kind, step, figures: marks.take(step) if kind == "evaluation" else None):
+        if files.is_due:
+            marks.save()
+            files.save(trainer)
+        progress(turn / recipe.turns, run.name)
+    last, policy = marks.found[-1], policy_of(trainer)
+    if course.full:
+        ahead = recipe.setting.repeat / plant.machine.rate_hz
+        more = {"rmse_ahead": _late(course.run("ahead", Shortened(policy), ahead)).rmse.tolist(), "ahead_s": ahead}
+    else:
+        more = {"rmse_searched": course.run("searched", Searching(policy, fitted, AT_RUN_TIME, SCATTER)).rmse.tolist()}
+    files.remove()
+    return {
+        "run": asdict(run),
+        "updates": trainer.agent.updates,
+        "cpu_seconds": last["cpu_seconds"],
+        "rmse": last["rmse"],
+        "max": last["max"],
+        **more,
+        "marks": marks.found,
+        "episodes": _thinned(trainer.episodes),
+        "evaluations": trainer.evaluations,
+    }
+
+
+class _Marks:
+    """What the actor alone does on the helix at each evaluation, and the processor time of training until then."""
+
+    def __init__(self, path: Path, trainer: Trainer, course: Course) -> None:
+        self.path, self.trainer, self.course = path, trainer, course
+        self.found: list[dict[str, Any]] = []
+        now = trainer.turn * trainer.environment.size
+        if now and path.exists():
+            self.found = [mark for mark in json.loads(path.read_text("utf-8"))["marks"] if mark["step"] <= now]
+        self._spent = self.found[-1]["cpu_seconds"] if self.found else 0.0
+        self._begin = time.process_time()
+
+    def take(self, step: int) -> None:
+        self._spent += time.process_time() - self._begin
+        tracked = _late(self.course.run("actor", Shortened(policy_of(self.trainer))))
+        figures = {"rmse": tracked.rmse.tolist(), "max": tracked.worst.tolist()}
+        self.found.append({"step": step, "cpu_seconds": self._spent, **figures})
+        self._begin = time.process_time()
+
+    def save(self) -> None:
+        self.path.parent.mkdir(parents=True, exist_ok=True)
+        with written_whole(self.path) as half:
+            half.write_text(json_text({"marks": self.found}), "utf-8")
+
+
+def _late(tracked: Tracked) -> Tracked:
+    """What counts: on the full path a machine at rest catches up with a path that moves at once."""
+    return tracked.after(SETTLED_S) if np.isfinite(tracked.commands).all() else tracked
+
+
+def _thinned(episodes: list[dict[str, float]], points: int = 60) -> list[dict[str, float]]:
+    """Means of stretches of episodes."""
+    parts = np.array_split(np.arange(len(episodes)), min(points, len(episodes)))
+    return [
+        {
+            "step": episodes[int(part[-1])]["step"],
+            **{key: float(np.mean([episodes[int(k)][key] for k in part])) for key in ("return", "distance")},
+        }
+        for part in parts
+    ]
+
+
+def baselines(workspace: str) -> dict[str, list[dict[str, Any]]]:
+    """Inverse kinematics on the same helix: where joints follow at once, and above each of :data:`DRIVEN`."""
+    recipe = parse_training(read_toml(RECIPES / "quick.toml"), "quick")
+    plant, forward = load_versions(Registry(Path(workspace)), recipe.plant, recipe.forward)
+    found = {"at once": [lay_out(plant, forward, "helix").baseline("ik").to_json()]}
+    for name in DRIVEN:
+        course = lay_out(plant, forward, "helix", full=True, tuning=simple(plant) if name == DRIVEN[0] else None)
+        ahead = [course.run("ik", InversePolicy(course.inverse), lookahead).to_json() for lookahead in AHEAD]
+        found[name] = [ahead[0], min(ahead, key=lambda row: float(row["settled"]["distance_mm"]["rms"]))]
+    return found
