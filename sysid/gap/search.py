@@ -19,6 +19,7 @@ from sysid.gap.data import Data
 from sysid.gap.evidence import Comparison
 from sysid.gap.finding import Finding, Kept, Trial
 from sysid.gap.fit import Fit, fit_candidates, spread_of
+from sysid.gap.makeshift import makeshift
 from sysid.gap.problem import Problem, Split
 from sysid.gap.scores import Scores
 from sysid.gap.screen import likely_gains
@@ -103,7 +104,7 @@ class Search:
         seen = self._data(self.split.seen)
         final = fit_candidates(seen, self.theta, model.candidates, [model.values])
         unnamed = (*self.worth.crumbs(model), *misshapen)
-        instead = self.worth.makeshift(model)
+        instead = makeshift(model, self.worth.strange(model))
         ordinary = [
             c
             for c in model.candidates

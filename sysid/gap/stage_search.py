@@ -16,11 +16,10 @@ from sysid.gap.excitation import excitation_of
 from sysid.gap.finding import Finding
 from sysid.gap.search import Search
 from sysid.gap.strictness import Strictness
+from sysid.gap.worth import SCALE
 from sysid.plant.model import WORKERS
 from sysid.progress import Progress, part
 
-#: What a sensor that reads too much is called.
-SCALE = "sensor_scale"
 Forms = Literal["all", "simple"]
 
 

@@ -13,13 +13,14 @@ import numpy as np
 from sysid.gap.candidates import Candidate
 from sysid.gap.evidence import Comparison
 from sysid.gap.fit import Fit
-from sysid.gap.makeshift import makeshift
 from sysid.gap.problem import Problem
 from sysid.gap.scores import Scores
 from sysid.gap.strictness import Strictness
 
 #: An effect of which a curve of the speed over the command does more than this share is one.
 MOSTLY = 0.5
+#: What a sensor that reads too much, or too little, is called.
+SCALE = "sensor_scale"
 
 
 @dataclass(frozen=True)
@@ -128,8 +129,4 @@ class Worth:
         servo = self.problem.stage == "command" and not self.problem.integrates
         if not servo or self.scores.rmse(model) < self.strict.strange:
             return []
-        return [c for c in model.candidates if c.effect.name == "sensor_scale"]
-
-    def makeshift(self, model: Fit) -> list[Candidate]:
-        """What makes up for the formula of an effect beside it."""
-        return makeshift(model, self.strange(model))
+        return [c for c in model.candidates if c.effect.name == SCALE]
