@@ -41,7 +41,7 @@ def outcome(run: Any, distance: float) -> dict[str, Any]:
         "rmse_searched": mark["rmse"],
         "marks": [mark],
         "episodes": [{"step": 50.0 * k, "return": 0.0, "distance": distance} for k in (1, 2)],
-        "evaluations": [{f"reach_rmse_{axis}": distance for axis in "xyz"}],
+        "evaluations": [{"reach_max": 3.0 * distance, **{f"reach_rmse_{axis}": distance for axis in "xyz"}}],
     }
 
 
@@ -55,11 +55,12 @@ def test_tables_of_what_there_is(study: ModuleType) -> None:
         results[run.part, run.arm].append(outcome(run, distance))
     figures = {"policy": "ik", "rmse_mm": [0.0, 0.1, 0.2], "max_mm": [1.0, 1.0, 1.0]}
     row = {**figures, "lookahead_s": 0.7, "settled": {"rmse_mm": [61.0, 60.0, 7.0]}}
-    text = study.tables(results, [], {"at once": [row], **{name: [row, row] for name in study.DRIVEN}}, 90)
+    text = study.tables(results, [], {"at once": [row], **{name: [row, row] for name in ("by hand", "from the plant")}}, 90)
     assert text.startswith("3 of 90 policies; the others are not trained yet.")
     assert "in 1 of 1 seeds (quick)" in text
     assert "in 0 of 0 seeds (paper)" in text
     assert "| `quick.toml`, feedback | 2 | 5.5/0.0/0.0; 9.0/0.0/0.0 |" in text
+    assert "in one step | 2 | 5.5/5.5/5.5; 9.0/9.0/9.0 | 27 away |" in text
     assert "without hindsight" not in text
     assert "| inverse kinematics | 61.0/60.0/7.0 | 61.0/60.0/7.0 |" in text
     assert "as suits it best | 61.0/60.0/7.0 (0.70 s) |" in text

@@ -1,0 +1,193 @@
+"""Tables and curves of pipelines/training.py, from the results of its runs by part and arm."""
+
+from __future__ import annotations
+
+import statistics
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from sysid.reports.charts import WIDE, Line, chart
+from trained.runs import CANDIDATES, CHOICES, DRIVEN, FORWARDS, PAPER, SAME, seconds_to
+
+Array = npt.NDArray[np.float64]
+#: What runs left, by part and arm.
+Results = Mapping[tuple[str, str], Sequence[Mapping[str, Any]]]
+
+STYLE = (
+    "<style>text{font:12px sans-serif;fill:#666}.grid,.zero{stroke:#999;stroke-opacity:.35}path{fill:none;stroke-width:2}"
+    ".after{stroke:#0a7d78}.before{stroke:#c2491d}.spread{stroke:none;fill-opacity:.2}.spread.after{fill:#0a7d78}"
+    ".spread.before{fill:#c2491d}</style>"
+)
+
+
+def tables(
+    results: Results,
+    peers: Sequence[Mapping[str, Any]],
+    inverse: Mapping[str, Sequence[Mapping[str, Any]]],
+    listed: int,
+) -> str:
+    """Comparison, full path, choices, candidates, peer, as Markdown; ``inverse``: figures of inverse kinematics.
+
+    ``listed`` runs belong to it, of which some may not be done.
+    """
+    done = sum(map(len, results.values()))
+    head = [f"{done} of {listed} policies; the others are not trained yet."] if done < listed else []
+    parts = (
+        head, _comparison(results, inverse["at once"]), _driven(results, inverse), _choices(results), _candidates(results),
+        _peer(results, peers),
+    )  # fmt: skip
+    return "\n\n".join(text for part in parts if (text := "\n".join(part)))
+
+
+def _comparison(results: Results, inverse: Sequence[Mapping[str, Any]]) -> Iterator[str]:
+    yield "| helix, joints follow at once | seeds | RMSE x/y/z, mm (median; worst) | largest error x/y/z, mm | CPU |"
+    yield "| --- | --- | --- | --- | --- |"
+    for arm, number in (("feedback", 1), ("plain", 2)):
+        worst = "27.2/14.5/26.3" if number == 1 else "–"
+        yield f"| the paper's policy {number} ({arm}) | 1 | {_mm(PAPER[arm])} | {worst} | – |"
+    for part, what in (("paper", "the paper's recipe, cut to 60 000 updates"), ("quick", "`quick.toml`")):
+        for arm in ("feedback", "plain"):
+            if each := results.get((part, arm)):
+                cpu = statistics.median(result["cpu_seconds"] for result in each)
+                yield f"| {what}, {arm} | {len(each)} | {_spread(each, 'rmse')} | {_spread(each, 'max')} | {cpu:.0f} s |"
+    searched = results["quick", "feedback"]
+    yield f"| `quick.toml`, feedback, candidates at run time too | {len(searched)} | {_spread(searched, 'rmse_searched')} | | |"
+    ends = [result["evaluations"][-1] for result in searched]
+    rmse = np.array([[end[f"reach_rmse_{axis}"] for axis in "xyz"] for end in ends])
+    farthest = 1e3 * max(end["reach_max"] for end in ends)
+    yield f"| the same, from any pose to any target in one step | {len(ends)} | {_middle(rmse)} | {farthest:.0f} away | |"
+    for row in inverse:
+        yield f"| inverse kinematics (`{row['policy']}`) | – | {_list(row['rmse_mm'])} | {_list(row['max_mm'])} | – |"
+    for part in ("paper", "quick"):
+        better = _better(results.get((part, "feedback"), ()), results.get((part, "plain"), ()))
+        yield ""
+        yield f"Feedback is better than none, by the distance over the helix, in {sum(better)} of {len(better)} seeds ({part})."
+
+
+def _driven(results: Results, inverse: Mapping[str, Sequence[Mapping[str, Any]]]) -> Iterator[str]:
+    yield (
+        "| helix, full path, after the first second: RMSE x/y/z, mm | "
+        + " | ".join(f"controller {name}" for name in DRIVEN)
+        + " |"
+    )
+    yield "| --- |" + " --- |" * len(DRIVEN)
+    plain, ahead = zip(*(inverse[name] for name in DRIVEN), strict=True)
+    yield "| inverse kinematics | " + " | ".join(_list(row["settled"]["rmse_mm"]) for row in plain) + " |"
+    figures = (f"{_list(row['settled']['rmse_mm'])} ({row['lookahead_s']:.2f} s)" for row in ahead)
+    yield "| the same, shown the path as far ahead as suits it best | " + " | ".join(figures) + " |"
+    found = [results.get(("driven", name), ()) for name in DRIVEN]
+    if any(found):
+        yield "| `driven.toml`, seeds | " + " | ".join(str(len(each)) for each in found) + " |"
+        for key, how in (("rmse", "trained through the controller below it (median; worst)"), ("rmse_ahead", "{:.2f} s ahead")):
+            text = how.format(next(each[0]["ahead_s"] for each in found if each))
+            yield f"| {text} | " + " | ".join(_spread(each, key) if each else "–" for each in found) + " |"
+
+
+def _choices(results: Results) -> Iterator[str]:
+    yield "| `quick.toml` | seeds | RMSE x/y/z, helix, mm (median; worst) | from afar, anywhere, mm | to the paper's accuracy |"
+    yield "| --- | --- | --- | --- | --- |"
+    for arm in CHOICES:
+        if not (each := _arm(results, "choices", arm)):
+            continue
+        afar = statistics.median(
+            1e3 * float(np.linalg.norm([result["evaluations"][-1][f"reach_rmse_{axis}"] for axis in "xyz"])) for result in each
+        )
+        yield f"| {arm} | {len(each)} | {_spread(each, 'rmse')} | {afar:.1f} | {_until(each)} |"
+
+
+def _candidates(results: Results) -> Iterator[str]:
+    yield "| the paper's recipe, cut: distance on the helix, mm | " + " | ".join(FORWARDS) + " |"
+    yield "| --- |" + " --- |" * len(FORWARDS)
+    plain = _away(_arm(results, "candidates", "1"))
+    yield f"| 1 candidate (plain) | {plain} |" + " |" * (len(FORWARDS) - 1)
+    for count in CANDIDATES:
+        away = (_away(_arm(results, "candidates", f"{count} {forward}")) for forward in FORWARDS)
+        yield f"| {count} | " + " | ".join(away) + " |"
+
+
+def _arm(results: Results, part: str, arm: str) -> Sequence[Mapping[str, Any]]:
+    """The policies of an arm of an ablation; where the comparison has trained them, those with the seeds of the other arms."""
+    if (same := SAME.get((part, arm))) is None:
+        return results.get((part, arm), ())
+    seeds = {result["run"]["seed"] for (other, _), each in results.items() if other == part for result in each}
+    return [result for result in results.get(same, ()) if result["run"]["seed"] in seeds]
+
+
+def _peer(results: Results, peers: Sequence[Mapping[str, Any]]) -> Iterator[str]:
+    ours = [seconds_to(result, PAPER["feedback"]) for result in results["quick", "feedback"]]
+    yield f"Processor time to {_mm(PAPER['feedback'])} mm on the helix: `quick.toml` {_times(ours)}; Stable-Baselines3's DDPG"
+    if not peers:
+        yield "has not been run yet."
+        return
+    theirs = [seconds_to(result, PAPER["feedback"]) for result in peers]
+    reached = "; ".join(
+        f"{_mm(min((mark['rmse'] for mark in result['marks']), key=lambda rmse: float(np.linalg.norm(rmse))))} mm at best"
+        for result in peers
+    )
+    yield f"{_times(theirs)}, given {max(result['limit'] for result in peers):.0f} s ({reached})."
+
+
+def curves(results: Results) -> str:
+    """Reward curves with their spread over the seeds, feedback (green) and plain (orange), of both recipes."""
+    parts = []
+    for number, (part, title) in enumerate((("paper", "the paper's recipe, cut"), ("quick", "quick.toml"))):
+        lines, x = [], np.zeros(1)
+        for arm, look in (("feedback", "after"), ("plain", "before")):
+            found = [[entry["distance"] for entry in result["episodes"]] for result in results.get((part, arm), ())]
+            if not found:
+                continue
+            table = 1e3 * np.array([row[: min(map(len, found))] for row in found])
+            x = np.array([entry["step"] for entry in results[part, arm][0]["episodes"]])[: table.shape[1]] / 1e3
+            lines.append(Line(table.mean(axis=0), look, spread=table.std(axis=0) if len(table) > 1 else None))
+        drawn = chart(x, lines, ("thousand steps", f"{title}: distance [mm]"), size=WIDE)
+        parts.append(
+            drawn.replace("<svg ", f'<svg x="{number * WIDE[0]:.0f}" width="{WIDE[0]:.0f}" height="{WIDE[1]:.0f}" ', 1)
+        )
+    size = f'viewBox="0 0 {2 * WIDE[0]:.0f} {WIDE[1]:.0f}" width="{2 * WIDE[0]:.0f}"'
+    return f'<svg xmlns="http://www.w3.org/2000/svg" {size}>{STYLE}{"".join(parts)}</svg>\n'
+
+
+def _spread(results: Sequence[Mapping[str, Any]], key: str) -> str:
+    return _middle(np.array([result[key] for result in results]))
+
+
+def _middle(values: Array) -> str:
+    """Median and worst of the seeds, (n, 3) [m]."""
+    return f"{_mm(np.median(values, axis=0))}; {_mm(values.max(axis=0))}"
+
+
+def _away(results: Sequence[Mapping[str, Any]]) -> str:
+    found = sorted(_distance(result) for result in results)
+    return f"{statistics.median(found):.1f} ({found[0]:.1f} to {found[-1]:.1f})" if found else "–"
+
+
+def _better(feedback: Sequence[Mapping[str, Any]], plain: Sequence[Mapping[str, Any]]) -> list[bool]:
+    """For every seed that both have, whether feedback ends nearer to the helix."""
+    other = {result["run"]["seed"]: _distance(result) for result in plain}
+    return [_distance(result) < other[seed] for result in feedback if (seed := result["run"]["seed"]) in other]
+
+
+def _distance(result: Mapping[str, Any]) -> float:
+    """Root mean square distance from the helix [mm]."""
+    return 1e3 * float(np.linalg.norm(result["rmse"]))
+
+
+def _until(results: Sequence[Mapping[str, Any]]) -> str:
+    return _times([seconds_to(result, PAPER["feedback"]) for result in results])
+
+
+def _times(values: Sequence[float | None]) -> str:
+    known = [value for value in values if value is not None]
+    missing = f", not reached by {len(values) - len(known)} of {len(values)}" if len(known) < len(values) else ""
+    return (f"{statistics.median(known):.0f} s" if known else "never") + missing
+
+
+def _mm(values: Sequence[float]) -> str:
+    return _list([1e3 * value for value in values])
+
+
+def _list(values: Sequence[float]) -> str:
+    return "/".join(f"{value:.1f}" for value in values)
