@@ -27,7 +27,8 @@ LOOK = 2000
 
 def peer(workspace: str, work: str, seed: int, limit: float, until: float, progress: Progress) -> dict[str, Any] | None:
     """SB3's DDPG and how it gets on, as :func:`trained.policies.kept` in ``work``; ``limit`` as of :func:`_trained`."""
-    return kept(Path(work) / f"sb3-seed{seed}.json", until, lambda: _trained(workspace, seed, limit, progress))
+    done = Path(work) / f"sb3-seed{seed}.json"
+    return kept(done, {"seed": seed}, until, lambda: _trained(workspace, seed, limit, progress))
 
 
 def _trained(workspace: str, seed: int, limit: float, progress: Progress) -> dict[str, Any]:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -35,14 +35,17 @@ from trained.runs import AHEAD, AT_RUN_TIME, DRIVEN, MISREAD, RECIPES, SCATTER, 
 Array = npt.NDArray[np.float64]
 
 
-def kept(done: Path, until: float, made: Callable[[], dict[str, Any]]) -> dict[str, Any] | None:
+def kept(done: Path, about: Mapping[str, Any], until: float, made: Callable[[], dict[str, Any]]) -> dict[str, Any] | None:
     """What ``done`` has; else what ``made`` gives, which it has from then on.
 
     Args:
+        about: what has to stand in it; where something else does, it was made of another recipe.
         until: clock after which nothing is begun [s since the epoch]; None is what comes of it then.
     """
     if done.exists():
-        return dict(json.loads(done.read_text("utf-8")))
+        found: dict[str, Any] = json.loads(done.read_text("utf-8"))
+        if {key: found.get(key) for key in about} == json.loads(json_text(about)):
+            return found
     if time.time() > until:
         return None
     result = made()
@@ -53,7 +56,8 @@ def kept(done: Path, until: float, made: Callable[[], dict[str, Any]]) -> dict[s
 
 def one(workspace: str, work: str, run: Run, until: float, progress: Progress) -> dict[str, Any] | None:
     """A policy and what it does on the helix, as :func:`kept` in ``work``."""
-    return kept(Path(work) / f"{run.name}.json", until, lambda: _trained(workspace, Path(work) / run.name, run, progress))
+    done, about = Path(work) / f"{run.name}.json", {"run": asdict(run)}
+    return kept(done, about, until, lambda: _trained(workspace, Path(work) / run.name, run, progress))
 
 
 @dataclass(frozen=True)

@@ -14,8 +14,13 @@ ROOT = Path(__file__).resolve().parents[2]
 RECIPES = ROOT / "rl" / "autolog"
 #: Root mean square error of the paper's helix, x/y/z [m].
 PAPER = {"feedback": (0.017, 0.008, 0.010), "plain": (0.031, 0.017, 0.020)}
-#: The paper's recipe takes 1.5 million updates of 1024 rows: a day of a core and more. Here it is cut to this.
-CUT = {"networks": {"actor": [128, 128], "critic": [128, 128]}, "learning": {"batch": 256}, "episodes": 60}
+#: The paper's recipe makes 1.5 million updates of 1024 rows, which takes half a day of a core. Here it has all of its episodes,
+#: and so all targets, each for fewer steps, and smaller networks and batches.
+CUT: dict[str, dict[str, Any]] = {
+    "networks": {"actor": [128, 128], "critic": [128, 128]},
+    "learning": {"batch": 256},
+    "setting": {"task": {"steps": 40}},
+}
 #: One thing at a time that the quick recipe does otherwise.
 CHOICES: dict[str, dict[str, Any]] = {
     "as it is": {},
@@ -80,17 +85,11 @@ class Run:
 def runs(share: float, seeds: Mapping[str, int]) -> Iterator[Run]:
     """All runs of the study, each policy once; ``share`` of their episodes, ``seeds`` by part."""
 
-    def episodes(base: str) -> int:
-        recipe = read_toml(RECIPES / f"{base}.toml")
-        whole = recipe["learning"]["episodes"] if base in ("quick", "driven") else CUT["episodes"]
-        return max(3, round(share * whole), recipe["setting"]["copies"])
-
     def cut(base: str, changes: Mapping[str, Any]) -> dict[str, Any]:
-        whole = {**changes}
-        own = CUT if base != "quick" else {"networks": {}, "learning": {}}
-        for key in ("networks", "learning"):
-            whole[key] = {**own[key], **whole.get(key, {})}
-        whole["learning"]["episodes"] = episodes(base)
+        recipe = read_toml(RECIPES / f"{base}.toml")
+        own = CUT if base in PAPER else {}
+        whole = {key: {**own.get(key, {}), **changes.get(key, {})} for key in ("networks", "learning", *own, *changes)}
+        whole["learning"]["episodes"] = max(3, round(share * recipe["learning"]["episodes"]), recipe["setting"]["copies"])
         return whole
 
     for seed in range(seeds["policies"]):
@@ -99,7 +98,7 @@ def runs(share: float, seeds: Mapping[str, int]) -> Iterator[Run]:
             yield Run("paper", arm, seed, arm, cut(arm, {}))
     for seed in range(seeds["driven"]):
         for arm in DRIVEN:
-            yield Run("driven", arm, seed, "driven", {"learning": {"episodes": episodes("driven")}})
+            yield Run("driven", arm, seed, "driven", cut("driven", {}))
     for seed in range(seeds["choices"]):
         for arm, changes in CHOICES.items():
             if ("choices", arm) not in SAME:

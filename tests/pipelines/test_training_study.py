@@ -84,4 +84,6 @@ def test_what_was_committed_is_not_trained_again(study: ModuleType, tmp_path: Pa
     assert sorted(path.name for path in work.iterdir()) == sorted([f"{first.name}.json", "sb3-seed2.json"])
     assert study.one("nowhere", str(work), first, 0.0, lambda share, text: None)["rmse"] == [0.002, 0.0, 0.0]
     assert study.one("nowhere", str(work), second, 0.0, lambda share, text: None) is None, "its time was up before it began"
+    (work / f"{second.name}.json").write_text(json.dumps(stale))
+    assert study.one("nowhere", str(work), second, 0.0, lambda share, text: None) is None, "another recipe left that"
     study.put_back(tmp_path / "none.json", todo, work)
