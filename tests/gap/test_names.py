@@ -52,7 +52,7 @@ def test_what_depends_on_it_is_not_enough_where_fitted_recordings_stay_unexplain
 def test_a_gain_that_makes_up_for_a_curve_has_no_name(monkeypatch: pytest.MonkeyPatch) -> None:
     dataset = slewing(narrowing, part=0.4)
     assert named_at_slew(dataset, nominal(), Strictness()) == {"gain_curve"}
-    monkeypatch.setattr("sysid.gap.worth.makeshift", lambda fit, strange: [])
+    monkeypatch.setattr("sysid.gap.search.makeshift", lambda fit, strange: [])
     assert named_at_slew(dataset, nominal(), Strictness()) == {"gain_curve", "gain_error"}
 
 
