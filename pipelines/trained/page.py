@@ -58,7 +58,7 @@ def _comparison(results: Results, inverse: Sequence[Mapping[str, Any]]) -> Itera
     ends = [result["evaluations"][-1] for result in searched]
     rmse = np.array([[end[f"reach_rmse_{axis}"] for axis in "xyz"] for end in ends])
     farthest = 1e3 * max(end["reach_max"] for end in ends)
-    yield f"| the same, from any pose to any target in one step | {len(ends)} | {_middle(rmse)} | {farthest:.0f} away | |"
+    yield f"| `quick.toml`, feedback, from any pose to any target in one step | {len(ends)} | {_middle(rmse)} | {farthest:.0f} away | |"
     for row in inverse:
         yield f"| inverse kinematics (`{row['policy']}`) | – | {_list(row['rmse_mm'])} | {_list(row['max_mm'])} | – |"
     for part in ("paper", "quick"):
@@ -181,8 +181,10 @@ def _until(results: Sequence[Mapping[str, Any]]) -> str:
 
 def _times(values: Sequence[float | None]) -> str:
     known = [value for value in values if value is not None]
+    if not known:
+        return f"never by any of {len(values)}"
     missing = f", not reached by {len(values) - len(known)} of {len(values)}" if len(known) < len(values) else ""
-    return (f"{statistics.median(known):.0f} s" if known else "never") + missing
+    return f"{statistics.median(known):.0f} s{missing}"
 
 
 def _mm(values: Sequence[float]) -> str:
