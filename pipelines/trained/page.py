@@ -58,7 +58,8 @@ def _comparison(results: Results, inverse: Sequence[Mapping[str, Any]]) -> Itera
     ends = [result["evaluations"][-1] for result in searched]
     rmse = np.array([[end[f"reach_rmse_{axis}"] for axis in "xyz"] for end in ends])
     farthest = 1e3 * max(end["reach_max"] for end in ends)
-    yield f"| `quick.toml`, feedback, from any pose to any target in one step | {len(ends)} | {_middle(rmse)} | {farthest:.0f} away | |"
+    anywhere = "`quick.toml`, feedback, from any pose to any target in one step"
+    yield f"| {anywhere} | {len(ends)} | {_middle(rmse)} | {farthest:.0f} away | |"
     for row in inverse:
         yield f"| inverse kinematics (`{row['policy']}`) | – | {_list(row['rmse_mm'])} | {_list(row['max_mm'])} | – |"
     for part in ("paper", "quick"):
