@@ -55,11 +55,9 @@ def _comparison(results: Results, inverse: Sequence[Mapping[str, Any]]) -> Itera
                 yield f"| {what}, {arm} | {len(each)} | {_spread(each, 'rmse')} | {_spread(each, 'max')} | {cpu:.0f} s |"
     searched = results["quick", "feedback"]
     yield f"| `quick.toml`, feedback, candidates at run time too | {len(searched)} | {_spread(searched, 'rmse_searched')} | | |"
-    ends = [result["evaluations"][-1] for result in searched]
-    rmse = np.array([[end[f"reach_rmse_{axis}"] for axis in "xyz"] for end in ends])
-    farthest = 1e3 * max(end["reach_max"] for end in ends)
+    farthest = 1e3 * max(result["evaluations"][-1]["reach_max"] for result in searched)
     anywhere = "`quick.toml`, feedback, from any pose to any target in one step"
-    yield f"| {anywhere} | {len(ends)} | {_middle(rmse)} | {farthest:.0f} away | |"
+    yield f"| {anywhere} | {len(searched)} | {_middle(_afar(searched))} | {farthest:.0f} away | |"
     for row in inverse:
         yield f"| inverse kinematics (`{row['policy']}`) | – | {_list(row['rmse_mm'])} | {_list(row['max_mm'])} | – |"
     for part in ("paper", "quick"):
@@ -69,11 +67,8 @@ def _comparison(results: Results, inverse: Sequence[Mapping[str, Any]]) -> Itera
 
 
 def _driven(results: Results, inverse: Mapping[str, Sequence[Mapping[str, Any]]]) -> Iterator[str]:
-    yield (
-        "| helix, full path, after the first second: RMSE x/y/z, mm | "
-        + " | ".join(f"controller {name}" for name in DRIVEN)
-        + " |"
-    )
+    head = "helix, full path, after the first second: RMSE x/y/z, mm"
+    yield f"| {head} | " + " | ".join(f"controller {name}" for name in DRIVEN) + " |"
     yield "| --- |" + " --- |" * len(DRIVEN)
     plain, ahead = zip(*(inverse[name] for name in DRIVEN), strict=True)
     yield "| inverse kinematics | " + " | ".join(_list(row["settled"]["rmse_mm"]) for row in plain) + " |"
@@ -93,9 +88,7 @@ def _choices(results: Results) -> Iterator[str]:
     for arm in CHOICES:
         if not (each := _arm(results, "choices", arm)):
             continue
-        afar = statistics.median(
-            1e3 * float(np.linalg.norm([result["evaluations"][-1][f"reach_rmse_{axis}"] for axis in "xyz"])) for result in each
-        )
+        afar = 1e3 * float(np.median(np.linalg.norm(_afar(each), axis=1)))
         yield f"| {arm} | {len(each)} | {_spread(each, 'rmse')} | {afar:.1f} | {_until(each)} |"
 
 
@@ -149,6 +142,11 @@ def curves(results: Results) -> str:
         )
     size = f'viewBox="0 0 {2 * WIDE[0]:.0f} {WIDE[1]:.0f}" width="{2 * WIDE[0]:.0f}"'
     return f'<svg xmlns="http://www.w3.org/2000/svg" {size}>{STYLE}{"".join(parts)}</svg>\n'
+
+
+def _afar(results: Sequence[Mapping[str, Any]]) -> Array:
+    """Root mean square error from any pose to any target in one step, (n, 3) [m]."""
+    return np.array([[result["evaluations"][-1][f"reach_rmse_{axis}"] for axis in "xyz"] for result in results])
 
 
 def _spread(results: Sequence[Mapping[str, Any]], key: str) -> str:

@@ -18,6 +18,7 @@ import numpy.typing as npt
 from sysid.config import read_toml
 from sysid.control import simple
 from sysid.files import json_text, written_whole
+from sysid.networks.forward import ForwardModel
 from sysid.plant import Plant
 from sysid.progress import Progress
 from sysid.registry import Registry
@@ -96,9 +97,8 @@ def _trained(workspace: str, folder: Path, run: Run, progress: Progress) -> dict
     recipe = run.recipe()
     plant, fitted = load_versions(Registry(Path(workspace)), recipe.plant, recipe.forward)
     forward: Any = {"fitted": fitted, "exact": Exact(fitted, plant), "misread": Misread(fitted, MISREAD)}[run.forward]
-    tuning = simple(plant) if run.arm == DRIVEN[0] else None
-    course = lay_out(plant, fitted, "helix", full=recipe.setting.full, tuning=tuning)
-    trainer = Trainer(*environments(recipe, plant, forward, reach=course.reach, tuning=tuning), recipe)
+    course = _course(plant, fitted, run.arm if recipe.setting.full else None)
+    trainer = Trainer(*environments(recipe, plant, forward, reach=course.reach, tuning=course.tuning), recipe)
     files = TrainingFiles(folder)
     files.load(trainer)
     marks = _Marks(folder / "marks.json", trainer, course)
@@ -125,6 +125,12 @@ def _trained(workspace: str, folder: Path, run: Run, progress: Progress) -> dict
         "episodes": _thinned(trainer.episodes),
         "evaluations": trainer.evaluations,
     }
+
+
+def _course(plant: Plant, forward: ForwardModel, driven: str | None = None) -> Course:
+    """The helix where joints follow at once, or above a controller of :data:`DRIVEN`."""
+    tuning = simple(plant) if driven == DRIVEN[0] else None
+    return lay_out(plant, forward, "helix", full=driven is not None, tuning=tuning)
 
 
 class _Marks:
@@ -173,9 +179,9 @@ def baselines(workspace: str) -> dict[str, list[dict[str, Any]]]:
     """Inverse kinematics on the same helix: where joints follow at once, and above each of :data:`DRIVEN`."""
     recipe = parse_training(read_toml(RECIPES / "quick.toml"), "quick")
     plant, forward = load_versions(Registry(Path(workspace)), recipe.plant, recipe.forward)
-    found = {"at once": [lay_out(plant, forward, "helix").baseline("ik").to_json()]}
+    found = {"at once": [_course(plant, forward).baseline("ik").to_json()]}
     for name in DRIVEN:
-        course = lay_out(plant, forward, "helix", full=True, tuning=simple(plant) if name == DRIVEN[0] else None)
+        course = _course(plant, forward, name)
         ahead = [course.run("ik", InversePolicy(course.inverse), lookahead).to_json() for lookahead in AHEAD]
         found[name] = [ahead[0], min(ahead, key=lambda row: float(row["settled"]["distance_mm"]["rms"]))]
     return found

@@ -138,9 +138,9 @@ class DrivenEnvironment(Copies):
         wanted = self._checked(actions)
         if not np.isfinite(wanted).all():
             raise InputError("environment", "an action that is no finite number", "joint setpoints [rad or m]")
-        lane = self._at()
+        lane, setpoints = self._at(), np.clip(wanted, self.reach.low, self.reach.high)
         for _ in range(self.repeat):
-            lane = self._sample(np.clip(wanted, self.reach.low, self.reach.high), lane)
+            lane = self._sample(setpoints, lane)
         outside = ((wanted < self.reach.low) | (wanted > self.reach.high)).any(axis=1)
         rewards = self.task.reward(lane.ee, self._target, outside)
         self._count += 1
