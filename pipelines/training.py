@@ -4,8 +4,8 @@
 
 Needs the versions that `make demo` makes. It goes on where it was stopped, elsewhere from what the committed result has.
 ``full`` takes some five hours of a core; with ``--minutes`` nothing is begun after so many, and what there is then is written.
-Its result goes to reports/training/, its tables into docs/ddpg.md, its curves into docs/images/training.svg. ``small`` is a
-look at whether everything runs, and stays in the workspace.
+Result, tables and reward curves go to reports/training/, the tables into docs/ddpg.md too. ``small`` is a look at whether
+everything runs, and leaves them in the workspace.
 """
 
 from __future__ import annotations
@@ -19,20 +19,21 @@ import time
 from collections import defaultdict
 from collections.abc import Callable, Sequence
 from dataclasses import asdict
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 
 from committed import provenance, write_result, write_tables
-from sysid.files import json_text, written_whole
+from sysid.files import plain
 from sysid.rl.seeds import side_by_side
 from trained.page import curves, tables
 from trained.peer import peer
-from trained.policies import baselines, one
+from trained.policies import baselines, kept, one
 from trained.runs import ROOT, Run, runs
 
-RESULT, PAGE, PICTURE = ROOT / "reports" / "training" / "result.json", ROOT / "docs" / "ddpg.md", "docs/images/training.svg"
+REPORT, PAGE = ROOT / "reports" / "training", ROOT / "docs" / "ddpg.md"
 #: Share of the episodes and seeds by part.
 TIERS: dict[str, tuple[float, dict[str, int]]] = {
     "small": (0.02, {"policies": 1, "driven": 1, "choices": 1, "candidates": 1, "peer": 1}),
@@ -52,7 +53,7 @@ def main(tier: str, workspace: Path, workers: int | None, minutes: float = math.
     work.mkdir(parents=True, exist_ok=True)
     todo = list(runs(share, seeds))
     if tier == "full":
-        put_back(RESULT, todo, work)
+        put_back(REPORT / "result.json", todo, work)
     results: dict[tuple[str, str], list[dict[str, Any]]] = defaultdict(list)
 
     def train(those: Sequence[Run]) -> None:
@@ -72,16 +73,13 @@ def main(tier: str, workspace: Path, workers: int | None, minutes: float = math.
     head = provenance(f"pipelines/training.py --tier {tier}", 0, ("torch", "stable-baselines3"))
     done = [result for each in results.values() for result in each]
     whole = head | {"listed": len(todo), "baselines": rows, "runs": done, "stable_baselines3": theirs}
-    text, picture = tables(results, theirs, rows, len(todo)), curves(results)
+    text, report = tables(results, theirs, rows, len(todo)), REPORT if tier == "full" else work
+    write_result(report / "result.json", whole)
+    (report / "tables.md").write_text(text + "\n", "utf-8")
+    (report / "curves.svg").write_text(curves(results), "utf-8")
     if tier == "full":
-        write_result(RESULT, whole)
         write_tables(PAGE, text, "pipelines/training.py")
-        (ROOT / PICTURE).write_text(picture, "utf-8")
-        return RESULT
-    (work / "result.json").write_text(json_text(whole), "utf-8")
-    (work / "tables.md").write_text(text + "\n", "utf-8")
-    (work / "curves.svg").write_text(picture, "utf-8")
-    return work / "result.json"
+    return report
 
 
 def put_back(result: Path, todo: Sequence[Run], work: Path) -> None:
@@ -89,14 +87,13 @@ def put_back(result: Path, todo: Sequence[Run], work: Path) -> None:
     if not result.exists():
         return
     known = json.loads(result.read_text("utf-8"))
-    names = {json_text(asdict(run)): run.name for run in todo}
-    kept = {names[text]: each for each in known["runs"] if (text := json_text(each["run"])) in names}
-    kept |= {f"sb3-seed{each['seed']}": each for each in known["stable_baselines3"]}
-    for name, each in kept.items():
-        done = work / f"{name}.json"
-        if not done.exists():
-            with written_whole(done) as half:
-                half.write_text(json_text(each), "utf-8")
+    wanted = {run.name: plain(asdict(run)) for run in todo}
+    for each in known["runs"]:
+        name = Run(**each["run"]).name
+        if wanted.get(name) == each["run"]:
+            kept(work / f"{name}.json", {"run": each["run"]}, math.inf, partial(dict, each))
+    for each in known["stable_baselines3"]:
+        kept(work / f"sb3-seed{each['seed']}.json", {"seed": each["seed"]}, math.inf, partial(dict, each))
 
 
 def _all(

@@ -17,7 +17,7 @@ import numpy.typing as npt
 
 from sysid.config import read_toml
 from sysid.control import simple
-from sysid.files import json_text, written_whole
+from sysid.files import json_text, plain, written_whole
 from sysid.networks.forward import ForwardModel
 from sysid.plant import Plant
 from sysid.progress import Progress
@@ -45,7 +45,7 @@ def kept(done: Path, about: Mapping[str, Any], until: float, made: Callable[[], 
     """
     if done.exists():
         found: dict[str, Any] = json.loads(done.read_text("utf-8"))
-        if {key: found.get(key) for key in about} == json.loads(json_text(about)):
+        if {key: found.get(key) for key in about} == plain(about):
             return found
     if time.time() > until:
         return None

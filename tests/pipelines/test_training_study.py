@@ -86,4 +86,9 @@ def test_what_was_committed_is_not_trained_again(study: ModuleType, tmp_path: Pa
     assert study.one("nowhere", str(work), second, 0.0, lambda share, text: None) is None, "its time was up before it began"
     (work / f"{second.name}.json").write_text(json.dumps(stale))
     assert study.one("nowhere", str(work), second, 0.0, lambda share, text: None) is None, "another recipe left that"
+    turned = outcome(second, 0.003)
+    turned["run"]["changes"] = dict(reversed(turned["run"]["changes"].items()))  # the same recipe, its tables in another order
+    committed.write_text(json.dumps({"runs": [turned], "stable_baselines3": []}))
+    study.put_back(committed, todo, work)
+    assert study.one("nowhere", str(work), second, 0.0, lambda share, text: None)["rmse"] == [0.003, 0.0, 0.0]
     study.put_back(tmp_path / "none.json", todo, work)
