@@ -15,13 +15,14 @@ LINE, LETTER = 20.0, 6.6
 
 @dataclass(frozen=True)
 class Curve:
-    """Points of one line; one without a label is not in the legend."""
+    """Points of one line; one without a label is not in the legend. ``band``: lowest and highest around each point."""
 
     label: str
     colour: str
     x: Sequence[float]
     y: Sequence[float]
     dashed: bool = False
+    band: Sequence[tuple[float, float]] = ()
 
 
 @dataclass(frozen=True)
@@ -51,17 +52,19 @@ def picture(panels: Sequence[Panel], columns: int = 2) -> str:
     style = (
         "text{font:12px sans-serif;fill:#666}line{stroke:#999;stroke-opacity:.35}"
         "line.level{stroke-dasharray:2 4;stroke-opacity:1}"
-        "polyline{fill:none;stroke-width:2}.dashed{stroke-dasharray:4 4;stroke-width:1.4}"
+        "polyline{fill:none;stroke-width:2}.dashed{stroke-dasharray:4 4;stroke-width:1.4}polygon{fill-opacity:.18}"
     )
     size = f'viewBox="0 0 {width:.0f} {y + 12:.0f}" width="{width:.0f}"'
     return f'<svg xmlns="http://www.w3.org/2000/svg" {size}><style>{style}</style>\n' + "\n".join(parts) + "\n</svg>\n"
 
 
 def _panel(panel: Panel, left: float, top: float) -> str:
-    values = [value for curve in panel.curves for value in curve.y] + list((panel.levels or {}).values())
+    values = [value for curve in panel.curves for value in (*curve.y, *(end for pair in curve.band for end in pair))]
+    values += (panel.levels or {}).values()
     low, high = math.floor(math.log10(min(values)) + 1e-9), math.ceil(math.log10(max(values)) - 1e-9)
     high = max(high, low + 1)
     first, last = (math.log10(end(panel.ticks)) for end in (min, max))
+    last = max(last, first + 1e-3)  # of a single point
     begin, end = left + LEFT, left + WIDTH - RIGHT
     ceiling, floor = top + TOP, top + HEIGHT - BOTTOM
 
@@ -83,6 +86,11 @@ def _panel(panel: Panel, left: float, top: float) -> str:
     for value, name in panel.ticks.items():
         parts.append(f'<text x="{px(value):.1f}" y="{floor + 18:.1f}" text-anchor="middle">{name}</text>')
     for curve in panel.curves:
+        if curve.band:
+            edge = [(x, low) for x, (low, _) in zip(curve.x, curve.band, strict=True)]
+            edge += [(x, high) for x, (_, high) in zip(curve.x, curve.band, strict=True)][::-1]
+            corners = " ".join(f"{px(x):.1f},{py(y):.1f}" for x, y in edge)
+            parts.append(f'<polygon points="{corners}" fill="{curve.colour}"/>')
         points = " ".join(f"{px(x):.1f},{py(y):.1f}" for x, y in zip(curve.x, curve.y, strict=True))
         look = ' class="dashed"' if curve.dashed else ""
         parts.append(f'<polyline points="{points}" stroke="{curve.colour}"{look}/>')

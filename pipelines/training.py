@@ -69,14 +69,13 @@ def main(tier: str, workspace: Path, workers: int | None, minutes: float = math.
     peers = _all(peer, [(str(workspace), str(work), seed, limit, until) for seed in range(seeds["peer"])], workers)
     theirs = [each for each in peers if each is not None]
     train([run for run in todo if run.part not in FIRST])
-    rows = baselines(str(workspace))
-    head = provenance(f"pipelines/training.py --tier {tier}", 0, ("torch", "stable-baselines3"))
     done = [result for each in results.values() for result in each]
-    whole = head | {"listed": len(todo), "baselines": rows, "runs": done, "stable_baselines3": theirs}
-    text, report = tables(results, theirs, rows, len(todo)), REPORT if tier == "full" else work
+    head = provenance(f"pipelines/training.py --tier {tier}", 0, ("torch", "stable-baselines3"))
+    whole = head | {"listed": len(todo), "baselines": baselines(str(workspace)), "runs": done, "stable_baselines3": theirs}
+    report, text = REPORT if tier == "full" else work, tables(whole)
     write_result(report / "result.json", whole)
     (report / "tables.md").write_text(text + "\n", "utf-8")
-    (report / "curves.svg").write_text(curves(results), "utf-8")
+    (report / "curves.svg").write_text(curves(whole), "utf-8")
     if tier == "full":
         write_tables(PAGE, text, "pipelines/training.py")
     return report

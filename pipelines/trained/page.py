@@ -2,42 +2,34 @@
 
 from __future__ import annotations
 
+import math
 import statistics
-from collections.abc import Iterator, Mapping, Sequence
+from collections import defaultdict
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from sysid.reports.charts import WIDE, Line, chart
+from log_picture import COLOURS, Curve, Panel, picture
 from trained.runs import CANDIDATES, CHOICES, DRIVEN, FORWARDS, PAPER, SAME, seconds_to
 
 Array = npt.NDArray[np.float64]
 #: What runs left, by part and arm.
 Results = Mapping[tuple[str, str], Sequence[Mapping[str, Any]]]
 
-STYLE = (
-    "<style>text{font:12px sans-serif;fill:#666}.grid,.zero{stroke:#999;stroke-opacity:.35}path{fill:none;stroke-width:2}"
-    ".after{stroke:#0a7d78}.before{stroke:#c2491d}.spread{stroke:none;fill-opacity:.2}.spread.after{fill:#0a7d78}"
-    ".spread.before{fill:#c2491d}</style>"
-)
+#: What stands for what in the curves.
+LOOK = dict(zip(("feedback", "plain"), COLOURS, strict=False))
 
 
-def tables(
-    results: Results,
-    peers: Sequence[Mapping[str, Any]],
-    inverse: Mapping[str, Sequence[Mapping[str, Any]]],
-    listed: int,
-) -> str:
-    """Comparison, full path, choices, candidates, peer, as Markdown; ``inverse``: figures of inverse kinematics.
-
-    ``listed`` runs belong to it, of which some may not be done.
-    """
-    done = sum(map(len, results.values()))
+def tables(result: Mapping[str, Any]) -> str:
+    """Comparison, full path, choices, candidates and peer of the study's result, of which some runs may be missing."""
+    results, inverse = _by_arm(result), result["baselines"]
+    done, listed = len(result["runs"]), result["listed"]
     head = [f"{done} of {listed} policies; the others are not trained yet."] if done < listed else []
     parts = (
         head, _comparison(results, inverse["at once"]), _driven(results, inverse), _choices(results), _candidates(results),
-        _peer(results, peers),
+        _peer(results, result["stable_baselines3"]),
     )  # fmt: skip
     return "\n\n".join(text for part in parts if (text := "\n".join(part)))
 
@@ -102,6 +94,13 @@ def _candidates(results: Results) -> Iterator[str]:
         yield f"| {count} | " + " | ".join(away) + " |"
 
 
+def _by_arm(result: Mapping[str, Any]) -> Results:
+    found: dict[tuple[str, str], list[Mapping[str, Any]]] = defaultdict(list)
+    for each in result["runs"]:
+        found[each["run"]["part"], each["run"]["arm"]].append(each)
+    return found
+
+
 def _arm(results: Results, part: str, arm: str) -> Sequence[Mapping[str, Any]]:
     """The policies of an arm of an ablation; where the comparison has trained them, those with the seeds of the other arms."""
     if (same := SAME.get((part, arm))) is None:
@@ -124,24 +123,37 @@ def _peer(results: Results, peers: Sequence[Mapping[str, Any]]) -> Iterator[str]
     yield f"{_times(theirs)}, given {max(result['limit'] for result in peers):.0f} s ({reached})."
 
 
-def curves(results: Results) -> str:
-    """Reward curves with their spread over the seeds, feedback (green) and plain (orange), of both recipes."""
-    parts = []
-    for number, (part, title) in enumerate((("paper", "the paper's recipe, cut"), ("quick", "quick.toml"))):
-        lines, x = [], np.zeros(1)
-        for arm, look in (("feedback", "after"), ("plain", "before")):
-            found = [[entry["distance"] for entry in result["episodes"]] for result in results.get((part, arm), ())]
-            if not found:
-                continue
-            table = 1e3 * np.array([row[: min(map(len, found))] for row in found])
-            x = np.array([entry["step"] for entry in results[part, arm][0]["episodes"]])[: table.shape[1]] / 1e3
-            lines.append(Line(table.mean(axis=0), look, spread=table.std(axis=0) if len(table) > 1 else None))
-        drawn = chart(x, lines, ("thousand steps", f"{title}: distance [mm]"), size=WIDE)
-        parts.append(
-            drawn.replace("<svg ", f'<svg x="{number * WIDE[0]:.0f}" width="{WIDE[0]:.0f}" height="{WIDE[1]:.0f}" ', 1)
-        )
-    size = f'viewBox="0 0 {2 * WIDE[0]:.0f} {WIDE[1]:.0f}" width="{2 * WIDE[0]:.0f}"'
-    return f'<svg xmlns="http://www.w3.org/2000/svg" {size}>{STYLE}{"".join(parts)}</svg>\n'
+def curves(result: Mapping[str, Any]) -> str:
+    """How both recipes learn: the distance while exploring, which is the reward, and that of the actor alone on the helix."""
+    results = _by_arm(result)
+    level = {"the paper's policy 1": 1e3 * float(np.linalg.norm(PAPER["feedback"]))}
+    panels = []
+    for part, title in (("paper", "the paper's recipe, cut"), ("quick", "quick.toml")):
+        exploring, alone = [], []
+        for arm, colour in LOOK.items():
+            if each := results.get((part, arm)):
+                exploring.append(_curve(arm, colour, each, "episodes", lambda entry: 1e3 * entry["distance"]))
+                alone.append(_curve(arm, colour, each, "marks", lambda entry: 1e3 * float(np.linalg.norm(entry["rmse"]))))
+        if exploring:
+            panels.append(Panel(f"{title}: distance while exploring [mm]", exploring, _steps(exploring)))
+            panels.append(Panel(f"{title}: actor alone on the helix, RMS [mm]", alone, _steps(alone), level))
+    return picture(panels)
+
+
+def _curve(
+    label: str, colour: str, results: Sequence[Mapping[str, Any]], key: str, value: Callable[[Mapping[str, Any]], float]
+) -> Curve:
+    """Median of the seeds over their steps, and how far they lie apart."""
+    steps = [entry["step"] for entry in results[0][key]]
+    found = np.sort([[value(entry) for entry in result[key]] for result in results], axis=0)
+    return Curve(label, colour, steps, np.median(found, axis=0).tolist(), band=list(zip(found[0], found[-1], strict=True)))
+
+
+def _steps(curves: Sequence[Curve]) -> dict[float, str]:
+    """Ticks: first and last step, and the powers of ten between them."""
+    first, last = curves[0].x[0], curves[0].x[-1]
+    powers = [10.0**k for k in range(math.ceil(math.log10(1.5 * first)), math.floor(math.log10(last / 1.5)) + 1)]
+    return {step: f"{step / 1e3:,.3g}k" for step in (first, *powers, last)}
 
 
 def _afar(results: Sequence[Mapping[str, Any]]) -> Array:

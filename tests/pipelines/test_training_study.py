@@ -5,12 +5,12 @@ from __future__ import annotations
 import importlib
 import json
 import sys
-from collections import defaultdict
 from collections.abc import Iterator
 from dataclasses import asdict
 from pathlib import Path
 from types import ModuleType
 from typing import Any
+from xml.etree import ElementTree
 
 import pytest
 
@@ -50,12 +50,12 @@ def test_tables_of_what_there_is(study: ModuleType) -> None:
     share, seeds = study.TIERS["full"]
     todo = [run for run in study.runs(share, seeds) if run.part == "quick" and (run.arm, run.seed) != ("plain", 0)][:3]
     assert [(run.arm, run.seed) for run in todo] == [("feedback", 0), ("feedback", 1), ("plain", 1)]
-    results: dict[tuple[str, str], list[dict[str, Any]]] = defaultdict(list)
-    for run, distance in zip(todo, (0.009, 0.002, 0.004), strict=True):
-        results[run.part, run.arm].append(outcome(run, distance))
+    done = [outcome(run, distance) for run, distance in zip(todo, (0.009, 0.002, 0.004), strict=True)]
     figures = {"policy": "ik", "rmse_mm": [0.0, 0.1, 0.2], "max_mm": [1.0, 1.0, 1.0]}
     row = {**figures, "lookahead_s": 0.7, "settled": {"rmse_mm": [61.0, 60.0, 7.0]}}
-    text = study.tables(results, [], {"at once": [row], **{name: [row, row] for name in ("by hand", "from the plant")}}, 90)
+    baselines = {"at once": [row], "by hand": [row, row], "from the plant": [row, row]}
+    result = {"listed": 90, "baselines": baselines, "runs": done, "stable_baselines3": []}
+    text = study.tables(result)
     assert text.startswith("3 of 90 policies; the others are not trained yet.")
     assert "in 1 of 1 seeds (quick)" in text
     assert "in 0 of 0 seeds (paper)" in text
@@ -67,7 +67,15 @@ def test_tables_of_what_there_is(study: ModuleType) -> None:
     assert "driven.toml" not in text
     assert "has not been run yet" in text
     assert "| 10 | – | – | – |" in text
-    assert study.curves(results).startswith("<svg")
+    drawn = ElementTree.fromstring(study.curves(result))
+    assert len(list(drawn.iter("{http://www.w3.org/2000/svg}polygon"))) == 4, "two arms, exploring and alone"
+
+
+def test_page_and_curves_are_those_of_the_result(study: ModuleType) -> None:
+    result = json.loads((study.REPORT / "result.json").read_text("utf-8"))
+    assert study.tables(result) in study.PAGE.read_text("utf-8")
+    assert (study.REPORT / "tables.md").read_text("utf-8") == study.tables(result) + "\n"
+    assert (study.REPORT / "curves.svg").read_text("utf-8") == study.curves(result)
 
 
 def test_what_was_committed_is_not_trained_again(study: ModuleType, tmp_path: Path) -> None:
