@@ -90,7 +90,7 @@ def judged(machine: Machine, forward: ForwardRecipe, seed: int) -> dict[str, Any
 
 def learned(machine: Machine, forward: ForwardRecipe, seed: int, q: Array, rng: np.random.Generator) -> AnyForward:
     """A model of the poses ``q``."""
-    dataset = Dataset("poses", 1, "0" * 64, machine, (measured(machine, q, rng),), {})
+    dataset = Dataset.of(machine, (measured(machine, q, rng),))
     return fit_forward(dataset, NetworkRecipe(seed=seed, forward=forward))
 
 

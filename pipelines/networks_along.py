@@ -134,7 +134,7 @@ def cylinders(width: float) -> Dataset:
                 table[f"{name}.joint"] = truth.joint[at, column] + noise.normal(0.0, machine.noise[f"{name}.joint"], len(at))
         recordings.append(Recording(take.name, pd.DataFrame(table), machine.rate_hz))
     roles = {recording.name: "fit" for recording in recordings} | {"run-4": "select", "run-5": "held_out"}
-    return Dataset("play", 1, "0" * 64, machine, tuple(recordings), {}, roles)  # type: ignore[arg-type]
+    return Dataset.of(machine, recordings, roles)  # type: ignore[arg-type]
 
 
 def motion(data: Dataset, recipe: NetworkRecipe) -> dict[str, Any]:
@@ -186,7 +186,7 @@ def pressure_data(valve: Array, oil: Array) -> Dataset:
         return Recording(name, pd.DataFrame(table), machine.rate_hz)
 
     parts = (recording("fit", 0, CUT), recording("select", CUT, HALF), recording("held_out", HALF, len(oil)))
-    return Dataset("pressure", 1, "0" * 64, machine, parts, {}, {part.name: part.name for part in parts})  # type: ignore[misc]
+    return Dataset.of(machine, parts, {part.name: part.name for part in parts})  # type: ignore[misc]
 
 
 def second_half(network: MotionNetwork, valve: Array, oil: Array) -> float:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 import pandas as pd
 
-from sysid.errors import StoreError, nearest
+from sysid.errors import InputError, StoreError, nearest
 from sysid.machine import Machine
 
 Role = Literal["fit", "select", "held_out"]
@@ -110,6 +110,23 @@ class Dataset:
     clocks: tuple[ClockRecord, ...] = ()
     quality: Mapping[str, Any] = field(default_factory=dict)
     streams: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+
+    @classmethod
+    def of(cls, machine: Machine, recordings: Iterable[Recording], splits: Mapping[str, Role] | None = None) -> Dataset:
+        """Tables that are in memory already, as a dataset that lies in no store: version 1, a digest of zeros.
+
+        Raises:
+            InputError: two recordings of one name, or a role of a recording that is not there.
+        """
+        recordings, splits = tuple(recordings), dict(splits or {})
+        names = [recording.name for recording in recordings]
+        for name in names:
+            if names.count(name) > 1:
+                raise InputError(f"recordings of {machine.name}", f"{names.count(name)} named {name!r}", "a name for each")
+        for name in splits:
+            if name not in names:
+                raise InputError(f"splits of {machine.name}", f"a role of {name!r}", nearest(name, names))
+        return cls(machine.name, 1, "0" * 64, machine, recordings, {}, splits)
 
     @property
     def reference(self) -> str:

@@ -56,7 +56,7 @@ def recording(name: str, columns: Mapping[str, object], kind: Kind = "motion") -
 
 
 def dataset(*recordings: Recording, **splits: str) -> Dataset:
-    return Dataset("two", 1, "0" * 64, machine(), recordings, {}, splits)  # type: ignore[arg-type]
+    return Dataset.of(machine(), recordings, splits)  # type: ignore[arg-type]
 
 
 def driven(command: Array, start: float = 0.0, noise: float = 0.0, seed: int = 0) -> Array:

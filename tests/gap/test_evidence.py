@@ -95,7 +95,7 @@ def disturbed(seed: int, *hidden: KnownEffect) -> Dataset:
         recordings.append(
             type(recording)(recording.name, table.assign(**{"slew.joint": recording.values("slew.joint") + drift}), 100.0)
         )
-    return Dataset("arm", 1, "0" * 64, truth.machine, tuple(recordings), {}, dataset.splits)
+    return Dataset.of(truth.machine, recordings, dataset.splits)
 
 
 @pytest.mark.slow

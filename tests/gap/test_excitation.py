@@ -122,7 +122,7 @@ def test_an_effect_that_nothing_excites_is_not_tried_but_reported() -> None:
         noise = np.random.default_rng(0).normal(0, 2e-4, len(r))
         table = r.table[["time"]].assign(**columns)
         one_way.append(Recording(r.name, table.assign(**{"slew.joint": turned + noise}), 100.0))
-    result = find_gap(type(dataset)("arm", 1, "0" * 64, arm(), tuple(one_way), {}, dataset.splits), nominal())
+    result = find_gap(type(dataset).of(arm(), one_way, dataset.splits), nominal())
     lacking = {(e.name, e.target) for e in result.excitation if not e.sufficient}
     assert {("backlash", "slew"), ("valve_deadband", "slew"), ("asymmetric_gain", "slew")} <= lacking
     assert not {(e.name, e.target) for e in result.effects} & lacking

@@ -88,7 +88,7 @@ def lift_data(front: Any = as_it_is, behind: Any = as_it_is, seconds: float = 30
         }
         recordings.append(Recording(f"run-{k + 1}", pd.DataFrame(columns), 50.0))
     splits = {r.name: role for r, role in zip(recordings, ROLES, strict=True)}
-    return Dataset("lift", 1, "0" * 64, machine_from_files({"machine.toml": LIFT}, "lift"), tuple(recordings), {}, splits)
+    return Dataset.of(machine_from_files({"machine.toml": LIFT}, "lift"), recordings, splits)
 
 
 @pytest.mark.parametrize(

@@ -125,7 +125,7 @@ def dataset(recordings: tuple[Recording, ...] | None = None, splits: dict[str, R
     if recordings is None:
         recordings = (motion("run-1", 40.0, 1), motion("run-2", 20.0, 2), motion("run-3", 20.0, 3), poses())
         splits = {"run-1": "fit", "run-2": "select", "run-3": "held_out"} if splits is None else splits
-    return Dataset("crane", 1, "0" * 64, crane(), recordings, {}, splits or {})
+    return Dataset.of(crane(), recordings, splits)
 
 
 def replaced(recording: Recording, signal: str, values: Array | float) -> Recording:

@@ -6,7 +6,7 @@ import numpy as np
 import numpy.typing as npt
 import pandas as pd
 
-from sysid.datasets.recording import Dataset, Recording
+from sysid.datasets.recording import Dataset, Recording, Role
 from sysid.machine import Linkage, Machine, TriangleLinkage, machine_from_files
 
 Array = npt.NDArray[np.float64]
@@ -86,5 +86,5 @@ def dataset(width: float = 0.0, **valve: float) -> Dataset:
 
 
 def with_roles(recordings: tuple[Recording, ...], machine: Machine | None = None) -> Dataset:
-    roles = {recording.name: "fit" for recording in recordings} | {"run-2": "select", "run-3": "held_out"}
-    return Dataset("lift", 1, "0" * 64, machine or lift(), recordings, {}, roles)  # type: ignore[arg-type]
+    roles: dict[str, Role] = {"run-2": "select", "run-3": "held_out"}
+    return Dataset.of(machine or lift(), recordings, {each.name: roles.get(each.name, "fit") for each in recordings})

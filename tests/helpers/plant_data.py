@@ -221,7 +221,7 @@ def dataset_of(truth: Plant, seconds: float = 25.0, seed: int = 0, noise: float 
         inputs = (push if force else arm_inputs)(name, seconds, 10 * seed + k)
         recordings.append(measured(truth, inputs, 10 * seed + k, noise))
     splits = {r.name: role for r, role in zip(recordings, ROLES, strict=True)}
-    return Dataset(truth.machine.name, 1, "0" * 64, truth.machine, tuple(recordings), {}, splits)
+    return Dataset.of(truth.machine, recordings, splits)
 
 
 #: Streams of a machine whose boom and tool are seen by motion capture.

@@ -78,4 +78,4 @@ def disturbed_dataset(rate: Rate, seed: int = 0, seconds: float = 30.0) -> Datas
     """Two recordings to fit, one to select, one held out; tip and tool are not measured."""
     recordings = tuple(disturbed(f"run-{k + 1}", rate, 10 * seed + k, seconds) for k in range(len(ROLES)))
     splits = {r.name: role for r, role in zip(recordings, ROLES, strict=True)}
-    return Dataset("arm", 1, "0" * 64, MACHINE, recordings, {}, splits)
+    return Dataset.of(MACHINE, recordings, splits)

@@ -43,7 +43,7 @@ def slow_dataset(truth: Plant, seconds: float) -> Dataset:
     inputs = slide_inputs if truth.machine.name == "slide" else slow_inputs
     recordings = tuple(measured(truth, inputs(f"run-{k + 1}", seconds, k), k) for k in range(len(ROLES)))
     splits = {r.name: role for r, role in zip(recordings, ROLES, strict=True)}
-    return Dataset(truth.machine.name, 1, "0" * 64, truth.machine, recordings, {}, splits)
+    return Dataset.of(truth.machine, recordings, splits)
 
 
 def with_experiments(dataset: Dataset, truth: Plant, experiments: Sequence[Experiment]) -> Dataset:

@@ -55,7 +55,7 @@ def slewing(
 def gathered(machine: Machine, runs: Sequence[Recording]) -> Dataset:
     """A dataset of recordings, one for every role."""
     splits = dict(zip((r.name for r in runs), ROLES, strict=True))
-    return Dataset(machine.name, 1, "0" * 64, machine, tuple(runs), {}, splits)
+    return Dataset.of(machine, runs, splits)
 
 
 def named_at_slew(dataset: Dataset, plant: Plant, strict: Strictness) -> set[str]:
