@@ -22,6 +22,7 @@ from stored import small_dataset
 from sysid.datasets import Store, vacuum
 from sysid.datasets.versions.local_files import LocalFiles
 from sysid.datasets.versions.manifest import Made, to_text
+from sysid.datasets.versions.object_files import ObjectFiles
 from sysid.errors import StorageError, StoreError
 
 BETWEEN = multiprocessing.get_context("forkserver")
@@ -258,6 +259,25 @@ def _write(workspace: str, seed: int, start: Any, results: Any) -> None:
     dataset, channels = small_dataset(seed)
     start.wait()
     results.put((seed, Store(workspace).save(dataset, channels, Made(1)).reference))
+
+
+def test_a_folder_that_another_writer_makes_while_it_is_listed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Arrow finds no folder, looks whether it is there, and by then it is: an error that is none."""
+    (tmp_path / "versions").mkdir()
+    (tmp_path / "versions" / "000001.json").write_text("{}")
+    files = ObjectFiles(f"file://{tmp_path}")
+    system, root = files._open()
+    looks = iter([FileNotFoundError(2, "Cannot list directory")])
+
+    class Late:
+        def get_file_info(self, selector: object) -> object:
+            for error in looks:
+                raise error
+            return system.get_file_info(selector)
+
+    monkeypatch.setattr(ObjectFiles, "_open", lambda self: (Late(), root))
+    assert files.names("versions") == ["000001.json"]
+    assert files.names("nowhere") == []
 
 
 @pytest.mark.parametrize("scheme", ["", "file://"])

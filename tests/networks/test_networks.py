@@ -268,13 +268,11 @@ def without(data: Dataset, *signals: str) -> Dataset:
         (lambda d: without(d, "boom.joint", "stick.joint"), r"crane@1: no axis with both <axis>.cylinder and <axis>.joint"),
         (lambda d: replace(d, splits={"run-3": "held_out"}), r"no motion recording to fit that measures boom.cylinder"),
         (
-            lambda d: dataset(
-                (replaced(motion("a", 20.0), "boom.cylinder", 0.05), *d.recordings[1:3]), {**d.splits, "a": "fit"}
-            ),
+            lambda d: dataset((replaced(motion("run-1", 20.0), "boom.cylinder", 0.05), *d.recordings[1:3]), dict(d.splits)),
             r"network boom to_joint: boom.cylinder is constant \(0.05\)",
         ),
         (
-            lambda d: dataset((motion("a", 0.5), *d.recordings[1:]), {**d.splits, "a": "fit"}),
+            lambda d: dataset((motion("run-1", 0.5), *d.recordings[1:]), dict(d.splits)),
             r"axis 'boom': \d+ fit rows with both cylinder and joint; expected at least 100",
         ),
     ],

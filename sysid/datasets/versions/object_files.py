@@ -39,7 +39,11 @@ class ObjectFiles:
 
         system, root = self._open()
         selector = FileSelector(f"{root}/{folder}", allow_not_found=True)
-        return sorted(entry.base_name for entry in system.get_file_info(selector) if entry.type.name == kind)
+        try:
+            entries = system.get_file_info(selector)
+        except FileNotFoundError:  # Arrow lists, finds nothing, and looks again: another writer made the folder in between
+            entries = system.get_file_info(selector)
+        return sorted(entry.base_name for entry in entries if entry.type.name == kind)
 
     def names(self, folder: str) -> list[str]:
         return self._entries(folder, "File")
