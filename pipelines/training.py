@@ -3,7 +3,7 @@
 .venv/bin/python pipelines/training.py [--tier small|full] [--workers N] [--workspace DIR] [--minutes N]
 
 Needs the versions that `make demo` makes. It goes on where it was stopped, elsewhere from what the committed result has.
-``full`` takes some five hours of a core; with ``--minutes`` nothing is begun after so many, and what there is then is written.
+``full`` takes some six hours of a core; with ``--minutes`` nothing is begun after so many, and what there is then is written.
 Result, tables and reward curves go to reports/training/, the tables into docs/ddpg.md too. ``small`` is a look at whether
 everything runs, and leaves them in the workspace.
 """
@@ -36,8 +36,8 @@ from trained.runs import ROOT, Run, runs
 REPORT, PAGE = ROOT / "reports" / "training", ROOT / "docs" / "ddpg.md"
 #: Share of the episodes and seeds by part.
 TIERS: dict[str, tuple[float, dict[str, int]]] = {
-    "small": (0.02, {"policies": 1, "driven": 1, "choices": 1, "candidates": 1, "peer": 1}),
-    "full": (1.0, {"policies": 5, "driven": 3, "choices": 3, "candidates": 3, "peer": 3}),
+    "small": (0.02, {"policies": 1, "whole": 1, "driven": 1, "choices": 1, "candidates": 1, "peer": 1}),
+    "full": (1.0, {"policies": 5, "whole": 1, "driven": 3, "choices": 3, "candidates": 3, "peer": 3}),
 }
 #: SB3 gets so many times the processor time of a whole quick policy.
 PATIENCE = 5.0

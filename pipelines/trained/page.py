@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from log_picture import COLOURS, Curve, Panel, picture
-from trained.runs import CANDIDATES, CHOICES, DRIVEN, FORWARDS, PAPER, SAME, seconds_to
+from trained.runs import CANDIDATES, CHOICES, DRIVEN, EVERY, FORWARDS, PAPER, SAME, seconds_to
 
 Array = npt.NDArray[np.float64]
 #: What runs left, by part and arm.
@@ -40,7 +40,8 @@ def _comparison(results: Results, inverse: Sequence[Mapping[str, Any]]) -> Itera
     for arm, number in (("feedback", 1), ("plain", 2)):
         worst = "27.2/14.5/26.3" if number == 1 else "–"
         yield f"| the paper's policy {number} ({arm}) | 1 | {_mm(PAPER[arm])} | {worst} | – |"
-    for part, what in (("paper", "the paper's recipe, cut to 60 000 updates"), ("quick", "`quick.toml`")):
+    whole = f"the paper's recipe, one update every {EVERY} steps"
+    for part, what in (("whole", whole), ("paper", "the paper's recipe, cut to 60 000 updates"), ("quick", "`quick.toml`")):
         for arm in ("feedback", "plain"):
             if each := results.get((part, arm)):
                 cpu = statistics.median(result["cpu_seconds"] for result in each)

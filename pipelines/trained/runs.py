@@ -21,6 +21,8 @@ CUT: dict[str, dict[str, Any]] = {
     "learning": {"batch": 256},
     "setting": {"task": {"steps": 40}},
 }
+#: Steps to an update where nothing else of it is cut, and episodes between two looks at the helix.
+EVERY, LOOK = 25, 20
 #: One thing at a time that the quick recipe does otherwise.
 CHOICES: dict[str, dict[str, Any]] = {
     "as it is": {},
@@ -85,17 +87,24 @@ class Run:
 def runs(share: float, seeds: Mapping[str, int]) -> Iterator[Run]:
     """All runs of the study, each policy once; ``share`` of their episodes, ``seeds`` by part."""
 
+    def shortened(episodes: int, least: int = 3) -> int:
+        return max(least, round(share * episodes))
+
     def cut(base: str, changes: Mapping[str, Any]) -> dict[str, Any]:
         recipe = read_toml(RECIPES / f"{base}.toml")
         own = CUT if base in PAPER else {}
         whole = {key: {**own.get(key, {}), **changes.get(key, {})} for key in ("networks", "learning", *own, *changes)}
-        whole["learning"]["episodes"] = max(3, round(share * recipe["learning"]["episodes"]), recipe["setting"]["copies"])
+        whole["learning"]["episodes"] = shortened(recipe["learning"]["episodes"], max(3, recipe["setting"]["copies"]))
         return whole
 
     for seed in range(seeds["policies"]):
         for arm, changes in (("feedback", {}), ("plain", {"exploration": {"candidates": 1}})):
             yield Run("quick", arm, seed, "quick", cut("quick", changes))
             yield Run("paper", arm, seed, arm, cut(arm, {}))
+    for seed in range(seeds["whole"]):
+        episodes = shortened(read_toml(RECIPES / "feedback.toml")["learning"]["episodes"])
+        changes = {"evaluations": max(1, episodes // LOOK), "learning": {"every": EVERY, "episodes": episodes}}
+        yield Run("whole", "feedback", seed, "feedback", changes)
     for seed in range(seeds["driven"]):
         for arm in DRIVEN:
             yield Run("driven", arm, seed, "driven", cut("driven", {}))
