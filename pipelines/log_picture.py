@@ -87,8 +87,8 @@ def _panel(panel: Panel, left: float, top: float) -> str:
         parts.append(f'<text x="{px(value):.1f}" y="{floor + 18:.1f}" text-anchor="middle">{name}</text>')
     for curve in panel.curves:
         if curve.band:
-            edge = [(x, low) for x, (low, _) in zip(curve.x, curve.band, strict=True)]
-            edge += [(x, high) for x, (_, high) in zip(curve.x, curve.band, strict=True)][::-1]
+            low_edge, high_edge = zip(*curve.band, strict=True)
+            edge = [*zip(curve.x, low_edge, strict=True), *zip(reversed(curve.x), reversed(high_edge), strict=True)]
             corners = " ".join(f"{px(x):.1f},{py(y):.1f}" for x, y in edge)
             parts.append(f'<polygon points="{corners}" fill="{curve.colour}"/>')
         points = " ".join(f"{px(x):.1f},{py(y):.1f}" for x, y in zip(curve.x, curve.y, strict=True))

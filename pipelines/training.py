@@ -16,7 +16,6 @@ import math
 import statistics
 import sys
 import time
-from collections import defaultdict
 from collections.abc import Callable, Sequence
 from dataclasses import asdict
 from functools import partial
@@ -28,7 +27,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parent))
 from committed import provenance, write_result, write_tables
 from sysid.files import plain
 from sysid.rl.seeds import side_by_side
-from trained.page import curves, tables
+from trained.page import by_arm, curves, tables
 from trained.peer import peer
 from trained.policies import baselines, kept, one
 from trained.runs import ROOT, Run, runs
@@ -54,22 +53,20 @@ def main(tier: str, workspace: Path, workers: int | None, minutes: float = math.
     todo = list(runs(share, seeds))
     if tier == "full":
         put_back(REPORT / "result.json", todo, work)
-    results: dict[tuple[str, str], list[dict[str, Any]]] = defaultdict(list)
+    done: list[dict[str, Any]] = []
 
     def train(those: Sequence[Run]) -> None:
         found = _all(one, [(str(workspace), str(work), run, until) for run in those], workers)
-        for run, result in zip(those, found, strict=True):
-            if result is not None:
-                results[run.part, run.arm].append(result)
+        done.extend(result for result in found if result is not None)
 
     train([run for run in todo if run.part in FIRST])
-    if not results["quick", "feedback"]:
+    quick = by_arm(done)["quick", "feedback"]
+    if not quick:
         raise SystemExit(f"no policy of quick.toml was done in {minutes:g} minutes; give it more, the next start goes on")
-    limit = PATIENCE * statistics.median(result["cpu_seconds"] for result in results["quick", "feedback"])
+    limit = PATIENCE * statistics.median(result["cpu_seconds"] for result in quick)
     peers = _all(peer, [(str(workspace), str(work), seed, limit, until) for seed in range(seeds["peer"])], workers)
     theirs = [each for each in peers if each is not None]
     train([run for run in todo if run.part not in FIRST])
-    done = [result for each in results.values() for result in each]
     head = provenance(f"pipelines/training.py --tier {tier}", 0, ("torch", "stable-baselines3"))
     whole = head | {"listed": len(todo), "baselines": baselines(str(workspace)), "runs": done, "stable_baselines3": theirs}
     report, text = REPORT if tier == "full" else work, tables(whole)

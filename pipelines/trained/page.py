@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import statistics
 from collections import defaultdict
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -19,12 +19,12 @@ Array = npt.NDArray[np.float64]
 Results = Mapping[tuple[str, str], Sequence[Mapping[str, Any]]]
 
 #: What stands for what in the curves.
-LOOK = dict(zip(("feedback", "plain"), COLOURS, strict=False))
+COLOUR = dict(zip(("feedback", "plain"), COLOURS, strict=False))
 
 
 def tables(result: Mapping[str, Any]) -> str:
     """Comparison, full path, choices, candidates and peer of the study's result, of which some runs may be missing."""
-    results, inverse = _by_arm(result), result["baselines"]
+    results, inverse = by_arm(result["runs"]), result["baselines"]
     done, listed = len(result["runs"]), result["listed"]
     head = [f"{done} of {listed} policies; the others are not trained yet."] if done < listed else []
     parts = (
@@ -95,9 +95,10 @@ def _candidates(results: Results) -> Iterator[str]:
         yield f"| {count} | " + " | ".join(away) + " |"
 
 
-def _by_arm(result: Mapping[str, Any]) -> Results:
+def by_arm(runs: Iterable[Mapping[str, Any]]) -> Results:
+    """What ``runs`` left; an arm that nobody has trained is empty."""
     found: dict[tuple[str, str], list[Mapping[str, Any]]] = defaultdict(list)
-    for each in result["runs"]:
+    for each in runs:
         found[each["run"]["part"], each["run"]["arm"]].append(each)
     return found
 
@@ -117,24 +118,21 @@ def _peer(results: Results, peers: Sequence[Mapping[str, Any]]) -> Iterator[str]
         yield "has not been run yet."
         return
     theirs = [seconds_to(result, PAPER["feedback"]) for result in peers]
-    reached = "; ".join(
-        f"{_mm(min((mark['rmse'] for mark in result['marks']), key=lambda rmse: float(np.linalg.norm(rmse))))} mm at best"
-        for result in peers
-    )
+    reached = "; ".join(f"{_mm(min(result['marks'], key=_distance)['rmse'])} mm at best" for result in peers)
     yield f"{_times(theirs)}, given {max(result['limit'] for result in peers):.0f} s ({reached})."
 
 
 def curves(result: Mapping[str, Any]) -> str:
     """How both recipes learn: the distance while exploring, which is the reward, and that of the actor alone on the helix."""
-    results = _by_arm(result)
+    results = by_arm(result["runs"])
     level = {"the paper's policy 1": 1e3 * float(np.linalg.norm(PAPER["feedback"]))}
     panels = []
     for part, title in (("paper", "the paper's recipe, cut"), ("quick", "quick.toml")):
         exploring, alone = [], []
-        for arm, colour in LOOK.items():
+        for arm, colour in COLOUR.items():
             if each := results.get((part, arm)):
                 exploring.append(_curve(arm, colour, each, "episodes", lambda entry: 1e3 * entry["distance"]))
-                alone.append(_curve(arm, colour, each, "marks", lambda entry: 1e3 * float(np.linalg.norm(entry["rmse"]))))
+                alone.append(_curve(arm, colour, each, "marks", _distance))
         if exploring:
             panels.append(Panel(f"{title}: distance while exploring [mm]", exploring, _steps(exploring)))
             panels.append(Panel(f"{title}: actor alone on the helix, RMS [mm]", alone, _steps(alone), level))

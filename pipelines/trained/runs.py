@@ -22,7 +22,7 @@ CUT: dict[str, dict[str, Any]] = {
     "setting": {"task": {"steps": 40}},
 }
 #: Steps to an update where nothing else of it is cut, and episodes between two looks at the helix.
-EVERY, LOOK = 25, 20
+EVERY, APART = 25, 20
 #: One thing at a time that the quick recipe does otherwise.
 CHOICES: dict[str, dict[str, Any]] = {
     "as it is": {},
@@ -103,7 +103,7 @@ def runs(share: float, seeds: Mapping[str, int]) -> Iterator[Run]:
             yield Run("paper", arm, seed, arm, cut(arm, {}))
     for seed in range(seeds["whole"]):
         episodes = shortened(read_toml(RECIPES / "feedback.toml")["learning"]["episodes"])
-        changes = {"evaluations": max(1, episodes // LOOK), "learning": {"every": EVERY, "episodes": episodes}}
+        changes = {"evaluations": max(1, episodes // APART), "learning": {"every": EVERY, "episodes": episodes}}
         yield Run("whole", "feedback", seed, "feedback", changes)
     for seed in range(seeds["driven"]):
         for arm in DRIVEN:

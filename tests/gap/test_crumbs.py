@@ -53,9 +53,8 @@ def spooled() -> Dataset:
 
 def test_what_a_formula_is_off_by_is_no_second_effect(monkeypatch: pytest.MonkeyPatch) -> None:
     """The owner knows the spool as a lag; where it cannot keep up it is a lag behind a limit, but not quite."""
-    monkeypatch.setattr(
-        "sysid.gap.search.makeshift", lambda fit, strange: []
-    )  # which says the same of these two by their names
+    # By their names, makeshift says the same of these two.
+    monkeypatch.setattr("sysid.gap.search.makeshift", lambda fit, strange: [])
     plant = nominal(KnownEffect("first_order_lag", "slew", {"time_constant": 2.0 * DAMPING / FREQUENCY}))
     dataset = spooled()
     assert named_at_slew(dataset, plant, Strictness()) == {"command_rate_limit"}
