@@ -24,7 +24,7 @@ from sysid.cli.stability import show_stability
 from sysid.cli.tables import show_gap
 from sysid.datasets import Dataset, Recording, ingest
 from sysid.gap import find_gap
-from sysid.gap.stability import stability
+from sysid.gap.repeatability import stability
 from sysid.logs import ReadOptions, reader_named
 from sysid.machine import KnownEffect
 from sysid.plant import Plant, free_run

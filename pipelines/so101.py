@@ -16,7 +16,7 @@ from sysid.cli.stability import show_stability
 from sysid.cli.tables import show_gap
 from sysid.datasets import ingest
 from sysid.gap import GapResult, find_gap
-from sysid.gap.stability import stability
+from sysid.gap.repeatability import stability
 from sysid.machine import load_machine
 from sysid.reports import write_report
 from sysid.workspace import open_workspace

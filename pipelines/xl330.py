@@ -25,7 +25,7 @@ from sysid.config import read_toml
 from sysid.datasets import Dataset, ingest
 from sysid.datasets.recording import Role
 from sysid.gap import GapResult, find_gap
-from sysid.gap.stability import stability
+from sysid.gap.repeatability import stability
 from sysid.logs import ReadOptions, reader_named
 from sysid.reports import write_report
 from sysid.workspace import Workspace, open_workspace

@@ -22,7 +22,7 @@ from sysid.datasets import Dataset, Store, Vacuumed, vacuum
 from sysid.datasets.clocks.residual import clock_residuals
 from sysid.errors import ExcitationError, SettingsError, StoreError
 from sysid.gap import GapResult
-from sysid.gap.readiness import readiness
+from sysid.gap.experiment.excitation_verdict import readiness
 from sysid.networks import (
     ActuatorNetwork,
     Model,

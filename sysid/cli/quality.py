@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
     from sysid.datasets import Dataset
     from sysid.datasets.quality import Evidence
-    from sysid.gap.readiness import Readiness
+    from sysid.gap.experiment.excitation_verdict import Readiness
 
 #: Flags listed of one dataset; JSON has all of them.
 MOST_FLAGS = 12
@@ -21,7 +21,7 @@ MOST_FLAGS = 12
 def show_quality(workspace: str, reference: str | None, json_file: str | None) -> None:
     """Print evidence, flags and the verdict for every effect; the same as JSON where it is asked for."""
     from sysid.datasets.quality import evidence_of
-    from sysid.gap.readiness import readiness
+    from sysid.gap.experiment.excitation_verdict import readiness
     from sysid.workspace import open_workspace
 
     place = open_workspace(workspace)

@@ -8,7 +8,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from sysid.cli.output import Printer
-    from sysid.gap.stability import Repeat
+    from sysid.gap.repeatability import Repeat
     from sysid.machine import Machine
 
 

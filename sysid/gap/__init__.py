@@ -1,9 +1,9 @@
 """The gap workflow: where simulation and machine disagree, what the missing effect is called, and the proof."""
 
 from sysid.gap import steps
-from sysid.gap.around import Around, around_simulator
+from sysid.gap.adapters.adapter import Around, around_simulator
+from sysid.gap.adapters.simulator import BatchSimulator, Simulator, starting_value
 from sysid.gap.result import GapResult
-from sysid.gap.simulator import BatchSimulator, Simulator, starting_value
 from sysid.gap.strictness import Strictness
 from sysid.gap.workflow import find_gap
 

@@ -11,8 +11,9 @@ import pandas as pd
 
 from sysid.datasets.recording import Dataset, Recording
 from sysid.errors import ExcitationError
+from sysid.gap.adapters.adapter import Around, around_simulator
+from sysid.gap.adapters.simulator import Simulator
 from sysid.gap.aliases import without_aliases
-from sysid.gap.around import Around, around_simulator
 from sysid.gap.candidates import Candidate, Scales, candidates_at
 from sysid.gap.data import Data
 from sysid.gap.excitation import excitation_of
@@ -23,7 +24,6 @@ from sysid.gap.noise import noise_levels
 from sysid.gap.problem import Problem, Split, pose_split, problems_of, split_of
 from sysid.gap.readings import Coarse, coarse_sensors, with_steps
 from sysid.gap.result import Excitation
-from sysid.gap.simulator import Simulator
 from sysid.plant import Plant, compile_plant, free_run, gravity_load
 
 Array = npt.NDArray[np.float64]

@@ -11,7 +11,7 @@ import pandas as pd
 from sysid.datasets.recording import Recording
 from sysid.gap.problem import Problem
 from sysid.gap.result import Localised
-from sysid.gap.ringing import swinging
+from sysid.gap.unnamed.resonance import swinging
 
 Array = npt.NDArray[np.float64]
 

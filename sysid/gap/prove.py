@@ -18,8 +18,8 @@ from sysid.gap.floor import problem_floor
 from sysid.gap.intervals import known_of
 from sysid.gap.localise import stage_rmse
 from sysid.gap.readings import Coarse
-from sysid.gap.remainder import describe_remainder
 from sysid.gap.result import Alternative, Carried, Evidence, Gap, NamedEffect, Unnamed, Value
+from sysid.gap.unnamed.residual_formula import describe_remainder
 from sysid.plant import Place, Plant, Uncertainty
 
 Array = npt.NDArray[np.float64]

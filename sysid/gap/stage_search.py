@@ -9,7 +9,7 @@ from typing import Literal
 
 import numpy as np
 
-from sysid.gap.around import Around
+from sysid.gap.adapters.adapter import Around
 from sysid.gap.candidates import Candidate, as_nuisance
 from sysid.gap.case import Case, Stage, on_itself, stage_candidates
 from sysid.gap.excitation import excitation_of

@@ -19,7 +19,8 @@ from typing import TYPE_CHECKING, Any
 from sysid.errors import SettingsError
 from sysid.files import plain
 from sysid.gap import localise as disagreement
-from sysid.gap.around import Around
+from sysid.gap.adapters.adapter import Around
+from sysid.gap.adapters.simulator import Simulator
 from sysid.gap.case import Case, Stage, excitation, open_case, stage_candidates
 from sysid.gap.excitation import advice, advice_on_tie, excitation_of
 from sysid.gap.floor import floor_spread, run_floor
@@ -27,7 +28,6 @@ from sysid.gap.lineage import lineage_of
 from sysid.gap.promotion import first_promotion, free_run_check, names_check, stages_check, world_check
 from sysid.gap.prove import Outcome, held_out_score, judge, stage_gap, with_carried
 from sysid.gap.result import Check, Excitation, Gap, Localised, Promotion, Traces, WorldGap
-from sysid.gap.simulator import Simulator
 from sysid.gap.stage_search import Forms, search_stages
 from sysid.gap.strictness import Strictness
 from sysid.gap.world_proof import world_gap
@@ -131,7 +131,7 @@ def prove(study: Study, world: bool = False, progress: Progress = silent, *, car
 
     Args:
         world: run the held-out commands in the PyBullet world as well.
-        carry: what keeps no name is carried by residual networks where that helps (:mod:`sysid.gap.carry`).
+        carry: what keeps no name is carried by residual networks where that helps (:mod:`sysid.gap.unnamed.residual_model`).
 
     Raises:
         SettingsError: the study was not searched; a simulator of one's own should carry.
@@ -140,9 +140,9 @@ def prove(study: Study, world: bool = False, progress: Progress = silent, *, car
         raise SettingsError("prove", "stages that were not searched", "a study that sysid.gap.steps.search returned")
     outcome = judge(study.case, study.stages)
     if carry:
-        from sysid.gap import carry as residual  # torch is loaded only where something is trained
+        from sysid.gap.unnamed import residual_model  # torch is loaded only where something is trained
 
-        outcome = residual.carry(study.case, study.stages, outcome, progress=progress)
+        outcome = residual_model.carry(study.case, study.stages, outcome, progress=progress)
     return measure(study, outcome, world, progress)
 
 

@@ -11,6 +11,7 @@ import numpy.typing as npt
 
 from sysid.errors import SettingsError
 from sysid.gap import steps
+from sysid.gap.adapters.simulator import Simulator, name_of
 from sysid.gap.case import Case, Stage, excitation
 from sysid.gap.experiment import Planning, Proposal, propose, questions_of
 from sysid.gap.finding import Finding
@@ -18,7 +19,6 @@ from sysid.gap.maps import maps_of
 from sysid.gap.prove import Outcome
 from sysid.gap.result import Candidate, Excitation, GapResult, Localised, Map, Verdict
 from sysid.gap.shares import shares_of
-from sysid.gap.simulator import Simulator, name_of
 from sysid.gap.stage_search import Forms
 from sysid.gap.strictness import Strictness
 from sysid.plant import Plant, compile_plant
@@ -55,7 +55,7 @@ def find_gap(
         world: prove it in the PyBullet world as well; by default where it is added.
         localise_only: stop after localising; the verdict is then ``unnamed`` wherever a stage is above its noise floor.
         carry: what keeps no name is carried by bounded residual networks where held-out errors fall with them; they are learned
-            from the recordings, no physics, and never stand among the effects (:mod:`sysid.gap.carry`).
+            from the recordings, no physics, and never stand among the effects (:mod:`sysid.gap.unnamed.residual_model`).
         forms: "simple" tries every effect in its simplest form only, e.g. one friction for both directions.
         planning: plan the recordings that would answer what these leave open (not around a simulator of one's own); by default
             they are only described.

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 from sysid.datasets.clocks.residual import ClockResidual
 from sysid.datasets.recording import Dataset
-from sysid.gap.readiness import Readiness
+from sysid.gap.experiment.excitation_verdict import Readiness
 from sysid.gap.result import GapResult
 from sysid.validate import ValidationReport
 

@@ -6,7 +6,7 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from sysid.gap.readiness import Verdict, Wish
+from sysid.gap.experiment.excitation_verdict import Verdict, Wish
 from sysid.machine import Axis, Machine
 from sysid.reports import display, words
 from sysid.signals import axis_signal

@@ -13,8 +13,8 @@ from sysid.datasets.recording import Dataset
 from sysid.gap.case import open_case
 from sysid.gap.maps import maps_of
 from sysid.gap.result import Map, Share
-from sysid.gap.ringing import swinging
 from sysid.gap.shares import shares_of
+from sysid.gap.unnamed.resonance import swinging
 from sysid.machine import KnownEffect
 from sysid.plant import Plant, compile_plant
 from sysid.validate.binning import SIGNED_BINS, speed_of

@@ -13,7 +13,7 @@ from sysid.gap.case import Case, Stage, open_case, stage_candidates
 from sysid.gap.data import Data
 from sysid.gap.evidence import Comparison
 from sysid.gap.experiment import Experiment, Question, rehearse
-from sysid.gap.experiment.question import tie_between
+from sysid.gap.experiment.open_hypothesis import tie_between
 from sysid.gap.finding import Finding, Kept
 from sysid.gap.fit import fit_candidates
 from sysid.gap.starts import starting_values

@@ -12,7 +12,7 @@ from markupsafe import Markup
 from sysid.datasets.quality import Evidence, evidence_of
 from sysid.datasets.quality.use import CELLS
 from sysid.datasets.recording import Dataset
-from sysid.gap.readiness import Readiness, Verdict, Wish, readiness
+from sysid.gap.experiment.excitation_verdict import Readiness, Verdict, Wish, readiness
 from sysid.machine import Machine
 from sysid.plant import nominal_plant
 from sysid.reports import ReportInputs, build_report

@@ -12,7 +12,7 @@ import pytest
 from sample_crane import sample_gap, sample_unnamed
 
 from sysid.datasets.recording import Dataset
-from sysid.gap.readiness import readiness
+from sysid.gap.experiment.excitation_verdict import readiness
 from sysid.gap.result import Check, Evidence, Gap, GapResult, Promotion, WorldGap
 from sysid.machine import load_machine
 from sysid.plant import nominal_plant

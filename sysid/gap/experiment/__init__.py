@@ -2,8 +2,8 @@
 
 from sysid.gap.experiment.experiment import EffectAt, Experiment, Purpose, outside
 from sysid.gap.experiment.file import read_experiment, write_experiment
-from sysid.gap.experiment.propose import Planning, Proposal, propose, rehearse
-from sysid.gap.experiment.question import Question, questions_of
+from sysid.gap.experiment.open_hypothesis import Question, questions_of
+from sysid.gap.experiment.proposal import Planning, Proposal, propose, rehearse
 
 __all__ = [
     "EffectAt",

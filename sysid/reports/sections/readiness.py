@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from sysid.gap.readiness import Readiness, Verdict
+from sysid.gap.experiment.excitation_verdict import Readiness, Verdict
 from sysid.machine import Machine
 from sysid.reports import display, words
 from sysid.reports.inputs import ReportInputs

@@ -14,12 +14,12 @@ from sysid.datasets.recording import Recording
 from sysid.gap.case import Case
 from sysid.gap.data import Data
 from sysid.gap.excitation import excitation_of
+from sysid.gap.experiment.excitation_signal import Script, commands_of, perform, script_of, start_of
 from sysid.gap.experiment.experiment import Experiment, Limits, Purpose, outside
+from sysid.gap.experiment.feasible_set import Room, limits_of, room_of
 from sysid.gap.experiment.information import Hypothesis, discrimination, precision
 from sysid.gap.experiment.motions import MOTIONS, Motion
-from sysid.gap.experiment.question import Question
-from sysid.gap.experiment.room import Room, limits_of, room_of
-from sysid.gap.experiment.script import Script, commands_of, perform, script_of, start_of
+from sysid.gap.experiment.open_hypothesis import Question
 from sysid.gap.problem import Problem, drive_problem, force_problem, joint_problem, tip_problem, tool_problem
 from sysid.plant import Model, Plant, compile_plant
 

@@ -14,9 +14,9 @@ import numpy as np
 import numpy.typing as npt
 
 from sysid.datasets.recording import Recording
+from sysid.gap.adapters.input_effects import fed
 from sysid.gap.candidates import Candidate, candidates_at
 from sysid.gap.data import Data
-from sysid.gap.feed import fed
 from sysid.gap.fit import fit_candidates, place, spread_of
 from sysid.gap.problem import SHORT_RUN, Problem, drive_problem
 from sysid.gap.starts import starting_values

@@ -1,7 +1,7 @@
 """Least-squares periodogram of filtered columns (Lomb 1976; Scargle 1982), compiled: which period explains most of a rest.
 
-The ripple ``size·sin(2π·f·z)`` passes the filter of the target (:class:`sysid.gap.probes.Series`) and its prewhitening before
-it is compared, so that a short period is not taken for a small one.
+The ripple ``size·sin(2π·f·z)`` passes the filter of the target (:class:`sysid.gap.unnamed.probes.Series`) and its prewhitening
+before it is compared, so that a short period is not taken for a small one.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ import numpy.typing as npt
 from numba import njit
 from scipy.optimize import minimize_scalar
 
-from sysid.gap.probes import PARTS
+from sysid.gap.unnamed.probes import PARTS
 
 Array = npt.NDArray[np.float64]
 Rows = npt.NDArray[np.int64]

@@ -20,9 +20,9 @@ from sysid.cli.tables import show_carried
 from sysid.datasets.recording import Dataset
 from sysid.errors import SettingsError
 from sysid.gap import find_gap, steps
-from sysid.gap.carry import carry
 from sysid.gap.prove import Outcome, with_carried
 from sysid.gap.result import Carried, Gap, GapResult, Unnamed
+from sysid.gap.unnamed.residual_model import carry
 from sysid.networks.recurrent import Looks, RecurrentSettings, train_recurrent
 from sysid.plant import free_run, plant_from_files
 from sysid.registry import Registry

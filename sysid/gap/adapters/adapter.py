@@ -18,12 +18,12 @@ import pandas as pd
 from sysid.datasets.recording import Dataset, Recording
 from sysid.effects import CATALOGUE
 from sysid.errors import SettingsError
-from sysid.gap.feed import fed, followed
-from sysid.gap.likeness import Likeness, likeness_of
+from sysid.gap.adapters.input_effects import fed, followed
+from sysid.gap.adapters.linkage_and_sway import linkages_of, swing_of
+from sysid.gap.adapters.simulator import Runs, Signals, Simulator, command_signals
+from sysid.gap.adapters.surrogate import Likeness, likeness_of
 from sysid.gap.noise import noise_levels
 from sysid.gap.problem import Problem, problems_of, split_of
-from sysid.gap.read_off import linkages_of, swing_of
-from sysid.gap.simulator import Runs, Signals, Simulator, command_signals
 from sysid.machine import KnownEffect, Machine
 from sysid.plant import Model, Plant, compile_plant, nominal_plant
 from sysid.signals import axis_signal, point_signals, split_signal

@@ -12,7 +12,7 @@ from short_supply import coarse_arm, slow_dataset, tie
 from sysid.gap.data import Data
 from sysid.gap.experiment import Experiment, Planning, propose, rehearse
 from sysid.gap.experiment.information import Hypothesis, discrimination, noise_of_bin, precision
-from sysid.gap.experiment.question import Question
+from sysid.gap.experiment.open_hypothesis import Question
 from sysid.gap.fit import fit_candidates
 from sysid.plant import Plant
 

@@ -11,8 +11,8 @@ import numpy.typing as npt
 import pandas as pd
 
 from sysid.datasets.recording import Recording
+from sysid.gap.experiment.feasible_set import Room
 from sysid.gap.experiment.motions import Motion, Turn
-from sysid.gap.experiment.room import Room
 from sysid.machine import TabulatedLinkage
 from sysid.plant import Model, free_run
 from sysid.plant.model import START_WINDOW

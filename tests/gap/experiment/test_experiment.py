@@ -15,9 +15,9 @@ from sysid.datasets.recording import Dataset
 from sysid.gap import find_gap
 from sysid.gap.case import Case, open_case
 from sysid.gap.experiment import Planning, outside, propose, rehearse
+from sysid.gap.experiment.excitation_signal import commands_of, perform, start_of
 from sysid.gap.experiment.motions import MOTIONS, Motion
-from sysid.gap.experiment.propose import Planner
-from sysid.gap.experiment.script import commands_of, perform, start_of
+from sysid.gap.experiment.proposal import Planner
 from sysid.plant import Plant, compile_plant
 
 

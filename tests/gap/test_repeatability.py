@@ -6,8 +6,8 @@ import dataclasses
 
 import pytest
 
+from sysid.gap.repeatability import stability
 from sysid.gap.result import Excitation, Gap, GapResult, NamedEffect
-from sysid.gap.stability import stability
 
 NOTHING = GapResult(
     "arm@1", "arm@1", "", "no_gap", (), (), (), (), Gap({}, {}, {}), Gap({}, {}, {}), (), ("last",), 1.0

@@ -13,9 +13,9 @@ import numpy as np
 import numpy.typing as npt
 
 from sysid.gap.evidence import gain_p_value
-from sysid.gap.periodogram import Waves, best_period
-from sysid.gap.probes import PARTS, Series, quasi_difference
-from sysid.gap.terms import Factor, Term, modulations
+from sysid.gap.unnamed.periodogram import Waves, best_period
+from sysid.gap.unnamed.probes import PARTS, Series, quasi_difference
+from sysid.gap.unnamed.terms import Factor, Term, modulations
 
 Array = npt.NDArray[np.float64]
 

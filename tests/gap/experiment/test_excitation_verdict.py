@@ -17,7 +17,7 @@ from sysid.effects import CATALOGUE
 from sysid.gap import find_gap
 from sysid.gap.candidates import READ_OFF
 from sysid.gap.excitation import COUNTS
-from sysid.gap.readiness import Readiness, Verdict, readiness
+from sysid.gap.experiment.excitation_verdict import Readiness, Verdict, readiness
 
 Array = npt.NDArray[np.float64]
 LAG = KnownEffect("first_order_lag", "slew", {"time_constant": 0.1})
@@ -137,7 +137,7 @@ def test_json_has_the_words(short: Dataset) -> None:
 
 
 def test_the_guide_explains_every_count_and_threshold() -> None:
-    guide = " ".join((Path(__file__).parents[2] / "docs" / "guide" / "quality.md").read_text("utf-8").split())
+    guide = " ".join((Path(__file__).parents[3] / "docs" / "guide" / "quality.md").read_text("utf-8").split())
     counted = guide[guide.index("| counted in") : guide.index("How much each effect needs")]
     for _, unit in COUNTS.values():
         assert all(word in counted for word in unit.split()), unit

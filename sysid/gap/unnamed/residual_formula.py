@@ -13,12 +13,12 @@ import numpy.typing as npt
 
 from sysid.datasets.recording import Recording
 from sysid.gap.fit import Fit
-from sysid.gap.form_search import Judged, find_form
-from sysid.gap.probes import Series, cross_correlations, series_of
 from sysid.gap.problem import Problem
 from sysid.gap.result import Probe, Unnamed
-from sysid.gap.rhythm import find_rhythm
-from sysid.gap.terms import Form
+from sysid.gap.unnamed.formula_search import Judged, find_form
+from sysid.gap.unnamed.periodic_disturbance import find_rhythm
+from sysid.gap.unnamed.probes import Series, cross_correlations, series_of
+from sysid.gap.unnamed.terms import Form
 from sysid.machine import Machine
 from sysid.signals import axis_signal
 

@@ -18,9 +18,9 @@ import numpy as np
 import numpy.typing as npt
 
 from sysid.gap.evidence import gain_p_value
-from sysid.gap.periodogram import Waves, best_period
-from sysid.gap.probes import PARTS, Series, colour_of, quasi_difference
-from sysid.gap.terms import Factor, Form, Term, modulations
+from sysid.gap.unnamed.periodogram import Waves, best_period
+from sysid.gap.unnamed.probes import PARTS, Series, colour_of, quasi_difference
+from sysid.gap.unnamed.terms import Factor, Form, Term, modulations
 
 Array = npt.NDArray[np.float64]
 Rows = npt.NDArray[np.int64]

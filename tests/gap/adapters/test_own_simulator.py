@@ -17,14 +17,14 @@ from plant_data import ROLES, arm, dataset_of, nominal, slide, steered
 from sysid.datasets.recording import Dataset, Recording
 from sysid.errors import ExcitationError, InputError, SettingsError
 from sysid.gap import Around, Simulator, find_gap, starting_value, steps
-from sysid.gap.around import around_simulator
-from sysid.gap.simulator import Runs
+from sysid.gap.adapters.adapter import around_simulator
+from sysid.gap.adapters.simulator import Runs
 from sysid.machine import KnownEffect, machine_from_files
 from sysid.plant import compile_plant, free_run
 
 Array = npt.NDArray[np.float64]
 
-PAGE = Path(__file__).parents[2] / "docs" / "guide" / "own-simulator.md"
+PAGE = Path(__file__).parents[3] / "docs" / "guide" / "own-simulator.md"
 NOISE = 2e-4
 LIFT = f"""
 schema = 1

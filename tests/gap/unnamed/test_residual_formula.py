@@ -25,12 +25,12 @@ from remainder_data import (
 
 from sysid.datasets.recording import Recording
 from sysid.gap.fit import Fit
-from sysid.gap.form_search import find_form
-from sysid.gap.probes import BIN, PARTS, Series, cross_correlations, quasi_difference, series_of
 from sysid.gap.problem import Problem, drive_problem, joint_problem
-from sysid.gap.remainder import NOTHING, describe_remainder
 from sysid.gap.result import Unnamed
-from sysid.gap.terms import Factor, Form, Term
+from sysid.gap.unnamed.formula_search import find_form
+from sysid.gap.unnamed.probes import BIN, PARTS, Series, cross_correlations, quasi_difference, series_of
+from sysid.gap.unnamed.residual_formula import NOTHING, describe_remainder
+from sysid.gap.unnamed.terms import Factor, Form, Term
 
 Array = npt.NDArray[np.float64]
 FIT = Fit((), (), np.empty(0), MODEL.theta, (), 0.0, True)

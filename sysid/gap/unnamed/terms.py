@@ -9,7 +9,7 @@ from itertools import groupby
 import numpy as np
 import numpy.typing as npt
 
-from sysid.gap.probes import Series
+from sysid.gap.unnamed.probes import Series
 
 Array = npt.NDArray[np.float64]
 
