@@ -18,10 +18,12 @@ number              value   derivation
 ``LEAST``           2 nats  a likelihood ratio of e² ≈ 7.4, "positive" evidence (Kass and Raftery, JASA 90, 1995)
 ``BLOCK_NATS``      5 nats  "very strong" evidence in one block (same scale); more than one block has to say so
 ``INFLATION``       100     the discrepancy has taken 99 % of the information about the parameter
-``SHARE``           1 %     of the closable gap on held-out recordings: less is of no practical significance (:mod:`sysid.gap.proof`)
+``EXPLAINED``       1.1     what is within a tenth of the noise floor has nothing to explain, and a tenth is what matters
+``SHARE``           1 %     of the closable gap on held-out recordings: less is of no practical significance
 =================== ======= ============================================================================================
 
-The regions of practical equivalence are a property of each effect (:attr:`sysid.effects.Parameter.negligible`).
+The region of practical equivalence of a parameter is what it may depart without moving the output of the stage by as much as
+adds a tenth to what is left of it (in quadrature); at least what is known to be open otherwise, of a clock for instance.
 """
 
 from __future__ import annotations
@@ -42,6 +44,8 @@ LEAST = 2.0
 BLOCK_NATS = 5.0
 INFLATION = 100.0
 SHARE = 0.01
+#: A stage within this multiple of its noise floor has nothing to explain: what is left moves the error by a tenth at most.
+EXPLAINED = 1.1
 #: 97.5 % quantile of the normal distribution.
 Z = 1.959964
 
@@ -112,7 +116,7 @@ def decide(models: Sequence[ModelFit], nameable: Sequence[str], rope: Mapping[Ke
 
     Args:
         nameable: labels of the candidates that the recordings excite enough.
-        rope: half-widths of regions of equivalence that replace those of the catalogue, by effect.
+        rope: least half-widths of regions of equivalence, by effect.
     """
     best = max(models, key=lambda f: float(f.predictive.sum()))
     survivors = sorted((f for f in models if survives(f, best)), key=lambda f: -f.evidence)
@@ -168,7 +172,9 @@ def _lacks(
 def _within_rope(candidate: Candidate, model: ModelFit, rope: Mapping[Key, float]) -> bool:
     """Whether the 95 % intervals of all its parameters reach into the region of practical equivalence."""
     values, reach = model.values_of(candidate), Z * model.deviations_of(candidate)
-    half = np.array([max(u.negligible, rope.get(candidate.key, 0.0)) for u in candidate.unknowns])
+    response = model.response[model.rows_of(candidate)]
+    seen = np.sqrt(EXPLAINED**2 - 1.0) * max(1.0, model.left) / np.maximum(response, 1e-300)
+    half = np.maximum(seen, rope.get(candidate.key, 0.0))
     nominal = np.array([u.nominal for u in candidate.unknowns])
     return bool((np.abs(values - nominal) - reach <= half).all())
 

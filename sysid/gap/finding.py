@@ -8,6 +8,7 @@ from sysid.gap.candidates import Candidate
 from sysid.gap.evidence import Comparison
 from sysid.gap.fit import Fit
 from sysid.gap.problem import Problem
+from sysid.gap.stage_model import StageFit
 
 
 @dataclass(frozen=True)
@@ -41,7 +42,7 @@ class Finding:
         adjusted: what moved in the fit, but too little for a name, or is too poorly shown, or makes up for another's formula.
         fit: the final fit, on all recordings that may be seen.
         nominal_rmse, final_rmse: of unseen recordings, as multiples of the noise floor.
-        leeway: a departure needs so many times what is negligible for a name at this stage.
+        stage_fit: the models that were compared and the decision; None where the stage was explained before.
     """
 
     problem: Problem
@@ -51,4 +52,4 @@ class Finding:
     nominal_rmse: float
     final_rmse: float
     trials: tuple[Trial, ...] = ()
-    leeway: float = 1.0
+    stage_fit: StageFit | None = None

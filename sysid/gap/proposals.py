@@ -50,17 +50,17 @@ class Proposals:
 
     # -- single models -----------------------------------------------------------------------------------------------
 
-    def fit(self, candidates: Sequence[Candidate], start: Array | None = None) -> ModelFit:
-        """The fit of a set; another start may make it better."""
+    def fit(self, candidates: Sequence[Candidate], starts: Array | None = None) -> ModelFit:
+        """The fit of a set from the best of ``starts`` (s, k); others may make it better."""
         key = frozenset(c.label for c in candidates)
         known = self.fits.get(key)
-        if known is not None and start is None:
+        if known is not None and starts is None:
             return known
         ordered = tuple(sorted(candidates, key=lambda c: c.label))
-        if start is not None:
-            start = _reordered(candidates, ordered, start)
+        if starts is not None:
+            starts = np.array([_reordered(candidates, ordered, row) for row in starts])
         self.on_fit(", ".join(sorted(key)) or "nominal")
-        found = fit_model(self.likelihood, ordered, _nominal(ordered) if start is None else start)
+        found = fit_model(self.likelihood, ordered, _nominal(ordered)[None] if starts is None else starts)
         if known is None or found.evidence > known.evidence:
             self.fits[key] = found
         return self.fits[key]
@@ -70,7 +70,7 @@ class Proposals:
         known = self.fits.get(frozenset(c.label for c in candidates))
         if known is not None:
             return known
-        return self.fit(candidates, np.concatenate([_known(c, parent) for c in candidates]) if candidates else None)
+        return self.fit(candidates, np.concatenate([_known(c, parent) for c in candidates])[None] if candidates else None)
 
     def without(self, model: ModelFit, candidate: Candidate) -> ModelFit:
         return self.warm([c for c in model.candidates if c.label != candidate.label], model)
@@ -130,8 +130,9 @@ class Proposals:
         rest = [c for c in model.candidates if c.key != new.key and not new.contains(c)]
         if frozenset(c.label for c in (*rest, new)) in self.fits:
             return self.fits[frozenset(c.label for c in (*rest, new))]
-        start = np.concatenate([*(model.values_of(c) for c in rest), promise.start])
-        return self.fit((*rest, new), start)
+        known = np.concatenate([np.empty(0), *(model.values_of(c) for c in rest)])
+        starts = np.array([np.concatenate([known, start]) for start in (promise.start, *new.starts)])
+        return self.fit((*rest, new), starts)
 
     def _open(self, model: ModelFit) -> list[Candidate]:
         """Candidates that are not in the model yet; a richer form where its simpler one is there."""

@@ -15,7 +15,7 @@ from sysid.gap.likelihood.averaged import averaged
 from sysid.gap.likelihood.discrepancy import discrepancy_of
 from sysid.gap.likelihood.rows import Rows
 from sysid.gap.likelihood.stage import ModelFit, StageLikelihood, Variances
-from sysid.gap.likelihood.variances import Start, estimated, first_variances
+from sysid.gap.likelihood.variances import Start, estimated, first_variances, log_prior, robust
 from sysid.gap.problem import Problem
 from sysid.gap.proposals import Proposals
 from sysid.plant import Model
@@ -24,6 +24,8 @@ Array = npt.NDArray[np.float64]
 
 #: A typical disturbance, as a share of the root-mean-square speed (or of the range, where nothing integrates).
 TYPICAL = 0.01
+#: First sizes of the discrepancy's coefficients: effects with a name come first, or smooth functions do.
+FIRST = (1e-5, 1e-3)
 #: Transient of an unknown start state: over this time [s], and this share of the distance that it may come to.
 TRANSIENT, UNKNOWN = 0.4, 0.1
 
@@ -61,25 +63,18 @@ def fit_stage(
     """
     full = recordings[0].rate_hz
     recordings = [averaged(r, problem.stage) for r in recordings]
-    rows = Rows(problem, recordings, theta)
+    rows = Rows(problem, recordings, theta, sigma)
     samples = max(1, round(full / recordings[0].rate_hz)) * rows.series[0].width
     start = _start(rows, sigma, samples)
     extra = _transients(rows)
-    discrepancy = discrepancy_of(model, rows, theta)
-    variances = first_variances(rows, start, len(discrepancy.groups))
-    rich: ModelFit | None = None
-    for _ in range(2):
-        likelihood = StageLikelihood(rows, discrepancy, variances, extra)
-        proposals = Proposals(likelihood, candidates, on_fit)
-        begin = proposals.fit(()) if rich is None else proposals.warm(rich.candidates, rich)
-        rich = proposals.forward(begin)
-        discrepancy = discrepancy_of(model, rows, rich.theta)
-        variances = estimated(rows, discrepancy, variances, start, extra, rich)
-    assert rich is not None
-    likelihood = StageLikelihood(rows, discrepancy, variances, extra)
+    found = [_settled(model, rows, theta, start, extra, candidates, tau, on_fit) for tau in FIRST]
+    likelihood, rich = max(found, key=lambda each: each[1].evidence + log_prior(each[0].variances, start))
+    variances = robust(likelihood, rich)
+    likelihood = StageLikelihood(rows, likelihood.discrepancy, variances, extra)
     proposals = Proposals(likelihood, candidates, on_fit)
-    proposals.warm(rich.candidates, rich)
-    proposals.forward(proposals.fit(()))
+    for _, other in found:
+        proposals.warm(other.candidates, other)
+    proposals.forward(proposals.best)
     proposals.around()
     decision = decide(proposals.near(), nameable, rope)
     for _ in range(4):  # every survivor without each of its effects, until nothing new survives
@@ -91,6 +86,36 @@ def fit_stage(
             break
         decision = decide(proposals.near(), nameable, rope)
     return StageFit(rows, likelihood, tuple(proposals.near()), decision)
+
+
+def _settled(
+    model: Model,
+    rows: Rows,
+    theta: Array,
+    start: Start,
+    extra: Sequence[Array],
+    candidates: Sequence[Candidate],
+    tau: float,
+    on_fit: Callable[[str], None],
+) -> tuple[StageLikelihood, ModelFit]:
+    """Effects and variances found in turn, from a first size of the discrepancy: the likelihood, and its likeliest model."""
+    discrepancy = discrepancy_of(model, rows, theta)
+    variances = first_variances(rows, start, len(discrepancy.groups), tau)
+    likelihood = StageLikelihood(rows, discrepancy, variances, extra)
+    rich: ModelFit | None = None
+    for _ in range(2):
+        proposals = Proposals(likelihood, candidates, on_fit)
+        begin = proposals.fit(()) if rich is None else proposals.warm(rich.candidates, rich)
+        rich = proposals.forward(begin)
+        discrepancy = discrepancy_of(model, rows, rich.theta)
+        variances = estimated(rows, discrepancy, variances, start, extra, rich)
+        likelihood = StageLikelihood(rows, discrepancy, variances, extra)
+    assert rich is not None
+    proposals = Proposals(likelihood, candidates, on_fit)
+    proposals.warm(rich.candidates, rich)
+    for candidate in rich.candidates:
+        proposals.without(rich, candidate)
+    return likelihood, proposals.best
 
 
 def _start(rows: Rows, sigma: Array, samples: int) -> Start:

@@ -13,14 +13,14 @@ from sysid.errors import SettingsError
 from sysid.gap import steps
 from sysid.gap.adapters.simulator import Simulator, name_of
 from sysid.gap.case import Case, Stage, excitation
+from sysid.gap.decision import EXPLAINED
 from sysid.gap.experiment import Planning, Proposal, propose, questions_of
 from sysid.gap.finding import Finding
 from sysid.gap.maps import maps_of
-from sysid.gap.prove import Outcome
+from sysid.gap.proof import Outcome
 from sysid.gap.result import Candidate, Excitation, GapResult, Localised, Map, Verdict
 from sysid.gap.shares import shares_of
-from sysid.gap.stage_search import Forms
-from sysid.gap.strictness import Strictness
+from sysid.gap.stages import Forms
 from sysid.plant import Plant, compile_plant
 from sysid.progress import Progress, part, silent
 
@@ -42,7 +42,6 @@ def find_gap(
     carry: bool = False,
     forms: Forms = "all",
     progress: Progress | None = None,
-    strict: Strictness | None = None,
     planning: Planning | None = None,
     seed: int = 0,
 ) -> GapResult:
@@ -68,7 +67,6 @@ def find_gap(
     """
     begin = time.perf_counter()
     tell: Progress = progress or silent
-    strict = strict or Strictness()
     if add and not isinstance(plant, Plant):
         raise SettingsError(
             f"simulator {name_of(plant)}", "cannot be stored", "a plant", "Take what is repaired from sysid.gap.steps.add."
@@ -86,7 +84,7 @@ def find_gap(
     if localise_only:
         proof = steps.measure(study, Outcome(case.plant))
     else:
-        study = steps.search(study, strict, forms, part(tell, 0.05, 0.85))
+        study = steps.search(study, forms, part(tell, 0.05, 0.85))
         tell(0.87, "proving on held-out recordings")
         proof = steps.prove(study, add if world is None else world, part(tell, 0.88, 0.92), carry=carry)
     outcome, stages = proof.outcome, list(study.stages)
@@ -95,10 +93,10 @@ def find_gap(
         promotion = steps.promote(study, proof, registry, after_reference)
     if planning is not None and case.around is None and not localise_only:
         tell(0.93, "planning the next experiment")
-        questions = questions_of(case, stages, outcome, strict)
+        questions = questions_of(case, stages, outcome)
         proposal = propose(case, outcome.repaired, questions, planning, lambda text: tell(0.93, f"planning: {text}"))
     shown = excitation(case, stages)
-    verdict = _verdict(outcome, located, shown, strict, localise_only)
+    verdict = _verdict(outcome, located, shown, localise_only)
     better = outcome.repaired.vector()
     tell(1.0, "done")
     return GapResult(
@@ -148,14 +146,12 @@ def _rows(stage: Stage, finding: Finding) -> list[Candidate]:
     ]
 
 
-def _verdict(
-    outcome: Outcome, located: Sequence[Localised], shown: Sequence[Excitation], strict: Strictness, localise_only: bool
-) -> Verdict:
+def _verdict(outcome: Outcome, located: Sequence[Localised], shown: Sequence[Excitation], localise_only: bool) -> Verdict:
     if outcome.named:
         return "named"
     if outcome.ties:
         return "ambiguous"
-    above = {item.target for item in located if item.stage_rmse > strict.gap * item.noise_floor}
+    above = {item.target for item in located if item.stage_rmse > EXPLAINED * item.noise_floor}
     if outcome.unnamed or (localise_only and above):
         return "unnamed"
     return "insufficient_excitation" if any(e.target in above and not e.sufficient for e in shown) else "no_gap"

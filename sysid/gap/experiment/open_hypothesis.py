@@ -12,14 +12,14 @@ import numpy.typing as npt
 from sysid.gap.candidates import Candidate
 from sysid.gap.case import Case, Stage, stage_candidates
 from sysid.gap.data import Data
+from sysid.gap.decision import EXPLAINED
 from sysid.gap.drift import Drift
 from sysid.gap.excitation import excitation_of
 from sysid.gap.experiment.experiment import EffectAt
 from sysid.gap.experiment.information import Hypothesis, hypothesis, noise_of_bin
 from sysid.gap.fit import Fit, fit_candidates
-from sysid.gap.prove import Outcome
+from sysid.gap.proof import Outcome
 from sysid.gap.starts import starting_values
-from sysid.gap.strictness import Strictness
 from sysid.plant import compile_plant
 
 Array = npt.NDArray[np.float64]
@@ -63,7 +63,7 @@ class Question:
         return tuple((a, b) for a in self.models for b in self.models if a is not b and not _within(a, b))
 
 
-def questions_of(case: Case, stages: Sequence[Stage], outcome: Outcome, strict: Strictness) -> list[Question]:
+def questions_of(case: Case, stages: Sequence[Stage], outcome: Outcome) -> list[Question]:
     """The ties of the outcome, then what unexplained stages lack excitation for."""
     base = compile_plant(outcome.repaired).theta
     asked = []
@@ -76,7 +76,7 @@ def questions_of(case: Case, stages: Sequence[Stage], outcome: Outcome, strict: 
             if kept.ties and tie in outcome.ties:
                 asked.append(tie_between(case, stage, base, kept.candidate, kept.ties[: MOST_RIVALS - 1], seen))
     for stage in stages:
-        if stage.finding is not None and stage.finding.final_rmse > strict.gap:
+        if stage.finding is not None and stage.finding.final_rmse > EXPLAINED:
             asked += _unseen(case, stage, base)
     return asked
 

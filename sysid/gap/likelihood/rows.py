@@ -54,10 +54,11 @@ class Rows:
 
     Args:
         theta: vector of the questioned plant: a row counts where its prediction is there.
+        floor: noise floor of each output, (d,).
     """
 
-    def __init__(self, problem: Problem, recordings: Sequence[Recording], theta: Array) -> None:
-        self.problem, self.recordings = problem, tuple(recordings)
+    def __init__(self, problem: Problem, recordings: Sequence[Recording], theta: Array, floor: Array) -> None:
+        self.problem, self.recordings, self.floor = problem, tuple(recordings), floor
         series: list[Series] = []
         begin = 0
         for r, recording in enumerate(self.recordings):
@@ -117,6 +118,13 @@ class Rows:
                 out[:, s.rows] = np.where(s.present, part, 0.0)
             at += signals
         return out
+
+    def in_floors(self, columns: Array) -> Array:
+        """Root mean square of columns (rows, m) over what is measured, in noise floors, (m,)."""
+        total = np.zeros(columns.shape[1])
+        for s in self.series:
+            total += ((columns[s.rows][s.present] / self.floor[s.signal]) ** 2).sum(axis=0)
+        return np.asarray(np.sqrt(total / max(self.measured_rows, 1)))
 
     def _blocks(self) -> npt.NDArray[np.int64]:
         """The block of every row; rows of all signals at one time share one, so do neighbouring poses."""

@@ -27,8 +27,8 @@ from sysid.gap.likelihood.rows import Rows
 
 Array = npt.NDArray[np.float64]
 
-#: Prior standard deviation of a parameter, in its largest departure among the values that a fit starts from.
-WIDE = 3.0
+#: Prior standard deviation of a parameter, in the median departure of the values that a fit starts from.
+WIDE = 1.0
 #: Prior standard deviation of timing, in half samples: what sample-and-hold leaves open.
 TIMING = 1.0
 #: Directions of the linear part whose prior keeps them below this share of the noise's variance cannot matter.
@@ -71,6 +71,8 @@ class ModelFit:
         evidence: log marginal likelihood.
         predictive: log density of each block, parameters and discrepancy from the other blocks, (blocks,).
         rms: root mean square of the whitened rows that neither effects nor discrepancy explain.
+        response: root mean square of the output's change with each unknown, in noise floors a unit of it, (k,).
+        left: root mean square of what the effects leave of the output, in noise floors.
     """
 
     candidates: tuple[Candidate, ...]
@@ -82,6 +84,8 @@ class ModelFit:
     evidence: float
     predictive: Array
     rms: float
+    response: Array
+    left: float
 
     @property
     def labels(self) -> frozenset[str]:
@@ -128,7 +132,8 @@ def prior_of(candidates: Sequence[Candidate]) -> Prior:
             span = max(float(np.abs(values).max()), float(np.ptp(values)), unknown.negligible)
             far = float(np.abs(unknown.nominal - values).min()) > 3.0 * span
             centre.append(float(np.mean(values)) if far else unknown.nominal)
-            reach = span if far else max(float(np.abs(values - unknown.nominal).max()), unknown.negligible)
+            away = np.abs(values - unknown.nominal)
+            reach = span if far else max(float(np.median(away)), unknown.negligible)
             width.append(WIDE * reach)
             low.append(unknown.bounds[0])
             high.append(unknown.bounds[1])
@@ -172,7 +177,7 @@ class StageLikelihood:
         return self.whitened(np.ascontiguousarray(self.rows.residuals(thetas).T))
 
     def projected(self, columns: Array) -> Array:
-        """``columns`` (rows, m) in the space in which the linear part is marginalised: (p, m) to be taken off their products."""
+        """``columns`` (rows, m) as the linear part explains them, (p, m): to be taken off their products."""
         return np.asarray(solve_triangular(self.linear.factor, self.linear.columns.T @ columns, lower=True))
 
     def costs(self, innovations: Array) -> Array:
@@ -203,6 +208,8 @@ def _spans(rows: Rows) -> list[float]:
 ROUNDS, CONVERGED = 15, 0.05
 #: Damping factors that are tried side by side.
 DAMPING = (0.0, 1e-2, 0.3, 10.0)
+#: A parameter is flat where what is negligible of it changes the innovations by less than this, all together.
+FLAT = 1e-3
 #: Half widths of the grid around a parameter whose slope says nothing, in what is negligible of it.
 GRID = (20.0, 7.5, 2.5, 1.0, 0.4)
 
@@ -216,13 +223,14 @@ def steps_of(unknowns: Sequence[Unknown], values: Array) -> Array:
     return np.where(values + step > high, -step, step)
 
 
-def fit_model(likelihood: StageLikelihood, candidates: Sequence[Candidate], start: Array, rounds: int = ROUNDS) -> ModelFit:
-    """Fit the unknowns of ``candidates`` from ``start`` (k,)."""
+def fit_model(likelihood: StageLikelihood, candidates: Sequence[Candidate], starts: Array, rounds: int = ROUNDS) -> ModelFit:
+    """Fit the unknowns of ``candidates`` from the best of ``starts`` (s, k)."""
     candidates = tuple(candidates)
     unknowns = tuple(u for c in candidates for u in c.unknowns)
     nominal = likelihood.rows.theta
     prior = prior_of(candidates)
-    x = np.clip(start, prior.low, prior.high)
+    starts = np.clip(starts, prior.low, prior.high)
+    x = starts[0]
 
     def evaluated(lanes: Array) -> tuple[Array, Array]:
         """Innovations (rows, lanes) and costs of values (lanes, k)."""
@@ -230,9 +238,10 @@ def fit_model(likelihood: StageLikelihood, candidates: Sequence[Candidate], star
         return found, likelihood.costs(found) + 0.5 * (((lanes - prior.centre) / prior.width) ** 2).sum(axis=1)
 
     if not unknowns:
-        w = likelihood.innovations(nominal[None])
-        return _finished(likelihood, candidates, unknowns, x, w[:, 0], np.empty((len(w), 0)), prior)
-    grid = [k for k, u in enumerate(unknowns) if u.stepwise]
+        return _finished(likelihood, candidates, unknowns, x, likelihood.rows.residuals(nominal[None]).T, prior)
+    if len(starts) > 1:
+        x = starts[int(np.argmin(evaluated(starts)[1]))]
+    stepwise = np.array([u.stepwise for u in unknowns])
     slopes = np.empty(0)
     w, cost = np.empty(0), np.inf
     for _ in range(rounds):
@@ -244,7 +253,8 @@ def fit_model(likelihood: StageLikelihood, candidates: Sequence[Candidate], star
         hessian = slopes.T @ slopes - z[:, :-1].T @ z[:, :-1] + np.eye(len(x))
         gradient = slopes.T @ w - z[:, :-1].T @ z[:, -1] + (x - prior.centre) / prior.width
         trials = [_stepped(x, hessian, gradient, damping, prior) for damping in DAMPING]
-        for k in grid:
+        flat = np.linalg.norm(slopes, axis=0) * np.array([u.negligible for u in unknowns]) < FLAT * prior.width
+        for k in np.flatnonzero(stepwise | flat):
             reach = np.array(GRID) * unknowns[k].negligible
             for offset in (*-reach, *reach):
                 moved = x.copy()
@@ -260,9 +270,10 @@ def fit_model(likelihood: StageLikelihood, candidates: Sequence[Candidate], star
         if gained < CONVERGED:
             break
     steps = steps_of(unknowns, x)
-    table = likelihood.innovations(place(nominal, unknowns, np.vstack([x[None], x + np.diag(steps)])))
-    slopes = (table[:, 1:] - table[:, :1]) / steps * prior.width
-    return _finished(likelihood, candidates, unknowns, x, table[:, 0], slopes, prior)
+    lanes = np.vstack([x[None], x + np.diag(steps)])
+    table = likelihood.rows.residuals(place(nominal, unknowns, lanes)).T
+    table[:, 1:] = (table[:, 1:] - table[:, :1]) / steps
+    return _finished(likelihood, candidates, unknowns, x, table, prior)
 
 
 def _stepped(x: Array, hessian: Array, gradient: Array, damping: float, prior: Prior) -> Array:
@@ -287,11 +298,14 @@ def _finished(
     candidates: tuple[Candidate, ...],
     unknowns: tuple[Unknown, ...],
     values: Array,
-    w: Array,
-    slopes: Array,
+    table: Array,
     prior: Prior,
 ) -> ModelFit:
-    """Evidence, covariance and predictive density at the optimum; ``slopes`` (rows, k) in units of the prior."""
+    """Evidence, covariance and predictive density at the optimum; ``table`` (rows, 1 + k): residual and its slopes."""
+    rows = likelihood.rows
+    size = rows.in_floors(table)
+    whitened = likelihood.whitened(np.ascontiguousarray(table))
+    w, slopes = whitened[:, 0], whitened[:, 1:] * prior.width
     linear = likelihood.linear.columns
     p, k = linear.shape[1], len(unknowns)
     X = np.hstack([linear, -slopes])  # the residual falls where a parameter explains it
@@ -307,11 +321,11 @@ def _finished(
         plain = np.hstack([likelihood.timing, -slopes])
         alone = np.linalg.inv(plain.T @ plain + np.eye(k + 1))[1:, 1:]
         inflation = np.diag(covariance) / prior.width**2 / np.diag(alone)
-    predictive = _block_densities(X, r, H, likelihood.rows)
-    theta = place(likelihood.rows.theta, unknowns, values[None])[0] if k else likelihood.rows.theta
-    used = max(likelihood.rows.measured_rows, 1)
+    predictive = _block_densities(X, r, H, rows)
+    theta = place(rows.theta, unknowns, values[None])[0] if k else rows.theta
+    rms = float(np.sqrt(e @ e / max(rows.measured_rows, 1)))
     return ModelFit(
-        candidates, unknowns, values, theta, covariance, inflation, evidence, predictive, float(np.sqrt(e @ e / used))
+        candidates, unknowns, values, theta, covariance, inflation, evidence, predictive, rms, size[1:], float(size[0])
     )
 
 
@@ -335,4 +349,3 @@ def _block_densities(X: Array, r: Array, H: Array, rows: Rows) -> Array:
         q = float(e @ e - z @ cho_solve(whole, z))
         out[b] = -0.5 * q - volume + float(np.log(np.diag(rest[0])).sum())
     return out
-

@@ -26,6 +26,7 @@ Array = npt.NDArray[np.float64]
 TAU, TAU_SPREAD = 1e-3, 4.0
 #: Prior spreads of the logarithms of noise, disturbance and its correlation time; the latter around MEMORY [s].
 NOISE_SPREAD, DISTURBANCE_SPREAD, MEMORY, MEMORY_SPREAD = 0.5, 3.0, 0.5, 1.0
+SPREAD = np.array([NOISE_SPREAD, DISTURBANCE_SPREAD, DISTURBANCE_SPREAD, MEMORY_SPREAD])
 #: Below this τ a group is absent.
 ABSENT = 1e-6
 #: Rounds of the two maximisations.
@@ -40,18 +41,18 @@ class Start:
     disturbance: Array
 
 
-def first_variances(rows: Rows, start: Start, groups: int) -> Variances:
-    """Before anything is estimated: noise as the data say, a small disturbance, every group possible."""
+def first_variances(rows: Rows, start: Start, groups: int, tau: float) -> Variances:
+    """Before anything is estimated: noise as the data say, a small disturbance, every group with coefficients of ``tau``."""
     disturbances = tuple(
         Disturbance(float(n), float(0.1 * d), float(d), MEMORY) for n, d in zip(start.noise, start.disturbance, strict=True)
     )
-    return Variances(disturbances, np.full(groups, TAU), np.ones(rows.count))
+    return Variances(disturbances, np.full(groups, tau), np.ones(rows.count))
 
 
 def estimated(
     rows: Rows, discrepancy: Discrepancy, variances: Variances, start: Start, extra: Sequence[Array], model: ModelFit
 ) -> Variances:
-    """Variances of maximum evidence beside ``model``, and weights that make its outliers count less."""
+    """Variances of maximum evidence beside ``model``."""
     residual, slopes = _linearised(rows, model)
     columns = np.column_stack([discrepancy.timing, slopes, discrepancy.columns, residual])
     fixed = 1 + slopes.shape[1]
@@ -59,8 +60,7 @@ def estimated(
         variances = _disturbances(rows, columns, fixed, discrepancy, variances, start, extra)
         gram, _ = _gram(rows, columns, variances, extra)
         variances = replace(variances, groups=_groups(gram, fixed, discrepancy.group, variances.groups))
-    likelihood = StageLikelihood(rows, discrepancy, variances, extra)
-    return replace(variances, weights=_weights(likelihood, model))
+    return variances
 
 
 def _linearised(rows: Rows, model: ModelFit) -> tuple[Array, Array]:
@@ -74,11 +74,15 @@ def _linearised(rows: Rows, model: ModelFit) -> tuple[Array, Array]:
     return residual, slopes * np.array([max(u.negligible, abs(v)) for u, v in zip(model.unknowns, model.values, strict=True)])
 
 
-def _gram(rows: Rows, columns: Array, variances: Variances, extra: Sequence[Array]) -> tuple[Array, float]:
-    """Products of all whitened columns, and the log scale of the innovations."""
+def _gram(
+    rows: Rows, columns: Array, variances: Variances, extra: Sequence[Array], signals: Sequence[int] | None = None
+) -> tuple[Array, float]:
+    """Products of all whitened columns of some signals (of all), and the log scale of their innovations."""
     total, scale = np.zeros((columns.shape[1], columns.shape[1])), 0.0
     spans = _spans(rows)
     for k, s in enumerate(rows.series):
+        if signals is not None and s.signal not in signals:
+            continue
         whitener = filter_of(
             variances.disturbances[s.signal], s.step, s.activity, s.present, s.restart, extra[k], spans[s.signal],
             rows.problem.integrates,
@@ -113,26 +117,23 @@ def _disturbances(
     kept = np.concatenate([scale > 10.0 * ABSENT, [True]])
     table, scale = np.ascontiguousarray(columns[:, kept]), scale[kept[:-1]]
     first = np.array([[d.noise, d.still, d.moving, d.memory] for d in variances.disturbances])
-    centre = np.column_stack([start.noise, 0.1 * start.disturbance, start.disturbance, np.full(signals, MEMORY)])
-    spread = np.array([NOISE_SPREAD, DISTURBANCE_SPREAD, DISTURBANCE_SPREAD, MEMORY_SPREAD])
+    centre = _centre(start)
 
     def variances_of(z: Array) -> Variances:
         found = np.exp(z.reshape(signals, 4))
         return replace(variances, disturbances=tuple(Disturbance(*map(float, row)) for row in found))
 
-    def negative(z: Array) -> float:
-        gram, log_scale = _gram(rows, table, variances_of(z), extra)
-        prior = 0.5 * (((z.reshape(signals, 4) - np.log(centre)) / spread) ** 2).sum()
-        return log_scale - _evidence(gram, scale) + float(prior)
-
     z = np.log(first).ravel()
     for k in range(signals):  # signals of one stage have filters of their own: one at a time
         here = slice(4 * k, 4 * k + 4)
+        rest = _gram(rows, table, variances_of(z), extra, [j for j in range(signals) if j != k])[0]
 
-        def one(part: Array, here: slice = here) -> float:
+        def one(part: Array, here: slice = here, k: int = k, rest: Array = rest) -> float:
             whole = z.copy()
             whole[here] = part
-            return negative(whole)
+            gram, log_scale = _gram(rows, table, variances_of(whole), extra, [k])
+            prior = 0.5 * (((part - np.log(centre[k])) / SPREAD) ** 2).sum()
+            return log_scale - _evidence(rest + gram, scale) + float(prior)
 
         bounds = [(c - 4.0 * w, c + 4.0 * w) for c, w in zip(np.log(centre[k]), (0.5, 3.0, 3.0, 0.8), strict=True)]
         begin = np.clip(z[here], [low for low, _ in bounds], [high for _, high in bounds])
@@ -165,6 +166,25 @@ def _groups(gram: Array, fixed: int, group: npt.NDArray[np.int64], taus: Array) 
         (minimize(negative, z, jac=True, method="L-BFGS-B", bounds=bounds, options={"maxiter": 60})
          for z in (begin, np.full(count, np.log(TAU)))), key=lambda found: found.fun)  # fmt: skip
     return np.asarray(np.exp(best.x))
+
+
+def log_prior(variances: Variances, start: Start) -> float:
+    """Log density of variances under their priors, up to a constant."""
+    found = np.log([[d.noise, d.still, d.moving, d.memory] for d in variances.disturbances])
+    centre = _centre(start)
+    groups = (np.log(np.maximum(variances.groups, ABSENT)) - np.log(TAU)) / TAU_SPREAD
+    return float(-0.5 * (((found - np.log(centre)) / SPREAD) ** 2).sum() - 0.5 * groups @ groups)
+
+
+def _centre(start: Start) -> Array:
+    """Where the priors of noise, amplitudes and correlation time are centred, (d, 4)."""
+    memory = np.full(len(start.noise), MEMORY)
+    return np.column_stack([start.noise, 0.1 * start.disturbance, start.disturbance, memory])
+
+
+def robust(likelihood: StageLikelihood, model: ModelFit) -> Variances:
+    """The variances with weights that make the outliers of ``model`` count less."""
+    return replace(likelihood.variances, weights=_weights(likelihood, model))
 
 
 def _weights(likelihood: StageLikelihood, model: ModelFit) -> Array:
