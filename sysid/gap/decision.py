@@ -73,7 +73,6 @@ class Decision:
         tied: sets of effects of which each would do, the one in ``model`` first.
         near_misses: its other effects and those of other survivors.
         survivors: all of them, best first; ``minimal``: those without a simpler survivor.
-        lost: nats that the best model predicts better than the best one without each named effect, by label.
     """
 
     model: ModelFit
@@ -82,7 +81,6 @@ class Decision:
     near_misses: tuple[NearMiss, ...]
     survivors: tuple[ModelFit, ...]
     minimal: tuple[ModelFit, ...]
-    lost: Mapping[str, float]
 
 
 def difference(better: ModelFit, other: ModelFit) -> tuple[float, float]:
@@ -146,11 +144,7 @@ def decide(models: Sequence[ModelFit], nameable: Sequence[str], rope: Mapping[Ke
                         "a model without it predicts as well",
                     )
                 )
-    lost = {}
-    for candidate in model.candidates:
-        without = [f for f in models if all(c.key != candidate.key for c in f.candidates)]
-        lost[candidate.label] = min((difference(model, f)[0] for f in without), default=0.0)
-    return Decision(model, tuple(named), tuple(tied), tuple(near), tuple(survivors), minimal, lost)
+    return Decision(model, tuple(named), tuple(tied), tuple(near), tuple(survivors), minimal)
 
 
 def _lacks(

@@ -13,14 +13,13 @@ from sysid.datasets.recording import Recording
 from sysid.gap.candidates import Candidate
 from sysid.gap.case import Case, Stage
 from sysid.gap.decision import EXPLAINED, SHARE, Z
-from sysid.gap.finding import Finding, Kept
 from sysid.gap.fit import Fit
 from sysid.gap.floor import problem_floor
 from sysid.gap.likelihood.stage import ModelFit
 from sysid.gap.localise import stage_rmse
 from sysid.gap.readings import Coarse
 from sysid.gap.result import Alternative, Carried, Evidence, Gap, NamedEffect, Unnamed, Value
-from sysid.gap.stages import without
+from sysid.gap.stage_result import AcceptedEffect, StageResult
 from sysid.gap.unnamed.residual_formula import describe_remainder
 from sysid.plant import Place, Plant, Uncertainty
 
@@ -145,7 +144,7 @@ def _near_misses(stage: Stage) -> list[str]:
     return found
 
 
-def _limits(finding: Finding) -> Array:
+def _limits(finding: StageResult) -> Array:
     """95 % intervals of the fit's unknowns, (k, 2): of the chosen model, widened by what other survivors say."""
     fitted = finding.stage_fit
     assert fitted is not None
@@ -167,7 +166,7 @@ def _uncertainty(model: ModelFit) -> Uncertainty:
     return Uncertainty(tuple(places), model.covariance)
 
 
-def _named(stage: Stage, kept: Kept, limits: Array, share: float) -> NamedEffect:
+def _named(stage: Stage, kept: AcceptedEffect, limits: Array, share: float) -> NamedEffect:
     candidate, fit, compared = kept.candidate, stage.found.fit, kept.comparison
     begin = fit.rows_of(candidate).start
     parameters: dict[str, Value] = {}
@@ -196,7 +195,7 @@ def _share(stage: Stage, candidate: Candidate) -> float:
     """Closed share of the held-out stage gap that is lost when the effect is dropped and the rest refitted."""
     fitted = stage.found.stage_fit
     assert fitted is not None
-    dropped = without(candidate, fitted)
+    dropped = fitted.dropped[candidate.label]
     recordings = stage.split.held_out if _shown(stage) else stage.split.seen
     before, after, less = (_score(stage, theta, recordings) for theta in (stage.theta, stage.found.fit.theta, dropped.theta))
     return float(np.clip((less - after) / (before - 1.0), 0.0, 1.0)) if before > 1.0 else 0.0

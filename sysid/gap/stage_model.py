@@ -32,12 +32,16 @@ TRANSIENT, UNKNOWN = 0.4, 0.1
 
 @dataclass(frozen=True)
 class StageFit:
-    """A stage after its search: its rows, the likelihood under the final variances, the models and the decision."""
+    """A stage after its search: its rows, the likelihood under the final variances, the models and the decision.
+
+    ``dropped``: by label, the chosen model without that effect, the rest refitted.
+    """
 
     rows: Rows
     likelihood: StageLikelihood
     models: tuple[ModelFit, ...]
     decision: Decision
+    dropped: Mapping[str, ModelFit]
 
     @property
     def variances(self) -> Variances:
@@ -85,7 +89,8 @@ def fit_stage(
         if len(proposals.fits) == before:
             break
         decision = decide(proposals.near(), nameable, rope)
-    return StageFit(rows, likelihood, tuple(proposals.near()), decision)
+    dropped = {c.label: proposals.without(decision.model, c) for c in decision.model.candidates}
+    return StageFit(rows, likelihood, tuple(proposals.near()), decision, dropped)
 
 
 def _settled(

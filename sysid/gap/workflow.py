@@ -15,11 +15,11 @@ from sysid.gap.adapters.simulator import Simulator, name_of
 from sysid.gap.case import Case, Stage, excitation
 from sysid.gap.decision import EXPLAINED
 from sysid.gap.experiment import Planning, Proposal, propose, questions_of
-from sysid.gap.finding import Finding
 from sysid.gap.maps import maps_of
 from sysid.gap.proof import Outcome
 from sysid.gap.result import Candidate, Excitation, GapResult, Localised, Map, Verdict
 from sysid.gap.shares import shares_of
+from sysid.gap.stage_result import StageResult
 from sysid.gap.stages import Forms
 from sysid.plant import Plant, compile_plant
 from sysid.progress import Progress, part, silent
@@ -139,7 +139,7 @@ def _maps(case: Case, stages: Sequence[Stage], repaired: Array | None) -> tuple[
     return tuple(item for maps in of_stages for item in maps)
 
 
-def _rows(stage: Stage, finding: Finding) -> list[Candidate]:
+def _rows(stage: Stage, finding: StageResult) -> list[Candidate]:
     where = stage.problem.stage, stage.problem.target
     return [
         Candidate(*where, t.effects, t.parameters, t.fit_rmse, t.selection_rmse, t.delta_bic, t.verdict) for t in finding.trials

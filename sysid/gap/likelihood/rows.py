@@ -190,7 +190,7 @@ def _speed(output: Array, time: Array) -> Array:
     if there.sum() < 3:
         return np.zeros(len(output))
     filled = np.interp(time, time[there], output[there])
-    return np.asarray(np.abs(np.gradient(filled, time)))
+    return np.asarray(np.abs(np.gradient(filled, time)), dtype=np.float64)
 
 
 def _normalised(series: Sequence[Series]) -> list[Series]:

@@ -20,7 +20,7 @@ from sysid.cli.tables import show_carried
 from sysid.datasets.recording import Dataset
 from sysid.errors import SettingsError
 from sysid.gap import find_gap, steps
-from sysid.gap.prove import Outcome, with_carried
+from sysid.gap.proof import Outcome, with_carried
 from sysid.gap.result import Carried, Gap, GapResult, Unnamed
 from sysid.gap.unnamed.residual_model import carry
 from sysid.networks.recurrent import Looks, RecurrentSettings, train_recurrent

@@ -28,7 +28,7 @@ def waves(x: Array, numbers: tuple[float, ...]) -> Array:
     return np.concatenate([np.sin(phase), np.cos(phase)], axis=1)
 
 
-def slow_cosines(time: Array, count: int = 3) -> Array:
+def slow_cosines(time: npt.NDArray[np.floating], count: int = 3) -> Array:
     """Half cosines over a recording and a slope a minute, (n, count + 1)."""
     span = max(float(time[-1] - time[0]), 1e-9) if len(time) else 1.0
     phase = np.pi * np.outer((time - time[:1]) / span, np.arange(1, count + 1))

@@ -1,4 +1,4 @@
-"""What a search leaves: the effects that stay at a stage, why, and every set that was tried."""
+"""The outcome at one stage: effects that are accepted, values that are adjusted, and the models that were compared."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from sysid.gap.stage_model import StageFit
 
 
 @dataclass(frozen=True)
-class Trial:
-    """One fitted set of effects and how it did, for the evidence table."""
+class TestedModel:
+    """One fitted set of effects and how it did, for the evidence table; errors in whitened standard deviations."""
 
     effects: tuple[str, ...]
     parameters: dict[str, float]
@@ -24,8 +24,8 @@ class Trial:
 
 
 @dataclass(frozen=True)
-class Kept:
-    """An effect that stays: its part of the fit, why it was kept, and the rivals that lost or tied."""
+class AcceptedEffect:
+    """An effect of the chosen model: the comparison with the best model without it, rejected alternatives, and ties."""
 
     candidate: Candidate
     comparison: Comparison
@@ -34,22 +34,22 @@ class Kept:
 
 
 @dataclass(frozen=True)
-class Finding:
+class StageResult:
     """The outcome at one stage.
 
     Args:
-        named: effects that a name is given to.
-        adjusted: what moved in the fit, but too little for a name, or is too poorly shown, or makes up for another's formula.
-        fit: the final fit, on all recordings that may be seen.
-        nominal_rmse, final_rmse: of unseen recordings, as multiples of the noise floor.
+        named: effects that the decision names, or that tie with others.
+        adjusted: the other effects of the chosen model: their values go into the plant without a name.
+        fit: values of the chosen model.
+        nominal_rmse, final_rmse: of the fitted recordings, as multiples of the noise floor.
         stage_fit: the models that were compared and the decision; None where the stage was explained before.
     """
 
     problem: Problem
-    named: tuple[Kept, ...]
+    named: tuple[AcceptedEffect, ...]
     adjusted: tuple[Candidate, ...]
     fit: Fit
     nominal_rmse: float
     final_rmse: float
-    trials: tuple[Trial, ...] = ()
+    trials: tuple[TestedModel, ...] = ()
     stage_fit: StageFit | None = None
