@@ -9,7 +9,7 @@ from typing import Literal
 
 import numpy as np
 
-from sysid.gap.adapters.adapter import Around
+from sysid.gap.adapters.adapter import SimulatorAdapter
 from sysid.gap.candidates import Candidate, as_nuisance
 from sysid.gap.case import Case, Stage, on_itself, stage_candidates
 from sysid.gap.excitation import excitation_of
@@ -27,9 +27,9 @@ def search_stages(
     case: Case, stages: Sequence[Stage], strict: Strictness, forms: Forms, progress: Progress
 ) -> tuple[Stage, ...]:
     """The stages with what was found at each."""
-    if case.around is None:
+    if case.adapter is None:
         return _side_by_side(case, stages, strict, forms, progress)
-    return _one_by_one(case, case.around, stages, strict, forms, progress)
+    return _one_by_one(case, case.adapter, stages, strict, forms, progress)
 
 
 def _side_by_side(
@@ -76,13 +76,13 @@ def _as_read(case: Case, stages: tuple[Stage, ...], strict: Strictness, forms: F
 
 
 def _one_by_one(
-    case: Case, around: Around, stages: Sequence[Stage], strict: Strictness, forms: Forms, progress: Progress
+    case: Case, adapter: SimulatorAdapter, stages: Sequence[Stage], strict: Strictness, forms: Forms, progress: Progress
 ) -> tuple[Stage, ...]:
-    """Around a simulator of one's own a stage is fed by what was found before it."""
+    """With a simulator of one's own, the input of a stage depends on the effects found before it."""
     found, theta = list[Stage](), case.theta
     for k, stage in enumerate(stages):
         tell = part(progress, k / len(stages), (k + 1) / len(stages))
-        settled = replace(stage, problem=around.settled(stage.problem, theta))
+        settled = replace(stage, problem=adapter.with_input_effects(stage.problem, theta))
         found.append(replace(settled, finding=_found(case, settled, strict, forms, tell)))
         if stage.problem.stage == "command":
             fitted = found[-1].found.fit.theta
@@ -99,7 +99,7 @@ def _found(case: Case, stage: Stage, strict: Strictness, forms: Forms, tell: Pro
         shown = not strict.gate or excitation_of(candidate, stage.split.seen, machine).sufficient
         (tried if shown else gated).append(candidate)
     nuisances = [as_nuisance(c) for c in tried if strict.free and c.effect.name in stage.problem.nuisances]
-    problem = stage.problem if case.around is None else case.around.to_search(stage.problem)
+    problem = stage.problem if case.adapter is None else case.adapter.search_problem(stage.problem)
     finding = Search(
         problem, stage.theta, stage.split, stage.sigma, tried, nuisances, gated, strict, case.seed,
         on_fit=lambda text: tell(0.0, f"{stage.label}: {text}"),

@@ -49,7 +49,7 @@ def find_gap(
     """Find where ``plant`` and the recordings disagree, name the missing effects, and prove it on held-out recordings.
 
     Args:
-        plant: a plant, or a simulator of one's own: what is named then acts in front of it or behind it.
+        plant: a plant, or a simulator of one's own, for which input and output effects are named.
         registry: where plant versions live; without it none is written.
         add: write the repaired plant as a new version, and promote it if the proof is good enough.
         world: prove it in the PyBullet world as well; by default where it is added.
@@ -57,7 +57,7 @@ def find_gap(
         carry: what keeps no name is carried by bounded residual networks where held-out errors fall with them; they are learned
             from the recordings, no physics, and never stand among the effects (:mod:`sysid.gap.unnamed.residual_model`).
         forms: "simple" tries every effect in its simplest form only, e.g. one friction for both directions.
-        planning: plan the recordings that would answer what these leave open (not around a simulator of one's own); by default
+        planning: plan the recordings that would answer what these leave open (not for a simulator of one's own); by default
             they are only described.
         progress: called with (share done, text).
 
@@ -81,7 +81,7 @@ def find_gap(
     tell(0.02, "localising")
     located = steps.localise(study)
     case, proposal, after_reference, promotion = study.case, Proposal(), "", None
-    own = registry is not None and case.around is None
+    own = registry is not None and case.adapter is None
     reference = steps.register(case, case.plant, registry, {}) if registry is not None and own else case.reference
     if localise_only:
         proof = steps.measure(study, Outcome(case.plant))
@@ -93,7 +93,7 @@ def find_gap(
     if add and registry is not None and outcome.repaired is not case.plant:
         after_reference = steps.store(study, proof, registry)
         promotion = steps.promote(study, proof, registry, after_reference)
-    if planning is not None and case.around is None and not localise_only:
+    if planning is not None and case.adapter is None and not localise_only:
         tell(0.93, "planning the next experiment")
         questions = questions_of(case, stages, outcome, strict)
         proposal = propose(case, outcome.repaired, questions, planning, lambda text: tell(0.93, f"planning: {text}"))
@@ -116,7 +116,7 @@ def find_gap(
         held_out_recordings=tuple(r.name for r in case.split.held_out),
         seconds=time.perf_counter() - begin,
         localised=located,
-        shares=shares_of(compile_plant(case.plant), case.split.seen) if case.around is None else (),
+        shares=shares_of(compile_plant(case.plant), case.split.seen) if case.adapter is None else (),
         maps=_maps(case, stages, better if outcome.repaired is not case.plant else None),
         carried=tuple(outcome.carried),
         candidates=tuple(row for stage in stages if stage.finding for row in _rows(stage, stage.finding)),
@@ -124,7 +124,7 @@ def find_gap(
         notes=(
             *outcome.notes,
             *proposal.notes,
-            *(case.around.notes([s.problem for s in stages]) if case.around is not None else ()),
+            *(case.adapter.notes([s.problem for s in stages]) if case.adapter is not None else ()),
         ),
         experiments=proposal.experiments,
         world_gap=proof.world,

@@ -85,9 +85,12 @@ def carry(
     Raises:
         SettingsError: the questioned simulation is not a plant.
     """
-    if case.around is not None:
+    if case.adapter is not None:
         raise SettingsError(
-            f"simulator {case.around.name}", "cannot carry a residual network", "a plant", "Add it inside the simulator itself."
+            f"simulator {case.adapter.name}",
+            "cannot carry a residual network",
+            "a plant",
+            "Add it inside the simulator itself.",
         )
     repaired, found = outcome.repaired, list[Carried]()
     for k, item in enumerate(outcome.unnamed):
