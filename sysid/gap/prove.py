@@ -18,8 +18,8 @@ from sysid.gap.floor import problem_floor
 from sysid.gap.intervals import known_of
 from sysid.gap.localise import stage_rmse
 from sysid.gap.readings import Coarse
-from sysid.gap.result import Alternative, Carried, Evidence, Gap, NamedEffect, Unnamed, Value
-from sysid.gap.unnamed.residual_formula import describe_remainder
+from sysid.gap.result import Alternative, Evidence, Gap, NamedEffect, ResidualModelResult, Unnamed, Value
+from sysid.gap.unnamed.residual_formula import describe_residual
 from sysid.plant import Place, Plant, Uncertainty
 
 Array = npt.NDArray[np.float64]
@@ -51,7 +51,7 @@ class Outcome:
     ties: list[tuple[tuple[str, str], ...]] = field(default_factory=list)
     unnamed: list[Unnamed] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
-    carried: list[Carried] = field(default_factory=list)
+    carried: list[ResidualModelResult] = field(default_factory=list)
 
 
 def judge(case: Case, stages: Sequence[Stage]) -> Outcome:
@@ -71,7 +71,7 @@ def judge(case: Case, stages: Sequence[Stage]) -> Outcome:
             outcome.notes.append(f"{stage.label}: what was found did not help on held-out recordings")
         if (finding.final_rmse if proven else finding.nominal_rmse) > UNEXPLAINED:
             fit = finding.fit if proven else Fit((), (), np.empty(0), stage.theta, (), 0.0, True)
-            outcome.unnamed += describe_remainder(stage.problem, fit, stage.split.seen, case.plant.machine)
+            outcome.unnamed += describe_residual(stage.problem, fit, stage.split.seen, case.plant.machine)
     return outcome
 
 

@@ -131,10 +131,10 @@ def prove(study: Study, world: bool = False, progress: Progress = silent, *, car
 
     Args:
         world: run the held-out commands in the PyBullet world as well.
-        carry: what keeps no name is carried by residual networks where that helps (:mod:`sysid.gap.unnamed.residual_model`).
+        carry: fit residual networks to what keeps no name, where they help (:mod:`sysid.gap.unnamed.residual_model`).
 
     Raises:
-        SettingsError: the study was not searched; a simulator of one's own should carry.
+        SettingsError: the study was not searched; residual networks were asked for with a simulator of one's own.
     """
     if any(stage.finding is None for stage in study.stages):
         raise SettingsError("prove", "stages that were not searched", "a study that sysid.gap.steps.search returned")
@@ -142,7 +142,7 @@ def prove(study: Study, world: bool = False, progress: Progress = silent, *, car
     if carry:
         from sysid.gap.unnamed import residual_model  # torch is loaded only where something is trained
 
-        outcome = residual_model.carry(study.case, study.stages, outcome, progress=progress)
+        outcome = residual_model.fit_residual_models(study.case, study.stages, outcome, progress=progress)
     return measure(study, outcome, world, progress)
 
 

@@ -54,8 +54,8 @@ def find_gap(
         add: write the repaired plant as a new version, and promote it if the proof is good enough.
         world: prove it in the PyBullet world as well; by default where it is added.
         localise_only: stop after localising; the verdict is then ``unnamed`` wherever a stage is above its noise floor.
-        carry: what keeps no name is carried by bounded residual networks where held-out errors fall with them; they are learned
-            from the recordings, no physics, and never stand among the effects (:mod:`sysid.gap.unnamed.residual_model`).
+        carry: fit bounded residual networks to what keeps no name, where they lower held-out errors. They are learned from the
+            recordings, are no physics, and are not listed among the effects (:mod:`sysid.gap.unnamed.residual_model`).
         forms: "simple" tries every effect in its simplest form only, e.g. one friction for both directions.
         planning: plan the recordings that would answer what these leave open (not for a simulator of one's own); by default
             they are only described.
@@ -64,7 +64,7 @@ def find_gap(
     Raises:
         ExcitationError: no stage is measured at both ends, or there is nothing to hold out.
         InputError: a simulator of one's own failed, or returned no table of signals.
-        SettingsError: what is found around such a simulator is to be added to the registry, or it should carry a network.
+        SettingsError: a repaired simulator of one's own is to be added to the registry, or to hold a residual network.
     """
     begin = time.perf_counter()
     tell: Progress = progress or silent
@@ -74,9 +74,11 @@ def find_gap(
             f"simulator {name_of(plant)}", "cannot be stored", "a plant", "Take what is repaired from sysid.gap.steps.add."
         )
     if carry and not isinstance(plant, Plant):
-        raise SettingsError(f"simulator {name_of(plant)}", "cannot carry a residual network", "a plant")
+        raise SettingsError(f"simulator {name_of(plant)}", "cannot hold a residual network", "a plant")
     if carry and localise_only:
-        raise SettingsError("find_gap", "carry and localise_only", "one of them", "What is carried is what a search leaves.")
+        raise SettingsError(
+            "find_gap", "carry and localise_only", "one of them", "A residual network is fitted to what a search leaves."
+        )
     study = steps.open_study(dataset, plant, seed)
     tell(0.02, "localising")
     located = steps.localise(study)
