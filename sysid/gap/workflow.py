@@ -13,7 +13,7 @@ from sysid.errors import SettingsError
 from sysid.gap import steps
 from sysid.gap.adapters.simulator import Simulator, name_of
 from sysid.gap.case import Case, Stage, excitation
-from sysid.gap.experiment import Planning, Proposal, propose, questions_of
+from sysid.gap.experiment import Planning, Proposal, open_hypotheses, propose
 from sysid.gap.finding import Finding
 from sysid.gap.maps import maps_of
 from sysid.gap.prove import Outcome
@@ -97,8 +97,8 @@ def find_gap(
         promotion = steps.promote(study, proof, registry, after_reference)
     if planning is not None and case.adapter is None and not localise_only:
         tell(0.93, "planning the next experiment")
-        questions = questions_of(case, stages, outcome, strict)
-        proposal = propose(case, outcome.repaired, questions, planning, lambda text: tell(0.93, f"planning: {text}"))
+        hypotheses = open_hypotheses(case, stages, outcome, strict)
+        proposal = propose(case, outcome.repaired, hypotheses, planning, lambda text: tell(0.93, f"planning: {text}"))
     shown = excitation(case, stages)
     verdict = _verdict(outcome, located, shown, strict, localise_only)
     better = outcome.repaired.vector()
