@@ -10,17 +10,16 @@ from typing import Any
 
 from sysid.datasets import ingest
 from sysid.gap import find_gap
-from sysid.gap.strictness import Strictness
 from sysid.plant import nominal_plant
 
 
-def solve(site: Path, out: Path, strict: Strictness | None = None) -> None:
+def solve(site: Path, out: Path) -> None:
     """Write what :func:`sysid.gap.find_gap` answers about the logs in ``site``, and the processor time of that."""
     begin = time.process_time()
     with tempfile.TemporaryDirectory() as workspace:
         dataset = ingest(site, workspace)
         ingested = time.process_time() - begin
-        result = find_gap(dataset, nominal_plant(dataset.machine), strict=strict or Strictness())
+        result = find_gap(dataset, nominal_plant(dataset.machine))
     answer = {"ingest_seconds": ingested, "seconds": time.process_time() - begin, "answer": _without_maps(result.to_json())}
     beside = out.with_suffix(".part")
     beside.write_text(json.dumps(answer, indent=1) + "\n", "utf-8")

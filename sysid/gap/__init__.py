@@ -4,7 +4,6 @@ from sysid.gap import steps
 from sysid.gap.adapters.adapter import SimulatorAdapter, adapt_simulator
 from sysid.gap.adapters.simulator import BatchSimulator, Simulator, starting_value
 from sysid.gap.result import GapResult
-from sysid.gap.strictness import Strictness
 from sysid.gap.workflow import find_gap
 
 __all__ = [
@@ -12,7 +11,6 @@ __all__ = [
     "GapResult",
     "Simulator",
     "SimulatorAdapter",
-    "Strictness",
     "adapt_simulator",
     "find_gap",
     "starting_value",

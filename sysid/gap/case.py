@@ -17,13 +17,13 @@ from sysid.gap.aliases import without_aliases
 from sysid.gap.candidates import Candidate, Scales, candidates_at
 from sysid.gap.data import Data
 from sysid.gap.excitation import excitation_of
-from sysid.gap.finding import Finding
 from sysid.gap.fit import fit_candidates, spread_of
 from sysid.gap.floor import problem_floor
 from sysid.gap.noise import noise_levels
 from sysid.gap.problem import Problem, Split, pose_split, problems_of, split_of
 from sysid.gap.readings import Coarse, coarse_sensors, with_steps
 from sysid.gap.result import Excitation
+from sysid.gap.stage_result import StageResult
 from sysid.plant import Plant, compile_plant, free_run, gravity_load
 
 Array = npt.NDArray[np.float64]
@@ -77,14 +77,14 @@ class Stage:
     split: Split
     sigma: Array
     theta: Array
-    finding: Finding | None = None
+    finding: StageResult | None = None
 
     @property
     def label(self) -> str:
         return f"{self.problem.stage} stage of {self.problem.target}"
 
     @property
-    def found(self) -> Finding:
+    def found(self) -> StageResult:
         """The finding of a stage that was searched."""
         assert self.finding is not None
         return self.finding
@@ -139,7 +139,7 @@ def stage_candidates(case: Case, stage: Stage) -> list[Candidate]:
     return without_aliases(found, compile_plant(case.plant)) if problem.stage == "end_effector" else found
 
 
-def on_itself(finding: Finding, stage: Stage, theta: Array) -> Finding:
+def on_itself(finding: StageResult, stage: Stage, theta: Array) -> StageResult:
     """What was found on a surrogate of the stage, fitted to the stage itself."""
     seen = Data(stage.problem, stage.split.seen, stage.sigma)
     unseen = Data(stage.problem, stage.split.select, stage.sigma)

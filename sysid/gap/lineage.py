@@ -11,7 +11,7 @@ from typing import Any
 from sysid import __version__
 from sysid.files import plain
 from sysid.gap.case import Case
-from sysid.gap.prove import Outcome
+from sysid.gap.proof import Outcome
 from sysid.gap.result import Gap
 
 #: What the figures of the workflow depend on.

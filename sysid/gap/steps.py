@@ -26,10 +26,9 @@ from sysid.gap.excitation import advice, advice_on_tie, excitation_of
 from sysid.gap.floor import floor_spread, run_floor
 from sysid.gap.lineage import lineage_of
 from sysid.gap.promotion import first_promotion, free_run_check, names_check, stages_check, world_check
-from sysid.gap.prove import Outcome, held_out_score, judge, stage_gap, with_carried
+from sysid.gap.proof import Outcome, held_out_score, judge, stage_gap, with_carried
 from sysid.gap.result import Check, Excitation, Gap, Localised, Promotion, Traces, WorldGap
-from sysid.gap.stage_search import Forms, search_stages
-from sysid.gap.strictness import Strictness
+from sysid.gap.stages import Forms, search_stages
 from sysid.gap.world_proof import world_gap
 from sysid.plant import Plant, machine_difference, plant_from_files
 from sysid.plant.uncertainty import NONE
@@ -115,15 +114,14 @@ def candidates(study: Study) -> tuple[ProposedEffect, ...]:
     )
 
 
-def search(study: Study, strict: Strictness | None = None, forms: Forms = "all", progress: Progress = silent) -> Study:
+def search(study: Study, forms: Forms = "all", progress: Progress = silent) -> Study:
     """Find out stage by stage which effects are missing.
 
     Args:
         forms: "simple" tries every effect in its simplest form only.
     """
-    strict = strict or Strictness()
-    found = search_stages(study.case, study.stages, strict, forms, progress)
-    return replace(study, stages=found, settings={"forms": forms, "strictness": asdict(strict)})
+    found = search_stages(study.case, study.stages, forms, progress)
+    return replace(study, stages=found, settings={"forms": forms})
 
 
 def prove(study: Study, world: bool = False, progress: Progress = silent, *, carry: bool = False) -> Proof:

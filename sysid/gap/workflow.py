@@ -13,14 +13,14 @@ from sysid.errors import SettingsError
 from sysid.gap import steps
 from sysid.gap.adapters.simulator import Simulator, name_of
 from sysid.gap.case import Case, Stage, excitation
+from sysid.gap.decision import EXPLAINED
 from sysid.gap.experiment import Planning, Proposal, open_hypotheses, propose
-from sysid.gap.finding import Finding
 from sysid.gap.maps import maps_of
-from sysid.gap.prove import Outcome
+from sysid.gap.proof import Outcome
 from sysid.gap.result import Candidate, Excitation, GapResult, Localised, Map, Verdict
 from sysid.gap.shares import shares_of
-from sysid.gap.stage_search import Forms
-from sysid.gap.strictness import Strictness
+from sysid.gap.stage_result import StageResult
+from sysid.gap.stages import Forms
 from sysid.plant import Plant, compile_plant
 from sysid.progress import Progress, part, silent
 
@@ -42,7 +42,6 @@ def find_gap(
     carry: bool = False,
     forms: Forms = "all",
     progress: Progress | None = None,
-    strict: Strictness | None = None,
     planning: Planning | None = None,
     seed: int = 0,
 ) -> GapResult:
@@ -68,7 +67,6 @@ def find_gap(
     """
     begin = time.perf_counter()
     tell: Progress = progress or silent
-    strict = strict or Strictness()
     if add and not isinstance(plant, Plant):
         raise SettingsError(
             f"simulator {name_of(plant)}", "cannot be stored", "a plant", "Take what is repaired from sysid.gap.steps.add."
@@ -88,7 +86,7 @@ def find_gap(
     if localise_only:
         proof = steps.measure(study, Outcome(case.plant))
     else:
-        study = steps.search(study, strict, forms, part(tell, 0.05, 0.85))
+        study = steps.search(study, forms, part(tell, 0.05, 0.85))
         tell(0.87, "proving on held-out recordings")
         proof = steps.prove(study, add if world is None else world, part(tell, 0.88, 0.92), carry=carry)
     outcome, stages = proof.outcome, list(study.stages)
@@ -97,10 +95,10 @@ def find_gap(
         promotion = steps.promote(study, proof, registry, after_reference)
     if planning is not None and case.adapter is None and not localise_only:
         tell(0.93, "planning the next experiment")
-        hypotheses = open_hypotheses(case, stages, outcome, strict)
+        hypotheses = open_hypotheses(case, stages, outcome)
         proposal = propose(case, outcome.repaired, hypotheses, planning, lambda text: tell(0.93, f"planning: {text}"))
     shown = excitation(case, stages)
-    verdict = _verdict(outcome, located, shown, strict, localise_only)
+    verdict = _verdict(outcome, located, shown, localise_only)
     better = outcome.repaired.vector()
     tell(1.0, "done")
     return GapResult(
@@ -143,21 +141,19 @@ def _maps(case: Case, stages: Sequence[Stage], repaired: Array | None) -> tuple[
     return tuple(item for maps in of_stages for item in maps)
 
 
-def _rows(stage: Stage, finding: Finding) -> list[Candidate]:
+def _rows(stage: Stage, finding: StageResult) -> list[Candidate]:
     where = stage.problem.stage, stage.problem.target
     return [
         Candidate(*where, t.effects, t.parameters, t.fit_rmse, t.selection_rmse, t.delta_bic, t.verdict) for t in finding.trials
     ]
 
 
-def _verdict(
-    outcome: Outcome, located: Sequence[Localised], shown: Sequence[Excitation], strict: Strictness, localise_only: bool
-) -> Verdict:
+def _verdict(outcome: Outcome, located: Sequence[Localised], shown: Sequence[Excitation], localise_only: bool) -> Verdict:
     if outcome.named:
         return "named"
     if outcome.ties:
         return "ambiguous"
-    above = {item.target for item in located if item.stage_rmse > strict.gap * item.noise_floor}
+    above = {item.target for item in located if item.stage_rmse > EXPLAINED * item.noise_floor}
     if outcome.unnamed or (localise_only and above):
         return "unnamed"
     return "insufficient_excitation" if any(e.target in above and not e.sufficient for e in shown) else "no_gap"

@@ -30,7 +30,7 @@ class Removed:
 
 
 @dataclass(frozen=True)
-class Kept:
+class AcceptedEffect:
     """What was asked for or found, and not removed."""
 
     what: str
@@ -42,7 +42,7 @@ class Vacuumed:
     """What a vacuum removed, or would remove where ``dry_run``."""
 
     removed: tuple[Removed, ...]
-    kept: tuple[Kept, ...]
+    kept: tuple[AcceptedEffect, ...]
     dry_run: bool
 
     @property
@@ -81,7 +81,7 @@ def vacuum(
                 store.manifest(reference)  # says what there is
             wanted[name].add(int(number))
     removed: list[Removed] = []
-    kept: list[Kept] = []
+    kept: list[AcceptedEffect] = []
     for name in sorted(wanted) or there:
         with store.files.lock(f"datasets/{name}"):
             some, others = _one(store, name, wanted.get(name, set()), users, keep, dry_run)
@@ -92,10 +92,10 @@ def vacuum(
 
 def _one(
     store: Store, name: str, named: Iterable[int], users: Users, keep: int | None, dry_run: bool
-) -> tuple[list[Removed], list[Kept]]:
+) -> tuple[list[Removed], list[AcceptedEffect]]:
     """One dataset, whose lock is held."""
     versions = store.versions(name)
-    kept: list[Kept] = []
+    kept: list[AcceptedEffect] = []
     going = []
     folders: dict[int, frozenset[str] | None] = {}
     for version in versions:
@@ -103,9 +103,9 @@ def _one(
         if version in named or (keep is not None and version in versions[:-keep]):
             by = users(f"{name}@{version}", digest)
             if by:
-                kept.append(Kept(f"{name}@{version}", f"{', '.join(by)} was made from it"))
+                kept.append(AcceptedEffect(f"{name}@{version}", f"{', '.join(by)} was made from it"))
             elif folders[version] is None and version not in named:
-                kept.append(Kept(f"{name}@{version}", "its manifest cannot be read: name the version to remove it"))
+                kept.append(AcceptedEffect(f"{name}@{version}", "its manifest cannot be read: name the version to remove it"))
             else:
                 going.append(version)
     staying = [folders[version] for version in versions if version not in going]
@@ -115,7 +115,7 @@ def _one(
     loose: list[str] = []
     if any(own is None for own in staying):
         reason = "a manifest of this dataset cannot be read, and may refer to data that no other refers to"
-        kept.append(Kept(data, reason))
+        kept.append(AcceptedEffect(data, reason))
         removed += [Removed(f"{name}@{version}", 0) for version in going]
     else:
         needed = {folder for own in staying for folder in own or ()}
@@ -128,7 +128,7 @@ def _one(
         for folder in sorted(free):
             size, age = weights[folder]
             if not store.files.locks and age < YOUNG_S:
-                kept.append(Kept(f"{data}/{folder}", "younger than a day: a writer may be at work on it"))
+                kept.append(AcceptedEffect(f"{data}/{folder}", "younger than a day: a writer may be at work on it"))
             else:
                 removed.append(Removed(f"{data}/{folder}", size))
                 loose.append(folder)

@@ -12,14 +12,14 @@ import numpy.typing as npt
 from sysid.gap.candidates import Candidate
 from sysid.gap.case import Case, Stage, stage_candidates
 from sysid.gap.data import Data
+from sysid.gap.decision import EXPLAINED
 from sysid.gap.drift import Drift
 from sysid.gap.excitation import excitation_of
 from sysid.gap.experiment.experiment import EffectAt
 from sysid.gap.experiment.information import PlausibleModel, noise_of_bin, plausible_model
 from sysid.gap.fit import Fit, fit_candidates
-from sysid.gap.prove import Outcome
+from sysid.gap.proof import Outcome
 from sysid.gap.starts import starting_values
-from sysid.gap.strictness import Strictness
 from sysid.plant import compile_plant
 
 Array = npt.NDArray[np.float64]
@@ -62,7 +62,7 @@ class OpenHypothesis:
         return tuple((a, b) for a in self.models for b in self.models if a is not b and not _within(a, b))
 
 
-def open_hypotheses(case: Case, stages: Sequence[Stage], outcome: Outcome, strict: Strictness) -> list[OpenHypothesis]:
+def open_hypotheses(case: Case, stages: Sequence[Stage], outcome: Outcome) -> list[OpenHypothesis]:
     """The non-identifiable sets of the outcome, then the effects that unexplained stages may have and do not excite."""
     base = compile_plant(outcome.repaired).theta
     found = []
@@ -75,7 +75,7 @@ def open_hypotheses(case: Case, stages: Sequence[Stage], outcome: Outcome, stric
             if kept.ties and tie in outcome.ties:
                 found.append(non_identifiable_set(case, stage, base, kept.candidate, kept.ties[: MAX_ALTERNATIVES - 1], seen))
     for stage in stages:
-        if stage.finding is not None and stage.finding.final_rmse > strict.gap:
+        if stage.finding is not None and stage.finding.final_rmse > EXPLAINED:
             found += _unexcited(case, stage, base)
     return found
 

@@ -20,7 +20,7 @@ from sysid.cli.tables import show_residual_models
 from sysid.datasets.recording import Dataset
 from sysid.errors import SettingsError
 from sysid.gap import find_gap, steps
-from sysid.gap.prove import Outcome, with_carried
+from sysid.gap.proof import Outcome, with_carried
 from sysid.gap.result import Gap, GapResult, ResidualModelResult, Unnamed
 from sysid.gap.unnamed.residual_model import fit_residual_models
 from sysid.networks.recurrent import Looks, RecurrentSettings, train_recurrent

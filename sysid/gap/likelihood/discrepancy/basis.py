@@ -1,0 +1,82 @@
+"""The discrepancy of a stage: which functions may be added to its output, group by group."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from sysid.datasets.recording import Recording
+from sysid.gap.likelihood.discrepancy.drives import force_columns, servo_columns, velocity_columns
+from sysid.gap.likelihood.discrepancy.geometry import joint_columns, tip_columns, tool_columns
+from sysid.gap.likelihood.rows import Rows, bin_means
+from sysid.plant import Model
+
+Array = npt.NDArray[np.float64]
+#: Group → columns on the rows of a recording that the problem measures, (n, m, d).
+Columns = Mapping[str, Array]
+
+
+@dataclass(frozen=True)
+class Discrepancy:
+    """Columns of a discrepancy.
+
+    Args:
+        columns: (rows, m), unit of the output for a coefficient of one.
+        group: of each column, its place in ``groups``, (m,).
+        timing: change of the output for half a sample of timing, (rows,).
+    """
+
+    columns: Array
+    group: npt.NDArray[np.int64]
+    groups: tuple[str, ...]
+    timing: Array
+
+
+def discrepancy_of(model: Model, rows: Rows, theta: Array) -> Discrepancy:
+    """The columns of a stage, with the dead time and the lag of ``theta`` where it has some."""
+    problem = rows.problem
+    make = _maker(model, rows, theta)
+    found: dict[str, list[Array]] = {}
+    timing = np.zeros(rows.count)
+    at = 0
+    signals = len(problem.signals)
+    for recording in rows.recordings:
+        columns = make(recording)
+        width = rows.series[at].width
+        for name, values in columns.items():
+            means = np.nan_to_num(bin_means(np.moveaxis(values, 1, 0), width))  # (m, bins, d)
+            found.setdefault(name, []).append(np.concatenate([means[:, :, k].T for k in range(signals)]))
+        for k in range(signals):
+            s = rows.series[at + k]
+            timing[s.rows] = 0.5 / recording.rate_hz * _slope(s.measured, s.time) if recording.kind == "motion" else 0.0
+        at += signals
+    groups = tuple(found)
+    joined = [np.concatenate(found[name]) for name in groups]
+    sizes = [part.shape[1] for part in joined]
+    table = np.concatenate(joined, axis=1) if joined else np.zeros((rows.count, 0))
+    return Discrepancy(table, np.repeat(np.arange(len(groups)), sizes), groups, timing)
+
+
+def _maker(model: Model, rows: Rows, theta: Array) -> Callable[[Recording], Columns]:
+    problem = rows.problem
+    if problem.stage == "command":
+        axis = model.machine.axis(problem.target)
+        make = velocity_columns if axis.actuation == "velocity" else servo_columns
+        return make(model, axis, rows.recordings, theta)
+    if problem.stage == "force":
+        return force_columns(model, model.machine.axis(problem.target), rows.recordings, problem)
+    if problem.stage == "joint":
+        return joint_columns(model, model.machine.axis(problem.target), rows.recordings)
+    if problem.stage == "end_effector":
+        return tip_columns(model, rows.recordings, theta)
+    return tool_columns(model, rows.recordings)
+
+
+def _slope(output: Array, time: Array) -> Array:
+    there = ~np.isnan(output)
+    if there.sum() < 3:
+        return np.zeros(len(output))
+    return np.asarray(np.gradient(np.interp(time, time[there], output[there]), time))

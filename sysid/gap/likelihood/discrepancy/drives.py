@@ -1,0 +1,198 @@
+"""Discrepancies of the drives: speed of a velocity axis, position of a servo, force of a force axis."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+import numpy.typing as npt
+from scipy import signal
+
+from sysid.compiled import kernel
+from sysid.datasets.recording import Recording
+from sysid.gap.likelihood.discrepancy.shapes import (
+    SMALL,
+    bumps,
+    delayed,
+    low_pass,
+    slope,
+    slow_cosines,
+    smooth,
+    span_of,
+    waves,
+)
+from sysid.machine import Axis
+from sysid.plant import Model, gravity_load
+from sysid.plant.layout import AT, AXIS_WIDTH
+
+if TYPE_CHECKING:
+    from sysid.gap.problem import Problem
+
+Array = npt.NDArray[np.float64]
+Make = Callable[[Recording], dict[str, Array]]
+
+#: A recent past of a command or a set-point [s]: what a spool or a drive remembers.
+PAST = 0.15
+#: A reading may be off by functions of this size, as a share of its range.
+READING = 0.01
+
+
+def velocity_columns(model: Model, axis: Axis, recordings: Sequence[Recording], theta: Array) -> Make:
+    """Command → speed, summed up to the position: flow as a function of command, position, rate, past, time, load, others."""
+    i = model.axis_index(axis.name)
+    block = theta[i * AXIS_WIDTH : (i + 1) * AXIS_WIDTH]
+    delay, lag, gain = float(block[AT.input_delay]), float(block[AT.first_order_lag]), axis.gain * float(block[AT.gain_error])
+    middle, half = span_of(tuple(recordings), axis.driven)
+    largest = _largest_load(model, recordings, i)
+    others = [name for name in model.machine.axis_names if name != axis.name]
+
+    def columns(recording: Recording) -> dict[str, Array]:
+        dt = 1.0 / recording.rate_hz
+        u = delayed(model.held(recording, axis.name)[0], delay, dt)
+        q = (smooth(recording.values(axis.driven), round(0.2 / dt)) - middle) / half
+        rate, slow = np.gradient(u, dt), low_pass(u, PAST, dt)
+        time = np.arange(len(u)) * dt
+
+        def flow(parts: Array) -> Array:
+            return (np.cumsum(low_pass(gain * parts, lag, dt), axis=0) * dt)[:, :, None]
+
+        size = np.abs(u)
+        tangents = np.column_stack([u, size, u * size, u * u, u**3, np.tanh(u / SMALL), np.full(len(u), 0.1)])
+        steep = np.tanh(rate / 2.0)
+        found = {
+            "command": flow(np.hstack([bumps(u), tangents])),
+            "position": flow(np.column_stack([waves(q, (1.5, 3.0, 4.5, 7.5)), q, q * q]) * u[:, None]),
+            "rate": flow(np.column_stack([steep, steep * size, np.tanh(rate / 0.5)])),
+            "past": flow(np.column_stack([np.tanh((u - slow) / 0.1), np.tanh((u - slow) / 0.03), np.sign(u) * (u - slow)])),
+            "time": flow(slow_cosines(time) * u[:, None]),
+        }
+        if largest > 0.0:
+            load = _load(model, recording, i) / largest
+            found["load"] = flow(np.column_stack([load * size, load * u, load * load * u, load * np.tanh(size / SMALL), load]))
+        if others:
+            demand = sum(np.abs(model.held(recording, name)[0]) for name in others)
+            found["other axes"] = flow(np.column_stack([u * demand, u * demand * demand, u * np.maximum(demand - 0.5, 0.0)]))
+        scale = READING * half
+        found["reading"] = scale * np.column_stack([waves(q, (1.5, 3.0, 6.0, 12.0)), q, q * q])[:, :, None]
+        found["direction"] = scale * np.column_stack([np.tanh(slow / 0.05), np.tanh(u / SMALL)])[:, :, None]
+        return found
+
+    return columns
+
+
+def servo_columns(model: Model, axis: Axis, recordings: Sequence[Recording], theta: Array) -> Make:
+    """Set-point → position: following error as a function of speed, acceleration, direction, past, posture, load, time."""
+    i = model.axis_index(axis.name)
+    block = theta[i * AXIS_WIDTH : (i + 1) * AXIS_WIDTH]
+    delay, lag = float(block[AT.input_delay]), float(block[AT.first_order_lag])
+    middle, half = span_of(tuple(recordings), axis.driven)
+    largest = _largest_load(model, recordings, i)
+    fastest = _fastest(recordings, axis.driven)
+
+    def columns(recording: Recording) -> dict[str, Array]:
+        dt = 1.0 / recording.rate_hz
+        u = low_pass(delayed(model.held(recording, axis.name)[0], delay, dt), lag, dt)
+        speed = np.gradient(u, dt) / fastest
+        change = np.gradient(smooth(speed, round(0.1 / dt)), dt)
+        q = (u - middle) / half
+        past = low_pass(speed, PAST, dt)
+        time = np.arange(len(u)) * dt
+        scale = READING * half
+        size = np.abs(speed)
+        parts = {
+            "speed": [speed, size, speed * size, speed**3, np.tanh(speed / 0.2), low_pass(speed, 0.5, dt)],
+            "acceleration": [change, np.tanh(change / 2.0), change * size],
+            "direction": [np.tanh(speed / 0.02), np.tanh(past / 0.05), np.tanh(speed / 0.005)],
+            "past": [past, np.tanh((speed - past) / 0.1), past * np.abs(past)],
+            "position": [*waves(q, (1.5, 3.0, 4.5, 7.5, 12.0)).T, q, q * q],
+            "time": [*slow_cosines(time).T, *(slow_cosines(time, 2) * speed[:, None]).T],
+        }
+        if largest > 0.0:
+            load = _load(model, recording, i) / largest
+            parts["load"] = [load, load * load, load * np.tanh(speed / 0.02), load * speed]
+        return {name: scale * np.column_stack(values)[:, :, None] for name, values in parts.items()}
+
+    return columns
+
+
+def force_columns(model: Model, axis: Axis, recordings: Sequence[Recording], problem: Problem) -> Make:
+    """Motion → force: as a function of speed, of position, of acceleration, of the way since a reversal, and of time.
+
+    Every column passes the low-pass of the force and is taken on the same rows.
+    """
+    from sysid.plant.force import force_inputs
+
+    middle, half = span_of(tuple(recordings), axis.driven)
+    fastest = _fastest(recordings, axis.driven)
+    force = np.concatenate([problem.measured(r)[:, 0] for r in recordings])
+    scale = 0.1 * float(np.nanmedian(np.abs(force))) if len(force) else 1.0
+
+    def columns(recording: Recording) -> dict[str, Array]:
+        inputs = force_inputs(recording, axis, rows=problem.rows(recording))
+        v = inputs.speed / fastest
+        q = (inputs.position - middle) / half
+        a = inputs.acceleration / max(float(np.percentile(np.abs(inputs.acceleration), 95)), 1e-12)
+        sign = np.sign(v)
+        since = _since_reversal(inputs.position, half)
+        time = np.arange(len(v)) / recording.rate_hz
+        centres = np.array([-0.9, -0.6, -0.35, -0.18, -0.07, 0.07, 0.18, 0.35, 0.6, 0.9])
+        parts = {
+            "speed": [
+                *bumps(v, centres, np.array([0.25, 0.2, 0.14, 0.09, 0.06, 0.06, 0.09, 0.14, 0.2, 0.25]), 0.01).T,
+                v, np.abs(v), v * np.abs(v), v**3, sign, np.tanh(v / 0.02), np.tanh(v / 0.1), np.ones_like(v),
+            ],
+            "position": [*waves(q, (1.5, 3.0, 6.0, 12.0)).T, q, q * q],
+            "position and direction": [*(waves(q, (1.5, 3.0, 6.0)) * sign[:, None]).T, q * sign],
+            "acceleration": [a, a * np.abs(a), a * q, a * q * q, a * sign],
+            "way since a reversal": [sign * np.exp(-since / d) for d in (0.003, 0.01, 0.03, 0.1)],
+            "time": [*slow_cosines(time).T, *(slow_cosines(time, 2) * sign[:, None]).T],
+        }  # fmt: skip
+        if (load := _load(model, recording, model.axis_index(axis.name))).any():
+            parts["load"] = [load / np.abs(load).max(), np.abs(load) / np.abs(load).max() * sign]
+        found = {}
+        for name, values in parts.items():
+            table = signal.sosfiltfilt(inputs.low_pass, np.column_stack(values), axis=0)[inputs.rows]
+            found[name] = scale * table[:, :, None]
+        return found
+
+    return columns
+
+
+def _since_reversal(position: Array, half: float) -> Array:
+    """Way since the last change of direction, as a share of half the range, (n,)."""
+    out = np.zeros(len(position))
+    _way(np.ascontiguousarray(position), half, out)
+    return out
+
+
+@kernel
+def _way(position, half, out):
+    way, last = 0.0, 0.0
+    for k in range(1, len(position)):
+        move = position[k] - position[k - 1]
+        if move * last < 0.0:
+            way = 0.0
+        if move != 0.0:
+            last = move
+        way += abs(move)
+        out[k] = way / half
+
+
+def _load(model: Model, recording: Recording, i: int) -> Array:
+    return np.asarray(np.nan_to_num(gravity_load(model.machine, recording)[:, i]))
+
+
+def _largest_load(model: Model, recordings: Sequence[Recording], i: int) -> float:
+    """Largest magnitude of the gravity load that *varies*; zero where it is constant or there is none."""
+    parts = [_load(model, r, i) for r in recordings]
+    joined = np.concatenate(parts) if parts else np.zeros(1)
+    largest = float(np.abs(joined).max(initial=0.0))
+    return largest if largest > 0.0 and float(np.ptp(joined)) > 0.02 * largest else 0.0
+
+
+def _fastest(recordings: Sequence[Recording], name: str) -> float:
+    """95th percentile of the speed of a signal while it is measured."""
+    parts = [np.abs(slope(r.values(name), 1.0 / r.rate_hz)) for r in recordings]
+    joined = np.concatenate(parts) if parts else np.zeros(1)
+    return max(float(np.percentile(joined, 95)), 1e-9)

@@ -1,0 +1,152 @@
+"""Discrepancies behind the drives: cylinder → joint, joints → end effector, end effector → hanging tool."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+import numpy.typing as npt
+
+from sysid.compiled import kernel
+from sysid.datasets.recording import Recording
+from sysid.gap.likelihood.discrepancy.shapes import filled, slope, slow_cosines, smooth, span_of, waves
+from sysid.machine import Axis
+from sysid.plant import Model, gravity_load
+from sysid.plant.layout import AT, AXIS_WIDTH
+from sysid.signals import axis_signal, point_signals
+
+Array = npt.NDArray[np.float64]
+Make = Callable[[Recording], dict[str, Array]]
+
+#: Size of a reading's error, as a share of its range; of an angle [rad] and of a length [m] in the kinematics.
+READING, TURN = 0.01, 0.01
+#: Size of what a hanging tool does beside its formula [m].
+HANG = 0.01
+
+
+def joint_columns(model: Model, axis: Axis, recordings: Sequence[Recording]) -> Make:
+    """Cylinder → joint: as a function of the cylinder, of direction, of speed, of load, and of time."""
+    i = model.axis_index(axis.name)
+    cylinder = axis_signal(axis.name, "cylinder")
+    middle, half = span_of(tuple(recordings), cylinder)
+    scale = READING * span_of(tuple(recordings), axis_signal(axis.name, "joint"))[1]
+    load_of = _loads(model, recordings)
+
+    def columns(recording: Recording) -> dict[str, Array]:
+        dt = 1.0 / recording.rate_hz
+        c = (filled(recording.values(cylinder)) - middle) / half
+        v = slope(recording.values(cylinder), dt) / half if recording.kind == "motion" else np.zeros(len(c))
+        past = _followed(c)
+        time = np.arange(len(c)) * dt
+        parts = {
+            "position": [np.ones_like(c), c, c * c, c**3, *waves(c, (1.5, 3.0, 4.5, 7.5)).T],
+            "direction": [np.tanh(v / 0.02), np.tanh(v / 0.1), *past.T],
+            "speed": [v, v * np.abs(v), v * c],
+            "time": [*slow_cosines(time).T],
+        }
+        load = load_of(recording)[:, i]
+        if load.any():
+            parts["load"] = [load, load * load, load * c]
+        return {name: scale * np.column_stack(values)[:, :, None] for name, values in parts.items()}
+
+    return columns
+
+
+def tip_columns(model: Model, recordings: Sequence[Recording], theta: Array) -> Make:
+    """Joints → end effector: every joint turned by functions of posture, direction, speed, load and time; the base likewise.
+
+    A joint's turn moves the end effector along its column of the Jacobian, (n, 3), which is asked of the plant itself.
+    """
+    names = model.machine.axis_names
+    load_of = _loads(model, recordings)
+    spans = [span_of(tuple(recordings), axis_signal(name, "joint")) for name in names]
+
+    def columns(recording: Recording) -> dict[str, Array]:
+        n, moving = len(recording), recording.kind == "motion"
+        lanes = np.repeat(theta[None], len(names) + 1, axis=0)
+        for i in range(len(names)):
+            lanes[i + 1, i * AXIS_WIDTH + AT.joint_offset] += TURN
+        ends = model.tip(lanes, recording)
+        ways = np.nan_to_num(ends[1:] - ends[:1])  # (A, n, 3)
+        joints = [(filled(recording.values(axis_signal(a, "joint"))) - m) / h for a, (m, h) in zip(names, spans, strict=True)]
+        speeds = [slope(q, 1.0 / recording.rate_hz) if moving else np.zeros(n) for q in joints]
+        loads = load_of(recording)
+        time = np.arange(n) / recording.rate_hz if moving else np.zeros(n)
+        found: dict[str, list[Array]] = {}
+        for k, (q, v, way) in enumerate(zip(joints, speeds, ways, strict=True)):
+            turns = {
+                "position": np.column_stack([np.ones(n), q, q * q, waves(q, (1.5, 3.0, 6.0))]),
+                "direction": np.column_stack([np.tanh(v / 0.05), _followed(q)]),
+                "speed": v[:, None],
+                "time": slow_cosines(time, 1) if moving and n > 1 else np.zeros((n, 0)),
+                "load": loads[:, k : k + 1],
+            }
+            for name, turn in turns.items():
+                found.setdefault(name, []).append(turn[:, :, None] * way[:, None, :])
+        first = joints[0]
+        frame = np.column_stack([np.ones(n), waves(first * spans[0][1] + spans[0][0], (1.0, 2.0))])
+        axes = 0.003 * np.eye(3)
+        found["frame"] = [frame[:, :, None] * axis[None, None, :] for axis in axes]
+        return {name: np.concatenate(parts, axis=1) for name, parts in found.items()}
+
+    return columns
+
+
+def tool_columns(model: Model, recordings: Sequence[Recording]) -> Make:
+    """End effector → tool: as functions of place, speed and acceleration of the end effector, and of time."""
+
+    def columns(recording: Recording) -> dict[str, Array]:
+        dt = 1.0 / recording.rate_hz
+        ends = np.column_stack([filled(recording.values(s)) for s in point_signals("ee")])
+        v = np.column_stack([slope(x, dt) for x in ends.T])
+        a = np.column_stack([np.gradient(smooth(x, round(0.3 / dt)), dt) for x in v.T])
+        time = np.arange(len(ends)) * dt
+        reach = np.maximum(np.abs(ends).max(), 1e-6)
+        ones = np.ones(len(ends))
+        parts = {
+            "position": [ones, *(ends / reach).T],
+            "speed": list(v.T / 0.2),
+            "acceleration": list(a.T),
+            "time": list(slow_cosines(time, 1).T),
+        }
+        return {
+            name: HANG * np.concatenate([np.column_stack(values)[:, :, None] * axis for axis in np.eye(3)], axis=1)
+            for name, values in parts.items()
+        }
+
+    return columns
+
+
+def _loads(model: Model, recordings: Sequence[Recording]) -> Callable[[Recording], Array]:
+    """Gravity loads relative to the largest of each axis, (n, A); zero where an axis' load does not vary."""
+    tables = [np.nan_to_num(gravity_load(model.machine, r)) for r in recordings]
+    joined = np.concatenate(tables)
+    most, varies = np.abs(joined).max(axis=0), np.ptp(joined, axis=0)
+    scale = np.where((most > 0.0) & (varies > 0.02 * most), 1.0 / np.maximum(most, 1e-12), 0.0)
+    known = {id(r): table * scale for r, table in zip(recordings, tables, strict=True)}
+
+    def load_of(recording: Recording) -> Array:
+        found = known.get(id(recording))
+        return found if found is not None else np.nan_to_num(gravity_load(model.machine, recording)) * scale
+
+    return load_of
+
+
+#: Widths of plays whose side is a column, as shares of half a range.
+PLAYS = np.array([0.002, 0.01, 0.04])
+
+
+def _followed(q: Array) -> Array:
+    """Where a signal stands within plays of several widths, −1 … 1, (n, 3): it keeps its side at rest."""
+    out = np.zeros((len(q), len(PLAYS)))
+    _follow(np.ascontiguousarray(q), PLAYS, out)
+    return out
+
+
+@kernel
+def _follow(q, plays, out):
+    for j in range(len(plays)):
+        middle = q[0] if len(q) else 0.0
+        for k in range(len(q)):
+            middle = min(max(middle, q[k] - 0.5 * plays[j]), q[k] + 0.5 * plays[j])
+            out[k, j] = 2.0 * (q[k] - middle) / plays[j]

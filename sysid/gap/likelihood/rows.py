@@ -1,0 +1,205 @@
+"""The rows of a stage's regression: its outputs averaged over short bins, recording by recording and signal by signal."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from sysid.compiled import kernel
+from sysid.datasets.recording import Recording
+from sysid.gap.problem import Problem
+from sysid.plant.model import held
+from sysid.signals import axis_signal
+
+Array = npt.NDArray[np.float64]
+
+#: Samples are averaged over this time [s]: short against lags and dead times, long enough that noise averages out.
+BIN = 0.04
+#: A block of rows that cross-validation leaves out [s]: long against the correlation time of a disturbance.
+BLOCK = 5.0
+
+
+@dataclass(frozen=True)
+class Series:
+    """The rows of one signal of one recording.
+
+    Args:
+        recording: its place among the recordings; ``signal``: its place among the problem's signals.
+        rows: which rows of the regression.
+        width: samples a row.
+        time, step: of each row in its recording, and since the row before [s], (n,).
+        present: whether enough samples of the row were measured and predicted, (n,).
+        restart: where a run begins anew, (n,).
+        measured: mean of the samples (n,), NaN where there is none.
+        activity: mean speed of the output over the row, relative to the mean of the stage, (n,).
+    """
+
+    recording: int
+    signal: int
+    rows: slice
+    width: int
+    time: Array
+    step: Array
+    present: npt.NDArray[np.bool_]
+    restart: npt.NDArray[np.bool_]
+    measured: Array
+    activity: Array
+
+
+class Rows:
+    """Recordings of a stage as rows of a regression; ``predict`` of the problem is averaged the same way.
+
+    Args:
+        theta: vector of the questioned plant: a row counts where its prediction is there.
+        floor: noise floor of each output, (d,).
+    """
+
+    def __init__(self, problem: Problem, recordings: Sequence[Recording], theta: Array, floor: Array) -> None:
+        self.problem, self.recordings, self.floor = problem, tuple(recordings), floor
+        series: list[Series] = []
+        begin = 0
+        for r, recording in enumerate(self.recordings):
+            measured = problem.measured(recording)
+            width = max(1, round(BIN * problem.rate(recording)))
+            known = measured - problem.predict(theta[None], recording)[0]
+            means = bin_means(known[None], width)[0]
+            count = len(means)
+            time = _time(problem, recording, width, count)
+            restart = _restarts(problem, recording, width, count)
+            for k in range(measured.shape[1]):
+                output = bin_means(measured[None, :, k : k + 1], width)[0, :, 0]
+                series.append(
+                    Series(
+                        r,
+                        k,
+                        slice(begin, begin + count),
+                        width,
+                        time,
+                        np.diff(time, prepend=time[:1] - (time[1] - time[0] if count > 1 else 1.0)),
+                        ~np.isnan(means[:, k]) & ~np.isnan(output),
+                        restart,
+                        output,
+                        _speed(output, time),
+                    )
+                )
+                begin += count
+        self.count = begin
+        self.series = tuple(_normalised(series))
+        self.block = self._blocks()
+        self.blocks = int(self.block.max(initial=-1)) + 1
+        self.theta = theta
+        self._nominal = np.zeros(begin)
+        self._nominal = self.residuals(theta[None])[0]
+
+    @property
+    def measured_rows(self) -> int:
+        """How many rows there are with a measurement and a prediction."""
+        return int(sum(s.present.sum() for s in self.series))
+
+    def residuals(self, thetas: Array) -> Array:
+        """(measured − predicted), averaged, (lanes, rows); zero where nothing is measured.
+
+        Where another parameter vector predicts nothing (a clock that is wrong loses the ends), the residual is the nominal one.
+        """
+        out = np.zeros((len(thetas), self.count))
+        at = 0
+        signals = len(self.problem.signals)
+        for recording in self.recordings:
+            width = self.series[at].width
+            left = self.problem.measured(recording)[None] - self.problem.predict(thetas, recording)
+            means = bin_means(left, width)
+            for k in range(signals):
+                s = self.series[at + k]
+                part = means[:, :, k]
+                part = np.where(np.isnan(part), self._nominal[s.rows], part)
+                out[:, s.rows] = np.where(s.present, part, 0.0)
+            at += signals
+        return out
+
+    def in_floors(self, columns: Array) -> Array:
+        """Root mean square of columns (rows, m) over what is measured, in noise floors, (m,)."""
+        total = np.zeros(columns.shape[1])
+        for s in self.series:
+            total += ((columns[s.rows][s.present] / self.floor[s.signal]) ** 2).sum(axis=0)
+        return np.asarray(np.sqrt(total / max(self.measured_rows, 1)))
+
+    def _blocks(self) -> npt.NDArray[np.int64]:
+        """The block of every row; rows of all signals at one time share one, so do neighbouring poses."""
+        block = np.zeros(self.count, dtype=np.int64)
+        known: dict[int, tuple[int, npt.NDArray[np.int64]]] = {}
+        used = 0
+        for s in self.series:
+            if s.recording not in known:
+                span = s.time[-1] - s.time[0] if len(s.time) else 0.0
+                parts = int(max(1, min(round(span / BLOCK), len(s.time) // 2)))
+                known[s.recording] = used, (np.arange(len(s.time)) * parts) // max(len(s.time), 1)
+                used += parts
+            first, parts_of = known[s.recording]
+            block[s.rows] = first + parts_of
+        return block
+
+
+@kernel
+def _means(values, width, out):
+    lanes, _, signals = values.shape
+    for lane in range(lanes):
+        for b in range(out.shape[1]):
+            for k in range(signals):
+                total = 0.0
+                there = 0
+                for i in range(b * width, (b + 1) * width):
+                    x = values[lane, i, k]
+                    if not np.isnan(x):
+                        total += x
+                        there += 1
+                out[lane, b, k] = total / there if 2 * there > width else np.nan
+
+
+def bin_means(values: Array, width: int) -> Array:
+    """Means over ``width`` samples, (lanes, n, d) → (lanes, n // width, d); NaN where fewer than half are there."""
+    out = np.empty((values.shape[0], values.shape[1] // width, values.shape[2]))
+    _means(np.ascontiguousarray(values), width, out)
+    return out
+
+
+def _time(problem: Problem, recording: Recording, width: int, count: int) -> Array:
+    rows = problem.rows(recording)[: count * width].reshape(count, width).mean(axis=1)
+    # Static poses are measurements of their own: far apart in time.
+    return rows * (1e3 if recording.kind == "poses" else 1.0 / recording.rate_hz)
+
+
+def _restarts(problem: Problem, recording: Recording, width: int, count: int) -> npt.NDArray[np.bool_]:
+    """Where the run of the stage begins: at the first row, and after gaps of its command."""
+    found = np.zeros(count, dtype=np.bool_)
+    found[:1] = True
+    if problem.stage == "command" and recording.kind == "motion":
+        command = recording.values(axis_signal(problem.target, "command"))
+        for first, _ in held(command, recording.rate_hz)[1]:
+            at = -(-int(first) // width)
+            if at < count:
+                found[at] = True
+    return found
+
+
+def _speed(output: Array, time: Array) -> Array:
+    """Magnitude of the slope of a measured output, with gaps bridged."""
+    there = ~np.isnan(output)
+    if there.sum() < 3:
+        return np.zeros(len(output))
+    filled = np.interp(time, time[there], output[there])
+    return np.asarray(np.abs(np.gradient(filled, time)), dtype=np.float64)
+
+
+def _normalised(series: Sequence[Series]) -> list[Series]:
+    """Activities relative to the root mean square of their signal over all recordings."""
+    scales: dict[int, float] = {}
+    for k in {s.signal for s in series}:
+        joined = np.concatenate([s.activity for s in series if s.signal == k])
+        scales[k] = float(np.sqrt(np.mean(joined**2))) if len(joined) else 0.0
+    return [
+        replace(s, activity=s.activity / scales[s.signal] if scales[s.signal] > 0.0 else np.ones(len(s.activity)))
+        for s in series
+    ]

@@ -1,0 +1,351 @@
+"""The statistical model of one stage: what a set of effects predicts, and everything that may be added to it.
+
+    y = plant(θ) + half a sample of timing + Φ·β + disturbance + noise,      β_j ~ N(0, τ²_group(j)),   θ_j ~ N(c_j, s_j²)
+
+Noise and disturbance whiten the residual once; timing and discrepancy are linear and go out in closed form; θ is found by
+Gauss–Newton on what is left. The marginal likelihood (evidence) is that of Laplace's approximation. The variances are estimated
+with the richest model and shared by all models of the stage (:mod:`sysid.gap.likelihood.variances`).
+
+Sources: Kennedy and O'Hagan 2001 (discrepancy); Kristensen, Madsen and Jørgensen, Automatica 40 (2004), 225–237 (stochastic
+grey-box models); MacKay, Information Theory, Inference, and Learning Algorithms, 2003, ch. 27–28 (evidence).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from scipy.linalg import cho_factor, cho_solve, solve_triangular
+
+from sysid.gap.candidates import Candidate, Unknown
+from sysid.gap.fit import place
+from sysid.gap.likelihood.discrepancy import Discrepancy
+from sysid.gap.likelihood.disturbance import Disturbance, Filter, filter_of
+from sysid.gap.likelihood.rows import Rows
+
+Array = npt.NDArray[np.float64]
+
+#: Prior standard deviation of a parameter, in the median departure of the values that a fit starts from.
+WIDE = 1.0
+#: Prior standard deviation of timing, in half samples: what sample-and-hold leaves open.
+TIMING = 1.0
+#: Directions of the linear part whose prior keeps them below this share of the noise's variance cannot matter.
+NEGLIGIBLE = 0.02
+#: Innovations beyond so many standard deviations count less (Huber 1964).
+HUBER = 4.0
+
+
+@dataclass(frozen=True)
+class Variances:
+    """What a stage shares among its models.
+
+    Args:
+        disturbances: one for each signal.
+        groups: standard deviation τ of the coefficients of each group of the discrepancy, (g,).
+        weights: square root of the weight of each row, (rows,): outliers of the richest model count less.
+    """
+
+    disturbances: tuple[Disturbance, ...]
+    groups: Array
+    weights: Array
+
+
+@dataclass(frozen=True)
+class Linear:
+    """The linear part, whitened and in unit prior: ``columns`` (rows, p), and the factor of ``columnsᵀcolumns + 1``."""
+
+    columns: Array
+    factor: Array
+
+
+@dataclass(frozen=True, eq=False)
+class ModelFit:
+    """A set of effects fitted.
+
+    Args:
+        values: of ``unknowns``, (k,).
+        covariance: of the values, the linear part marginalised, (k, k).
+        inflation: variance of each value relative to that without discrepancy, (k,).
+        evidence: log marginal likelihood.
+        predictive: log density of each block, parameters and discrepancy from the other blocks, (blocks,).
+        rms: root mean square of the whitened rows that neither effects nor discrepancy explain.
+        response: root mean square of the output's change with each unknown, in noise floors a unit of it, (k,).
+        left: root mean square of what the effects leave of the output, in noise floors.
+    """
+
+    candidates: tuple[Candidate, ...]
+    unknowns: tuple[Unknown, ...]
+    values: Array
+    theta: Array
+    covariance: Array
+    inflation: Array
+    evidence: float
+    predictive: Array
+    rms: float
+    response: Array
+    left: float
+
+    @property
+    def labels(self) -> frozenset[str]:
+        return frozenset(c.label for c in self.candidates)
+
+    def rows_of(self, candidate: Candidate) -> slice:
+        """Which of ``unknowns`` belong to one of the candidates."""
+        at = 0
+        for known in self.candidates:
+            if known.label == candidate.label:
+                return slice(at, at + len(known.unknowns))
+            at += len(known.unknowns)
+        raise KeyError(candidate.label)
+
+    def values_of(self, candidate: Candidate) -> Array:
+        return self.values[self.rows_of(candidate)]
+
+    def deviations_of(self, candidate: Candidate) -> Array:
+        """Standard deviations of its values."""
+        here = self.rows_of(candidate)
+        return np.asarray(np.sqrt(np.diag(self.covariance)[here]))
+
+
+@dataclass(frozen=True)
+class Prior:
+    """Normal prior of some unknowns: ``centre`` and ``width``, (k,) each; bounds ``low`` and ``high``."""
+
+    centre: Array
+    width: Array
+    low: Array
+    high: Array
+
+
+def prior_of(candidates: Sequence[Candidate]) -> Prior:
+    """Centred where the effect is absent, or has the known value; as wide as the starting values say that effects are.
+
+    An effect whose absence is far from all of them (a limit that is never reached) is centred among them.
+    """
+    centre, width, low, high = [], [], [], []
+    for candidate in candidates:
+        starts = np.array(candidate.starts)
+        for k, unknown in enumerate(candidate.unknowns):
+            values = starts[:, k]
+            span = max(float(np.abs(values).max()), float(np.ptp(values)), unknown.negligible)
+            far = float(np.abs(unknown.nominal - values).min()) > 3.0 * span
+            centre.append(float(np.mean(values)) if far else unknown.nominal)
+            away = np.abs(values - unknown.nominal)
+            reach = span if far else max(float(np.median(away)), unknown.negligible)
+            width.append(WIDE * reach)
+            low.append(unknown.bounds[0])
+            high.append(unknown.bounds[1])
+    return Prior(np.array(centre), np.array(width), np.array(low), np.array(high))
+
+
+class StageLikelihood:
+    """Marginal likelihoods of models of one stage under shared variances."""
+
+    def __init__(self, rows: Rows, discrepancy: Discrepancy, variances: Variances, extra: Sequence[Array]) -> None:
+        self.rows, self.discrepancy, self.variances = rows, discrepancy, variances
+        spans = _spans(rows)
+        self.filters: tuple[Filter, ...] = tuple(
+            filter_of(
+                variances.disturbances[s.signal],
+                s.step,
+                s.activity,
+                s.present,
+                s.restart,
+                extra[k],
+                spans[s.signal],
+                rows.problem.integrates,
+            )
+            for k, s in enumerate(rows.series)
+        )
+        self.log_scale = float(sum(f.log_scale for f in self.filters))
+        self.timing = self.whitened(TIMING * discrepancy.timing[:, None])
+        scaled = discrepancy.columns * variances.groups[discrepancy.group]
+        self.linear = _linear(np.hstack([self.timing, self.whitened(scaled[:, variances.groups[discrepancy.group] > 0.0])]))
+
+    def whitened(self, columns: Array) -> Array:
+        """Innovations of columns (rows, m), weighted."""
+        out = np.empty(columns.shape)
+        for s, whitener in zip(self.rows.series, self.filters, strict=True):
+            whitener.whiten(np.ascontiguousarray(columns[s.rows]), out[s.rows])
+        out *= self.variances.weights[:, None]
+        return out
+
+    def innovations(self, thetas: Array) -> Array:
+        """Whitened residuals of parameter vectors, (rows, lanes)."""
+        return self.whitened(np.ascontiguousarray(self.rows.residuals(thetas).T))
+
+    def projected(self, columns: Array) -> Array:
+        """``columns`` (rows, m) as the linear part explains them, (p, m): to be taken off their products."""
+        return np.asarray(solve_triangular(self.linear.factor, self.linear.columns.T @ columns, lower=True))
+
+    def costs(self, innovations: Array) -> Array:
+        """Half the squared length of columns (rows, lanes) that the linear part leaves."""
+        z = self.projected(innovations)
+        return 0.5 * np.asarray((innovations**2).sum(axis=0) - (z**2).sum(axis=0))
+
+
+def _linear(columns: Array) -> Linear:
+    """Principal directions of the linear part that can matter."""
+    values, vectors = np.linalg.eigh(columns.T @ columns)
+    kept = np.ascontiguousarray(columns @ vectors[:, values > NEGLIGIBLE])
+    return Linear(kept, np.linalg.cholesky(kept.T @ kept + np.eye(kept.shape[1])))
+
+
+def _spans(rows: Rows) -> list[float]:
+    """What each signal's output spans."""
+    found = []
+    for k in range(len(rows.problem.signals)):
+        joined = np.concatenate([s.measured for s in rows.series if s.signal == k])
+        found.append(float(np.nanmax(joined) - np.nanmin(joined)) if not np.isnan(joined).all() else 1.0)
+    return found
+
+
+# -- fitting -------------------------------------------------------------------------------------------------------------
+
+#: Gauss–Newton steps at most, and the gain [nats] below which a fit has converged.
+ROUNDS, CONVERGED = 15, 0.05
+#: Damping factors that are tried side by side.
+DAMPING = (0.0, 1e-2, 0.3, 10.0)
+#: A parameter is flat where what is negligible of it changes the innovations by less than this, all together.
+FLAT = 1e-3
+#: Half widths of the grid around a parameter whose slope says nothing, in what is negligible of it.
+GRID = (20.0, 7.5, 2.5, 1.0, 0.4)
+
+
+def steps_of(unknowns: Sequence[Unknown], values: Array) -> Array:
+    """Steps of finite differences, pointing into the bounds."""
+    step = np.array([(0.5 if u.stepwise else 0.05) * u.negligible for u in unknowns])
+    smooth = np.array([not u.stepwise for u in unknowns], dtype=bool)
+    step[smooth] = np.minimum(step, np.maximum(0.05 * np.abs(values), 0.01 * step))[smooth]
+    high = np.array([u.bounds[1] for u in unknowns])
+    return np.where(values + step > high, -step, step)
+
+
+def fit_model(likelihood: StageLikelihood, candidates: Sequence[Candidate], starts: Array, rounds: int = ROUNDS) -> ModelFit:
+    """Fit the unknowns of ``candidates`` from the best of ``starts`` (s, k)."""
+    candidates = tuple(candidates)
+    unknowns = tuple(u for c in candidates for u in c.unknowns)
+    nominal = likelihood.rows.theta
+    prior = prior_of(candidates)
+    starts = np.clip(starts, prior.low, prior.high)
+    x = starts[0]
+
+    def evaluated(lanes: Array) -> tuple[Array, Array]:
+        """Innovations (rows, lanes) and costs of values (lanes, k)."""
+        found = likelihood.innovations(place(nominal, unknowns, lanes))
+        return found, likelihood.costs(found) + 0.5 * (((lanes - prior.centre) / prior.width) ** 2).sum(axis=1)
+
+    if not unknowns:
+        return _finished(likelihood, candidates, unknowns, x, likelihood.rows.residuals(nominal[None]).T, prior)
+    if len(starts) > 1:
+        x = starts[int(np.argmin(evaluated(starts)[1]))]
+    stepwise = np.array([u.stepwise for u in unknowns])
+    slopes = np.empty(0)
+    w, cost = np.empty(0), np.inf
+    for _ in range(rounds):
+        steps = steps_of(unknowns, x)
+        table, costs = evaluated(np.vstack([x[None], x + np.diag(steps)]))
+        w, cost = table[:, 0], float(costs[0])
+        slopes = (table[:, 1:] - w[:, None]) / steps * prior.width
+        z = likelihood.projected(np.column_stack([slopes, w]))
+        hessian = slopes.T @ slopes - z[:, :-1].T @ z[:, :-1] + np.eye(len(x))
+        gradient = slopes.T @ w - z[:, :-1].T @ z[:, -1] + (x - prior.centre) / prior.width
+        trials = [_stepped(x, hessian, gradient, damping, prior) for damping in DAMPING]
+        flat = np.linalg.norm(slopes, axis=0) * np.array([u.negligible for u in unknowns]) < FLAT * prior.width
+        for k in np.flatnonzero(stepwise | flat):
+            reach = np.array(GRID) * unknowns[k].negligible
+            for offset in (*-reach, *reach):
+                moved = x.copy()
+                moved[k] += offset
+                trials.append(np.clip(moved, prior.low, prior.high))
+        lanes = np.array(trials)
+        tried, tried_costs = evaluated(lanes)
+        best = int(np.argmin(tried_costs))
+        gained = cost - float(tried_costs[best])
+        if not gained > 1e-6:
+            break
+        x, w, cost = lanes[best], tried[:, best], float(tried_costs[best])
+        if gained < CONVERGED:
+            break
+    steps = steps_of(unknowns, x)
+    lanes = np.vstack([x[None], x + np.diag(steps)])
+    table = likelihood.rows.residuals(place(nominal, unknowns, lanes)).T
+    table[:, 1:] = (table[:, 1:] - table[:, :1]) / steps
+    return _finished(likelihood, candidates, unknowns, x, table, prior)
+
+
+def _stepped(x: Array, hessian: Array, gradient: Array, damping: float, prior: Prior) -> Array:
+    """A damped Gauss–Newton step; what would leave its bounds stays at them and the others are solved for again."""
+    free = np.ones(len(x), dtype=bool)
+    moved = x.copy()
+    for _ in range(len(x)):
+        h = hessian[np.ix_(free, free)]
+        h = h + damping * np.diag(np.diag(h)) + 1e-12 * np.eye(len(h))
+        rest = gradient[free] + hessian[np.ix_(free, ~free)] @ ((moved - x)[~free] / prior.width[~free])
+        moved[free] = x[free] - prior.width[free] * np.linalg.solve(h, rest)
+        out = free & ((moved < prior.low) | (moved > prior.high))
+        moved = np.clip(moved, prior.low, prior.high)
+        if not out.any() or not (free & ~out).any():
+            break
+        free &= ~out
+    return moved
+
+
+def _finished(
+    likelihood: StageLikelihood,
+    candidates: tuple[Candidate, ...],
+    unknowns: tuple[Unknown, ...],
+    values: Array,
+    table: Array,
+    prior: Prior,
+) -> ModelFit:
+    """Evidence, covariance and predictive density at the optimum; ``table`` (rows, 1 + k): residual and its slopes."""
+    rows = likelihood.rows
+    size = rows.in_floors(table)
+    whitened = likelihood.whitened(np.ascontiguousarray(table))
+    w, slopes = whitened[:, 0], whitened[:, 1:] * prior.width
+    linear = likelihood.linear.columns
+    p, k = linear.shape[1], len(unknowns)
+    X = np.hstack([linear, -slopes])  # the residual falls where a parameter explains it
+    offset = (values - prior.centre) / prior.width
+    r = w + (X[:, p:] @ offset if k else 0.0)
+    H = X.T @ X + np.eye(p + k)
+    m = cho_solve(cho_factor(H, lower=True), X.T @ r)
+    e = r - X @ m
+    evidence = -0.5 * float(e @ e + m @ m) - 0.5 * float(np.linalg.slogdet(H)[1]) - likelihood.log_scale
+    covariance = np.linalg.inv(H)[p:, p:] * np.outer(prior.width, prior.width) if k else np.zeros((0, 0))
+    inflation = np.ones(k)
+    if k:
+        plain = np.hstack([likelihood.timing, -slopes])
+        alone = np.linalg.inv(plain.T @ plain + np.eye(k + 1))[1:, 1:]
+        inflation = np.diag(covariance) / prior.width**2 / np.diag(alone)
+    predictive = _block_densities(X, r, H, rows)
+    theta = place(rows.theta, unknowns, values[None])[0] if k else rows.theta
+    rms = float(np.sqrt(e @ e / max(rows.measured_rows, 1)))
+    return ModelFit(
+        candidates, unknowns, values, theta, covariance, inflation, evidence, predictive, rms, size[1:], float(size[0])
+    )
+
+
+def _block_densities(X: Array, r: Array, H: Array, rows: Rows) -> Array:
+    """Log predictive density of each block, all coefficients from the other blocks (normal equations downdated), (blocks,)."""
+    out = np.zeros(rows.blocks)
+    total = X.T @ r
+    order = np.argsort(rows.block, kind="stable")
+    edges = np.searchsorted(rows.block[order], np.arange(rows.blocks + 1))
+    whole = cho_factor(H, lower=True)
+    volume = float(np.log(np.diag(whole[0])).sum())
+    for b in range(rows.blocks):
+        at = order[edges[b] : edges[b + 1]]
+        Xb, rb = X[at], r[at]
+        G = Xb.T @ Xb
+        rest = cho_factor(H - G, lower=True)
+        m = cho_solve(rest, total - Xb.T @ rb)
+        e = rb - Xb @ m
+        # The block's covariance is 1 + Xb·(H − G)⁻¹·Xbᵀ; its inverse by Woodbury is 1 − Xb·H⁻¹·Xbᵀ.
+        z = Xb.T @ e
+        q = float(e @ e - z @ cho_solve(whole, z))
+        out[b] = -0.5 * q - volume + float(np.log(np.diag(rest[0])).sum())
+    return out

@@ -1,0 +1,197 @@
+"""Noise, disturbance and discrepancy of a stage by maximum evidence, the effects of one model held (type II likelihood).
+
+The evidence is maximised in turn over the disturbances (the whitening changes) and over the groups' variances (the Gram matrix
+of the whitened columns is all that is needed).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+from scipy.linalg import cho_factor, cho_solve
+from scipy.optimize import minimize
+
+from sysid.gap.fit import place
+from sysid.gap.likelihood.discrepancy import Discrepancy
+from sysid.gap.likelihood.disturbance import Disturbance, filter_of
+from sysid.gap.likelihood.rows import Rows
+from sysid.gap.likelihood.stage import HUBER, ModelFit, StageLikelihood, Variances, _spans, steps_of
+
+Array = npt.NDArray[np.float64]
+
+#: Prior of log τ: unknown over some decades.
+TAU, TAU_SPREAD = 1e-3, 4.0
+#: Prior spreads of the logarithms of noise, disturbance and its correlation time; the latter around MEMORY [s].
+NOISE_SPREAD, DISTURBANCE_SPREAD, MEMORY, MEMORY_SPREAD = 0.5, 3.0, 0.5, 1.0
+SPREAD = np.array([NOISE_SPREAD, DISTURBANCE_SPREAD, DISTURBANCE_SPREAD, MEMORY_SPREAD])
+#: Below this τ a group is absent.
+ABSENT = 1e-6
+#: Rounds of the two maximisations.
+ROUNDS = 2
+
+
+@dataclass(frozen=True)
+class Start:
+    """Where the estimation starts: noise of a row by signal from the data, and the size of a typical disturbance."""
+
+    noise: Array
+    disturbance: Array
+
+
+def first_variances(rows: Rows, start: Start, groups: int, tau: float) -> Variances:
+    """Before anything is estimated: noise as the data say, a small disturbance, every group with coefficients of ``tau``."""
+    disturbances = tuple(
+        Disturbance(float(n), float(0.1 * d), float(d), MEMORY) for n, d in zip(start.noise, start.disturbance, strict=True)
+    )
+    return Variances(disturbances, np.full(groups, tau), np.ones(rows.count))
+
+
+def estimated(
+    rows: Rows, discrepancy: Discrepancy, variances: Variances, start: Start, extra: Sequence[Array], model: ModelFit
+) -> Variances:
+    """Variances of maximum evidence beside ``model``."""
+    residual, slopes = _linearised(rows, model)
+    columns = np.column_stack([discrepancy.timing, slopes, discrepancy.columns, residual])
+    fixed = 1 + slopes.shape[1]
+    for _ in range(ROUNDS):
+        variances = _disturbances(rows, columns, fixed, discrepancy, variances, start, extra)
+        gram, _ = _gram(rows, columns, variances, extra)
+        variances = replace(variances, groups=_groups(gram, fixed, discrepancy.group, variances.groups))
+    return variances
+
+
+def _linearised(rows: Rows, model: ModelFit) -> tuple[Array, Array]:
+    """Residual of a model (rows,) and what its unknowns change, in a unit of their uncertainty (rows, k)."""
+    residual = rows.residuals(model.theta[None])[0]
+    if not model.unknowns:
+        return residual, np.empty((rows.count, 0))
+    steps = steps_of(model.unknowns, model.values)
+    lanes = place(rows.theta, model.unknowns, model.values + np.diag(steps))
+    slopes = (rows.residuals(lanes) - residual).T / steps
+    return residual, slopes * np.array([max(u.negligible, abs(v)) for u, v in zip(model.unknowns, model.values, strict=True)])
+
+
+def _gram(
+    rows: Rows, columns: Array, variances: Variances, extra: Sequence[Array], signals: Sequence[int] | None = None
+) -> tuple[Array, float]:
+    """Products of all whitened columns of some signals (of all), and the log scale of their innovations."""
+    total, scale = np.zeros((columns.shape[1], columns.shape[1])), 0.0
+    spans = _spans(rows)
+    for k, s in enumerate(rows.series):
+        if signals is not None and s.signal not in signals:
+            continue
+        whitener = filter_of(
+            variances.disturbances[s.signal], s.step, s.activity, s.present, s.restart, extra[k], spans[s.signal],
+            rows.problem.integrates,
+        )  # fmt: skip
+        out = np.empty((len(s.step), columns.shape[1]))
+        whitener.whiten(columns[s.rows], out)
+        out *= variances.weights[s.rows, None]
+        total += out.T @ out
+        scale += whitener.log_scale
+    return total, scale
+
+
+def _evidence(gram: Array, scale: Array) -> float:
+    """Log evidence up to the log scale; ``scale`` (m,) prior standard deviations of all columns but the last."""
+    H = gram[:-1, :-1] * np.outer(scale, scale) + np.eye(len(scale))
+    factor = cho_factor(H, lower=True)
+    g = gram[:-1, -1] * scale
+    v = gram[-1, -1] - g @ cho_solve(factor, g)
+    return float(-0.5 * v - np.log(np.diag(factor[0])).sum())
+
+
+def _scales(fixed: int, group: npt.NDArray[np.int64], taus: Array) -> Array:
+    return np.concatenate([[1.0], np.full(fixed - 1, 3.0), taus[group]])
+
+
+def _disturbances(
+    rows: Rows, columns: Array, fixed: int, discrepancy: Discrepancy, variances: Variances, start: Start, extra: Sequence[Array]
+) -> Variances:
+    """Noise, amplitude and correlation time of every signal, the groups held."""
+    signals = len(variances.disturbances)
+    scale = _scales(fixed, discrepancy.group, variances.groups)
+    kept = np.concatenate([scale > 10.0 * ABSENT, [True]])
+    table, scale = np.ascontiguousarray(columns[:, kept]), scale[kept[:-1]]
+    first = np.array([[d.noise, d.still, d.moving, d.memory] for d in variances.disturbances])
+    centre = _centre(start)
+
+    def variances_of(z: Array) -> Variances:
+        found = np.exp(z.reshape(signals, 4))
+        return replace(variances, disturbances=tuple(Disturbance(*map(float, row)) for row in found))
+
+    z = np.log(first).ravel()
+    for k in range(signals):  # signals of one stage have filters of their own: one at a time
+        here = slice(4 * k, 4 * k + 4)
+        rest = _gram(rows, table, variances_of(z), extra, [j for j in range(signals) if j != k])[0]
+
+        def one(part: Array, here: slice = here, k: int = k, rest: Array = rest) -> float:
+            whole = z.copy()
+            whole[here] = part
+            gram, log_scale = _gram(rows, table, variances_of(whole), extra, [k])
+            prior = 0.5 * (((part - np.log(centre[k])) / SPREAD) ** 2).sum()
+            return log_scale - _evidence(rest + gram, scale) + float(prior)
+
+        bounds = [(c - 4.0 * w, c + 4.0 * w) for c, w in zip(np.log(centre[k]), (0.5, 3.0, 3.0, 0.8), strict=True)]
+        begin = np.clip(z[here], [low for low, _ in bounds], [high for _, high in bounds])
+        found = minimize(one, begin, method="L-BFGS-B", bounds=bounds, options={"maxiter": 12, "eps": 2e-2, "ftol": 1e-7})
+        z[here] = found.x
+    return variances_of(z)
+
+
+def _groups(gram: Array, fixed: int, group: npt.NDArray[np.int64], taus: Array) -> Array:
+    """Standard deviations of the groups, with the exact gradient of the evidence."""
+    count = len(taus)
+
+    def negative(z: Array) -> tuple[float, Array]:
+        scale = _scales(fixed, group, np.exp(z))
+        H = gram[:-1, :-1] * np.outer(scale, scale) + np.eye(len(scale))
+        factor = cho_factor(H, lower=True)
+        g = gram[:-1, -1] * scale
+        m = cho_solve(factor, g)
+        value = 0.5 * (gram[-1, -1] - g @ m) + np.log(np.diag(factor[0])).sum()
+        # d/d log τ of a column: its share of the model less the squared coefficient (MacKay 1992).
+        inverse = cho_solve(factor, np.eye(len(scale)))
+        by_column = 1.0 - np.diag(inverse) - m * m
+        slope = np.bincount(group, by_column[fixed:], minlength=count)
+        away = (z - np.log(TAU)) / TAU_SPREAD
+        return float(value + 0.5 * away @ away), slope + away / TAU_SPREAD
+
+    bounds = [(np.log(ABSENT), 0.0)] * count
+    begin = np.clip(np.log(np.maximum(taus, 1e-5)), np.log(ABSENT), 0.0)
+    best = min(
+        (minimize(negative, z, jac=True, method="L-BFGS-B", bounds=bounds, options={"maxiter": 60})
+         for z in (begin, np.full(count, np.log(TAU)))), key=lambda found: found.fun)  # fmt: skip
+    return np.asarray(np.exp(best.x))
+
+
+def log_prior(variances: Variances, start: Start) -> float:
+    """Log density of variances under their priors, up to a constant."""
+    found = np.log([[d.noise, d.still, d.moving, d.memory] for d in variances.disturbances])
+    centre = _centre(start)
+    groups = (np.log(np.maximum(variances.groups, ABSENT)) - np.log(TAU)) / TAU_SPREAD
+    return float(-0.5 * (((found - np.log(centre)) / SPREAD) ** 2).sum() - 0.5 * groups @ groups)
+
+
+def _centre(start: Start) -> Array:
+    """Where the priors of noise, amplitudes and correlation time are centred, (d, 4)."""
+    memory = np.full(len(start.noise), MEMORY)
+    return np.column_stack([start.noise, 0.1 * start.disturbance, start.disturbance, memory])
+
+
+def robust(likelihood: StageLikelihood, model: ModelFit) -> Variances:
+    """The variances with weights that make the outliers of ``model`` count less."""
+    return replace(likelihood.variances, weights=_weights(likelihood, model))
+
+
+def _weights(likelihood: StageLikelihood, model: ModelFit) -> Array:
+    """Square roots of Huber's weights from the innovations of ``model`` that the linear part leaves."""
+    w = likelihood.innovations(model.theta[None])[:, 0]
+    weights = likelihood.variances.weights
+    z = likelihood.projected(w[:, None])
+    fitted = likelihood.linear.columns @ np.linalg.solve(likelihood.linear.factor.T, z)[:, 0]
+    left = np.abs(w - fitted) / np.maximum(weights, 1e-6)
+    return np.asarray(np.sqrt(np.minimum(1.0, HUBER / np.maximum(left, 1e-12))))

@@ -1,0 +1,238 @@
+"""The proof: what was found at each stage is tested once, on recordings that nothing has touched."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from sysid.datasets.recording import Recording
+from sysid.gap.candidates import Candidate
+from sysid.gap.case import Case, Stage
+from sysid.gap.decision import EXPLAINED, SHARE, Z
+from sysid.gap.fit import Fit
+from sysid.gap.floor import problem_floor
+from sysid.gap.likelihood.stage import ModelFit
+from sysid.gap.localise import stage_rmse
+from sysid.gap.readings import Coarse
+from sysid.gap.result import Alternative, Evidence, Gap, NamedEffect, ResidualModelResult, Unnamed, Value
+from sysid.gap.stage_result import AcceptedEffect, StageResult
+from sysid.gap.unnamed.residual_formula import describe_residual
+from sysid.plant import Place, Plant, Uncertainty
+
+Array = npt.NDArray[np.float64]
+
+#: Steps of a sensor are its explanation where they account for this share of what its stage leaves above its noise.
+MOST = 0.5
+#: A stage that stays above this multiple of its noise floor is described.
+UNEXPLAINED = 1.5
+
+
+@dataclass
+class Outcome:
+    """What the stages together come to."""
+
+    repaired: Plant
+    named: list[NamedEffect] = field(default_factory=list)
+    ties: list[tuple[tuple[str, str], ...]] = field(default_factory=list)
+    unnamed: list[Unnamed] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
+    carried: list[ResidualModelResult] = field(default_factory=list)
+
+
+def judge(case: Case, stages: Sequence[Stage]) -> Outcome:
+    """Put what was found and proven into the plant, and say of the rest what it is."""
+    outcome = Outcome(case.plant)
+    for coarse in case.coarse:
+        _read_off(case, stages, coarse, outcome)
+    for stage in stages:
+        finding = stage.found
+        proven = bool(finding.fit.candidates) and _better(stage)
+        if proven:
+            _accept(stage, outcome)
+        elif finding.named:
+            outcome.notes.append(f"{stage.label}: what was found does not lower the error on held-out recordings")
+        outcome.notes += _near_misses(stage)
+        if (finding.final_rmse if proven else finding.nominal_rmse) > UNEXPLAINED:
+            fit = finding.fit if proven else Fit((), (), np.empty(0), stage.theta, (), 0.0, True)
+            outcome.unnamed += describe_residual(stage.problem, fit, stage.split.seen, case.plant.machine)
+    return outcome
+
+
+def _better(stage: Stage) -> bool:
+    """Whether no held-out signal of the stage gets worse, and the stage as a whole gets better."""
+    before = stage_rmse(stage.problem, stage.theta, stage.split.held_out)
+    after = stage_rmse(stage.problem, stage.found.fit.theta, stage.split.held_out)
+    there = ~np.isnan(before) & ~np.isnan(after)
+    limit = np.maximum(before, EXPLAINED * stage.sigma)[there]
+    whole = float(np.sum((after[there] / stage.sigma[there]) ** 2)) < float(np.sum((before[there] / stage.sigma[there]) ** 2))
+    return bool(there.any() and (after[there] <= limit).all() and (whole or not _shown(stage)))
+
+
+def _read_off(case: Case, stages: Sequence[Stage], coarse: Coarse, outcome: Outcome) -> None:
+    """The steps of a sensor get a name where its stage would stay above the noise that it is said to have."""
+    outcome.repaired = outcome.repaired.with_effect(coarse.effect)
+    share = max((_explained(case, stage, coarse) for stage in stages if coarse.signal in stage.problem.signals), default=0.0)
+    if share >= MOST:
+        found = {"step": coarse.step}, {"step": coarse.interval95}
+        outcome.named.append(NamedEffect(coarse.effect.name, coarse.signal, *found, share))
+    else:
+        outcome.notes.append(
+            f"{coarse.signal} reads in steps of {coarse.step:.4g}, more than the noise that it is said to have"
+        )
+
+
+def _explained(case: Case, stage: Stage, coarse: Coarse) -> float:
+    """Share of what the sensor's stage leaves above the noise that it is said to have which its steps account for."""
+    k = stage.problem.signals.index(coarse.signal)
+    said = {**case.noise, coarse.signal: coarse.noise}
+    floor = float(problem_floor(stage.problem, stage.theta, stage.split.fit, said, case.seed)[k])
+    off = float(stage_rmse(stage.problem, stage.found.fit.theta, stage.split.held_out)[k])
+    stepped = float(stage.sigma[k])
+    return (min(off, stepped) - floor) / (off - floor) if min(off, stepped) > EXPLAINED * floor else 0.0
+
+
+def _accept(stage: Stage, outcome: Outcome) -> None:
+    """Name what matters on held-out recordings; the whole model goes into the plant."""
+    finding = stage.found
+    assert finding.stage_fit is not None
+    limits = _limits(finding)
+    adjusted = list(finding.adjusted)
+    for kept in finding.named:
+        candidate = kept.candidate
+        instance = candidate.instance(finding.fit.values_of(candidate))
+        shown = ", ".join(f"{key} = {value}" for key, value in instance.parameters.items())
+        share = _share(stage, candidate)
+        if share < SHARE:
+            closes = f"it closes {share:.1%} of the gap on held-out recordings"
+            outcome.notes.append(f"{candidate.effect.name} on {candidate.target} is not named: {closes}")
+            adjusted.append(candidate)
+            continue
+        if candidate.key in {(e.name, e.target, e.side) for e in outcome.named}:  # a pump or a clock shows at several stages
+            outcome.notes.append(f"{instance.name} on {instance.target} shows at the {stage.label} as well: {shown}")
+            continue
+        outcome.repaired = outcome.repaired.with_effect(instance)
+        if kept.ties:
+            tie = tuple((c.effect.name, c.target) for c in (candidate, *kept.ties))
+            outcome.ties.append(tie)
+            outcome.notes.append(f"{instance.name} on {instance.target} stands in the plant for {len(tie)} that tie: {shown}")
+        else:
+            outcome.named.append(_named(stage, kept, limits, share))
+    for candidate in adjusted:
+        values = finding.fit.values_of(candidate)
+        outcome.repaired = outcome.repaired.with_effect(candidate.instance(values))
+        shown = ", ".join(f"{u.key} = {v:.4g}" for u, v in zip(candidate.unknowns, values, strict=True))
+        outcome.notes.append(f"{candidate.effect.name} on {candidate.target} is adjusted in the plant without a name: {shown}")
+    outcome.repaired = outcome.repaired.with_uncertainty(_uncertainty(finding.stage_fit.decision.model))
+
+
+def _near_misses(stage: Stage) -> list[str]:
+    """What was in a surviving model and is not named, with its values and what it lacks."""
+    fitted = stage.found.stage_fit
+    if fitted is None:
+        return []
+    found = []
+    for miss in fitted.decision.near_misses:
+        values = ", ".join(
+            f"{u.key} = {v:.4g} ± {Z * d:.2g}"
+            for u, v, d in zip(miss.candidate.unknowns, miss.values, miss.deviations, strict=True)
+        )
+        found.append(f"near miss at the {stage.label}: {miss.candidate.label} ({values}): {miss.lacks}")
+    return found
+
+
+def _limits(finding: StageResult) -> Array:
+    """95 % intervals of the fit's unknowns, (k, 2): of the chosen model, widened by what other survivors say."""
+    fitted = finding.stage_fit
+    assert fitted is not None
+    model = fitted.decision.model
+    deviations = np.sqrt(np.diag(model.covariance))
+    limits = model.values[:, None] + Z * deviations[:, None] * [-1.0, 1.0]
+    low = np.array([u.bounds[0] for u in model.unknowns])
+    high = np.array([u.bounds[1] for u in model.unknowns])
+    return np.clip(limits, low[:, None], high[:, None])
+
+
+def _uncertainty(model: ModelFit) -> Uncertainty:
+    """What the fit of a stage says of the plant's parameters."""
+    places = []
+    for candidate in model.candidates:
+        name, target, side = candidate.key
+        for parameter in candidate.form.parameters:
+            places += [Place(name, target, side, parameter.name, k) for k in range(len(parameter.components))]  # type: ignore[arg-type]
+    return Uncertainty(tuple(places), model.covariance)
+
+
+def _named(stage: Stage, kept: AcceptedEffect, limits: Array, share: float) -> NamedEffect:
+    candidate, fit, compared = kept.candidate, stage.found.fit, kept.comparison
+    begin = fit.rows_of(candidate).start
+    parameters: dict[str, Value] = {}
+    interval: dict[str, tuple[Any, Any]] = {}
+    for parameter in candidate.form.parameters:
+        here = slice(begin, begin + len(parameter.components))
+        value, low, high = (tuple(map(float, column)) for column in (fit.values[here], limits[here, 0], limits[here, 1]))
+        single = len(value) == 1
+        parameters[parameter.name] = value[0] if single else value
+        interval[parameter.name] = (low[0], high[0]) if single else (low, high)
+        begin = here.stop
+    return NamedEffect(
+        candidate.effect.name,
+        candidate.target,
+        parameters,
+        interval,
+        share,
+        tuple(Alternative(c.effect.name, c.target, why) for c, why in kept.rejected),
+        candidate.aliases,
+        side=candidate.side,
+        evidence=Evidence(compared.delta_bic, compared.gain, compared.p_value, compared.ratio),
+    )
+
+
+def _share(stage: Stage, candidate: Candidate) -> float:
+    """Closed share of the held-out stage gap that is lost when the effect is dropped and the rest refitted."""
+    fitted = stage.found.stage_fit
+    assert fitted is not None
+    dropped = fitted.dropped[candidate.label]
+    recordings = stage.split.held_out if _shown(stage) else stage.split.seen
+    before, after, less = (_score(stage, theta, recordings) for theta in (stage.theta, stage.found.fit.theta, dropped.theta))
+    return float(np.clip((less - after) / (before - 1.0), 0.0, 1.0)) if before > 1.0 else 0.0
+
+
+def _shown(stage: Stage) -> bool:
+    """Whether the held-out recordings show a gap at the stage at all; otherwise the fitted ones have to tell what it closes."""
+    return held_out_score(stage, stage.theta) > EXPLAINED
+
+
+def held_out_score(stage: Stage, theta: Array) -> float:
+    """Held-out RMSE of the stage in noise floors."""
+    return _score(stage, theta, stage.split.held_out)
+
+
+def _score(stage: Stage, theta: Array, recordings: Sequence[Recording]) -> float:
+    return float(np.sqrt(np.nanmean((stage_rmse(stage.problem, theta, recordings) / stage.sigma) ** 2)))
+
+
+def with_carried(gap: Gap, outcome: Outcome) -> Gap:
+    """The gap by stage, after the residual networks where they were accepted."""
+    accepted = [item for item in outcome.carried if item.accepted]
+    after = {**gap.after, **{item.signal: item.after for item in accepted}}
+    return replace(gap, after=after, noise_floor={**gap.noise_floor, **{item.signal: item.noise_floor for item in accepted}})
+
+
+def stage_gap(case: Case, stages: Sequence[Stage], repaired: Array) -> Gap:
+    """RMSE of every stage driven by its measured input, on held-out recordings."""
+    before: dict[str, float] = {}
+    after: dict[str, float] = {}
+    floor: dict[str, float] = {}
+    for stage in stages:
+        held_out = stage.split.held_out
+        for values, scores in (
+            (before, stage_rmse(stage.problem, case.theta, held_out)),
+            (after, stage_rmse(stage.problem, repaired, held_out)),
+            (floor, problem_floor(stage.problem, repaired, held_out, case.noise, case.seed)),
+        ):
+            values.update(zip(stage.problem.signals, map(float, scores), strict=True))
+    return Gap(before, after, floor)

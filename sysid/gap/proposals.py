@@ -1,0 +1,240 @@
+"""Which models of a stage are worth comparing: forward by screening, then drops, swaps and richer forms around the best.
+
+A search only proposes; :mod:`sysid.gap.decision` decides. The screening is a score test with long steps beside the short ones
+(Rao, 1948), since many effects are flat where they are absent.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+import numpy.typing as npt
+from scipy.linalg import solve_triangular
+
+from sysid.gap.candidates import Candidate
+from sysid.gap.fit import place
+from sysid.gap.likelihood.stage import ModelFit, StageLikelihood, fit_model, prior_of, steps_of
+
+Array = npt.NDArray[np.float64]
+
+#: Effects of one stage at most; candidates that are fitted at a forward step, and in the place of one that is there.
+MOST, TRIED, SWAPPED = 6, 4, 3
+#: A forward step may lose so much evidence [nats]: a second effect may need the third.
+LIBERAL = 3.0
+#: Models further below the best than this [nats] are not compared.
+NEAR = 60.0
+#: Short steps of the screening, in what is negligible of each parameter.
+STEP = 2.0
+
+
+@dataclass(frozen=True)
+class Promise:
+    """What a candidate may gain beside a model [nats], and from where its fit should start."""
+
+    candidate: Candidate
+    gain: float
+    start: Array
+
+
+@dataclass
+class Proposals:
+    """Models of one stage under shared variances, each fitted once."""
+
+    likelihood: StageLikelihood
+    candidates: Sequence[Candidate]
+    on_fit: Callable[[str], None] = lambda text: None
+    fits: dict[frozenset[str], ModelFit] = field(default_factory=dict)
+    _promises: dict[frozenset[str], list[Promise]] = field(default_factory=dict)
+
+    # -- single models -----------------------------------------------------------------------------------------------
+
+    def fit(self, candidates: Sequence[Candidate], starts: Array | None = None) -> ModelFit:
+        """The fit of a set from the best of ``starts`` (s, k); others may make it better."""
+        key = frozenset(c.label for c in candidates)
+        known = self.fits.get(key)
+        if known is not None and starts is None:
+            return known
+        ordered = tuple(sorted(candidates, key=lambda c: c.label))
+        if starts is not None:
+            starts = np.array([_reordered(candidates, ordered, row) for row in starts])
+        self.on_fit(", ".join(sorted(key)) or "nominal")
+        found = fit_model(self.likelihood, ordered, _nominal(ordered)[None] if starts is None else starts)
+        if known is None or found.evidence > known.evidence:
+            self.fits[key] = found
+        return self.fits[key]
+
+    def warm(self, candidates: Sequence[Candidate], parent: ModelFit) -> ModelFit:
+        """The fit of a set, started where ``parent`` ended for what both have."""
+        known = self.fits.get(frozenset(c.label for c in candidates))
+        if known is not None:
+            return known
+        return self.fit(candidates, np.concatenate([_known(c, parent) for c in candidates])[None] if candidates else None)
+
+    def without(self, model: ModelFit, candidate: Candidate) -> ModelFit:
+        return self.warm([c for c in model.candidates if c.label != candidate.label], model)
+
+    @property
+    def best(self) -> ModelFit:
+        return max(self.fits.values(), key=lambda f: f.evidence)
+
+    # -- sets of models ----------------------------------------------------------------------------------------------
+
+    def forward(self, model: ModelFit) -> ModelFit:
+        """Add what promises most for as long as the evidence does not fall clearly; returns the likeliest on the way."""
+        best = model
+        while len(model.candidates) < MOST:
+            trials = [self._added(model, promise) for promise in self.promises(model)[:TRIED]]
+            if not trials:
+                break
+            model = max(trials, key=lambda f: f.evidence)
+            if model.evidence > best.evidence:
+                best = model
+            elif model.evidence < best.evidence - LIBERAL:
+                break
+        return best
+
+    def around(self, rounds: int = 3) -> None:
+        """Drops, additions and swaps around the likeliest model until it stays the likeliest."""
+        for _ in range(rounds):
+            best = self.best
+            for candidate in best.candidates:
+                smaller = self.without(best, candidate)
+                lost = best.evidence - smaller.evidence
+                for promise in self.promises(smaller)[:SWAPPED]:
+                    # A screened gain is a guess; what promises far less than was lost cannot take the place.
+                    if promise.candidate.key != candidate.key and promise.gain > 0.3 * lost - LIBERAL:
+                        self._added(smaller, promise)
+            for promise in self.promises(best)[:SWAPPED]:
+                self._added(best, promise)
+            if self.best is best:
+                break
+
+    def near(self) -> list[ModelFit]:
+        """Models close to the best, likeliest first, the one without effects among them."""
+        empty = self.fit(())
+        ordered = sorted(self.fits.values(), key=lambda f: -f.evidence)
+        found = [f for f in ordered if f.evidence > ordered[0].evidence - NEAR]
+        return found if any(f is empty for f in found) else [*found, empty]
+
+    def promises(self, model: ModelFit) -> list[Promise]:
+        """What may be added to a model, most promising first."""
+        if model.labels not in self._promises:
+            found = screened(self.likelihood, model, self._open(model))
+            self._promises[model.labels] = sorted(found, key=lambda p: -p.gain)
+        return self._promises[model.labels]
+
+    def _added(self, model: ModelFit, promise: Promise) -> ModelFit:
+        new = promise.candidate
+        rest = [c for c in model.candidates if c.key != new.key and not new.contains(c)]
+        if frozenset(c.label for c in (*rest, new)) in self.fits:
+            return self.fits[frozenset(c.label for c in (*rest, new))]
+        known = np.concatenate([np.empty(0), *(model.values_of(c) for c in rest)])
+        starts = np.array([np.concatenate([known, start]) for start in (promise.start, *new.starts)])
+        return self.fit((*rest, new), starts)
+
+    def _open(self, model: ModelFit) -> list[Candidate]:
+        """Candidates that are not in the model yet; a richer form where its simpler one is there."""
+        used = {c.key: c for c in model.candidates}
+        found = []
+        for candidate in self.candidates:
+            present = used.get(candidate.key)
+            first = candidate.form is candidate.effect.forms[0]
+            if any(other.contains(candidate) for other in model.candidates):
+                continue
+            if (present is None and (first or candidate.known)) or (
+                present is not None and len(candidate.unknowns) > len(present.unknowns)
+            ):
+                found.append(candidate)
+        return found
+
+
+def screened(likelihood: StageLikelihood, model: ModelFit, candidates: Sequence[Candidate]) -> list[Promise]:
+    """What each candidate may gain beside ``model`` if the stage answered linearly to it."""
+    lanes, owners, starts, whole = _lanes(model.theta, candidates)
+    if not len(lanes):
+        return []
+    thetas = [model.theta[None], lanes]
+    if model.unknowns:
+        steps = steps_of(model.unknowns, model.values)
+        thetas.append(place(likelihood.rows.theta, model.unknowns, model.values + np.diag(steps)))
+    table = likelihood.innovations(np.vstack(thetas))
+    w, changes = table[:, 0], table[:, 1 : len(lanes) + 1] - table[:, :1]
+    basis = likelihood.linear.columns
+    offset = np.zeros(0)
+    if model.unknowns:
+        prior = prior_of(model.candidates)
+        slopes = (table[:, len(lanes) + 1 :] - table[:, :1]) / steps * prior.width
+        basis = np.hstack([basis, slopes])
+        offset = (model.values - prior.centre) / prior.width
+    p = basis.shape[1]
+    factor = np.linalg.cholesky(basis.T @ basis + np.eye(p))
+    target = basis.T @ w
+    target[p - len(offset) :] += offset
+    z = solve_triangular(factor, np.column_stack([basis.T @ changes, target]), lower=True)
+    gram = changes.T @ changes - z[:, :-1].T @ z[:, :-1]
+    slope = -(changes.T @ w - z[:, :-1].T @ z[:, -1])  # how the cost falls with each change
+    found = []
+    for k, candidate in enumerate(candidates):
+        best = Promise(candidate, -np.inf, np.array(candidate.starts[0]))
+        nominal = np.array([model.theta[u.places[0]] for u in candidate.unknowns])
+        for at in np.flatnonzero((owners == k) & whole):
+            share = float(np.clip(slope[at] / max(gram[at, at], 1e-12), 0.05, 2.0))
+            gain = share * slope[at] - 0.5 * share**2 * gram[at, at]
+            if gain > best.gain:
+                best = Promise(candidate, float(gain), nominal + share * (starts[at] - nominal))
+        short = np.flatnonzero((owners == k) & ~whole)
+        G = gram[np.ix_(short, short)] + 1e-9 * np.trace(gram[np.ix_(short, short)]) * np.eye(len(short))
+        if len(short) and float(np.trace(G)) > 0.0:
+            weights = np.linalg.solve(G + 1e-300 * np.eye(len(short)), slope[short])
+            moved = nominal + weights * np.array([(starts[at] - nominal).sum() for at in short])
+            gain = float(0.5 * weights @ slope[short])
+            low, high = (np.array([u.bounds[e] for u in candidate.unknowns]) for e in (0, 1))
+            inside = bool(((moved >= low) & (moved <= high)).all())
+            if inside and gain > best.gain:
+                best = Promise(candidate, gain, moved)
+        found.append(best)
+    return found
+
+
+def _lanes(
+    theta: Array, candidates: Sequence[Candidate]
+) -> tuple[Array, npt.NDArray[np.int64], list[Array], npt.NDArray[np.bool_]]:
+    """Parameter vectors, whose candidate each is, its values, and whether it is a whole starting value or a short step."""
+    lanes, owners, values, whole = [], [], [], []
+    for k, candidate in enumerate(candidates):
+        nominal = np.array([theta[u.places[0]] for u in candidate.unknowns])
+        rows = [(np.array(start), True) for start in candidate.starts]
+        for j, unknown in enumerate(candidate.unknowns):
+            moved = nominal.copy()
+            step = STEP * unknown.negligible
+            moved[j] += step if moved[j] + step <= unknown.bounds[1] else -step
+            rows.append((moved, False))
+        for row, is_whole in rows:
+            lanes.append(place(theta, candidate.unknowns, row[None])[0])
+            owners.append(k)
+            values.append(row)
+            whole.append(is_whole)
+    return np.array(lanes), np.array(owners), values, np.array(whole, dtype=bool)
+
+
+def _nominal(candidates: Sequence[Candidate]) -> Array:
+    return np.array([u.nominal for c in candidates for u in c.unknowns])
+
+
+def _reordered(given: Sequence[Candidate], ordered: Sequence[Candidate], values: Array) -> Array:
+    """Values in the order of ``ordered``."""
+    at, parts = 0, {}
+    for candidate in given:
+        parts[candidate.label] = values[at : at + len(candidate.unknowns)]
+        at += len(candidate.unknowns)
+    return np.concatenate([parts[c.label] for c in ordered]) if ordered else np.empty(0)
+
+
+def _known(candidate: Candidate, parent: ModelFit) -> Array:
+    """Values of a candidate where ``parent`` ended, in another form of the effect too; else nominal."""
+    for other in parent.candidates:
+        if other.label == candidate.label:
+            return parent.values_of(other)
+    return np.array([parent.theta[u.places[0]] for u in candidate.unknowns])

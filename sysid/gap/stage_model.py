@@ -1,0 +1,153 @@
+"""One stage from its recordings to a decision: rows → variances → proposals → decision."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from sysid.datasets.recording import Recording
+from sysid.gap.candidates import Candidate
+from sysid.gap.decision import Decision, Key, decide
+from sysid.gap.likelihood.averaged import averaged
+from sysid.gap.likelihood.discrepancy import discrepancy_of
+from sysid.gap.likelihood.rows import Rows
+from sysid.gap.likelihood.stage import ModelFit, StageLikelihood, Variances
+from sysid.gap.likelihood.variances import Start, estimated, first_variances, log_prior, robust
+from sysid.gap.problem import Problem
+from sysid.gap.proposals import Proposals
+from sysid.plant import Model
+
+Array = npt.NDArray[np.float64]
+
+#: A typical disturbance, as a share of the root-mean-square speed (or of the range, where nothing integrates).
+TYPICAL = 0.01
+#: First sizes of the discrepancy's coefficients: effects with a name come first, or smooth functions do.
+FIRST = (1e-5, 1e-3)
+#: Transient of an unknown start state: over this time [s], and this share of the distance that it may come to.
+TRANSIENT, UNKNOWN = 0.4, 0.1
+
+
+@dataclass(frozen=True)
+class StageFit:
+    """A stage after its search: its rows, the likelihood under the final variances, the models and the decision.
+
+    ``dropped``: by label, the chosen model without that effect, the rest refitted.
+    """
+
+    rows: Rows
+    likelihood: StageLikelihood
+    models: tuple[ModelFit, ...]
+    decision: Decision
+    dropped: Mapping[str, ModelFit]
+
+    @property
+    def variances(self) -> Variances:
+        return self.likelihood.variances
+
+
+def fit_stage(
+    model: Model,
+    problem: Problem,
+    recordings: Sequence[Recording],
+    theta: Array,
+    sigma: Array,
+    candidates: Sequence[Candidate],
+    nameable: Sequence[str],
+    rope: Mapping[Key, float] | None = None,
+    on_fit: Callable[[str], None] = lambda text: None,
+) -> StageFit:
+    """Search and decide one stage.
+
+    Args:
+        sigma: noise floor of each output, (d,).
+        nameable: labels of candidates that the recordings excite enough; the others only compete.
+    """
+    full = recordings[0].rate_hz
+    recordings = [averaged(r, problem.stage) for r in recordings]
+    rows = Rows(problem, recordings, theta, sigma)
+    samples = max(1, round(full / recordings[0].rate_hz)) * rows.series[0].width
+    start = _start(rows, sigma, samples)
+    extra = _transients(rows)
+    found = [_settled(model, rows, theta, start, extra, candidates, tau, on_fit) for tau in FIRST]
+    likelihood, rich = max(found, key=lambda each: each[1].evidence + log_prior(each[0].variances, start))
+    variances = robust(likelihood, rich)
+    likelihood = StageLikelihood(rows, likelihood.discrepancy, variances, extra)
+    proposals = Proposals(likelihood, candidates, on_fit)
+    for _, other in found:
+        proposals.warm(other.candidates, other)
+    proposals.forward(proposals.best)
+    proposals.around()
+    decision = decide(proposals.near(), nameable, rope)
+    for _ in range(4):  # every survivor without each of its effects, until nothing new survives
+        before = len(proposals.fits)
+        for survivor in decision.minimal:
+            for candidate in survivor.candidates:
+                proposals.without(survivor, candidate)
+        if len(proposals.fits) == before:
+            break
+        decision = decide(proposals.near(), nameable, rope)
+    dropped = {c.label: proposals.without(decision.model, c) for c in decision.model.candidates}
+    return StageFit(rows, likelihood, tuple(proposals.near()), decision, dropped)
+
+
+def _settled(
+    model: Model,
+    rows: Rows,
+    theta: Array,
+    start: Start,
+    extra: Sequence[Array],
+    candidates: Sequence[Candidate],
+    tau: float,
+    on_fit: Callable[[str], None],
+) -> tuple[StageLikelihood, ModelFit]:
+    """Effects and variances found in turn, from a first size of the discrepancy: the likelihood, and its likeliest model."""
+    discrepancy = discrepancy_of(model, rows, theta)
+    variances = first_variances(rows, start, len(discrepancy.groups), tau)
+    likelihood = StageLikelihood(rows, discrepancy, variances, extra)
+    rich: ModelFit | None = None
+    for _ in range(2):
+        proposals = Proposals(likelihood, candidates, on_fit)
+        begin = proposals.fit(()) if rich is None else proposals.warm(rich.candidates, rich)
+        rich = proposals.forward(begin)
+        discrepancy = discrepancy_of(model, rows, rich.theta)
+        variances = estimated(rows, discrepancy, variances, start, extra, rich)
+        likelihood = StageLikelihood(rows, discrepancy, variances, extra)
+    assert rich is not None
+    proposals = Proposals(likelihood, candidates, on_fit)
+    proposals.warm(rich.candidates, rich)
+    for candidate in rich.candidates:
+        proposals.without(rich, candidate)
+    return likelihood, proposals.best
+
+
+def _start(rows: Rows, sigma: Array, samples: int) -> Start:
+    """Noise of a row and a typical disturbance, by signal."""
+    noise, typical = np.empty(len(sigma)), np.empty(len(sigma))
+    for k in range(len(sigma)):
+        parts = [s for s in rows.series if s.signal == k]
+        noise[k] = max(float(sigma[k]) / np.sqrt(samples), 1e-12)
+        output = np.concatenate([s.measured for s in parts])
+        slopes = np.concatenate([np.diff(s.measured) / s.step[1:] for s in parts])
+        if rows.problem.integrates:
+            typical[k] = TYPICAL * float(np.sqrt(np.nanmean(slopes**2)))
+        else:
+            typical[k] = TYPICAL * 0.3 * float(np.nanmax(output) - np.nanmin(output))
+        typical[k] = max(typical[k], 0.1 * noise[k])
+    return Start(noise, typical)
+
+
+def _transients(rows: Rows) -> list[Array]:
+    """Variance that the level of an integrating stage gains while an unknown start state dies out."""
+    found = []
+    fast = [float(np.nanpercentile(np.abs(np.diff(s.measured) / s.step[1:]), 95)) for s in rows.series]
+    for k, s in enumerate(rows.series):
+        extra = np.zeros(len(s.step))
+        if rows.problem.integrates:
+            for begin in np.flatnonzero(s.restart):
+                count = max(1, round(TRANSIENT / max(float(np.median(s.step)), 1e-6)))
+                extra[begin : begin + count] = (UNKNOWN * TRANSIENT * fast[k]) ** 2 / count
+        found.append(extra)
+    return found

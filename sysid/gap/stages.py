@@ -1,0 +1,168 @@
+"""The search at every stage of a case: side by side where stages know nothing of each other."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+from typing import Literal
+
+import numpy as np
+import numpy.typing as npt
+from scipy.stats import norm
+from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]
+
+from sysid.gap.adapters.adapter import SimulatorAdapter
+from sysid.gap.candidates import Candidate
+from sysid.gap.case import Case, Stage, on_itself, stage_candidates
+from sysid.gap.data import Data
+from sysid.gap.decision import EXPLAINED, Decision, difference
+from sysid.gap.evidence import Comparison
+from sysid.gap.excitation import excitation_of
+from sysid.gap.fit import Fit, spread_of
+from sysid.gap.likelihood.stage import ModelFit
+from sysid.gap.problem import Problem
+from sysid.gap.stage_model import StageFit, fit_stage
+from sysid.gap.stage_result import AcceptedEffect, StageResult, TestedModel
+from sysid.plant import compile_plant
+from sysid.plant.model import WORKERS
+from sysid.progress import Progress, part
+
+Array = npt.NDArray[np.float64]
+#: What a joint stage says of a sensor that a drive is read by.
+SCALE = "sensor_scale"
+
+Forms = Literal["all", "simple"]
+
+
+def search_stages(case: Case, stages: Sequence[Stage], forms: Forms, progress: Progress) -> tuple[Stage, ...]:
+    """The stages with what was found at each."""
+    if case.adapter is None:
+        return _side_by_side(case, stages, forms, progress)
+    return _one_by_one(case, case.adapter, stages, forms, progress)
+
+
+def _side_by_side(case: Case, stages: Sequence[Stage], forms: Forms, progress: Progress) -> tuple[Stage, ...]:
+    """Stages driven by their measured inputs know nothing of each other: as many at a time as there are cores."""
+    done = [0.0] * len(stages)
+
+    def one(k: int) -> Stage:
+        def tell(share: float, text: str) -> None:
+            done[k] = share
+            progress(sum(done) / len(stages), text)
+
+        return replace(stages[k], finding=_found(case, stages[k], forms, tell))
+
+    workers = min(WORKERS, max(len(stages), 1))
+    with threadpool_limits(1), ThreadPoolExecutor(workers, thread_name_prefix="sysid-stage") as pool:  # a core a stage
+        found = tuple(pool.map(one, range(len(stages))))
+        return _as_read(case, found, forms, progress)
+
+
+def _as_read(case: Case, stages: tuple[Stage, ...], forms: Forms, progress: Progress) -> tuple[Stage, ...]:
+    """Drives read by a sensor whose scale was named at its joint are searched again with that scale: it looks like a gain."""
+    scales = [
+        (stage.found.fit, kept.candidate)
+        for stage in stages
+        for kept in stage.found.named
+        if stage.problem.stage == "joint" and kept.candidate.effect.name == SCALE and not kept.ties
+    ]
+    found = []
+    for stage in stages:
+        read = [(fit, scale) for fit, scale in scales if scale.target in stage.problem.signals]
+        if stage.problem.stage == "command" and read:
+            theta = stage.theta.copy()
+            for fit, scale in read:
+                for unknown, value in zip(scale.unknowns, fit.values_of(scale), strict=True):
+                    theta[list(unknown.places)] = value
+            again = replace(stage, theta=theta)
+            stage = replace(again, finding=_found(case, again, forms, lambda share, text: progress(1.0, text)))  # noqa: PLW2901
+        found.append(stage)
+    return tuple(found)
+
+
+def _one_by_one(
+    case: Case, adapter: SimulatorAdapter, stages: Sequence[Stage], forms: Forms, progress: Progress
+) -> tuple[Stage, ...]:
+    """With a simulator of one's own, the input of a stage depends on the effects found before it."""
+    found, theta = list[Stage](), case.theta
+    for k, stage in enumerate(stages):
+        tell = part(progress, k / len(stages), (k + 1) / len(stages))
+        settled = replace(stage, problem=adapter.with_input_effects(stage.problem, theta))
+        found.append(replace(settled, finding=_found(case, settled, forms, tell)))
+        if stage.problem.stage == "command":
+            fitted = found[-1].found.fit.theta
+            theta = np.where(fitted != case.theta, fitted, theta)
+    return tuple(found)
+
+
+def _found(case: Case, stage: Stage, forms: Forms, tell: Progress) -> StageResult:
+    tell(0.0, stage.label)
+    machine = case.plant.machine
+    problem = stage.problem if case.adapter is None else case.adapter.search_problem(stage.problem)
+    seen = Data(problem, stage.split.seen, stage.sigma)
+    nominal = spread_of(seen.residuals(stage.theta[None]))
+    if nominal <= EXPLAINED:
+        tell(1.0, stage.label)
+        return StageResult(problem, (), (), _fit(seen, (), stage.theta), nominal, nominal)
+    offered = [c for c in stage_candidates(case, stage) if forms == "all" or c.form is c.effect.forms[0]]
+    nameable = [c.label for c in offered if excitation_of(c, stage.split.seen, machine).sufficient]
+    fitted = fit_stage(
+        compile_plant(case.plant), problem, stage.split.seen, stage.theta, stage.sigma, offered, nameable,
+        on_fit=lambda text: tell(0.0, f"{stage.label}: {text}"),
+    )  # fmt: skip
+    finding = _result(problem, seen, fitted, nominal)
+    tell(1.0, stage.label)
+    return finding if problem is stage.problem else on_itself(finding, stage, stage.theta)
+
+
+def _result(problem: Problem, seen: Data, fitted: StageFit, nominal: float) -> StageResult:
+    decision = fitted.decision
+    fit = _fit(seen, decision.model.candidates, decision.model.theta, decision.model)
+    final = spread_of(seen.residuals(fit.theta[None]))
+    kept = [AcceptedEffect(c, _comparison(c, fitted), _rejected(c, fitted)) for c in decision.named]
+    kept += [AcceptedEffect(tie[0], _comparison(tie[0], fitted), (), tie[1:]) for tie in decision.tied]
+    taken = {k.candidate.label for k in kept}
+    adjusted = tuple(c for c in decision.model.candidates if c.label not in taken)
+    return StageResult(problem, tuple(kept), adjusted, fit, nominal, final, _trials(fitted, seen), fitted)
+
+
+def _fit(seen: Data, candidates: Sequence[Candidate], theta: Array, model: ModelFit | None = None) -> Fit:
+    drifts, log_likelihood = seen.drifts(theta)
+    values = model.values if model is not None else np.empty(0)
+    unknowns = model.unknowns if model is not None else ()
+    return Fit(tuple(candidates), tuple(unknowns), values, theta, drifts, log_likelihood, True)
+
+
+def _comparison(candidate: Candidate, fitted: StageFit) -> Comparison:
+    model, less = fitted.decision.model, fitted.dropped[candidate.label]
+    total, error = difference(model, less)
+    ratio = less.rms / max(model.rms, 1e-12)
+    return Comparison(2.0 * (model.evidence - less.evidence), total, float(norm.sf(total / max(error, 1e-9))), ratio)
+
+
+def _rejected(candidate: Candidate, fitted: StageFit) -> tuple[tuple[Candidate, str], ...]:
+    """Other effects in its place, and by how much they predict worse."""
+    model = fitted.decision.model
+    rest = {c.key for c in model.candidates} - {candidate.key}
+    found: dict[tuple[str, str, str | None], tuple[Candidate, str]] = {}
+    for f in fitted.models:
+        others = [c for c in f.candidates if c.key not in rest]
+        if len(others) == 1 and others[0].key != candidate.key and rest <= {c.key for c in f.candidates}:
+            total, error = difference(model, f)
+            found.setdefault(others[0].key, (others[0], f"predicts {total:.0f} ± {error:.0f} nats worse"))
+    return tuple(found.values())
+
+
+def _trials(fitted: StageFit, seen: Data) -> tuple[TestedModel, ...]:
+    decision: Decision = fitted.decision
+    rows = []
+    for f in fitted.models[:40]:
+        names = (f"{c.label}.{u.key}" for c in f.candidates for u in c.unknowns)
+        total, error = difference(decision.model, f)
+        verdict = "survives" if any(f is s for s in decision.survivors) else f"{total:.0f} ± {error:.0f} nats worse"
+        values = dict(zip(names, map(float, f.values), strict=True))
+        rows.append(
+            TestedModel(tuple(sorted(f.labels)), values, f.rms, f.rms, 2.0 * (f.evidence - decision.model.evidence), verdict)
+        )
+    return tuple(rows)

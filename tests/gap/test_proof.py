@@ -1,0 +1,40 @@
+"""What gets a name on held-out recordings: what matters there, once, and by the simplest name."""
+
+from __future__ import annotations
+
+import pytest
+from plant_data import dataset_of, nominal, slide
+
+from sysid.gap import find_gap
+from sysid.machine import KnownEffect
+
+
+def test_a_sensor_that_reads_too_much_is_no_gain_as_well() -> None:
+    """The cylinder's own sensor reads 0.6 % too much: at its joint that is a scale, and at its valve it looks like a gain."""
+    plant = nominal()
+    true = plant.with_effect(KnownEffect("sensor_scale", "boom.cylinder", {"scale": 1.006}))
+    found = find_gap(dataset_of(true, 20.0, seed=5), plant)
+    assert [(effect.name, effect.target) for effect in found.effects] == [("sensor_scale", "boom.cylinder")]
+    assert found.effects[0].parameters["scale"] == pytest.approx(1.006, abs=1e-4)
+    after, floor = found.stage_gap.after["boom.cylinder"], found.stage_gap.noise_floor["boom.cylinder"]
+    assert after < 1.1 * floor
+
+
+def test_a_small_value_that_everything_depends_on_gets_its_name() -> None:
+    """A dead time that is 0.7 ms longer: hardly more than clocks are known by, and most of what a precise servo is off."""
+    lag = KnownEffect("first_order_lag", "wrist", {"time_constant": 0.04})
+    plant = nominal(lag, KnownEffect("input_delay", "wrist", {"delay": 0.03}))
+    true = nominal(lag, KnownEffect("input_delay", "wrist", {"delay": 0.0307}))
+    found = find_gap(dataset_of(true, 20.0, seed=5), plant)
+    assert [(effect.name, effect.target) for effect in found.effects] == [("input_delay", "wrist")]
+    assert found.effects[0].parameters["delay"] == pytest.approx(0.0307, abs=1e-4)
+
+
+def test_of_two_names_for_one_thing_the_simpler_one_is_taken() -> None:
+    """While a slide moves, a load is a friction that differs by direction; the latter takes one number more to say so."""
+    known = KnownEffect("coulomb_friction", "slide", {"force": 8.0})
+    true = nominal(known, KnownEffect("load_bias", "slide", {"force": 3.0}), machine=slide())
+    found = find_gap(dataset_of(true, 8.0, seed=5), nominal(known, machine=slide()))
+    assert [effect.name for effect in found.effects] == ["load_bias"]
+    assert found.effects[0].parameters["force"] == pytest.approx(3.0, abs=0.02)
+    assert found.ambiguous == ()
