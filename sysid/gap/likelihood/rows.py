@@ -168,7 +168,7 @@ def bin_means(values: Array, width: int) -> Array:
 def _time(problem: Problem, recording: Recording, width: int, count: int) -> Array:
     rows = problem.rows(recording)[: count * width].reshape(count, width).mean(axis=1)
     # Static poses are measurements of their own: far apart in time.
-    return rows * (1e3 if recording.kind == "poses" else 1.0 / recording.rate_hz)
+    return np.asarray(rows * (1e3 if recording.kind == "poses" else 1.0 / recording.rate_hz))
 
 
 def _restarts(problem: Problem, recording: Recording, width: int, count: int) -> npt.NDArray[np.bool_]:
