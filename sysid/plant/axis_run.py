@@ -50,8 +50,8 @@ def drive_axis(p, rig, i, command, measured, load, share, segments, dt, window, 
         first, last = segments[row, 0], segments[row, 1]
         follows = row > 0 and segments[row - 1, 1] == first
         find_start(
-            p, rig, i, s, begun, command, measured, measured, load, share, first, last, dt, window, settle, drive, behind, scratch,
-            work, follows, own,
+            p, rig, i, s, begun, command, measured, measured, load, share, first, last, dt, window, settle, drive, behind,
+            scratch, work, follows, own,
         )  # fmt: skip
         run(p, rig, i, begun, command, load, share, first, last, dt, drive, behind, own)
         if rig.axes[i, CYLINDER] != 0.0:

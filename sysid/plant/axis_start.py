@@ -13,12 +13,12 @@ from sysid.plant import chain
 from sysid.plant.axis_loop import begin, run
 from sysid.plant.layout import AT, AXIS_WIDTH, STATE
 from sysid.plant.level import line, median, middle_and_spread, shift, squares
-from sysid.plant.rig import CYLINDER, FORCE, HIGH, KIND, LOW, TABLE_LOW, TABLE_STEP, VELOCITY
+from sysid.plant.rig import CYLINDER, FORCE, HIGH, KIND, LOW, POSITION, TABLE_LOW, TABLE_STEP, VELOCITY
 from sysid.plant.servo_start import start_servo
 from sysid.plant.valve_start import LEVEL, SPIKE, start_valve
 
 #: A force axis takes its speed from this long [s], corrected so many times.
-SPEED_WINDOW, SPEED_ROUNDS = 1.0, 3
+SPEED_WINDOW, SPEED_ROUNDS = 1.0, 6
 
 
 @inlined
@@ -37,22 +37,30 @@ def _first_measured(measured, first, last, low, high):
 
 @loop
 def _start_force(p, rig, i, s, begun, command, measured, load, share, first, last, dt, out, behind, own):
-    """Position and speed that fit the first second."""
+    """Position and speed at which nothing of a line is left in the differences of the first second, by secant steps.
+
+    Where friction stops the axis, another speed makes no difference, and that of the step before is kept.
+    """
     low, high = rig.axes[i, LOW], rig.axes[i, HIGH]
     said = out if rig.axes[i, CYLINDER] != 0.0 else behind
     near = min(last, first + round(SPEED_WINDOW / dt))
-    for _ in range(SPEED_ROUNDS):
+    changed, rise_before, gain = 0.0, 0.0, 1.0
+    for turn in range(SPEED_ROUNDS):
         _again(s, begun)
         run(p, rig, i, s, command, load, share, first, near, dt, out, behind, own)
         place, rise = line(measured, said, first, near)
         begun[STATE.position] = min(max(begun[STATE.position] + place, low), high)
-        begun[STATE.speed] += rise / dt
+        rise /= dt
+        if turn and abs(rise_before - rise) > 1e-3 * abs(changed):
+            gain = min(max(changed / (rise_before - rise), 0.5), 5.0)
+        rise_before = rise
+        if turn < SPEED_ROUNDS - 1:
+            changed = gain * rise
+            begun[STATE.speed] += changed
 
 
 @loop
-def _start_level(
-    p, rig, i, s, begun, command, measured, load, share, first, near, dt, out, behind, scratch, own
-):
+def _start_level(p, rig, i, s, begun, command, measured, load, share, first, near, dt, out, behind, scratch, own):
     """The position alone, from the samples up to ``near``."""
     low, high = rig.axes[i, LOW], rig.axes[i, HIGH]
     said = out if rig.axes[i, CYLINDER] != 0.0 else behind
@@ -135,7 +143,7 @@ def find_start(
         speed = line(measured, out, first, near)[1] / dt
     if not follows:
         begin(begun, m, len(begun), position, speed, np.nan, p, b, first, dt)
-    elif kind == VELOCITY or kind == FORCE:
+    elif kind != POSITION:
         begun[STATE.position] = position
         begun[STATE.speed] = speed
         begun[STATE.backlash_drive] = np.nan
@@ -146,7 +154,7 @@ def find_start(
     elif kind == FORCE and not follows:
         _start_force(p, rig, i, s, begun, command, measured, load, share, first, last, dt, out, behind, own)
     else:
-        if kind != VELOCITY and kind != FORCE and not follows:
+        if kind == POSITION and not follows:
             start_servo(p, rig, i, begun, command, measured, first, last, dt)
         _start_level(p, rig, i, s, begun, command, measured, load, share, first, near, dt, out, behind, scratch, own)
     if cylinder:

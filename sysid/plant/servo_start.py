@@ -1,8 +1,8 @@
 """Where a position axis starts: where it is, and the set-points on their way through its dead time; compiled.
 
-During the dead time the lag is turned round: ``u_k = (x_k − a·x_{k−1})/(1 − a)``, ``a = e^(−dt/T)``, with the measured x. That is the
-most probable past under a prior as wide as the range of the axis, beside which the noise of its sensor is nothing. Without a
-dead time what is known of the lag is ``x_k = run_k + δx·a^k``, by least squares under the same prior. Both die out.
+During the dead time the lag is turned round: ``u_k = (x_k − a·x_{k−1})/(1 − a)``, ``a = e^(−dt/T)``, with the measured x. That
+is the most probable past under a prior as wide as the range of the axis, beside which the noise of its sensor is nothing.
+Without a dead time ``x_k = run_k + δx·a^k``, and δx is found by least squares under the same prior. What is wrong dies out.
 """
 
 from __future__ import annotations

@@ -32,15 +32,16 @@ PIECE, PIECES = 0.05, 8
 #: Samples are taken together in bins of this length [s]; later than the dead time, of this share of the time since then.
 BIN, WIDER = 0.025, 0.125
 #: Runs of the first seconds at most; a correction [standard deviations of the noise] that needs no other one.
-ROUNDS, EXACT = 4, 1.0
+ROUNDS, EXACT = 6, 1.0
 #: Further away [standard deviations of the noise] than this is a spike.
 SPIKE = 8.0
 #: Least noise [share of the way of an open valve in a step]: the prior weighs a little where the measurement has none.
 QUIET = 1e-3
 
-#: Rows of the work space behind the square matrix: what is estimated, right-hand side, influences, limits of the pieces.
 UNKNOWNS = 2 + PIECES
-VALUES, RIGHT, COLUMN, EDGES, ROWS = UNKNOWNS, UNKNOWNS + 1, UNKNOWNS + 2, UNKNOWNS + 3, UNKNOWNS + 4
+#: Rows of the work space behind the square matrix: what is estimated, the same before the last correction, right-hand side,
+#: influences, limits of the pieces.
+VALUES, KEPT, RIGHT, COLUMN, EDGES, ROWS = range(UNKNOWNS, UNKNOWNS + 6)
 
 
 @inlined
@@ -98,8 +99,12 @@ def _influence(t, gain, slow, work, pieces):
 
 @loop
 def _compare(measured, said, first, near, dt, delay, slow, gain, middle, bound, work, count, pieces, whole):
-    """Add the differences measured − said, in bins, to the right-hand side; to the matrix as well where ``whole``."""
+    """Add the differences measured − said, in bins, to the right-hand side; to the matrix as well where ``whole``.
+
+    Returns the sum of their squares about their mean.
+    """
     waited, k = first + delay / dt, first
+    samples, summed, squared = 0, 0.0, 0.0
     while k < near:
         # The level behind the transient is one bin.
         end = near
@@ -112,10 +117,13 @@ def _compare(measured, said, first, near, dt, delay, slow, gain, middle, bound, 
                 if abs(away - middle) <= bound:
                     n += 1
                     total += away
+                    squared += (away - middle) * (away - middle)
                     when += j - first
         k = end
         if n == 0:
             continue
+        samples += n
+        summed += total - n * middle
         _influence(when / n * dt, gain, slow, work, pieces)
         for row in range(count):
             c = work[COLUMN, row]
@@ -123,6 +131,7 @@ def _compare(measured, said, first, near, dt, delay, slow, gain, middle, bound, 
             if whole and c != 0.0:
                 for column in range(row + 1):
                     work[row, column] += n * c * work[COLUMN, column]
+    return squared - summed * summed / max(samples, 1)
 
 
 @loop
@@ -183,6 +192,7 @@ def start_valve(p, rig, i, s, begun, command, measured, load, share, first, last
             work[VALUES, j] = held
         _edges(delay, dt, work, cells, pieces)
     middle, bound, noise = 0.0, 0.0, 0.0
+    least, final = np.inf, count == 1
     for turn in range(ROUNDS):
         if count > 1:
             _fill(p, b, begun, dt, work, cells, pieces)
@@ -195,7 +205,7 @@ def start_valve(p, rig, i, s, begun, command, measured, load, share, first, last
                 return
             bound = SPIKE * noise + 2.0 * gain * (slow + delay)
             noise = max(noise, QUIET * gain * dt)
-        if count == 1 or turn == ROUNDS - 1:
+        if final or turn == ROUNDS - 1:
             _move_to(begun, begun[STATE.position] + shift(measured, said, first, near, calm, middle, bound), low, high)
             return
         for row in range(count):
@@ -203,13 +213,20 @@ def start_valve(p, rig, i, s, begun, command, measured, load, share, first, last
             for column in range(row + 1):
                 if turn == 0:
                     work[row, column] = noise * noise if row == column and row else 0.0
-        _compare(measured, said, first, near, dt, delay, slow, gain, middle, bound, work, count, pieces, turn == 0)
+        cost = _compare(measured, said, first, near, dt, delay, slow, gain, middle, bound, work, count, pieces, turn == 0)
+        if not cost < least:  # the valve is bent too much: back to what fitted better
+            final = True
+            for j in range(1, count):
+                work[VALUES, j] = work[KEPT, j]
+            continue
+        least = cost
         if turn == 0:
             _factor(work, count)
         _solve(work, count)
         _move_to(begun, begun[STATE.position] + work[RIGHT, 0], low, high)
         changed = 0.0
         for j in range(1, count):
+            work[KEPT, j] = work[VALUES, j]
             work[VALUES, j] += work[RIGHT, j]
             changed += abs(work[RIGHT, j]) * gain * (slow if j == 1 else delay / pieces)
         middle = 0.0

@@ -1,6 +1,6 @@
 """Recordings cut out of a longer motion of a machine that equals the plant: nothing is known of what was before them.
 
-The axes are simulated by themselves, with Euler steps of 1 ms: dead time, lag, gain, integral.
+The axes are simulated without the plant, in steps of 1 ms: dead time, lag, gain, integral. Tip and tool are the plant's.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 import pandas as pd
 from plant_data import arm, steered
+from scipy import signal
 
 from sysid.datasets.recording import Recording
 from sysid.machine import KnownEffect
@@ -86,11 +87,9 @@ def _moved(command: Array, i: int, plant: Plant, lag: float, delay: float) -> Ar
     position = axis.actuation == "position"
     fine = np.repeat(np.append(command[1:], command[-1:]) if position else command, FINE)
     late = np.concatenate([np.full(round(delay / h), command[0]), fine])[: len(fine)]
-    kept, x = math.exp(-h / lag), late[0]
-    valve = np.empty(len(late))
-    for k, u in enumerate(late):
-        valve[k] = x
-        x = u + (x - u) * kept
+    kept = math.exp(-h / lag)
+    passed = signal.lfilter([1.0 - kept], [1.0, -kept], late[:-1] - late[0]) + late[0]
+    valve = np.concatenate([late[:1], passed])
     if position:
         return valve[::FINE]
     mean = np.append(0.5 * (valve[1:] + valve[:-1]), valve[-1])
