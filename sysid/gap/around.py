@@ -130,7 +130,7 @@ class Around:
             if self._kinematic:
                 values = self._model.tip(thetas, replace(recording, table=seen)) + self._beyond_kinematics(thetas, recording)
             put(ee, values)
-        if known.issuperset(ee) and self.machine.tool is not None:
+        if known.issuperset(ee) and self._model.has_tool(thetas[0], recording):
             at = replace(recording, table=seen)
             put(tool, self._model.tool(thetas, at) + self._beyond_tip(thetas, recording))
         elif known.issuperset(tool):

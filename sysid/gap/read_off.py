@@ -47,7 +47,7 @@ def swing_of(plant: Plant, dataset: Dataset, made: Sequence[Signals]) -> KnownEf
     """How the simulator's own tool swings below its end effector; None where it does not, or not as a pendulum."""
     ee, tool = point_signals("ee"), point_signals("tool")
     whole = [run for run in made if not any(np.isnan(run.get(s, np.array([np.nan]))).any() for s in (*ee, *tool))]
-    if dataset.machine.tool is None or not whole:
+    if not whole:
         return None
     model, rate = compile_plant(plant), dataset.machine.rate_hz
     recordings = [Recording(f"run-{k}", pd.DataFrame(dict(run)), rate) for k, run in enumerate(whole)]

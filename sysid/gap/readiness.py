@@ -237,8 +237,7 @@ class _Why:
         if machine.kinematics() is None:
             return "machine.toml names no URDF"
         if stage == "tool":
-            no_tool = "" if machine.tool is not None else "machine.toml names no tool"
-            return no_tool or self._not_measured([*point_signals("ee"), *point_signals("tool")])
+            return self._not_measured([*point_signals("ee"), *point_signals("tool")])
         return self._not_measured([*(axis_signal(name, "joint") for name in machine.axis_names), *point_signals("ee")])
 
     def _not_measured(self, signals: Sequence[str]) -> str:

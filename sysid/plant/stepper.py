@@ -155,7 +155,7 @@ class Stepper:
             for axis in machine.axes
         ]
         swing = None
-        if machine.tool is not None and not np.isnan(tip[row]).any():
+        if self.model.has_tool(self.model.theta, recording) and not np.isnan(tip[row]).any():
             tool = self.model.believed_point(theta, recording, "tool")[0]
             swing = swing_start(self.plant, tip[rest], tool[rest], self.rate_hz)
         commands = held_commands(machine, recording)[row]
