@@ -15,6 +15,7 @@ import numpy.typing as npt
 
 from sysid.datasets.quality.noise import DUST, SMALLEST, is_still, noise_bound, white_noise
 from sysid.datasets.recording import Recording
+from sysid.gap.excitation import identifiable_targets
 from sysid.machine import KnownEffect
 from sysid.plant import Plant
 
@@ -66,6 +67,8 @@ def coarse_sensors(plant: Plant, recordings: Sequence[Recording], noise: Mapping
         runs = [r for r in recordings if r.kind == "motion" and signal in r.signals]
         parts = [r.values(signal) for r in runs]
         if not signal.endswith((".cylinder", ".joint")) or not parts or plant.effect("sensor_quantisation", signal) is not None:
+            continue
+        if not identifiable_targets((signal,), recordings, plant.machine):
             continue
         step, level = reading_step(parts), said
         if step > 0.0 and signal not in plant.machine.noise:
