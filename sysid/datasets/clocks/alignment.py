@@ -28,8 +28,9 @@ import numpy as np
 import numpy.typing as npt
 
 from sysid.datasets.channel import Channel, seconds
+from sysid.datasets.clocks.backlash import turning_rows
 from sysid.datasets.clocks.coarse import Pair, coarse_lag
-from sysid.datasets.clocks.motion_band import moves, smoothed
+from sysid.datasets.clocks.motion_band import moves, range_of, smoothed
 from sysid.datasets.clocks.motion_fit import PairFit, Sums, prepared
 from sysid.signals import split_signal
 
@@ -42,6 +43,8 @@ Time = TypeVar("Time", float, Array)
 BLOCK_S = 2.0
 #: So many of them are summed for the widths of intervals, where at least this number is left.
 BLOCKS_TOGETHER, FEWEST_BLOCKS = (1, 3), 12
+#: No block counts as more than this share of what is known of the offset.
+MOST_SHARE = 0.5
 #: Degree of the polynomial map of a pair: a sensor's error curve, a linkage.
 DEGREE_SAME, DEGREE_LINKAGE = 7, 9
 #: Share of the variance of y that f(x) has to explain, and the largest skew that a clock has (a share, not ppm).
@@ -59,6 +62,11 @@ WINDOW_S, GROWTH = 120.0, 3.0
 THINNED = 20_000
 #: The longest step [s] that the linearisation is trusted for.
 REACH_S = 0.05
+#: Play is sought up to this share of the range of x, later up to so many times the width that was found, at least so much of
+#: the range and so many times the noise; never over the last share. It is allowed for from so many standard errors on.
+PLAY_FIRST, PLAY_MARGIN, PLAY_LEAST, PLAY_NOISE, PLAY_MOST, PLAY_ERRORS = 0.02, 1.5, 0.005, 6.0, 0.2, 2.0
+#: Fewer reversals do not tell a play from the map between the two signals.
+PLAY_TURNS = 8
 
 
 @dataclass(frozen=True)
@@ -79,11 +87,32 @@ class Blocks:
 
 
 @dataclass(frozen=True)
+class Backlash:
+    """Play between the signals of a pair.
+
+    Args:
+        name: of the pair.
+        width: by which y differs between the directions; negative where y leads x, so that x lies behind the play.
+        error: standard error of the width [both: unit of y].
+    """
+
+    name: str
+    width: float
+    error: float
+
+    @property
+    def found(self) -> bool:
+        """Whether it is clear of zero."""
+        return abs(self.width) > PLAY_ERRORS * self.error
+
+
+@dataclass(frozen=True)
 class Estimate:
     """Result of :func:`estimate`: ``t_machine = t + mid_offset + skew·(t − mid_time)``; covariance of (offset, skew) beside.
 
     ``normal`` is the curvature (2, 2) that :func:`conditional` needs. ``span`` is the part of the stream that was compared [s].
-    ``refused`` says why nothing could be estimated (then the numbers are NaN).
+    ``refused`` says why nothing could be estimated (then the numbers are NaN). ``backlash`` is what the fit says of the play
+    between the signals of each pair for which it was allowed.
     """
 
     mid_time: float = float("nan")
@@ -97,6 +126,7 @@ class Estimate:
     normal: Array = field(default_factory=lambda: np.full((2, 2), np.nan))
     span: tuple[float, float] = (float("nan"), float("nan"))
     blocks: Blocks | None = None
+    backlash: tuple[Backlash, ...] = ()
 
     def at(self, time: Time) -> Time:
         """The offset at a time of the stream [s]."""
@@ -172,7 +202,61 @@ def estimate(pairs: Sequence[Pair], start: float | None = None) -> Estimate:
     if not result.refused and (min(explained) < MIN_EXPLAINED or _beyond(result)):
         listed = ", ".join(f"{pair.name}: {share:.2f}" for pair, share in zip(good or ready, explained, strict=True))
         return replace(result, refused=f"the motions do not agree at the best lag (explained shares {listed})")
-    return result
+    return result if result.refused else allowing_for_backlash(good or ready, result)
+
+
+def allowing_for_backlash(pairs: Sequence[Pair], plain: Estimate) -> Estimate:
+    """The estimate with play between the signals of each pair, where there is any (:mod:`sysid.datasets.clocks.backlash`).
+
+    Where none is found the offset is kept, but its variance is that with play: there may be some that does not show.
+
+    Args:
+        pairs: those that ``plain`` rests on, smoothed.
+    """
+    full = _with_backlash(pairs, plain)
+    if full is None:
+        return plain
+    widths, found = full
+    clear = [item.found for item in found.backlash]
+    result = found
+    if not all(clear):
+        result = plain
+        if any(clear):
+            some = [
+                replace(pair, backlash=width if there else 0.0) for pair, width, there in zip(pairs, widths, clear, strict=True)
+            ]
+            result = _refine(some, plain.mid_offset, plain.mid_time)[0]
+        covariance = result.covariance.copy()
+        covariance[0, 0] = max(covariance[0, 0], found.covariance[0, 0])
+        result = replace(result, covariance=covariance)
+    return replace(result, backlash=found.backlash) if not result.refused else plain
+
+
+def _with_backlash(pairs: Sequence[Pair], plain: Estimate) -> tuple[list[float], Estimate] | None:
+    """Widths that are allowed for [unit of each x], and the fit with them; None where too little motion is left between reversals."""
+    ranges = [range_of(pair.x) for pair in pairs]
+    scales = [r / max(range_of(pair.y), 1e-300) for pair, r in zip(pairs, ranges, strict=True)]
+    least = [max(PLAY_LEAST * r, PLAY_NOISE * pair.noise) for pair, r in zip(pairs, ranges, strict=True)]
+    widths = [max(PLAY_FIRST * r, low) for r, low in zip(ranges, least, strict=True)]
+    if min(len(turning_rows(p.x[~np.isnan(p.x)], width)[0]) for p, width in zip(pairs, widths, strict=True)) < PLAY_TURNS:
+        return None
+    found = None
+    for _ in range(3):
+        tried = [replace(pair, backlash=width) for pair, width in zip(pairs, widths, strict=True)]
+        found, _ = _refine(tried, plain.mid_offset, plain.mid_time)
+        if found.refused or len(found.backlash) < len(pairs) or _beyond(found):
+            return None
+        wanted = [
+            min(max(PLAY_MARGIN * abs(b.width) * s, low), PLAY_MOST * r)
+            for b, s, low, r in zip(found.backlash, scales, least, ranges, strict=True)
+        ]
+        if all(
+            width >= want and width <= 2.0 * max(want, 0.5 * PLAY_FIRST * r)
+            for width, want, r in zip(widths, wanted, ranges, strict=True)
+        ):
+            break
+        widths = [1.2 * want for want in wanted]
+    return widths, found
 
 
 def _beyond(found: Estimate) -> bool:
@@ -266,6 +350,12 @@ def _refine(pairs: Sequence[Pair], start: float, centre: float | None) -> tuple[
         return Estimate(refused=f"too little of {' and of '.join(pair.name for pair in pairs)} overlaps"), nothing
     used = [pair for pair, s in zip(pairs, sums, strict=True) if s is not None]
     result = _estimate(there, used, offset, skew, mid, (first, last))
+    play = [
+        Backlash(pair.name, -2.0 * s.intercept[0], 2.0 * s.intercept[1])
+        for pair, s in zip(pairs, sums, strict=True)
+        if s is not None and pair.backlash > 0.0
+    ]
+    result = replace(result, backlash=tuple(play))
     return result, [s.explained if s is not None else 1.0 for s in sums]  # a pair that does not overlap contradicts nobody
 
 
@@ -310,17 +400,18 @@ def _estimate(
     if _singular(normal):
         return Estimate(refused="too little motion lies where both clocks have seen it")
     numbers = np.unique(np.concatenate([s.blocks for s in sums]))
-    scores, weight, squares, counts = (np.zeros((len(numbers), *shape)) for shape in ((2,), (), (), ()))
+    scores, weight, squares, counts, told = (np.zeros((len(numbers), *shape)) for shape in ((2,), (), (), (), ()))
     for s in sums:
         row = np.searchsorted(numbers, s.blocks)
         scores[row] += s.block_scores
         weight[row] += s.block_weight
         squares[row] += s.block_squares
         counts[row] += s.block_counts
+        told[row] += s.block_information
     count = len(numbers)
     if count < 4:
         return Estimate(refused=f"only {count} blocks of {BLOCK_S:g} s overlap: too short for an interval")
-    covariance, freedom = _covariance(np.linalg.inv(normal), np.sum([s.white for s in sums], axis=0), numbers, scores)
+    covariance, freedom = _covariance(np.linalg.inv(normal), np.sum([s.white for s in sums], axis=0), numbers, scores, told)
     used = tuple(sorted({name for pair in pairs for name in pair.name.split("~")}))
     residual = float(np.sqrt(sum(s.weighted_squares for s in sums) / sum(s.count for s in sums)))
     seen = weight > 0.0
@@ -328,11 +419,13 @@ def _estimate(
     return Estimate(mid, offset, skew, covariance, freedom, residual, used, "", normal, span, blocks)
 
 
-def _covariance(bread: Array, white: Array, numbers: npt.NDArray[np.int64], scores: Array) -> tuple[Array, int]:
+def _covariance(bread: Array, white: Array, numbers: npt.NDArray[np.int64], scores: Array, told: Array) -> tuple[Array, int]:
     """Covariance of (offset, skew), and its degrees of freedom: the widest of what blocks of several lengths say.
 
     Scores of blocks show residuals that are correlated, but of a few blocks they scatter: no block length may promise more than
-    uncorrelated residuals would.
+    uncorrelated residuals would. A block that holds a share h of all that is ``told`` of the offset (b,) pulls the fit towards
+    itself, so that its score is divided by 1 − h (Bell and McCaffrey, Survey Methodology 28 (2002) 169); so few blocks count as
+    their shares amount to, (Σh)²/Σh².
     """
     found = [(bread @ white @ bread, len(numbers) - 2)]
     for together in BLOCKS_TOGETHER:
@@ -340,8 +433,10 @@ def _covariance(bread: Array, white: Array, numbers: npt.NDArray[np.int64], scor
         count = len(starts)
         if together > 1 and count < FEWEST_BLOCKS:
             continue
-        sums = np.add.reduceat(scores, starts, axis=0)
-        found.append((bread @ (sums.T @ sums) @ bread * count / (count - 2), count - 2))
+        shares = np.add.reduceat(told, starts) / max(float(told.sum()), 1e-300)
+        sums = np.add.reduceat(scores, starts, axis=0) / (1.0 - np.minimum(shares, MOST_SHARE))[:, None]
+        freedom = max(min(count, round(1.0 / float(np.sum(shares**2)))) - 2, 1)
+        found.append((bread @ (sums.T @ sums) @ bread * count / (count - 2), freedom))
     errors = np.sqrt(np.max([np.diag(covariance) for covariance, _ in found], axis=0))
     first = found[1][0]
     correlation = first[0, 1] / np.sqrt(first[0, 0] * first[1, 1])
