@@ -11,6 +11,8 @@ Source: the play operator and its two branches: Visintin, Differential Models of
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 import numpy.typing as npt
 
@@ -36,7 +38,7 @@ def directions(values: Array, width: float, tremor: float = 0.0) -> tuple[Array,
     edges = np.concatenate([[0], turns, [len(values) - 1]]).astype(np.intp)
     direction, settled = np.ones(len(values)), np.zeros(len(values), dtype=bool)
     sign = first
-    for k, (begin, end) in enumerate(zip(edges[:-1], edges[1:], strict=True)):
+    for k, (begin, end) in enumerate(pairwise(edges)):
         rows = slice(int(begin), int(end) + 1)
         along = sign * values[rows]
         highest, lowest = np.maximum.accumulate(along), np.minimum.accumulate(along[::-1])[::-1]

@@ -80,8 +80,8 @@ class Sums:
     ``normal`` (2, 2) and ``score`` (2,) are of (offset, skew); ``curvature`` (2, 2) is the slope of the score, less than
     ``normal`` as weights fall where residuals grow; ``white`` (2, 2) is the covariance of the score if residuals are
     uncorrelated; ``block_*`` belong to the numbered ``blocks`` (b,): ``block_weight`` is what a block says of the offset if the
-    map is known, ``block_information`` what it adds to it if the map is not. ``intercept`` is half of what the map differs by between
-    the two directions in the middle of the motion, and its standard error; NaN where none is allowed for.
+    map is known, ``block_information`` what it adds to it if the map is not. ``intercept`` is half of what the map differs by
+    between the two directions in the middle of the motion, and its standard error; NaN where none is allowed for.
     """
 
     normal: Array
@@ -222,7 +222,9 @@ class PairFit:
         """Half of the difference between the directions in the middle of the motion, and its error as that of the offset.
 
         Args:
-            matrix: normal equations of the map, offset and skew; ``table``: scores of blocks (b, …); ``variance`` of a residual.
+            matrix: normal equations of the map, offset and skew.
+            table: scores of blocks (b, …).
+            variance: of a residual.
         """
         row = self.pair.degree + 1
         inverse = _solve(matrix, np.eye(len(matrix)))[row]
