@@ -64,6 +64,14 @@ class Model:
     def axis_index(self, axis: str) -> int:
         return self.machine.axis_names.index(axis)
 
+    def has_tool(self, theta: Array, recording: Recording) -> bool:
+        """Whether the tool is predicted: machine.toml names its link, the plant lets it swing, or the recording measures it.
+
+        Where it neither has a link nor swings, tool = ee (contract).
+        """
+        swings = bool(theta[self.rig.tool] > 0.0)
+        return self.machine.tool is not None or swings or not np.isnan(measured_point(recording, "tool")).all()
+
     # -- stages ----------------------------------------------------------------------------------------------------
 
     def drive(self, thetas: Array, recording: Recording, axis: str, restart_every: float | None = None) -> Array:

@@ -37,7 +37,7 @@ def free_run(plant: Plant | Model, recording: Recording) -> pd.DataFrame:
             columns[signal] = model.sensed(theta, signal, joints[None, :, i], dt)[0]
     if not np.isnan(tip).all():
         points = {"ee": tip}
-        if model.machine.tool is not None:
+        if model.has_tool(model.theta, recording):
             measured = model.believed_point(theta, recording, "tool")
             points["tool"] = model.hang(theta, tip[None], measured, recording.rate_hz)[0]
         for point, values in points.items():

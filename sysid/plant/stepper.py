@@ -147,7 +147,7 @@ class Stepper:
 
         A lane of another plant gets the same places, speeds and valve openings.
         """
-        machine, rig = self.plant.machine, self.model.rig
+        rig = self.model.rig
         begun = starts(self.model, recording)
         before = run_steps(self.model, recording, begun, row)[1]
         states, fresh = begin_states(begun, before, row)
@@ -164,7 +164,7 @@ class Stepper:
         self._observe(0, self.lanes)  # the load of the place ...
         for lane in range(self.lanes):
             _forget_structure(self._memory[lane], fresh)
-        if machine.tool is not None and not np.isnan(self._out.ee[0]).any():
+        if self.model.has_tool(self.model.theta, recording) and not np.isnan(self._out.ee[0]).any():
             rest = slice(row, None)
             tip = true_run(self.model, recording)[2]
             tool = self.model.believed_point(self.model.theta[None], recording, "tool")[0]
