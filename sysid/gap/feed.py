@@ -85,7 +85,8 @@ def followed(
     """Simulated drive (lanes, n) → the signal that the command drives, before its sensor, (lanes, n).
 
     Every stretch of a velocity axis is shifted as a whole, so that the median of (measured − simulated) over its first 0.2 s is
-    zero, as in every free run; where play stands in between, on the side that fits the first seconds best.
+    zero (what happened before the recording is the simulator's own); where play stands in between, on the side that fits the
+    first seconds best.
     """
     i, about = model.axis_index(axis), model.machine.axis(axis)
     play_at, sag_at = (i * AXIS_WIDTH + at for at in (AT.backlash_drive, AT.joint_compliance_drive))
