@@ -134,8 +134,11 @@ def find_start(
     low, high, kind = rig.axes[i, LOW], rig.axes[i, HIGH], rig.axes[i, KIND]
     near = min(first + window, last)
     cylinder = rig.axes[i, CYLINDER] != 0.0
-    calm = near if follows else min(first + max(window, round(LEVEL / dt)), last)
-    position = _first_measured(measured, first, calm, low, high)
+    # A joint behind a play stands still while the drive crosses it: the shorter, the surer that it has not been crossed. With
+    # a lag, a short stretch does not tell that from a valve that opens.
+    sudden = p[b + AT.first_order_lag] + p[b + AT.input_delay] == 0.0
+    calm = window if sudden and not cylinder and p[b + AT.backlash_drive] > 0.0 else round(LEVEL / dt)
+    position = _first_measured(measured, first, near if follows else min(first + max(window, calm), last), low, high)
     speed = 0.0
     if kind == FORCE:
         for k in range(first, near):
@@ -149,7 +152,7 @@ def find_start(
         begun[STATE.backlash_drive] = np.nan
     if kind == VELOCITY and not follows:
         start_valve(
-            p, rig, i, s, begun, command, measured, load, share, first, last, dt, out, behind, scratch, work, own
+            p, rig, i, s, begun, command, measured, load, share, first, last, calm, dt, out, behind, scratch, work, own
         )  # fmt: skip
     elif kind == FORCE and not follows:
         _start_force(p, rig, i, s, begun, command, measured, load, share, first, last, dt, out, behind, own)
@@ -162,7 +165,3 @@ def find_start(
     elif p[b + AT.backlash_drive] > 0.0:
         far = min(first + settle, last)
         _start_side(p, rig, i, s, begun, command, measured, load, share, first, far, dt, out, behind, own)
-        if kind == VELOCITY and not follows and p[b + AT.first_order_lag] + p[b + AT.input_delay] > 0.0:
-            start_valve(
-                p, rig, i, s, begun, command, measured, load, share, first, last, dt, out, behind, scratch, work, own
-            )  # fmt: skip

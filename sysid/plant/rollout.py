@@ -22,6 +22,8 @@ Array = npt.NDArray[np.float64]
 def free_run(plant: Plant | Model, recording: Recording) -> pd.DataFrame:
     """The whole chain from recorded commands, restarted only after gaps in the commands.
 
+    Start states are estimated from the first seconds of the measurement (:mod:`sysid.plant.axis_start`).
+
     Returns:
         ``time`` and one column for each signal the plant can predict, on the recording's rows, as its sensors would read it.
     """

@@ -32,7 +32,7 @@ PIECE, PIECES = 0.05, 8
 #: Samples are taken together in bins of this length [s]; later than the dead time, of this share of the time since then.
 BIN, WIDER = 0.025, 0.125
 #: Runs of the first seconds at most; a correction [standard deviations of the noise] that needs no other one.
-ROUNDS, EXACT = 6, 1.0
+ROUNDS, EXACT = 6, 0.1
 #: Further away [standard deviations of the noise] than this is a spike.
 SPIKE = 8.0
 #: Least noise [share of the way of an open valve in a step]: the prior weighs a little where the measurement has none.
@@ -106,9 +106,8 @@ def _compare(measured, said, first, near, dt, delay, slow, gain, middle, bound, 
     waited, k = first + delay / dt, first
     samples, summed, squared = 0, 0.0, 0.0
     while k < near:
-        # The level behind the transient is one bin.
         end = near
-        if k - waited < FADED * slow / dt:
+        if k < waited or slow > 0.0:  # without a lag all that comes later is one bin
             end = min(near, k + max(1, round(max(BIN / dt, WIDER * (k - waited)))))
         n, total, when = 0, 0.0, 0.0
         for j in range(k, end):
@@ -170,8 +169,13 @@ def _move_to(begun, x, low, high):
 
 
 @loop
-def start_valve(p, rig, i, s, begun, command, measured, load, share, first, last, dt, out, behind, scratch, work, own):
-    """Correct the state ``begun`` (size,) of a velocity axis; ``s`` (size,), ``scratch`` and ``work`` are used inside."""
+def start_valve(p, rig, i, s, begun, command, measured, load, share, first, last, calm, dt, out, behind, scratch, work, own):
+    """Correct the state ``begun`` (size,) of a velocity axis.
+
+    Args:
+        calm: samples behind the transient that the position is estimated from.
+        s, out, behind, scratch, work: used inside.
+    """
     b, m = i * AXIS_WIDTH, np.int64(0)
     low, high = rig.axes[i, LOW], rig.axes[i, HIGH]
     said = out if rig.axes[i, CYLINDER] != 0.0 else behind
@@ -182,7 +186,6 @@ def start_valve(p, rig, i, s, begun, command, measured, load, share, first, last
     cells = math.ceil(delay / dt - 1e-9)
     pieces = min(PIECES, math.ceil(delay / PIECE), cells)
     count = 1 if cells == 0 and slow < 1e-6 else 2 + pieces
-    calm = round(LEVEL / dt)
     near = min(last, first + math.ceil((delay + min(FADED * slow, LONGEST_FADE)) / dt) + calm)
     work[VALUES, 0] = begun[STATE.position]
     held = 0.0
@@ -214,12 +217,12 @@ def start_valve(p, rig, i, s, begun, command, measured, load, share, first, last
                 if turn == 0:
                     work[row, column] = noise * noise if row == column and row else 0.0
         cost = _compare(measured, said, first, near, dt, delay, slow, gain, middle, bound, work, count, pieces, turn == 0)
-        if not cost < least:  # the valve is bent too much: back to what fitted better
+        if cost > least + noise * noise:  # the valve is bent too much: back to what fitted better
             final = True
             for j in range(1, count):
                 work[VALUES, j] = work[KEPT, j]
             continue
-        least = cost
+        least = min(cost, least)
         if turn == 0:
             _factor(work, count)
         _solve(work, count)

@@ -22,9 +22,6 @@ Values = Mapping[str, float | list[float]]
 Run = Callable[[Values | None, Recording], Array]
 
 RATE_HZ = 100.0
-#: Measured outputs are there for this many samples only: they fix the start and nothing else.
-KNOWN = 20
-
 _URDF = """<robot name="probe">
   <link name="base"/><link name="column"/><link name="arm"/><link name="slide"/><link name="hand"/><link name="tip"/>
   <link name="tool"/>
@@ -104,7 +101,7 @@ def probe_machine() -> Machine:
 
 
 def probe_recording(seconds: float = 6.0, seed: int = 0) -> Recording:
-    """Steps and sines at every input; half a second of rest first. Outputs are known in the first 0.2 s only."""
+    """Steps and sines at every input; half a second of rest first. A driven output is known at the first sample only."""
     rng = np.random.default_rng(seed)
     count = round(seconds * RATE_HZ)
     time = np.arange(count) / RATE_HZ
@@ -213,8 +210,8 @@ def _straight(recording: Recording, model: Model, axis: str) -> Recording:
 
 
 def _starting(recording: Recording, signal: str) -> Recording:
-    """The recording with the driven signal at rest for the first samples and unknown afterwards."""
+    """The recording with the driven signal known at the first sample only, which fixes the start and nothing else."""
     values = np.full(len(recording), np.nan)
     first = recording.values(signal)
-    values[:KNOWN] = first[0] if len(first) and np.isfinite(first[0]) else 0.0
+    values[:1] = first[0] if len(first) and np.isfinite(first[0]) else 0.0
     return replace(recording, table=recording.table.assign(**{signal: values}))

@@ -87,7 +87,8 @@ def apply_output_effects(
     """Simulated drive (lanes, n) → the signal that the command drives, before its sensor, (lanes, n).
 
     Every stretch of a velocity axis is shifted as a whole, so that the median of (measured − simulated) over its first 0.2 s is
-    zero, as in every free run. With backlash, the initial side is the one that fits the first seconds best.
+    zero (what happened before the recording is the simulator's own). With backlash, the initial side is the one that fits the
+    first seconds best.
     """
     i, about = model.axis_index(axis), model.machine.axis(axis)
     backlash_at, compliance_at = (i * AXIS_WIDTH + at for at in (AT.backlash_drive, AT.joint_compliance_drive))
