@@ -27,8 +27,6 @@ Array = npt.NDArray[np.float64]
 
 #: Steps of a sensor are its explanation where they account for this share of what its stage leaves above its noise.
 MOST = 0.5
-#: A stage that stays above this multiple of its noise floor is described.
-UNEXPLAINED = 1.5
 
 
 @dataclass
@@ -56,10 +54,28 @@ def judge(case: Case, stages: Sequence[Stage]) -> Outcome:
         elif finding.named:
             outcome.notes.append(f"{stage.label}: what was found does not lower the error on held-out recordings")
         outcome.notes += _near_misses(stage)
-        if (finding.final_rmse if proven else finding.nominal_rmse) > UNEXPLAINED:
-            fit = finding.fit if proven else Fit((), (), np.empty(0), stage.theta, (), 0.0, True)
-            outcome.unnamed += describe_remainder(stage.problem, fit, stage.split.seen, case.plant.machine)
+        if (finding.final_rmse if proven else finding.nominal_rmse) > EXPLAINED:
+            _describe(case, stage, proven, outcome)
     return outcome
+
+
+def _describe(case: Case, stage: Stage, proven: bool, outcome: Outcome) -> None:
+    """What is left of a stage: a systematic remainder without a name, or a random disturbance, which is no gap."""
+    finding = stage.found
+    assert finding.stage_fit is not None
+    remainder = finding.stage_fit.remainder
+    if proven or not finding.fit.candidates:
+        if remainder.before <= EXPLAINED * max(remainder.after, 1.0):
+            outcome.notes.append(
+                f"{stage.label}: what is left ({remainder.before:.2g} noise floors) is a random disturbance: "
+                f"no smooth function of what was measured explains a tenth of it"
+            )
+            return
+        fit = finding.fit
+    else:
+        fit = Fit((), (), np.empty(0), stage.theta, (), 0.0, True)
+    outcome.notes.append(f"{stage.label}: what is left depends most on: {next(iter(remainder.groups), 'nothing')}")
+    outcome.unnamed += describe_remainder(stage.problem, fit, stage.split.seen, case.plant.machine)
 
 
 def _better(stage: Stage) -> bool:

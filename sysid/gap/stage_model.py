@@ -13,6 +13,7 @@ from sysid.gap.candidates import Candidate
 from sysid.gap.decision import Decision, Key, decide
 from sysid.gap.likelihood.averaged import averaged
 from sysid.gap.likelihood.discrepancy import Discrepancy, discrepancy_of
+from sysid.gap.likelihood.explained import Explained, explained
 from sysid.gap.likelihood.rows import Rows
 from sysid.gap.likelihood.stage import ModelFit, StageLikelihood, Variances
 from sysid.gap.likelihood.variances import Start, estimated, first_variances, log_prior, robust
@@ -34,7 +35,8 @@ TRANSIENT, UNKNOWN = 0.4, 0.1
 class StageFit:
     """A stage after its search: its rows, the likelihood under the final variances, the models and the decision.
 
-    ``dropped``: by label, the chosen model without that effect, the rest refitted.
+    ``dropped``: by label, the chosen model without that effect, the rest refitted. ``remainder``: what the discrepancy explains
+    beside the chosen model.
     """
 
     rows: Rows
@@ -42,6 +44,7 @@ class StageFit:
     models: tuple[ModelFit, ...]
     decision: Decision
     dropped: Mapping[str, ModelFit]
+    remainder: Explained
 
     @property
     def variances(self) -> Variances:
@@ -93,7 +96,8 @@ def fit_stage(
             break
         decision = decide(proposals.near(), nameable, rope)
     dropped = {c.label: proposals.without(decision.model, c) for c in decision.model.candidates}
-    return StageFit(rows, likelihood, tuple(proposals.near()), decision, dropped)
+    remainder = explained(likelihood, decision.model)
+    return StageFit(rows, likelihood, tuple(proposals.near()), decision, dropped, remainder)
 
 
 def _settled(

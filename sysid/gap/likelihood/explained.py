@@ -1,0 +1,65 @@
+"""What the discrepancy explains of a stage beside a model, group by group: a systematic remainder, or none."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from sysid.gap.fit import place
+from sysid.gap.likelihood.rows import Series
+from sysid.gap.likelihood.stage import ModelFit, StageLikelihood, prior_of, steps_of
+
+Array = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Explained:
+    """Root mean squares of a stage's output in noise floors, each run's mean taken off.
+
+    Args:
+        before: what the effects leave; ``after``: what the discrepancy leaves of that.
+        groups: what each group of the discrepancy contributes, the largest first.
+    """
+
+    before: float
+    after: float
+    groups: Mapping[str, float]
+
+
+def explained(likelihood: StageLikelihood, fit: ModelFit) -> Explained:
+    """Posterior mean of the discrepancy beside ``fit``, against what the fit leaves."""
+    rows, found = likelihood.rows, likelihood.discrepancy
+    scale = likelihood.variances.groups[found.group]
+    lanes = fit.values[None]
+    if fit.unknowns:
+        steps = steps_of(fit.unknowns, fit.values)
+        lanes = np.vstack([lanes, fit.values + np.diag(steps)])
+    table = rows.residuals(place(rows.theta, fit.unknowns, lanes)).T
+    if fit.unknowns:
+        table[:, 1:] = (table[:, 1:] - table[:, :1]) / steps * prior_of(fit.candidates).width
+    whitened = likelihood.whitened(np.hstack([found.columns * scale, found.timing[:, None], table[:, 1:], table[:, :1]]))
+    columns, target = whitened[:, :-1], whitened[:, -1]
+    weights = np.linalg.solve(columns.T @ columns + np.eye(columns.shape[1]), columns.T @ target)
+    parts = np.column_stack(
+        [
+            found.columns[:, found.group == g] @ (scale * weights[: len(scale)])[found.group == g]
+            for g in range(len(found.groups))
+        ]
+    )
+    centred = _centred(rows.series, np.column_stack([table[:, 0], table[:, 0] - parts.sum(axis=1), parts]))
+    sizes = rows.in_floors(centred)
+    groups = dict(sorted(zip(found.groups, map(float, sizes[2:]), strict=True), key=lambda item: -item[1]))
+    return Explained(float(sizes[0]), float(sizes[1]), groups)
+
+
+def _centred(series: Sequence[Series], columns: Array) -> Array:
+    """Columns without the mean of each series: where a run starts is no remainder."""
+    out = columns.copy()
+    for s in series:
+        part = out[s.rows]
+        if s.present.any():
+            part -= part[s.present].mean(axis=0)
+    return out
