@@ -20,11 +20,11 @@ import pandas as pd
 from scipy.signal import butter, sosfiltfilt
 
 from sysid.cli.output import Printer, Stations, write_json
-from sysid.cli.stability import show_stability
+from sysid.cli.repeatability import show_repeatability
 from sysid.cli.tables import show_gap
 from sysid.datasets import Dataset, Recording, ingest
 from sysid.gap import find_gap
-from sysid.gap.repeatability import stability
+from sysid.gap.repeatability import repeatability
 from sysid.logs import ReadOptions, reader_named
 from sysid.machine import KnownEffect
 from sysid.plant import Plant, free_run
@@ -59,9 +59,9 @@ def main(raw: Path, workspace: Path) -> Path:
     with station("report"):
         page = write_report(folder / "report.html", place.report_inputs(dataset))
     show_gap(out, gap, dataset)
-    repeats = stability(runs)
+    repeats = repeatability(runs)
     out.line("Fitted on either block of the first half")
-    show_stability(out, repeats, dataset.machine)
+    show_repeatability(out, repeats, dataset.machine)
 
     valve, pressure, position = columns(raw, dataset.machine.rate_hz)
     errors = {

@@ -12,11 +12,11 @@ from pathlib import Path
 from typing import Any
 
 from sysid.cli.output import Printer, Stations, write_json
-from sysid.cli.stability import show_stability
+from sysid.cli.repeatability import show_repeatability
 from sysid.cli.tables import show_gap
 from sysid.datasets import ingest
 from sysid.gap import GapResult, find_gap
-from sysid.gap.repeatability import stability
+from sysid.gap.repeatability import repeatability
 from sysid.machine import load_machine
 from sysid.reports import write_report
 from sysid.workspace import open_workspace
@@ -42,9 +42,9 @@ def main(raw: Path, workspace: Path, recordings: tuple[str, ...] = RECORDINGS) -
         pages[name] = write_report(folder / f"report-{name}.html", place.report_inputs(dataset))
         show_gap(out, gaps[name], dataset)
 
-    repeats = stability(gaps)
+    repeats = repeatability(gaps)
     out.line(f"\nSO-101 over {len(gaps)} recordings; what a recording does not excite is not counted against it")
-    show_stability(out, repeats, machine)
+    show_repeatability(out, repeats, machine)
     rows = [(axis, *(left_over(gap, f"{axis}.joint") for gap in gaps.values())) for axis in machine.axis_names]
     out.line("Held-out RMSE of the joint [mrad]: ideal servo → repaired")
     out.table(("joint", *gaps), rows, right=range(1, len(gaps) + 1))

@@ -19,13 +19,13 @@ import numpy as np
 import pandas as pd
 
 from sysid.cli.output import Printer, Stations, write_json
-from sysid.cli.stability import show_stability
+from sysid.cli.repeatability import show_repeatability
 from sysid.cli.tables import show_gap
 from sysid.config import read_toml
 from sysid.datasets import Dataset, ingest
 from sysid.datasets.recording import Role
 from sysid.gap import GapResult, find_gap
-from sysid.gap.repeatability import stability
+from sysid.gap.repeatability import repeatability
 from sysid.logs import ReadOptions, reader_named
 from sysid.reports import write_report
 from sysid.workspace import Workspace, open_workspace
@@ -64,11 +64,11 @@ def main(raw: Path, workspace: Path) -> Path:
             whole = all_logs(dataset)
             together = find_gap(whole, place.plant(whole), place.models, add=True)
         pages[view] = report_on(place, whole, together, folder / f"report-{view}.html")
-        repeats = stability(runs)
+        repeats = repeatability(runs)
         out.line(f"\nThe {view}, all logs together")
         show_gap(out, together, whole)
         out.line(f"The {view}, each log alone ({len(runs)} runs; {verdicts(runs)})")
-        show_stability(out, repeats, dataset.machine)
+        show_repeatability(out, repeats, dataset.machine)
         views[view] = {
             "dataset": dataset.reference,
             "together": together.to_json(),
@@ -127,7 +127,7 @@ def report_on(place: Workspace, dataset: Dataset, gap: GapResult, page: Path) ->
 
 
 def brief(gap: GapResult) -> dict[str, Any]:
-    """What the table of stability is made of, and the gap."""
+    """What the table of repeatability is made of, and the gap."""
     full = gap.to_json()
     return {
         key: full[key] for key in ("verdict", "effects", "unnamed", "ambiguous", "gap", "excitation", "held_out_recordings")

@@ -22,7 +22,7 @@ from sysid.datasets import Dataset, Store, Vacuumed, vacuum
 from sysid.datasets.clocks.residual import clock_residuals
 from sysid.errors import ExcitationError, SettingsError, StoreError
 from sysid.gap import GapResult
-from sysid.gap.experiment.excitation_verdict import readiness
+from sysid.gap.experiment.excitation_verdict import excitation_report
 from sysid.networks import (
     ActuatorNetwork,
     Model,
@@ -243,7 +243,7 @@ class Workspace:
             validations=tuple(validations),
             versions=self._notes(dataset, [version for version in versions if version is not None], result),
             created=f"{datetime.now().astimezone():%d %B %Y, %H:%M}".lstrip("0"),
-            readiness=readiness(dataset, self._questioned(dataset, result)),
+            excitation=excitation_report(dataset, self._questioned(dataset, result)),
             clocks=clock_residuals(self.datasets.channels(dataset.reference), dataset.clocks),
             software={"sysid": __version__, **{name: importlib.metadata.version(name) for name in SOFTWARE}},
         )

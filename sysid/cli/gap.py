@@ -31,7 +31,7 @@ Forms = Literal["all", "simple"]  # as sysid.gap.workflow has it; importing that
 @click.option(
     "--carry",
     is_flag=True,
-    help="Let a bounded residual network carry what has no name, where held-out errors fall with it. It is no physics.",
+    help="Fit a bounded residual network to what has no name, where it lowers held-out errors. It is no physics.",
 )
 @click.option(
     "--forms",
@@ -67,7 +67,9 @@ def gap(
     if simulator is not None and plant is not None:
         raise SettingsError("sysid gap", "--plant and --simulator", "one of them")
     if localise and carry:
-        raise SettingsError("sysid gap", "--localise and --carry", "one of them", "What is carried is what a search leaves.")
+        raise SettingsError(
+            "sysid gap", "--localise and --carry", "one of them", "A residual network is fitted to what a search leaves."
+        )
     questioned = load_simulator(simulator) if simulator is not None else place.plant(dataset, plant)
     out = Printer(json_file)
     if isinstance(questioned, Plant) and plant is not None and "@" not in plant:

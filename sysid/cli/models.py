@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from sysid.model_versions import ModelVersions
     from sysid.registry import ModelVersion
 
-CARRIES = "carries unnamed_residual: a bounded network learned from the recordings. It is no physics and names no cause."
+RESIDUAL_NOTE = "contains unnamed_residual: a bounded network learned from the recordings. It is no physics and names no cause."
 ANYWAY = "'WHY'"
 
 
@@ -46,8 +46,8 @@ def show(workspace: str, reference: str | None, kind: str | None, json_file: str
         out.line(json.dumps(dict(version.lineage), indent=2, ensure_ascii=False))
         if "machine.diff" in version.sha256:
             out.line(registry.load(version.reference).files["machine.diff"].decode("utf-8"))
-        if _carries(version):
-            out.line(CARRIES)
+        if _has_residual(version):
+            out.line(RESIDUAL_NOTE)
         for name, value in version.metrics.items():
             out.line(f"{name} = {value:.6g}")
         _show_decisions(out, version)
@@ -61,7 +61,7 @@ def show(workspace: str, reference: str | None, kind: str | None, json_file: str
     rows = [
         (
             version.reference,
-            f"{version.kind}{' *' if _carries(version) else ''}",
+            f"{version.kind}{' *' if _has_residual(version) else ''}",
             version.lineage.get("dataset", "–"),
             ", ".join(version.aliases),
             version.digest[:12],
@@ -69,8 +69,8 @@ def show(workspace: str, reference: str | None, kind: str | None, json_file: str
         for version in versions
     ]
     out.table(("model", "kind", "made from", "aliases", "content"), rows)
-    if any(map(_carries, versions)):
-        out.line(f"* {CARRIES}")
+    if any(map(_has_residual, versions)):
+        out.line(f"* {RESIDUAL_NOTE}")
 
 
 @models.command()
@@ -238,6 +238,6 @@ def _show_decisions(out: Printer, version: ModelVersion) -> None:
             out.line(f"{when} UTC  {what}  ({by}): {why}")
 
 
-def _carries(version: ModelVersion) -> bool:
+def _has_residual(version: ModelVersion) -> bool:
     """Whether a plant holds a residual network beside its effects."""
     return version.kind == "plant" and "residuals.safetensors" in version.sha256

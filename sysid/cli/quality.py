@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
     from sysid.datasets import Dataset
     from sysid.datasets.quality import Evidence
-    from sysid.gap.experiment.excitation_verdict import Readiness
+    from sysid.gap.experiment.excitation_verdict import ExcitationReport
 
 #: Flags listed of one dataset; JSON has all of them.
 MOST_FLAGS = 12
@@ -21,18 +21,18 @@ MOST_FLAGS = 12
 def show_quality(workspace: str, reference: str | None, json_file: str | None) -> None:
     """Print evidence, flags and the verdict for every effect; the same as JSON where it is asked for."""
     from sysid.datasets.quality import evidence_of
-    from sysid.gap.experiment.excitation_verdict import readiness
+    from sysid.gap.experiment.excitation_verdict import excitation_report
     from sysid.workspace import open_workspace
 
     place = open_workspace(workspace)
     dataset = place.dataset(reference)
     evidence = evidence_of(dataset)
-    verdicts = readiness(dataset, place.plant(dataset))
+    verdicts = excitation_report(dataset, place.plant(dataset))
     flags = list(dataset.quality.get("flags", ()))
     out = Printer(json_file)
     show_evidence(out, evidence, dataset)
     show_flags(out, flags)
-    show_readiness(out, verdicts, dataset)
+    show_excitation(out, verdicts, dataset)
     out.line(f"Pictures: sysid --workspace {workspace} report {dataset.reference}")
     write_json(
         json_file,
@@ -114,9 +114,9 @@ def show_flags(out: Printer, flags: Sequence[Mapping[str, Any]]) -> None:
         out.line(f"  … and {len(lines) - MOST_FLAGS} more (the report and --json have them all)")
 
 
-def show_readiness(out: Printer, found: Readiness, dataset: Dataset) -> None:
-    """For every effect and place: ready, not enough, or not to be shown with these sensors."""
-    from sysid.reports.verdicts import amount, by_effect, by_reason, place, spread, wish_text
+def show_excitation(out: Printer, found: ExcitationReport, dataset: Dataset) -> None:
+    """For every effect and place: ready, not enough, or not observable with these sensors."""
+    from sysid.reports.verdicts import amount, by_effect, by_reason, place, request_text, spread
 
     for note in found.notes:
         out.line(f"note: {note}")
@@ -132,8 +132,8 @@ def show_readiness(out: Printer, found: Readiness, dataset: Dataset) -> None:
     if lacking:
         rows = [(v.name, place(v), amount(v), v.unit) for v in lacking]
         out.table(("not enough", "where", "have of need", "of what"), rows, right=(2,))
-        for wish in found.wishes:
-            out.line(f"  → {wish_text(wish, dataset.machine)}")
+        for request in found.requests:
+            out.line(f"  → {request_text(request, dataset.machine)}")
         out.line()
     if ready:
         firsts = [(group, group.verdicts[0]) for group in by_effect(ready)]

@@ -155,25 +155,25 @@ def show_gap(out: Printer, result: GapResult, dataset: Dataset) -> None:
         out.line("  cannot be told apart: " + " / ".join(f"{name} ({target})" for name, target in tie))
     for item in result.unnamed:
         out.line(f"  left over without a name: {item.stage} of {item.target}, depends on {item.depends_on}: {item.form}")
-    show_carried(out, result, dataset)
+    show_residual_models(out, result, dataset)
     out.table(("held-out error", "before", "after", "noise floor", "closed"), gap_rows(result, dataset), right=(1, 2, 3, 4))
     for step in result.next_experiment:
         out.line(f"next: {step}")
     out.line(f"proved on {', '.join(result.held_out_recordings)}")
 
 
-def show_carried(out: Printer, result: GapResult, dataset: Dataset) -> None:
+def show_residual_models(out: Printer, result: GapResult, dataset: Dataset) -> None:
     """Residual networks: what each does to the held-out error of its stage, or why there is none."""
     from sysid.reports.display import quantity
 
     for item in result.carried:
         if not item.accepted:
-            out.line(f"  not carried: {item.text}")
+            out.line(f"  no residual network: {item.text}")
             continue
         unit = dataset.units.get(item.signal) or dataset.machine.expected_unit(item.signal) or "1"
         before, after, floor = (quantity(value, unit) for value in (item.before, item.after, item.noise_floor))
         out.line(
-            f"  carried by a bounded network (unnamed_residual): {item.stage} of {item.target}, held-out error {before} → "
+            f"  bounded residual network (unnamed_residual): {item.stage} of {item.target}, held-out error {before} → "
             f"{after} (noise floor {floor}). It is learned from the recordings, no physics."
         )
 
@@ -209,7 +209,7 @@ def show_repair(
     for item in result.carried:
         if item.accepted:
             out.line(
-                f"It also carries unnamed_residual ({item.stage} of {item.target}): a network, no physics, which machine.toml "
+                f"It also contains unnamed_residual ({item.stage} of {item.target}): a network, no physics, which machine.toml "
                 f"cannot hold; it is in {result.plant_after} alone."
             )
     if folder is not None and result.machine_diff:

@@ -1,17 +1,17 @@
 """The gap workflow: where simulation and machine disagree, what the missing effect is called, and the proof."""
 
 from sysid.gap import steps
-from sysid.gap.adapters.adapter import Around, around_simulator
+from sysid.gap.adapters.adapter import SimulatorAdapter, adapt_simulator
 from sysid.gap.adapters.simulator import BatchSimulator, Simulator, starting_value
 from sysid.gap.result import GapResult
 from sysid.gap.workflow import find_gap
 
 __all__ = [
-    "Around",
     "BatchSimulator",
     "GapResult",
     "Simulator",
-    "around_simulator",
+    "SimulatorAdapter",
+    "adapt_simulator",
     "find_gap",
     "starting_value",
     "steps",

@@ -11,7 +11,7 @@ import pandas as pd
 
 from sysid.datasets.recording import Dataset, Recording
 from sysid.errors import ExcitationError
-from sysid.gap.adapters.adapter import Around, around_simulator
+from sysid.gap.adapters.adapter import SimulatorAdapter, adapt_simulator
 from sysid.gap.adapters.simulator import Simulator
 from sysid.gap.aliases import without_aliases
 from sysid.gap.candidates import Candidate, Scales, candidates_at
@@ -34,10 +34,10 @@ class Case:
     """A dataset against a simulation.
 
     Args:
-        plant: the questioned plant; around a simulator of one's own, the effects around it (none at first) and its linkages.
+        plant: the plant under test; with a simulator of one's own, its input and output effects (none at first) and linkages.
         theta: the plant's vector.
         noise: standard deviation by signal; ``coarse``: sensors whose steps exceed what they are said to have, counted in it.
-        around: the simulator of one's own that is questioned.
+        adapter: the simulator of one's own under test, with its input and output effects.
     """
 
     dataset: Dataset
@@ -46,17 +46,17 @@ class Case:
     noise: Mapping[str, float]
     split: Split
     seed: int
-    around: Around | None = None
+    adapter: SimulatorAdapter | None = None
     coarse: tuple[Coarse, ...] = ()
 
     @property
     def reference(self) -> str:
         """What the questioned simulation is called."""
-        return self.around.name if self.around is not None else self.plant.reference or "nominal"
+        return self.adapter.name if self.adapter is not None else self.plant.reference or "nominal"
 
     def runner(self, plant: Plant) -> Callable[[Recording], pd.DataFrame]:
         """Recording → free run of the whole chain, with ``plant`` in the place of the questioned one."""
-        own = self.around
+        own = self.adapter
         if own is not None:
             return lambda recording: own.free_run(plant, recording)
         model = compile_plant(plant)
@@ -104,7 +104,7 @@ def open_case(dataset: Dataset, simulation: Plant | Simulator, seed: int) -> tup
         plant, own = simulation, None
         problems = problems_of(compile_plant(plant), dataset)
     else:
-        own = around_simulator(simulation, dataset)
+        own = adapt_simulator(simulation, dataset)
         plant = own.plant
         problems = own.problems(dataset)
     if not problems:
@@ -140,7 +140,7 @@ def stage_candidates(case: Case, stage: Stage) -> list[Candidate]:
 
 
 def on_itself(finding: StageResult, stage: Stage, theta: Array) -> StageResult:
-    """What was found on a likeness of the stage, fitted to the stage itself."""
+    """What was found on a surrogate of the stage, fitted to the stage itself."""
     seen = Data(stage.problem, stage.split.seen, stage.sigma)
     unseen = Data(stage.problem, stage.split.select, stage.sigma)
     fit = fit_candidates(seen, theta, finding.fit.candidates, [finding.fit.values])  # noqa: PD011

@@ -4,9 +4,10 @@ Given models of one stage (sets of effects) under shared variances:
 
 1. *Predictive density.* Each block of a few seconds is predicted from all other blocks, in closed form.
 2. *Survivors.* A model survives if it is not significantly worse than the best: the sum of its block differences is below
-   ``STANDARD_ERRORS`` standard errors, or below ``LEAST`` nats; or its evidence is not lower by as much (of forty models that are
-   compared one is better by two standard errors by chance, and evidence knows what its parameters cost). A block counts for ``BLOCK_NATS`` at most, so that several
-   have to agree (without it one block with 1600 nats makes the sum insignificant: 2070 ± 1611).
+   ``STANDARD_ERRORS`` standard errors, or below ``LEAST`` nats; or its evidence is not lower by as much (of forty models that
+   are compared one is better by two standard errors by chance, and evidence knows what its parameters cost). A block counts
+   for ``BLOCK_NATS`` at most, so that several have to agree (without it one block with 1600 nats makes the sum
+   insignificant: 2070 ± 1611).
 3. *Minimal survivors.* Supersets of a survivor survive too; what the minimal ones share is needed.
 4. *Named*: in every minimal survivor, the 95 % interval of some parameter lies outside the region of practical equivalence
    around its known value, and the discrepancy leaves enough information about it (variance inflation below ``INFLATION``).

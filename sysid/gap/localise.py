@@ -11,7 +11,7 @@ import pandas as pd
 from sysid.datasets.recording import Recording
 from sysid.gap.problem import Problem
 from sysid.gap.result import Localised
-from sysid.gap.unnamed.resonance import swinging
+from sysid.gap.unnamed.resonance import resonance_frequencies
 
 Array = npt.NDArray[np.float64]
 
@@ -34,10 +34,10 @@ def localise(
     rows = []
     for k, problem in enumerate(problems):
         scores = stage_rmse(problem, theta, recordings[k])
-        swings = swinging(problem, theta, recordings[k], floors[k])
+        frequencies = resonance_frequencies(problem, theta, recordings[k], floors[k])
         rows += [
             (problem, signal, float(score), float(floor), float(frequency))
-            for signal, score, floor, frequency in zip(problem.signals, scores, floors[k], swings, strict=True)
+            for signal, score, floor, frequency in zip(problem.signals, scores, floors[k], frequencies, strict=True)
         ]
     excess = [max(score / floor - 1.0, 0.0) if floor > 0 else 0.0 for _, _, score, floor, _ in rows]
     total = sum(excess)

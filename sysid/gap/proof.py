@@ -18,9 +18,9 @@ from sysid.gap.floor import problem_floor
 from sysid.gap.likelihood.stage import ModelFit
 from sysid.gap.localise import stage_rmse
 from sysid.gap.readings import Coarse
-from sysid.gap.result import Alternative, Carried, Evidence, Gap, NamedEffect, Unnamed, Value
+from sysid.gap.result import Alternative, Evidence, Gap, NamedEffect, ResidualModelResult, Unnamed, Value
 from sysid.gap.stage_result import AcceptedEffect, StageResult
-from sysid.gap.unnamed.residual_formula import describe_remainder
+from sysid.gap.unnamed.residual_formula import describe_residual
 from sysid.plant import Place, Plant, Uncertainty
 
 Array = npt.NDArray[np.float64]
@@ -38,7 +38,7 @@ class Outcome:
     ties: list[tuple[tuple[str, str], ...]] = field(default_factory=list)
     unnamed: list[Unnamed] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
-    carried: list[Carried] = field(default_factory=list)
+    carried: list[ResidualModelResult] = field(default_factory=list)
 
 
 def judge(case: Case, stages: Sequence[Stage]) -> Outcome:
@@ -75,7 +75,7 @@ def _describe(case: Case, stage: Stage, proven: bool, outcome: Outcome) -> None:
     else:
         fit = Fit((), (), np.empty(0), stage.theta, (), 0.0, True)
     outcome.notes.append(f"{stage.label}: what is left depends most on: {next(iter(remainder.groups), 'nothing')}")
-    outcome.unnamed += describe_remainder(stage.problem, fit, stage.split.seen, case.plant.machine)
+    outcome.unnamed += describe_residual(stage.problem, fit, stage.split.seen, case.plant.machine)
 
 
 def _better(stage: Stage) -> bool:

@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 from scipy.linalg import solve_triangular
+from scipy.stats import qmc
 
 from sysid.gap.candidates import Candidate
 from sysid.gap.fit import place
@@ -25,6 +26,8 @@ MOST, TRIED, SWAPPED = 6, 4, 3
 LIBERAL = 3.0
 #: Models further below the best than this [nats] are not compared.
 NEAR = 60.0
+#: Starting values spread around those of an added effect.
+SPREAD = 16
 #: Short steps of the screening, in what is negligible of each parameter.
 STEP = 2.0
 
@@ -131,7 +134,7 @@ class Proposals:
         if frozenset(c.label for c in (*rest, new)) in self.fits:
             return self.fits[frozenset(c.label for c in (*rest, new))]
         known = np.concatenate([np.empty(0), *(model.values_of(c) for c in rest)])
-        starts = np.array([np.concatenate([known, start]) for start in (promise.start, *new.starts)])
+        starts = np.array([np.concatenate([known, start]) for start in (promise.start, *new.starts, *_spread(new))])
         return self.fit((*rest, new), starts)
 
     def _open(self, model: ModelFit) -> list[Candidate]:
@@ -217,6 +220,20 @@ def _lanes(
             values.append(row)
             whole.append(is_whole)
     return np.array(lanes), np.array(owners), values, np.array(whole, dtype=bool)
+
+
+def _spread(candidate: Candidate) -> Array:
+    """Starting values between and around a candidate's own, (SPREAD, k): a frequency or a length has to be met closely."""
+    table = np.array(candidate.starts)
+    low, high = table.min(axis=0), table.max(axis=0)
+    room = np.maximum(high - low, 0.5 * np.abs(high))
+    bounds = np.array([u.bounds for u in candidate.unknowns])
+    low = np.maximum(np.where(low > 0.0, 0.3 * low, low - 0.5 * room), bounds[:, 0])
+    high = np.minimum(high + 0.5 * room, bounds[:, 1])
+    draws = qmc.Sobol(len(low), rng=np.random.default_rng(0)).random(SPREAD)
+    logarithmic = low > 0.0
+    floor = np.where(logarithmic, low, 1.0)
+    return np.where(logarithmic, floor * (np.where(logarithmic, high, 1.0) / floor) ** draws, low + (high - low) * draws)
 
 
 def _nominal(candidates: Sequence[Candidate]) -> Array:

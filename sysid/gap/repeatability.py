@@ -1,4 +1,4 @@
-"""Does the same machine get the same names from each of its recordings? What repeats, and how far the values spread."""
+"""Repeatability of named effects over several recordings of one machine, and the spread of their values."""
 
 from __future__ import annotations
 
@@ -8,18 +8,18 @@ from dataclasses import dataclass
 
 from sysid.gap.result import GapResult
 
-#: Values that lie within this share of their median agree.
+#: Largest spread of consistent values, relative to their median.
 TOLERANCE = 0.25
-#: A name that comes from at least this share of the runs that could show it repeats.
-MOST = 0.75
+#: An effect is repeatable if at least this share of the runs that excite it name it.
+MIN_SHARE = 0.75
 
 
 @dataclass(frozen=True)
-class Repeat:
+class RepeatedEffect:
     """One effect over several runs of the workflow on the same machine.
 
     Args:
-        shown: runs whose recordings contain what the effect needs and tell it from others (it is in no tie there).
+        shown: runs whose recordings excite the effect and in which it is identifiable (in no non-identifiable set).
         named: those of them in which it was named.
         parameters: parameter → its value in each run of ``named``, in that order.
     """
@@ -34,15 +34,15 @@ class Repeat:
         return statistics.median(self.parameters[parameter])
 
     def spread(self, parameter: str) -> float:
-        """(largest − smallest) / 2, as a share of the median; zero of a single value."""
+        """(largest − smallest) / 2, relative to the median; zero for a single value."""
         values, middle = self.parameters[parameter], self.median(parameter)
         half = 0.5 * (max(values) - min(values))
         return half / abs(middle) if middle else (float("inf") if half else 0.0)
 
     @property
     def verdict(self) -> str:
-        """``consistent``; ``moves``: named again and again, with values that disagree; ``sometimes``: not named elsewhere."""
-        if len(self.named) < max(2, MOST * len(self.shown)):
+        """``consistent``; ``moves``: named repeatedly, with inconsistent values; ``sometimes``: not named in other runs."""
+        if len(self.named) < max(2, MIN_SHARE * len(self.shown)):
             return "sometimes"
         return "consistent" if all(self.spread(key) <= TOLERANCE for key in self.parameters) else "moves"
 
@@ -52,21 +52,21 @@ class Repeat:
         return {"name": self.name, "target": self.target, "verdict": self.verdict, **parts, "over_runs": spreads}
 
 
-def stability(results: Mapping[str, GapResult]) -> tuple[Repeat, ...]:
+def repeatability(results: Mapping[str, GapResult]) -> tuple[RepeatedEffect, ...]:
     """Every effect that any of the runs named, in the order in which they first appear.
 
     Args:
-        results: run → its answer; all about the same machine, each from other recordings.
+        results: run → result; all of the same machine, each from other recordings.
     """
     keys = dict.fromkeys((e.name, e.target) for result in results.values() for e in result.effects)
     return tuple(_repeat(name, target, results) for name, target in keys)
 
 
-def _repeat(name: str, target: str, results: Mapping[str, GapResult]) -> Repeat:
+def _repeat(name: str, target: str, results: Mapping[str, GapResult]) -> RepeatedEffect:
     shown, named = [], []
     values: dict[str, list[float]] = {}
     for run, result in results.items():
-        if any((name, target) in tie for tie in result.ambiguous):  # a recording that cannot tell says neither yes nor no
+        if any((name, target) in tie for tie in result.ambiguous):  # not identifiable in this run: it does not count
             continue
         effect = next((e for e in result.effects if (e.name, e.target) == (name, target)), None)
         excited = any(x.sufficient for x in result.excitation if (x.name, x.target) == (name, target))
@@ -78,4 +78,4 @@ def _repeat(name: str, target: str, results: Mapping[str, GapResult]) -> Repeat:
                 for place, number in enumerate(value if isinstance(value, tuple | list) else (value,)):
                     label = f"{key}[{place}]" if isinstance(value, tuple | list) else key
                     values.setdefault(label, []).append(float(number))
-    return Repeat(name, target, tuple(shown), tuple(named), {key: tuple(numbers) for key, numbers in values.items()})
+    return RepeatedEffect(name, target, tuple(shown), tuple(named), {key: tuple(numbers) for key, numbers in values.items()})

@@ -65,9 +65,9 @@ class NamedEffect:
 
 @dataclass(frozen=True)
 class Probe:
-    """Cross-correlation of a remainder with something measured, ``lag`` seconds before it.
+    """Cross-correlation of a residual with a measured variable ``lag`` seconds earlier.
 
-    ``bound`` is what chance reaches in one of a hundred cases, all probes and lags together.
+    ``bound``: of an independent residual, 1 % of the cases exceed it, all variables and lags together.
     """
 
     name: str
@@ -78,16 +78,16 @@ class Probe:
 
 @dataclass(frozen=True)
 class Unnamed:
-    """Structure left over that no known effect explains.
+    """Residual of a stage that no effect of the catalogue explains.
 
     Args:
         rmse: of the stage, driven by its measured input.
-        depends_on: what was measured that it follows, the strongest first; ``nothing that was measured`` where it follows none.
+        depends_on: measured variables it depends on, the strongest first; else ``nothing that was measured``.
         form: a formula in SI units, or why there is none.
-        explains: share of the remainder's variance (of its rate, where the stage integrates) that the formula predicts on
-            recordings which its search did not see; zero without one.
+        explains: share of the variance of the residual (of its rate, where the stage integrates) that the formula predicts
+            on recordings left out of its search; zero without one.
         period, period_unit: of a ripple in the formula; zero without one.
-        probes: the clearest cross-correlations.
+        probes: the largest cross-correlations.
     """
 
     stage: str
@@ -102,18 +102,18 @@ class Unnamed:
 
 
 @dataclass(frozen=True)
-class Carried:
-    """A residual network that carries what no effect explains at one stage (``unnamed_residual``), or why there is none.
+class ResidualModelResult:
+    """Residual network of a stage that no effect explains (``unnamed_residual``), or the reason why there is none.
 
-    It is learned from the recordings and is no physics; it never stands among the effects.
+    It is learned from the recordings and is no physics; it is not listed among the effects.
 
     Args:
         signal: the output that it acts on.
         before, after, noise_floor: held-out RMSE of the stage without and with it, and what the true model would score.
-        accepted: whether the repaired plant carries it.
-        text: what it does, or why it was refused.
-        bound: it never adds more than this: to the speed (velocity axis), the position (servo), the joint, or the force.
-        inputs: what it looks at.
+        accepted: whether the repaired plant contains it.
+        text: its effect, or why it was rejected.
+        bound: of its output: a share of the speed (velocity axis), or the position (servo), the joint, or the force.
+        inputs: names of its inputs.
     """
 
     stage: str
@@ -300,11 +300,11 @@ class GapResult:
     world_gap: WorldGap | None = None
     machine_diff: str = ""
     promotion: Promotion | None = None
-    carried: tuple[Carried, ...] = ()
+    carried: tuple[ResidualModelResult, ...] = ()
 
     @property
     def repaired(self) -> bool:
-        """Whether the plant after is another one: it has effects with a name, or carries what has none."""
+        """Whether the plant after is another one: it has effects with a name, or a residual network."""
         return bool(self.effects) or any(item.accepted for item in self.carried)
 
     def names_on(self, target: str) -> frozenset[str]:

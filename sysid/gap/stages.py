@@ -12,7 +12,7 @@ import numpy.typing as npt
 from scipy.stats import norm
 from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]
 
-from sysid.gap.adapters.adapter import Around
+from sysid.gap.adapters.adapter import SimulatorAdapter
 from sysid.gap.candidates import Candidate
 from sysid.gap.case import Case, Stage, on_itself, stage_candidates
 from sysid.gap.data import Data
@@ -37,9 +37,9 @@ Forms = Literal["all", "simple"]
 
 def search_stages(case: Case, stages: Sequence[Stage], forms: Forms, progress: Progress) -> tuple[Stage, ...]:
     """The stages with what was found at each."""
-    if case.around is None:
+    if case.adapter is None:
         return _side_by_side(case, stages, forms, progress)
-    return _one_by_one(case, case.around, stages, forms, progress)
+    return _one_by_one(case, case.adapter, stages, forms, progress)
 
 
 def _side_by_side(case: Case, stages: Sequence[Stage], forms: Forms, progress: Progress) -> tuple[Stage, ...]:
@@ -84,12 +84,14 @@ def _as_read(case: Case, stages: tuple[Stage, ...], forms: Forms, progress: Prog
     return tuple(found)
 
 
-def _one_by_one(case: Case, adapter: Around, stages: Sequence[Stage], forms: Forms, progress: Progress) -> tuple[Stage, ...]:
-    """Around a simulator of one's own a stage is fed by what was found before it."""
+def _one_by_one(
+    case: Case, adapter: SimulatorAdapter, stages: Sequence[Stage], forms: Forms, progress: Progress
+) -> tuple[Stage, ...]:
+    """With a simulator of one's own, the input of a stage depends on the effects found before it."""
     found, theta = list[Stage](), case.theta
     for k, stage in enumerate(stages):
         tell = part(progress, k / len(stages), (k + 1) / len(stages))
-        settled = replace(stage, problem=adapter.settled(stage.problem, theta))
+        settled = replace(stage, problem=adapter.with_input_effects(stage.problem, theta))
         found.append(replace(settled, finding=_found(case, settled, forms, tell)))
         if stage.problem.stage == "command":
             fitted = found[-1].found.fit.theta
@@ -100,7 +102,7 @@ def _one_by_one(case: Case, adapter: Around, stages: Sequence[Stage], forms: For
 def _found(case: Case, stage: Stage, forms: Forms, tell: Progress) -> StageResult:
     tell(0.0, stage.label)
     machine = case.plant.machine
-    problem = stage.problem if case.around is None else case.around.to_search(stage.problem)
+    problem = stage.problem if case.adapter is None else case.adapter.search_problem(stage.problem)
     seen = Data(problem, stage.split.seen, stage.sigma)
     nominal = spread_of(seen.residuals(stage.theta[None]))
     if nominal <= EXPLAINED:

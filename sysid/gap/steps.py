@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any
 from sysid.errors import SettingsError
 from sysid.files import plain
 from sysid.gap import localise as disagreement
-from sysid.gap.adapters.adapter import Around
+from sysid.gap.adapters.adapter import SimulatorAdapter
 from sysid.gap.adapters.simulator import Simulator
 from sysid.gap.case import Case, Stage, excitation, open_case, stage_candidates
 from sysid.gap.excitation import advice, advice_on_tie, excitation_of
@@ -56,8 +56,8 @@ class Study:
 
 
 @dataclass(frozen=True)
-class Offer:
-    """An effect that may be missing at a stage, with its form in ``label``, and whether the recordings to fit could show it."""
+class ProposedEffect:
+    """An effect that may be missing at a stage, with its form in ``label``, and whether the fit recordings excite it."""
 
     stage: str
     label: str
@@ -104,11 +104,11 @@ def localise(study: Study) -> tuple[Localised, ...]:
     return disagreement.localise([stage.problem for stage in stages], case.theta, recordings, floors, free)
 
 
-def candidates(study: Study) -> tuple[Offer, ...]:
+def candidates(study: Study) -> tuple[ProposedEffect, ...]:
     """What may be missing at each stage; what the recordings cannot show is not tried."""
     machine = study.case.plant.machine
     return tuple(
-        Offer(stage.label, c.label, excitation_of(c, stage.split.seen, machine))
+        ProposedEffect(stage.label, c.label, excitation_of(c, stage.split.seen, machine))
         for stage in study.stages
         for c in stage_candidates(study.case, stage)
     )
@@ -129,10 +129,10 @@ def prove(study: Study, world: bool = False, progress: Progress = silent, *, car
 
     Args:
         world: run the held-out commands in the PyBullet world as well.
-        carry: what keeps no name is carried by residual networks where that helps (:mod:`sysid.gap.unnamed.residual_model`).
+        carry: fit residual networks to what keeps no name, where they help (:mod:`sysid.gap.unnamed.residual_model`).
 
     Raises:
-        SettingsError: the study was not searched; a simulator of one's own should carry.
+        SettingsError: the study was not searched; residual networks were asked for with a simulator of one's own.
     """
     if any(stage.finding is None for stage in study.stages):
         raise SettingsError("prove", "stages that were not searched", "a study that sysid.gap.steps.search returned")
@@ -140,7 +140,7 @@ def prove(study: Study, world: bool = False, progress: Progress = silent, *, car
     if carry:
         from sysid.gap.unnamed import residual_model  # torch is loaded only where something is trained
 
-        outcome = residual_model.carry(study.case, study.stages, outcome, progress=progress)
+        outcome = residual_model.fit_residual_models(study.case, study.stages, outcome, progress=progress)
     return measure(study, outcome, world, progress)
 
 
@@ -157,13 +157,13 @@ def measure(study: Study, outcome: Outcome, world: bool = False, progress: Progr
     free = Gap(*({signal: score[signal] for signal in shared} for score in scores))
     traces = (Traces(r.name, r.table, b, a) for r, b, a in zip(held_out, before, after, strict=True))
     there = None
-    if world and case.around is None:
+    if world and case.adapter is None:
         there = world_gap(case.plant, outcome.repaired, held_out, scores[2], progress)
     return Proof(outcome, _with_forces(free, by_stage), by_stage, tuple(traces), there)
 
 
-def add(study: Study, proof: Proof, registry: Registry | None = None) -> Plant | Around:
-    """The repaired simulation: a plant, or the simulator of one's own with effects around it, which is a simulator again.
+def add(study: Study, proof: Proof, registry: Registry | None = None) -> Plant | SimulatorAdapter:
+    """The repaired simulation: a plant, or the simulator of one's own with input and output effects, again a simulator.
 
     Args:
         registry: where a repaired plant becomes a new version, with the questioned one in its lineage; it then carries its
@@ -173,15 +173,15 @@ def add(study: Study, proof: Proof, registry: Registry | None = None) -> Plant |
         SettingsError: a simulator of one's own is to be stored.
     """
     case, repaired = study.case, proof.outcome.repaired
-    if case.around is not None:
+    if case.adapter is not None:
         if registry is not None:
             raise SettingsError(
-                f"simulator {case.around.name}",
+                f"simulator {case.adapter.name}",
                 "cannot be stored",
                 "no registry",
                 "Keep the effects: sysid.plant.effects_toml.",
             )
-        return replace(case.around, plant=repaired)
+        return replace(case.adapter, plant=repaired)
     if registry is None or repaired is case.plant:
         return repaired
     return replace(repaired, reference=store(study, proof, registry))
@@ -213,7 +213,7 @@ def store(study: Study, proof: Proof, registry: Registry) -> str:
 def machine_diff(study: Study, proof: Proof) -> str:
     """What the repair changes in the machine's own ``machine.toml``, as a unified diff; empty where nothing."""
     repaired = proof.outcome.repaired
-    if repaired is study.case.plant or study.case.around is not None:
+    if repaired is study.case.plant or study.case.adapter is not None:
         return ""
     return machine_difference(replace(repaired, effects=repaired.machine.effects, uncertainty=NONE), repaired)
 

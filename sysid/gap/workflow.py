@@ -14,7 +14,7 @@ from sysid.gap import steps
 from sysid.gap.adapters.simulator import Simulator, name_of
 from sysid.gap.case import Case, Stage, excitation
 from sysid.gap.decision import EXPLAINED
-from sysid.gap.experiment import Planning, Proposal, propose, questions_of
+from sysid.gap.experiment import Planning, Proposal, open_hypotheses, propose
 from sysid.gap.maps import maps_of
 from sysid.gap.proof import Outcome
 from sysid.gap.result import Candidate, Excitation, GapResult, Localised, Map, Verdict
@@ -48,22 +48,22 @@ def find_gap(
     """Find where ``plant`` and the recordings disagree, name the missing effects, and prove it on held-out recordings.
 
     Args:
-        plant: a plant, or a simulator of one's own: what is named then acts in front of it or behind it.
+        plant: a plant, or a simulator of one's own, for which input and output effects are named.
         registry: where plant versions live; without it none is written.
         add: write the repaired plant as a new version, and promote it if the proof is good enough.
         world: prove it in the PyBullet world as well; by default where it is added.
         localise_only: stop after localising; the verdict is then ``unnamed`` wherever a stage is above its noise floor.
-        carry: what keeps no name is carried by bounded residual networks where held-out errors fall with them; they are learned
-            from the recordings, no physics, and never stand among the effects (:mod:`sysid.gap.unnamed.residual_model`).
+        carry: fit bounded residual networks to what keeps no name, where they lower held-out errors. They are learned from the
+            recordings, are no physics, and are not listed among the effects (:mod:`sysid.gap.unnamed.residual_model`).
         forms: "simple" tries every effect in its simplest form only, e.g. one friction for both directions.
-        planning: plan the recordings that would answer what these leave open (not around a simulator of one's own); by default
+        planning: plan the recordings that would answer what these leave open (not for a simulator of one's own); by default
             they are only described.
         progress: called with (share done, text).
 
     Raises:
         ExcitationError: no stage is measured at both ends, or there is nothing to hold out.
         InputError: a simulator of one's own failed, or returned no table of signals.
-        SettingsError: what is found around such a simulator is to be added to the registry, or it should carry a network.
+        SettingsError: a repaired simulator of one's own is to be added to the registry, or to hold a residual network.
     """
     begin = time.perf_counter()
     tell: Progress = progress or silent
@@ -72,14 +72,16 @@ def find_gap(
             f"simulator {name_of(plant)}", "cannot be stored", "a plant", "Take what is repaired from sysid.gap.steps.add."
         )
     if carry and not isinstance(plant, Plant):
-        raise SettingsError(f"simulator {name_of(plant)}", "cannot carry a residual network", "a plant")
+        raise SettingsError(f"simulator {name_of(plant)}", "cannot hold a residual network", "a plant")
     if carry and localise_only:
-        raise SettingsError("find_gap", "carry and localise_only", "one of them", "What is carried is what a search leaves.")
+        raise SettingsError(
+            "find_gap", "carry and localise_only", "one of them", "A residual network is fitted to what a search leaves."
+        )
     study = steps.open_study(dataset, plant, seed)
     tell(0.02, "localising")
     located = steps.localise(study)
     case, proposal, after_reference, promotion = study.case, Proposal(), "", None
-    own = registry is not None and case.around is None
+    own = registry is not None and case.adapter is None
     reference = steps.register(case, case.plant, registry, {}) if registry is not None and own else case.reference
     if localise_only:
         proof = steps.measure(study, Outcome(case.plant))
@@ -91,10 +93,10 @@ def find_gap(
     if add and registry is not None and outcome.repaired is not case.plant:
         after_reference = steps.store(study, proof, registry)
         promotion = steps.promote(study, proof, registry, after_reference)
-    if planning is not None and case.around is None and not localise_only:
+    if planning is not None and case.adapter is None and not localise_only:
         tell(0.93, "planning the next experiment")
-        questions = questions_of(case, stages, outcome)
-        proposal = propose(case, outcome.repaired, questions, planning, lambda text: tell(0.93, f"planning: {text}"))
+        hypotheses = open_hypotheses(case, stages, outcome)
+        proposal = propose(case, outcome.repaired, hypotheses, planning, lambda text: tell(0.93, f"planning: {text}"))
     shown = excitation(case, stages)
     verdict = _verdict(outcome, located, shown, localise_only)
     better = outcome.repaired.vector()
@@ -114,7 +116,7 @@ def find_gap(
         held_out_recordings=tuple(r.name for r in case.split.held_out),
         seconds=time.perf_counter() - begin,
         localised=located,
-        shares=shares_of(compile_plant(case.plant), case.split.seen) if case.around is None else (),
+        shares=shares_of(compile_plant(case.plant), case.split.seen) if case.adapter is None else (),
         maps=_maps(case, stages, better if outcome.repaired is not case.plant else None),
         carried=tuple(outcome.carried),
         candidates=tuple(row for stage in stages if stage.finding for row in _rows(stage, stage.finding)),
@@ -122,7 +124,7 @@ def find_gap(
         notes=(
             *outcome.notes,
             *proposal.notes,
-            *(case.around.notes([s.problem for s in stages]) if case.around is not None else ()),
+            *(case.adapter.notes([s.problem for s in stages]) if case.adapter is not None else ()),
         ),
         experiments=proposal.experiments,
         world_gap=proof.world,

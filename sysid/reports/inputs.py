@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 from sysid.datasets.clocks.residual import ClockResidual
 from sysid.datasets.recording import Dataset
-from sysid.gap.experiment.excitation_verdict import Readiness
+from sysid.gap.experiment.excitation_verdict import ExcitationReport
 from sysid.gap.result import GapResult
 from sysid.validate import ValidationReport
 
@@ -41,7 +41,7 @@ class ReportInputs:
         validations: error reports of the networks fitted on it.
         versions: lineage, oldest first.
         created: when the report was made, in the words to print; empty to leave it out (a report is then reproducible).
-        readiness: which effects the recordings could show.
+        excitation: which effects the recordings excite.
         software: name → version of what computed the figures.
         clocks: what the aligned motions still differ by.
     """
@@ -52,5 +52,5 @@ class ReportInputs:
     versions: tuple[VersionNote, ...] = ()
     created: str = ""
     software: Mapping[str, str] = field(default_factory=dict)
-    readiness: Readiness | None = None
+    excitation: ExcitationReport | None = None
     clocks: tuple[ClockResidual, ...] = ()

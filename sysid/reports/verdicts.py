@@ -1,4 +1,4 @@
-"""Verdicts on what recordings could show, grouped and worded for people: the terminal and the page say the same."""
+"""Excitation verdicts grouped and formatted for terminal and report."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from sysid.gap.experiment.excitation_verdict import Verdict, Wish
+from sysid.gap.experiment.excitation_verdict import ExcitationVerdict, RecordingRequest
 from sysid.machine import Axis, Machine
 from sysid.reports import display, words
 from sysid.signals import axis_signal
@@ -21,7 +21,7 @@ class Group:
     """Verdicts with the same effect, or the same reason, as one line."""
 
     title: str
-    verdicts: tuple[Verdict, ...]
+    verdicts: tuple[ExcitationVerdict, ...]
 
     @property
     def places(self) -> str:
@@ -32,30 +32,30 @@ class Group:
         return "; ".join(f"{', '.join(targets)} {side}".rstrip() for side, targets in sides.items())
 
 
-def place(verdict: Verdict) -> str:
+def place(verdict: ExcitationVerdict) -> str:
     """The target, and which side of its sensor where there are two."""
     return f"{words.owner_name(verdict.target)} {SIDES.get(verdict.side or '', '')}".rstrip()
 
 
-def by_effect(verdicts: Sequence[Verdict]) -> list[Group]:
+def by_effect(verdicts: Sequence[ExcitationVerdict]) -> list[Group]:
     """One group for each effect, in the order of the chain."""
-    found: dict[str, list[Verdict]] = {}
+    found: dict[str, list[ExcitationVerdict]] = {}
     for verdict in verdicts:
         found.setdefault(verdict.name, []).append(verdict)
     return [Group(words.effect_title(name), tuple(group)) for name, group in found.items()]
 
 
-def by_reason(verdicts: Sequence[Verdict]) -> list[tuple[str, list[Group]]]:
-    """Why nothing shows them: reason → its effects, the reason that hides most first."""
-    found: dict[str, list[Verdict]] = {}
+def by_reason(verdicts: Sequence[ExcitationVerdict]) -> list[tuple[str, list[Group]]]:
+    """Reason → effects that are not observable because of it, the reason with most effects first."""
+    found: dict[str, list[ExcitationVerdict]] = {}
     for verdict in verdicts:
         found.setdefault(verdict.text, []).append(verdict)
     groups = [(reason, by_effect(group)) for reason, group in found.items()]
     return sorted(groups, key=lambda item: -sum(len(group.verdicts) for group in item[1]))
 
 
-def amount(verdict: Verdict) -> str:
-    """``39 of 60``: what there is of what is needed, nothing rounded up to enough."""
+def amount(verdict: ExcitationVerdict) -> str:
+    """``39 of 60``: available of needed, never rounded up to sufficient."""
     if verdict.have is None or verdict.need is None:
         return display.NOTHING
     return f"{_count(verdict.have, verdict.need)} of {verdict.need:g}"
@@ -71,9 +71,9 @@ def spread(group: Group) -> str:
     return " to ".join(ends)
 
 
-def wish_text(wish: Wish, machine: Machine) -> str:
-    """What to record, with shares of a range in degrees or millimetres behind them."""
-    axes = [machine.axis(name) for name in dict.fromkeys(target for _, target in wish.effects) if name in machine.axis_names]
+def request_text(request: RecordingRequest, machine: Machine) -> str:
+    """What to record; shares of a range are followed by their size in degrees or millimetres."""
+    axes = [machine.axis(name) for name in dict.fromkeys(target for _, target in request.effects) if name in machine.axis_names]
 
     def sized(match: re.Match[str]) -> str:
         share = 0.5 if match["share"] == "half" else float(match["share"].split()[0]) / 100.0
@@ -81,7 +81,7 @@ def wish_text(wish: Wish, machine: Machine) -> str:
         listed = ", ".join(size if len(sizes) == 1 else f"{name} {size}" for name, size in sizes)
         return f"{match[0]} ({listed})" if sizes else match[0]
 
-    return _SHARE.sub(sized, wish.record)
+    return _SHARE.sub(sized, request.record)
 
 
 def _size(axis: Axis, share: float, machine: Machine) -> str:

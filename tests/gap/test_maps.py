@@ -14,7 +14,7 @@ from sysid.gap.case import open_case
 from sysid.gap.maps import maps_of
 from sysid.gap.result import Map, Share
 from sysid.gap.shares import shares_of
-from sysid.gap.unnamed.resonance import swinging
+from sysid.gap.unnamed.resonance import resonance_frequencies
 from sysid.machine import KnownEffect
 from sysid.plant import Plant, compile_plant
 from sysid.validate.binning import SIGNED_BINS, speed_of
@@ -142,7 +142,7 @@ def test_shares_add_up_and_name_the_guilty_stages(dataset: Dataset) -> None:
     assert by_stage(shares, "boom.joint")["command", "boom"] > 0.99
 
 
-def test_a_swing_that_is_not_simulated_belongs_to_the_tool() -> None:
+def test_a_sway_that_is_not_simulated_is_attributed_to_the_tool() -> None:
     true = nominal().with_effect(KnownEffect("gripper_sway", "tool", {"length": 0.25, "damping_ratio": 0.03}))
     dataset = dataset_of(true, 15.0, seed=3)
     shares = shares_of(compile_plant(nominal()), dataset.with_role("fit"))
@@ -150,10 +150,12 @@ def test_a_swing_that_is_not_simulated_belongs_to_the_tool() -> None:
     case, stages = open_case(dataset, nominal(), 0)
     tool = next(s for s in stages if s.problem.stage == "tool")
     natural = math.sqrt(9.81 / 0.25) / (2.0 * math.pi)
-    np.testing.assert_allclose(swinging(tool.problem, case.theta, tool.split.seen, tool.sigma)[:2], natural, rtol=0.05)
+    np.testing.assert_allclose(
+        resonance_frequencies(tool.problem, case.theta, tool.split.seen, tool.sigma)[:2], natural, rtol=0.05
+    )
     for stage in stages:
         if stage is not tool:
-            assert not swinging(stage.problem, case.theta, stage.split.seen, stage.sigma).any()
+            assert not resonance_frequencies(stage.problem, case.theta, stage.split.seen, stage.sigma).any()
     whole = {s.rmse for s in shares if s.end == "tool"}
     assert len(whole) == 1
     assert next(iter(whole)) > 0.2  # the tool hangs a quarter of a metre below where the simulation has it
@@ -168,9 +170,9 @@ def test_a_force_axis_has_one_stage_and_nothing_to_share() -> None:
     assert item.mean[-1] == pytest.approx(8.0, rel=0.2)
 
 
-def test_an_error_that_follows_a_swinging_motion_does_not_swing_by_itself() -> None:
+def test_an_error_that_follows_a_swinging_motion_is_no_resonance() -> None:
     """The wrist is driven to and fro: a wrong link length behind it draws the same frequency."""
     dataset = dataset_of(nominal().with_effect(KnownEffect("link_length_error", "wrist", {"error": 0.01})), 20.0, seed=4)
     case, stages = open_case(dataset, nominal(), 0)
     (tip,) = [stage for stage in stages if stage.problem.stage == "end_effector"]
-    assert not swinging(tip.problem, case.theta, tip.split.seen, tip.sigma).any()
+    assert not resonance_frequencies(tip.problem, case.theta, tip.split.seen, tip.sigma).any()

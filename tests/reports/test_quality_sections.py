@@ -12,15 +12,15 @@ from markupsafe import Markup
 from sysid.datasets.quality import Evidence, evidence_of
 from sysid.datasets.quality.use import CELLS
 from sysid.datasets.recording import Dataset
-from sysid.gap.experiment.excitation_verdict import Readiness, Verdict, Wish, readiness
+from sysid.gap.experiment.excitation_verdict import ExcitationReport, ExcitationVerdict, RecordingRequest, excitation_report
 from sysid.machine import Machine
 from sysid.plant import nominal_plant
 from sysid.reports import ReportInputs, build_report
 from sysid.reports.coverage_pictures import MAP, MAP_LEFT, MAP_TOP, command_picture, map_picture
 from sysid.reports.flags import flag_lines, kinds_of
+from sysid.reports.sections import excitation as section
 from sysid.reports.sections import quality
-from sysid.reports.sections import readiness as section
-from sysid.reports.verdicts import Group, amount, by_effect, by_reason, spread, wish_text
+from sysid.reports.verdicts import Group, amount, by_effect, by_reason, request_text, spread
 
 
 @pytest.fixture(scope="module")
@@ -29,14 +29,16 @@ def evidence(crane: Dataset) -> Evidence:
 
 
 @pytest.fixture(scope="module")
-def verdicts(crane: Dataset) -> Readiness:
-    return readiness(crane, nominal_plant(crane.machine))
+def verdicts(crane: Dataset) -> ExcitationReport:
+    return excitation_report(crane, nominal_plant(crane.machine))
 
 
-def verdict(name: str = "backlash", target: str = "slew", have: float | None = 4.0, side: str | None = "drive") -> Verdict:
+def verdict(
+    name: str = "backlash", target: str = "slew", have: float | None = 4.0, side: str | None = "drive"
+) -> ExcitationVerdict:
     status = "hidden" if have is None else "ready" if have >= 8.0 else "lacking"
     need = None if have is None else 8.0
-    return Verdict(name, target, "command", side, status, have, need, "reversals", "text", "")  # type: ignore[arg-type]
+    return ExcitationVerdict(name, target, "command", side, status, have, need, "reversals", "text", "")  # type: ignore[arg-type]
 
 
 def test_bars_are_as_high_as_the_times(evidence: Evidence) -> None:
@@ -65,8 +67,8 @@ def test_cells_lie_where_the_machine_was(crane: Dataset, evidence: Evidence) -> 
     assert text.count('class="pose"') == int(np.sum(np.array(item.poses) > 0))
 
 
-def test_the_page_names_what_is_missing_and_where(crane: Dataset, verdicts: Readiness) -> None:
-    values = section.context(ReportInputs(crane, readiness=verdicts))
+def test_the_page_names_what_is_missing_and_where(crane: Dataset, verdicts: ExcitationReport) -> None:
+    values = section.context(ReportInputs(crane, excitation=verdicts))
     assert values is not None
     assert values["ready"] + values["lacking"] + values["hidden"] == values["total"] == len(verdicts.verdicts)
     assert values["columns"] == ["slew", "boom", "stick", "telescope"]
@@ -84,7 +86,7 @@ def test_the_page_names_what_is_missing_and_where(crane: Dataset, verdicts: Read
 
 def test_two_sensors_of_an_axis_share_a_cell_that_shows_the_worse(crane: Dataset) -> None:
     pair = (verdict("sensor_bias", "boom.cylinder", 9.0, None), verdict("sensor_bias", "boom.joint", 3.0, None))
-    values = section.context(ReportInputs(crane, readiness=Readiness("d@1", "p@1", ("a",), pair)))
+    values = section.context(ReportInputs(crane, excitation=ExcitationReport("d@1", "p@1", ("a",), pair)))
     assert values is not None
     (row,) = values["rows"]
     assert values["columns"] == ["boom"]
@@ -138,10 +140,14 @@ def test_groups_name_each_place_once() -> None:
 
 
 def test_shares_of_a_range_come_with_their_size(crane_machine: Machine) -> None:
-    wish = Wish("Record 20 slow reversals of slew, with at least 5 % of its range between them.", (("backlash", "slew"),))
-    assert wish_text(wish, crane_machine) == (
+    request = RecordingRequest(
+        "Record 20 slow reversals of slew, with at least 5 % of its range between them.", (("backlash", "slew"),)
+    )
+    assert request_text(request, crane_machine) == (
         "Record 20 slow reversals of slew, with at least 5 % of its range (15°) between them."
     )
-    both = Wish("Record slew and telescope moving over half of its range, 20 s.", (("x", "slew"), ("x", "telescope")))
-    assert "half of its range (slew 149°, telescope 125\N{NARROW NO-BREAK SPACE}mm)" in wish_text(both, crane_machine)
-    assert wish_text(Wish("Record poses.", (("x", "base"),)), crane_machine) == "Record poses."
+    both = RecordingRequest(
+        "Record slew and telescope moving over half of its range, 20 s.", (("x", "slew"), ("x", "telescope"))
+    )
+    assert "half of its range (slew 149°, telescope 125\N{NARROW NO-BREAK SPACE}mm)" in request_text(both, crane_machine)
+    assert request_text(RecordingRequest("Record poses.", (("x", "base"),)), crane_machine) == "Record poses."

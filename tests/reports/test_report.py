@@ -12,7 +12,7 @@ import pytest
 from sample_crane import sample_gap, sample_unnamed
 
 from sysid.datasets.recording import Dataset
-from sysid.gap.experiment.excitation_verdict import readiness
+from sysid.gap.experiment.excitation_verdict import excitation_report
 from sysid.gap.result import Check, Evidence, Gap, GapResult, Promotion, WorldGap
 from sysid.machine import load_machine
 from sysid.plant import nominal_plant
@@ -89,8 +89,8 @@ def gap(crane: Dataset) -> GapResult:
 @pytest.fixture(scope="module")
 def page(crane: Dataset, gap: GapResult) -> Page:
     notes = (VersionNote("autolog@3", "dataset", "ab" * 32), VersionNote("autolog@2", "plant", "cd" * 32, ("autolog@3",)))
-    found = readiness(crane, nominal_plant(crane.machine))
-    return Page(build_report(ReportInputs(crane, gap, versions=notes, created="21 November 2026", readiness=found)))
+    found = excitation_report(crane, nominal_plant(crane.machine))
+    return Page(build_report(ReportInputs(crane, gap, versions=notes, created="21 November 2026", excitation=found)))
 
 
 def test_every_section_is_there_in_order(page: Page) -> None:

@@ -1,4 +1,4 @@
-"""What can be read off a simulator's own signals: the map from its cylinders to its joints, and how its tool swings."""
+"""Identification of a simulator's linkages (cylinder → joint) and tool sway from the signals that it returns."""
 
 from __future__ import annotations
 
@@ -22,18 +22,18 @@ from sysid.signals import axis_signal, point_signals
 
 Array = npt.NDArray[np.float64]
 
-#: What a point that is not measured has to differ by to matter [m].
-UNMEASURED = 1e-4
-#: Points of a linkage.
+#: Noise assumed for a tool position that is not measured [m].
+ASSUMED_NOISE = 1e-4
+#: Number of points of a tabulated linkage.
 POINTS = 256
 
 
-def linkages_of(machine: Machine, made: Sequence[Signals]) -> dict[str, TabulatedLinkage]:
-    """The simulator's map from cylinder to joint, where it returns both and they rise or fall together."""
+def identify_linkages(machine: Machine, runs: Sequence[Signals]) -> dict[str, TabulatedLinkage]:
+    """Axis → map from cylinder to joint, where the simulator returns both and the map is monotonic."""
     found = {}
     for axis in machine.axes:
         joint = axis_signal(axis.name, "joint")
-        pairs = [(run[axis.driven], run[joint]) for run in made if axis.driven in run and joint in run]
+        pairs = [(run[axis.driven], run[joint]) for run in runs if axis.driven in run and joint in run]
         if axis.drives == "cylinder" and pairs:
             x, q = (np.concatenate(part) for part in zip(*pairs, strict=True))
             there = ~np.isnan(x) & ~np.isnan(q)
@@ -43,22 +43,22 @@ def linkages_of(machine: Machine, made: Sequence[Signals]) -> dict[str, Tabulate
     return found
 
 
-def swing_of(plant: Plant, dataset: Dataset, made: Sequence[Signals]) -> KnownEffect | None:
-    """How the simulator's own tool swings below its end effector; None where it does not, or not as a pendulum."""
+def identify_sway(plant: Plant, dataset: Dataset, runs: Sequence[Signals]) -> KnownEffect | None:
+    """Sway of the simulator's tool below its end effector; None where it does not sway, or not as a pendulum."""
     ee, tool = point_signals("ee"), point_signals("tool")
-    whole = [run for run in made if not any(np.isnan(run.get(s, np.array([np.nan]))).any() for s in (*ee, *tool))]
+    whole = [run for run in runs if not any(np.isnan(run.get(s, np.array([np.nan]))).any() for s in (*ee, *tool))]
     if dataset.machine.tool is None or not whole:
         return None
     model, rate = compile_plant(plant), dataset.machine.rate_hz
     recordings = [Recording(f"run-{k}", pd.DataFrame(dict(run)), rate) for k, run in enumerate(whole)]
     noise = noise_levels(dataset)
-    data = Data(tool_problem(model), recordings, np.array([noise.get(s, UNMEASURED) for s in tool]))
-    still = spread_of(data.residuals(model.theta[None]))
-    if still < 1.0:
+    data = Data(tool_problem(model), recordings, np.array([noise.get(s, ASSUMED_NOISE) for s in tool]))
+    without = spread_of(data.residuals(model.theta[None]))
+    if without < 1.0:
         return None
     found = [c for c in candidates_at(plant, model.theta, "tool", ("tool",)) if c.effect.name == "gripper_sway"]
     fit = fit_candidates(data, model.theta, found, starting_values(found, (), 0))
-    return found[0].instance(fit.values_of(found[0])) if spread_of(data.residuals(fit.theta[None])) < 0.1 * still else None
+    return found[0].instance(fit.values_of(found[0])) if spread_of(data.residuals(fit.theta[None])) < 0.1 * without else None
 
 
 def _table(x: Array, q: Array) -> TabulatedLinkage | None:

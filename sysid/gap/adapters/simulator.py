@@ -1,4 +1,4 @@
-"""A simulator of one's own: anything that maps commands to signals. What it has to offer, and its runs with a memory."""
+"""Interface of a simulator of one's own, which maps commands to signals, and a cache of its runs."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ Stretches = npt.NDArray[np.int64]
 #: What one run returned: signal → (n,).
 Signals = Mapping[str, Array]
 
-#: Runs are remembered up to this size [bytes]; the oldest are forgotten first.
-MEMORY = 256_000_000
+#: Largest size of the cached runs [bytes]; the oldest are dropped first.
+MAX_CACHE = 256_000_000
 
 
 @runtime_checkable
@@ -33,15 +33,15 @@ class Simulator(Protocol):
     """Maps the commands of a recording to the signals that the machine's sensors would read.
 
     :meth:`simulate` takes a recording of n rows, ``time`` [s] even at ``recording.rate_hz``, with ``<axis>.command`` in each
-    row of every axis that was commanded (never NaN; in the units of ``machine.toml``, and not clipped: a gain above one in
-    front of a simulator asks for more than 1). Beside the commands stand the measured signals, NaN where nothing was measured:
-    take from them where the run starts (:func:`starting_value`) and nothing else.
+    row of every axis that was commanded (never NaN; in the units of ``machine.toml``, and not clipped: with a gain above
+    one at the input of a simulator, a command exceeds 1). The table also holds the measured signals, NaN where nothing was
+    measured: take the initial state from them (:func:`starting_value`) and nothing else.
 
-    It returns a table of n rows, row k at ``time`` k, whose columns carry the contract's signal names
-    (``boom.cylinder`` [m], ``boom.joint`` [rad or m], ``ee.x`` … and ``tool.x`` … [m, base frame]); NaN where it says nothing,
-    other columns than these and ``time`` are an error. The same recording has to give the same answer.
+    It returns a table of n rows, row k at ``time`` k, whose columns have canonical signal names
+    (``boom.cylinder`` [m], ``boom.joint`` [rad or m], ``ee.x`` … and ``tool.x`` … [m, base frame]); NaN where it returns no
+    value. Other columns than these and ``time`` are an error. The same recording has to give the same output.
 
-    A simulator may have a ``name``; its class gives it one otherwise.
+    A simulator may have a ``name``; otherwise the name of its class is used.
     """
 
     def simulate(self, recording: Recording) -> pd.DataFrame: ...
@@ -66,27 +66,27 @@ def starting_value(recording: Recording, signal: str, default: float = 0.0) -> f
 
 
 def name_of(simulator: Simulator) -> str:
-    """What messages call it."""
+    """Name of the simulator in messages."""
     return str(getattr(simulator, "name", type(simulator).__name__))
 
 
 @dataclass
-class Runs:
-    """Runs of a simulator, each made once: the same commands for the same recording are looked up.
+class RunCache:
+    """Runs of a simulator, each computed once: a run with the same commands for the same recording is taken from the cache.
 
     Args:
         calls: how often the simulator was called.
-        made, remembered: runs that it made, and runs that were looked up instead.
-        seconds: spent in it.
+        computed, cached: number of runs computed by the simulator, and of those taken from the cache.
+        seconds: time spent in the simulator.
     """
 
     simulator: Simulator
     machine: Machine
     calls: int = 0
-    made: int = 0
-    remembered: int = 0
+    computed: int = 0
+    cached: int = 0
     seconds: float = 0.0
-    _memory: OrderedDict[tuple[int, bytes], tuple[Recording, Signals]] = field(default_factory=OrderedDict, repr=False)
+    _cache: OrderedDict[tuple[int, bytes], tuple[Recording, Signals]] = field(default_factory=OrderedDict, repr=False)
     _size: int = field(default=0, repr=False)
 
     @property
@@ -98,50 +98,51 @@ class Runs:
 
         Args:
             commands: ``<axis>.command`` → (lanes, n), without NaN inside the stretches.
-            stretches: (m, 2) first and last+1 row of each stretch with commands; the simulator starts anew in each, and what
-                lies between them is NaN.
+            stretches: (m, 2) first and last+1 row of each stretch with commands; the simulator is restarted in each; rows
+                between them are NaN.
 
         Raises:
             InputError: the simulator failed, or returned no table of signals.
         """
         lanes = len(next(iter(commands.values())))
         keys = [(id(recording), _digest([part[k] for part in commands.values()])) for k in range(lanes)]
-        new = {key: k for k, key in enumerate(keys) if key not in self._memory}
-        self.remembered += lanes - len(new)
-        found = {key: self._memory[key][1] for key in keys if key not in new}
-        if new:
-            chosen = {signal: part[list(new.values())] for signal, part in commands.items()}
-            for key, signals in zip(new, self._make(recording, chosen, stretches), strict=True):
+        missing = {key: k for k, key in enumerate(keys) if key not in self._cache}
+        self.cached += lanes - len(missing)
+        found = {key: self._cache[key][1] for key in keys if key not in missing}
+        if missing:
+            chosen = {signal: part[list(missing.values())] for signal, part in commands.items()}
+            for key, signals in zip(missing, self._run(recording, chosen, stretches), strict=True):
                 found[key] = signals
-                self._remember(key, recording, signals)
+                self._store(key, recording, signals)
         return [found[key] for key in keys]
 
     def cost(self) -> str:
-        """What was spent, for the notes of a result."""
+        """Number and duration of the runs, for the notes of a result."""
         per_call = 1e3 * self.seconds / max(self.calls, 1)
         return (
-            f"{self.name} was called {self.calls} times for {self.made} runs ({self.seconds:.1f} s, {per_call:.1f} ms a call); "
-            f"{self.remembered} more were looked up"
+            f"{self.name} was called {self.calls} times for {self.computed} runs "
+            f"({self.seconds:.1f} s, {per_call:.1f} ms a call); "
+            f"{self.cached} more were taken from the cache"
         )
 
     def check_repeatable(self, recording: Recording, commands: Mapping[str, Array], stretches: Stretches) -> None:
-        """Two runs of the same commands must agree, since nothing could be fitted to a simulator that rolls dice.
+        """Check that two runs of the same commands agree: a fit needs a deterministic simulator.
 
         Raises:
             InputError: they differ.
         """
         (known,) = self.of(recording, commands, stretches)
-        (again,) = self._make(recording, commands, stretches)
+        (again,) = self._run(recording, commands, stretches)
         differ = [s for s in known if not np.array_equal(known[s], again.get(s, np.empty(0)), equal_nan=True)]
         if differ:
             raise InputError(
                 f"simulator {self.name}, recording {recording.name}",
                 f"{', '.join(differ)}: two runs of the same commands differ",
-                "the same answer every time",
+                "the same output every time",
                 "Fix its random seed, and let it keep no state from one call to the next.",
             )
 
-    def _make(self, recording: Recording, commands: Mapping[str, Array], stretches: Stretches) -> list[Signals]:
+    def _run(self, recording: Recording, commands: Mapping[str, Array], stretches: Stretches) -> list[Signals]:
         lanes = len(next(iter(commands.values())))
         whole: list[dict[str, Array]] = [{} for _ in range(lanes)]
         for first, last in stretches:
@@ -149,7 +150,7 @@ class Runs:
             for k, signals in enumerate(self._call(part, {s: u[:, first:last] for s, u in commands.items()})):
                 for signal, values in signals.items():
                     whole[k].setdefault(signal, np.full(len(recording), np.nan))[first:last] = values
-        self.made += lanes
+        self.computed += lanes
         return list(whole)
 
     def _call(self, part: Recording, commands: Mapping[str, Array]) -> list[Signals]:
@@ -165,8 +166,8 @@ class Runs:
             for k in range(lanes):
                 self.calls += 1
                 table = part.table.assign(**{signal: values[k] for signal, values in commands.items()})
-                said = self.simulator.simulate(replace(part, table=table))
-                found.append(self._checked(said, part, (count,)))
+                returned = self.simulator.simulate(replace(part, table=table))
+                found.append(self._checked(returned, part, (count,)))
             return found
         except InputError:
             raise
@@ -177,34 +178,34 @@ class Runs:
         finally:
             self.seconds += time.perf_counter() - begin
 
-    def _checked(self, said: object, part: Recording, shape: tuple[int, ...]) -> dict[str, Array]:
+    def _checked(self, returned: object, part: Recording, shape: tuple[int, ...]) -> dict[str, Array]:
         where = f"simulator {self.name}, recording {part.name}"
-        if not isinstance(said, Mapping | pd.DataFrame):
-            raise InputError(where, f"returned {type(said).__name__}", "a pandas DataFrame with a column for each signal")
+        if not isinstance(returned, Mapping | pd.DataFrame):
+            raise InputError(where, f"returned {type(returned).__name__}", "a pandas DataFrame with a column for each signal")
         valid = [s for s in canonical_signals(self.machine.axis_names) if split_signal(s)[1] != "command"]
         found = {}
-        for name in said:
+        for name in returned:
             signal = str(name)
             if signal == "time" or split_signal(signal)[1] == "command":
                 continue
             if signal not in valid:
                 raise InputError(where, f"returned the column {signal!r}", nearest(signal, valid))
-            values = np.asarray(said[name], dtype=np.float64)
+            values = np.asarray(returned[name], dtype=np.float64)
             if values.shape != shape:
                 raise InputError(where, f"{signal} has the shape {values.shape}", f"{shape}, a value for each row")
             if np.isinf(values).any():
-                raise InputError(where, f"{signal} is infinite", "finite numbers, or NaN where nothing is known")
+                raise InputError(where, f"{signal} is infinite", "finite numbers, or NaN where there is no value")
             found[signal] = values
         if not found:
             raise InputError(where, "returned no signal", f"some of {', '.join(valid)}")
         return found
 
-    def _remember(self, key: tuple[int, bytes], recording: Recording, signals: Signals) -> None:
-        self._memory[key] = (recording, signals)  # the recording is kept, so that its id is not given to another one
+    def _store(self, key: tuple[int, bytes], recording: Recording, signals: Signals) -> None:
+        self._cache[key] = (recording, signals)  # the recording is kept, so that its id is not reused
         self._size += _bytes(signals)
-        while self._size > MEMORY and len(self._memory) > 1:
-            _, (_, forgotten) = self._memory.popitem(last=False)
-            self._size -= _bytes(forgotten)
+        while self._size > MAX_CACHE and len(self._cache) > 1:
+            _, (_, dropped) = self._cache.popitem(last=False)
+            self._size -= _bytes(dropped)
 
 
 def _bytes(signals: Signals) -> int:
@@ -219,7 +220,7 @@ def _digest(parts: Sequence[Array]) -> bytes:
 
 
 def _cut(recording: Recording, first: int, last: int) -> Recording:
-    """Rows ``first … last`` as a recording of their own, its time from zero."""
+    """Rows ``first … last`` as a separate recording whose time starts at zero."""
     if first == 0 and last == len(recording):
         return recording
     table = recording.table.iloc[first:last].reset_index(drop=True)
@@ -228,6 +229,6 @@ def _cut(recording: Recording, first: int, last: int) -> Recording:
 
 
 def command_signals(recording: Recording, machine: Machine) -> list[str]:
-    """The commands that the recording has at all."""
+    """Command signals that the recording contains."""
     names = (axis_signal(name, "command") for name in machine.axis_names)
     return [name for name in names if not np.isnan(recording.values(name)).all()]

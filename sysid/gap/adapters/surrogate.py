@@ -1,8 +1,9 @@
-"""A quick likeness of a simulator's axis: the plant's own command stage, fitted to what the simulator returns.
+"""Surrogate model of one axis of a simulator: the command stage of the plant, fitted to the simulator's output.
 
-A search tries many starts and many effects: thousands of runs. Where the likeness cannot be told from the simulator within the
-noise of the sensor, on recorded commands and on altered ones, the search runs on it, at microseconds a run; what was found is
-fitted once more, judged and proven on the simulator itself. A likeness that is only close gives a fit its start.
+A search needs thousands of runs: many candidate effects, each from many start values. Where the surrogate agrees with the
+simulator within the noise of the sensor, on recorded commands and on commands altered by test effects, the search runs on the
+surrogate, at microseconds a run; the effects found are then fitted again, compared and proven on the simulator itself. A less
+accurate surrogate still provides the start of a fit.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sysid.datasets.recording import Recording
-from sysid.gap.adapters.input_effects import fed
+from sysid.gap.adapters.input_output_effects import apply_input_effects
 from sysid.gap.candidates import Candidate, candidates_at
 from sysid.gap.data import Data
 from sysid.gap.fit import fit_candidates, place, spread_of
@@ -27,8 +28,8 @@ from sysid.plant.model import SETTLE_WINDOW, frozen, in_parallel
 
 Array = npt.NDArray[np.float64]
 
-#: What a likeness is made of, and how commands are altered to see whether it still is one.
-ALTERED = {
+#: Effects that a surrogate consists of, and the parameter value at which each, as an input effect, tests the surrogate.
+TEST_VALUES = {
     "input_delay": 0.05,
     "valve_deadband": 0.04,
     "gain_curve": 1.2,
@@ -38,83 +39,87 @@ ALTERED = {
     "gain_error": 0.8,
     "asymmetric_gain": 0.9,
 }
-#: A likeness is close where it leaves less than this share of the motion within a short run.
-CLOSE = 0.1
-#: It is faithful where it leaves less than this multiple of the sensor's noise of a whole recording.
-FAITHFUL = 0.3
+#: A surrogate is rejected where its residual over short runs exceeds this share of the motion within them.
+MAX_SHORT_RUN_SHARE = 0.1
+#: It is accurate where its residual over whole recordings is below this multiple of the sensor noise.
+MAX_ERROR = 0.3
 
 
 @dataclass(frozen=True)
-class Likeness:
-    """A likeness of an axis.
+class Surrogate:
+    """Surrogate model of an axis.
 
     Args:
-        problem: the command stage with the likeness in the place of the simulator.
-        error: RMS of what it leaves of whole recordings, in noises of the sensor; the worse of recorded and altered commands.
+        problem: the command stage with the surrogate in place of the simulator.
+        error: RMS residual over whole recordings, in units of the sensor noise; the larger of recorded and test commands.
     """
 
     problem: Problem
     error: float
 
     @property
-    def faithful(self) -> bool:
-        return self.error < FAITHFUL
+    def accurate(self) -> bool:
+        return self.error < MAX_ERROR
 
 
-def likeness_of(problem: Problem, plant: Plant, model: Model, runs: Sequence[Recording], sigma: float) -> Likeness | None:
-    """A likeness of the axis; None where none is close.
+def fit_surrogate(problem: Problem, plant: Plant, model: Model, runs: Sequence[Recording], sigma: float) -> Surrogate | None:
+    """The surrogate of an axis; None where the best fit is too inaccurate.
 
     Args:
         problem: the command stage of an axis, predicted by the simulator.
-        plant: the effects around the simulator; ``model`` without them.
-        runs: recordings with what the simulator made of their commands in the place of what was measured.
+        plant: input and output effects of the simulator; ``model`` without them.
+        runs: recordings whose measured signals are replaced by the output of the simulator.
         sigma: noise of the driven signal [its unit].
     """
     axis = model.machine.axis(problem.target)
     if not runs:
         return None
-    parts = [c for c in candidates_at(plant, model.theta, "command", (axis.name,)) if c.effect.name in ALTERED]
-    parts = [c for c in parts if c.form is c.effect.forms[0]]
+    candidates = [c for c in candidates_at(plant, model.theta, "command", (axis.name,)) if c.effect.name in TEST_VALUES]
+    candidates = [c for c in candidates if c.form is c.effect.forms[0]]
     data = Data(replace(drive_problem(model, axis), nuisances=()), runs, np.array([sigma]))
-    like = fit_candidates(data, model.theta, parts, starting_values(parts, (), 0)).theta
-    short = replace(problem, predict=_predict(model, axis, like, SHORT_RUN), short=None)
-    left = sigma * spread_of(data.residuals(like[None], data.problem.short))
-    if not left < CLOSE * float(np.sqrt(np.nanmean(np.concatenate([_within(r, axis.driven) for r in runs]) ** 2))):
+    fitted = fit_candidates(data, model.theta, candidates, starting_values(candidates, (), 0)).theta
+    short = replace(problem, predict=_predict(model, axis, fitted, SHORT_RUN), short=None)
+    left = sigma * spread_of(data.residuals(fitted[None], data.problem.short))
+    if not left < MAX_SHORT_RUN_SHARE * float(
+        np.sqrt(np.nanmean(np.concatenate([_within(r, axis.driven) for r in runs]) ** 2))
+    ):
         return None
-    whole = replace(problem, predict=_predict(model, axis, like), short=short)
-    altered = _altered(parts, model.theta)
-    differences = [whole.predict(altered, r) - problem.predict(altered, r) for r in runs]
-    return Likeness(whole, max(spread_of(data.residuals(like[None])), spread_of(differences) / sigma))
+    whole = replace(problem, predict=_predict(model, axis, fitted), short=short)
+    tested = _test_effects(candidates, model.theta)
+    differences = [whole.predict(tested, r) - problem.predict(tested, r) for r in runs]
+    return Surrogate(whole, max(spread_of(data.residuals(fitted[None])), spread_of(differences) / sigma))
 
 
-def _altered(parts: Sequence[Candidate], theta: Array) -> Array:
-    """``theta`` with effects in front, (1, N): those that a likeness is made of, all at once."""
-    unknowns = [u for c in parts for u in c.unknowns]
-    return place(theta, unknowns, np.array([[ALTERED[c.effect.name] for c in parts for _ in c.unknowns]]))
+def _test_effects(candidates: Sequence[Candidate], theta: Array) -> Array:
+    """``theta`` with all test effects at the input at once, (1, N)."""
+    unknowns = [u for c in candidates for u in c.unknowns]
+    return place(theta, unknowns, np.array([[TEST_VALUES[c.effect.name] for c in candidates for _ in c.unknowns]]))
 
 
 def _within(recording: Recording, signal: str) -> Array:
-    """Motion within short runs: each from its own mean, (n,)."""
+    """Motion within short runs: deviation from the mean of each, (n,)."""
     values, length = recording.values(signal), max(2, round(SHORT_RUN * recording.rate_hz))
     parts = [values[k : k + length] for k in range(0, len(values), length)]
     return np.concatenate([part - np.mean(part) for part in parts])
 
 
-def _predict(model: Model, axis: Axis, like: Array, restart_every: float | None = None) -> Callable[[Array, Recording], Array]:
-    """Effects in front, the likeness, and effects behind: (lanes, N) → (lanes, n, 1)."""
+def _predict(
+    model: Model, axis: Axis, fitted: Array, restart_every: float | None = None
+) -> Callable[[Array, Recording], Array]:
+    """Input effects, surrogate, output effects: (lanes, N) → (lanes, n, 1)."""
     i = model.axis_index(axis.name)
-    behind = [i * AXIS_WIDTH + at for at in (AT.backlash_drive, AT.joint_compliance_drive)]
+    output_effects = [i * AXIS_WIDTH + at for at in (AT.backlash_drive, AT.joint_compliance_drive)]
 
     def predict(thetas: Array, recording: Recording) -> Array:
         dt, count = 1.0 / recording.rate_hz, len(recording)
         stretches = model.held(recording, axis.name)[1]
-        commands = fed(model, thetas, recording, (axis.name,), stretches)[axis.name]
+        commands = apply_input_effects(model, thetas, recording, (axis.name,), stretches)[axis.name]
         length = max(2, round(restart_every / dt)) if restart_every is not None else count
         pieces = [(k, min(k + length, last)) for first, last in stretches for k in range(first, last, length)]
         segments, size = np.array(pieces, dtype=np.int64).reshape(-1, 2), layout.axis_memory(dt)
         measured, load = frozen(recording.values(axis.driven)), model.load(thetas, recording)[i]
-        lanes = np.repeat(like[None], len(thetas), axis=0)
-        lanes[:, behind] = thetas[:, behind]
+        lanes = np.repeat(fitted[None], len(thetas), axis=0)
+        lanes[:, output_effects] = thetas[:, output_effects]
         (position, out), share = np.full((2, len(thetas), count), np.nan), frozen(np.ones(count))
 
         def lane(k: int) -> None:

@@ -1,21 +1,21 @@
-"""The next experiment: which recording would answer what the recordings so far leave open, as a file that can be executed."""
+"""Experiment design: recordings that would resolve the open hypotheses of a dataset, as files that can be executed."""
 
 from sysid.gap.experiment.experiment import EffectAt, Experiment, Purpose, outside
 from sysid.gap.experiment.file import read_experiment, write_experiment
-from sysid.gap.experiment.open_hypothesis import Question, questions_of
-from sysid.gap.experiment.proposal import Planning, Proposal, propose, rehearse
+from sysid.gap.experiment.open_hypothesis import OpenHypothesis, open_hypotheses
+from sysid.gap.experiment.proposal import Planning, Proposal, dry_run, propose
 
 __all__ = [
     "EffectAt",
     "Experiment",
+    "OpenHypothesis",
     "Planning",
     "Proposal",
     "Purpose",
-    "Question",
+    "dry_run",
+    "open_hypotheses",
     "outside",
     "propose",
-    "questions_of",
     "read_experiment",
-    "rehearse",
     "write_experiment",
 ]

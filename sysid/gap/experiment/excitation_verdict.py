@@ -1,7 +1,7 @@
-"""What recordings are good for, before anything is fitted: for each effect that the machine admits, whether they could show it.
+"""Excitation verdicts before any fit: for each effect that the machine admits, whether the recordings excite it sufficiently.
 
-The counting is the gap workflow's own (:mod:`sysid.gap.excitation`), on the same recordings and the same candidates: what is
-said here is what :func:`sysid.gap.find_gap` will find of excitation.
+The verdicts use the functions of the gap workflow (:mod:`sysid.gap.excitation`), on the same recordings and candidates, and
+equal the excitation that :func:`sysid.gap.find_gap` reports.
 """
 
 from __future__ import annotations
@@ -23,19 +23,19 @@ from sysid.machine import Machine
 from sysid.plant import Model, Plant, compile_plant
 from sysid.signals import axis_signal, point_signals, split_signal
 
-Status = Literal["ready", "lacking", "hidden"]
+VerdictStatus = Literal["ready", "lacking", "hidden"]
 
 
 @dataclass(frozen=True)
-class Verdict:
-    """Whether the recordings could show one effect at one place.
+class ExcitationVerdict:
+    """Whether the recordings excite one effect at one place.
 
     Args:
-        stage: where it would be tried; ``side`` of the joint sensor where the effect has two places.
-        status: ``ready``; ``lacking``: more of the right motion would show it; ``hidden``: no motion does, with these sensors
-            and what is known of the machine.
-        have, need: of ``unit``, in the recordings that a fit may see; None where hidden.
-        text: the verdict in words: what there is and what to record, or why nothing shows it.
+        stage: where it is tested; ``side`` of the joint sensor where the effect has two places.
+        status: ``ready``: sufficient; ``lacking``: more of the right motion is needed; ``hidden``: not observable, with these
+            sensors and this description of the machine.
+        have, need: of ``unit``, in the fit and selection recordings; None where hidden.
+        text: the verdict in words: the count and what to record, or why the effect is not observable.
         record: what to record; empty unless lacking.
     """
 
@@ -43,7 +43,7 @@ class Verdict:
     target: str
     stage: str
     side: str | None
-    status: Status
+    status: VerdictStatus
     have: float | None
     need: float | None
     unit: str
@@ -59,45 +59,45 @@ class Verdict:
 
 
 @dataclass(frozen=True)
-class Wish:
-    """One thing to record, and every effect that it would show: (name, target)."""
+class RecordingRequest:
+    """One recording to make, and the effects that it excites: (name, target)."""
 
     record: str
     effects: tuple[tuple[str, str], ...]
 
 
 @dataclass(frozen=True)
-class Readiness:
-    """The verdicts of a dataset in the order of the signal chain.
+class ExcitationReport:
+    """The excitation verdicts of a dataset, in the order of the signal chain.
 
     Args:
-        counted: recordings in which was counted: those to fit and to select. What is held out shows nothing before the proof.
-        notes: what would stop the gap workflow altogether.
+        counted: fit and selection recordings, in which excitation is counted; the held-out ones are not used before the proof.
+        notes: reasons that would stop the gap workflow altogether.
     """
 
     dataset: str
     plant: str
     counted: tuple[str, ...]
-    verdicts: tuple[Verdict, ...]
+    verdicts: tuple[ExcitationVerdict, ...]
     notes: tuple[str, ...] = ()
 
-    def of(self, status: Status) -> tuple[Verdict, ...]:
+    def of(self, status: VerdictStatus) -> tuple[ExcitationVerdict, ...]:
         return tuple(verdict for verdict in self.verdicts if verdict.status == status)
 
     @property
-    def wishes(self) -> tuple[Wish, ...]:
-        """What to record, that which shows most effects first; axes that need the same are named together."""
+    def requests(self) -> tuple[RecordingRequest, ...]:
+        """Recording requests by number of effects, the largest first; axes that need the same recording are merged."""
         targets: dict[tuple[str, str], list[str]] = {}
         for verdict in self.of("lacking"):
             targets.setdefault((verdict.name, _advice(verdict.name)), []).append(verdict.target)
         wanted: dict[tuple[str, tuple[str, ...]], list[str]] = {}
         for (name, words), places in targets.items():
             wanted.setdefault((words, tuple(dict.fromkeys(places))), []).append(name)
-        wishes = [
-            Wish(words.format(axis=_listed(places)), tuple((name, place) for name in names for place in places))
+        requests = [
+            RecordingRequest(words.format(axis=_listed(places)), tuple((name, place) for name in names for place in places))
             for (words, places), names in wanted.items()
         ]
-        return tuple(sorted(wishes, key=lambda wish: -len(wish.effects)))
+        return tuple(sorted(requests, key=lambda request: -len(request.effects)))
 
     def to_json(self) -> dict[str, Any]:
         return {
@@ -107,18 +107,18 @@ class Readiness:
             "counted": list(self.counted),
             "verdicts": [asdict(verdict) for verdict in self.verdicts],
             "record": [
-                {"text": wish.record, "effects": [{"name": name, "target": target} for name, target in wish.effects]}
-                for wish in self.wishes
+                {"text": request.record, "effects": [{"name": name, "target": target} for name, target in request.effects]}
+                for request in self.requests
             ],
             "notes": list(self.notes),
         }
 
 
-def readiness(dataset: Dataset, plant: Plant) -> Readiness:
-    """Which effects the recordings could show.
+def excitation_report(dataset: Dataset, plant: Plant) -> ExcitationReport:
+    """Which effects the recordings excite.
 
     Args:
-        plant: the simulation that is going to be questioned; what it knows of the machine (linkages) decides what can be tried.
+        plant: the simulation under test; its knowledge of the machine (linkages) determines which effects can be tested.
     """
     model, split, notes = compile_plant(plant), split_of(dataset), []
     if not split.fit or not split.select or not split.held_out:
@@ -133,40 +133,40 @@ def readiness(dataset: Dataset, plant: Plant) -> Readiness:
             stages.append(stage)
     if not stages:
         notes.append("no stage is measured at both its ends: commands and the motion that they cause are needed")
-    judged: dict[tuple[str, str, str | None], Verdict] = {}
+    found: dict[tuple[str, str, str | None], ExcitationVerdict] = {}
     aliases: dict[tuple[str, str], tuple[str, str]] = {}
     for stage in stages:
         for candidate in stage_candidates(case, stage):
             aliases |= dict.fromkeys(candidate.aliases, (candidate.effect.name, candidate.target))
-            if candidate.key not in judged:  # the forms of an effect need the same
-                judged[candidate.key] = _judged(candidate, stage, plant.machine)
+            if candidate.key not in found:  # the forms of an effect need the same
+                found[candidate.key] = _verdict_of(candidate, stage, plant.machine)
     seen = split.seen
-    verdicts = [*judged.values(), *(_read_off(signal, seen, plant.machine) for signal in _sensors(plant.machine, seen))]
+    verdicts = [*found.values(), *(_quantisation(signal, seen, plant.machine) for signal in _sensors(plant.machine, seen))]
     there = {(verdict.name, verdict.target, verdict.side) for verdict in verdicts}
-    why = _Why(dataset, model, aliases)
+    reasons = _Reasons(dataset, model, aliases)
     for effect in CATALOGUE:
         for target, side in _places(effect, plant.machine, dataset, seen):
             if (effect.name, target, side) not in there:
-                verdicts.append(why.hidden(effect, target, side))
+                verdicts.append(reasons.hidden(effect, target, side))
     plant_name = plant.reference or "nominal"
-    return Readiness(dataset.reference, plant_name, tuple(r.name for r in seen), tuple(verdicts), tuple(notes))
+    return ExcitationReport(dataset.reference, plant_name, tuple(r.name for r in seen), tuple(verdicts), tuple(notes))
 
 
-def _judged(candidate: Candidate, stage: Stage, machine: Machine) -> Verdict:
+def _verdict_of(candidate: Candidate, stage: Stage, machine: Machine) -> ExcitationVerdict:
     item = excitation_of(candidate, stage.split.seen, machine)
     return _counted(item, candidate.effect, stage.problem.stage, candidate.side)
 
 
-def _counted(item: Excitation, effect: Effect, stage: str, side: str | None) -> Verdict:
-    status: Status = "ready" if item.sufficient else "lacking"
+def _counted(item: Excitation, effect: Effect, stage: str, side: str | None) -> ExcitationVerdict:
+    status: VerdictStatus = "ready" if item.sufficient else "lacking"
     text, wanted = advice(item), effect.need.advice.format(axis=item.target)
     if item.sufficient:
         text, wanted = text.removesuffix(wanted).rstrip(" ."), ""
-    return Verdict(item.name, item.target, stage, side, status, item.have, item.need, item.unit, text, wanted)
+    return ExcitationVerdict(item.name, item.target, stage, side, status, item.have, item.need, item.unit, text, wanted)
 
 
-def _read_off(signal: str, seen: Sequence[Recording], machine: Machine) -> Verdict:
-    """A sensor's steps are no candidate of a fit: they are read off its readings (:mod:`sysid.gap.readings`)."""
+def _quantisation(signal: str, seen: Sequence[Recording], machine: Machine) -> ExcitationVerdict:
+    """Sensor quantisation is not fitted: it is estimated from the readings (:mod:`sysid.gap.readings`)."""
     effect = next(effect for effect in CATALOGUE if effect.name in READ_OFF)
     count, unit = COUNTS[effect.need.count]
     have = count(seen, machine, signal)
@@ -175,13 +175,13 @@ def _read_off(signal: str, seen: Sequence[Recording], machine: Machine) -> Verdi
 
 
 def _sensors(machine: Machine, recordings: Sequence[Recording]) -> list[str]:
-    """Signals of drives and joints that are measured."""
+    """Measured signals of drives and joints."""
     names = [axis_signal(axis.name, quantity) for axis in machine.axes for quantity in ("cylinder", "joint")]
     return [name for name in names if any(not np.isnan(r.values(name)).all() for r in recordings)]
 
 
 def _places(effect: Effect, machine: Machine, dataset: Dataset, seen: Sequence[Recording]) -> Iterator[tuple[str, str | None]]:
-    """Where the machine admits the effect, whether anything shows it there or not."""
+    """Places at which the machine admits the effect, observable or not."""
     if effect.target == "axis":
         for axis in machine.axes:
             if axis.actuation in effect.actuations:
@@ -196,18 +196,18 @@ def _places(effect: Effect, machine: Machine, dataset: Dataset, seen: Sequence[R
         yield effect.target, None
 
 
-class _Why:
-    """Says why no recording with these sensors shows an effect."""
+class _Reasons:
+    """Reasons why an effect is not observable with these sensors."""
 
     def __init__(self, dataset: Dataset, model: Model, aliases: Mapping[tuple[str, str], tuple[str, str]]) -> None:
         self.machine, self.model, self.aliases = model.machine, model, aliases
         everything = dataset.recordings
         self.measured = {s for r in everything for s in r.signals if not np.isnan(r.values(s)).all()}
 
-    def hidden(self, effect: Effect, target: str, side: str | None) -> Verdict:
+    def hidden(self, effect: Effect, target: str, side: str | None) -> ExcitationVerdict:
         stage = self._stage(effect, target, side)
         reason = self._missing(stage, target) or self._reason(effect, target, side)
-        return Verdict(effect.name, target, stage, side, "hidden", None, None, "", reason)
+        return ExcitationVerdict(effect.name, target, stage, side, "hidden", None, None, "", reason)
 
     def _stage(self, effect: Effect, target: str, side: str | None) -> str:
         if side == "structure":
@@ -218,7 +218,7 @@ class _Why:
         return effect.stage
 
     def _missing(self, stage: str, target: str) -> str:
-        """What the stage would need and is not there; empty where it is."""
+        """What the stage needs and is missing; empty where nothing is."""
         machine = self.machine
         if stage in ("command", "force"):
             axes = [axis for axis in machine.axes if target in (axis.name, "machine")]
@@ -251,15 +251,13 @@ class _Why:
     def _reason(self, effect: Effect, target: str, side: str | None) -> str:
         if (effect.name, target) in self.aliases:
             name, place = self.aliases[effect.name, target]
-            return f"the same as {name} on {place} in every pose, which stands for it"
+            return f"indistinguishable from {name} on {place} in every pose, which represents it"
         if any(parameter.scale == "1/load" for form in effect.forms for parameter in form.parameters):
             return "gravity puts no load on it" if self.machine.kinematics() is not None else "machine.toml names no URDF"
         if side == "drive" and self.machine.axis(target).actuation == "force":
-            return (
-                "a force axis is judged by its force at measured motion, which says nothing of what gives ahead of the sensor"
-            )
+            return "a force axis is compared by its force at measured motion, independent of compliance ahead of the sensor"
         if effect.target == "signal":
-            return "nothing else measures the same: a wrong gain or zero of the simulation would look like it"
+            return "no other sensor measures the same: a wrong gain or zero of the simulation would look the same"
         if effect.target == "stream":
             return "no stage compares its signals with those of another clock"
         return "its stage is not measured at both ends at the same time"

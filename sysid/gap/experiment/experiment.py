@@ -1,4 +1,4 @@
-"""A recording that somebody should make: commands, where to start, what must not be left, and what it is expected to show."""
+"""Specification of one recording to make: commands, initial position, limits, and the information expected from it."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ Limits = Mapping[str, tuple[float, float]]
 
 @dataclass(frozen=True)
 class EffectAt:
-    """An effect and where it sits."""
+    """An effect and its target."""
 
     __pydantic_config__ = STRICT
 
@@ -30,14 +30,14 @@ class EffectAt:
 
 @dataclass(frozen=True)
 class Purpose:
-    """A question that the recording answers.
+    """An open hypothesis that the recording resolves.
 
     Args:
-        kind: effects that tie, or one that the recordings so far could not have shown.
+        kind: ``tie`` (effects that are not identifiable), or ``excitation`` (an effect that is not excited so far).
         text: what is expected, in words.
-        effects: those in question.
-        nats: expected log likelihood ratio between the least separated pair, natural log, after the loser has been refitted.
-        needed: from how many nats on the question counts as answered.
+        effects: those of the hypothesis.
+        nats: expected log-likelihood ratio of the least separated pair, natural logarithm, with the rejected model refitted.
+        needed: nats from which the hypothesis counts as resolved.
     """
 
     __pydantic_config__ = STRICT
@@ -50,7 +50,7 @@ class Purpose:
 
     @property
     def resolves(self) -> bool:
-        """Whether one such recording is expected to answer the question."""
+        """Whether one such recording is expected to resolve the hypothesis."""
         return self.nats >= self.needed
 
 
@@ -60,16 +60,16 @@ class Experiment:
 
     Args:
         machine: name in ``machine.toml``.
-        motion, about: which motion of :data:`sysid.gap.experiment.motions.MOTIONS`, and what it is in words.
-        axes: those that move; the others are held by their commands.
-        repeats: how often the recording has to be made for ``needed`` nats.
-        start: signal → value [m, rad] that the machine stands at when the commands begin.
-        limits: signal → (lowest, highest) that a command may have, and that a measurement may have while it runs. Whoever
-            executes it stops the machine where one is left.
-        predicted: signal → (lowest, highest) that the simulations reached.
+        motion, about: name in :data:`sysid.gap.experiment.motions.MOTIONS`, and its description.
+        axes: axes that move; the others are held by their commands.
+        repeats: number of recordings needed for ``needed`` nats.
+        start: signal → initial value [m, rad].
+        limits: signal → (lowest, highest) value of a command or a measurement during the recording. The machine has to be
+            stopped where a measurement leaves its limits.
+        predicted: signal → (lowest, highest) value in the simulations.
         provenance: dataset and plant versions, seed, software.
-        commands: ``time`` [s] on the grid k/rate_hz and ``<axis>.command`` of every axis. A force axis has the path
-            ``<axis>.joint`` that a position controller has to follow; its command is the force that this is expected to take.
+        commands: ``time`` [s] on the grid k/rate_hz and ``<axis>.command`` of every axis. For a force axis,
+            ``<axis>.joint`` is the path for a position controller, and its command is the force expected for that path.
     """
 
     name: str
@@ -88,18 +88,18 @@ class Experiment:
 
     @property
     def seconds(self) -> float:
-        """How long it takes."""
+        """Duration [s]."""
         return len(self.commands) / self.rate_hz
 
     @property
     def words(self) -> str:
-        """One line for people."""
+        """One-line description."""
         again = f", {self.repeats} times" if self.repeats > 1 else ""
         return f"{self.about} ({self.seconds:.0f} s{again}): {' '.join(purpose.text for purpose in self.purposes)}"
 
 
 def outside(table: pd.DataFrame, limits: Limits) -> list[str]:
-    """Signals of ``table`` that leave their limits anywhere; what is not measured (NaN) leaves nothing."""
+    """Signals of ``table`` that leave their limits anywhere; NaN values are ignored."""
     left = []
     for signal, (low, high) in limits.items():
         if signal in table.columns:
@@ -111,6 +111,6 @@ def outside(table: pd.DataFrame, limits: Limits) -> list[str]:
 
 
 def command_columns(machine: Machine) -> tuple[str, ...]:
-    """Columns that the commands of an experiment have, in order, without ``time``."""
+    """Columns of the commands of an experiment, in order, without ``time``."""
     paths = [axis_signal(axis.name, "joint") for axis in machine.axes if axis.actuation == "force"]
     return (*(axis_signal(axis.name, "command") for axis in machine.axes), *paths)

@@ -1,4 +1,4 @@
-"""How far and how fast each axis may be moved: the machine's own limits less a margin, and what recordings show of it."""
+"""Feasible set of each axis: range, speed and acceleration, from the machine's limits less a margin and from recordings."""
 
 from __future__ import annotations
 
@@ -16,19 +16,19 @@ from sysid.signals import axis_signal
 
 Array = npt.NDArray[np.float64]
 
-#: Speed that a servo is asked for whose recordings hardly moved it [share of its room a second].
-CRAWL = 0.02
+#: Least speed used for a servo that hardly moved in the recordings [share of its range per second].
+MIN_SERVO_SPEED = 0.02
 
 
 @dataclass(frozen=True)
-class Room:
-    """What one axis may do.
+class FeasibleSet:
+    """Feasible motion and commands of one axis.
 
     Args:
-        low, high: of what the command drives [m or rad], margin taken off.
-        home: where recordings are most, inside the two.
-        top: speed of what is driven at full level [m/s or rad/s].
-        rise: largest acceleration, as recordings show it [m/s² or rad/s²]; infinite where it does not limit (valves, servos).
+        low, high: range of the driven signal [m or rad], less the margin.
+        home: median position of the recordings, within the range.
+        max_speed: speed of the driven signal at full level [m/s or rad/s].
+        max_acceleration: from the recordings [m/s² or rad/s²]; infinite where it is no limit (valves, servos).
         command: lowest and highest command.
     """
 
@@ -36,8 +36,8 @@ class Room:
     low: float
     high: float
     home: float
-    top: float
-    rise: float
+    max_speed: float
+    max_acceleration: float
     command: tuple[float, float]
 
     @property
@@ -45,13 +45,13 @@ class Room:
         return self.high - self.low
 
     @property
-    def follows(self) -> bool:
-        """Whether what is prescribed is a path (servo, force under a position controller), not a speed (valve)."""
+    def follows_path(self) -> bool:
+        """Whether a path is prescribed (servo, force axis with a position controller) rather than a speed (valve)."""
         return self.axis.actuation != "velocity"
 
 
-def room_of(plant: Plant, axis: Axis, recordings: Sequence[Recording], margin: float) -> Room | None:
-    """The room of one axis; None where nothing is known of where it may go.
+def feasible_set_of(plant: Plant, axis: Axis, recordings: Sequence[Recording], margin: float) -> FeasibleSet | None:
+    """The feasible set of one axis; None where its range is unknown.
 
     Args:
         margin: share of the range that is kept free at either end.
@@ -70,19 +70,19 @@ def room_of(plant: Plant, axis: Axis, recordings: Sequence[Recording], margin: f
     if not low < high:
         return None
     home = float(np.clip(np.median(visited), low, high)) if len(visited) else 0.5 * (low + high)
-    top, rise = _pace(axis, recordings)
+    max_speed, max_acceleration = _speed_limits(axis, recordings)
     if axis.actuation == "position":
-        top = max(top, CRAWL * (high - low))
-    return Room(axis, low, high, home, top, rise, _command_limits(axis, recordings, low, high))
+        max_speed = max(max_speed, MIN_SERVO_SPEED * (high - low))
+    return FeasibleSet(axis, low, high, home, max_speed, max_acceleration, _command_limits(axis, recordings, low, high))
 
 
-def limits_of(plant: Plant, rooms: Sequence[Room], margin: float) -> Limits:
-    """Signal → (lowest, highest) for the commands, what they drive, and the joints behind it."""
+def limits_of(plant: Plant, feasible_sets: Sequence[FeasibleSet], margin: float) -> Limits:
+    """Signal → (lowest, highest) for the commands, the driven signals and the joints."""
     limits: dict[str, tuple[float, float]] = {}
-    for room in rooms:
-        axis = room.axis
-        limits[axis_signal(axis.name, "command")] = room.command
-        limits[axis.driven] = (room.low, room.high)
+    for feasible in feasible_sets:
+        axis = feasible.axis
+        limits[axis_signal(axis.name, "command")] = feasible.command
+        limits[axis.driven] = (feasible.low, feasible.high)
         if axis.drives == "cylinder" and axis.name in plant.linkages and axis.limits is not None:
             slack = margin * (axis.limits[1] - axis.limits[0])
             limits[axis_signal(axis.name, "joint")] = (axis.limits[0] + slack, axis.limits[1] - slack)
@@ -96,7 +96,7 @@ def _values(recordings: Sequence[Recording], signal: str) -> Array:
 
 
 def _within_joint_limits(plant: Plant, axis: Axis, low: float, high: float, margin: float) -> tuple[float, float]:
-    """The part of the cylinder's room in which the joint keeps to its limits."""
+    """The part of the cylinder range in which the joint stays within its limits."""
     assert axis.limits is not None
     slack = margin * (axis.limits[1] - axis.limits[0])
     grid = np.linspace(low, high, 512)
@@ -105,8 +105,8 @@ def _within_joint_limits(plant: Plant, axis: Axis, low: float, high: float, marg
     return (float(inside.min()), float(inside.max())) if len(inside) else (low, low)
 
 
-def _pace(axis: Axis, recordings: Sequence[Recording]) -> tuple[float, float]:
-    """(top speed, acceleration): of a valve as described, else what recordings keep below 99 % of the time, over 50 ms."""
+def _speed_limits(axis: Axis, recordings: Sequence[Recording]) -> tuple[float, float]:
+    """(speed, acceleration): of a valve from its description, else the 99th percentile in the recordings, over 50 ms."""
     if axis.actuation == "velocity":
         return axis.gain, np.inf
     speeds, rises = [np.zeros(1)], [np.zeros(1)]
@@ -121,15 +121,15 @@ def _pace(axis: Axis, recordings: Sequence[Recording]) -> tuple[float, float]:
             speed = (filled[width:] - filled[:-width]) * recording.rate_hz / width
             speeds.append(np.abs(speed))
             rises.append(np.abs(speed[width:] - speed[:-width]) * recording.rate_hz / width)
-    top, rise = (float(np.percentile(np.concatenate(part), 99)) for part in (speeds, rises))
+    max_speed, max_acceleration = (float(np.percentile(np.concatenate(part), 99)) for part in (speeds, rises))
     if axis.actuation == "position":
-        return max(top, 1e-9), np.inf
-    # Friction is greatest where the axis is fastest, inertia where it turns: a trapezoid has both at once.
-    return max(0.8 * top, 1e-9), max(0.5 * rise, 1e-9)
+        return max(max_speed, 1e-9), np.inf
+    # The friction force is largest at the highest speed, the inertial force at a reversal; a trapezoid contains both.
+    return max(0.8 * max_speed, 1e-9), max(0.5 * max_acceleration, 1e-9)
 
 
 def _command_limits(axis: Axis, recordings: Sequence[Recording], low: float, high: float) -> tuple[float, float]:
-    """A valve takes −1 … 1, a servo its room, a force what was recorded."""
+    """Valve: −1 … 1; servo: its range; force axis: the largest recorded force."""
     if axis.actuation == "velocity":
         return -1.0, 1.0
     if axis.actuation == "position":

@@ -1,7 +1,7 @@
 """An experiment as two files: ``NAME.toml`` says what it is, ``NAME.csv`` beside it holds the commands.
 
-The CSV has canonical column names, so that people, spreadsheets and ``sysid`` itself read it; its sha256 stands in the TOML, so
-that neither is used with another's partner.
+The CSV has canonical column names, so that spreadsheets and ``sysid`` can read it; its sha256 is in the TOML file, so
+that the two are not mixed with files of another experiment.
 """
 
 from __future__ import annotations

@@ -1,10 +1,9 @@
-"""What a recording that nobody has made yet would tell: expected discrimination between models, and precision of parameters.
+"""Expected information of a planned recording: discrimination between models, and precision of parameters.
 
-T-optimality (Atkinson & Fedorov, Biometrika 62 (1975) 57 and 289): make data with one model, let the rival fit them as well as
-it can, and count what is left. Whitened by the noise floor and by the wandering of the machine, half the sum of squares is the
-Kullback-Leibler divergence of the rival, in nats: the log likelihood ratio that the recording is expected to yield. The rival
-may not forget what it has learned: earlier recordings hold its parameters by their Fisher information (sequential design:
-Pronzato, Automatica 44 (2008) 303).
+T-optimality (Atkinson & Fedorov, Biometrika 62 (1975) 57 and 289): data are simulated with one model, the alternative is fitted
+to them, and its residual is evaluated. Whitened by noise floor and drift, half its sum of squares is the Kullback-Leibler
+divergence of the alternative in nats: the expected log-likelihood ratio of the recording. Earlier recordings constrain the
+parameters of the alternative by their Fisher information (sequential design: Pronzato, Automatica 44 (2008) 303).
 """
 
 from __future__ import annotations
@@ -26,11 +25,11 @@ Array = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class Hypothesis:
+class PlausibleModel:
     """A model that may be the true one.
 
     Args:
-        candidate: the effect that makes it what it is; None for the model without it.
+        candidate: the effect that distinguishes it; None for the model without that effect.
         values: of ``unknowns``, (k,).
         theta: the whole parameter vector with them in place.
         known: Fisher information of the unknowns from the recordings so far, (k, k).
@@ -43,24 +42,24 @@ class Hypothesis:
     known: Array
 
 
-def hypothesis(
+def plausible_model(
     base: Array, candidate: Candidate | None, unknowns: Sequence[Unknown], values: Array, seen: Data, drifts: Sequence[Drift]
-) -> Hypothesis:
-    """A model with what the recordings ``seen`` say of its parameters; ``base`` (N,) gives all the others."""
+) -> PlausibleModel:
+    """A model with the information of the recordings ``seen`` on its parameters; ``base`` (N,) gives all others."""
     unknowns = tuple(unknowns)
     known = np.zeros((len(unknowns), len(unknowns)))
     if unknowns:
         slopes = jacobian(seen, base, unknowns, values, drifts)[1]
         known = slopes.T @ slopes
-    return Hypothesis(candidate, unknowns, values, place(base, unknowns, values[None])[0], known)
+    return PlausibleModel(candidate, unknowns, values, place(base, unknowns, values[None])[0], known)
 
 
 @dataclass(frozen=True)
 class Discrimination:
-    """What sets a rival apart.
+    """Expected difference between the true model and an alternative.
 
     Args:
-        nats: expected log likelihood ratio after the rival has been refitted.
+        nats: expected log-likelihood ratio after the alternative has been refitted.
         rmse: error of its prediction before that, in noise floors.
     """
 
@@ -68,45 +67,47 @@ class Discrimination:
     rmse: float
 
 
-def discrimination(data: Data, truth: Hypothesis, rival: Hypothesis, drifts: Sequence[Drift], seed: int = 0) -> Discrimination:
-    """How far ``truth`` and ``rival`` are expected to come apart.
+def discrimination(
+    data: Data, truth: PlausibleModel, alternative: PlausibleModel, drifts: Sequence[Drift], seed: int = 0
+) -> Discrimination:
+    """Expected discrimination between ``truth`` and ``alternative``.
 
-    Nats are the smaller of two: with the wandering that is known (``drifts``), and with the wandering that each model is found
-    to have when noise is added, as the workflow will judge it: a rival may pass what it cannot explain off as wandering.
+    Nats are the smaller of two values: with the known drift (``drifts``), and with the drift estimated for each model after
+    noise is added, as in the workflow, where an alternative may fit a residual that it cannot explain as drift.
 
     Args:
-        data: recordings as ``truth`` would make them, without noise.
+        data: recordings simulated with ``truth``, without noise.
     """
-    best = _refit(data, rival, drifts)
+    best = _refitted(data, alternative, drifts)
     own, left = (0.5 * float(np.sum(_clipped(data.whitened(theta[None], drifts)[0]) ** 2)) for theta in (truth.theta, best))
-    judged = _judged(data, truth.theta, seed) - _judged(data, best, seed)
-    error = np.concatenate([part.ravel() for part in data.residuals(rival.theta[None])])
-    return Discrimination(max(min(left - own, judged), 0.0), math.sqrt(1.0 + float(np.nanmean(error**2))))
+    estimated = _log_likelihood(data, truth.theta, seed) - _log_likelihood(data, best, seed)
+    error = np.concatenate([part.ravel() for part in data.residuals(alternative.theta[None])])
+    return Discrimination(max(min(left - own, estimated), 0.0), math.sqrt(1.0 + float(np.nanmean(error**2))))
 
 
-def _refit(data: Data, rival: Hypothesis, drifts: Sequence[Drift]) -> Array:
-    """The rival's parameter vector that predicts ``data`` best and does not forget what is known, (N,)."""
-    if not rival.unknowns:
-        return rival.theta
-    low, high = (np.array([u.bounds[k] for u in rival.unknowns]) for k in (0, 1))
-    root = _root(rival.known)
+def _refitted(data: Data, alternative: PlausibleModel, drifts: Sequence[Drift]) -> Array:
+    """Parameter vector of the alternative, fitted to ``data`` and its prior information, (N,)."""
+    if not alternative.unknowns:
+        return alternative.theta
+    low, high = (np.array([u.bounds[k] for u in alternative.unknowns]) for k in (0, 1))
+    root = _root(alternative.known)
 
     def errors(x: Array) -> Array:
-        r = data.whitened(place(rival.theta, rival.unknowns, x[None]), drifts)[0]
-        return np.concatenate([_clipped(r), root @ (x - rival.values)])
+        r = data.whitened(place(alternative.theta, alternative.unknowns, x[None]), drifts)[0]
+        return np.concatenate([_clipped(r), root @ (x - alternative.values)])
 
     def slopes(x: Array) -> Array:
-        return np.vstack([jacobian(data, rival.theta, rival.unknowns, x, drifts, high)[1], root])
+        return np.vstack([jacobian(data, alternative.theta, alternative.unknowns, x, drifts, high)[1], root])
 
-    room = 1e-9 * (high - low)
-    scale = np.array([u.negligible for u in rival.unknowns])
-    start = np.clip(rival.values, low + room, high - room)
+    margin = 1e-9 * (high - low)
+    scale = np.array([u.negligible for u in alternative.unknowns])
+    start = np.clip(alternative.values, low + margin, high - margin)
     solution = least_squares(errors, start, slopes, (low, high), x_scale=scale, max_nfev=12)
-    return np.asarray(place(rival.theta, rival.unknowns, solution.x[None])[0])
+    return np.asarray(place(alternative.theta, alternative.unknowns, solution.x[None])[0])
 
 
-def _judged(data: Data, theta: Array, seed: int) -> float:
-    """Log likelihood of the residuals with noise on every bin, under the wandering that is estimated from them."""
+def _log_likelihood(data: Data, theta: Array, seed: int) -> float:
+    """Log-likelihood of the residuals with noise on every bin, under the drift estimated from them."""
     memory = 1.0 if data.problem.integrates else FORGETS
     rng = np.random.default_rng(seed)
     parts = [bins[0] for bins in data.bins(theta[None])]
@@ -117,12 +118,12 @@ def _judged(data: Data, theta: Array, seed: int) -> float:
 
 
 def noise_of_bin(rate_hz: float) -> float:
-    """Standard deviation of the mean of a bin of white noise, in that of a sample."""
+    """Standard deviation of the mean of a bin of white noise, relative to that of a sample."""
     return 1.0 / math.sqrt(max(1, round(BIN * rate_hz)))
 
 
-def precision(data: Data, model: Hypothesis, drifts: Sequence[Drift]) -> Array:
-    """Standard deviations of the unknowns of ``model`` with these recordings and all so far, (k,): Cramér and Rao's bound."""
+def precision(data: Data, model: PlausibleModel, drifts: Sequence[Drift]) -> Array:
+    """Standard deviations of the unknowns of ``model`` from these and all earlier recordings, (k,): Cramér-Rao bound."""
     slopes = jacobian(data, model.theta, model.unknowns, model.values, drifts)[1]
     information = model.known + slopes.T @ slopes
     scale = np.sqrt(np.maximum(np.diag(information), 1e-300))

@@ -15,7 +15,7 @@ from sysid.effects.effect import Stage
 from sysid.gap.likelihood.rows import bin_means
 
 #: Time over which inputs and outputs of a stage are averaged [s]; stages that are not named here keep their rate.
-SPANS: dict[Stage, float] = {"joint": 0.1, "end_effector": 0.1, "tool": 0.04}
+SPANS: dict[Stage, float] = {"joint": 0.1, "end_effector": 0.1}
 
 
 def averaged(recording: Recording, stage: Stage) -> Recording:

@@ -1,7 +1,7 @@
-"""A remainder that repeats itself over time, whatever the machine does: a pump, a leaking valve, another machine.
+"""Periodic disturbance: a residual that is periodic in time, independent of the motion (a pump, another machine).
 
-Its phase is another one in every recording. So the period is searched over all recordings with a phase of its own for each, and
-judged on each recording left out of the search: the phase is taken from its first half, its second half is predicted.
+Its phase differs between recordings. The period is therefore searched over all recordings with one phase per recording, and
+validated on each recording left out of the search: the phase is fitted to its first half, and its second half is predicted.
 """
 
 from __future__ import annotations
@@ -13,19 +13,19 @@ import numpy as np
 import numpy.typing as npt
 
 from sysid.gap.evidence import gain_p_value
-from sysid.gap.unnamed.periodogram import Waves, best_period
-from sysid.gap.unnamed.probes import PARTS, Series, quasi_difference
+from sysid.gap.unnamed.periodogram import Periodogram, best_period
+from sysid.gap.unnamed.residual_series import PARTS, ResidualSeries, quasi_difference
 from sysid.gap.unnamed.terms import Factor, Term, modulations
 
 Array = npt.NDArray[np.float64]
 
-#: Most periods in one recording.
-MOST = 300
+#: Largest number of periods in one recording.
+MAX_PERIODS = 300
 
 
 @dataclass(frozen=True)
-class Rhythm:
-    """A ripple over time: ``size·sin(2π·time/period + φ)·modulation``, judged as a form is (``Judged``)."""
+class PeriodicDisturbance:
+    """``size·sin(2π·time/period + φ)·modulation``; ``share`` and ``p_value`` as in ``ValidatedFormula``."""
 
     period: float
     size: float
@@ -37,22 +37,24 @@ class Rhythm:
         return "·".join([f"{self.size:.3g}·sin(2π·time/{self.period:.4g} + φ)", *map(str, self.modulation)])
 
 
-def find_rhythm(series: Sequence[Series], colour: float, seed: int = 0) -> Rhythm | None:
-    """The rhythm that predicts recordings best which its search did not see; None where there is nothing to search."""
+def find_periodic_disturbance(series: Sequence[ResidualSeries], ar1: float, seed: int = 0) -> PeriodicDisturbance | None:
+    """The disturbance that predicts left-out recordings best; None where there is nothing to search."""
     if not all("time" in part.variables for part in series) or len(series) < 2:
         return None
-    found = [r for r in (_judged(series, modulation, colour, seed) for modulation in modulations(series)) if r is not None]
-    return max(found, key=lambda rhythm: rhythm.share, default=None)
+    found = [r for r in (_validated(series, modulation, ar1, seed) for modulation in modulations(series)) if r is not None]
+    return max(found, key=lambda disturbance: disturbance.share, default=None)
 
 
-def _judged(series: Sequence[Series], modulation: tuple[Factor, ...], colour: float, seed: int) -> Rhythm | None:
-    period = _period(series, modulation, colour)
+def _validated(
+    series: Sequence[ResidualSeries], modulation: tuple[Factor, ...], ar1: float, seed: int
+) -> PeriodicDisturbance | None:
+    period = _period(series, modulation, ar1)
     if period is None:
         return None
     before, after = list[Array](), list[Array]()
     for part in series:
-        searched = _period([other for other in series if other is not part], modulation, colour)
-        y, X = _columns(part, searched or period, modulation, colour)
+        searched = _period([other for other in series if other is not part], modulation, ar1)
+        y, X = _columns(part, searched or period, modulation, ar1)
         half = len(y) // 2
         beta = np.linalg.lstsq(X[:half], y[:half], rcond=None)[0]
         before.append((y[half:] - y[:half].mean()) ** 2)
@@ -60,32 +62,32 @@ def _judged(series: Sequence[Series], modulation: tuple[Factor, ...], colour: fl
     total, rest = np.concatenate(before), np.concatenate(after)
     sizes = []
     for part in series:
-        y, X = _columns(part, period, modulation, colour)
+        y, X = _columns(part, period, modulation, ar1)
         beta = np.linalg.lstsq(X, y, rcond=None)[0]
         sizes.append(float(np.hypot(beta[0], beta[1])))
     share = 1.0 - float(rest.sum() / total.sum()) if total.sum() > 0.0 else 0.0
-    return Rhythm(period, float(np.median(sizes)), modulation, share, gain_p_value(total - rest, seed))
+    return PeriodicDisturbance(period, float(np.median(sizes)), modulation, share, gain_p_value(total - rest, seed))
 
 
-def _period(series: Sequence[Series], modulation: tuple[Factor, ...], colour: float) -> float | None:
-    waves, room, moved = [], np.inf, 0.0
+def _period(series: Sequence[ResidualSeries], modulation: tuple[Factor, ...], ar1: float) -> float | None:
+    periodograms, span, increment = [], np.inf, 0.0
     for part in series:
-        y = quasi_difference(part.target, colour)
+        y = quasi_difference(part.target, ar1)
         there = np.flatnonzero(np.isfinite(y))
         if len(there) < 20:
             continue
         z = part.variables["time"]
         size = Term(modulation).values(part)
         at = (PARTS * (there + 1)).astype(np.int64)
-        waves.append(Waves(z, size, at, part.weights, colour, y[there] - y[there].mean()))
-        room, moved = min(room, float(np.ptp(z))), max(moved, float(np.median(np.diff(z))))
-    return best_period(waves, room, np.array([moved]), MOST) if waves else None
+        periodograms.append(Periodogram(z, size, at, part.weights, ar1, y[there] - y[there].mean()))
+        span, increment = min(span, float(np.ptp(z))), max(increment, float(np.median(np.diff(z))))
+    return best_period(periodograms, span, np.array([increment]), MAX_PERIODS) if periodograms else None
 
 
-def _columns(part: Series, period: float, modulation: tuple[Factor, ...], colour: float) -> tuple[Array, Array]:
+def _columns(part: ResidualSeries, period: float, modulation: tuple[Factor, ...], ar1: float) -> tuple[Array, Array]:
     """Prewhitened target (n,), and sine, cosine and constant (n, 3), where it is measured."""
-    terms = [Term((Factor(how, "time", period), *modulation)) for how in ("sin", "cos")]
-    y = quasi_difference(part.target, colour)
-    X = np.column_stack([*(quasi_difference(term.column(part), colour) for term in terms), np.ones(len(y))])
+    terms = [Term((Factor(function, "time", period), *modulation)) for function in ("sin", "cos")]
+    y = quasi_difference(part.target, ar1)
+    X = np.column_stack([*(quasi_difference(term.column(part), ar1) for term in terms), np.ones(len(y))])
     there = np.isfinite(y)
     return y[there], X[there]

@@ -1,7 +1,8 @@
-"""Least-squares periodogram of filtered columns (Lomb 1976; Scargle 1982), compiled: which period explains most of a rest.
+"""Least-squares periodogram of filtered columns (Lomb 1976; Scargle 1982), compiled: which period explains most of a residual.
 
-The ripple ``size·sin(2π·f·z)`` passes the filter of the target (:class:`sysid.gap.unnamed.probes.Series`) and its prewhitening
-before it is compared, so that a short period is not taken for a small one.
+The ripple ``size·sin(2π·f·z)`` passes the filter of the target
+(:class:`sysid.gap.unnamed.residual_series.ResidualSeries`) and its prewhitening before it is compared, so that the amplitude
+of a ripple with a short period is not underestimated.
 """
 
 from __future__ import annotations
@@ -15,51 +16,53 @@ import numpy.typing as npt
 from numba import njit
 from scipy.optimize import minimize_scalar
 
-from sysid.gap.unnamed.probes import PARTS
+from sysid.gap.unnamed.residual_series import PARTS
 
 Array = npt.NDArray[np.float64]
 Rows = npt.NDArray[np.int64]
 
-#: Fewest and most periods of a ripple inside the range of what it goes with, and steps of the search within one of them.
-LEAST_CYCLES, MOST_CYCLES, FINE = 0.7, 60, 6
+#: Least and largest number of periods inside the span of the variable, and search steps per period.
+MIN_CYCLES, MAX_CYCLES, STEPS = 0.7, 60, 6
 
 
 @dataclass(frozen=True)
-class Waves:
-    """What a ripple of one phase may explain: arguments of :func:`powers`."""
+class Periodogram:
+    """Periodogram of one series with a common phase: arguments of :func:`powers`."""
 
     z: Array
     size: Array
     begin: Rows
     weights: Array
-    colour: float
+    ar1: float
     y: Array
 
     def powers(self, first: float, step: float, count: int) -> Array:
         """Explained sum of squares at each frequency, (count,)."""
-        share = powers(self.z, self.size, self.begin, self.begin - PARTS, self.weights, self.colour, self.y, first, step, count)
+        share = powers(self.z, self.size, self.begin, self.begin - PARTS, self.weights, self.ar1, self.y, first, step, count)
         return np.asarray(share) * float(self.y @ self.y)
 
 
-def best_period(waves: Sequence[Waves], room: float, moved: Array, most: int = MOST_CYCLES) -> float | None:
-    """The period at which ripples explain most, each of ``waves`` with a phase of its own; None where there is no room.
+def best_period(
+    periodograms: Sequence[Periodogram], span: float, increments: Array, max_cycles: int = MAX_CYCLES
+) -> float | None:
+    """The period that explains most, each of ``periodograms`` with its own phase; None where the span is too short.
 
     Args:
-        room: range of what it goes with.
-        moved: how far that moves from one part of a bin to the next; while it does, a period has to last for two bins.
-        most: periods inside the range.
+        span: range of the variable.
+        increments: change of the variable from one part of a bin to the next; while it moves, a period lasts at least two bins.
+        max_cycles: largest number of periods inside the span.
     """
-    moved = moved[moved > 0.02 * moved.max(initial=0.0)]
-    if not room > 0.0 or not len(moved):
+    increments = increments[increments > 0.02 * increments.max(initial=0.0)]
+    if not span > 0.0 or not len(increments):
         return None
-    lowest, step = LEAST_CYCLES / room, 1.0 / (FINE * room)
-    count = int((min(most / room, 1.0 / (2.0 * PARTS * float(np.median(moved)))) - lowest) / step)
+    lowest, step = MIN_CYCLES / span, 1.0 / (STEPS * span)
+    count = int((min(max_cycles / span, 1.0 / (2.0 * PARTS * float(np.median(increments)))) - lowest) / step)
     if count < 3:
         return None
-    peak = lowest + step * int(np.argmax(sum(w.powers(lowest, step, count) for w in waves)))
+    peak = lowest + step * int(np.argmax(sum(w.powers(lowest, step, count) for w in periodograms)))
     best = minimize_scalar(
-        lambda f: -float(sum(w.powers(f, 0.0, 1)[0] for w in waves)), bounds=(peak - step, peak + step), method="bounded",
-        options={"xatol": 2e-3 * step},
+        lambda f: -float(sum(w.powers(f, 0.0, 1)[0] for w in periodograms)),
+        bounds=(peak - step, peak + step), method="bounded", options={"xatol": 2e-3 * step},
     )  # fmt: skip
     return 1.0 / float(best.x)
 
@@ -71,7 +74,7 @@ def powers(
     begin: Rows,
     before: Rows,
     weights: Array,
-    colour: float,
+    ar1: float,
     y: Array,
     first: float,
     step: float,
@@ -83,7 +86,7 @@ def powers(
         z, size: at all parts of bins, one block after the other (p,).
         begin, before: where the parts of each entry begin, and those of the entry before it (n,).
         weights: of the parts in an entry.
-        y: prewhitened remainder of each entry, its mean zero (n,).
+        y: prewhitened residual of each entry, its mean zero (n,).
     """
     parts, entries, width = len(z), len(y), len(weights)
     sines, cosines = np.empty(parts), np.empty(parts)
@@ -103,8 +106,8 @@ def powers(
             s = 0.0
             c = 0.0
             for w in range(width):
-                s += weights[w] * (sines[begin[j] + w] - colour * sines[before[j] + w])
-                c += weights[w] * (cosines[begin[j] + w] - colour * cosines[before[j] + w])
+                s += weights[w] * (sines[begin[j] + w] - ar1 * sines[before[j] + w])
+                c += weights[w] * (cosines[begin[j] + w] - ar1 * cosines[before[j] + w])
             s1 += s
             c1 += c
             ss += s * s

@@ -1,7 +1,7 @@
-"""Structure that no known effect explains: where it is, on what it depends, in which form. Never a name.
+"""Description of a residual that no effect of the catalogue explains: where it is and on what it depends, never a name.
 
-A form is written down only if it predicts recordings that its search did not see. Where no form does, cross-correlations say
-whether the remainder follows anything that was measured; where it does not, it is a disturbance.
+A formula is reported only if it predicts recordings left out of its search. Where no formula does, cross-correlations show
+whether the residual depends on a measured variable; where it does not, it is reported as a random disturbance.
 """
 
 from __future__ import annotations
@@ -15,30 +15,30 @@ from sysid.datasets.recording import Recording
 from sysid.gap.fit import Fit
 from sysid.gap.problem import Problem
 from sysid.gap.result import Probe, Unnamed
-from sysid.gap.unnamed.formula_search import Judged, find_form
-from sysid.gap.unnamed.periodic_disturbance import find_rhythm
-from sysid.gap.unnamed.probes import Series, cross_correlations, series_of
-from sysid.gap.unnamed.terms import Form
+from sysid.gap.unnamed.formula_search import ValidatedFormula, find_formula
+from sysid.gap.unnamed.periodic_disturbance import find_periodic_disturbance
+from sysid.gap.unnamed.residual_series import ResidualSeries, cross_correlations, residual_series
+from sysid.gap.unnamed.terms import Formula
 from sysid.machine import Machine
 from sysid.signals import axis_signal
 
 Array = npt.NDArray[np.float64]
 
-#: Least share of the variance that a form has to explain on recordings it was not fitted to, and chance that it does by luck.
-LEAST, LUCK = 0.06, 0.01
-#: Least correlation that counts as a dependence where no form was found.
-LEAST_CORRELATION = 0.2
-#: Probes that are kept for the reader.
-SHOWN = 5
+#: Least share of the variance that a formula explains on recordings left out of the fit, and largest p-value of that gain.
+MIN_SHARE, MAX_P_VALUE = 0.06, 0.01
+#: Least correlation that counts as a dependence where no formula was found.
+MIN_CORRELATION = 0.2
+#: Number of cross-correlations that are reported.
+MAX_PROBES = 5
 NOTHING = "nothing that was measured"
 
 
-def describe_remainder(problem: Problem, fit: Fit, recordings: Sequence[Recording], machine: Machine) -> list[Unnamed]:
-    """The worst output of the stage: what its remainder follows, and the formula that predicts it.
+def describe_residual(problem: Problem, fit: Fit, recordings: Sequence[Recording], machine: Machine) -> list[Unnamed]:
+    """The output of the stage with the largest residual: the variables it depends on, and the formula that predicts it.
 
     Args:
-        fit: the best that is known of the stage; what it leaves is described.
-        recordings: that may be seen.
+        fit: best fit of the stage; its residual is described.
+        recordings: fit and selection recordings.
     """
     moving = [recording for recording in recordings if recording.kind == "motion"]
     worst: tuple[float, int] | None = None
@@ -51,63 +51,65 @@ def describe_remainder(problem: Problem, fit: Fit, recordings: Sequence[Recordin
     if worst is None:
         return []
     rmse, k = worst
-    found = [series_of(problem, fit.theta, recording, machine, k) for recording in moving]
+    found = [residual_series(problem, fit.theta, recording, machine, k) for recording in moving]
     series = [part for part in found if part is not None]
     if not series:
-        return [Unnamed(problem.stage, problem.target, rmse, NOTHING, "measured for too short to say more")]
+        return [Unnamed(problem.stage, problem.target, rmse, NOTHING, "measured for too short a time to describe it")]
     return [describe(problem, rmse, problem.signals[k], series, machine)]
 
 
-def describe(problem: Problem, rmse: float, signal: str, series: Sequence[Series], machine: Machine) -> Unnamed:
-    """One output of a stage, from its remainder on each recording."""
+def describe(problem: Problem, rmse: float, signal: str, series: Sequence[ResidualSeries], machine: Machine) -> Unnamed:
+    """One output of a stage, from its residual on each recording."""
     what = "rate of the residual" if series[0].rate else "residual"
-    # Where the axis stands still all the time there is no speed to ask about.
+    # A recording without motion of the axis has no speed variable.
     series = [part for part in series if f"speed of {problem.target}" in part.variables] or series
-    judged = find_form(series, _waves(problem, machine))
-    probes = cross_correlations(series, judged.colour)
-    shown = probes[:SHOWN]
-    if judged.form.terms and judged.share >= LEAST and judged.p_value <= LUCK:
-        form, wave = judged.form, _wave(judged.form)
+    found = find_formula(series, _periodic_over(problem, machine))
+    probes = cross_correlations(series, found.ar1)
+    shown = probes[:MAX_PROBES]
+    if found.formula.terms and found.share >= MIN_SHARE and found.p_value <= MAX_P_VALUE:
+        formula, periodic = found.formula, _periodic(found.formula)
         text = (
-            f"{what} of {signal} ≈ {form} (SI units); explains {int(100.0 * judged.share)} % of it "
-            "on recordings that it was not fitted to"
+            f"{what} of {signal} ≈ {formula} (SI units); explains {int(100.0 * found.share)} % of its "
+            "variance on recordings left out of the fit"
         )
-        period, unit = (wave[1], _unit(wave[0], machine)) if wave else (0.0, "")
+        period, unit = (periodic[1], _unit(periodic[0], machine)) if periodic else (0.0, "")
         return Unnamed(
-            problem.stage, problem.target, rmse, ", ".join(_variables(form)), text, judged.share, period, unit, shown
+            problem.stage, problem.target, rmse, ", ".join(_variables(formula)), text, found.share, period, unit, shown
         )  # fmt: skip
-    rhythm = find_rhythm(series, judged.colour)
-    if rhythm is not None and rhythm.share >= LEAST and rhythm.p_value <= LUCK:
-        depends = ", ".join(dict.fromkeys(("time", *(factor.variable for factor in rhythm.modulation))))
+    disturbance = find_periodic_disturbance(series, found.ar1)
+    if disturbance is not None and disturbance.share >= MIN_SHARE and disturbance.p_value <= MAX_P_VALUE:
+        depends = ", ".join(dict.fromkeys(("time", *(factor.variable for factor in disturbance.modulation))))
         text = (
-            f"{what} of {signal} ≈ {rhythm} (SI units), with a phase φ of its own in each recording; explains "
-            f"{int(100.0 * rhythm.share)} % of second halves of recordings whose first halves gave no more than the phase"
+            f"{what} of {signal} ≈ {disturbance} (SI units), with one phase φ per recording; explains "
+            f"{int(100.0 * disturbance.share)} % of the variance of second halves of recordings, with the phase of first halves"
         )
-        return Unnamed(problem.stage, problem.target, rmse, depends, text, rhythm.share, rhythm.period, "s", shown)
-    clear = [p for p in probes if abs(p.correlation) > max(p.bound, LEAST_CORRELATION)]
+        return Unnamed(problem.stage, problem.target, rmse, depends, text, disturbance.share, disturbance.period, "s", shown)
+    clear = [p for p in probes if abs(p.correlation) > max(p.bound, MIN_CORRELATION)]
     if clear:
         best = clear[0]
-        late = f" {best.lag:.1f} s before" if best.lag > 0.0 else ""
+        late = f" {best.lag:.1f} s earlier" if best.lag > 0.0 else ""
         text = (
-            f"{what} of {signal} goes with {best.name}{late} (ρ = {best.correlation:.2f}, chance reaches {best.bound:.2f}), "
-            "but no simple form predicts recordings that it was not fitted to"
+            f"{what} of {signal} correlates with {best.name}{late} (ρ = {best.correlation:.2f}, 1 % bound {best.bound:.2f}), "
+            "but no simple formula predicts recordings left out of the fit"
         )
         return Unnamed(problem.stage, problem.target, rmse, best.name, text, probes=shown)
-    return Unnamed(problem.stage, problem.target, rmse, NOTHING, _nothing(problem, what, series, probes, judged), probes=shown)
+    return Unnamed(problem.stage, problem.target, rmse, NOTHING, _nothing(problem, what, series, probes, found), probes=shown)
 
 
-def _nothing(problem: Problem, what: str, series: Sequence[Series], probes: Sequence[Probe], judged: Judged) -> str:
-    strongest = f" (the clearest is {probes[0].name}: ρ = {probes[0].correlation:.2f}, chance reaches {probes[0].bound:.2f})"
-    text = f"{what}: follows no probe to speak of{strongest if probes else ''}"
+def _nothing(
+    problem: Problem, what: str, series: Sequence[ResidualSeries], probes: Sequence[Probe], found: ValidatedFormula
+) -> str:
+    strongest = f" (the largest is {probes[0].name}: ρ = {probes[0].correlation:.2f}, 1 % bound {probes[0].bound:.2f})"
+    text = f"{what}: no relevant correlation with a measured variable{strongest if probes else ''}"
     if series[0].rate:
         share = _share_of_speed(series, f"speed of {problem.target}")
         return f"{text}; it looks like a random disturbance of about {100.0 * share:.1f} % of the speed"
-    wanders = judged.colour > 0.9
-    return f"{text}; it looks like {'something that wanders at random' if wanders else 'a random disturbance'}"
+    drifts = found.ar1 > 0.9
+    return f"{text}; it looks like {'a random drift' if drifts else 'a random disturbance'}"
 
 
-def _share_of_speed(series: Sequence[Series], name: str) -> float:
-    """RMS of the residual's rate over RMS of the speed, while moving."""
+def _share_of_speed(series: Sequence[ResidualSeries], name: str) -> float:
+    """RMS of the rate of the residual over RMS of the speed, during motion."""
     rate = np.concatenate([part.target for part in series])
     speed = np.concatenate([part.filtered(part.variables[name]) for part in series if name in part.variables] or [0.0 * rate])
     there = np.isfinite(rate)
@@ -115,20 +117,21 @@ def _share_of_speed(series: Sequence[Series], name: str) -> float:
     return float(np.sqrt(np.mean(rate[moving] ** 2) / np.mean(speed[moving] ** 2))) if moving.any() else 0.0
 
 
-def _waves(problem: Problem, machine: Machine) -> tuple[str, ...]:
-    """What a remainder may repeat itself over."""
+def _periodic_over(problem: Problem, machine: Machine) -> tuple[str, ...]:
+    """Variables over which a residual may be periodic."""
     if problem.target in machine.axis_names:
         return (machine.axis(problem.target).driven,)
     return tuple(axis_signal(name, "joint") for name in machine.axis_names)
 
 
-def _wave(form: Form) -> tuple[str, float] | None:
-    waves = [term.wave for term in form.terms if term.wave is not None]
-    return (waves[0].variable, waves[0].number) if waves else None
+def _periodic(formula: Formula) -> tuple[str, float] | None:
+    """Variable and period of the first periodic term."""
+    factors = [term.periodic for term in formula.terms if term.periodic is not None]
+    return (factors[0].variable, factors[0].number) if factors else None
 
 
-def _variables(form: Form) -> tuple[str, ...]:
-    return tuple(dict.fromkeys(variable for term in form.terms for variable in term.variables))
+def _variables(formula: Formula) -> tuple[str, ...]:
+    return tuple(dict.fromkeys(variable for term in formula.terms for variable in term.variables))
 
 
 def _unit(variable: str, machine: Machine) -> str:

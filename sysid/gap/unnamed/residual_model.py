@@ -1,7 +1,8 @@
-"""What no effect explains can be carried: a bounded residual network at its stage, accepted only where held-out errors fall.
+"""Residual model of a stage that no effect explains: a bounded network, accepted only where it lowers the held-out error.
 
-It is trained on the recordings to fit, stopped on those to select, and has to do better there before the held-out ones are
-looked at once. It gets no name but ``unnamed_residual``, never stands among the effects, and says nothing about a cause.
+It is trained on the fit recordings with early stopping on the selection recordings. It has to lower the error on the selection
+recordings before it is evaluated once on the held-out recordings. It is called ``unnamed_residual``, is not listed among the
+effects, and identifies no cause.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ from sysid.gap.floor import problem_floor
 from sysid.gap.localise import stage_rmse
 from sysid.gap.problem import Problem, problems_of
 from sysid.gap.proof import Outcome
-from sysid.gap.result import Carried, Unnamed
+from sysid.gap.result import ResidualModelResult, Unnamed
 from sysid.networks.recurrent import Looks, RecurrentSettings, train_recurrent
 from sysid.plant import Model, Plant, compile_plant, gravity_load
 from sysid.plant.force import force_inputs, hold_of
@@ -33,27 +34,27 @@ Array = npt.NDArray[np.float64]
 
 #: Columns of the inputs (:func:`sysid.plant.residual.inputs_of`), from the end.
 POSITION, SPEED = -5, -4
-#: Seconds between two looks: short against a stroke, long against a sample.
+#: Time between two evaluations of the network [s]: short against a stroke, long against a sample.
 INTERVAL, FORCE_INTERVAL = 0.05, 0.02
-#: It never adds more than this many robust standard deviations of what was left over.
+#: Bound of its output, in robust standard deviations of the residual.
 BOUND = 3.0
-#: A share of the speed never exceeds this, and is only known above this part of the fastest motion.
-MOST, MOVING = 0.9, 0.1
-#: Errors of speed are taken over this time [s], so that sensor noise does not set the bound.
-OVER = 0.2
-#: On the recordings to select the error has to fall to this share before held-out ones are looked at, and not by luck.
-SELECT, LUCK = 0.9, 0.05
-#: The position that a network looks at while it is trained follows what is measured within this time [s].
+#: Bound of its output as a share of the speed, and least speed, relative to the maximum, at which the share is estimated.
+MAX_SPEED_SHARE, MIN_SPEED = 0.9, 0.1
+#: Time over which errors of speed are averaged [s], so that sensor noise does not determine the bound.
+SPEED_WINDOW = 0.2
+#: Largest ratio of the error on the selection recordings with and without the network, and largest p-value of that gain.
+MAX_SELECTION_RATIO, MAX_P_VALUE = 0.9, 0.05
+#: Time constant with which the position input during training follows the measured position [s].
 SMOOTH = 0.25
 
 
 @dataclass(frozen=True)
-class _Left:
-    """A recording on its own grid: inputs of the network (n, F), what is left over (n,), and what is looked at and how often.
+class _ResidualRecording:
+    """A recording at its sample rate: inputs of the network (n, F) and residual (n,).
 
     Args:
-        speed: what a network on a velocity axis says a share of (n,); None elsewhere.
-        stride: samples from one look to the next, ``interval`` seconds.
+        speed: speed of which the network of a velocity axis outputs a share (n,); None elsewhere.
+        stride: samples between two evaluations of the network, ``interval`` seconds.
     """
 
     inputs: Array
@@ -73,58 +74,65 @@ class _Left:
         return Looks(inputs, _mean(self.left[1 : 1 + count * self.stride], self.stride), np.ones(count))
 
 
-def carry(
+def fit_residual_models(
     case: Case,
     stages: Sequence[Stage],
     outcome: Outcome,
     settings: RecurrentSettings | None = None,
     progress: Progress = silent,
 ) -> Outcome:
-    """The outcome with a residual network wherever one helps, for each stage that keeps structure without a name.
+    """The outcome with a residual network for each stage with unnamed structure, where one lowers the held-out error.
 
     Raises:
-        SettingsError: the questioned simulation is not a plant.
+        SettingsError: the simulation under test is not a plant.
     """
-    if case.around is not None:
+    if case.adapter is not None:
         raise SettingsError(
-            f"simulator {case.around.name}", "cannot carry a residual network", "a plant", "Add it inside the simulator itself."
+            f"simulator {case.adapter.name}",
+            "cannot hold a residual network",
+            "a plant",
+            "Add it inside the simulator itself.",
         )
-    repaired, found = outcome.repaired, list[Carried]()
+    repaired, found = outcome.repaired, list[ResidualModelResult]()
     for k, item in enumerate(outcome.unnamed):
         (stage,) = [s for s in stages if (s.problem.stage, s.problem.target) == (item.stage, item.target)]
         if item.stage not in PLACES:
-            text = f"the {stage.label} cannot carry one: only {', '.join(PLACES)} stages can"
-            found.append(Carried(item.stage, item.target, "", float("nan"), float("nan"), float("nan"), False, text))
+            text = f"the {stage.label} cannot hold one: only {', '.join(PLACES)} stages can"
+            found.append(
+                ResidualModelResult(item.stage, item.target, "", float("nan"), float("nan"), float("nan"), False, text)
+            )
             continue
-        tell = part(progress, k / len(outcome.unnamed), (k + 1) / len(outcome.unnamed))
-        tell(0.0, f"{stage.label}: residual network")
-        said, repaired = _carried(case, stage, item, repaired, settings or RecurrentSettings(), tell)
-        found.append(said)
-    notes = [] if outcome.unnamed else ["nothing was left over that a residual network could carry"]
+        stage_progress = part(progress, k / len(outcome.unnamed), (k + 1) / len(outcome.unnamed))
+        stage_progress(0.0, f"{stage.label}: residual network")
+        result, repaired = _fit_stage(case, stage, item, repaired, settings or RecurrentSettings(), stage_progress)
+        found.append(result)
+    notes = [] if outcome.unnamed else ["no stage has an unnamed residual that a residual network could describe"]
     return replace(outcome, repaired=repaired, carried=found, notes=[*outcome.notes, *notes])
 
 
-def _carried(
+def _fit_stage(
     case: Case, stage: Stage, left: Unnamed, repaired: Plant, settings: RecurrentSettings, progress: Progress
-) -> tuple[Carried, Plant]:
-    """Train one network and judge it."""
+) -> tuple[ResidualModelResult, Plant]:
+    """Train the network of one stage and compare the plants with and without it."""
     period = left.period if left.period_unit != "s" else 0.0  # over the position of its axis
     name, target, split = stage.problem.stage, stage.problem.target, stage.split
     plain = repaired.without_residual(name, target)
     problem, model = _problem(plain, case.dataset, name, target)
     (signal,) = problem.signals
-    parts = {r.name: _left(problem, model, r, case.dataset, period) for r in split.seen}
+    parts = {r.name: _residual_recording(problem, model, r, case.dataset, period) for r in split.seen}
     fit, select = ([parts[r.name].looks() for r in rs] for rs in (split.fit, split.select))
     interval = _interval(name, case.dataset.machine.rate_hz)
     bound = _bound([parts[r.name].looks() for r in split.seen], problem.integrates, interval)
     held_out = float(stage_rmse(problem, model.theta, split.held_out)[0])
     floor = float(problem_floor(problem, model.theta, split.held_out, case.noise, case.seed)[0])
 
-    def refused(why: str, after: float = float("nan")) -> tuple[Carried, Plant]:
-        return Carried(name, target, signal, held_out, after, floor, False, f"{stage.label}: {why}", bound), repaired
+    def refused(why: str, after: float = float("nan")) -> tuple[ResidualModelResult, Plant]:
+        return ResidualModelResult(
+            name, target, signal, held_out, after, floor, False, f"{stage.label}: {why}", bound
+        ), repaired
 
     if not bound > 0.0:
-        return refused("nothing is left over to learn from")
+        return refused("there is no residual to learn from")
     trained = train_recurrent(fit, select, bound, interval, problem.integrates, settings, case.seed, progress)
     origin: dict[str, Any] = {
         "dataset": case.dataset.reference,
@@ -137,14 +145,14 @@ def _carried(
         "inputs": [n for n, s in zip(inputs_of(plain.machine, target), trained.weights["scale"], strict=True) if s != 0.0],
     }
     item = Residual(name, target, bound, interval, **trained.weights, origin=origin, period=period)  # type: ignore[arg-type]
-    carrying = plain.with_residual(item)
-    better, loaded = _problem(carrying, case.dataset, name, target)
+    extended = plain.with_residual(item)
+    better, loaded = _problem(extended, case.dataset, name, target)
     before, after = (float(stage_rmse(p, m.theta, split.select)[0]) for p, m in ((problem, model), (better, loaded)))
-    luck = _luck(problem, model.theta, better, loaded.theta, split.select, case.seed)
-    if not after < SELECT * before or luck > LUCK:
+    p_value = _p_value(problem, model.theta, better, loaded.theta, split.select, case.seed)
+    if not after < MAX_SELECTION_RATIO * before or p_value > MAX_P_VALUE:
         return refused(
-            f"a residual network does not predict recordings that it was not fitted to ({signal} {before:.3g} → {after:.3g} "
-            f"on those to select, luck {luck:.2f})"
+            f"a residual network does not predict recordings left out of the fit ({signal} {before:.3g} → {after:.3g} "
+            f"on the selection recordings, p = {p_value:.2f})"
         )
     now = float(stage_rmse(better, loaded.theta, split.held_out)[0])
     if not now < 0.98 * held_out:
@@ -152,7 +160,7 @@ def _carried(
     text = f"{stage.label}: {WARNING}; held-out {signal} {held_out:.3g} → {now:.3g}"
     floor = float(problem_floor(better, loaded.theta, split.held_out, case.noise, case.seed)[0])
     inputs = tuple(origin["inputs"])
-    return Carried(name, target, signal, held_out, now, floor, True, text, bound, inputs), carrying
+    return ResidualModelResult(name, target, signal, held_out, now, floor, True, text, bound, inputs), extended
 
 
 def _problem(plant: Plant, dataset: Dataset, stage: str, target: str) -> tuple[Problem, Model]:
@@ -167,8 +175,10 @@ def _interval(stage: str, rate_hz: float) -> float:
     return max(1, round(wanted * rate_hz)) / rate_hz
 
 
-def _left(problem: Problem, model: Model, recording: Recording, dataset: Dataset, period: float) -> _Left:
-    """What a network would have seen, and what it should have said (or its integral)."""
+def _residual_recording(
+    problem: Problem, model: Model, recording: Recording, dataset: Dataset, period: float
+) -> _ResidualRecording:
+    """Inputs of the network, and its target (or the integral of the target)."""
     axis = model.machine.axis(problem.target)
     i, rate = model.axis_index(axis.name), recording.rate_hz
     interval = _interval(problem.stage, rate)
@@ -176,7 +186,7 @@ def _left(problem: Problem, model: Model, recording: Recording, dataset: Dataset
     commands, speed = model.in_steps(recording, i), None
     load = gravity_load(model.machine, recording)[:, i]
     if not all(len(model.held(recording, name)[1]) for name in model.machine.axis_names):
-        load = np.zeros(len(recording))  # a free run would not know the pose; zero throughout leaves the input out
+        load = np.zeros(len(recording))  # a free run does not know the pose; a constant zero leaves the input out
     if problem.stage == "force":
         inputs = force_inputs(recording, axis, hold=hold_of([r for r in dataset.recordings if r.kind == "motion"], axis))
         left = np.full(len(recording), np.nan)
@@ -187,41 +197,43 @@ def _left(problem: Problem, model: Model, recording: Recording, dataset: Dataset
         predicted = problem.predict(model.theta[None], recording)[0][:, 0]
         left = problem.measured(recording)[:, 0] - predicted
         if problem.stage == "command":
-            position = _bridged(predicted) + _smooth(_bridged(left), SMOOTH * rate)
-            speed = np.append(np.diff(_bridged(predicted)), 0.0) * rate if problem.integrates else None
+            position = _interpolated(predicted) + _smooth(_interpolated(left), SMOOTH * rate)
+            speed = np.append(np.diff(_interpolated(predicted)), 0.0) * rate if problem.integrates else None
         else:
-            position, commands = _bridged(recording.values(axis.driven)), np.zeros_like(commands)
-    turn = 2.0 * np.pi * position / period if period > 0.0 else np.zeros(len(position))
-    waves = (np.sin(turn), np.cos(turn))
-    return _Left(np.column_stack([commands, position, np.zeros(len(load)), load, *waves]), left, speed, stride, interval)
+            position, commands = _interpolated(recording.values(axis.driven)), np.zeros_like(commands)
+    angle = 2.0 * np.pi * position / period if period > 0.0 else np.zeros(len(position))
+    ripple = (np.sin(angle), np.cos(angle))
+    return _ResidualRecording(
+        np.column_stack([commands, position, np.zeros(len(load)), load, *ripple]), left, speed, stride, interval
+    )
 
 
 def _bound(parts: Sequence[Looks], integrates: bool, interval: float) -> float:
-    """A few robust standard deviations of what was left over; of its share in the speed where that is integrated."""
+    """:data:`BOUND` robust standard deviations of the residual; of its share of the speed where the stage integrates."""
     if not integrates:
         joined = np.concatenate([part.left for part in parts])
         joined = joined[np.isfinite(joined)]
         return BOUND * robust_scale(joined) if len(joined) else 0.0
-    lag, shares = max(1, round(OVER / interval)), []
+    lag, shares = max(1, round(SPEED_WINDOW / interval)), []
     for looks in parts:
         moved = interval * np.convolve(looks.size, np.ones(lag), mode="valid")[: len(looks.left) - lag]
         rest = looks.left[lag:] - looks.left[:-lag]
-        moving = np.isfinite(rest) & (np.abs(moved) > MOVING * np.abs(moved).max(initial=0.0))
+        moving = np.isfinite(rest) & (np.abs(moved) > MIN_SPEED * np.abs(moved).max(initial=0.0))
         shares.append(rest[moving] / moved[moving])
     joined = np.concatenate(shares)
-    return min(BOUND * robust_scale(joined), MOST) if len(joined) else 0.0
+    return min(BOUND * robust_scale(joined), MAX_SPEED_SHARE) if len(joined) else 0.0
 
 
 def _mean(values: Array, stride: int) -> Array:
-    """Means over strides; NaN where nothing is there."""
+    """Means over strides; NaN where nothing is measured."""
     blocks = values.reshape(-1, stride)
     there = np.isfinite(blocks)
     total = np.where(there, blocks, 0.0).sum(axis=1) / np.maximum(there.sum(axis=1), 1)
     return np.where(there.any(axis=1), total, np.nan)
 
 
-def _luck(before: Problem, theta: Array, after: Problem, other: Array, recordings: Sequence[Recording], seed: int) -> float:
-    """Chance that what is gained on these recordings is none: squared errors in half seconds, of rates where they integrate."""
+def _p_value(before: Problem, theta: Array, after: Problem, other: Array, recordings: Sequence[Recording], seed: int) -> float:
+    """p-value of the gain on these recordings: squared errors over half seconds, of rates where the stage integrates."""
     gains = []
     for recording in recordings:
         measured = before.measured(recording)[:, 0]
@@ -242,14 +254,14 @@ def _smooth(values: Array, width: float) -> Array:
     return np.asarray(gaussian_filter1d(values, 0.5 * width, mode="nearest"))
 
 
-def _bridged(values: Array) -> Array:
+def _interpolated(values: Array) -> Array:
     there = np.flatnonzero(np.isfinite(values))
     return np.interp(np.arange(len(values)), there, values[there]) if len(there) else np.zeros(len(values))
 
 
 def _nearest(values: Array, reach: int) -> Array:
-    """Each entry that is there, also at its neighbours within ``reach``."""
+    """Values interpolated within ``reach`` samples of a finite entry, NaN elsewhere."""
     from scipy.ndimage import distance_transform_edt
 
     away = np.asarray(distance_transform_edt(~np.isfinite(values)))
-    return np.where(away <= reach, _bridged(values), np.nan)
+    return np.where(away <= reach, _interpolated(values), np.nan)

@@ -1,4 +1,4 @@
-"""Does the disagreement swing? A clear peak in its spectrum: a tool on its pendulum, oil that rings, a boom that bends."""
+"""Resonance in a residual: a clear peak in its spectrum (a swinging tool, oil compressibility, a flexible boom)."""
 
 from __future__ import annotations
 
@@ -12,20 +12,20 @@ from sysid.gap.problem import Problem
 
 Array = npt.NDArray[np.float64]
 
-#: Length of the pieces that spectra are averaged over [s]: frequencies come out to a twentieth of a hertz.
-PIECE = 20.0
-#: Below this [Hz] drift and motion look like an oscillation.
-LOWEST = 0.2
-#: A peak with less than this share of the power that the simulated motion has there follows the motion, and is none of its own.
-OWN = 0.25
-#: A peak is what lies within this share of its frequency; it has to hold this share of the power above the lowest frequency.
-WIDTH, CLEAR = 0.15, 0.5
+#: Length of the segments over which spectra are averaged [s]: a frequency resolution of 0.05 Hz.
+SEGMENT = 20.0
+#: Below this frequency [Hz] drift and motion look like an oscillation.
+MIN_FREQUENCY = 0.2
+#: A peak with less than this share of the power of the simulated motion at that frequency is attributed to the motion.
+MIN_POWER_RATIO = 0.25
+#: Half-width of a peak relative to its frequency, and least share of the power above the minimum frequency that it contains.
+WIDTH, MIN_SHARE = 0.15, 0.5
 
 
-def swinging(problem: Problem, theta: Array, recordings: Sequence[Recording], sigma: Array) -> Array:
-    """Frequency [Hz] of each output's disagreement, (d,); zero where it has none, or is no more than noise ``sigma``.
+def resonance_frequencies(problem: Problem, theta: Array, recordings: Sequence[Recording], sigma: Array) -> Array:
+    """Resonance frequency of the residual of each output [Hz], (d,); zero where there is none, or within noise ``sigma``.
 
-    Averaged periodograms (Welch, IEEE Trans. Audio Electroacoust. 15 (1967)) of all stretches that are measured throughout.
+    Averaged periodograms (Welch, IEEE Trans. Audio Electroacoust. 15 (1967)) of all stretches that are measured without gaps.
     """
     from scipy.signal import welch
 
@@ -37,13 +37,13 @@ def swinging(problem: Problem, theta: Array, recordings: Sequence[Recording], si
     if not parts:
         return found
     rate_hz = parts[0][0]
-    length = round(PIECE * rate_hz)
+    length = round(SEGMENT * rate_hz)
     for k in range(len(found)):
         spectra, of_motion, rows, square = [], [], 0, 0.0
         for rate, simulated, residual in parts:
             if abs(rate - rate_hz) > 1e-6 * rate_hz:
                 continue
-            for stretch in _whole(residual[:, k]):
+            for stretch in _stretches(residual[:, k]):
                 if stretch.stop - stretch.start < length // 2:
                     continue
                 piece, motion = (_bridged(values[stretch, k]) for values in (residual, simulated))
@@ -58,18 +58,18 @@ def swinging(problem: Problem, theta: Array, recordings: Sequence[Recording], si
 
 
 def _peak(frequency: Array, power: Array, motion: Array) -> float:
-    """Frequency of the highest peak if it holds most of the power and does not follow the motion, else zero."""
-    above = frequency >= LOWEST
+    """Frequency of the highest peak if it contains most of the power and is not due to the motion, else zero."""
+    above = frequency >= MIN_FREQUENCY
     top = float(frequency[above][np.argmax(power[above])])
     near = above & (np.abs(frequency - top) <= WIDTH * top)
-    if near[np.argmax(above)] or float(power[near].sum()) < CLEAR * float(power[above].sum()):
+    if near[np.argmax(above)] or float(power[near].sum()) < MIN_SHARE * float(power[above].sum()):
         return 0.0
-    if float(power[near].sum()) < OWN * float(motion[near].sum()):
+    if float(power[near].sum()) < MIN_POWER_RATIO * float(motion[near].sum()):
         return 0.0
     return float(power[near] @ frequency[near] / power[near].sum())
 
 
-def _whole(values: Array) -> list[slice]:
+def _stretches(values: Array) -> list[slice]:
     """Stretches without a gap of more than a few rows."""
     rows = np.flatnonzero(~np.isnan(values))
     if not len(rows):
@@ -79,7 +79,7 @@ def _whole(values: Array) -> list[slice]:
 
 
 def _bridged(values: Array) -> Array:
-    """Short gaps filled linearly, the mean taken off."""
+    """Short gaps interpolated linearly, the mean subtracted."""
     there = ~np.isnan(values)
     filled = np.interp(np.arange(len(values)), np.flatnonzero(there), values[there])
     return np.asarray(filled - filled.mean())

@@ -1,4 +1,4 @@
-"""What a remainder may be made of: factors of what was measured, terms as their products, forms as sums of terms."""
+"""Terms of a residual formula: factors of measured variables, terms as products of factors, formulas as sums of terms."""
 
 from __future__ import annotations
 
@@ -9,24 +9,24 @@ from itertools import groupby
 import numpy as np
 import numpy.typing as npt
 
-from sysid.gap.unnamed.probes import Series
+from sysid.gap.unnamed.residual_series import ResidualSeries
 
 Array = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True)
 class Factor:
-    """One part of a term: what is done (``how``) with a variable, and a number that belongs to it (centre or period)."""
+    """One factor of a term: a ``function`` of a measured variable, with its ``number`` (centre, time constant or period)."""
 
-    how: str
+    function: str
     variable: str
     number: float = 0.0
 
-    def values(self, series: Series) -> Array:
-        return _HOW[self.how](series.variables[self.variable], self.number)
+    def values(self, series: ResidualSeries) -> Array:
+        return _FUNCTIONS[self.function](series.variables[self.variable], self.number)
 
     def __str__(self) -> str:
-        return _words(self)
+        return _factor_text(self)
 
 
 @dataclass(frozen=True)
@@ -35,12 +35,12 @@ class Term:
 
     factors: tuple[Factor, ...] = ()
 
-    def column(self, series: Series) -> Array:
-        """What it does to the target, (m,)."""
+    def column(self, series: ResidualSeries) -> Array:
+        """Its contribution to the target, (m,)."""
         return series.filtered(self.values(series))
 
-    def values(self, series: Series) -> Array:
-        """At the parts of the bins."""
+    def values(self, series: ResidualSeries) -> Array:
+        """Values at the parts of the bins."""
         out = np.ones(len(next(iter(series.variables.values()))))
         for factor in self.factors:
             out = out * factor.values(series)
@@ -51,21 +51,21 @@ class Term:
         return tuple(dict.fromkeys(f.variable for f in self.factors))
 
     @property
-    def wave(self) -> Factor | None:
-        """The factor that repeats itself."""
-        return next((f for f in self.factors if f.how in ("sin", "cos")), None)
+    def periodic(self) -> Factor | None:
+        """The sine or cosine factor; None where the term is not periodic."""
+        return next((f for f in self.factors if f.function in ("sin", "cos")), None)
 
     @property
     def group(self) -> tuple[Factor, ...]:
-        """Sine and cosine of one ripple belong together."""
-        return tuple(Factor("wave", f.variable, f.number) if f.how in ("sin", "cos") else f for f in self.factors)
+        """Key of the group of the term: sine and cosine of one ripple form one group."""
+        return tuple(Factor("periodic", f.variable, f.number) if f.function in ("sin", "cos") else f for f in self.factors)
 
     def __str__(self) -> str:
         return "·".join(map(str, self.factors))
 
 
 @dataclass(frozen=True)
-class Form:
+class Formula:
     """A sum of terms and a constant.
 
     Args:
@@ -76,7 +76,7 @@ class Form:
     coefficients: tuple[float, ...] = ()
     constant: float = 0.0
 
-    def predict(self, series: Series) -> Array:
+    def predict(self, series: ResidualSeries) -> Array:
         """(m,)"""
         out = np.full(len(series.target), self.constant)
         for coefficient, term in zip(self.coefficients, self.terms, strict=True):
@@ -88,58 +88,58 @@ class Form:
         pairs = zip(self.terms, self.coefficients, strict=True)
         for _, members in groupby(pairs, key=lambda pair: pair[0].group):
             listed = list(members)
-            wave = listed[0][0].wave
-            if wave is None:
+            periodic = listed[0][0].periodic
+            if periodic is None:
                 parts.append((listed[0][1], str(listed[0][0])))
                 continue
-            sizes = {term.wave.how: c for term, c in listed if term.wave is not None}
+            sizes = {term.periodic.function: c for term, c in listed if term.periodic is not None}
             sine, cosine = sizes.get("sin", 0.0), sizes.get("cos", 0.0)
             size, phase = np.hypot(sine, cosine), np.arctan2(cosine, sine)
-            rest = [str(f) for f in listed[0][0].factors if f is not wave]
-            said = f"sin(2π·{wave.variable}/{wave.number:.4g} {'+' if phase >= 0.0 else '−'} {abs(phase):.2f})"
-            parts.append((float(size), "·".join([said, *rest])))
-        said = ""
+            rest = [str(f) for f in listed[0][0].factors if f is not periodic]
+            sine_text = f"sin(2π·{periodic.variable}/{periodic.number:.4g} {'+' if phase >= 0.0 else '−'} {abs(phase):.2f})"
+            parts.append((float(size), "·".join([sine_text, *rest])))
+        out = ""
         for k, (value, text) in enumerate(parts):
             sign = ("−" if value < 0.0 else "") if k == 0 else (" − " if value < 0.0 else " + ")
-            said += f"{sign}{abs(value):.3g}·{text}"
-        return said
+            out += f"{sign}{abs(value):.3g}·{text}"
+        return out
 
 
-def modulations(blocks: Sequence[Series]) -> list[tuple[Factor, ...]]:
-    """What the size of a ripple may go with."""
+def modulations(blocks: Sequence[ResidualSeries]) -> list[tuple[Factor, ...]]:
+    """Factors by which the amplitude of a ripple may be modulated."""
     if not blocks[0].rate:
         return [()]
-    ways = [name for name in blocks[0].variables if name.startswith("direction of ")]
-    speeds = [name.replace("direction", "speed", 1) for name in ways[:1]]
-    moving = [(Factor("abs", name),) for name in ways[:1]]
-    return [(), *moving, *((Factor(how, name),) for name in speeds for how in ("is", "abs"))]
+    directions = [name for name in blocks[0].variables if name.startswith("direction of ")]
+    speeds = [name.replace("direction", "speed", 1) for name in directions[:1]]
+    moving = [(Factor("abs", name),) for name in directions[:1]]
+    return [(), *moving, *((Factor(function, name),) for name in speeds for function in ("identity", "abs"))]
 
 
-_HOW: dict[str, Callable[[Array, float], Array]] = {
-    "is": lambda x, _: x,
+_FUNCTIONS: dict[str, Callable[[Array, float], Array]] = {
+    "identity": lambda x, _: x,
     "abs": lambda x, _: np.abs(x),
     "square": lambda x, _: x * x,
     "signed square": lambda x, _: x * np.abs(x),
     "cube": lambda x, _: x**3,
-    "off": lambda x, centre: x - centre,
-    "off square": lambda x, centre: (x - centre) ** 2,
-    "fading": lambda x, seconds: np.exp(-x / seconds),
+    "offset": lambda x, centre: x - centre,
+    "offset square": lambda x, centre: (x - centre) ** 2,
+    "decay": lambda x, seconds: np.exp(-x / seconds),
     "sin": lambda x, period: np.sin(2.0 * np.pi * x / period),
     "cos": lambda x, period: np.cos(2.0 * np.pi * x / period),
 }
 
 
-def _words(factor: Factor) -> str:
-    name, off = factor.variable, f"({factor.variable} {'−' if factor.number >= 0.0 else '+'} {abs(factor.number):g})"
-    if factor.number == 0.0 and factor.how.startswith("off"):
-        off = name if factor.how == "off" else f"({name})"
+def _factor_text(factor: Factor) -> str:
+    name, offset = factor.variable, f"({factor.variable} {'−' if factor.number >= 0.0 else '+'} {abs(factor.number):g})"
+    if factor.number == 0.0 and factor.function.startswith("offset"):
+        offset = name if factor.function == "offset" else f"({name})"
     return {
-        "is": name,
+        "identity": name,
         "abs": f"|{name}|",
         "square": f"({name})²",
         "signed square": f"{name}·|{name}|",
         "cube": f"({name})³",
-        "off": off,
-        "off square": f"{off}²",
-        "fading": f"exp(−{name}/{factor.number:g} s)",
-    }.get(factor.how, f"{factor.how}(2π·{name}/{factor.number:.4g})")
+        "offset": offset,
+        "offset square": f"{offset}²",
+        "decay": f"exp(−{name}/{factor.number:g} s)",
+    }.get(factor.function, f"{factor.function}(2π·{name}/{factor.number:.4g})")

@@ -153,16 +153,17 @@ def _cards(gap: GapResult, marks: Sequence[Mark], machine: Machine, units: Mappi
             if not item.depends_on.startswith("nothing")
             else "It follows nothing that was measured."
         )
-        quiet = [known, *_carried(gap, item, machine, units)]
+        quiet = [known, *_residual_models(gap, item, machine, units)]
         cards.append(_card(len(cards) + 1, "Unexplained", words.owner_name(item.target), said, quiet, sure=False))
     return cards
 
 
-def _carried(gap: GapResult, item: Unnamed, machine: Machine, units: Mapping[str, str]) -> list[str]:
-    """What a residual network does about it; that it is no physics."""
+def _residual_models(gap: GapResult, item: Unnamed, machine: Machine, units: Mapping[str, str]) -> list[str]:
+    """What a residual network changes, and that it is no physics."""
     unit = remainder_unit(item.stage, item.target, machine, units)
     return [
-        f"Carried by a bounded network (unnamed_residual), learned from the recordings: it is no physics and names no cause. "
+        "Described by a bounded residual network (unnamed_residual), learned from the recordings: it is no physics and names "
+        "no cause. "
         f"Held-out error of the stage: {display.quantity(c.before, unit, 2)} → {display.quantity(c.after, unit, 2)}."
         for c in gap.carried
         if c.accepted and (c.stage, c.target) == (item.stage, item.target)

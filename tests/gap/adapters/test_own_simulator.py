@@ -1,4 +1,4 @@
-"""A simulator of one's own, as in the guide: what it lacks is named in front of it and behind it, and nothing else."""
+"""A simulator of one's own, as in the guide: missing input and output effects are named, and nothing else is."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ from plant_data import ROLES, arm, dataset_of, nominal, slide, steered
 
 from sysid.datasets.recording import Dataset, Recording
 from sysid.errors import ExcitationError, InputError, SettingsError
-from sysid.gap import Around, Simulator, find_gap, starting_value, steps
-from sysid.gap.adapters.adapter import around_simulator
-from sysid.gap.adapters.simulator import Runs
+from sysid.gap import Simulator, SimulatorAdapter, find_gap, starting_value, steps
+from sysid.gap.adapters.adapter import adapt_simulator
+from sysid.gap.adapters.simulator import RunCache
 from sysid.machine import KnownEffect, machine_from_files
 from sysid.plant import compile_plant, free_run
 
@@ -70,17 +70,17 @@ def play(x: Array, width: float = 0.02) -> Array:
     return out
 
 
-def as_it_is(x: Array) -> Array:
+def identity(x: Array) -> Array:
     return x
 
 
-def lift_data(front: Any = as_it_is, behind: Any = as_it_is, seconds: float = 30.0) -> Dataset:
-    """Recordings of a machine that is the guide's simulator, with something in front of it or behind it."""
+def lift_data(at_input: Any = identity, at_output: Any = identity, seconds: float = 30.0) -> Dataset:
+    """Recordings of a machine that is the guide's simulator, with an effect at its input or output."""
     recordings, count = [], round(seconds * 50.0)
     for k in range(len(ROLES)):
         rng = np.random.default_rng([7, k])
         command = steered(count, 50.0, 0.3, 0.8, rng)
-        angle = behind(lift()().angle(front(command)[None], 0.1, 50.0)[0])
+        angle = at_output(lift()().angle(at_input(command)[None], 0.1, 50.0)[0])
         columns = {
             "time": np.arange(count) / 50.0,
             "lift.command": command,
@@ -94,8 +94,8 @@ def lift_data(front: Any = as_it_is, behind: Any = as_it_is, seconds: float = 30
 @pytest.mark.parametrize(
     ("dataset", "name", "parameters"),
     [
-        pytest.param(lambda: lift_data(front=late), "input_delay", {"delay": 0.12}, marks=pytest.mark.slow),
-        (lambda: lift_data(behind=play), "backlash", {"width": 0.02}),
+        pytest.param(lambda: lift_data(at_input=late), "input_delay", {"delay": 0.12}, marks=pytest.mark.slow),
+        (lambda: lift_data(at_output=play), "backlash", {"width": 0.02}),
     ],
 )
 def test_hidden_effect_is_named(dataset: Any, name: str, parameters: dict[str, float]) -> None:
@@ -105,7 +105,7 @@ def test_hidden_effect_is_named(dataset: Any, name: str, parameters: dict[str, f
     assert dict(effect.parameters) == pytest.approx(parameters, rel=0.01)
     assert result.gap.after["lift.joint"] < 1.5 * NOISE < 10.0 * NOISE < result.gap.before["lift.joint"]
     assert result.plant_before == "lift model"
-    assert any("lift model is taken as it is" in note for note in result.notes)
+    assert any("lift model is not changed" in note for note in result.notes)
 
 
 def test_nothing_hidden_is_named_nothing_at_the_cost_of_a_few_runs() -> None:
@@ -116,7 +116,7 @@ def test_nothing_hidden_is_named_nothing_at_the_cost_of_a_few_runs() -> None:
 
 
 def test_page_step_by_step(capsys: pytest.CaptureFixture[str]) -> None:
-    dataset = lift_data(front=dead_band)
+    dataset = lift_data(at_input=dead_band)
     names: dict[str, Any] = {"dataset": dataset}
     for block in page():
         exec(compile(block, str(PAGE), "exec"), names)
@@ -126,12 +126,12 @@ def test_page_step_by_step(capsys: pytest.CaptureFixture[str]) -> None:
     (named,) = names["result"].effects
     assert dict(named.parameters) == pytest.approx({"positive": 0.1, "negative": 0.07}, rel=0.01)
     assert names["proof"].outcome.named[0].parameters == named.parameters
-    assert names["wishes"] == names["result"].next_experiment
-    offered = {offer.label for offer in names["offers"]}
-    assert {"valve_deadband(lift)", "backlash(lift, drive)", "oil_compressibility(lift)"} <= offered
-    assert not [label for label in offered if "pump" in label or "load" in label]
+    assert names["requests"] == names["result"].next_experiment
+    proposed = {item.label for item in names["proposals"]}
+    assert {"valve_deadband(lift)", "backlash(lift, drive)", "oil_compressibility(lift)"} <= proposed
+    assert not [label for label in proposed if "pump" in label or "load" in label]
     repaired, unseen = names["repaired"], dataset.recording("run-4")
-    assert isinstance(repaired, Around)
+    assert isinstance(repaired, SimulatorAdapter)
     assert isinstance(repaired, Simulator)
     assert [effect.name for effect in repaired.effects] == ["valve_deadband"]
     error = repaired.simulate(unseen)["lift.joint"].to_numpy() - unseen.values("lift.joint")
@@ -168,19 +168,19 @@ def bent_data(gain: float) -> Dataset:
     return replace(base, recordings=tuple(made))
 
 
-def test_only_a_faithful_likeness_is_searched() -> None:
-    for simulator, faithful in ((lift()(), True), (Bent(), False)):
+def test_only_an_accurate_surrogate_is_searched() -> None:
+    for simulator, accurate in ((lift()(), True), (Bent(), False)):
         dataset = lift_data(seconds=10.0)
-        around = around_simulator(simulator, dataset)
-        (problem,) = around.problems(dataset)
-        assert (around.to_search(problem) is not problem) == faithful
+        adapter = adapt_simulator(simulator, dataset)
+        (problem,) = adapter.problems(dataset)
+        assert (adapter.search_problem(problem) is not problem) == accurate
 
 
 @pytest.mark.slow
-def test_without_a_likeness_the_simulator_itself_is_searched() -> None:
+def test_without_a_surrogate_the_simulator_itself_is_searched() -> None:
     result = find_gap(bent_data(0.8), Bent(), forms="simple")
     assert [(e.name, round(float(e.parameters["ratio"]), 2)) for e in result.effects] == [("gain_error", 0.8)]  # type: ignore[arg-type]
-    assert not any("likeness" in note for note in result.notes)
+    assert not any("surrogate" in note for note in result.notes)
 
 
 class Opaque:
@@ -210,14 +210,14 @@ INSIDE = (
         pytest.param(KnownEffect("joint_offset", "boom", {"offset": 0.01}), "offset", marks=pytest.mark.slow),
         (None, ""),
     ],
-    ids=["in front", "behind a cylinder", "behind the joints", "nothing"],
+    ids=["input effect", "after a cylinder", "after the joints", "nothing"],
 )
 def test_crane_with_linkage_kinematics_and_a_swinging_tool(hidden: KnownEffect | None, parameter: str) -> None:
     truth = nominal(*INSIDE, *([hidden] if hidden else []))
     result = find_gap(dataset_of(truth, 20.0, seed=3), Opaque(*INSIDE))
     assert result.unnamed == ()
     assert [(e.name, e.target) for e in result.effects] == ([(hidden.name, hidden.target)] if hidden else [])
-    assert any("gripper_sway on tool is inside crane model already: length = 0.25" in note for note in result.notes)
+    assert any("gripper_sway on tool is already modelled by crane model: length = 0.25" in note for note in result.notes)
     for signal, after in result.gap.after.items():
         assert after < 1.6 * result.gap.noise_floor[signal], signal
     if hidden:
@@ -225,28 +225,28 @@ def test_crane_with_linkage_kinematics_and_a_swinging_tool(hidden: KnownEffect |
         assert found == pytest.approx(hidden.parameters[parameter], rel=0.03)
 
 
-def test_a_gap_in_the_commands_starts_the_simulator_anew() -> None:
+def test_a_gap_in_the_commands_restarts_the_simulator() -> None:
     dataset = lift_data(seconds=10.0)
     table = dataset.recordings[0].table.copy()
     table.loc[200:249, "lift.command"] = np.nan
     recording = replace(dataset.recordings[0], table=table)
-    around = around_simulator(lift()(), dataset)
-    angle = around.simulate(recording)["lift.joint"].to_numpy()
+    adapter = adapt_simulator(lift()(), dataset)
+    angle = adapter.simulate(recording)["lift.joint"].to_numpy()
     # A command is held for a tenth of a second; the second stretch starts from what is measured there.
     assert np.flatnonzero(np.isnan(angle)).tolist() == list(range(205, 250))
     assert abs(np.median((angle - recording.values("lift.joint"))[250:260])) < 1e-12
 
 
-def test_runs_are_made_once() -> None:
+def test_runs_are_computed_once() -> None:
     dataset = lift_data(seconds=5.0)
     recording = dataset.recordings[0]
-    runs, command = Runs(lift()(), dataset.machine), recording.values("lift.command")
+    runs, command = RunCache(lift()(), dataset.machine), recording.values("lift.command")
     lanes = {"lift.command": np.array([command, 0.5 * command, command])}
     stretch = np.array([[0, len(recording)]])
     first = runs.of(recording, lanes, stretch)
-    assert (runs.calls, runs.made, runs.remembered) == (1, 2, 1)
+    assert (runs.calls, runs.computed, runs.cached) == (1, 2, 1)
     again = runs.of(recording, {"lift.command": lanes["lift.command"][:1]}, stretch)
-    assert (runs.calls, runs.made, runs.remembered) == (1, 2, 2)
+    assert (runs.calls, runs.computed, runs.cached) == (1, 2, 2)
     assert again[0] is first[0] is first[2]
     assert "was called 1 times for 2 runs" in runs.cost()
 
@@ -283,7 +283,7 @@ def test_answers_that_are_none(answer: Any, message: str) -> None:
     assert message in str(error.value)
 
 
-def test_dice_are_no_simulator() -> None:
+def test_a_random_simulator_is_refused() -> None:
     rng = np.random.default_rng(0)
     with pytest.raises(InputError, match=r"lift.joint: two runs of the same commands differ.*Fix its random seed"):
         find_gap(lift_data(seconds=5.0), Said(lambda n: pd.DataFrame({"lift.joint": rng.normal(size=n)})))
@@ -296,10 +296,10 @@ def test_what_a_simulator_does_not_return_is_not_searched() -> None:
 
 def test_effects_inside_and_registries_are_refused() -> None:
     dataset = dataset_of(nominal(machine=slide()), 2.0)
-    around = around_simulator(Said(lambda n: pd.DataFrame({"slide.joint": np.zeros(n)})), dataset)
-    with pytest.raises(SettingsError, match="simulator Said: coulomb_friction acts inside; expected an effect around it"):
-        around.with_effects([KnownEffect("coulomb_friction", "slide", {"force": 1.0})])
-    assert any("moved by force: coulomb_friction" in note for note in around.notes([]))
+    adapter = adapt_simulator(Said(lambda n: pd.DataFrame({"slide.joint": np.zeros(n)})), dataset)
+    with pytest.raises(SettingsError, match="simulator Said: coulomb_friction acts inside; expected an input or output effect"):
+        adapter.with_effects([KnownEffect("coulomb_friction", "slide", {"force": 1.0})])
+    assert any("moved by force: coulomb_friction" in note for note in adapter.notes([]))
     dataset = dataset_of(nominal(), 5.0)
     with pytest.raises(SettingsError, match="simulator crane model: cannot be stored"):
         find_gap(dataset, Opaque(), add=True)
@@ -307,8 +307,8 @@ def test_effects_inside_and_registries_are_refused() -> None:
         steps.prove(steps.open_study(dataset, Opaque()))
 
 
-def test_effects_around_are_those_of_the_plant() -> None:
-    """In front and behind, effects do the same as in a plant of which the simulator is the rest."""
+def test_input_and_output_effects_act_as_in_the_plant() -> None:
+    """An effect at the input or output of a simulator acts as in a plant whose other parts equal the simulator."""
     added = (
         KnownEffect("valve_deadband", "slew", {"positive": 0.1, "negative": 0.05}),
         KnownEffect("backlash", "slew", {"width": 0.01}, "drive"),
@@ -319,11 +319,11 @@ def test_effects_around_are_those_of_the_plant() -> None:
     )
     truth = nominal(*added)
     dataset = dataset_of(truth, 10.0)
-    own = around_simulator(Opaque(), dataset, added)
+    own = adapt_simulator(Opaque(), dataset, added)
     recording = dataset.recordings[-1]
-    around, plant = own.simulate(recording), free_run(truth, recording)
+    adapted, plant = own.simulate(recording), free_run(truth, recording)
     noise = arm().noise
     for signal in plant.columns:
         if signal != "time":
-            apart = np.abs(around[signal].to_numpy() - plant[signal].to_numpy()).max()
+            apart = np.abs(adapted[signal].to_numpy() - plant[signal].to_numpy()).max()
             assert apart < 3.0 * noise[str(signal)], signal

@@ -1,4 +1,4 @@
-"""The verdicts before a fit: they are those of the gap workflow, and say what to record."""
+"""Excitation verdicts before a fit equal those of the gap workflow, and say what to record."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from sysid.effects import CATALOGUE
 from sysid.gap import find_gap
 from sysid.gap.candidates import READ_OFF
 from sysid.gap.excitation import COUNTS
-from sysid.gap.experiment.excitation_verdict import Readiness, Verdict, readiness
+from sysid.gap.experiment.excitation_verdict import ExcitationReport, ExcitationVerdict, excitation_report
 
 Array = npt.NDArray[np.float64]
 LAG = KnownEffect("first_order_lag", "slew", {"time_constant": 0.1})
@@ -28,7 +28,7 @@ def short() -> Dataset:
     return dataset_of(nominal(LAG), 8.0)
 
 
-def verdict(found: Readiness, name: str, target: str, side: str | None = None) -> Verdict:
+def verdict(found: ExcitationReport, name: str, target: str, side: str | None = None) -> ExcitationVerdict:
     (match,) = (v for v in found.verdicts if (v.name, v.target, v.side) == (name, target, side))
     return match
 
@@ -48,9 +48,9 @@ def test_the_verdicts_are_the_excitation_of_the_gap_workflow(machine: str, short
         plant = nominal(machine=arm(), streams=CAPTURE if machine == "capture" else None)
         dataset = replace(short, streams=CAPTURE) if machine == "capture" else short
     result = find_gap(dataset, plant, localise_only=True)
-    found = readiness(dataset, plant)
-    judged = [v.excitation for v in found.verdicts if v.excitation is not None and v.name not in READ_OFF]
-    assert tuple(judged) == result.excitation
+    found = excitation_report(dataset, plant)
+    excitations = [v.excitation for v in found.verdicts if v.excitation is not None and v.name not in READ_OFF]
+    assert tuple(excitations) == result.excitation
     lacking = [v.text for v in found.of("lacking") if v.name not in READ_OFF]
     assert result.verdict == "no_gap" or lacking == list(result.next_experiment)
 
@@ -63,74 +63,76 @@ def test_four_reversals_are_said_to_be_four(short: Dataset) -> None:
         path = np.interp(np.linspace(0, len(corners) - 1, len(recording)), np.arange(len(corners)), corners)
         return {"slew.joint": path + np.random.default_rng(k).normal(0.0, 2e-3, len(recording))}
 
-    found = readiness(changed(short, turned), nominal())
+    found = excitation_report(changed(short, turned), nominal())
     play = verdict(found, "backlash", "slew", "drive")
     assert (play.status, play.have, play.need) == ("lacking", 4.0, 8.0)
     assert play.text == (
         "backlash on slew: 4 reversals, about 8 needed. "
         "Record 20 slow reversals of slew, with at least 5 % of its range between them."
     )
-    sides = [wish.effects.count(("backlash", "slew")) for wish in found.wishes]
-    assert sum(sides) == 1, "one wish for both sides of the sensor"
+    sides = [request.effects.count(("backlash", "slew")) for request in found.requests]
+    assert sum(sides) == 1, "one request for both sides of the sensor"
 
 
-def test_recordings_with_everything_are_ready_for_everything() -> None:
+def test_sufficient_recordings_are_ready_for_every_effect() -> None:
     machine = loaded_arm()
     plant = nominal(machine=machine, streams=CAPTURE)
-    found = readiness(replace(dataset_of(nominal(machine=machine), 90.0), streams=CAPTURE), plant)
+    found = excitation_report(replace(dataset_of(nominal(machine=machine), 90.0), streams=CAPTURE), plant)
     assert [v.text for v in found.of("lacking")] == []
-    assert found.wishes == ()
+    assert found.requests == ()
     names = {v.name for v in found.of("ready")}
     force_only = {effect.name for effect in CATALOGUE if effect.actuations == ("force",)}
     assert names == {effect.name for effect in CATALOGUE} - force_only
 
 
-def test_axes_that_need_the_same_are_named_together(short: Dataset) -> None:
-    found = readiness(short, nominal())
-    wish = next(wish for wish in found.wishes if ("temperature_drift", "slew") in wish.effects)
-    assert wish.record == "Record slew and boom moving evenly to and fro for ten minutes from a cold start."
-    served = [effect for wish in found.wishes for effect in wish.effects]
+def test_axes_that_need_the_same_recording_share_a_request(short: Dataset) -> None:
+    found = excitation_report(short, nominal())
+    request = next(request for request in found.requests if ("temperature_drift", "slew") in request.effects)
+    assert request.record == "Record slew and boom moving evenly to and fro for ten minutes from a cold start."
+    served = [effect for request in found.requests for effect in request.effects]
     assert sorted(served) == sorted({(v.name, v.target) for v in found.of("lacking")})
-    assert [len(wish.effects) for wish in found.wishes] == sorted((len(w.effects) for w in found.wishes), reverse=True)
+    assert [len(request.effects) for request in found.requests] == sorted(
+        (len(w.effects) for w in found.requests), reverse=True
+    )
 
 
-def test_what_nothing_shows_says_why(short: Dataset) -> None:
+def test_an_unobservable_effect_has_a_reason(short: Dataset) -> None:
     unseen = changed(short, lambda k, r: {s: np.full(len(r), np.nan) for s in ("boom.joint", "tool.x", "tool.y", "tool.z")})
-    found = readiness(unseen, nominal())
+    found = excitation_report(unseen, nominal())
     assert verdict(found, "backlash", "boom", "drive").text == "boom.joint is not measured"
     assert verdict(found, "gripper_sway", "tool").text == "tool is not measured"
     assert verdict(found, "sensor_scale", "boom.cylinder").text == "boom.joint is not measured"
-    assert verdict(found, "sensor_bias", "slew.joint").text.startswith("nothing else measures the same")
+    assert verdict(found, "sensor_bias", "slew.joint").text.startswith("no other sensor measures the same")
     sag = verdict(found, "joint_compliance", "slew", "structure")
     assert sag.status == "hidden"
     assert sag.excitation is None
-    bare = readiness(dataset_of(nominal(machine=slide()), 6.0), nominal(machine=slide()))
+    bare = excitation_report(dataset_of(nominal(machine=slide()), 6.0), nominal(machine=slide()))
     assert verdict(bare, "base_misalignment", "base").text == "machine.toml names no URDF"
     assert "force at measured motion" in verdict(bare, "backlash", "slide", "drive").text
     assert not [v for v in bare.verdicts if v.name == "valve_deadband"], "a force has no valve"
 
 
-def test_every_place_is_judged_once(short: Dataset) -> None:
-    found = readiness(short, nominal())
+def test_every_place_has_one_verdict(short: Dataset) -> None:
+    found = excitation_report(short, nominal())
     places = [(v.name, v.target, v.side) for v in found.verdicts]
     assert len(places) == len(set(places))
     assert all((v.have is None) == (v.status == "hidden") and v.text for v in found.verdicts)
     assert all(bool(v.record) == (v.status == "lacking") for v in found.verdicts)
 
 
-def test_only_what_a_fit_may_see_is_counted(short: Dataset) -> None:
-    assert readiness(short, nominal()).counted == ("run-1", "run-2", "run-3")
+def test_only_fit_and_selection_recordings_are_counted(short: Dataset) -> None:
+    assert excitation_report(short, nominal()).counted == ("run-1", "run-2", "run-3")
 
 
 def test_too_few_recordings_are_counted_all_the_same(short: Dataset) -> None:
     alone = replace(short, recordings=short.recordings[:1], splits={"run-1": "fit"})
-    found = readiness(alone, nominal())
+    found = excitation_report(alone, nominal())
     assert found.notes == ("too few recordings: sysid gap needs some to fit, to select and to hold out",)
     assert verdict(found, "input_delay", "slew").have is not None
 
 
 def test_json_has_the_words(short: Dataset) -> None:
-    found = readiness(short, nominal())
+    found = excitation_report(short, nominal())
     value = found.to_json()
     assert value["verdicts"][0]["text"] == found.verdicts[0].text
     assert {"text", "effects"} == set(value["record"][0])

@@ -1,4 +1,4 @@
-"""An experiment survives its files, and files that were changed are refused."""
+"""An experiment is written and read without loss, and changed files are refused."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from plant_data import arm, nominal, slide
-from short_supply import slow_dataset
+from weak_excitation import slow_dataset
 
 from sysid.errors import SettingsError
 from sysid.gap import find_gap
@@ -20,7 +20,7 @@ from sysid.reports.archive import load_gap, save_gap
 
 TIE = Purpose(
     "tie",
-    'input_delay on boom and "first_order_lag" on boom should then differ by about 31 nats; 20 decide.',
+    'input_delay on boom and "first_order_lag" on boom: expected log-likelihood ratio 31 nats, 20 required.',
     (EffectAt("input_delay", "boom"), EffectAt("first_order_lag", "boom")),
     31.25,
     20.0,
@@ -77,7 +77,7 @@ def changed(folder: Path, old: str, new: str) -> Path:
         ('"boom.command" = [-1.0, 1.0]', '"boom.command" = [-0.4, 0.4]', "leaves its limits.*Do not execute this file"),
         ("rate_hz = 100.0", "rate_hz = 50.0", "is not k / rate_hz"),
         ("seconds = 0.04", "seconds = 4.0", "0.04 s long; expected 4 s"),
-        ('machine = "arm"', 'machine = "leg"', "'leg'; expected 'arm'"),
+        ('machine = "arm"', 'machine = "segment"', "'segment'; expected 'arm'"),
         ('axes = ["boom"]', 'axes = ["bom"]', "unknown axis 'bom'; expected 'boom'"),
     ],
 )
@@ -121,4 +121,4 @@ def test_kept_beside_the_result(tmp_path: Path) -> None:
     assert first.to_json()["experiments"][0]["file"] == "experiments/boom-steps.toml"
     save_gap(tmp_path, replace(result, experiments=(made([0.0], "boom-rest"),)))
     left = sorted(p.name for p in (tmp_path / "experiments").iterdir())
-    assert left == ["boom-rest.csv", "boom-rest.toml"], "nobody should execute those of the result before"
+    assert left == ["boom-rest.csv", "boom-rest.toml"], "experiments of the previous result are removed"

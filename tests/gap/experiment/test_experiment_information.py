@@ -1,4 +1,4 @@
-"""What a recording is expected to tell is what it tells."""
+"""The expected information of a recording equals the information that simulated recordings yield."""
 
 from __future__ import annotations
 
@@ -7,88 +7,91 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from plant_data import KnownEffect, nominal
-from short_supply import coarse_arm, slow_dataset, tie
+from weak_excitation import coarse_arm, slow_dataset, tie
 
 from sysid.gap.data import Data
-from sysid.gap.experiment import Experiment, Planning, propose, rehearse
-from sysid.gap.experiment.information import Hypothesis, discrimination, noise_of_bin, precision
-from sysid.gap.experiment.open_hypothesis import Question
+from sysid.gap.experiment import Experiment, Planning, dry_run, propose
+from sysid.gap.experiment.information import PlausibleModel, discrimination, noise_of_bin, precision
+from sysid.gap.experiment.open_hypothesis import OpenHypothesis
 from sysid.gap.fit import fit_candidates
 from sysid.plant import Plant
 
 NOISE = 6e-4
 
 
-def asked() -> tuple[Plant, Question, Experiment]:
+def planned() -> tuple[Plant, OpenHypothesis, Experiment]:
     plant = nominal(machine=coarse_arm(NOISE))
     lag = plant.with_effect(KnownEffect("first_order_lag", "boom", {"time_constant": 0.1}))
-    case, repaired, question = tie(slow_dataset(lag, 8.0), plant, "command", "boom", "first_order_lag", "input_delay")
-    (experiment,) = propose(case, repaired, [question], Planning(gap=1.0, lengths=(20.0,))).experiments
-    return repaired, question, experiment
+    case, repaired, hypothesis = tie(slow_dataset(lag, 8.0), plant, "command", "boom", "first_order_lag", "input_delay")
+    (experiment,) = propose(case, repaired, [hypothesis], Planning(gap=1.0, lengths=(20.0,))).experiments
+    return repaired, hypothesis, experiment
 
 
-def rehearsed(truth: Plant, question: Question, experiment: Experiment) -> Data:
-    return Data(question.stage.problem, [rehearse(truth, experiment)], question.stage.sigma)
+def simulated(truth: Plant, hypothesis: OpenHypothesis, experiment: Experiment) -> Data:
+    return Data(hypothesis.stage.problem, [dry_run(truth, experiment)], hypothesis.stage.sigma)
 
 
-def forgetting(model: Hypothesis) -> Hypothesis:
+def without_prior(model: PlausibleModel) -> PlausibleModel:
     return replace(model, known=np.zeros_like(model.known))
 
 
 def test_a_model_does_not_differ_from_itself() -> None:
-    truth, question, experiment = asked()
-    data = rehearsed(truth, question, experiment)
-    first, second = question.models
-    assert discrimination(data, first, first, question.drifts).nats == pytest.approx(0.0, abs=1e-3)
-    assert discrimination(data, first, first, question.drifts).rmse == pytest.approx(1.0, abs=1e-3)
-    assert discrimination(data, first, second, question.drifts).nats > 20.0
-    assert discrimination(data, first, second, question.drifts).rmse > 1.05
+    truth, hypothesis, experiment = planned()
+    data = simulated(truth, hypothesis, experiment)
+    first, second = hypothesis.models
+    assert discrimination(data, first, first, hypothesis.drifts).nats == pytest.approx(0.0, abs=1e-3)
+    assert discrimination(data, first, first, hypothesis.drifts).rmse == pytest.approx(1.0, abs=1e-3)
+    assert discrimination(data, first, second, hypothesis.drifts).nats > 20.0
+    assert discrimination(data, first, second, hypothesis.drifts).rmse > 1.05
 
 
-def test_a_rival_that_forgets_comes_nearer() -> None:
-    truth, question, experiment = asked()
-    data = rehearsed(truth, question, experiment)
-    first, second = question.models
-    near = discrimination(data, first, forgetting(second), question.drifts).nats
-    assert near <= discrimination(data, first, second, question.drifts).nats + 1e-6
+def test_an_alternative_without_prior_information_is_harder_to_reject() -> None:
+    truth, hypothesis, experiment = planned()
+    data = simulated(truth, hypothesis, experiment)
+    first, second = hypothesis.models
+    near = discrimination(data, first, without_prior(second), hypothesis.drifts).nats
+    assert near <= discrimination(data, first, second, hypothesis.drifts).nats + 1e-6
 
 
 def test_expected_precision_is_the_scatter_of_fits() -> None:
     """Forty noisy recordings fitted: the standard deviation of the time constant is the Cramér-Rao bound."""
-    truth, question, experiment = asked()
-    clean = rehearse(truth, experiment)
-    first = question.models[0]
-    data = Data(question.stage.problem, [clean], question.stage.sigma)
-    bound = float(precision(data, forgetting(first), question.drifts)[0])
+    truth, hypothesis, experiment = planned()
+    clean = dry_run(truth, experiment)
+    first = hypothesis.models[0]
+    data = Data(hypothesis.stage.problem, [clean], hypothesis.stage.sigma)
+    bound = float(precision(data, without_prior(first), hypothesis.drifts)[0])
     assert first.candidate is not None
     found = []
     for seed in range(40):
         noisy = clean.values("boom.cylinder") + np.random.default_rng(seed).normal(0.0, NOISE, len(clean))
         recording = replace(clean, table=clean.table.assign(**{"boom.cylinder": noisy}))
         fit = fit_candidates(
-            Data(question.stage.problem, [recording], question.stage.sigma), truth.vector(), (first.candidate,), [first.values]
+            Data(hypothesis.stage.problem, [recording], hypothesis.stage.sigma),
+            truth.vector(),
+            (first.candidate,),
+            [first.values],
         )
         found.append(float(fit.values[0]))
     assert np.std(found) == pytest.approx(bound, rel=0.35), "forty fits give a standard deviation to ± 11 %"
 
 
 def test_expected_nats_are_those_of_noisy_recordings() -> None:
-    """The log likelihood ratio of truth and refitted rival on noisy recordings, as the workflow computes it."""
-    truth, question, experiment = asked()
-    clean = rehearse(truth, experiment)
-    first, second = (forgetting(model) for model in question.models)
-    expected = discrimination(Data(question.stage.problem, [clean], question.stage.sigma), first, second, question.drifts)
+    """The log likelihood ratio of truth and refitted alternative on noisy recordings, as the workflow computes it."""
+    truth, hypothesis, experiment = planned()
+    clean = dry_run(truth, experiment)
+    first, second = (without_prior(model) for model in hypothesis.models)
+    expected = discrimination(Data(hypothesis.stage.problem, [clean], hypothesis.stage.sigma), first, second, hypothesis.drifts)
     assert second.candidate is not None
     ratios = []
     for seed in range(20):
         noisy = clean.values("boom.cylinder") + np.random.default_rng(seed).normal(0.0, NOISE, len(clean))
         data = Data(
-            question.stage.problem,
+            hypothesis.stage.problem,
             [replace(clean, table=clean.table.assign(**{"boom.cylinder": noisy}))],
-            question.stage.sigma,
+            hypothesis.stage.sigma,
         )
-        rival = fit_candidates(data, nominal(machine=coarse_arm(NOISE)).vector(), (second.candidate,), [second.values])
-        ratios.append(data.drifts(first.theta)[1] - rival.log_likelihood)
+        alternative = fit_candidates(data, nominal(machine=coarse_arm(NOISE)).vector(), (second.candidate,), [second.values])
+        ratios.append(data.drifts(first.theta)[1] - alternative.log_likelihood)
     assert np.mean(ratios) == pytest.approx(expected.nats, rel=0.25)
 
 

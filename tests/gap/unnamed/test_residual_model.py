@@ -1,4 +1,4 @@
-"""What has no name is carried by a bounded network where that helps on held-out recordings, and nowhere else."""
+"""Residual networks describe what has no name where they lower the held-out error, and nowhere else."""
 
 from __future__ import annotations
 
@@ -11,18 +11,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 from plant_data import dataset_of, nominal
-from remainder_data import BASE, Rate, disturbed_dataset, heavy, ripple, white
 from sample_crane import sample_dataset, sample_unnamed
+from unnamed_data import BASE, Rate, disturbed_dataset, heavy, ripple, white
 
 from sysid.cli import main
 from sysid.cli.output import Printer
-from sysid.cli.tables import show_carried
+from sysid.cli.tables import show_residual_models
 from sysid.datasets.recording import Dataset
 from sysid.errors import SettingsError
 from sysid.gap import find_gap, steps
 from sysid.gap.proof import Outcome, with_carried
-from sysid.gap.result import Carried, Gap, GapResult, Unnamed
-from sysid.gap.unnamed.residual_model import carry
+from sysid.gap.result import Gap, GapResult, ResidualModelResult, Unnamed
+from sysid.gap.unnamed.residual_model import fit_residual_models
 from sysid.networks.recurrent import Looks, RecurrentSettings, train_recurrent
 from sysid.plant import free_run, plant_from_files
 from sysid.registry import Registry
@@ -42,14 +42,14 @@ def data(rate: Rate) -> Dataset:
 
 
 @functools.cache
-def carried(rate: Rate, period: float = 0.0) -> Outcome:
+def modelled(rate: Rate, period: float = 0.0) -> Outcome:
     study = steps.open_study(data(rate), BASE)
-    return carry(study.case, study.stages, Outcome(BASE, unnamed=[unnamed(period=period)]), QUICK)
+    return fit_residual_models(study.case, study.stages, Outcome(BASE, unnamed=[unnamed(period=period)]), QUICK)
 
 
 @pytest.mark.parametrize(("rate", "period"), [(heavy, 0.0), (ripple, 0.03)])
 def test_held_out_errors_fall(rate: Rate, period: float) -> None:
-    outcome = carried(rate, period)
+    outcome = modelled(rate, period)
     (item,) = outcome.carried
     assert item.accepted
     assert item.after < 0.35 * item.before
@@ -65,17 +65,17 @@ def test_held_out_errors_fall(rate: Rate, period: float) -> None:
     assert errors[1] == pytest.approx(item.after, rel=0.3), "the whole chain runs with it too"
 
 
-def test_its_bound_is_taken_from_the_data() -> None:
-    (item,) = carried(ripple, 0.03).carried
-    (residual,) = carried(ripple, 0.03).repaired.residuals
+def test_its_bound_is_estimated_from_the_data() -> None:
+    (item,) = modelled(ripple, 0.03).carried
+    (residual,) = modelled(ripple, 0.03).repaired.residuals
     assert item.bound == residual.bound
     assert 0.1 < item.bound < 0.4, "three standard deviations of a tenth of the speed, as a sine"
     assert "sine over boom.cylinder" in item.inputs
     assert residual.period == 0.03
 
 
-def test_it_knows_what_it_was_learned_from_and_nothing_held_out() -> None:
-    (residual,) = carried(heavy).repaired.residuals
+def test_it_records_its_provenance_and_uses_no_held_out_data() -> None:
+    (residual,) = modelled(heavy).repaired.residuals
     assert residual.origin["dataset"] == "arm@1"
     assert residual.origin["fit"] == ["run-1", "run-2"]
     assert residual.origin["select"] == ["run-3"]
@@ -83,54 +83,54 @@ def test_it_knows_what_it_was_learned_from_and_nothing_held_out() -> None:
     spoiled = recordings[3].table.assign(**{"boom.cylinder": 0.06})
     other = replace(data(heavy), recordings=(*recordings[:3], replace(recordings[3], table=spoiled)))
     study = steps.open_study(other, BASE)
-    again = carry(study.case, study.stages, Outcome(BASE, unnamed=[unnamed()]), QUICK)
+    again = fit_residual_models(study.case, study.stages, Outcome(BASE, unnamed=[unnamed()]), QUICK)
     for found in again.repaired.residuals:
         assert np.array_equal(found.W, residual.W)
-    assert again.carried[0].before != carried(heavy).carried[0].before
+    assert again.carried[0].before != modelled(heavy).carried[0].before
 
 
 def test_the_same_seed_gives_the_same_network() -> None:
     study = steps.open_study(data(ripple), BASE)
-    again = carry(study.case, study.stages, Outcome(BASE, unnamed=[unnamed(period=0.03)]), QUICK)
-    assert again.repaired.to_files() == carried(ripple, 0.03).repaired.to_files()
+    again = fit_residual_models(study.case, study.stages, Outcome(BASE, unnamed=[unnamed(period=0.03)]), QUICK)
+    assert again.repaired.to_files() == modelled(ripple, 0.03).repaired.to_files()
 
 
-def test_a_random_disturbance_is_not_carried() -> None:
-    (item,) = carried(white).carried
+def test_a_random_disturbance_gets_no_residual_model() -> None:
+    (item,) = modelled(white).carried
     assert not item.accepted
-    assert carried(white).repaired is BASE
+    assert modelled(white).repaired is BASE
     assert re.search(r"command stage of boom: a residual network (does not predict|did not help)", item.text)
 
 
-def test_people_are_told_what_it_is_and_what_it_does(capsys: pytest.CaptureFixture[str]) -> None:
+def test_console_and_report_show_residual_models(capsys: pytest.CaptureFixture[str]) -> None:
     crane = sample_dataset(5.0)
     gap = sample_unnamed(crane)
     left = gap.unnamed[0]
-    item = Carried(left.stage, left.target, "boom.cylinder", 0.0012, 0.0003, 0.0001, True, "…")
+    item = ResidualModelResult(left.stage, left.target, "boom.cylinder", 0.0012, 0.0003, 0.0001, True, "…")
     refused = replace(item, accepted=False, text="stick: a residual network did not help")
-    show_carried(Printer(None), replace(gap, carried=(item, refused)), crane)
+    show_residual_models(Printer(None), replace(gap, carried=(item, refused)), crane)
     text = capsys.readouterr().out.replace("\u202f", " ")
-    assert "carried by a bounded network (unnamed_residual): command of boom, held-out error 1.20 mm → 0.300 mm" in text
+    assert "bounded residual network (unnamed_residual): command of boom, held-out error 1.20 mm → 0.300 mm" in text
     assert "no physics" in text
-    assert "not carried: stick: a residual network did not help" in text
+    assert "no residual network: stick: a residual network did not help" in text
     page = build_report(ReportInputs(crane, replace(gap, carried=(item,))))
-    assert "Carried by a bounded network (unnamed_residual), learned from the recordings: it is no physics" in page
-    assert "Carried by" not in build_report(ReportInputs(crane, replace(gap, carried=(refused,))))
+    assert "Described by a bounded residual network (unnamed_residual), learned from the recordings: it is no physics" in page
+    assert "Described by" not in build_report(ReportInputs(crane, replace(gap, carried=(refused,))))
 
 
-def test_a_stage_that_cannot_carry_says_so() -> None:
+def test_a_stage_that_cannot_hold_a_residual_model_says_so() -> None:
     study = steps.open_study(dataset_of(nominal(), 3.0), nominal())
-    outcome = carry(study.case, study.stages, Outcome(study.case.plant, unnamed=[unnamed("end_effector", "ee")]))
+    outcome = fit_residual_models(study.case, study.stages, Outcome(study.case.plant, unnamed=[unnamed("end_effector", "ee")]))
     (item,) = outcome.carried
     assert not item.accepted
-    assert item.text == "the end_effector stage of ee cannot carry one: only command, joint, force stages can"
+    assert item.text == "the end_effector stage of ee cannot hold one: only command, joint, force stages can"
 
 
-def test_nothing_left_over_is_nothing_to_carry() -> None:
+def test_without_an_unnamed_residual_there_is_no_residual_model() -> None:
     study = steps.open_study(dataset_of(nominal(), 3.0), nominal())
-    outcome = carry(study.case, study.stages, Outcome(study.case.plant))
+    outcome = fit_residual_models(study.case, study.stages, Outcome(study.case.plant))
     assert outcome.carried == []
-    assert outcome.notes == ["nothing was left over that a residual network could carry"]
+    assert outcome.notes == ["no stage has an unnamed residual that a residual network could describe"]
 
 
 class Own:
@@ -142,15 +142,15 @@ class Own:
         raise AssertionError("not asked")
 
 
-def test_simulators_and_localising_do_not_carry() -> None:
-    with pytest.raises(SettingsError, match="simulator own: cannot carry a residual network; expected a plant"):
+def test_simulators_and_localising_refuse_residual_models() -> None:
+    with pytest.raises(SettingsError, match="simulator own: cannot hold a residual network; expected a plant"):
         find_gap(data(heavy), Own(), carry=True)  # type: ignore[arg-type]
     with pytest.raises(SettingsError, match="carry and localise_only; expected one of them"):
         find_gap(data(heavy), BASE, carry=True, localise_only=True)
 
 
 def test_gaps_by_stage_are_those_with_it() -> None:
-    outcome = carried(heavy)
+    outcome = modelled(heavy)
     gap = Gap({"boom.cylinder": 1.0, "x": 1.0}, {"boom.cylinder": 1.0, "x": 0.5}, {"boom.cylinder": 0.1, "x": 0.1})
     after = with_carried(gap, outcome)
     assert after.after == {"boom.cylinder": outcome.carried[0].after, "x": 0.5}
@@ -165,7 +165,7 @@ def _said(capsys: pytest.CaptureFixture[str], *args: str) -> str:
 
 
 def test_a_registry_keeps_it_beside_the_effects(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    registry, study, outcome = Registry(tmp_path / "models"), steps.open_study(data(ripple), BASE), carried(ripple, 0.03)
+    registry, study, outcome = Registry(tmp_path / "models"), steps.open_study(data(ripple), BASE), modelled(ripple, 0.03)
     proof = steps.measure(study, outcome)
     (item,) = outcome.carried
     assert proof.stage_gap.after["boom.cylinder"] == item.after < 0.5 * proof.stage_gap.before["boom.cylinder"]
@@ -192,7 +192,7 @@ def test_a_registry_keeps_it_beside_the_effects(tmp_path: Path, capsys: pytest.C
 
 
 @pytest.mark.slow
-def test_the_workflow_carries_what_it_cannot_name(tmp_path: Path) -> None:
+def test_the_workflow_adds_a_residual_model_of_what_it_cannot_name(tmp_path: Path) -> None:
     result = find_gap(data(ripple), BASE, Registry(tmp_path), carry=True, add=True, world=False, forms="simple")
     assert (result.effects, result.verdict, result.repaired) == ((), "unnamed", True)
     assert [(item.stage, item.target, item.accepted) for item in result.carried] == [("command", "boom", True)]

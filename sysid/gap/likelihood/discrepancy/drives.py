@@ -43,13 +43,15 @@ def velocity_columns(model: Model, axis: Axis, recordings: Sequence[Recording], 
     i = model.axis_index(axis.name)
     block = theta[i * AXIS_WIDTH : (i + 1) * AXIS_WIDTH]
     delay, lag, gain = float(block[AT.input_delay]), float(block[AT.first_order_lag]), axis.gain * float(block[AT.gain_error])
+    play, fastest = float(block[AT.valve_hysteresis]), float(block[AT.command_rate_limit])
     middle, half = span_of(tuple(recordings), axis.driven)
     largest = _largest_load(model, recordings, i)
     others = [name for name in model.machine.axis_names if name != axis.name]
 
     def columns(recording: Recording) -> dict[str, Array]:
         dt = 1.0 / recording.rate_hz
-        u = delayed(model.held(recording, axis.name)[0], delay, dt)
+        u = np.zeros(len(recording))
+        _spool(delayed(model.held(recording, axis.name)[0], delay, dt), play, fastest * dt, u)
         q = (smooth(recording.values(axis.driven), round(0.2 / dt)) - middle) / half
         rate, slow = np.gradient(u, dt), low_pass(u, PAST, dt)
         time = np.arange(len(u)) * dt
@@ -79,6 +81,17 @@ def velocity_columns(model: Model, axis: Axis, recordings: Sequence[Recording], 
         return found
 
     return columns
+
+
+@kernel
+def _spool(u, play, most, out):
+    """Where a command has moved the spool to: behind its hysteresis (full width) and no faster than ``most`` a sample."""
+    held = u[0] if len(u) else 0.0
+    spool = held
+    for k in range(len(u)):
+        held = min(max(held, u[k] - 0.5 * play), u[k] + 0.5 * play)
+        spool += min(max(held - spool, -most), most)
+        out[k] = spool
 
 
 def servo_columns(model: Model, axis: Axis, recordings: Sequence[Recording], theta: Array) -> Make:

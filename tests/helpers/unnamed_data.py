@@ -1,4 +1,4 @@
-"""Recordings of the arm's boom with something in its speed, or in its linkage, for which no effect has a name."""
+"""Recordings of the arm's boom with a disturbance of its speed that is not in the catalogue of effects."""
 
 from __future__ import annotations
 
@@ -29,22 +29,22 @@ def ripple(v: float, x: float, load: float, t: float, dice: float) -> float:
 
 
 def heavy(v: float, x: float, load: float, t: float, dice: float) -> float:
-    """Slower the faster it goes, and the more it carries."""
+    """A speed that falls with speed and load."""
     return -0.5 * load * v * abs(v)
 
 
 def pulsing(v: float, x: float, load: float, t: float, dice: float) -> float:
-    """A pump that pulses, whatever the machine does."""
+    """A pump pulsation, independent of the motion."""
     return 0.2 * abs(v) * float(np.sin(2.0 * np.pi * 0.7 * t))
 
 
 def white(v: float, x: float, load: float, t: float, dice: float) -> float:
-    """A disturbance of the speed that follows nothing."""
+    """A white disturbance of the speed."""
     return 0.003 * dice
 
 
 def swelling(v: float, x: float, load: float, t: float, dice: float) -> float:
-    """The same in proportion to the speed: 5 % of it."""
+    """A white disturbance of 5 % of the speed."""
     return 0.05 * v * dice
 
 

@@ -1,4 +1,4 @@
-"""Effects around a simulator, compiled: what it is fed in the place of a command, and what a sensor reads of its drive."""
+"""Input and output effects of a simulator, compiled: effects on its commands, and effects on the driven signal it returns."""
 
 from __future__ import annotations
 
@@ -22,25 +22,25 @@ Stretches = npt.NDArray[np.int64]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def feed_axis(
-    p: Array, rig: Rig, i: int, command: Array, load: Array, stretches: Stretches, dt: float, size: int, fed: Array
+def input_effects_of_axis(
+    p: Array, rig: Rig, i: int, command: Array, load: Array, stretches: Stretches, dt: float, size: int, out: Array
 ) -> None:
-    """Command (n,) → command behind the effects of the command stage (n,), in the command's own unit.
+    """Command (n,) → command after the effects of the command stage (n,), in the unit of the command.
 
-    The speed that a velocity axis would ask for, over its nominal gain: effects that act on speed act on the command that makes
-    it. A servo axis is asked for the position that it would reach.
+    For a velocity axis this is the demanded speed over the nominal gain, so that effects on the speed act on the command that
+    produces it. For a servo axis it is the demanded position.
     """
     s, m = np.empty(size), np.int64(0)
     scale = rig.axes[i, GAIN] if rig.axes[i, KIND] == VELOCITY else 1.0
     for row in range(len(stretches)):
         begin(s, m, size, 0.0, 0.0, np.nan, p, i * AXIS_WIDTH, stretches[row, 0], dt)
         for k in range(stretches[row, 0], stretches[row, 1]):
-            fed[k] = chain.ask(command[k], p, s, m, size, rig.axes, i, load[k], dt) / scale
+            out[k] = chain.ask(command[k], p, s, m, size, rig.axes, i, load[k], dt) / scale
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def follow_axis(p: Array, i: int, drive: Array, start: float, load: Array, out: Array) -> None:
-    """Drive (n,) → joint behind play and sag (n,), the play beginning where ``start`` says; NaN in stays NaN."""
+def output_effects_of_axis(p: Array, i: int, drive: Array, start: float, load: Array, out: Array) -> None:
+    """Drive (n,) → joint after backlash and compliance (n,); the backlash begins at ``start``. NaN stays NaN."""
     s = np.full(STATE.input_delay, np.nan)
     s[STATE.backlash_drive] = start
     for k in range(len(drive)):
@@ -50,76 +50,78 @@ def follow_axis(p: Array, i: int, drive: Array, start: float, load: Array, out: 
             out[k] = chain.joint_stage(drive[k], p, i * AXIS_WIDTH, s, np.int64(0), load[k])
 
 
-def fed(model: Model, thetas: Array, recording: Recording, axes: Sequence[str], stretches: Stretches) -> dict[str, Array]:
-    """Commands of ``axes`` as the simulator gets them under each of ``thetas``: axis → (lanes, n).
+def apply_input_effects(
+    model: Model, thetas: Array, recording: Recording, axes: Sequence[str], stretches: Stretches
+) -> dict[str, Array]:
+    """Commands of ``axes`` after the input effects of each of ``thetas``: axis → (lanes, n).
 
-    The load is that at the measured joints. A pump that cannot feed what all velocity axes ask for slows all of them alike.
-    Lanes without any effect get the command itself, to the last bit.
+    The load is that at the measured joints. Where the demanded flow of all velocity axes exceeds the pump limit, all of
+    them are slowed by the same factor. Lanes without any effect get the command itself, bit by bit.
     """
     place = model.rig.machine + AT.pump_flow_limit
     limit = thetas[:, place, None]
     if (limit >= layout.neutral_vector(model.axes)[place]).all():
-        return {axis: _fed(model, thetas, recording, axis, stretches) for axis in axes}
+        return {axis: _axis_input_effects(model, thetas, recording, axis, stretches) for axis in axes}
     pumped = [axis.name for axis in model.machine.axes if axis.actuation == "velocity"]
-    asked = {axis: _fed(model, thetas, recording, axis, stretches) for axis in dict.fromkeys((*axes, *pumped))}
-    demand = np.sum([np.abs(asked[axis]) for axis in pumped], axis=0)
+    wanted = {axis: _axis_input_effects(model, thetas, recording, axis, stretches) for axis in dict.fromkeys((*axes, *pumped))}
+    demand = np.sum([np.abs(wanted[axis]) for axis in pumped], axis=0)
     share = np.minimum(1.0, limit / np.maximum(demand, 1e-12))
-    return {axis: asked[axis] * share if axis in pumped else asked[axis] for axis in axes}
+    return {axis: wanted[axis] * share if axis in pumped else wanted[axis] for axis in axes}
 
 
-def _fed(model: Model, thetas: Array, recording: Recording, axis: str, stretches: Stretches) -> Array:
-    """Behind the axis' own effects, (lanes, n)."""
+def _axis_input_effects(model: Model, thetas: Array, recording: Recording, axis: str, stretches: Stretches) -> Array:
+    """Command after the effects of the axis itself, (lanes, n)."""
     i, dt, command = model.axis_index(axis), 1.0 / recording.rate_hz, model.held(recording, axis)[0]
     load = model.load(thetas, recording)[i]
     places = _command_places(model.machine.axis_names, axis)
     neutral = layout.neutral_vector(model.axes)[places]
     out = np.repeat(command[None], len(thetas), axis=0)
     for k in np.flatnonzero((thetas[:, places] != neutral).any(axis=1)):
-        feed_axis(thetas[k], model.rig, i, command, load, stretches, dt, layout.axis_memory(dt), out[k])
+        input_effects_of_axis(thetas[k], model.rig, i, command, load, stretches, dt, layout.axis_memory(dt), out[k])
     return out
 
 
-def followed(
+def apply_output_effects(
     model: Model, thetas: Array, drive: Array, measured: Array, load: Array, axis: str, stretches: Stretches, rate_hz: float
 ) -> Array:
     """Simulated drive (lanes, n) → the signal that the command drives, before its sensor, (lanes, n).
 
     Every stretch of a velocity axis is shifted as a whole, so that the median of (measured − simulated) over its first 0.2 s is
-    zero, as in every free run; where play stands in between, on the side that fits the first seconds best.
+    zero, as in every free run. With backlash, the initial side is the one that fits the first seconds best.
     """
     i, about = model.axis_index(axis), model.machine.axis(axis)
-    play_at, sag_at = (i * AXIS_WIDTH + at for at in (AT.backlash_drive, AT.joint_compliance_drive))
+    backlash_at, compliance_at = (i * AXIS_WIDTH + at for at in (AT.backlash_drive, AT.joint_compliance_drive))
     window, settle = max(3, round(START_WINDOW * rate_hz)), round(SETTLE_WINDOW * rate_hz)
     out = np.full(drive.shape, np.nan)
     for k, theta in enumerate(thetas):
-        half = 0.5 * theta[play_at] if about.drives == "joint" else 0.0
-        plain = half <= 0.0 and (theta[sag_at] == 0.0 or about.drives == "cylinder")
+        half = 0.5 * theta[backlash_at] if about.drives == "joint" else 0.0
+        plain = half <= 0.0 and (theta[compliance_at] == 0.0 or about.drives == "cylinder")
 
-        def behind(x: Array, start: float, rows: slice, theta: Array = theta, plain: bool = plain) -> Array:
+        def drive_to_joint(x: Array, start: float, rows: slice, theta: Array = theta, plain: bool = plain) -> Array:
             if plain:
                 return x
             y = np.empty(len(x))
-            follow_axis(theta, i, x, start, load[rows], y)
+            output_effects_of_axis(theta, i, x, start, load[rows], y)
             return y
 
         for first, last in stretches:
             rows = slice(int(first), int(last))
             x, seen = drive[k, rows], measured[rows]
             if about.actuation == "position":
-                out[k, rows] = behind(x, _median(seen[:window]), rows)
+                out[k, rows] = drive_to_joint(x, _median(seen[:window]), rows)
                 continue
-            x = x + _median((seen - behind(x, np.nan, rows))[:window], 0.0)
+            x = x + _median((seen - drive_to_joint(x, np.nan, rows))[:window], 0.0)
             middle = _median(x[:1])
             if half > 0.0:
                 x = x + half * _side(
-                    [_squares(seen[:settle] - behind(x[:settle] + side * half, middle, rows)) for side in (-1, 0, 1)]
+                    [_squares(seen[:settle] - drive_to_joint(x[:settle] + side * half, middle, rows)) for side in (-1, 0, 1)]
                 )
-            out[k, rows] = behind(x, middle, rows)
+            out[k, rows] = drive_to_joint(x, middle, rows)
     return out
 
 
 def _side(costs: list[float]) -> float:
-    """Where between −1 and 1 the parabola through the costs at −1, 0 and 1 is lowest."""
+    """Minimum within [−1, 1] of the parabola through the costs at −1, 0 and 1."""
     low, middle, high = costs
     bend = low - 2.0 * middle + high
     if bend > 0.0:
@@ -138,7 +140,7 @@ def _median(values: Array, default: float = float("nan")) -> float:
 
 @functools.cache
 def _command_places(axis_names: tuple[str, ...], axis: str) -> list[int]:
-    """Where the effects of the command stage of an axis stand in ``theta``."""
+    """Indices in ``theta`` of the command-stage effects of an axis."""
     effects = [effect for effect in CATALOGUE if effect.stage == "command" and effect.target == "axis"]
     return [
         place

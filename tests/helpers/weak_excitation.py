@@ -1,4 +1,4 @@
-"""Recordings that lack what it takes: the boom alone, slowly to and fro."""
+"""Recordings with insufficient excitation: the boom alone, slowly to and fro."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from sysid.datasets.recording import Dataset, Recording
 from sysid.gap.case import Case, Stage, open_case, stage_candidates
 from sysid.gap.data import Data
 from sysid.gap.evidence import Comparison
-from sysid.gap.experiment import Experiment, Question, rehearse
-from sysid.gap.experiment.open_hypothesis import tie_between
+from sysid.gap.experiment import Experiment, OpenHypothesis, dry_run
+from sysid.gap.experiment.open_hypothesis import non_identifiable_set
 from sysid.gap.fit import fit_candidates
 from sysid.gap.stage_result import AcceptedEffect, StageResult
 from sysid.gap.starts import starting_values
@@ -22,7 +22,7 @@ from sysid.plant import Plant
 
 
 def coarse_arm(noise: float) -> Machine:
-    """The arm with a draw wire that is as noisy as this [m]."""
+    """The arm with a draw wire of this noise [m]."""
     return machine_from_files(
         {"machine.toml": _ARM.replace('cylinder" = 2e-5', f'cylinder" = {noise}'), "arm.urdf": URDF}, "arm"
     )
@@ -50,7 +50,7 @@ def with_experiments(dataset: Dataset, truth: Plant, experiments: Sequence[Exper
     """The dataset with every experiment made on ``truth``, to fit."""
     made = []
     for k, experiment in enumerate(experiments):
-        run = rehearse(truth, experiment)
+        run = dry_run(truth, experiment)
         rng = np.random.default_rng([9, k])
         noisy = {
             signal: run.values(signal) + rng.normal(0.0, truth.machine.noise.get(signal, 0.0), len(run))
@@ -62,12 +62,14 @@ def with_experiments(dataset: Dataset, truth: Plant, experiments: Sequence[Exper
     return replace(dataset, recordings=(*dataset.recordings, *made), splits=splits)  # type: ignore[arg-type]
 
 
-def tie(dataset: Dataset, plant: Plant, stage_name: str, target: str, kept: str, rival: str) -> tuple[Case, Plant, Question]:
-    """The question which of two effects it is, as a search that cannot tell would leave it; and the plant with the kept one."""
+def tie(
+    dataset: Dataset, plant: Plant, stage_name: str, target: str, kept: str, alternative: str
+) -> tuple[Case, Plant, OpenHypothesis]:
+    """The open hypothesis of two effects that are not identifiable, and the plant with the kept one."""
     case, stages = open_case(dataset, plant, 0)
     stage = next(s for s in stages if (s.problem.stage, s.problem.target) == (stage_name, target))
     offered = {c.effect.name: c for c in reversed(stage_candidates(case, stage)) if c.form is c.effect.forms[0]}
-    one, other = offered[kept], offered[rival]
+    one, other = offered[kept], offered[alternative]
     seen = Data(stage.problem, stage.split.seen, stage.sigma)
     fit = fit_candidates(seen, case.theta, (one,), starting_values((one,), (), 0))
     repaired = plant.with_effect(one.instance(fit.values))
@@ -75,4 +77,4 @@ def tie(dataset: Dataset, plant: Plant, stage_name: str, target: str, kept: str,
         stage.problem, (AcceptedEffect(one, Comparison(0.0, 0.0, 1.0, 1.0), (), (other,)),), (), fit, 2.0, 1.0
     )
     searched = Stage(stage.problem, stage.split, stage.sigma, stage.theta, finding)
-    return case, repaired, tie_between(case, searched, repaired.vector(), one, (other,), seen)
+    return case, repaired, non_identifiable_set(case, searched, repaired.vector(), one, (other,), seen)

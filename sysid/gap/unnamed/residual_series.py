@@ -1,9 +1,9 @@
-"""What a remainder is compared with: position, speed, reversals, small commands, load, the other axes, time.
+"""Residual of a stage in bins, and the variables it may depend on: position, speed, reversals, small commands, load, time.
 
-A stage that integrates its command is compared as a rate, since an error of speed shows there at once. Both sides pass the
-same filter: means over bins, and for a rate the change between neighbouring bins, so that a term of the right form meets its
-remainder without attenuation. Whether anything is left to explain is decided by cross-correlations whose bounds hold for
-remainders that are coloured and whose size follows the motion.
+A stage that integrates its command is compared as a rate, in which an error of speed appears without delay. Residual and
+variables pass the same filter (means over bins, and for a rate the difference of neighbouring bins), so that a term of the
+right form matches its residual without attenuation. Whether the residual depends on a variable is tested by cross-correlations
+whose bounds hold for autocorrelated and heteroscedastic residuals.
 """
 
 from __future__ import annotations
@@ -25,30 +25,30 @@ from sysid.validate.binning import direction_of, speed_of
 
 Array = npt.NDArray[np.float64]
 
-#: Width of the bins in which a remainder is compared [s].
+#: Width of the bins in which a residual is compared [s].
 BIN = 0.1
 #: Parts of a bin at which terms are evaluated.
 PARTS = 2
-#: A reversal is felt for this long [s].
+#: Time constant with which the reversal variable decays [s].
 REVERSAL = 0.3
-#: Commands below this share of the largest one are small.
+#: Commands below this share of the largest one count as small.
 SMALL = 0.25
-#: A motion counts as begun for this long [s], in the terms of its beginning.
-BEGINNING = 3.0
-#: A probe may lead the remainder by this long [s].
+#: Longest time since the start of a motion that is distinguished [s].
+MAX_MOTION_TIME = 3.0
+#: Longest time by which a variable may lead the residual [s].
 LONGEST_LAG = 1.0
-#: Chance that a remainder which follows nothing exceeds any of its bounds.
+#: Probability that an independent residual exceeds any of its bounds.
 FALSE_ALARM = 0.01
 #: Weights of the parts of two neighbouring bins in the change of a bin's mean: a triangle.
 _TRIANGLE = np.array([1.0, 3.0, 3.0, 1.0]) / 8.0
 
 
 @dataclass(frozen=True)
-class Series:
-    """One recording: what is left over in bins, and what it may depend on in parts of bins.
+class ResidualSeries:
+    """One recording: the residual in bins, and the variables it may depend on in parts of bins.
 
     Args:
-        target: remainder of each bin, or its rate between two bins (m,); NaN where it was not measured.
+        target: residual of each bin, or its rate between two bins (m,); NaN where it was not measured.
         variables: name → value at each part of a bin, (PARTS·m + PARTS·rate,); complete.
         rate: whether ``target`` is a rate.
         step: seconds from one entry of ``target`` to the next.
@@ -61,24 +61,28 @@ class Series:
     step: float
 
     def filtered(self, values: Array) -> Array:
-        """Terms at the parts of bins (…, p) → what they do to the target (…, m)."""
+        """Terms at the parts of bins (…, p) → their contribution to the target (…, m)."""
         count = len(self.target)
         shifted = [values[..., k : k + PARTS * count : PARTS] for k in range(2 * PARTS if self.rate else PARTS)]
         return np.asarray(sum(weight * part for weight, part in zip(self.weights, shifted, strict=True)))
 
     @property
     def weights(self) -> Array:
-        """What each part counts in an entry of the target."""
+        """Weight of each part in an entry of the target."""
         return _TRIANGLE if self.rate else np.full(PARTS, 1.0 / PARTS)
 
-    def part(self, first: int, last: int, name: str) -> Series:
+    def part(self, first: int, last: int, name: str) -> ResidualSeries:
         """Entries ``first … last`` of the target as a series of their own."""
         ends = slice(PARTS * first, PARTS * (last + (1 if self.rate else 0)))
-        return Series(name, self.target[first:last], {k: v[ends] for k, v in self.variables.items()}, self.rate, self.step)
+        return ResidualSeries(
+            name, self.target[first:last], {k: v[ends] for k, v in self.variables.items()}, self.rate, self.step
+        )
 
 
-def series_of(problem: Problem, theta: Array, recording: Recording, machine: Machine, signal: int) -> Series | None:
-    """The remainder of output ``signal`` of a stage on one recording; None where it is not measured for long enough."""
+def residual_series(
+    problem: Problem, theta: Array, recording: Recording, machine: Machine, signal: int
+) -> ResidualSeries | None:
+    """The residual of output ``signal`` of a stage on one recording; None where it is not measured for long enough."""
     predicted = problem.predict(theta[None], recording)[0]
     left = (problem.measured(recording) - predicted)[:, signal]
     rows = problem.rows(recording)
@@ -97,13 +101,13 @@ def series_of(problem: Problem, theta: Array, recording: Recording, machine: Mac
     parts = {name: values[: count * width].reshape(-1, inner).mean(axis=1) for name, values in found.items()}
     step = width / (rate_hz * PARTS if problem.stage == "force" else rate_hz)
     target = np.diff(bins) / step if problem.integrates else bins
-    return Series(recording.name, target, parts, problem.integrates, step)
+    return ResidualSeries(recording.name, target, parts, problem.integrates, step)
 
 
 def variables_of(problem: Problem, recording: Recording, machine: Machine, predicted: Array) -> dict[str, Array]:
     """Name → value on every row of the recording, NaN where it is missing.
 
-    The speed of an axis that a command moves is the simulated one: a measured one would share its noise with the remainder.
+    The speed of an axis that a command moves is the simulated one: a measured one would share its noise with the residual.
     """
     rate = recording.rate_hz
     if problem.target not in machine.axis_names:
@@ -114,7 +118,7 @@ def variables_of(problem: Problem, recording: Recording, machine: Machine, predi
         speed = force_inputs(recording, axis, rows=problem.rows(recording)).speed
     elif problem.stage == "command" and axis.driven == problem.signals[0]:
         speed = np.gradient(_bridged(predicted), 1.0 / rate)
-        speed[np.abs(speed) > 50.0 * np.percentile(np.abs(speed), 90) + 1e-12] = 0.0  # a restart is no motion
+        speed[np.abs(speed) > 50.0 * np.percentile(np.abs(speed), 90) + 1e-12] = 0.0  # a restart of the simulation is no motion
     else:
         speed = speed_of(position, rate)
     found = {axis.driven: position, f"speed of {axis.name}": speed, f"direction of {axis.name}": direction_of(speed)}
@@ -131,12 +135,12 @@ def variables_of(problem: Problem, recording: Recording, machine: Machine, predi
     return {name: values for name, values in found.items() if _varies(values)}
 
 
-def cross_correlations(series: Sequence[Series], colour: float) -> tuple[Probe, ...]:
-    """Each probe at the lag where it stands out most against its bound, the clearest first.
+def cross_correlations(series: Sequence[ResidualSeries], ar1: float) -> tuple[Probe, ...]:
+    """Each variable at the lag of its largest correlation relative to the bound, in descending order.
 
-    Remainder and probe are prewhitened by an autoregression of first order (``colour``). The variance of their product's mean
-    is that of Newey and West (Econometrica 55, 1987), which allows for what colour is left and for a disturbance whose size
-    goes with the probe; the bounds hold for all probes and lags together (Bonferroni).
+    Residual and variable are prewhitened by a first-order autoregression (coefficient ``ar1``). The variance of the mean of
+    their product is that of Newey and West (Econometrica 55, 1987), which allows for remaining autocorrelation and for a
+    disturbance whose variance depends on the variable; the bounds hold for all variables and lags together (Bonferroni).
     """
     from scipy.stats import norm
 
@@ -148,7 +152,7 @@ def cross_correlations(series: Sequence[Series], colour: float) -> tuple[Probe, 
         best = None
         probes = [part.filtered(part.variables[name]) for part in series]
         for lag in lags:
-            pairs = [_pair(part.target, probe, lag, colour) for part, probe in zip(series, probes, strict=True)]
+            pairs = [_pair(part.target, probe, lag, ar1) for part, probe in zip(series, probes, strict=True)]
             e, x = (np.concatenate(side) for side in zip(*pairs, strict=True))
             if len(e) < 50 or not (e.std() > 0.0 and x.std() > 0.0):
                 continue
@@ -161,27 +165,27 @@ def cross_correlations(series: Sequence[Series], colour: float) -> tuple[Probe, 
     return tuple(sorted(found, key=lambda probe: -abs(probe.correlation) / probe.bound))
 
 
-def quasi_difference(values: Array, colour: float) -> Array:
-    """``x_k − colour·x_{k−1}`` along the last axis; the first one is lost."""
-    return np.asarray(values[..., 1:] - colour * values[..., :-1])
+def quasi_difference(values: Array, ar1: float) -> Array:
+    """``x_k − ar1·x_{k−1}`` along the last axis, without the first entry (Cochrane and Orcutt 1949)."""
+    return np.asarray(values[..., 1:] - ar1 * values[..., :-1])
 
 
-def colour_of(series: Sequence[Array]) -> float:
-    """Autocorrelation of neighbouring entries about the common mean, at least zero; of white noise it is none."""
+def lag1_autocorrelation(series: Sequence[Array]) -> float:
+    """Lag-1 autocorrelation about the common mean, clipped to 0 … 0.999; zero for white noise."""
     mean = float(np.nanmean(np.concatenate(series)))
     top = sum(float(np.nansum((x[1:] - mean) * (x[:-1] - mean))) for x in series)
     bottom = sum(float(np.nansum((x - mean) ** 2)) for x in series)
     return float(np.clip(top / bottom, 0.0, 0.999)) if bottom > 0.0 else 0.0
 
 
-def _pair(target: Array, probe: Array, lag: int, colour: float) -> tuple[Array, Array]:
-    e, x = quasi_difference(target[lag:], colour), quasi_difference(probe[: len(probe) - lag], colour)
+def _pair(target: Array, probe: Array, lag: int, ar1: float) -> tuple[Array, Array]:
+    e, x = quasi_difference(target[lag:], ar1), quasi_difference(probe[: len(probe) - lag], ar1)
     there = np.isfinite(e) & np.isfinite(x)
     return e[there], x[there]
 
 
 def _long_run_variance(values: Array) -> float:
-    """Variance of the sum of a series over its length, with Bartlett weights; at least that of a white one."""
+    """Long-run variance of a series with Bartlett weights; at least that of a white series."""
     count = len(values)
     widest = int(4.0 * (count / 100.0) ** (2.0 / 9.0))
     white = float(values @ values) / count
@@ -192,7 +196,7 @@ def _long_run_variance(values: Array) -> float:
 
 
 def _of_point(recording: Recording, machine: Machine) -> dict[str, Array]:
-    """Of the boom tip and the tool: every joint, which way it goes, its load; time."""
+    """Variables of the boom tip and the tool: position, direction and load of every joint, speeds of the tip, time."""
     found: dict[str, Array] = {}
     for axis in machine.axes:
         joint = recording.values(axis_signal(axis.name, "joint"))
@@ -208,7 +212,7 @@ def _of_point(recording: Recording, machine: Machine) -> dict[str, Array]:
 
 
 def _others(axis: Axis, recording: Recording, machine: Machine) -> dict[str, Array]:
-    """How fast the other axes move one by one, and together in shares of the fastest of each."""
+    """Speed of each other axis, and the sum of their speeds, each relative to its maximum."""
     found: dict[str, Array] = {}
     total = np.zeros(len(recording))
     for other in machine.axes:
@@ -235,10 +239,10 @@ def _varies(values: Array) -> bool:
     return len(there) > 1 and bool(there.max() > there.min())
 
 
-def _since_reversal(way: Array, rate_hz: float) -> Array:
-    """Direction, fading after each reversal: what a play or a spring leaves behind."""
-    out, last, age = np.zeros(len(way)), 0.0, np.inf
-    for k, now in enumerate(np.nan_to_num(way)):
+def _since_reversal(direction: Array, rate_hz: float) -> Array:
+    """Direction, decaying exponentially after each reversal: the residual of backlash or of a spring."""
+    out, last, age = np.zeros(len(direction)), 0.0, np.inf
+    for k, now in enumerate(np.nan_to_num(direction)):
         if now != 0.0 and now != last:
             age, last = (0.0 if last != 0.0 else np.inf), now
         out[k] = last * np.exp(-age / REVERSAL)
@@ -246,14 +250,14 @@ def _since_reversal(way: Array, rate_hz: float) -> Array:
     return out
 
 
-def _moving_for(way: Array, rate_hz: float) -> Array:
-    """Seconds since the axis began to move this way, up to :data:`BEGINNING`; zero while it stands."""
-    way = np.nan_to_num(way)
-    changes = np.flatnonzero(np.diff(way, prepend=way[:1]) != 0.0)
-    begin = np.zeros(len(way))
+def _moving_for(direction: Array, rate_hz: float) -> Array:
+    """Time since the axis began to move in its direction [s], up to :data:`MAX_MOTION_TIME`; zero at standstill."""
+    direction = np.nan_to_num(direction)
+    changes = np.flatnonzero(np.diff(direction, prepend=direction[:1]) != 0.0)
+    begin = np.zeros(len(direction))
     begin[changes] = changes
-    since = (np.arange(len(way)) - np.maximum.accumulate(begin)) / rate_hz
-    return np.where(way != 0.0, np.minimum(since, BEGINNING), 0.0)
+    since = (np.arange(len(direction)) - np.maximum.accumulate(begin)) / rate_hz
+    return np.where(direction != 0.0, np.minimum(since, MAX_MOTION_TIME), 0.0)
 
 
 def _bridged(values: Array) -> Array:
@@ -263,7 +267,7 @@ def _bridged(values: Array) -> Array:
 
 
 def _means(blocks: Array) -> Array:
-    """Mean of each row; NaN where less than half of it is there."""
+    """Mean of each row; NaN where less than half of it is measured."""
     there = np.isfinite(blocks)
     count = there.sum(axis=1)
     total = np.where(there, blocks, 0.0).sum(axis=1)

@@ -1,4 +1,4 @@
-"""The table of what repeats over several runs of the gap workflow."""
+"""Table of the repeatability of named effects over several runs of the gap workflow."""
 
 from __future__ import annotations
 
@@ -8,12 +8,12 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from sysid.cli.output import Printer
-    from sysid.gap.repeatability import Repeat
+    from sysid.gap.repeatability import RepeatedEffect
     from sysid.machine import Machine
 
 
-def show_stability(out: Printer, repeats: Sequence[Repeat], machine: Machine) -> None:
-    """What was named in which share of the runs, and how far its values spread."""
+def show_repeatability(out: Printer, repeats: Sequence[RepeatedEffect], machine: Machine) -> None:
+    """Share of the runs in which each effect was named, and the spread of its values."""
     from sysid.reports.effect_units import shown
 
     if not repeats:

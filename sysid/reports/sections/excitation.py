@@ -1,15 +1,15 @@
-"""What the recordings could show: the verdict for every effect and place, and what to record where it is not enough."""
+"""Excitation of the recordings: the verdict for every effect and place, and what to record where it is insufficient."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from typing import Any
 
-from sysid.gap.experiment.excitation_verdict import Readiness, Verdict
+from sysid.gap.experiment.excitation_verdict import ExcitationReport, ExcitationVerdict
 from sysid.machine import Machine
 from sysid.reports import display, words
 from sysid.reports.inputs import ReportInputs
-from sysid.reports.verdicts import SIDES, amount, by_reason, wish_text
+from sysid.reports.verdicts import SIDES, amount, by_reason, request_text
 from sysid.signals import split_signal
 
 #: The need stands at this share of the length of a bar: what is to the right of it is more than enough.
@@ -18,7 +18,7 @@ _ORDER = ("lacking", "ready", "hidden")
 
 
 def context(inputs: ReportInputs) -> dict[str, Any] | None:
-    found = inputs.readiness
+    found = inputs.excitation
     if found is None:
         return None
     machine = inputs.dataset.machine
@@ -32,12 +32,12 @@ def context(inputs: ReportInputs) -> dict[str, Any] | None:
         "total": len(found.verdicts),
         "counted": ", ".join(found.counted) if len(found.counted) <= 6 else f"{len(found.counted)} recordings",
         "notes": list(found.notes),
-        "wishes": [
+        "requests": [
             {
-                "text": wish_text(wish, machine),
-                "effects": ", ".join(dict.fromkeys(words.effect_title(n) for n, _ in wish.effects)),
+                "text": request_text(request, machine),
+                "effects": ", ".join(dict.fromkeys(words.effect_title(n) for n, _ in request.effects)),
             }
-            for wish in found.wishes
+            for request in found.requests
         ],
         "columns": columns,
         "others": others,
@@ -50,9 +50,9 @@ def context(inputs: ReportInputs) -> dict[str, Any] | None:
     }
 
 
-def _rows(found: Readiness, machine: Machine, columns: Sequence[str], others: bool) -> list[dict[str, Any]]:
+def _rows(found: ExcitationReport, machine: Machine, columns: Sequence[str], others: bool) -> list[dict[str, Any]]:
     """One row for each effect and side of the sensor; what lacks something first."""
-    lines: dict[tuple[str, str | None], list[Verdict]] = {}
+    lines: dict[tuple[str, str | None], list[ExcitationVerdict]] = {}
     for verdict in found.verdicts:
         lines.setdefault((verdict.name, verdict.side), []).append(verdict)
     rows = []
@@ -75,13 +75,13 @@ def _rows(found: Readiness, machine: Machine, columns: Sequence[str], others: bo
     return sorted(rows, key=lambda row: not row["lacks"])
 
 
-def _column(verdict: Verdict, machine: Machine) -> str:
+def _column(verdict: ExcitationVerdict, machine: Machine) -> str:
     """The axis of a verdict; empty for the machine, its base, its tool and its clocks."""
     owner = split_signal(verdict.target)[0] or verdict.target
     return owner if owner in machine.axis_names else ""
 
 
-def _cell(verdicts: Sequence[Verdict], named: bool) -> dict[str, Any] | None:
+def _cell(verdicts: Sequence[ExcitationVerdict], named: bool) -> dict[str, Any] | None:
     """The worst of the verdicts of a place (two sensors of an axis share a cell); None where there is none.
 
     Args:
