@@ -111,7 +111,7 @@ def ramp(count: int, kind: str = "motion") -> Recording:
     return Recording("run", pd.DataFrame({"time": time, "boom.joint": 2.0 * time}), 100.0, kind)  # type: ignore[arg-type]
 
 
-@pytest.mark.parametrize("stage", ["joint", "end_effector", "tool"])
+@pytest.mark.parametrize("stage", list(SPANS))
 def test_stages_without_dynamics_are_averaged(stage: Stage) -> None:
     width = round(SPANS[stage] * 100.0)
     found = averaged(ramp(103), stage)
@@ -130,8 +130,9 @@ def test_gaps_stay_gaps_where_less_than_half_is_there() -> None:
     assert np.isnan(found).tolist() == [True] + [False] * 9
 
 
-def test_drives_and_poses_keep_their_rows() -> None:
+def test_stages_with_dynamics_and_poses_keep_their_rows() -> None:
     made, poses = ramp(100), ramp(100, "poses")
+    assert averaged(made, "tool") is made
     assert averaged(made, "command") is made
     assert averaged(made, "force") is made
     assert averaged(poses, "end_effector") is poses
