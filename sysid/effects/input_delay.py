@@ -34,6 +34,29 @@ EFFECT = Effect(
 
 
 @inlined
+def retime(p, i, s, j, dt):
+    """What was held goes on with the delay that ``p`` has."""
+    if not np.isnan(s[j]):
+        s[j + 1] = math.floor(p[i] / dt)
+        s[j + 2] = p[i] / dt - s[j + 1]
+
+
+@inlined
+def fill(u, p, i, s, j, size, dt):
+    """As if the input had been ``u`` for long."""
+    s[j] = 0.0
+    retime(p, i, s, j, dt)
+    for k in range(j + 3, j + size):
+        s[k] = u
+
+
+@inlined
+def put(u, s, j, size, back):
+    """Before the first step: what the input was ``back`` ≥ 1 steps before it."""
+    s[j + size - back] = u
+
+
+@inlined
 def step(u, p, i, s, j, size, dt):
     """Ring buffer at ``s[j+3 : j+size]``, its head in ``s[j]``, whole steps of the delay and the rest in the two after it.
 
@@ -43,11 +66,7 @@ def step(u, p, i, s, j, size, dt):
     ring = size - 3
     first = j + 3
     if np.isnan(s[j]):
-        s[j] = 0.0
-        s[j + 1] = math.floor(p[i] / dt)
-        s[j + 2] = p[i] / dt - s[j + 1]
-        for k in range(ring):
-            s[first + k] = u
+        fill(u, p, i, s, j, size, dt)
     head = int(s[j])
     s[first + head] = u
     whole = int(s[j + 1])

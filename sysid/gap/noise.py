@@ -1,12 +1,33 @@
-"""How noisy each measured signal is: from the data sheet where the machine description has it, else from the data."""
+"""How noisy each measured signal is: from the data sheet where the machine description has it, else from the data.
+
+From the data, the noise of a signal is the larger of its white noise (:func:`sysid.datasets.quality.noise.white_noise`) and the
+error of rounding to the steps in which its sensor reads. A figure is believed where it is a plausible share of the signal's
+range of motion; where the motion is too fast for the rate, or only static poses show the signal, the best bound is taken.
+"""
 
 from __future__ import annotations
 
-import numpy as np
+import math
 
-from sysid.datasets.quality import noise_of
-from sysid.datasets.recording import Dataset
-from sysid.signals import split_signal
+import numpy as np
+import numpy.typing as npt
+
+from sysid.datasets.quality.noise import is_still, noise_bound, white_noise
+from sysid.datasets.recording import Dataset, Recording
+from sysid.gap.readings import reading_step, rounding
+from sysid.machine import Machine
+from sysid.signals import axis_signal, split_signal
+
+Array = npt.NDArray[np.float64]
+
+#: Noise above this share of the range of motion is no noise: what was measured is motion. A range of less than :data:`UNMOVED`
+#: of the axis' own is no motion: noise may be all of it.
+PLAUSIBLE, UNMOVED = 0.01, 0.02
+#: Where nothing tells: share of the range that the noise is taken to be at static poses, and of a signal without any scatter
+#: (a simulation, or an axis that stands still).
+OF_POSES, OF_NOTHING = 1e-3, 1e-6
+#: Static poses repeat where all other signals agree to this share of their range; so many repeats tell the noise.
+SAME_POSE, REPEATS = 1e-3, 5
 
 
 def noise_levels(dataset: Dataset) -> dict[str, float]:
@@ -21,14 +42,64 @@ def noise_levels(dataset: Dataset) -> dict[str, float]:
 
 
 def _from_data(dataset: Dataset, signal: str) -> float:
+    recordings = [r for r in dataset.recordings if signal in r.signals]
+    moving = [r for r in recordings if r.kind == "motion"]
+    span = max((_range(r.values(signal)) for r in recordings), default=0.0)
+    limits = _limits(dataset.machine, signal)
+    most = PLAUSIBLE * span if span > UNMOVED * limits or limits == 0.0 else math.inf
+    found = _of_samples(dataset, signal, moving or recordings, most if moving else PLAUSIBLE * span)
+    if found is None:
+        found = _of_tables(moving, signal, most) if moving else _of_poses(recordings, signal, span)
+    step = reading_step([r.values(signal) for r in moving])
+    return max(found, rounding(step), OF_NOTHING * max(span, limits), 1e-12)
+
+
+def _of_samples(dataset: Dataset, signal: str, recordings: list[Recording], most: float) -> float | None:
+    """What ingest found in the sensor's own samples, as far as it is plausible; median of the recordings."""
     quality = dataset.quality.get("recordings", {})
-    found = [quality.get(r.name, {}).get("signals", {}).get(signal, {}).get("noise") for r in dataset.recordings]
-    levels = [level for level in found if level is not None and np.isfinite(level) and level > 0.0]
-    if not levels:
-        levels = [noise_of(r.values(signal), r.rate_hz) for r in dataset.recordings if r.kind == "motion"]
-        levels = [level for level in levels if np.isfinite(level) and level > 0.0]
-    if levels:
-        return float(np.median(levels))
-    values = np.concatenate([r.values(signal) for r in dataset.recordings])
-    span = float(np.nanmax(values) - np.nanmin(values)) if not np.isnan(values).all() else 1.0
-    return max(1e-6 * span, 1e-12)  # a signal without any scatter: simulated, or recorded in steps coarser than its motion
+    found = [quality.get(r.name, {}).get("signals", {}).get(signal, {}).get("noise") for r in recordings]
+    levels = [v for v in found if v is not None and math.isfinite(v) and 0.0 < v <= most]
+    return float(np.median(levels)) if levels else None
+
+
+def _of_tables(moving: list[Recording], signal: str, most: float) -> float:
+    """White noise in tables of motion, else its bound, at most a plausible share of the range."""
+    parts = [(r.values(signal), r.rate_hz) for r in moving if not is_still(r.values(signal))]
+    told = [level for values, rate in parts if math.isfinite(level := white_noise(values, rate)) and level <= most]
+    if told:
+        return float(np.median(told))
+    bounds = [bound for values, _ in parts if math.isfinite(bound := noise_bound(values))]
+    return min(float(np.median(bounds)), most) if bounds else 0.0
+
+
+def _of_poses(recordings: list[Recording], signal: str, span: float) -> float:
+    """Scatter among static poses that repeat each other in all other signals; an assumed share of the range without such."""
+    differences: list[Array] = []
+    for recording in recordings:
+        others = [name for name in recording.signals if name != signal and split_signal(name)[1] != "command"]
+        if len(recording) < 2 or not others:
+            continue
+        table = np.column_stack([recording.values(name) for name in others])
+        ranges = np.nanmax(table, axis=0, initial=-np.inf) - np.nanmin(table, axis=0, initial=np.inf)
+        first, second = np.triu_indices(len(recording), 1)
+        same = (np.abs(table[first] - table[second]) <= SAME_POSE * ranges).all(axis=1)
+        values = recording.values(signal)
+        differences.append((values[first] - values[second])[same])
+    found = np.concatenate([*differences, np.empty(0)])
+    found = found[~np.isnan(found)]
+    return float(np.sqrt(np.mean(found**2) / 2.0)) if len(found) >= REPEATS else OF_POSES * span
+
+
+def _range(values: Array) -> float:
+    known = values[~np.isnan(values)]
+    return float(np.ptp(known)) if len(known) else 0.0
+
+
+def _limits(machine: Machine, signal: str) -> float:
+    """How far the axis of a signal can move [SI]; zero where the description does not say, and for points."""
+    owner, _ = split_signal(signal)
+    if owner not in machine.axis_names:
+        return 0.0
+    axis = machine.axis(owner)
+    ends = axis.limits if signal == axis_signal(owner, "joint") else axis.range
+    return float(ends[1] - ends[0]) if ends is not None and np.isfinite(ends).all() else 0.0

@@ -136,7 +136,7 @@ def tip_problem(model: Model) -> Problem:
 
 
 def tool_problem(model: Model) -> Problem:
-    """End effector → hanging tool."""
+    """End effector → hanging tool; a plant that knows nothing of how it hangs predicts tool = ee (contract)."""
     return Problem(
         "tool",
         "tool",
@@ -225,7 +225,7 @@ def problems_of(model: Model, dataset: Dataset) -> list[Problem]:
     joints = [axis_signal(name, "joint") for name in model.machine.axis_names]
     if model.posed and _measured((*motion, *dataset.of_kind("poses")), *joints, *point_signals("ee")):
         problems.append(tip_problem(model))
-    if model.machine.tool is not None and _measured(motion, *point_signals("ee"), *point_signals("tool")):
+    if model.posed and _measured(motion, *point_signals("ee"), *point_signals("tool")):
         problems.append(tool_problem(model))
     return problems
 

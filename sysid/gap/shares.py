@@ -69,7 +69,7 @@ def _moves(model: Model, recording: Recording) -> dict[str, Moves]:
             ends[joint] = _joint_moves(model, recording, run, axis)
     joints = [axis_signal(name, "joint") for name in model.machine.axis_names]
     if model.posed and set(joints) <= set(run) and _any(recording, *joints, *point_signals("ee")):
-        tool = model.machine.tool is not None and _any(recording, *point_signals("ee"), *point_signals("tool"))
+        tool = model.has_tool(model.theta, recording) and _any(recording, *point_signals("ee"), *point_signals("tool"))
         for point in ("ee", "tool") if tool else ("ee",):
             ends[point] = _point_moves(model, recording, run, point)
     return ends

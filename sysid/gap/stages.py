@@ -15,8 +15,9 @@ from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]
 from sysid.gap.adapters.adapter import SimulatorAdapter
 from sysid.gap.candidates import Candidate
 from sysid.gap.case import Case, Stage, on_itself, stage_candidates
+from sysid.gap.clocks import open_offset
 from sysid.gap.data import Data
-from sysid.gap.decision import EXPLAINED, Decision, difference
+from sysid.gap.decision import EXPLAINED, Decision, Key, difference
 from sysid.gap.evidence import Comparison
 from sysid.gap.excitation import excitation_of
 from sysid.gap.fit import Fit, spread_of
@@ -27,8 +28,11 @@ from sysid.gap.stage_result import AcceptedEffect, StageResult, TestedModel
 from sysid.plant import compile_plant
 from sysid.plant.model import WORKERS
 from sysid.progress import Progress, part
+from sysid.signals import axis_signal
 
 Array = npt.NDArray[np.float64]
+#: A play narrower than this many standard deviations of the noise of the signal that drives it acts as a filter of that noise.
+PLAY_OVER_NOISE = 4.0
 #: What a joint stage says of a sensor that a drive is read by.
 SCALE = "sensor_scale"
 
@@ -112,11 +116,35 @@ def _found(case: Case, stage: Stage, forms: Forms, tell: Progress) -> StageResul
     nameable = [c.label for c in offered if excitation_of(c, stage.split.seen, machine).sufficient]
     fitted = fit_stage(
         compile_plant(case.plant), problem, stage.split.seen, stage.theta, stage.sigma, offered, nameable,
+        _equivalence(case, problem.stage, offered),
         on_fit=lambda text: tell(0.0, f"{stage.label}: {text}"),
     )  # fmt: skip
     finding = _result(problem, seen, fitted, nominal)
     tell(1.0, stage.label)
     return finding if problem is stage.problem else on_itself(finding, stage, stage.theta)
+
+
+def _equivalence(case: Case, stage: str, offered: Sequence[Candidate]) -> dict[Key, float]:
+    """What is open about clocks and about plays that a noisy measurement drives: least half-widths of equivalence."""
+    found: dict[Key, float] = {}
+    for candidate in offered:
+        if candidate.effect.name == "clock_offset":
+            found[candidate.key] = open_offset(case.dataset, candidate.target)
+        elif candidate.effect.name == "backlash" and stage == "end_effector":
+            found[candidate.key] = PLAY_OVER_NOISE * case.noise.get(axis_signal(candidate.target, "joint"), 0.0)
+        elif candidate.effect.name == "backlash" and stage == "joint":
+            found[candidate.key] = PLAY_OVER_NOISE * _cylinder_noise(case, candidate.target)
+    return found
+
+
+def _cylinder_noise(case: Case, axis: str) -> float:
+    """Noise of a measured cylinder as its linkage passes it on to the joint [rad]."""
+    linkage = case.plant.linkages[axis]
+    stroke = case.plant.machine.axis(axis).stroke
+    ends = stroke if stroke is not None else (0.0, 1.0)
+    places = np.linspace(*ends, 9)
+    steepest = float(np.max(np.abs(np.gradient(linkage.joint(places), places))))
+    return steepest * case.noise.get(axis_signal(axis, "cylinder"), 0.0)
 
 
 def _result(problem: Problem, seen: Data, fitted: StageFit, nominal: float) -> StageResult:

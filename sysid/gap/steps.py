@@ -190,7 +190,8 @@ def add(study: Study, proof: Proof, registry: Registry | None = None) -> Plant |
 def next_experiment(study: Study, proof: Proof) -> tuple[str, ...]:
     """What to record so that ties come apart and effects that the recordings cannot show are shown."""
     ties = (advice_on_tie(tie) for tie in proof.outcome.ties)
-    return (*ties, *(advice(e) for e in excitation(study.case, list(study.stages)) if not e.sufficient))
+    lacking = (advice(e) for e in excitation(study.case, list(study.stages)) if not e.sufficient)
+    return tuple(dict.fromkeys((*ties, *lacking)))  # all effects of an axis that did not move need the same
 
 
 def store(study: Study, proof: Proof, registry: Registry) -> str:

@@ -36,16 +36,22 @@ from sysid.plant.rig import GAIN, HIGH, KIND, LOW, POSITION, SENSE, VELOCITY
 
 
 @inlined
+def opening(u, p, b, s, m):
+    """Command → opening that the valve is asked for, before all that takes time."""
+    u = valve_hysteresis.step(u, p, b + AT.valve_hysteresis, s, m + STATE.valve_hysteresis)
+    u = valve_deadband.step(u, p, b + AT.valve_deadband)
+    u = gain_curve.step(u, p, b + AT.gain_curve)
+    return flow_saturation.step(u, p, b + AT.flow_saturation)
+
+
+@inlined
 def command_stage(u, p, b, s, m, size, gain, load, dt):
     """Command → speed that a velocity axis asks for [m/s or rad/s], mean over the step. ``load`` opposes positive motion.
 
     The dead time comes first in the machine. What has no clock of its own gives the same before and after it, and only behind
     its bends is the blending of a part of a step exact.
     """
-    u = valve_hysteresis.step(u, p, b + AT.valve_hysteresis, s, m + STATE.valve_hysteresis)
-    u = valve_deadband.step(u, p, b + AT.valve_deadband)
-    u = gain_curve.step(u, p, b + AT.gain_curve)
-    u = flow_saturation.step(u, p, b + AT.flow_saturation)
+    u = opening(u, p, b, s, m)
     u = input_delay.step(u, p, b + AT.input_delay, s, m + STATE.input_delay, size - STATE.input_delay, dt)
     u = command_rate_limit.step(u, p, b + AT.command_rate_limit, s, m + STATE.command_rate_limit, dt)
     x = first_order_lag.step(u, p, b + AT.first_order_lag, s, m + STATE.first_order_lag, dt)

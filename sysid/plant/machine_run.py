@@ -11,7 +11,6 @@ import numpy as np
 from sysid.effects import pump_flow_limit
 from sysid.effects.compiled import inlined, kernel, loop
 from sysid.plant import chain, residual
-from sysid.plant.axis_run import begin
 from sysid.plant.layout import AT, AXIS_WIDTH, STATE
 from sysid.plant.pose import SCRATCH, pose
 from sysid.plant.rig import CYLINDER, FORCE, GAIN, HIGH, KIND, LOW, POSITION, TABLE_LOW, TABLE_STEP, VELOCITY
@@ -88,9 +87,22 @@ def within(wanted, axes, i):
     return min(max(wanted, axes[i, LOW]), axes[i, HIGH]) if axes[i, KIND] == POSITION else wanted
 
 
+@inlined
+def enter(p, rig, i, s, size, load, start, command, dt, nets, t):
+    """Put axis ``i`` into the state ``start`` (size,) before its first sample, at which it gets ``command``."""
+    for j in range(size):
+        s[i * size + j] = start[j]
+    load[i] = 0.0
+    if nets is not None:
+        residual.forget_axis(nets, t, i)
+    if rig.axes[i, KIND] == POSITION:
+        where = chain.ask(command, p, s, i * size, size, rig.axes, i, 0.0, dt)
+        s[i * size + STATE.position] = where
+
+
 @loop
 def _run(p, rig, commands, edges, starts, dt, size, drive, joints, tip, s, load, wanted, structure, row, scratch, at, nets, t):
-    count, axes = commands.shape
+    count, axes = drive.shape
     for k in range(count):
         fresh = False
         for i in range(axes):
@@ -99,15 +111,7 @@ def _run(p, rig, commands, edges, starts, dt, size, drive, joints, tip, s, load,
                 at[i] += 1
             if at[i] < edges.shape[1] and k == edges[i, at[i], 0]:
                 fresh = True
-                load[i] = 0.0
-                if nets is not None:
-                    residual.forget_axis(nets, t, i)
-                b = i * AXIS_WIDTH
-                start = starts[i, at[i]]
-                begin(s, i * size, size, start[0], start[1], start[2], p, b, k, dt)
-                if rig.axes[i, KIND] == POSITION:
-                    where = chain.ask(commands[k, i], p, s, i * size, size, rig.axes, i, 0.0, dt)
-                    s[i * size + STATE.position] = where
+                enter(p, rig, i, s, size, load, starts[i, at[i]], commands[k, i], dt, nets, t)
         observe(p, rig, s, load, scratch, drive[k], joints[k], structure, tip[k], nets, t)
         if fresh:  # once more, now that the load is known; where the structure began does not hold without it
             for i in range(axes):
@@ -116,25 +120,26 @@ def _run(p, rig, commands, edges, starts, dt, size, drive, joints, tip, s, load,
             observe(p, rig, s, load, scratch, drive[k], joints[k], structure, tip[k], nets, t)
         for i in range(axes):
             row[i] = commands[k, i]
-            if rig.axes[i, KIND] == POSITION and k + 1 < count:
+            if rig.axes[i, KIND] == POSITION and k + 1 < len(commands):
                 row[i] = commands[k + 1, i]
         advance(p, rig, s, load, wanted, row, dt, nets, t)
 
 
 @kernel
-def run_machine(p, rig, commands, edges, starts, dt, size, drive, joints, tip, nets, t):
+def run_machine(p, rig, commands, edges, starts, dt, drive, joints, tip, s, load, nets, t):
     """Free run of all axes from their commands.
 
     Args:
-        commands: (n, A), held where they are missing inside a stretch.
-        edges: (A, m, 2) first and last+1 sample of each axis' stretches, in order; beyond the last one n.
-        starts: (A, m, 3) as :func:`sysid.plant.axis_run.find_starts` gives them.
+        commands: (n or n + 1, A), held where they are missing inside a stretch.
+        edges: (A, m, 2) first and last+1 sample of each axis' stretches, in order; beyond the last one n + 1.
+        starts: (A, m, size) as :func:`sysid.plant.axis_run.find_starts` gives them.
         drive, joints: out, (n, A), NaN outside of the stretches; ``tip`` (n, 3), NaN where any joint is.
+        s, load: (A · size,) NaN and (A,) zero before; after it the state that the n steps lead to.
         nets: residual networks, with their memory ``t``; both None where the plant carries none.
     """
     axes = commands.shape[1]
-    s = np.full(axes * size, np.nan)
-    load, wanted, structure, row = np.zeros(axes), np.zeros(axes), np.zeros(axes), np.zeros(axes)
+    size = len(s) // axes
+    wanted, structure, row = np.zeros(axes), np.zeros(axes), np.zeros(axes)
     scratch = np.empty((len(rig.links), SCRATCH))
     at = np.zeros(axes, dtype=np.int64)
     _run(p, rig, commands, edges, starts, dt, size, drive, joints, tip, s, load, wanted, structure, row, scratch, at, nets, t)

@@ -25,7 +25,8 @@ from sysid.signals import axis_signal, point_signals
 Array = npt.NDArray[np.float64]
 Segments = npt.NDArray[np.int64]
 
-#: A free run starts from the median of this stretch [s] (contract).
+#: Where a play stands behind a measured cylinder is taken from this stretch [s]; so is the place of a run that goes on from
+#: the one before it.
 START_WINDOW = 0.2
 #: The side of a play on which a free run starts is taken from this stretch [s].
 SETTLE_WINDOW = 10.0
@@ -63,13 +64,22 @@ class Model:
     def axis_index(self, axis: str) -> int:
         return self.machine.axis_names.index(axis)
 
+    def has_tool(self, theta: Array, recording: Recording) -> bool:
+        """Whether the tool is predicted: machine.toml names its link, the plant lets it swing, or the recording measures it.
+
+        Where it neither has a link nor swings, tool = ee (contract).
+        """
+        swings = bool(theta[self.rig.tool] > 0.0)
+        return self.machine.tool is not None or swings or not np.isnan(measured_point(recording, "tool")).all()
+
     # -- stages ----------------------------------------------------------------------------------------------------
 
     def drive(self, thetas: Array, recording: Recording, axis: str, restart_every: float | None = None) -> Array:
         """Command → the signal that it drives, free-running: (lanes, n).
 
-        Load and pump share are those at the measured joints and at the other axes' commands. ``restart_every`` [s] restarts
-        the run from the measurement again and again, for starting values of a fit.
+        Load and pump share are those at the measured joints and at the other axes' commands. It starts where a free run does.
+        ``restart_every`` [s] puts a moving axis where the measurement has it again and again, for starting values of a fit;
+        its valve goes on as it is.
         """
         i, about, dt = self.axis_index(axis), self.machine.axis(axis), 1.0 / recording.rate_hz
         command, segments = self.held(recording, axis)
@@ -136,10 +146,9 @@ class Model:
     def hang(self, thetas: Array, pivot: Array, measured: Array, rate_hz: float) -> Array:
         """True end effector (lanes, n, 3) → true tool; ``measured`` tool (lanes, n, 3) starts the swing."""
         out, pivot, measured = np.empty(pivot.shape), frozen(pivot), frozen(measured)
-        window = max(5, round(START_WINDOW * rate_hz))
 
         def lane(k: int) -> None:
-            swing.swing(thetas[k], self.rig.tool, pivot[k], measured[k], window, 1.0 / rate_hz, out[k])
+            swing.swing(thetas[k], self.rig.tool, pivot[k], measured[k], 1.0 / rate_hz, out[k])
 
         in_parallel(lane, len(thetas), pivot.shape[1])
         return out
@@ -190,7 +199,7 @@ class Model:
         return known[1], known[2]
 
     def window(self, recording: Recording) -> int:
-        """Samples from which a run starts."""
+        """Samples of :data:`START_WINDOW`."""
         return max(3, round(START_WINDOW * recording.rate_hz))
 
     def load(self, thetas: Array, recording: Recording, seconds: float = math.inf) -> Array:

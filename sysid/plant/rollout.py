@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 import numpy.typing as npt
 import pandas as pd
@@ -9,7 +11,7 @@ import pandas as pd
 from sysid.datasets.recording import Recording
 from sysid.plant import axis_run, layout
 from sysid.plant.machine_run import run_machine
-from sysid.plant.model import SETTLE_WINDOW, Model, compile_plant
+from sysid.plant.model import SETTLE_WINDOW, Model, Segments, compile_plant
 from sysid.plant.plant import Plant
 from sysid.plant.residual import Place, check_step, memory_of
 from sysid.signals import axis_signal, point_signals
@@ -35,7 +37,7 @@ def free_run(plant: Plant | Model, recording: Recording) -> pd.DataFrame:
             columns[signal] = model.sensed(theta, signal, joints[None, :, i], dt)[0]
     if not np.isnan(tip).all():
         points = {"ee": tip}
-        if model.machine.tool is not None:
+        if model.has_tool(model.theta, recording):
             measured = model.believed_point(theta, recording, "tool")
             points["tool"] = model.hang(theta, tip[None], measured, recording.rate_hz)[0]
         for point, values in points.items():
@@ -46,33 +48,69 @@ def free_run(plant: Plant | Model, recording: Recording) -> pd.DataFrame:
 
 def true_run(model: Model, recording: Recording) -> tuple[Array, Array, Array]:
     """Drives (n, A), joints (n, A), end effector (n, 3), before any sensor reads them."""
-    count, dt = len(recording), 1.0 / recording.rate_hz
-    stretches = [model.held(recording, name)[1] for name in model.machine.axis_names]
+    return run_steps(model, recording, starts(model, recording), len(recording))[0]
+
+
+@dataclass(frozen=True)
+class Starts:
+    """Where the axes of a free run start after each gap of their commands.
+
+    Args:
+        edges: (A, m, 2) first and last+1 sample of each stretch, in order; beyond the last one the number of samples.
+        states: (A, m, size) state of the axis before the first sample of the stretch.
+        commands: (n, A), short gaps held.
+    """
+
+    edges: Segments
+    states: Array
+    commands: Array
+
+
+def starts(model: Model, recording: Recording) -> Starts:
+    """Start states of a free run, estimated from the first seconds of each stretch."""
+    names, dt = model.machine.axis_names, 1.0 / recording.rate_hz
+    stretches = [model.held(recording, name)[1] for name in names]
     rows = max(1, *(len(part) for part in stretches))
-    edges = np.full((model.axes, rows, 2), count, dtype=np.int64)
-    begins = np.full((model.axes, rows, axis_run.START), np.nan)
+    edges = np.full((model.axes, rows, 2), len(recording), dtype=np.int64)
+    states = np.full((model.axes, rows, layout.axis_memory(dt)), np.nan)
     share = model.share(model.theta[None], recording, SETTLE_WINDOW)[0]
     load = model.load(model.theta[None], recording, SETTLE_WINDOW)
     for i, part in enumerate(stretches):
         edges[i, : len(part)] = part
-        begins[i, : len(part)] = _starts(model, recording, model.machine.axis_names[i], load[i], share)
-    commands = np.column_stack([model.held(recording, name)[0] for name in model.machine.axis_names])
+        states[i, : len(part)] = _starts(model, recording, names[i], load[i], share)
+    return Starts(edges, states, np.column_stack([model.held(recording, name)[0] for name in names]))
+
+
+def run_steps(model: Model, recording: Recording, begun: Starts, count: int) -> tuple[tuple[Array, Array, Array], MachineState]:
+    """The first ``count`` samples of a free run, as :func:`true_run` gives them, and the state that they lead to."""
+    dt = 1.0 / recording.rate_hz
     drive, joints, tip = np.empty((count, model.axes)), np.empty((count, model.axes)), np.empty((count, 3))
     check_step(model.residuals, dt)
-    memory = None if model.nets is None else memory_of(model.nets)
+    networks = None if model.nets is None else memory_of(model.nets)
+    memory, load = np.full(model.axes * begun.states.shape[2], np.nan), np.zeros(model.axes)
+    commands = begun.commands[: count + 1]
     run_machine(
-        model.theta, model.rig, commands, edges, begins, dt, layout.axis_memory(dt), drive, joints, tip, model.nets, memory
+        model.theta, model.rig, commands, begun.edges, begun.states, dt, drive, joints, tip, memory, load, model.nets, networks
     )
-    return drive, joints, tip
+    return (drive, joints, tip), MachineState(memory, load, networks)
+
+
+@dataclass(frozen=True)
+class MachineState:
+    """All axes at a sample: ``memory`` (A · size,), gravity ``load`` (A,), memory of the residual networks (R, M)."""
+
+    memory: Array
+    load: Array
+    networks: Array | None
 
 
 def _starts(model: Model, recording: Recording, axis: str, load: Array, share: Array) -> Array:
-    """Where a free run of one axis starts after each gap of its command, (m, 3): see :data:`sysid.plant.axis_run.START`."""
+    """State of one axis before each of its stretches, (m, size)."""
     theta, dt = model.theta[None], 1.0 / recording.rate_hz
     i, about = model.axis_index(axis), model.machine.axis(axis)
     command, segments = model.held(recording, axis)
     measured, joint = (model.believed(theta, recording, s)[0] for s in (about.driven, axis_signal(axis, "joint")))
-    out = np.empty((len(segments), axis_run.START))
+    out = np.empty((len(segments), layout.axis_memory(dt)))
     place: Place = "force" if about.actuation == "force" else "command"
     own = model.own(place, axis, model.in_steps(recording, i) if model.carries(place, axis, dt) else None)
     axis_run.find_starts(

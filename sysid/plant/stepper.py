@@ -15,20 +15,19 @@ import numpy as np
 import numpy.typing as npt
 
 from sysid.datasets.recording import Recording
-from sysid.effects import gripper_sway
+from sysid.effects import gripper_sway, input_delay
 from sysid.effects.compiled import kernel
 from sysid.errors import SettingsError
 from sysid.machine import Machine
-from sysid.plant import axis_run, chain, layout, residual
+from sysid.plant import axis_loop, chain, layout, residual, swing
 from sysid.plant.layout import AT, AXIS_WIDTH, STATE
-from sysid.plant.machine_run import advance, observe
-from sysid.plant.model import START_WINDOW, WORKERS, compile_plant, frozen, held, in_parallel
+from sysid.plant.machine_run import advance, enter, observe
+from sysid.plant.model import WORKERS, compile_plant, frozen, held, in_parallel
 from sysid.plant.plant import Plant
 from sysid.plant.pose import SCRATCH, loads
 from sysid.plant.residual import check_step, memory_of
 from sysid.plant.rig import FORCE, HIGH, KIND, LOW, POSITION
-from sysid.plant.rollout import true_run
-from sysid.plant.swing import find_swing
+from sysid.plant.rollout import MachineState, Starts, run_steps, starts, true_run
 from sysid.signals import axis_signal
 
 Array = npt.NDArray[np.float64]
@@ -136,7 +135,7 @@ class Stepper:
                 _forget_lane(self._left[lane])
             load[:] = 0.0
             self._observe(int(lane), int(lane) + 1)  # the load of the place ...
-            _forget_structure(s, n)
+            _forget_structure(s, np.ones(n, dtype=np.bool_))
             self._swing[lane] = hanging[row]
             self._observe(int(lane), int(lane) + 1)  # ... how it sags there ...
             _hold_command(p, rig, s, load, command[row], seconds, self.dt)  # ... and what the valves make of it
@@ -144,24 +143,35 @@ class Stepper:
         return self._state()
 
     def begin(self, recording: Recording, row: int) -> LaneState:
-        """Reset all lanes to where the free run of ``recording`` stands at ``row``, where a stretch begins."""
-        machine, rest = self.plant.machine, slice(row, None)
-        drive, joints, tip = true_run(self.model, recording)
-        theta = self.model.theta[None]
-        speed = [
-            start_speed(self.model.believed(theta, recording, axis.driven)[0][rest], self.rate_hz)
-            if axis.actuation == "force"
-            else 0.0
-            for axis in machine.axes
-        ]
-        swing = None
-        if machine.tool is not None and not np.isnan(tip[row]).any():
-            tool = self.model.believed_point(theta, recording, "tool")[0]
-            swing = swing_start(self.plant, tip[rest], tool[rest], self.rate_hz)
-        commands = held_commands(machine, recording)[row]
-        return self.reset(
-            joints[row], drive=drive[row], speed=speed, commands=commands, swing=swing, seconds=row / self.rate_hz
-        )
+        """Put all lanes where the free run of ``recording`` stands at ``row``, where a stretch begins.
+
+        A lane of another plant gets the same places, speeds and valve openings.
+        """
+        rig = self.model.rig
+        begun = starts(self.model, recording)
+        before = run_steps(self.model, recording, begun, row)[1]
+        states, fresh = begin_states(begun, before, row)
+        for lane, theta in enumerate(self.thetas):
+            self._load[lane], left = before.load, None
+            if self._left is not None:
+                left = self._left[lane]
+                left[:] = before.networks
+            _enter_lane(
+                theta, rig, self._memory[lane], self._load[lane], states, fresh, begun.commands[row], row, self.dt,
+                self.model.nets, left,
+            )  # fmt: skip
+        self._swing[:] = np.nan
+        self._observe(0, self.lanes)  # the load of the place ...
+        for lane in range(self.lanes):
+            _forget_structure(self._memory[lane], fresh)
+        if self.model.has_tool(self.model.theta, recording) and not np.isnan(self._out.ee[0]).any():
+            rest = slice(row, None)
+            tip = true_run(self.model, recording)[2]
+            tool = self.model.believed_point(self.model.theta[None], recording, "tool")[0]
+            self._swing[:] = swing_start(self.plant, tip[rest], tool[rest], self.rate_hz)
+        self._observe(0, self.lanes)  # ... and how it sags there
+        self._ready[:] = True
+        return self._state()
 
     def step(self, commands: npt.ArrayLike) -> LaneState:
         """Hold ``commands``, (lanes, axes) or (axes,), for one step and return the state after it.
@@ -293,29 +303,26 @@ def step_commands(machine: Machine, commands: Array) -> Array:
     return np.where(position, commands[1:], commands[:-1])
 
 
-def start_speed(measured: Array, rate_hz: float) -> float:
-    """Speed from which a free run of a force axis starts: slope of the first samples (n,)."""
-    return float(_slope(np.array(measured), min(_window(rate_hz, 3), len(measured)), 1.0 / rate_hz))
-
-
 def swing_start(plant: Plant, ee: Array, tool: Array, rate_hz: float) -> Array:
-    """Place and speed of the tool (4,) from which a free run starts, from boom tip (n, 3) and measured tool (n, 3)."""
-    start = np.empty(4)
-    last = min(_window(rate_hz, 5), int(np.argmax(np.append(np.isnan(ee[:, 0]), True))))
+    """State of the tool before the first sample of a free run, from boom tip (n, 3) and measured tool (n, 3)."""
+    start = np.empty(gripper_sway.MEMORY)
+    last = int(np.argmax(np.append(np.isnan(ee[:, 0]), True)))
     at = layout.tool_place(len(plant.machine.axes))
-    find_swing(
-        plant.vector(), at, frozen(ee[:last].copy()), frozen(tool[:last].copy()), 1.0 / rate_hz, start, np.empty((last, 3))
-    )
+    swing.start(plant.vector(), at, frozen(ee[:last].copy()), frozen(tool[:last].copy()), 1.0 / rate_hz, start)
     return start
 
 
-def _window(rate_hz: float, least: int) -> int:
-    return max(least, round(START_WINDOW * rate_hz))
-
-
-@kernel
-def _slope(measured, last, dt):
-    return axis_run.slope(measured, 0, last, dt)
+def begin_states(begun: Starts, before: MachineState, row: int) -> tuple[Array, npt.NDArray[np.bool_]]:
+    """State (A, size) of the axes at ``row``, NaN where they have no command, and which of them begin there (A,)."""
+    states = before.memory.reshape(len(begun.edges), -1).copy()
+    fresh = np.zeros(len(states), dtype=np.bool_)
+    for i, edges in enumerate(begun.edges):
+        here = np.flatnonzero((edges[:, 0] <= row) & (row < edges[:, 1]))
+        if not len(here):
+            states[i] = np.nan
+        elif edges[here[0], 0] == row:
+            states[i], fresh[i] = begun.states[i, here[0]], True
+    return states, fresh
 
 
 @kernel
@@ -323,7 +330,7 @@ def _begin_lane(p, rig, s, drive, speed, joint, dt):
     """Put the axes in place, in the memory ``s`` (A · size,) of a lane."""
     size = len(s) // len(rig.axes)
     for i in range(len(rig.axes)):
-        axis_run.begin(s, i * size, size, drive[i], speed[i], joint[i], p, i * AXIS_WIDTH, 0, dt)
+        axis_loop.begin(s, i * size, size, drive[i], speed[i], joint[i], p, i * AXIS_WIDTH, 0, dt)
 
 
 @kernel
@@ -340,10 +347,31 @@ def _hold_command(p, rig, s, load, command, seconds, dt):
 
 
 @kernel
-def _forget_structure(s, axes):
-    size = len(s) // axes
-    for i in range(axes):
-        s[i * size + STATE.backlash_structure] = np.nan
+def _enter_lane(p, rig, s, load, states, fresh, command, row, dt, nets, t):
+    """Put a lane into ``states`` (A, size) of a plant that may differ from its own: what is kept of parameters is made anew."""
+    size = len(s) // len(rig.axes)
+    for i in range(len(rig.axes)):
+        b, m = i * AXIS_WIDTH, i * size
+        state = states[i]
+        state[STATE.first_order_lag + 1] = np.nan
+        state[STATE.command_rate_limit + 1] = np.nan
+        state[STATE.oil_compressibility + 2] = np.nan
+        state[STATE.temperature_drift] = math.exp(-row * dt / p[b + AT.temperature_drift + 1])
+        state[STATE.temperature_drift + 1] = np.nan
+        input_delay.retime(p, b + AT.input_delay, state, STATE.input_delay, dt)
+        if fresh[i]:
+            enter(p, rig, i, s, size, load, state, command[i], dt, nets, t)
+        else:
+            for k in range(size):
+                s[m + k] = state[k]
+
+
+@kernel
+def _forget_structure(s, fresh):
+    size = len(s) // len(fresh)
+    for i in range(len(fresh)):
+        if fresh[i]:
+            s[i * size + STATE.backlash_structure] = np.nan
 
 
 @kernel

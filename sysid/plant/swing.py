@@ -7,14 +7,23 @@ import math
 import numpy as np
 
 from sysid.effects import gripper_sway
-from sysid.effects.compiled import inlined, kernel
+from sysid.effects.compiled import inlined, kernel, loop
+
+#: The start of a swing is estimated from so many of its periods, or from this long [s] where that is longer.
+PERIODS, LEAST = 2.0, 3.0
+#: Runs of that stretch at most; a correction [standard deviations of the noise] that needs no other one.
+ROUNDS, EXACT = 6, 0.1
+#: Prior: the tool hangs still; standard deviations of its deflection [lengths], and of a constant error of tip and tool [m].
+DEFLECTION, BESIDE = 0.3, 0.005
+#: No deflection starts larger than this [lengths].
+LARGEST = 0.9
 
 
 @kernel
-def swing(p, at, pivot, measured, window, dt, out):
+def swing(p, at, pivot, measured, dt, out):
     """Boom tip (n, 3) → tool (n, 3). After a gap in the tip the swing restarts from the first measured samples."""
-    s = np.empty(gripper_sway.MEMORY)
-    start = np.empty(4)
+    s, now, tried = np.empty(gripper_sway.MEMORY), np.empty(gripper_sway.MEMORY), np.empty(gripper_sway.MEMORY)
+    normal = np.empty((2, 3, 4))
     begun = False
     for k in range(len(pivot)):
         if np.isnan(pivot[k, 0]):
@@ -25,65 +34,136 @@ def swing(p, at, pivot, measured, window, dt, out):
             continue
         if not begun:
             begun = True
-            last = k
-            while last < min(k + window, len(pivot)) and not np.isnan(pivot[last, 0]):
-                last += 1
-            find_swing(p, at, pivot[k:last], measured[k:last], dt, start, out[k:last])
-            _begin(s, start)
+            _find(p, at, pivot, measured, k, _end(p, at, pivot, k, dt), dt, s, now, tried, normal, out)
+            _copy(s, now)
         gripper_sway.step(pivot[k, 0], pivot[k, 1], pivot[k, 2], p, at, s, 0, dt, out[k])
 
 
 @kernel
-def find_swing(p, at, pivot, measured, dt, start, out):
-    """Place and speed (4,) into ``start`` from which the swing fits ``measured`` (n, 3); ``out`` (n, 3) is used."""
-    s = np.empty(gripper_sway.MEMORY)
-    start[0] = pivot[0, 0]
-    start[1] = pivot[0, 1]
-    start[2] = 0.0
-    start[3] = 0.0
-    for _ in range(3):
-        _begin(s, start)
-        for i in range(len(pivot)):
-            gripper_sway.step(pivot[i, 0], pivot[i, 1], pivot[i, 2], p, at, s, 0, dt, out[i])
-        _correct(p, at, measured, out, dt, start)
+def start(p, at, pivot, measured, dt, found):
+    """State before the first sample into ``found`` (MEMORY,) from which the swing below ``pivot`` (n, 3) fits ``measured``."""
+    s, tried = np.empty(gripper_sway.MEMORY), np.empty(gripper_sway.MEMORY)
+    normal, out = np.empty((2, 3, 4)), np.empty((len(pivot), 3))
+    _find(p, at, pivot, measured, 0, _end(p, at, pivot, 0, dt), dt, s, found, tried, normal, out)
+
+
+@loop
+def _end(p, at, pivot, first, dt):
+    """Last+1 sample that the start is estimated from."""
+    period = 2.0 * math.pi * math.sqrt(max(p[at], 0.0) / gripper_sway.GRAVITY)
+    last, end = first, min(len(pivot), first + max(5, math.ceil(max(LEAST, PERIODS * period) / dt)))
+    while last < end and not np.isnan(pivot[last, 0]):
+        last += 1
+    return last
 
 
 @inlined
-def _begin(s, start):
-    """State of the swing with the bob at ``start[:2]`` moving at ``start[2:]``; the pivot begins where it is first seen."""
-    for i in range(len(s)):
-        s[i] = np.nan
-    for i in range(4):
-        s[i] = start[i]
+def _copy(into, values):
+    for j in range(len(into)):
+        into[j] = values[j]
 
 
-@inlined
-def _correct(p, at, measured, out, dt, start):
-    """Least-squares correction of place and speed of the bob from what is left over the first samples.
+@loop
+def _hang(pivot, first, last, dt, state):
+    """The tool hangs still below a pivot that moves as in its first samples, and has not reached the first of them yet."""
+    ahead = min(first + 2, last - 1)
+    for c in range(3):
+        speed = (pivot[ahead, c] - pivot[first, c]) / ((ahead - first) * dt) if ahead > first else 0.0
+        state[4 + c] = pivot[first, c] - speed * dt
+        state[7 + c] = speed
+    for c in range(2):
+        state[c] = state[4 + c]
+        state[2 + c] = state[7 + c]
 
-    A change of the start dies out as a free swing: ``e^(−ζωt)(δx·cos ωt + (δv + ζω·δx)/ω·sin ωt)``.
-    """
+
+@loop
+def _find(p, at, pivot, measured, first, last, dt, s, now, tried, normal, out):
+    """Gauss-Newton steps towards the most probable start, into ``now``; a step that fits worse is taken back."""
     length = p[at]
+    _hang(pivot, first, last, dt, now)
     if length < 1e-3:
         return
     rate = math.sqrt(gripper_sway.GRAVITY / length)
+    least = np.inf
+    _copy(tried, now)
+    for _ in range(ROUNDS):
+        _copy(s, tried)
+        for k in range(first, last):
+            gripper_sway.step(pivot[k, 0], pivot[k, 1], pivot[k, 2], p, at, s, 0, dt, out[k])
+        cost, count = _normal(p, at, measured, out, first, last, dt, normal)
+        if count == 0 or not cost < least:
+            return
+        least, moved = cost, 0.0
+        _copy(now, tried)
+        for c in range(2):
+            away, speed = now[c] - now[4 + c], now[2 + c] - now[7 + c]
+            by_place, by_speed = _solved(normal[c], cost / count, away, speed, length, rate)
+            tried[c] = now[4 + c] + min(max(away + by_place, -LARGEST * length), LARGEST * length)
+            tried[2 + c] = now[2 + c] + by_speed
+            moved = max(moved, abs(by_place), abs(by_speed) / rate)
+        if moved < EXACT * math.sqrt(cost / count):
+            _copy(now, tried)
+            return
+
+
+@loop
+def _normal(p, at, measured, out, first, last, dt, normal):
+    """Normal equations (2, 3, 4) of what is left; its squares, without a constant, and how many there are.
+
+    What is left is a constant and what a change of the start does, which dies out as a free swing:
+    ``e^(−ζωt)(δx·cos ωt + (δv + ζω·δx)/ω·sin ωt)``.
+    """
+    rate = math.sqrt(gripper_sway.GRAVITY / p[at])
     fade = p[at + 1] * rate
+    # One step of the decaying rotation (e^(−ζωt)·cos ωt, e^(−ζωt)·sin ωt).
+    turn_c, turn_s = math.exp(-fade * dt) * math.cos(rate * dt), math.exp(-fade * dt) * math.sin(rate * dt)
+    cost, total = 0.0, 0
     for c in range(2):
-        a11 = a12 = a22 = b1 = b2 = 0.0
-        for k in range(len(out)):
-            if np.isnan(measured[k, c]):
-                continue
-            t = k * dt
-            decay = math.exp(-fade * t)
-            by_speed = decay * math.sin(rate * t) / rate
-            by_place = decay * math.cos(rate * t) + fade * by_speed
+        cosine, sine, squares, count = 1.0, 0.0, 0.0, 0
+        a = normal[c]
+        for row in range(3):
+            for column in range(4):
+                a[row, column] = 0.0
+        for k in range(first, last):
             left = measured[k, c] - out[k, c]
-            a11 += by_place * by_place
-            a12 += by_place * by_speed
-            a22 += by_speed * by_speed
-            b1 += by_place * left
-            b2 += by_speed * left
-        bottom = a11 * a22 - a12 * a12
-        if bottom > 1e-9 * a11 * a22:
-            start[c] += (b1 * a22 - b2 * a12) / bottom
-            start[2 + c] += (a11 * b2 - a12 * b1) / bottom
+            if not np.isnan(left):
+                by_speed = sine / rate
+                by_place = cosine + fade * by_speed
+                a[0, 0] += by_place * by_place
+                a[0, 1] += by_place * by_speed
+                a[1, 1] += by_speed * by_speed
+                a[0, 2] += by_place
+                a[1, 2] += by_speed
+                a[0, 3] += by_place * left
+                a[1, 3] += by_speed * left
+                a[2, 3] += left
+                squares += left * left
+                count += 1
+            cosine, sine = cosine * turn_c - sine * turn_s, sine * turn_c + cosine * turn_s
+        a[2, 2] = count
+        if count:
+            squares -= a[2, 3] * a[2, 3] / count
+        cost += squares
+        total += count
+    return cost, total
+
+
+@loop
+def _solved(a, variance, place, speed, length, rate):
+    """Correction of place and speed of one direction, by its normal equations (3, 4) and the prior."""
+    wide, fast = DEFLECTION * length, DEFLECTION * length * rate
+    a00, a01, a02, b0 = a[0, 0] + variance / (wide * wide), a[0, 1], a[0, 2], a[0, 3] - variance * place / (wide * wide)
+    a11, a12, b1 = a[1, 1] + variance / (fast * fast), a[1, 2], a[1, 3] - variance * speed / (fast * fast)
+    a22, b2 = a[2, 2] + variance / (BESIDE * BESIDE), a[2, 3]
+    if not a22 > 0.0:
+        return 0.0, 0.0
+    # Without the constant: what it takes from the others.
+    a00 -= a02 * a02 / a22
+    a01 -= a02 * a12 / a22
+    a11 -= a12 * a12 / a22
+    b0 -= a02 * b2 / a22
+    b1 -= a12 * b2 / a22
+    bottom = a00 * a11 - a01 * a01
+    if not bottom > 1e-9 * a00 * a11:
+        return 0.0, 0.0
+    return (b0 * a11 - b1 * a01) / bottom, (a00 * b1 - a01 * b0) / bottom

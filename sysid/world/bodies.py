@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 from xml.etree.ElementTree import Element, SubElement, tostring
 
@@ -45,6 +45,8 @@ Gripper = Literal["rigid", "point"]
 _TOOL_MASS = 1.0
 #: Mass and inertia [kg, kg·m²] of driven links without any: heavy beside a tool, whose reaction then moves no joint.
 _STRUCTURE_MASS = 10.0
+#: Link of a tool that the machine's URDF does not have.
+_TOOL = "swaying_tool"
 #: A shorter pendulum [m] is none, as in the compiled step.
 _SHORTEST = 1e-3
 
@@ -57,11 +59,13 @@ class Hanging:
         joints: from the tip downwards.
         reach: pivot → tool in the frame of the last of them, (3,) [m].
         damping: of each joint [N·m·s/rad].
+        tool: the link that hangs.
     """
 
     joints: tuple[Joint, Joint]
     reach: Array
     damping: tuple[float, float]
+    tool: str
 
 
 @dataclass(frozen=True)
@@ -91,13 +95,18 @@ def build_bodies(plant: Plant, gripper: Gripper = "rigid") -> Bodies:
     if kinematics is None or machine.urdf_text is None:
         found = f"machine {machine.name} has no URDF"
         raise SettingsError("PyBullet world", found, "urdf and tip in machine.toml", "The compiled plant runs without one.")
+    sway = plant.effect("gripper_sway", "tool")
     root: Element = fromstring(machine.urdf_text, forbid_dtd=True)
+    if machine.tool is None and sway is not None:
+        _add_tool(root, kinematics.tip)
+        machine = replace(machine, tool=_TOOL, urdf_text=tostring(root, encoding="unicode"))
+        kinematics = machine.kinematics()
+        assert kinematics is not None
     effort = tuple(effort_limit(root, name) for name in kinematics.actuated)
     drop_meshes(root)
     _stretch(root, plant, kinematics)
     for name in kinematics.actuated:
         unlimit(joint_element(root, name))
-    sway = plant.effect("gripper_sway", "tool") if machine.tool is not None else None
     hanging = None
     if machine.tool is not None and machine.tool != machine.tip:
         path = path_to(kinematics, machine.tool)
@@ -144,7 +153,15 @@ def _hang(
             set_inertia(link_element(root, link), mass, 1e-7 * mass * length**2)
     reach = scale * reach
     joints = (movable[0], movable[1])
-    return Hanging(joints, reach, _damping(root, kinematics.tip, joints, reach, ratio))
+    return Hanging(joints, reach, _damping(root, kinematics.tip, joints, reach, ratio), tool)
+
+
+def _add_tool(root: Element, tip: str) -> None:
+    """A link at the tip for the tool of a machine whose description has none: the plant alone knows that it swings."""
+    SubElement(root, "link", name=_TOOL)
+    joint = SubElement(root, "joint", name=f"{_TOOL}_joint", type="fixed")
+    SubElement(joint, "parent", link=tip)
+    SubElement(joint, "child", link=_TOOL)
 
 
 def _damping(root: Element, tip: str, joints: tuple[Joint, Joint], reach: Array, ratio: float) -> tuple[float, float]:

@@ -17,7 +17,6 @@ import pandas as pd
 from sysid.datasets.recording import Recording
 from sysid.effects.gripper_sway import GRAVITY
 from sysid.errors import SettingsError, nearest
-from sysid.machine import Machine
 from sysid.plant import Plant
 from sysid.plant.layout import base_place
 from sysid.plant.stepper import LaneState, Stepper, held_commands, step_commands
@@ -161,7 +160,7 @@ class World:
         names = [*(axis.driven for axis in machine.axes), *joints, *points]
         table = dict(zip(names, values.T, strict=True))  # where the drive is the joint, the joint of the bodies is kept
         model, dt = self._stepper.model, 1.0 / self.rate_hz
-        said = {name: model.sensed(model.theta[None], name, table[name][None], dt)[0] for name in _in_order(machine)}
+        said = {name: model.sensed(model.theta[None], name, table[name][None], dt)[0] for name in self._in_order(recording)}
         return pd.DataFrame({"time": recording.values("time"), **said})
 
     def play(self, recording: Recording) -> Iterator[tuple[int, WorldState]]:
@@ -266,7 +265,7 @@ class World:
         self._passive: list[int] = []
         self._tool: int | None = None
         if self._bodies.hanging is not None:
-            self._tool = link_of[machine.tool or ""]
+            self._tool = link_of[self._bodies.hanging.tool]
             for joint, damping in zip(self._bodies.hanging.joints, self._bodies.hanging.damping, strict=True):
                 self._passive.append(joint_of[joint.name])
                 p.changeDynamics(self._machine, joint_of[joint.name], jointDamping=damping, physicsClientId=client)
@@ -335,17 +334,18 @@ class World:
         found = self._p.getLinkState(self._machine, link, computeForwardKinematics=1, physicsClientId=self._client)
         return np.array(found[4]), found[5]
 
+    def _in_order(self, recording: Recording) -> list[str]:
+        """Signals of a run in the order of :func:`sysid.plant.free_run`."""
+        names: list[str] = []
+        for axis in self.plant.machine.axes:
+            names += dict.fromkeys((axis.driven, axis_signal(axis.name, "joint")))
+        model = self._stepper.model
+        tool = point_signals("tool") if model.has_tool(model.theta, recording) else ()
+        return [*names, *point_signals("ee"), *tool]
+
     def _check_open(self) -> None:
         if self.closed:
             raise SettingsError("PyBullet world", "is closed", "an open world", "Make a new one.")
-
-
-def _in_order(machine: Machine) -> list[str]:
-    """Signals of a run in the order of :func:`sysid.plant.free_run`."""
-    names: list[str] = []
-    for axis in machine.axes:
-        names += dict.fromkeys((axis.driven, axis_signal(axis.name, "joint")))
-    return [*names, *point_signals("ee"), *(point_signals("tool") if machine.tool is not None else ())]
 
 
 def _close(client: int, folder: tempfile.TemporaryDirectory[str]) -> None:

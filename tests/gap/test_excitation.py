@@ -9,15 +9,15 @@ import pandas as pd
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from plant_data import KnownEffect, arm, dataset_of, nominal
+from plant_data import Array, KnownEffect, arm, dataset_of, measured, nominal
 
 from sysid.datasets.quality.use import turning_points
-from sysid.datasets.recording import Recording
+from sysid.datasets.recording import Dataset, Recording
 from sysid.effects import CATALOGUE, effect_named
 from sysid.effects.effect import Stage
 from sysid.gap import find_gap
 from sysid.gap.candidates import READ_OFF, Candidate, Scales, candidates_at
-from sysid.gap.excitation import advice, excitation_of
+from sysid.gap.excitation import advice, excitation_at, excitation_of, identifiable_targets, moved
 from sysid.plant import Plant
 
 
@@ -85,6 +85,99 @@ def test_coverage_of_the_joint_range() -> None:
     assert have("joint_offset", "slew", made) == pytest.approx(50.0)
     assert have("link_length_error", "boom", made) == pytest.approx(10.0)
     assert have("base_misalignment", "base", made) == pytest.approx(0.0), "the axis that moved least"
+
+
+@pytest.mark.parametrize(
+    ("values", "moves"),
+    [
+        (np.zeros(500), False),
+        (0.3 + 1e-16 * np.arange(500) % 3, False),
+        (0.3 + 2e-4 * np.random.default_rng(0).normal(size=500), False),
+        (np.linspace(0.0, 0.004, 500), False),
+        (np.linspace(0.0, 0.2, 500), True),
+        (np.full(500, np.nan), False),
+    ],
+    ids=["zero", "rounding", "noise", "under a thousandth of its limits", "four percent", "not measured"],
+)
+@pytest.mark.parametrize("sheet", [True, False])
+def test_whether_an_axis_moved(values: Array, moves: bool, sheet: bool) -> None:
+    machine = arm() if sheet else replace(arm(), noise={})
+    assert moved([recording(slew_joint=values)], machine, "slew") == moves
+
+
+def test_an_axis_without_limits_moves_beyond_its_noise() -> None:
+    axis = replace(arm().axes[0], limits=None)
+    machine = replace(arm(), noise={}, axes=(axis, *arm().axes[1:]))
+    tremor = 1e-3 * np.random.default_rng(0).normal(size=3000)
+    assert not moved([recording(slew_joint=tremor)], machine, "slew")
+    assert moved([recording(slew_joint=tremor + 0.1 * np.sin(0.01 * np.arange(3000)))], machine, "slew")
+
+
+@pytest.mark.parametrize("frequency", [1.0, 3.1, 4.7])
+def test_a_motion_too_fast_for_the_rate_is_a_motion(frequency: float) -> None:
+    time = np.arange(300) / 10.0
+    table = pd.DataFrame({"time": time, "slew.joint": 0.4 * np.sin(2.0 * np.pi * frequency * time)})
+    assert moved([Recording("slow", table, 10.0)], replace(arm(), noise={}), "slew")
+
+
+def test_poses_apart_are_a_motion_and_a_single_one_is_none() -> None:
+    def poses(*places: float) -> Recording:
+        table = {"time": 5.0 * np.arange(len(places)), "boom.joint": places}
+        return Recording("poses", pd.DataFrame(table), 0.2, "poses")
+
+    assert not moved([poses(0.4)], arm(), "boom")
+    assert not moved([poses(0.4, 0.4001, 0.3999)], arm(), "boom")
+    assert moved([poses(0.4, 0.9, 0.1)], arm(), "boom")
+    assert moved([poses(0.4), poses(0.7)], arm(), "boom")
+
+
+def test_only_what_moved_can_get_a_name() -> None:
+    still = [recording(slew_joint=np.linspace(0, 1, 100), boom_joint=0.4, wrist_joint=0.1)]
+    targets = ("slew", "slew.joint", "boom", "boom.cylinder", "wrist.joint", "machine", "base", "tool", "ee.x", "capture")
+    shown = ("slew", "slew.joint", "base", "tool", "ee.x", "capture")
+    assert identifiable_targets(targets, still, arm()) == shown
+    assert identifiable_targets(targets, [recording(slew_joint=0.1)], arm()) == ()
+
+
+def test_no_effect_of_an_axis_that_stands_still_is_excited() -> None:
+    """Whatever else is counted: seconds at rest, commands that led to nothing, other axes that moved."""
+    command = np.where(np.arange(4000) // 200 % 2, 0.3, -0.3)
+    made = recording(
+        boom_command=command,
+        boom_cylinder=0.06,
+        boom_joint=0.4,
+        slew_command=command,
+        slew_joint=np.sin(0.01 * np.arange(4000)),
+    )
+    for effect in CATALOGUE:
+        target = {"axis": "boom", "signal": "boom.joint"}.get(effect.target)
+        if target is not None and "velocity" in (effect.actuations or ("velocity",)):
+            item = excitation_at(effect, target, [made], arm())
+            assert not item.sufficient, effect.name
+            assert advice(item) == (
+                "boom did not move (0 % of its range, at least 0.1 needed): no effect on it or on its sensors can be told. "
+                "Record boom moving over its range in both directions."
+            )
+    assert excitation_at(effect_named("gain_error"), "slew", [made], arm()).sufficient
+
+
+def test_an_axis_that_stands_still_gets_no_name_and_one_line_of_advice() -> None:
+    """A sensor that reads 4.18 degrees too much shows in every pose of one posture: so does any other cause."""
+    truth = nominal(
+        KnownEffect("sensor_bias", "wrist.joint", {"bias": 0.073}), KnownEffect("gain_error", "slew", {"ratio": 0.8})
+    )
+    parts = []
+    for k, r in enumerate(dataset_of(truth, 12.0).recordings):
+        table = r.table.assign(**{"wrist.command": 0.2, "wrist.joint": np.nan})
+        table["wrist.joint"] = np.where(table["time"] < 0.2, 0.273, np.nan)
+        parts.append(measured(truth, replace(r, table=table), k))
+    splits = dataset_of(truth, 1.0).splits
+    dataset = Dataset.of(arm(), parts, splits)
+    result = find_gap(dataset, nominal())
+    assert {(e.name, e.target) for e in result.effects} == {("gain_error", "slew")}
+    assert not any(e.sufficient for e in result.excitation if e.target in ("wrist", "wrist.joint"))
+    assert sum(text.startswith("wrist did not move (") for text in result.next_experiment) == 1
+    assert not any(text.startswith("sensor_bias on wrist") for text in result.next_experiment)
 
 
 def test_motion_of_the_tip() -> None:

@@ -157,6 +157,21 @@ def test_a_tool_without_joints_of_its_own_gets_two() -> None:
     assert worst(found, run, TOOL) < 0.25 * swing
 
 
+def test_a_sway_without_a_link_in_the_description_gets_one() -> None:
+    """The plant alone knows that a tool swings there: machine.toml names none, and its URDF has nothing below the tip."""
+    linked = probe_machine()
+    assert linked.urdf_text is not None
+    urdf = "\n".join(line for line in linked.urdf_text.splitlines() if 'link name="tool"' not in line and "hang" not in line)
+    bare = nominal_plant(replace(linked, tool=None, urdf_text=urdf))
+    assert build_bodies(bare, "point").hanging is None
+    runs = []
+    for plant in (bare.with_effect(SWAY), nominal_plant(linked).with_effect(SWAY)):
+        with World(plant, ground=FREE, gripper="point") as world:
+            runs.append(world.rollout(probe_recording(2.0)))
+    assert worst(runs[0], runs[1], [*POINTS, *TOOL]) < 1e-6
+    assert float((runs[0]["tool.x"] - runs[0]["ee.x"]).abs().max()) > 1e-3
+
+
 def test_without_sway_nothing_hangs_and_the_tool_is_the_tip() -> None:
     with World(crane()) as world:
         state = world.reset(START)

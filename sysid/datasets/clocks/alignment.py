@@ -11,37 +11,33 @@ the plant. A start comes from the cross-correlation of the rates. From there the
 the whole overlap, so that a skew that is not known yet never moves the ends of a long log out of the reach of a Gauss-Newton
 step; until the last steps on every sample, a thinned stream is enough.
 
-Intervals are cluster-robust: scores are summed over blocks of :data:`BLOCK_S`, so autocorrelated residuals widen them. What is
-estimated is the offset of the *stamps*: a constant latency of the other device is part of it and cannot be told apart.
+What is estimated is the offset of the *stamps*: a constant latency of the other device is part of it and cannot be told apart.
+A play between the two signals (in the slewing drive, the pins of a boom) is allowed for: ``f_p`` then has an intercept for each
+direction of motion (:mod:`sysid.datasets.clocks.backlash`).
 
-Source: the maps are eliminated from every step, which is variable projection: Golub and Pereyra (1973); sandwich with clusters:
-Liang and Zeger (1986).
+Source: the maps are eliminated from every step, which is variable projection: Golub and Pereyra (1973).
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
-from typing import TypeVar
+from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
 
 from sysid.datasets.channel import Channel, seconds
+from sysid.datasets.clocks.backlash import turning_rows
 from sysid.datasets.clocks.coarse import Pair, coarse_lag
-from sysid.datasets.clocks.motion_band import moves, smoothed
-from sysid.datasets.clocks.motion_fit import PairFit, Sums, prepared
+from sysid.datasets.clocks.estimate import BLOCK_S, Backlash, Blocks, Estimate, conditional, estimate_of, is_singular
+from sysid.datasets.clocks.motion_band import moves, range_of, smoothed
+from sysid.datasets.clocks.motion_fit import PairFit, prepared
 from sysid.signals import split_signal
 
-__all__ = ["Estimate", "Pair", "conditional", "estimate", "pairs_of"]
+__all__ = ["BLOCK_S", "Blocks", "Estimate", "Pair", "conditional", "estimate", "pairs_of"]
 
 Array = npt.NDArray[np.float64]
-Time = TypeVar("Time", float, Array)
 
-#: Length over which residuals may be correlated [s].
-BLOCK_S = 2.0
-#: So many of them are summed for the widths of intervals, where at least this number is left.
-BLOCKS_TOGETHER, FEWEST_BLOCKS = (1, 3), 12
 #: Degree of the polynomial map of a pair: a sensor's error curve, a linkage.
 DEGREE_SAME, DEGREE_LINKAGE = 7, 9
 #: Share of the variance of y that f(x) has to explain, and the largest skew that a clock has (a share, not ppm).
@@ -59,57 +55,11 @@ WINDOW_S, GROWTH = 120.0, 3.0
 THINNED = 20_000
 #: The longest step [s] that the linearisation is trusted for.
 REACH_S = 0.05
-
-
-@dataclass(frozen=True)
-class Blocks:
-    """What the fit says of itself, block by block of :data:`BLOCK_S`: arrays (b,).
-
-    Args:
-        times: middle of the block on the stream's clock [s].
-        shift: offset that the block alone asks for beyond the fit [s].
-        weight: how sure of it the block is, 1/variance [1/s²].
-        energy: mean square of the residual in variances of the noise.
-    """
-
-    times: Array
-    shift: Array
-    weight: Array
-    energy: Array
-
-
-@dataclass(frozen=True)
-class Estimate:
-    """Result of :func:`estimate`: ``t_machine = t + mid_offset + skew·(t − mid_time)``; covariance of (offset, skew) beside.
-
-    ``normal`` is the curvature (2, 2) that :func:`conditional` needs. ``span`` is the part of the stream that was compared [s].
-    ``refused`` says why nothing could be estimated (then the numbers are NaN).
-    """
-
-    mid_time: float = float("nan")
-    mid_offset: float = float("nan")
-    skew: float = float("nan")
-    covariance: Array = field(default_factory=lambda: np.full((2, 2), np.nan))
-    degrees_of_freedom: int = 0
-    residual: float = float("nan")
-    used: tuple[str, ...] = ()
-    refused: str = ""
-    normal: Array = field(default_factory=lambda: np.full((2, 2), np.nan))
-    span: tuple[float, float] = (float("nan"), float("nan"))
-    blocks: Blocks | None = None
-
-    def at(self, time: Time) -> Time:
-        """The offset at a time of the stream [s]."""
-        return self.mid_offset + self.skew * (time - self.mid_time)
-
-    def on_machine(self, times: Array) -> Array:
-        """Times of the stream (n,) on the machine's clock [s]."""
-        return times + self.at(times)
-
-    def variance_at(self, time: float) -> float:
-        """Of :meth:`at` [s²]."""
-        row = np.array([1.0, time - self.mid_time])
-        return float(row @ self.covariance @ row)
+#: Play is sought up to this share of the range of x, later up to so many times the width that was found, at least so much of
+#: the range and so many times the noise; never over the last share.
+PLAY_FIRST, PLAY_MARGIN, PLAY_LEAST, PLAY_NOISE, PLAY_MOST = 0.02, 1.5, 0.005, 6.0, 0.2
+#: Fewer reversals do not tell a play from the map between the two signals.
+PLAY_TURNS = 8
 
 
 def pairs_of(machine: Sequence[Channel], other: Sequence[Channel], start_ns: int, other_start_ns: int) -> tuple[Pair, ...]:
@@ -172,7 +122,73 @@ def estimate(pairs: Sequence[Pair], start: float | None = None) -> Estimate:
     if not result.refused and (min(explained) < MIN_EXPLAINED or _beyond(result)):
         listed = ", ".join(f"{pair.name}: {share:.2f}" for pair, share in zip(good or ready, explained, strict=True))
         return replace(result, refused=f"the motions do not agree at the best lag (explained shares {listed})")
-    return result
+    return result if result.refused else allowing_for_backlash(good or ready, result)
+
+
+def allowing_for_backlash(pairs: Sequence[Pair], plain: Estimate) -> Estimate:
+    """The estimate with play between the signals of each pair, where there is any (:mod:`sysid.datasets.clocks.backlash`).
+
+    Where none is found the offset is kept, but its variance is that with play: there may be some that does not show.
+
+    Args:
+        pairs: those that ``plain`` rests on, smoothed.
+    """
+    full = _with_backlash(pairs, plain)
+    if full is None:
+        return plain
+    widths, found = full
+    clear = [item.found for item in found.backlash]
+    result = found
+    if not all(clear):
+        result = plain
+        if any(clear):
+            some = [
+                replace(pair, backlash=width if there else 0.0) for pair, width, there in zip(pairs, widths, clear, strict=True)
+            ]
+            result = _refine(some, plain.mid_offset, plain.mid_time)[0]
+        covariance = result.covariance.copy()
+        covariance[0, 0] = max(covariance[0, 0], found.covariance[0, 0])
+        result = replace(result, covariance=covariance)
+    return replace(result, backlash=found.backlash) if not result.refused else plain
+
+
+def with_backlash_found(pairs: Sequence[Pair], near: Estimate) -> tuple[Pair, ...]:
+    """The smoothed ``pairs`` with the play that shows between their signals, near a clock that is known."""
+    full = _with_backlash(pairs, near)
+    if full is None:
+        return tuple(pairs)
+    widths, found = full
+    return tuple(
+        replace(pair, backlash=width if item.found else 0.0)
+        for pair, width, item in zip(pairs, widths, found.backlash, strict=True)
+    )
+
+
+def _with_backlash(pairs: Sequence[Pair], plain: Estimate) -> tuple[list[float], Estimate] | None:
+    """Widths that are allowed for [unit of each x], and the fit with them; None where too little is left between reversals."""
+    ranges = [range_of(pair.x) for pair in pairs]
+    scales = [r / max(range_of(pair.y), 1e-300) for pair, r in zip(pairs, ranges, strict=True)]
+    least = [max(PLAY_LEAST * r, PLAY_NOISE * pair.noise) for pair, r in zip(pairs, ranges, strict=True)]
+    widths = [max(PLAY_FIRST * r, low) for r, low in zip(ranges, least, strict=True)]
+    if min(len(turning_rows(p.x[~np.isnan(p.x)], width)[0]) for p, width in zip(pairs, widths, strict=True)) < PLAY_TURNS:
+        return None
+    found = plain
+    for _ in range(3):
+        tried = [replace(pair, backlash=width) for pair, width in zip(pairs, widths, strict=True)]
+        found, _ = _refine(tried, plain.mid_offset, plain.mid_time)
+        if found.refused or len(found.backlash) < len(pairs) or _beyond(found):
+            return None
+        wanted = [
+            min(max(PLAY_MARGIN * abs(b.width) * s, low), PLAY_MOST * r)
+            for b, s, low, r in zip(found.backlash, scales, least, ranges, strict=True)
+        ]
+        if all(
+            width >= want and width <= 2.0 * max(want, 0.5 * PLAY_FIRST * r)
+            for width, want, r in zip(widths, wanted, ranges, strict=True)
+        ):
+            break
+        widths = [1.2 * want for want in wanted]
+    return widths, found
 
 
 def _beyond(found: Estimate) -> bool:
@@ -225,15 +241,6 @@ def _apart(pair: Pair, found: Estimate) -> float:
     return min(float(np.mean(usual**2)) / max(float(np.var(y[both])), 1e-300), 1.0)
 
 
-def conditional(found: Estimate, skew: float) -> Estimate:
-    """The estimate if the skew is known to be ``skew``: the offset that is best then, its variance without that of the skew."""
-    normal = found.normal
-    offset = found.mid_offset + normal[0, 1] / normal[0, 0] * (found.skew - skew)
-    meat = normal @ found.covariance @ normal
-    covariance = np.array([[meat[0, 0] / normal[0, 0] ** 2, 0.0], [0.0, 0.0]])
-    return replace(found, mid_offset=float(offset), skew=skew, covariance=covariance)
-
-
 def _refine(pairs: Sequence[Pair], start: float, centre: float | None) -> tuple[Estimate, list[float]]:
     """Gauss-Newton on (offset, skew) in windows that grow around ``centre``; explained share of each pair beside."""
     nothing = [0.0] * len(pairs)
@@ -265,7 +272,13 @@ def _refine(pairs: Sequence[Pair], start: float, centre: float | None) -> tuple[
     if not there:
         return Estimate(refused=f"too little of {' and of '.join(pair.name for pair in pairs)} overlaps"), nothing
     used = [pair for pair, s in zip(pairs, sums, strict=True) if s is not None]
-    result = _estimate(there, used, offset, skew, mid, (first, last))
+    result = estimate_of(there, used, offset, skew, mid, (first, last))
+    play = [
+        Backlash(pair.name, -2.0 * s.intercept[0], 2.0 * s.intercept[1])
+        for pair, s in zip(pairs, sums, strict=True)
+        if s is not None and pair.backlash > 0.0
+    ]
+    result = replace(result, backlash=tuple(play))
     return result, [s.explained if s is not None else 1.0 for s in sums]  # a pair that does not overlap contradicts nobody
 
 
@@ -286,7 +299,7 @@ def _converge(
         if not sums:
             break
         normal, score = np.sum([s.normal for s in sums], axis=0), np.sum([s.score for s in sums], axis=0)
-        if _singular(normal):
+        if is_singular(normal):
             break
         step = np.clip(np.linalg.solve(normal, score), -limit, limit)
         offset, skew = offset + float(step[0]), skew + float(step[1])
@@ -296,54 +309,3 @@ def _converge(
         if (not thin or iteration > 6) and bool(np.all(np.abs(step) < (0.02 if not thin else 0.05) * error + [1e-9, 1e-12])):
             break
     return offset, skew
-
-
-def _singular(normal: Array) -> bool:
-    size = np.sqrt(np.diag(normal))
-    return bool(size.min() <= 0.0 or float(np.linalg.det(normal / np.outer(size, size))) < 1e-10)
-
-
-def _estimate(
-    sums: Sequence[Sums], pairs: Sequence[Pair], offset: float, skew: float, mid: float, span: tuple[float, float]
-) -> Estimate:
-    normal = np.sum([s.curvature for s in sums], axis=0)
-    if _singular(normal):
-        return Estimate(refused="too little motion lies where both clocks have seen it")
-    numbers = np.unique(np.concatenate([s.blocks for s in sums]))
-    scores, weight, squares, counts = (np.zeros((len(numbers), *shape)) for shape in ((2,), (), (), ()))
-    for s in sums:
-        row = np.searchsorted(numbers, s.blocks)
-        scores[row] += s.block_scores
-        weight[row] += s.block_weight
-        squares[row] += s.block_squares
-        counts[row] += s.block_counts
-    count = len(numbers)
-    if count < 4:
-        return Estimate(refused=f"only {count} blocks of {BLOCK_S:g} s overlap: too short for an interval")
-    covariance, freedom = _covariance(np.linalg.inv(normal), np.sum([s.white for s in sums], axis=0), numbers, scores)
-    used = tuple(sorted({name for pair in pairs for name in pair.name.split("~")}))
-    residual = float(np.sqrt(sum(s.weighted_squares for s in sums) / sum(s.count for s in sums)))
-    seen = weight > 0.0
-    blocks = Blocks((numbers[seen] + 0.5) * BLOCK_S, scores[seen, 0] / weight[seen], weight[seen], squares[seen] / counts[seen])
-    return Estimate(mid, offset, skew, covariance, freedom, residual, used, "", normal, span, blocks)
-
-
-def _covariance(bread: Array, white: Array, numbers: npt.NDArray[np.int64], scores: Array) -> tuple[Array, int]:
-    """Covariance of (offset, skew), and its degrees of freedom: the widest of what blocks of several lengths say.
-
-    Scores of blocks show residuals that are correlated, but of a few blocks they scatter: no block length may promise more than
-    uncorrelated residuals would.
-    """
-    found = [(bread @ white @ bread, len(numbers) - 2)]
-    for together in BLOCKS_TOGETHER:
-        starts = np.flatnonzero(np.diff(numbers // together, prepend=numbers[0] // together - 1))
-        count = len(starts)
-        if together > 1 and count < FEWEST_BLOCKS:
-            continue
-        sums = np.add.reduceat(scores, starts, axis=0)
-        found.append((bread @ (sums.T @ sums) @ bread * count / (count - 2), count - 2))
-    errors = np.sqrt(np.max([np.diag(covariance) for covariance, _ in found], axis=0))
-    first = found[1][0]
-    correlation = first[0, 1] / np.sqrt(first[0, 0] * first[1, 1])
-    inner = errors[0] * errors[1] * correlation
-    return np.array([[errors[0] ** 2, inner], [inner, errors[1] ** 2]]), found[1][1]

@@ -27,7 +27,11 @@ _WIDTHS_S, _NOISE_SHARE = (0.08, 0.16, 0.32, 0.64), 0.3
 
 @dataclass(frozen=True)
 class Pair:
-    """One cause measured on both clocks; times in seconds from the start of the recording (x) and of the stream (y)."""
+    """One cause measured on both clocks; times in seconds from the start of the recording (x) and of the stream (y).
+
+    ``backlash`` is a width of play between the two that is allowed for, zero for none; ``noise`` is the standard deviation of
+    what is left of it in x [both: unit of x].
+    """
 
     name: str
     x_times: Array
@@ -36,6 +40,8 @@ class Pair:
     y: Array
     degree: int
     x_gap_s: float
+    backlash: float = 0.0
+    noise: float = 0.0
 
 
 @dataclass(frozen=True)

@@ -42,10 +42,22 @@ def smoothed(pair: Pair) -> Pair:
     Noise in the rate of x would make the offset look surer than it is, and between samples interpolation would shrink it and so
     prefer such lags.
     """
-    rate = 1.0 / float(np.median(np.diff(pair.x_times)))
-    x = low_pass(pair.x_times, pair.x, min(0.2 * rate, motion_band(pair.x, rate)), pair.x_gap_s)
+    x, noise = without_noise(pair.x_times, pair.x, pair.x_gap_s)
     known = ~np.isnan(pair.y)
-    return replace(pair, x=x, y_times=pair.y_times[known], y=pair.y[known])
+    return replace(pair, x=x, noise=noise, y_times=pair.y_times[known], y=pair.y[known])
+
+
+def without_noise(times: Array, values: Array, gap_s: float) -> tuple[Array, float]:
+    """A signal (n,) without what lies above the band of its motion, and the standard deviation of the noise left in it."""
+    rate = 1.0 / float(np.median(np.diff(times)))
+    cut = min(0.2 * rate, motion_band(values, rate))
+    return low_pass(times, values, cut, gap_s), noise_of(values) * float(np.sqrt(2.0 * cut / rate))
+
+
+def range_of(values: Array) -> float:
+    """How far a signal (n,) goes, its outermost hundredths left out."""
+    low, high = np.nanquantile(values, (0.01, 0.99))
+    return float(high - low)
 
 
 def motion_band(values: Array, rate: float) -> float:

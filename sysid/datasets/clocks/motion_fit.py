@@ -8,18 +8,30 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 
+from sysid.datasets.clocks.backlash import directions
 from sysid.datasets.clocks.coarse import Pair
+from sysid.datasets.clocks.motion_band import range_of, without_noise
 from sysid.datasets.resample import slopes
 
 Array = npt.NDArray[np.float64]
 
 #: Samples that are worked on at a time: what belongs to them stays in the cache of a core.
 CHUNK = 8192
+#: A motion back by less than so many standard deviations of its noise is none.
+TREMOR = 4.0
+#: A rate below this share of its root mean square is rest.
+MOVING = 0.1
+#: Longest gap of y over which its motion is smoothed [periods].
+GAP_PERIODS = 3.5
 
 
 @dataclass(frozen=True)
 class Prepared:
-    """A pair with the slopes of ``x`` (n,) at its samples; steps of x longer than ``x_gap_s`` are not bridged."""
+    """A pair with the slopes of ``x`` (n,) at its samples; steps of x longer than ``x_gap_s`` are not bridged.
+
+    Where play is allowed for, ``direction`` (n,) is that of the motion of x, and what is not ``settled`` is left out, by the
+    samples of x (n,) and by those of y (m,) (:func:`sysid.datasets.clocks.backlash.directions`); else all three are empty.
+    """
 
     x_times: Array
     x: Array
@@ -28,13 +40,37 @@ class Prepared:
     y: Array
     degree: int
     x_gap_s: float
+    direction: Array
+    settled: npt.NDArray[np.bool_]
+    y_settled: npt.NDArray[np.bool_]
+
+    @property
+    def branches(self) -> int:
+        """Terms of the map that depend on the direction: an intercept and a slope."""
+        return 2 if len(self.direction) else 0
 
 
 def prepared(pair: Pair) -> Prepared:
     """Samples that are known, and the slopes of the smooth curve through those of ``x``."""
     known = ~np.isnan(pair.x)
     times, values = pair.x_times[known], pair.x[known]
-    return Prepared(times, values, slopes(times, values, pair.x_gap_s), pair.y_times, pair.y, pair.degree, pair.x_gap_s)
+    rates = slopes(times, values, pair.x_gap_s)
+    direction, settled, y_settled = (
+        _taken_up(pair, values, rates) if pair.backlash > 0.0 else (np.empty(0), *2 * (np.empty(0, bool),))
+    )
+    return Prepared(times, values, rates, pair.y_times, pair.y, pair.degree, pair.x_gap_s, direction, settled, y_settled)
+
+
+def _taken_up(pair: Pair, x: Array, rates: Array) -> tuple[Array, npt.NDArray[np.bool_], npt.NDArray[np.bool_]]:
+    """Direction of x (n,), and where its play is taken up by what x and what y did: either may be the one that waits.
+
+    Rest says nothing of the offset; a motion back that is lost in the noise would then stay there for seconds.
+    """
+    direction, settled = directions(x, pair.backlash, TREMOR * pair.noise)
+    settled &= np.abs(rates) > MOVING * float(np.sqrt(np.mean(rates**2)))
+    y, noise = without_noise(pair.y_times, pair.y, GAP_PERIODS * float(np.median(np.diff(pair.y_times))))
+    width = pair.backlash * range_of(y) / max(range_of(x), 1e-300)
+    return direction, settled, directions(y, width, TREMOR * noise)[1]
 
 
 @dataclass(frozen=True)
@@ -43,7 +79,9 @@ class Sums:
 
     ``normal`` (2, 2) and ``score`` (2,) are of (offset, skew); ``curvature`` (2, 2) is the slope of the score, less than
     ``normal`` as weights fall where residuals grow; ``white`` (2, 2) is the covariance of the score if residuals are
-    uncorrelated; ``block_*`` belong to the numbered ``blocks`` (b,).
+    uncorrelated; ``block_*`` belong to the numbered ``blocks`` (b,): ``block_weight`` is what a block says of the offset if the
+    map is known, ``block_information`` what it adds to it if the map is not. ``intercept`` is half of what the map differs by
+    between the two directions in the middle of the motion, and its standard error; NaN where none is allowed for.
     """
 
     normal: Array
@@ -58,6 +96,8 @@ class Sums:
     block_weight: Array
     block_squares: Array
     block_counts: Array
+    block_information: Array
+    intercept: tuple[float, float] = (float("nan"), float("nan"))
 
 
 @dataclass
@@ -72,6 +112,7 @@ class PairFit:
     half: float = 1.0
     _residuals: list[Array] = field(default_factory=list)
     _system: tuple[Array, Array, Array] | None = None
+    _projection: Array | None = None
 
     def choose(self, window: tuple[float, float], limit: int | None) -> None:
         """Use the samples of y in ``window``, at most about ``limit`` of them, evenly."""
@@ -81,16 +122,16 @@ class PairFit:
 
     def begin(self, offset: float, skew: float, reference: float) -> None:
         """A map and a scale at this offset and skew, from nothing."""
-        self.coefficients = np.zeros(0)
+        self.coefficients, self._projection = np.zeros(0), None
         chunks = list(self._chunks(offset, skew, reference))
-        y, x = (np.concatenate([chunk[k] for chunk in chunks]) if chunks else np.zeros(0) for k in (1, 2))
+        y, x, way = (np.concatenate([chunk[k] for chunk in chunks]) if chunks else np.zeros(0) for k in (1, 2, 4))
         if len(y) < self._fewest:
             return
         low, high = float(x.min()), float(x.max())
         if high <= low:
             return
         self.centre, self.half = (high + low) / 2.0, (high - low) / 2.0
-        basis = self._basis(x)
+        basis = self._basis(x, way)
         weight, residual = np.ones(len(y)), y
         for _ in range(4):
             weighted = basis * weight
@@ -121,12 +162,13 @@ class PairFit:
         parts: list[tuple[npt.NDArray[np.int64], Array]] = []
         count, weights, slopes_of_scores, plain, robust = 0, 0.0, 0.0, 0.0, 0.0
         sum_y, sum_y2 = 0.0, 0.0
-        derivative = np.polynomial.chebyshev.chebder(self.coefficients) / self.half
-        for times, y, x, rate in self._chunks(offset, skew, reference):
-            basis = self._basis(x)
+        degree = self.pair.degree
+        derivative = np.polynomial.chebyshev.chebder(self.coefficients[: degree + 1]) / self.half
+        for times, y, x, rate, way in self._chunks(offset, skew, reference):
+            basis = self._basis(x, way)
             residual = y - self.coefficients @ basis
             weight = self._weight(residual)
-            slope = derivative @ basis[:-1]
+            slope = derivative @ basis[:degree]
             rows = np.empty((size + 2, len(y)))
             rows[:size] = basis
             np.multiply(slope, rate, out=rows[size])
@@ -143,17 +185,19 @@ class PairFit:
             sum_y, sum_y2 = sum_y + float(y.sum()), sum_y2 + float(np.dot(y, y))
             self._residuals.append(residual)
             if block_s:
-                parts.append(_by_block(times, block_s, weighted, residual, weighted[size] * rows[size], squares))
+                alone = rows[size] if self._projection is None else rows[size] - self._projection[:, 0] @ basis
+                own = weighted[size] * rows[size], squares, weight * alone**2
+                parts.append(_by_block(times, block_s, weighted * residual, own))
         if count < self._fewest:
             return None
         inner = matrix[:size, :size]
         projection = _solve(inner, matrix[:size, size:])  # of offset and skew on the map
         normal = matrix[size:, size:] - projection.T @ matrix[:size, size:]
         score = right[size:] - projection.T @ right[:size]
-        self._system = inner, right[:size], matrix[:size, size:]
+        self._system, self._projection = (inner, right[:size], matrix[:size, size:]), projection
         noise = self.scale**2
         variance = max(sum_y2 / count - (sum_y / count) ** 2, 1e-30)
-        blocks, table = _merged(parts) if parts else (np.zeros(0, np.int64), np.zeros((0, size + 5)))
+        blocks, table = _merged(parts) if parts else (np.zeros(0, np.int64), np.zeros((0, size + 6)))
         scores = (table[:, size : size + 2] - table[:, :size] @ projection) / noise
         return Sums(
             normal=normal / noise,
@@ -167,12 +211,34 @@ class PairFit:
             block_scores=scores,
             block_weight=table[:, size + 2] / noise,
             block_squares=table[:, size + 3] / noise,
-            block_counts=table[:, size + 4],
+            block_information=table[:, size + 4] / noise,
+            block_counts=table[:, size + 5],
+            intercept=self._intercept(matrix, table, noise * robust / noise / weights)
+            if self.pair.branches
+            else (np.nan, np.nan),
         )
+
+    def _intercept(self, matrix: Array, table: Array, variance: float) -> tuple[float, float]:
+        """Half of the difference between the directions in the middle of the motion, and its error as that of the offset.
+
+        Args:
+            matrix: normal equations of the map, offset and skew.
+            table: scores of blocks (b, …).
+            variance: of a residual.
+        """
+        row = self.pair.degree + 1
+        inverse = _solve(matrix, np.eye(len(matrix)))[row]
+        influence = table[:, : len(matrix)] @ inverse
+        errors = [variance * float(inverse[row])]
+        for together in (1, 3):
+            sums = np.add.reduceat(influence, np.arange(0, len(influence), together)) if len(influence) else influence
+            if len(sums) > 2:
+                errors.append(float(np.sum(sums**2)) * len(sums) / (len(sums) - 2))
+        return float(self.coefficients[row]), float(np.sqrt(max(*errors, 0.0)))
 
     def residuals(self, offset: float, skew: float, reference: float) -> tuple[Array, Array]:
         """x and the residual of y at every sample in use where x is known."""
-        chunks = [(x, y - self.coefficients @ self._basis(x)) for _, y, x, _ in self._chunks(offset, skew, reference)]
+        chunks = [(x, y - self.coefficients @ self._basis(x, d)) for _, y, x, _, d in self._chunks(offset, skew, reference)]
         return np.concatenate([x for x, _ in chunks]), np.concatenate([residual for _, residual in chunks])
 
     def squares(self, window: tuple[float, float], offset: float, skew: float, reference: float) -> Array:
@@ -181,45 +247,51 @@ class PairFit:
         times, y = self.pair.y_times[first:last], self.pair.y[first:last]
         if not len(self.coefficients):
             return np.full(len(times), np.nan)
-        x, _, known = self._x(times + offset + skew * (times - reference))
+        x, _, known, way = self._x(times + offset + skew * (times - reference))
         u = np.clip((x - self.centre) / self.half, -1.0, 1.0) * self.half + self.centre
-        residual = y - self.coefficients @ self._basis(u)
+        residual = y - self.coefficients @ self._basis(u, way)
         return np.where(known, (residual / self.scale) ** 2, np.nan)
 
     @property
     def _fewest(self) -> int:
         """Samples that a map needs, the more the higher its degree."""
-        return 20 * (self.pair.degree + 3) if self.rows.step in (None, 1) else 4 * (self.pair.degree + 3)
+        terms = self.pair.degree + 3 + self.pair.branches
+        return 20 * terms if self.rows.step in (None, 1) else 4 * terms
 
     def _weight(self, residual: Array) -> Array:
         """Soft-L1 with its knee at two standard deviations: noise counts in full, mistaken frames hardly."""
         return np.asarray(1.0 / np.sqrt(1.0 + (residual / (2.0 * self.scale)) ** 2))
 
-    def _basis(self, x: Array) -> Array:
-        """Chebyshev polynomials of the map's argument, (degree + 1, n)."""
+    def _basis(self, x: Array, direction: Array) -> Array:
+        """Chebyshev polynomials of the map's argument, (degree + 1, n); where play is allowed for, two rows by direction."""
         u = (x - self.centre) / self.half
-        basis = np.empty((self.pair.degree + 1, len(x)))
+        basis = np.empty((self.pair.degree + 1 + self.pair.branches, len(x)))
         basis[0], basis[1] = 1.0, u
         twice = 2.0 * u
         for k in range(2, self.pair.degree + 1):
             np.multiply(twice, basis[k - 1], out=basis[k])
             basis[k] -= basis[k - 2]
+        if self.pair.branches:
+            basis[-2] = direction
+            np.multiply(direction, u, out=basis[-1])
         return basis
 
-    def _chunks(self, offset: float, skew: float, reference: float) -> Iterator[tuple[Array, Array, Array, Array]]:
-        """Stream times, y, x there and the rate of x, wherever both are known."""
+    def _chunks(self, offset: float, skew: float, reference: float) -> Iterator[tuple[Array, Array, Array, Array, Array]]:
+        """Stream times, y, x there, the rate of x and its direction, wherever both are known and no play is being taken up."""
         all_times, all_y = self.pair.y_times[self.rows], self.pair.y[self.rows]
         for first in range(0, len(all_times), CHUNK):
             times, y = all_times[first : first + CHUNK], all_y[first : first + CHUNK]
             at = times + offset + skew * (times - reference)
-            x, rate, known = self._x(at)
+            x, rate, known, way = self._x(at)
+            if self.pair.branches:
+                known &= self.pair.y_settled[self.rows][first : first + CHUNK]
             if known.all():
-                yield times, y, x, rate
+                yield times, y, x, rate, way
             elif known.any():
-                yield times[known], y[known], x[known], rate[known]
+                yield times[known], y[known], x[known], rate[known], way[known]
 
-    def _x(self, at: Array) -> tuple[Array, Array, npt.NDArray[np.bool_]]:
-        """Cubic Hermite interpolation of x: values, rates, and where neither gap nor end is in the way."""
+    def _x(self, at: Array) -> tuple[Array, Array, npt.NDArray[np.bool_], Array]:
+        """Cubic Hermite interpolation of x: values, rates, where neither gap nor end nor play is in the way, and directions."""
         p = self.pair
         right = np.searchsorted(p.x_times, at, side="right")
         known = (right > 0) & (right < len(p.x_times))
@@ -228,20 +300,21 @@ class PairFit:
         start, a, b = p.x_times[left], p.x[left], p.x[right]
         step = p.x_times[right] - start
         known &= step <= p.x_gap_s
+        if p.branches:
+            known &= p.settled[left] & p.settled[right]
         s = (at - start) / step
         da, db, rise = p.slopes[left] * step, p.slopes[right] * step, b - a
         # Horner form of the cubic through both values with both slopes.
         c2, c3 = 3.0 * rise - 2.0 * da - db, da + db - 2.0 * rise
-        return a + s * (da + s * (c2 + s * c3)), (da + s * (2.0 * c2 + 3.0 * s * c3)) / step, known
+        rate = (da + s * (2.0 * c2 + 3.0 * s * c3)) / step
+        return a + s * (da + s * (c2 + s * c3)), rate, known, p.direction[left] if p.branches else s
 
 
-def _by_block(
-    times: Array, block_s: float, weighted: Array, residual: Array, weight: Array, squares: Array
-) -> tuple[npt.NDArray[np.int64], Array]:
-    """Numbers of the blocks, and sums over each: scores (rows of ``weighted`` times residual), weight, squares, count."""
+def _by_block(times: Array, block_s: float, scores: Array, own: Sequence[Array]) -> tuple[npt.NDArray[np.int64], Array]:
+    """Numbers of the blocks, and sums over each: rows of ``scores``, each of ``own``, count."""
     number = np.floor(times / block_s).astype(np.int64)
     starts = np.flatnonzero(np.diff(number, prepend=number[0] - 1))
-    table = np.vstack([weighted * residual, weight, squares, np.ones(len(times))])
+    table = np.vstack([scores, *own, np.ones(len(times))])
     return number[starts], np.add.reduceat(table, starts, axis=1).T
 
 

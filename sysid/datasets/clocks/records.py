@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sysid.datasets.channel import Channel, seconds
-from sysid.datasets.clocks.alignment import Pair, conditional, pairs_of
+from sysid.datasets.clocks.alignment import Estimate, Pair, conditional, pairs_of
 from sysid.datasets.clocks.bursts import match_bursts
 from sysid.datasets.clocks.resets import Piece, pieces
 from sysid.datasets.clocks.skews import KnownSkew, Skew, alone, known_skews, pooled, quantile
@@ -227,11 +227,20 @@ def _moving(recording: Clocked, channels: Sequence[Channel], parts: Sequence[Pie
                 residual_rms=result.residual,
                 used_signals=result.used,
                 applied=True,
-                reason="; ".join(reason for reason in (set_there, skew.reason, _LATENCY) if reason),
+                reason="; ".join(reason for reason in (set_there, skew.reason, *_play(result), _LATENCY) if reason),
                 stream_start_ns=start,
             )
         )
     return records
+
+
+def _play(found: Estimate) -> list[str]:
+    """What play between two signals was allowed for."""
+    return [
+        f"play of {abs(item.width):.2g} (SI) between {' and '.join(item.name.split('~'))} is allowed for"
+        for item in found.backlash
+        if item.found
+    ]
 
 
 def _static(recording: Clocked, channels: Sequence[Channel], shared: Skew | None) -> list[ClockRecord]:

@@ -14,7 +14,7 @@ import numpy.typing as npt
 import pandas as pd
 
 from sysid.datasets.channel import Channel
-from sysid.datasets.clocks.alignment import BLOCK_S, pairs_of
+from sysid.datasets.clocks.alignment import BLOCK_S, Estimate, pairs_of, with_backlash_found
 from sysid.datasets.clocks.coarse import Pair
 from sysid.datasets.clocks.motion_band import moves, smoothed
 from sysid.datasets.clocks.motion_fit import PairFit, Sums, prepared
@@ -95,9 +95,12 @@ def _residual(channels: pd.DataFrame, record: ClockRecord, end_ns: int) -> Clock
         for pair in pairs_of(machine, other, start, record.stream_start_ns)
         if set(pair.name.split("~")) <= set(record.used_signals) and moves(pair)
     ]
+    skew = 1e-6 * record.skew_ppm
+    middle = 0.5 * max((float(pair.y_times[-1]) for pair in pairs), default=0.0)
+    near = Estimate(mid_time=middle, mid_offset=record.offset_s + skew * middle, skew=skew)
     sums, shown = [], []
-    for pair in pairs:
-        fit = PairFit(prepared(smoothed(pair)))
+    for pair in with_backlash_found([smoothed(pair) for pair in pairs], near) if pairs else ():
+        fit = PairFit(prepared(pair))
         fit.begin(record.offset_s, 1e-6 * record.skew_ppm, 0.0)
         own = fit.sums(record.offset_s, 1e-6 * record.skew_ppm, 0.0, BLOCK_S)
         if own is not None:

@@ -133,7 +133,7 @@ class SimulatorAdapter:
                     thetas, recording
                 )
             put(ee, values)
-        if known.issuperset(ee) and self.machine.tool is not None:
+        if known.issuperset(ee) and self._model.has_tool(thetas[0], recording):
             at = replace(recording, table=seen)
             put(tool, self._model.tool(thetas, at) + self._tool_discrepancy(thetas, recording))
         elif known.issuperset(tool):

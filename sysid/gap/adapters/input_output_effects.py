@@ -12,7 +12,7 @@ from numba import njit
 from sysid.datasets.recording import Recording
 from sysid.effects import CATALOGUE
 from sysid.plant import chain, layout
-from sysid.plant.axis_run import begin
+from sysid.plant.axis_loop import begin
 from sysid.plant.layout import AT, AXIS_WIDTH, STATE
 from sysid.plant.model import SETTLE_WINDOW, START_WINDOW, Model
 from sysid.plant.rig import GAIN, KIND, VELOCITY, Rig

@@ -47,7 +47,7 @@ def identify_sway(plant: Plant, dataset: Dataset, runs: Sequence[Signals]) -> Kn
     """Sway of the simulator's tool below its end effector; None where it does not sway, or not as a pendulum."""
     ee, tool = point_signals("ee"), point_signals("tool")
     whole = [run for run in runs if not any(np.isnan(run.get(s, np.array([np.nan]))).any() for s in (*ee, *tool))]
-    if dataset.machine.tool is None or not whole:
+    if not whole:
         return None
     model, rate = compile_plant(plant), dataset.machine.rate_hz
     recordings = [Recording(f"run-{k}", pd.DataFrame(dict(run)), rate) for k, run in enumerate(whole)]

@@ -16,7 +16,7 @@ from sysid.datasets.recording import Dataset, Recording
 from sysid.effects import CATALOGUE, Effect
 from sysid.gap.candidates import READ_OFF, Candidate
 from sysid.gap.case import Case, Stage, stage_candidates, stage_split
-from sysid.gap.excitation import COUNTS, advice, excitation_of
+from sysid.gap.excitation import advice, excitation_at, excitation_of
 from sysid.gap.problem import problems_of, split_of
 from sysid.gap.result import Excitation
 from sysid.machine import Machine
@@ -168,10 +168,7 @@ def _counted(item: Excitation, effect: Effect, stage: str, side: str | None) -> 
 def _quantisation(signal: str, seen: Sequence[Recording], machine: Machine) -> ExcitationVerdict:
     """Sensor quantisation is not fitted: it is estimated from the readings (:mod:`sysid.gap.readings`)."""
     effect = next(effect for effect in CATALOGUE if effect.name in READ_OFF)
-    count, unit = COUNTS[effect.need.count]
-    have = count(seen, machine, signal)
-    item = Excitation(effect.name, signal, have >= effect.need.least, float(have), float(effect.need.least), unit)
-    return _counted(item, effect, "sensor", None)
+    return _counted(excitation_at(effect, signal, seen, machine), effect, "sensor", None)
 
 
 def _sensors(machine: Machine, recordings: Sequence[Recording]) -> list[str]:
@@ -237,8 +234,7 @@ class _Reasons:
         if machine.kinematics() is None:
             return "machine.toml names no URDF"
         if stage == "tool":
-            no_tool = "" if machine.tool is not None else "machine.toml names no tool"
-            return no_tool or self._not_measured([*point_signals("ee"), *point_signals("tool")])
+            return self._not_measured([*point_signals("ee"), *point_signals("tool")])
         return self._not_measured([*(axis_signal(name, "joint") for name in machine.axis_names), *point_signals("ee")])
 
     def _not_measured(self, signals: Sequence[str]) -> str:

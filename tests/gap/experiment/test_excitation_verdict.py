@@ -52,7 +52,7 @@ def test_the_verdicts_are_the_excitation_of_the_gap_workflow(machine: str, short
     excitations = [v.excitation for v in found.verdicts if v.excitation is not None and v.name not in READ_OFF]
     assert tuple(excitations) == result.excitation
     lacking = [v.text for v in found.of("lacking") if v.name not in READ_OFF]
-    assert result.verdict == "no_gap" or lacking == list(result.next_experiment)
+    assert result.verdict == "no_gap" or list(dict.fromkeys(lacking)) == list(result.next_experiment)
 
 
 def test_four_reversals_are_said_to_be_four(short: Dataset) -> None:

@@ -1,0 +1,168 @@
+"""What is estimated of a clock: offset, skew, their covariance, and the play between the signals that they rest on.
+
+Intervals are cluster-robust: scores are summed over blocks of :data:`BLOCK_S`, so autocorrelated residuals widen them.
+
+Source: sandwich with clusters: Liang and Zeger (1986); few clusters: Bell and McCaffrey (2002).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import TypeVar
+
+import numpy as np
+import numpy.typing as npt
+
+from sysid.datasets.clocks.coarse import Pair
+from sysid.datasets.clocks.motion_fit import Sums
+
+Array = npt.NDArray[np.float64]
+Time = TypeVar("Time", float, Array)
+
+#: Length over which residuals may be correlated [s].
+BLOCK_S = 2.0
+#: So many of them are summed for the widths of intervals, where at least this number is left.
+BLOCKS_TOGETHER, FEWEST_BLOCKS = (1, 3), 12
+#: No block counts as more than this share of what is known of the offset.
+MOST_SHARE = 0.5
+#: A play is found where it is so many standard errors clear of zero.
+PLAY_ERRORS = 2.0
+
+
+@dataclass(frozen=True)
+class Blocks:
+    """What the fit says of itself, block by block of :data:`BLOCK_S`: arrays (b,).
+
+    Args:
+        times: middle of the block on the stream's clock [s].
+        shift: offset that the block alone asks for beyond the fit [s].
+        weight: how sure of it the block is, 1/variance [1/s²].
+        energy: mean square of the residual in variances of the noise.
+    """
+
+    times: Array
+    shift: Array
+    weight: Array
+    energy: Array
+
+
+@dataclass(frozen=True)
+class Backlash:
+    """Play between the signals of a pair.
+
+    Args:
+        name: of the pair.
+        width: by which y differs between the directions; negative where y leads x, so that x lies behind the play.
+        error: standard error of the width [both: unit of y].
+    """
+
+    name: str
+    width: float
+    error: float
+
+    @property
+    def found(self) -> bool:
+        """Whether it is clear of zero."""
+        return abs(self.width) > PLAY_ERRORS * self.error
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """Result of :func:`estimate`: ``t_machine = t + mid_offset + skew·(t − mid_time)``; covariance of (offset, skew) beside.
+
+    ``normal`` is the curvature (2, 2) that :func:`conditional` needs. ``span`` is the part of the stream that was compared [s].
+    ``refused`` says why nothing could be estimated (then the numbers are NaN). ``backlash`` is what the fit says of the play
+    between the signals of each pair for which it was allowed.
+    """
+
+    mid_time: float = float("nan")
+    mid_offset: float = float("nan")
+    skew: float = float("nan")
+    covariance: Array = field(default_factory=lambda: np.full((2, 2), np.nan))
+    degrees_of_freedom: int = 0
+    residual: float = float("nan")
+    used: tuple[str, ...] = ()
+    refused: str = ""
+    normal: Array = field(default_factory=lambda: np.full((2, 2), np.nan))
+    span: tuple[float, float] = (float("nan"), float("nan"))
+    blocks: Blocks | None = None
+    backlash: tuple[Backlash, ...] = ()
+
+    def at(self, time: Time) -> Time:
+        """The offset at a time of the stream [s]."""
+        return self.mid_offset + self.skew * (time - self.mid_time)
+
+    def on_machine(self, times: Array) -> Array:
+        """Times of the stream (n,) on the machine's clock [s]."""
+        return times + self.at(times)
+
+    def variance_at(self, time: float) -> float:
+        """Of :meth:`at` [s²]."""
+        row = np.array([1.0, time - self.mid_time])
+        return float(row @ self.covariance @ row)
+
+
+def conditional(found: Estimate, skew: float) -> Estimate:
+    """The estimate if the skew is known to be ``skew``: the offset that is best then, its variance without that of the skew."""
+    normal = found.normal
+    offset = found.mid_offset + normal[0, 1] / normal[0, 0] * (found.skew - skew)
+    meat = normal @ found.covariance @ normal
+    covariance = np.array([[meat[0, 0] / normal[0, 0] ** 2, 0.0], [0.0, 0.0]])
+    return replace(found, mid_offset=float(offset), skew=skew, covariance=covariance)
+
+
+def is_singular(normal: Array) -> bool:
+    size = np.sqrt(np.diag(normal))
+    return bool(size.min() <= 0.0 or float(np.linalg.det(normal / np.outer(size, size))) < 1e-10)
+
+
+def estimate_of(
+    sums: Sequence[Sums], pairs: Sequence[Pair], offset: float, skew: float, mid: float, span: tuple[float, float]
+) -> Estimate:
+    normal = np.sum([s.curvature for s in sums], axis=0)
+    if is_singular(normal):
+        return Estimate(refused="too little motion lies where both clocks have seen it")
+    numbers = np.unique(np.concatenate([s.blocks for s in sums]))
+    scores, weight, squares, counts, told = (np.zeros((len(numbers), *shape)) for shape in ((2,), (), (), (), ()))
+    for s in sums:
+        row = np.searchsorted(numbers, s.blocks)
+        scores[row] += s.block_scores
+        weight[row] += s.block_weight
+        squares[row] += s.block_squares
+        counts[row] += s.block_counts
+        told[row] += s.block_information
+    count = len(numbers)
+    if count < 4:
+        return Estimate(refused=f"only {count} blocks of {BLOCK_S:g} s overlap: too short for an interval")
+    covariance, freedom = _covariance(np.linalg.inv(normal), np.sum([s.white for s in sums], axis=0), numbers, scores, told)
+    used = tuple(sorted({name for pair in pairs for name in pair.name.split("~")}))
+    residual = float(np.sqrt(sum(s.weighted_squares for s in sums) / sum(s.count for s in sums)))
+    seen = weight > 0.0
+    blocks = Blocks((numbers[seen] + 0.5) * BLOCK_S, scores[seen, 0] / weight[seen], weight[seen], squares[seen] / counts[seen])
+    return Estimate(mid, offset, skew, covariance, freedom, residual, used, "", normal, span, blocks)
+
+
+def _covariance(bread: Array, white: Array, numbers: npt.NDArray[np.int64], scores: Array, told: Array) -> tuple[Array, int]:
+    """Covariance of (offset, skew), and its degrees of freedom: the widest of what blocks of several lengths say.
+
+    Scores of blocks show residuals that are correlated, but of a few blocks they scatter: no block length may promise more than
+    uncorrelated residuals would. A block that holds a share h of all that is ``told`` of the offset (b,) pulls the fit towards
+    itself, so that its score is divided by 1 − h (Bell and McCaffrey, Survey Methodology 28 (2002) 169); so few blocks count as
+    their shares amount to, (Σh)²/Σh².
+    """
+    found = [(bread @ white @ bread, len(numbers) - 2)]
+    for together in BLOCKS_TOGETHER:
+        starts = np.flatnonzero(np.diff(numbers // together, prepend=numbers[0] // together - 1))
+        count = len(starts)
+        if together > 1 and count < FEWEST_BLOCKS:
+            continue
+        shares = np.add.reduceat(told, starts) / max(float(told.sum()), 1e-300)
+        sums = np.add.reduceat(scores, starts, axis=0) / (1.0 - np.minimum(shares, MOST_SHARE))[:, None]
+        freedom = max(min(count, round(1.0 / float(np.sum(shares**2)))) - 2, 1)
+        found.append((bread @ (sums.T @ sums) @ bread * count / (count - 2), freedom))
+    errors = np.sqrt(np.max([np.diag(covariance) for covariance, _ in found], axis=0))
+    first = found[1][0]
+    correlation = first[0, 1] / np.sqrt(first[0, 0] * first[1, 1])
+    inner = errors[0] * errors[1] * correlation
+    return np.array([[errors[0] ** 2, inner], [inner, errors[1] ** 2]]), found[1][1]

@@ -1,0 +1,69 @@
+"""Where a position axis starts: where it is, and the set-points on their way through its dead time; compiled.
+
+During the dead time the lag is turned round: ``u_k = (x_k − a·x_{k−1})/(1 − a)``, ``a = e^(−dt/T)``, with the measured x. That
+is the most probable past under a prior as wide as the range of the axis, beside which the noise of its sensor is nothing.
+Without a dead time ``x_k = run_k + δx·a^k``, and δx is found by least squares under the same prior. What is wrong dies out.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from sysid.effects import input_delay
+from sysid.effects.compiled import inlined, loop
+from sysid.plant.layout import AT, AXIS_WIDTH, STATE
+from sysid.plant.rig import HIGH, LOW
+
+#: After so many time constants nothing is left of where the lag stood.
+FADED = 4.0
+#: The prior weighs as much as this many samples: noise over range, squared.
+PRIOR = 1e-6
+
+
+@inlined
+def _between(measured, at, last):
+    """The measured motion at sample ``at`` ≥ 0, by a straight line; NaN beside what is missing."""
+    k = math.floor(at)
+    part = at - k
+    if k + 1 >= last or part < 1e-9:
+        return measured[min(k, last - 1)]
+    return (1.0 - part) * measured[k] + part * measured[k + 1]
+
+
+@loop
+def start_servo(p, rig, i, begun, command, measured, first, last, dt):
+    """Correct the state ``begun`` (size,) of a position axis; the first sample stands behind a step of the chain."""
+    b, low, high = i * AXIS_WIDTH, rig.axes[i, LOW], rig.axes[i, HIGH]
+    lag, delay = p[b + AT.first_order_lag], p[b + AT.input_delay]
+    kept = math.exp(-dt / lag) if lag > 1e-6 else 0.0
+    cells = math.ceil(delay / dt - 1e-9)
+    if cells == 0:
+        if kept == 0.0:
+            return
+        x, share, top, bottom = command[first], 1.0, 0.0, PRIOR
+        for k in range(first, min(last, first + math.ceil(FADED * lag / dt))):
+            x = command[k] + (x - command[k]) * kept
+            share *= kept
+            if not np.isnan(measured[k]):
+                top += share * (measured[k] - x)
+                bottom += share * share
+        begun[STATE.first_order_lag] = min(max(command[first] + top / bottom, low), high)
+        return
+    at, size = STATE.input_delay, len(begun) - STATE.input_delay
+    input_delay.fill(command[first], p, b + AT.input_delay, begun, at, size, dt)
+    wanted, known = command[first], False
+    for back in range(cells, 0, -1):
+        acts = first + delay / dt - back  # the sample that the step with this set-point leads to
+        if acts >= first:
+            x = _between(measured, acts, last)
+            before = _between(measured, acts - 1.0, last) if acts - 1.0 >= first else x
+            if not (np.isnan(x) or np.isnan(before)):
+                wanted = min(max((x - kept * before) / (1.0 - kept), low), high)
+                if not known:  # where it stands it was held
+                    known = True
+                    begun[STATE.first_order_lag] = min(max(before, low), high)
+                    for older in range(back, cells + 1):
+                        input_delay.put(wanted, begun, at, size, older)
+        input_delay.put(wanted, begun, at, size, back)
