@@ -28,7 +28,7 @@ class Parameter:
         unit: SI; ``drive`` or ``signal`` stands for m or rad, whichever the target moves in or reads.
         bounds: what a fit may search, (low, high).
         starts: values from which a fit starts.
-        negligible: a departure from the neutral (or nominal) value that is not worth a name.
+        negligible: a small departure from the neutral (or nominal) value, from which steps and tolerances of fits derive.
         scale: ``starts`` and ``negligible`` are multiples of the typical force, or of one over the typical gravity load, that
             the data show; "" where they are the values themselves.
         stepwise: a small change may change nothing at all (a threshold between two samples of a command): a fit searches it.

@@ -30,7 +30,7 @@ class Unknown:
         key: public parameter name, with ``[i]`` for a component of a vector.
         places: indices into ``theta`` that take its value.
         nominal: its value in the plant that is being questioned; ``absent``: its value where there is no such effect.
-        negligible: a departure from nominal that is not worth a name; steps and tolerances of fits derive from it.
+        negligible: a small departure from nominal; steps and tolerances of fits derive from it.
         stepwise: slopes say nothing about it; a fit searches it on a grid as well.
     """
 

@@ -161,7 +161,7 @@ def _near_misses(stage: Stage) -> list[str]:
 
 
 def _limits(finding: StageResult) -> Array:
-    """95 % intervals of the fit's unknowns, (k, 2): of the chosen model, widened by what other survivors say."""
+    """95 % intervals of the unknowns of the chosen model, (k, 2), within their bounds."""
     fitted = finding.stage_fit
     assert fitted is not None
     model = fitted.decision.model

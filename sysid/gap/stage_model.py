@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -12,7 +12,7 @@ from sysid.datasets.recording import Recording
 from sysid.gap.candidates import Candidate
 from sysid.gap.decision import Decision, Key, decide
 from sysid.gap.likelihood.averaged import averaged
-from sysid.gap.likelihood.discrepancy import discrepancy_of
+from sysid.gap.likelihood.discrepancy import Discrepancy, discrepancy_of
 from sysid.gap.likelihood.explained import Explained, explained
 from sysid.gap.likelihood.rows import Rows
 from sysid.gap.likelihood.stage import ModelFit, StageLikelihood, Variances
@@ -69,12 +69,15 @@ def fit_stage(
         nameable: labels of candidates that the recordings excite enough; the others only compete.
     """
     full = recordings[0].rate_hz
-    recordings = [averaged(r, problem.stage) for r in recordings]
+    # Means over 0.1 s shifted by a clock's error are off by several noise floors at every start and stop.
+    if not any(c.effect.target == "stream" for c in candidates):
+        recordings = [averaged(r, problem.stage) for r in recordings]
     rows = Rows(problem, recordings, theta, sigma)
-    samples = max(1, round(full / recordings[0].rate_hz)) * rows.series[0].width
+    sample = recordings[0].rate_hz / full  # of the log, in samples of the averaged recordings
+    samples = max(1, round(1.0 / sample)) * rows.series[0].width
     start = _start(rows, sigma, samples)
     extra = _transients(rows)
-    found = [_settled(model, rows, theta, start, extra, candidates, tau, on_fit) for tau in FIRST]
+    found = [_settled(model, rows, theta, sample, start, extra, candidates, tau, on_fit) for tau in FIRST]
     likelihood, rich = max(found, key=lambda each: each[1].evidence + log_prior(each[0].variances, start))
     variances = robust(likelihood, rich)
     likelihood = StageLikelihood(rows, likelihood.discrepancy, variances, extra)
@@ -101,6 +104,7 @@ def _settled(
     model: Model,
     rows: Rows,
     theta: Array,
+    sample: float,
     start: Start,
     extra: Sequence[Array],
     candidates: Sequence[Candidate],
@@ -108,7 +112,7 @@ def _settled(
     on_fit: Callable[[str], None],
 ) -> tuple[StageLikelihood, ModelFit]:
     """Effects and variances found in turn, from a first size of the discrepancy: the likelihood, and its likeliest model."""
-    discrepancy = discrepancy_of(model, rows, theta)
+    discrepancy = _discrepancy(model, rows, theta, sample)
     variances = first_variances(rows, start, len(discrepancy.groups), tau)
     likelihood = StageLikelihood(rows, discrepancy, variances, extra)
     rich: ModelFit | None = None
@@ -116,7 +120,7 @@ def _settled(
         proposals = Proposals(likelihood, candidates, on_fit)
         begin = proposals.fit(()) if rich is None else proposals.warm(rich.candidates, rich)
         rich = proposals.forward(begin)
-        discrepancy = discrepancy_of(model, rows, rich.theta)
+        discrepancy = _discrepancy(model, rows, rich.theta, sample)
         variances = estimated(rows, discrepancy, variances, start, extra, rich)
         likelihood = StageLikelihood(rows, discrepancy, variances, extra)
     assert rich is not None
@@ -125,6 +129,12 @@ def _settled(
     for candidate in rich.candidates:
         proposals.without(rich, candidate)
     return likelihood, proposals.best
+
+
+def _discrepancy(model: Model, rows: Rows, theta: Array, sample: float) -> Discrepancy:
+    """The columns of a stage; timing is open by half a sample of the log, not by half of what it was averaged over."""
+    found = discrepancy_of(model, rows, theta)
+    return replace(found, timing=sample * found.timing)
 
 
 def _start(rows: Rows, sigma: Array, samples: int) -> Start:

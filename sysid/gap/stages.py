@@ -64,12 +64,15 @@ def _side_by_side(case: Case, stages: Sequence[Stage], forms: Forms, progress: P
 
 
 def _as_read(case: Case, stages: tuple[Stage, ...], forms: Forms, progress: Progress) -> tuple[Stage, ...]:
-    """Drives read by a sensor whose scale was named at its joint are searched again with that scale: it looks like a gain."""
+    """Drives read by a sensor whose scale was found at its joint are searched again with that scale: it looks like a gain.
+
+    Where the scale ties with another effect it stands in the repaired plant all the same, and must not be counted twice.
+    """
     scales = [
         (stage.found.fit, kept.candidate)
         for stage in stages
         for kept in stage.found.named
-        if stage.problem.stage == "joint" and kept.candidate.effect.name == SCALE and not kept.ties
+        if stage.problem.stage == "joint" and kept.candidate.effect.name == SCALE
     ]
     found = []
     for stage in stages:

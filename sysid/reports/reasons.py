@@ -61,6 +61,8 @@ def losses(effect: NamedEffect, candidates: Sequence[Candidate]) -> list[Loss]:
 
 
 def _why(times: float, other: Alternative) -> str:
+    if other.rejected_by.startswith("predicts"):
+        return other.rejected_by
     match = _EVIDENCE.search(other.rejected_by)
     if match is None and not math.isfinite(times):
         return other.rejected_by
@@ -82,6 +84,8 @@ def fate(row: Candidate, best: float, named: Sequence[tuple[str, str]]) -> tuple
     times = row.selection_rmse / best if best > 0.0 else math.nan
     if row.verdict.startswith(("rejected", "no effect", "named", "kept")):
         return row.verdict, row.verdict.startswith(("named", "kept"))
+    if row.verdict.endswith("nats worse"):
+        return f"predicts {row.verdict}", False
     if ordinary and ordinary <= set(named) and times < 1.02 and row.verdict.startswith("drops "):
         name, target, _, _ = label_of(row.verdict.removeprefix("drops "))
         what = name.replace("_", " ") + (f" of the {words.owner_name(target)}" if target else "")

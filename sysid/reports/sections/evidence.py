@@ -71,7 +71,6 @@ def _group(stage: str, target: str, rows: list[Candidate], gap: GapResult, machi
                 "refitted": refitted,
                 "parameters": _parameters(row, machine),
                 "fit": display.fixed(row.fit_rmse, 2),
-                "selection": display.fixed(row.selection_rmse, 2),
                 "bic": display.fixed(row.delta_bic, 0),
                 "verdict": why,
                 "won": won,

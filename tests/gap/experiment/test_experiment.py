@@ -25,7 +25,7 @@ def test_backlash_that_too_few_reversals_did_not_excite() -> None:
     truth = nominal(KnownEffect("backlash", "boom", {"width": 0.01}, "drive"))
     dataset = slow_dataset(truth, 7.0)
     before = find_gap(dataset, nominal(), planning=Planning())
-    assert before.verdict == "unnamed"
+    assert before.verdict == "insufficient_excitation"
     assert before.effects == ()
     (experiment,) = before.experiments
     (purpose,) = experiment.purposes

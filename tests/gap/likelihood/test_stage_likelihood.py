@@ -1,0 +1,108 @@
+"""The marginal likelihood of a model: against dense Gaussians, refits without a block, and the model that made the data."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+from regression_stage import NOISE, candidate, discrepancy, functions, likelihood, rows_of
+from scipy.stats import multivariate_normal
+
+from sysid.gap.likelihood.stage import ModelFit, StageLikelihood, _block_densities, fit_model, prior_of
+
+Array = npt.NDArray[np.float64]
+
+
+def fitted(table: StageLikelihood, *places: int) -> ModelFit:
+    chosen = [candidate(k) for k in places]
+    return fit_model(table, chosen, np.zeros((1, len(places))))
+
+
+def test_block_densities_are_those_of_a_refit_without_the_block() -> None:
+    rng = np.random.default_rng(0)
+    X, r = rng.standard_normal((40, 5)) * [3.0, 1.0, 0.3, 5.0, 0.01], rng.standard_normal(40)
+    block = rng.integers(0, 6, 40)
+    X[7], r[7] = 0.0, 0.0  # a row that is not measured
+    rows = SimpleNamespace(block=block, blocks=6)
+    found = _block_densities(X, r, X.T @ X + np.eye(5), rows)  # type: ignore[arg-type]
+    for b in range(6):
+        inside = block == b
+        rest = X[~inside]
+        covariance = np.linalg.inv(rest.T @ rest + np.eye(5))
+        mean = covariance @ rest.T @ r[~inside]
+        Xb = X[inside]
+        density = multivariate_normal(Xb @ mean, np.eye(inside.sum()) + Xb @ covariance @ Xb.T)
+        assert found[b] == pytest.approx(density.logpdf(r[inside]) + 0.5 * inside.sum() * np.log(2 * np.pi)), b
+
+
+@pytest.mark.parametrize("places", [(), (0,), (0, 1)])
+@pytest.mark.parametrize("disturbance", [1e-9, 0.3])
+def test_the_evidence_is_the_density_of_the_data(places: tuple[int, ...], disturbance: float) -> None:
+    """The stage is linear in θ, so that Laplace's approximation is exact: a normal with all of its covariances added up."""
+    rows = rows_of((0.6, 0.2, 0.0), count=2, seconds=8.0)
+    table = likelihood(rows, tau=0.2, disturbance=disturbance)
+    y = rows.residuals(np.zeros((1, 3)))[0]
+    covariance = NOISE**2 * np.eye(rows.count)
+    for s in rows.series:
+        gap = np.abs(s.time[:, None] - s.time[None, :])
+        covariance[s.rows, s.rows] += disturbance**2 * np.exp(-gap / 0.5)
+    smooth = discrepancy(rows).columns
+    covariance += 0.2**2 * smooth @ smooth.T
+    width = prior_of([candidate(k) for k in places]).width
+    time = np.concatenate([s.time + 31.0 * s.recording for s in rows.series])
+    slopes = functions(time)[:, list(places)] * width
+    covariance += slopes @ slopes.T
+    expected = multivariate_normal(np.zeros(rows.count), covariance).logpdf(y) + 0.5 * rows.count * np.log(2 * np.pi)
+    assert fitted(table, *places).evidence == pytest.approx(expected, abs=0.05)
+
+
+def test_values_and_their_deviations_are_those_of_least_squares() -> None:
+    rows = rows_of((0.6, -0.4, 0.0))
+    found = fitted(likelihood(rows, tau=1e-9), 0, 1)
+    time = np.concatenate([s.time + 31.0 * s.recording for s in rows.series])
+    X = functions(time)[:, :2] / NOISE
+    y = rows.residuals(np.zeros((1, 3)))[0] / NOISE
+    H = X.T @ X + np.eye(2)  # starting values are ±1, so the prior's width is one
+    assert found.values == pytest.approx(np.linalg.solve(H, X.T @ y), abs=1e-5)
+    assert np.sqrt(np.diag(found.covariance)) == pytest.approx(np.sqrt(np.diag(np.linalg.inv(H))), rel=1e-6)
+    assert found.inflation == pytest.approx(np.ones(2), rel=1e-6)
+    assert found.left == pytest.approx(1.0, abs=0.05)
+    assert found.response == pytest.approx(np.sqrt((functions(time)[:, :2] ** 2).mean(axis=0)) / NOISE, rel=1e-6)
+
+
+def test_the_evidence_prefers_the_model_that_made_the_data() -> None:
+    table = likelihood(rows_of((0.6, -0.4, 0.0)))
+    true = fitted(table, 0, 1)
+    for places in ((), (0,), (1,), (0, 1, 2)):
+        assert fitted(table, *places).evidence < true.evidence, places
+    assert fitted(table, 0).evidence < true.evidence - 50.0
+
+
+def test_nothing_is_likelier_than_an_effect_where_there_is_none() -> None:
+    for seed in range(5):
+        table = likelihood(rows_of((0.0, 0.0, 0.0), seed=seed))
+        assert max(fitted(table, k).evidence for k in range(3)) < fitted(table).evidence
+
+
+def test_a_discrepancy_that_holds_the_effect_takes_the_information_about_it() -> None:
+    rows = rows_of((0.6, 0.0, 0.0))
+    time = np.concatenate([s.time + 31.0 * s.recording for s in rows.series])
+    same = functions(time)[:, :1]
+    alone, shared = (fitted(likelihood(rows, tau, columns=same), 0) for tau in (1e-9, 10.0))
+    assert alone.inflation[0] == pytest.approx(1.0, abs=1e-3)
+    assert shared.inflation[0] > 1e3
+    assert shared.deviations_of(candidate(0))[0] > 30.0 * alone.deviations_of(candidate(0))[0]
+
+
+def test_columns_that_are_negligible_do_not_change_the_evidence() -> None:
+    rows = rows_of((0.6, 0.0, 0.0))
+    without, with_them = (fitted(likelihood(rows, tau), 0).evidence for tau in (0.0, 1e-5))
+    assert with_them == pytest.approx(without, abs=0.02)
+
+
+def test_a_fit_stays_inside_the_bounds() -> None:
+    rows = rows_of((9.0, 0.0, 0.0))  # the bounds are ±5
+    found = fitted(likelihood(rows), 0)
+    assert found.values[0] == 5.0

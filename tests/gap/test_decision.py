@@ -1,0 +1,220 @@
+"""The decision rule on models made by hand."""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+from plant_data import arm, nominal, slide
+
+from sysid.gap import decision
+from sysid.gap.candidates import Candidate, candidates_at
+from sysid.gap.decision import BLOCK_NATS, INFLATION, decide, difference, simpler, survives
+from sysid.gap.likelihood.stage import ModelFit
+
+Array = npt.NDArray[np.float64]
+PLANT = nominal(machine=arm())
+SLIDE = nominal(machine=slide())
+OFFERED = {
+    c.label: c
+    for c in (
+        *candidates_at(PLANT, PLANT.vector(), "command", ("boom", "machine")),
+        *candidates_at(SLIDE, SLIDE.vector(), "force", ("slide",)),
+    )
+}
+BAND, LAG, DELAY, GAIN = (
+    OFFERED[f"{name}(boom)"] for name in ("valve_deadband", "first_order_lag", "input_delay", "gain_error")
+)
+BLOCKS = 20
+#: An output that a unit of any parameter moves by so many noise floors.
+RESPONSE = 1000.0
+
+
+def model(
+    *candidates: Candidate, worse: float | Array = 0.0, away: float = 0.1, deviation: float = 0.001, inflation: float = 2.0
+) -> ModelFit:
+    """A model that predicts each block by ``worse`` nats worse than the best, with all values ``away`` from nominal."""
+    unknowns = tuple(u for c in candidates for u in c.unknowns)
+    k = len(unknowns)
+    blocks = -np.broadcast_to(np.asarray(worse, dtype=float), (BLOCKS,))
+    return ModelFit(
+        candidates, unknowns, np.array([u.nominal + away for u in unknowns]), PLANT.vector(), deviation**2 * np.eye(k),
+        np.full(k, inflation), float(blocks.sum()) - 0.01 * k, blocks, 1.0, np.full(k, RESPONSE), 1.0,
+    )  # fmt: skip
+
+
+NOTHING = model(worse=4.0)
+ALL = tuple(OFFERED)
+
+
+def test_an_effect_without_which_nothing_predicts_as_well_is_named() -> None:
+    found = decide([NOTHING, model(BAND), model(LAG, worse=3.0), model(BAND, LAG)], ALL)
+    assert found.named == (BAND,)
+    assert found.model.candidates == (BAND,)
+    assert found.tied == ()
+    assert found.minimal == (found.model,)
+
+
+def test_what_a_larger_survivor_holds_besides_is_a_near_miss() -> None:
+    found = decide([NOTHING, model(BAND), model(BAND, LAG)], ALL)
+    (near,) = found.near_misses
+    assert near.candidate is LAG
+    assert near.lacks == "a model without it predicts as well"
+    assert near.values == pytest.approx([u.nominal + 0.1 for u in LAG.unknowns])
+
+
+def test_nothing_is_named_where_nothing_survives_as_well() -> None:
+    found = decide([model(worse=0.05), model(BAND), model(LAG, worse=0.02)], ALL)
+    assert found.model.candidates == ()
+    assert found.named == ()
+    assert found.tied == ()
+    assert {n.candidate.label for n in found.near_misses} == {BAND.label, LAG.label}
+
+
+def test_the_model_without_effects_alone_is_a_decision() -> None:
+    found = decide([model()], ALL)
+    assert (found.named, found.tied, found.near_misses) == ((), (), ())
+
+
+def test_a_value_inside_the_region_of_practical_equivalence_is_no_name() -> None:
+    half = float(np.sqrt(decision.EXPLAINED**2 - 1.0)) / RESPONSE
+    for away, named in ((0.9 * half, False), (1.2 * half, True)):
+        found = decide([NOTHING, model(DELAY, away=away, deviation=0.01 * half)], ALL)
+        assert (found.named == (DELAY,)) == named
+        if not named:
+            assert "region of practical equivalence" in found.near_misses[0].lacks
+
+
+def test_an_interval_that_reaches_into_the_region_is_no_name() -> None:
+    half = float(np.sqrt(decision.EXPLAINED**2 - 1.0)) / RESPONSE
+    sure, unsure = (decide([NOTHING, model(DELAY, away=3.0 * half, deviation=d * half)], ALL) for d in (0.9, 1.1))
+    assert sure.named == (DELAY,)
+    assert unsure.named == ()
+
+
+def test_the_region_grows_with_what_is_left_and_with_what_is_open_otherwise() -> None:
+    half = float(np.sqrt(decision.EXPLAINED**2 - 1.0)) / RESPONSE
+    chosen = model(DELAY, away=2.0 * half, deviation=0.01 * half)
+    assert decide([NOTHING, chosen], ALL).named == (DELAY,)
+    left = ModelFit(**{**vars(chosen), "left": 3.0})
+    assert decide([NOTHING, left], ALL).named == ()
+    assert decide([NOTHING, chosen], ALL, {DELAY.key: 3.0 * half}).named == ()
+
+
+def test_one_parameter_outside_the_region_is_enough() -> None:
+    chosen = model(BAND)
+    values = np.array([u.nominal for u in chosen.unknowns])
+    values[-1] += 0.1
+    assert decide([NOTHING, ModelFit(**{**vars(chosen), "values": values})], ALL).named == (BAND,)
+
+
+def test_what_the_discrepancy_explains_as_well_is_no_name() -> None:
+    assert decide([NOTHING, model(BAND, inflation=0.9 * INFLATION)], ALL).named == (BAND,)
+    found = decide([NOTHING, model(BAND, inflation=2.0 * INFLATION)], ALL)
+    assert found.named == ()
+    assert "leaves 0.5% of the information" in found.near_misses[0].lacks
+
+
+def test_effects_in_each_other_s_place_tie() -> None:
+    found = decide([NOTHING, model(DELAY), model(LAG, worse=0.02)], ALL)
+    assert found.named == ()
+    assert found.tied == ((DELAY, LAG),)
+    assert len(found.minimal) == 2
+    assert found.near_misses[0].lacks == "another model without it predicts as well"
+
+
+def test_what_two_alternatives_share_is_named_beside_their_tie() -> None:
+    found = decide([NOTHING, model(BAND, DELAY), model(BAND, LAG, worse=0.02), model(BAND, worse=2.0)], ALL)
+    assert found.named == (BAND,)
+    assert found.tied == ((DELAY, LAG),)
+
+
+def test_what_the_recordings_do_not_excite_is_neither_named_nor_tied() -> None:
+    shown = tuple(label for label in ALL if label != BAND.label)
+    alone = decide([NOTHING, model(BAND)], shown)
+    assert alone.named == ()
+    assert alone.model.candidates == (BAND,)
+    assert alone.near_misses[0].lacks == "the recordings do not excite it enough"
+    assert decide([NOTHING, model(BAND), model(LAG, worse=0.02)], shown).tied == ()
+
+
+def test_it_still_keeps_others_from_their_name() -> None:
+    """A cause that the recordings cannot show well enough may be the reason: no name for what stands in its place."""
+    shown = tuple(label for label in ALL if label != BAND.label)
+    found = decide([NOTHING, model(LAG), model(BAND, worse=0.02)], shown)
+    assert found.named == ()
+    assert found.tied == ((LAG, BAND),)
+
+
+def test_a_richer_form_is_no_other_effect() -> None:
+    simple, rich = OFFERED["coulomb_friction(slide)"], OFFERED["coulomb_friction(slide) [positive, negative]"]
+    found = decide([NOTHING, model(simple, worse=0.02), model(rich)], ALL)
+    assert found.named == (simple,)
+    assert found.near_misses == ()
+
+
+def test_a_block_counts_for_a_few_nats_at_most() -> None:
+    blocks = np.zeros(BLOCKS)
+    blocks[4] = 1600.0
+    total, error = difference(model(), model(worse=blocks))
+    assert total == BLOCK_NATS
+    assert error == pytest.approx(BLOCK_NATS * np.sqrt(1.0 - 1.0 / BLOCKS))
+    assert survives(model(worse=blocks), model()), "one block alone proves nothing"
+    assert not survives(model(worse=np.where(np.arange(BLOCKS) < 6, 1600.0, 0.0)), model()), "several that agree do"
+    assert difference(model(worse=blocks), model()) == (-total, error)
+
+
+def test_two_nats_are_no_difference_however_regular() -> None:
+    assert survives(model(worse=1.9 / BLOCKS), model())
+    assert not survives(model(worse=2.1 / BLOCKS), model())
+
+
+def test_a_sum_has_to_exceed_two_standard_errors() -> None:
+    swings = np.where(np.arange(BLOCKS) % 2 == 0, 2.0, -2.0)  # standard error 2·√20 = 8.9
+    assert survives(model(worse=swings + 0.85), model())
+    assert not survives(model(worse=swings + 0.95), model())
+
+
+def test_a_loser_loses_by_its_evidence_as_well() -> None:
+    """Of many models one predicts better by chance; evidence knows what its parameters cost."""
+    worse = model(BAND, worse=3.0)
+    assert not survives(worse, model(BAND, LAG))
+    for lost, stays in ((1.9, True), (2.1, False)):
+        likely = ModelFit(**{**vars(worse), "evidence": model(BAND, LAG).evidence - lost})
+        assert survives(likely, model(BAND, LAG)) == stays
+
+
+def test_a_model_is_simpler_than_one_that_holds_its_effects() -> None:
+    assert simpler(NOTHING, model(BAND))
+    assert simpler(model(BAND), model(LAG, BAND))
+    assert not simpler(model(LAG, BAND), model(BAND))
+    assert not simpler(model(BAND), model(BAND))
+    assert not simpler(model(BAND), model(LAG))
+    assert not simpler(model(BAND), model(LAG, GAIN))
+
+
+def test_a_form_with_fewer_numbers_is_simpler() -> None:
+    simple, rich = OFFERED["coulomb_friction(slide)"], OFFERED["coulomb_friction(slide) [positive, negative]"]
+    assert simpler(model(simple), model(rich))
+    assert not simpler(model(rich), model(simple))
+    assert simpler(model(simple), model(rich, OFFERED["load_bias(slide)"]))
+
+
+def test_what_an_effect_generalises_is_simpler() -> None:
+    general = OFFERED["stribeck_friction(slide)"]
+    special = OFFERED["coulomb_friction(slide)"]
+    assert general.contains(special)
+    assert simpler(model(special), model(general))
+
+
+def test_the_rule_has_six_numbers_and_its_table_says_them() -> None:
+    table = re.findall(r"^``(\w+)``\s+([\d.]+)\s*(%?)", decision.__doc__ or "", re.MULTILINE)
+    said = {name: float(value) / (100.0 if percent else 1.0) for name, value, percent in table}
+    numbers = {
+        name: value for name, value in vars(decision).items() if name.isupper() and isinstance(value, float) and name != "Z"
+    }
+    assert said == numbers
+    assert len(numbers) <= 6
+    assert pytest.approx(1.959964, abs=1e-6) == decision.Z
