@@ -136,10 +136,18 @@ def _disturbances(
             return log_scale - _evidence(rest + gram, scale) + float(prior)
 
         bounds = [(c - 4.0 * w, c + 4.0 * w) for c, w in zip(np.log(centre[k]), (0.5, 3.0, 3.0, 0.8), strict=True)]
-        begin = np.clip(z[here], [low for low, _ in bounds], [high for _, high in bounds])
+        low, high = np.array(bounds).T
+        # A disturbance at rest and one of the motion are two optima: begin at the better one.
+        begin = min((np.clip(row, low, high) for row in _beginnings(z[here])), key=one)
         found = minimize(one, begin, method="L-BFGS-B", bounds=bounds, options={"maxiter": 12, "eps": 2e-2, "ftol": 1e-7})
         z[here] = found.x
     return variances_of(z)
+
+
+def _beginnings(z: Array) -> list[Array]:
+    """Logarithms of noise, amplitudes and correlation time as they are, ten times the one or the other, and interchanged."""
+    swapped, more = z[[0, 2, 1, 3]], np.log(10.0)
+    return [z, swapped, z + [0.0, more, 0.0, 0.0], z + [0.0, 0.0, more, 0.0], swapped + [0.0, more, 0.0, 0.0]]
 
 
 def _groups(gram: Array, fixed: int, group: npt.NDArray[np.int64], taus: Array) -> Array:

@@ -107,6 +107,27 @@ def test_noise_and_disturbance_are_found(moving: float, memory: float) -> None:
     assert found.moving > found.still
 
 
+@pytest.mark.parametrize("seed", [1, 2])
+def test_a_disturbance_at_rest_is_not_taken_for_one_of_the_motion(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    found = []
+    for k in range(4):
+        state = [float(rng.standard_normal())]
+        for _ in range(799):
+            state.append(float(np.exp(-0.04 / 0.3) * state[-1] + np.sqrt(1.0 - np.exp(-0.08 / 0.3)) * rng.standard_normal()))
+        time = np.arange(800) / RATE
+        y = 0.2 * np.array(state) + 0.2 * rng.standard_normal(800)
+        found.append(Recording(f"run-{k}", pd.DataFrame({"time": time, "clock": time + 31.0 * k, SIGNAL: y}), RATE))
+    rows = Rows(problem(), found, np.zeros(3), np.array([0.2]))
+    start = Start(np.array([0.2]), np.array([0.02]))
+    extra = [np.zeros(len(s.step)) for s in rows.series]
+    model = fit_model(likelihood(rows), [], np.zeros((1, 0)))
+    first = first_variances(rows, start, 1, 1e-3)
+    (one,) = estimated(rows, discrepancy(rows), first, start, extra, model).disturbances
+    assert (one.noise, one.still) == (pytest.approx(0.2, rel=0.1), pytest.approx(0.2, rel=0.2))
+    assert one.moving < 0.05
+
+
 def test_the_prior_of_the_variances_is_highest_where_it_is_centred() -> None:
     rows = rows_of((0.0, 0.0, 0.0), count=1)
     start = Start(np.array([NOISE]), np.array([0.01]))
