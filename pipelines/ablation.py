@@ -1,8 +1,9 @@
 """What each deciding step of the gap workflow buys: the same sealed cases, answered with one step left out at a time.
 
-    .venv/bin/python pipelines/ablation.py [--none N] [--single N] [--workers N]
+    .venv/bin/python pipelines/ablation.py [--none N] [--single N] [--seed N|commit] [--workers N]
 
-Writes reports/hidden_effects/ablation.json and its table in docs/hidden-effects.md. A stopped run goes on where it was.
+With the seed of the commit, on a tree without changes, it writes reports/hidden_effects/ablation.json and its table in
+docs/hidden-effects.md; with --seed N nothing but the work folder. A stopped run goes on where it was.
 """
 
 from __future__ import annotations
@@ -10,7 +11,6 @@ from __future__ import annotations
 import argparse
 import json
 import shutil
-import sys
 import time
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -18,11 +18,12 @@ from pathlib import Path
 from typing import Any
 
 from committed import provenance, write_result, write_tables
-from hidden.cases import SEED, CaseSpec, case
+from hidden.cases import CaseSpec, case
 from hidden.judge import judge
 from hidden.make import make_case
 from hidden.runner import ANSWERING, MAKING, Place, run_process
 from hidden.score import scored
+from hidden.seed import Seed, check_unchanged, seed_of
 from hidden.solve import solve
 from sysid.gap.strictness import Strictness
 
@@ -54,7 +55,7 @@ def answer_all(specs: Sequence[CaseSpec], work: Path, workers: int) -> None:
         waiting = [(folder, strict) for folder, strict in settings if not (folder / f"{spec.name}.json").exists()]
         if not waiting:
             return
-        made = run_process(make_case, [spec, work], MAKING)
+        made = run_process(make_case, [spec, work, place.nominal], MAKING)
         for folder, strict in waiting:
             out = folder / f"{spec.name}.json"
             failure = made or run_process(solve, [place.site(spec), out, strict], ANSWERING)
@@ -72,7 +73,7 @@ def answers_of(work: Path, number: int) -> Path:
     return work / f"variant-{number}"
 
 
-def result_of(specs: Sequence[CaseSpec], work: Path, command: str) -> dict[str, Any]:
+def result_of(specs: Sequence[CaseSpec], seed: Seed, work: Path, command: str) -> dict[str, Any]:
     """Rates of every variant over the cases that could be made."""
     place, rows = Place(work), []
     for number, (label, changed) in enumerate(VARIANTS.items()):
@@ -90,13 +91,13 @@ def result_of(specs: Sequence[CaseSpec], work: Path, command: str) -> dict[str, 
                 "seconds": found["seconds"],
             }
         )
-    return provenance(command, SEED) | {"cases": len(specs), "variants": rows}
+    return provenance(command, seed.value) | {"commit": seed.commit, "cases": len(specs), "variants": rows}
 
 
 def table_of(result: Mapping[str, Any]) -> str:
     """The rates as a Markdown table."""
     lines = [
-        f"{result['cases']} cases: `{result['command']}`.",
+        f"{result['cases']} cases, seed {result['seed']}: `{result['command']}`.",
         "",
         "| left out | nothing hidden: named | one effect: right | — wrong name | any case: wrong name | seconds |",
         "| --- | ---: | ---: | ---: | ---: | ---: |",
@@ -107,13 +108,18 @@ def table_of(result: Mapping[str, Any]) -> str:
     return "\n".join(lines)
 
 
-def main(none: int, single: int, work: Path, workers: int) -> dict[str, Any]:
-    """Answer and write."""
-    specs = [*(case("none", k) for k in range(none)), *(case("single", k) for k in range(single))]
-    answer_all(specs, work, workers)
-    result = result_of(specs, work, f"python pipelines/ablation.py --none {none} --single {single}")
-    write_result(RESULT, result)
-    write_tables(PAGE, table_of(result), "pipelines/ablation.py")
+def main(none: int, single: int, seed: Seed, work: Path, workers: int) -> dict[str, Any]:
+    """Answer, and write what may be published."""
+    specs = [*(case("none", k, seed.value) for k in range(none)), *(case("single", k, seed.value) for k in range(single))]
+    place = work / f"seed-{seed.value}"
+    answer_all(specs, place, workers)
+    command = f"python pipelines/ablation.py --none {none} --single {single}"
+    result = result_of(specs, seed, place, command + ("" if seed.published else f" --seed {seed.value}"))
+    write_result(place / "ablation.json", result)
+    if seed.published:
+        check_unchanged(seed, ROOT)
+        write_result(RESULT, result)
+        write_tables(PAGE, table_of(result), "pipelines/ablation.py")
     return result
 
 
@@ -121,7 +127,11 @@ if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--none", type=int, default=20, help="cases that hide nothing")
     parser.add_argument("--single", type=int, default=26, help="cases that hide one effect")
+    parser.add_argument("--seed", default="commit", help="of the cases: a number, or 'commit' (default), whose result is kept")
     parser.add_argument("--workers", type=int, default=1)
     parser.add_argument("--work", type=Path, default=ROOT / "workspace" / "ablation", help="folder of cases and answers")
     given = parser.parse_args()
-    print(table_of(main(given.none, given.single, given.work, given.workers)), file=sys.stdout)
+    try:
+        print(table_of(main(given.none, given.single, seed_of(given.seed, ROOT), given.work, given.workers)))
+    except ValueError as error:
+        parser.exit(2, f"{error}\n")

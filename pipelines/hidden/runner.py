@@ -39,9 +39,14 @@ _STARTING = threading.Lock()
 
 @dataclass(frozen=True)
 class Place:
-    """Folders of one calibration: made cases, their sealed truth, and the answers."""
+    """Folders of one calibration, those of one seed: made cases, their sealed truth, and the answers."""
 
     work: Path
+
+    @property
+    def nominal(self) -> Path:
+        """The owners' fitted plants: those of the machines, whatever the seed."""
+        return self.work.parent / "nominal"
 
     def site(self, spec: CaseSpec) -> Path:
         return self.work / "cases" / spec.name / "site"
@@ -78,7 +83,7 @@ def run_all(
 def make_and_answer(spec: CaseSpec, place: Place, limit: float) -> str | None:
     """Leave an answer, which may be that there is none; returns why, if so."""
     place.answer(spec).parent.mkdir(parents=True, exist_ok=True)
-    made = run_process(make_case, [spec, place.work], MAKING)
+    made = run_process(make_case, [spec, place.work, place.nominal], MAKING)
     failure = f"not made: {made}" if made else None
     if failure is None:
         # The folder with the truth is not among what this process is told of.
