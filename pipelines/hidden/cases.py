@@ -103,7 +103,7 @@ def _factor(group: Group, number: int, place: int) -> float:
     return (4.0, 8.0, 5.0, 10.0, 6.0)[(number + 2 * place) % 5]
 
 
-def _excitation(number: int, kinds: tuple[Kind, ...], family: Family) -> str:
+def _excitation(number: int, kinds: tuple[Kind, ...], family: str) -> str:
     special = [kind.excitation for kind in kinds if kind.excitation != "rich"]
     if special:
         return special[0]
@@ -118,16 +118,16 @@ def _kinds(group: Group, number: int, seed: int, draw: np.random.Generator) -> t
     if group == "unknown":
         return (in_order(UNKNOWN, seed)[number % len(UNKNOWN)],)
     if group == "single":
-        return (_single(number, seed),)
+        return (turned(KNOWN, number, seed),)
     several = [kind for kind in KNOWN if kind.family == ("hydraulic_crane" if number % 4 == 3 else "valve_crane")]
     count = {"double": 2, "triple": 3}[group]
     while True:
         chosen = [several[k] for k in draw.choice(len(several), count, replace=False)]
-        if _apart(chosen):
+        if apart(chosen):
             return tuple(chosen)
 
 
-def _apart(kinds: list[Kind]) -> bool:
+def apart(kinds: Sequence[Kind]) -> bool:
     """Whether they can be hidden together: each at a stage and place of its own, on one variant, in one set of recordings."""
     places = {(kind.stage, kind.target) for kind in kinds}
     named = {name for kind in kinds for name in kind.named}
@@ -137,11 +137,11 @@ def _apart(kinds: list[Kind]) -> bool:
     return len(places) == len(kinds) == len(named) and bool(shared) and len(programs) < 2 and one_build
 
 
-def _single(number: int, seed: int) -> Kind:
+def turned(known: Sequence[Kind], number: int, seed: int) -> Kind:
     """Effects in turn, so that each comes as often as any other; its places in turn as well."""
-    effects = in_order(sorted({kind.named[0][0] for kind in KNOWN}), seed)
+    effects = in_order(sorted({kind.named[0][0] for kind in known}), seed)
     effect = effects[number % len(effects)]
-    places = in_order([kind for kind in KNOWN if kind.named[0][0] == effect], seed)
+    places = in_order([kind for kind in known if kind.named[0][0] == effect], seed)
     return places[number // len(effects) % len(places)]
 
 
