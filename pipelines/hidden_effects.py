@@ -1,16 +1,23 @@
-"""How often the gap workflow is right: sealed cases of the stand-in machine, answered blind, then judged.
+"""How often the gap workflow is right: sealed cases, answered blind, then judged.
 
-    .venv/bin/python pipelines/hidden_effects.py --tier smoke|quick|full [--only GROUP] [--workers N] [--limit N]
-                                                 [--answered] [--resume]
+    .venv/bin/python pipelines/hidden_effects.py --tier smoke|quick|full [--bench own|foreign] [--seed N|commit]
+                                                 [--only GROUP] [--workers N] [--limit N] [--answered] [--resume]
 
 Each case is a machine that hides no, one, two or three effects, or something that the catalogue does not know, recorded with
 noise, disturbances and more or less excitation. The workflow sees logs and description alone, in a process of its own; the
-truth is opened when all have answered. A run that was stopped goes on where it was; with --resume, on another machine
-too, from what reports/hidden_effects/result.json has of the tier. A whole tier, or with --answered what there is of it, writes
-that file and the tables of docs/hidden-effects.md.
+truth is opened when all have answered.
 
-Order of reading of hidden/: machines, kinds, cases (what is tried), limits, make (files), solve (the run, which sees the site's
-files alone), runner, judge, score, page.
+The bench is that of sysid.bench, or ("foreign") machines that MuJoCo and PyBullet simulate: 200 cases whose formulas nobody
+here wrote, whose result is reports/hidden_effects/foreign.json.
+
+The cases follow from the seed. By default it is that of the commit (its first eight hex digits): whoever changes the search
+changes the cases, so that none can be tuned to. Such a run needs a tree without changes, and a whole tier of it, or with
+--answered what there is, writes reports/hidden_effects/result.json and the tables of docs/hidden-effects.md. With --seed N the
+result stays in the work folder. A run that was stopped goes on where it was; with --resume, on another machine too, from what
+the result file has of the same seed and tier.
+
+Order of reading of hidden/: seed, machines, kinds, cases (what is tried), limits, make (files), solve (the run, which sees the
+site's files alone), runner, judge, score, page; in foreign/ machines, mjcf, kinds, cases, limits, truth, make.
 """
 
 from __future__ import annotations
@@ -22,15 +29,15 @@ from pathlib import Path
 from typing import Any
 
 from committed import provenance, write_result, write_tables
-from hidden.cases import COUNTS, GROUPS, SEED, CaseSpec, Group, Tier, cases_of, listed
+from hidden.bench import BENCHES, PAGE, Bench
+from hidden.cases import GROUPS, CaseSpec, Group, Tier, listed
 from hidden.judge import Judgement, judge
 from hidden.page import page_tables
 from hidden.runner import ANSWERING, Place, run_all
 from hidden.score import scored
+from hidden.seed import Seed, check_same_seed, check_unchanged, seed_of
 
 ROOT = Path(__file__).resolve().parents[1]
-RESULT = ROOT / "reports" / "hidden_effects" / "result.json"
-PAGE = ROOT / "docs" / "hidden-effects.md"
 
 
 def judged(specs: Sequence[CaseSpec], work: Path, earlier: Mapping[str, Judgement]) -> list[Judgement]:
@@ -67,10 +74,13 @@ def _unmade(spec: CaseSpec, answer: dict[str, Any]) -> Judgement:
     return judge({"spec": spec.to_json(), "hidden": [], "effects": []}, answer)
 
 
-def result_of(tier: str, cases: Sequence[Judgement], listed: int, command: str) -> dict[str, Any]:
+def result_of(
+    tier: str, seed: Seed, cases: Sequence[Judgement], listed: int, command: str, packages: tuple[str, ...] = ()
+) -> dict[str, Any]:
     """The contents of the result file."""
     return {
-        **provenance(command, SEED),
+        **provenance(command, seed.value, packages),
+        "commit": seed.commit,
         "tier": tier,
         "cases": len(cases),
         "listed": listed,
@@ -80,7 +90,9 @@ def result_of(tier: str, cases: Sequence[Judgement], listed: int, command: str) 
 
 
 def main(
+    bench: Bench,
     tier: Tier,
+    seed: Seed,
     work: Path,
     only: Group | None = None,
     workers: int = 1,
@@ -89,35 +101,54 @@ def main(
     answered: bool = False,
     resume: bool = False,
 ) -> dict[str, Any]:
-    """Run the cases of a tier that have no answer yet, or none of them, and score what there is."""
-    specs = cases_of(tier, only)[:limit]
-    earlier = judged_in(RESULT, specs) if resume else {}
+    """Run the cases of a tier that have no answer yet, or none of them, and score what there is.
+
+    Args:
+        work: cases and answers of each seed lie in a folder of its own in it.
+    """
+    specs = bench.cases_of(tier, seed.value, only)[:limit]
+    if resume:
+        check_same_seed(seed, bench.result)
+    earlier = judged_in(bench.result, specs) if resume else {}
+    place = work / f"seed-{seed.value}"
     if not answered:
         waiting = [spec for spec in specs if spec.name not in earlier]
-        run_all(waiting, work, workers, keep, lambda text: print(text, flush=True), ANSWERING)
-    command = f"python pipelines/hidden_effects.py --tier {tier}"
-    result = result_of(tier, judged(specs, work, earlier), len(specs), command)
-    write_result(work / f"result-{tier}.json", result)
+        run_all(waiting, place, workers, keep, lambda text: print(text, flush=True), ANSWERING, bench.make)
+    command = f"python {bench.command} --tier {tier}" + ("" if seed.published else f" --seed {seed.value}")
+    result = result_of(tier, seed, judged(specs, place, earlier), len(specs), command, bench.packages)
+    write_result(place / f"result-{tier}.json", result)
     print(page_tables(result))
-    if only is None and limit is None:
-        write_result(RESULT, result)
-        write_tables(PAGE, page_tables(result), "pipelines/hidden_effects.py")
+    if only is None and limit is None and seed.published:
+        check_unchanged(seed, ROOT)
+        write_result(bench.result, result)
+        write_tables(PAGE, page_tables(result), bench.command)
     return result
 
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--tier", choices=list(COUNTS), default="quick")
+    parser.add_argument("--tier", choices=("smoke", "quick", "full"), default="quick")
+    parser.add_argument(
+        "--bench", choices=list(BENCHES), default="own", help="whose machines: ours, or other people's simulators"
+    )
+    parser.add_argument("--seed", default="commit", help="of the cases: a number, or 'commit' (default), whose result is kept")
     parser.add_argument("--only", choices=GROUPS)
     parser.add_argument("--workers", type=int, default=1)
     parser.add_argument("--limit", type=int, help="at most so many cases")
     parser.add_argument("--work", type=Path, default=ROOT / "workspace" / "hidden_effects", help="folder of cases and answers")
     parser.add_argument("--keep", action="store_true", help="keep the logs of the cases")
     parser.add_argument("--answered", action="store_true", help="run nothing, score the cases that have an answer")
-    parser.add_argument("--resume", action="store_true", help="take over what the committed result has judged")
+    parser.add_argument("--resume", action="store_true", help="take over what the result file has judged, of the same seed")
     parser.add_argument("--list", action="store_true", help="show the cases and stop")
     given = parser.parse_args()
-    if given.list:
-        print("\n".join(listed(given.tier)))
-    else:
-        main(given.tier, given.work, given.only, given.workers, given.limit, given.keep, given.answered, given.resume)
+    try:
+        seed, bench = seed_of(given.seed, ROOT), BENCHES[given.bench]
+        if given.list:
+            print("\n".join(listed(bench.cases_of(given.tier, seed.value, given.only))))
+        else:
+            work = given.work / given.bench
+            main(
+                bench, given.tier, seed, work, given.only, given.workers, given.limit, given.keep, given.answered, given.resume
+            )
+    except ValueError as error:
+        parser.exit(2, f"{error}\n")

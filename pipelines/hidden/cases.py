@@ -1,4 +1,8 @@
-"""The list of cases: what each hides, how much of it, on which machine, seen how well. Its place fixes its seed."""
+"""The list of cases: what each hides, how much of it, on which machine, seen how well.
+
+A case follows from its group, its number and the seed of the calibration; only the counts of each group, and that each effect
+comes as often as any other, are the same for every seed.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +19,6 @@ T = TypeVar("T")
 Group = Literal["none", "single", "double", "triple", "unknown"]
 Tier = Literal["smoke", "quick", "full"]
 GROUPS: tuple[Group, ...] = ("none", "single", "double", "triple", "unknown")
-SEED = 20261121
 #: Cases of each group by tier; a tier holds the cases of the ones below it, so that nothing is run twice.
 COUNTS: dict[Tier, dict[Group, int]] = {
     "smoke": {"none": 3, "single": 5, "double": 1, "triple": 1, "unknown": 2},
@@ -41,11 +44,14 @@ class Hidden:
 
 @dataclass(frozen=True)
 class CaseSpec:
-    """A case before it is made. ``noise`` is a multiple of the usual, ``disturbance`` the relative flow disturbance."""
+    """A case before it is made. ``noise`` is a multiple of the usual, ``disturbance`` the relative flow disturbance.
+
+    ``family`` names the machine and ``variant`` which of its kind; ``seed`` is that of its own recordings.
+    """
 
     name: str
     group: Group
-    family: Family
+    family: str
     variant: int
     hidden: tuple[Hidden, ...]
     excitation: str
@@ -61,19 +67,19 @@ class CaseSpec:
         return CaseSpec(**{**values, "hidden": tuple(Hidden(**each) for each in values["hidden"])})
 
 
-def cases_of(tier: Tier, only: Group | None = None) -> list[CaseSpec]:
+def cases_of(tier: Tier, seed: int, only: Group | None = None) -> list[CaseSpec]:
     """The cases of a tier, of one group if that is given."""
     found: list[CaseSpec] = []
     for group, count in COUNTS[tier].items():
         if only in (None, group):
-            found += [case(group, number) for number in range(count)]
+            found += [case(group, number, seed) for number in range(count)]
     return found
 
 
-def case(group: Group, number: int) -> CaseSpec:
-    """Case ``number`` of a group."""
-    draw = np.random.default_rng([SEED, GROUPS.index(group), number])
-    kinds = _kinds(group, number, draw)
+def case(group: Group, number: int, seed: int) -> CaseSpec:
+    """Case ``number`` of a group in the calibration with this seed."""
+    draw = np.random.default_rng([seed, GROUPS.index(group), number])
+    kinds = _kinds(group, number, seed, draw)
     family = kinds[0].family if kinds else FAMILIES[number % len(FAMILIES)]
     shared = sorted(set(range(VARIANTS)).intersection(*(kind.variants for kind in kinds)))
     hidden = tuple(Hidden(kind.key, _factor(group, number, k), int(draw.choice([-1, 1]))) for k, kind in enumerate(kinds))
@@ -97,7 +103,7 @@ def _factor(group: Group, number: int, place: int) -> float:
     return (4.0, 8.0, 5.0, 10.0, 6.0)[(number + 2 * place) % 5]
 
 
-def _excitation(number: int, kinds: tuple[Kind, ...], family: Family) -> str:
+def _excitation(number: int, kinds: tuple[Kind, ...], family: str) -> str:
     special = [kind.excitation for kind in kinds if kind.excitation != "rich"]
     if special:
         return special[0]
@@ -106,22 +112,22 @@ def _excitation(number: int, kinds: tuple[Kind, ...], family: Family) -> str:
     return "flight" if number % 10 in (3, 9) and family in ("valve_crane", "hydraulic_crane") else "rich"
 
 
-def _kinds(group: Group, number: int, draw: np.random.Generator) -> tuple[Kind, ...]:
+def _kinds(group: Group, number: int, seed: int, draw: np.random.Generator) -> tuple[Kind, ...]:
     if group == "none":
         return ()
     if group == "unknown":
-        return (_in_order(UNKNOWN)[number % len(UNKNOWN)],)
+        return (in_order(UNKNOWN, seed)[number % len(UNKNOWN)],)
     if group == "single":
-        return (_single(number),)
+        return (turned(KNOWN, number, seed),)
     several = [kind for kind in KNOWN if kind.family == ("hydraulic_crane" if number % 4 == 3 else "valve_crane")]
     count = {"double": 2, "triple": 3}[group]
     while True:
         chosen = [several[k] for k in draw.choice(len(several), count, replace=False)]
-        if _apart(chosen):
+        if apart(chosen):
             return tuple(chosen)
 
 
-def _apart(kinds: list[Kind]) -> bool:
+def apart(kinds: Sequence[Kind]) -> bool:
     """Whether they can be hidden together: each at a stage and place of its own, on one variant, in one set of recordings."""
     places = {(kind.stage, kind.target) for kind in kinds}
     named = {name for kind in kinds for name in kind.named}
@@ -131,23 +137,23 @@ def _apart(kinds: list[Kind]) -> bool:
     return len(places) == len(kinds) == len(named) and bool(shared) and len(programs) < 2 and one_build
 
 
-def _single(number: int) -> Kind:
+def turned(known: Sequence[Kind], number: int, seed: int) -> Kind:
     """Effects in turn, so that each comes as often as any other; its places in turn as well."""
-    effects = _in_order(sorted({kind.named[0][0] for kind in KNOWN}))
+    effects = in_order(sorted({kind.named[0][0] for kind in known}), seed)
     effect = effects[number % len(effects)]
-    places = _in_order([kind for kind in KNOWN if kind.named[0][0] == effect])
+    places = in_order([kind for kind in known if kind.named[0][0] == effect], seed)
     return places[number // len(effects) % len(places)]
 
 
-def _in_order(items: Sequence[T]) -> list[T]:
-    """Mixed, the same way every time."""
-    order = np.random.default_rng([SEED, len(items)]).permutation(len(items))
+def in_order(items: Sequence[T], seed: int) -> list[T]:
+    """Mixed by the seed, the same way every time."""
+    order = np.random.default_rng([seed, len(items)]).permutation(len(items))
     return [items[k] for k in order]
 
 
-def listed(tier: Tier) -> Iterator[str]:
+def listed(specs: Sequence[CaseSpec]) -> Iterator[str]:
     """One line a case, for people."""
-    for spec in cases_of(tier):
+    for spec in specs:
         hides = ", ".join(f"{each.kind.partition(':')[2]} × {each.factor:g}" for each in spec.hidden) or "nothing"
         noise = f"noise {spec.noise:g}, disturbance {100.0 * spec.disturbance:g} %"
         yield f"{spec.name:12s} {spec.family:15s} {spec.variant} {spec.excitation:8s} {noise}: {hides}"

@@ -32,7 +32,7 @@ class Kind:
     """
 
     label: str
-    family: Family
+    family: str
     named: tuple[tuple[str, str], ...]
     stage: Stage
     target: str

@@ -45,7 +45,7 @@ EXCITATION: Mapping[str, tuple[tuple[str, ...], float]] = {
 
 
 @cache
-def visible_tables(family: Family, variant: int) -> Tables:
+def visible_tables(family: str, variant: int) -> Tables:
     """What the owner of a machine knows of it, as tables of its recipe; recordings and noise not yet in it."""
     draw = np.random.default_rng([family_number(family), variant])
     if family == "servo_arm":
@@ -62,7 +62,7 @@ def visible_tables(family: Family, variant: int) -> Tables:
     return _crane(family, variant, draw)
 
 
-def _crane(family: Family, variant: int, draw: np.random.Generator) -> Tables:
+def _crane(family: str, variant: int, draw: np.random.Generator) -> Tables:
     shipped = read_toml(BENCH)
     shipped.pop("hidden")
     axes: Tables = {}
@@ -105,7 +105,7 @@ def _crane(family: Family, variant: int, draw: np.random.Generator) -> Tables:
     return overlaid(tables, {"masses": {"balanced": 1.0}, "oil": oil, "supply": {"rated": 80e5, "flow_limit": 1.2e-4}})
 
 
-def family_number(family: Family) -> int:
+def family_number(family: str) -> int:
     return ("valve_crane", "hydraulic_crane", "servo_arm", "slide").index(family)
 
 

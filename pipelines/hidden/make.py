@@ -32,11 +32,15 @@ from sysid.plant import nominal_plant
 SERVO = ("input_delay", "first_order_lag")
 
 
-def make_case(spec: CaseSpec, work: Path) -> dict[str, Any]:
-    """Write the case; returns what is sealed."""
+def make_case(spec: CaseSpec, work: Path, nominal_plants: Path | None = None) -> dict[str, Any]:
+    """Write the case; returns what is sealed.
+
+    Args:
+        nominal_plants: where the owners' fitted plants are kept, which every seed shares; ``work/nominal`` if not given.
+    """
     visible = recorded(known_tables(spec), spec.excitation, spec.noise, spec.disturbance, spec.seed)
     owner = parsed(visible, spec.name)
-    nominal = kept_nominal(owner, work / "nominal") if isinstance(owner, Recipe) else None
+    nominal = kept_nominal(owner, nominal_plants or work / "nominal") if isinstance(owner, Recipe) else None
     hidden = []
     real_tables = visible
     for each in spec.hidden:

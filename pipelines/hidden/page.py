@@ -19,7 +19,8 @@ GOALS: tuple[tuple[str, str, str], ...] = (
     ("unknown_not_misnamed", "an effect without a name: nothing named", "≥ 95 %"),
     ("unknown_described", "— of these: described as unnamed", ""),
     ("interval_coverage", "95 % intervals that hold the truth", "90–99 %"),
-    ("interval_coverage_alike", "— of these, where bench and plant have the same formula", "90–99 %"),
+    ("interval_coverage_alike", "— of these, where machine and plant have the same formula", "90–99 %"),
+    ("interval_coverage_unlike", "— of these, where their formulas differ: the truth is the best fit of the plant's", ""),
     ("closed", "named rightly and in whole: 95 % of the closable gap closed, in every signal", "all"),
     ("failure", "no answer: a crash, or too long", "0"),
 )
@@ -28,7 +29,7 @@ GOALS: tuple[tuple[str, str, str], ...] = (
 def page_tables(result: Mapping[str, Any]) -> str:
     """Goals, figures and confusion as Markdown tables."""
     lines = [
-        f"Tier `{result['tier']}`, {_count(result)}, {result['date']}: `{result['command']}`.",
+        f"Tier `{result['tier']}`, {_count(result)}, seed {_seed(result)}, {result['date']}: `{result['command']}`.",
         "",
         "| | goal | measured | 95 % | cases |",
         "| --- | --- | ---: | --- | ---: |",
@@ -76,6 +77,11 @@ def page_tables(result: Mapping[str, Any]) -> str:
 def _count(result: Mapping[str, Any]) -> str:
     cases, listed = result["cases"], result.get("listed", result["cases"])
     return f"{cases} cases" if cases == listed else f"{cases} of {listed} cases, the others not run yet"
+
+
+def _seed(result: Mapping[str, Any]) -> str:
+    commit = result["commit"]
+    return f"{result['seed']} (commit {commit[:8]})" if commit else f"{result['seed']}"
 
 
 def _explained(case: Mapping[str, Any]) -> str:

@@ -34,6 +34,6 @@ def reach(site: Path, sealed: Path, out: Path) -> None:
 
 
 def with_truth(plant: Plant, effect: dict[str, Any]) -> Plant:
-    """The plant with one sealed effect; a play of a drive or a cylinder is on that side of its sensor."""
-    side = "drive" if effect["name"] in ("backlash", "joint_compliance") else None
+    """The plant with one sealed effect; a play is on the drive's side of its sensor, unless the truth says otherwise."""
+    side = effect.get("side", "drive" if effect["name"] in ("backlash", "joint_compliance") else None)
     return plant.with_effect(KnownEffect(effect["name"], effect["target"], effect["parameters"], side))  # type: ignore[arg-type]

@@ -39,9 +39,14 @@ _STARTING = threading.Lock()
 
 @dataclass(frozen=True)
 class Place:
-    """Folders of one calibration: made cases, their sealed truth, and the answers."""
+    """Folders of one calibration, those of one seed: made cases, their sealed truth, and the answers."""
 
     work: Path
+
+    @property
+    def nominal(self) -> Path:
+        """The owners' fitted plants: those of the machines, whatever the seed."""
+        return self.work.parent / "nominal"
 
     def site(self, spec: CaseSpec) -> Path:
         return self.work / "cases" / spec.name / "site"
@@ -58,15 +63,25 @@ class Place:
 
 
 def run_all(
-    specs: Sequence[CaseSpec], work: Path, workers: int, keep: bool, tell: Callable[[str], None], limit: float = ANSWERING
+    specs: Sequence[CaseSpec],
+    work: Path,
+    workers: int,
+    keep: bool,
+    tell: Callable[[str], None],
+    limit: float = ANSWERING,
+    make: Callable[..., object] = make_case,
 ) -> None:
-    """Make and answer every case that has no answer yet."""
+    """Make and answer every case that has no answer yet.
+
+    Args:
+        make: of the bench; called with a case, the folder, and where owners' fitted plants are kept.
+    """
     place = Place(work)
     waiting = [spec for spec in specs if not place.answer(spec).exists()]
 
     def one(spec: CaseSpec) -> None:
         begin = time.perf_counter()
-        failure = make_and_answer(spec, place, limit)
+        failure = make_and_answer(spec, place, limit, make)
         if not keep:
             shutil.rmtree(place.site(spec).parent, ignore_errors=True)
         tell(f"{spec.name:12s} {time.perf_counter() - begin:6.1f} s{'  ' + failure if failure else ''}")
@@ -75,10 +90,10 @@ def run_all(
         list(pool.map(one, waiting))
 
 
-def make_and_answer(spec: CaseSpec, place: Place, limit: float) -> str | None:
+def make_and_answer(spec: CaseSpec, place: Place, limit: float, make: Callable[..., object] = make_case) -> str | None:
     """Leave an answer, which may be that there is none; returns why, if so."""
     place.answer(spec).parent.mkdir(parents=True, exist_ok=True)
-    made = run_process(make_case, [spec, place.work], MAKING)
+    made = run_process(make, [spec, place.work, place.nominal], MAKING)
     failure = f"not made: {made}" if made else None
     if failure is None:
         # The folder with the truth is not among what this process is told of.

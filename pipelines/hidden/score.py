@@ -64,6 +64,9 @@ def scored(cases: Sequence[Judgement]) -> dict[str, Any]:
             "unknown_described": rate(case.unnamed for case in of("unknown")),
             "interval_coverage": rate(hit for case in cases for hit in case.covered.values()),
             "interval_coverage_alike": rate(case.covered[key] for case in cases for key in case.alike),
+            "interval_coverage_unlike": rate(
+                hit for case in cases for key, hit in case.covered.items() if key not in case.alike
+            ),
             "closed": rate(case.closed >= CLOSED for case in cases if case.exact and case.closed is not None),
             "failure": rate(case.failure is not None for case in cases),
         },

@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib
 import json
 import math
+import subprocess
 import sys
 from collections import Counter
 from collections.abc import Callable, Iterator
@@ -19,7 +20,9 @@ import pytest
 from sysid.effects import CATALOGUE
 
 PIPELINES = str(Path(__file__).parents[2] / "pipelines")
-MODULES = ("cases", "judge", "kinds", "limits", "machines", "make", "page", "runner", "score")
+MODULES = ("cases", "judge", "kinds", "limits", "machines", "make", "page", "runner", "score", "seed")
+#: Of the lists in these tests; every other one has the same balance.
+SEED = 11
 
 
 @pytest.fixture(scope="module")
@@ -45,8 +48,9 @@ def pipeline() -> ModuleType:
 # ---- The list -----------------------------------------------------------------------------------------------------------
 
 
-def test_full_tier_holds_what_was_asked_for(hidden: dict[str, ModuleType]) -> None:
-    cases = hidden["cases"].cases_of("full")
+@pytest.mark.parametrize("seed", [0, SEED, 0xFFFFFFFF])
+def test_full_tier_holds_what_was_asked_for(hidden: dict[str, ModuleType], seed: int) -> None:
+    cases = hidden["cases"].cases_of("full", seed)
     assert len({case.name for case in cases}) == len(cases)
     groups = Counter(case.group for case in cases)
     assert groups["none"] >= 300
@@ -72,11 +76,59 @@ def test_full_tier_holds_what_was_asked_for(hidden: dict[str, ModuleType]) -> No
 
 def test_tiers_share_their_cases_and_are_the_same_every_time(hidden: dict[str, ModuleType]) -> None:
     cases = hidden["cases"]
-    full = {case.name: case for case in cases.cases_of("full")}
-    assert all(full[case.name] == case for tier in ("smoke", "quick") for case in cases.cases_of(tier))
-    assert len(cases.cases_of("smoke")) <= 12
+    full = {case.name: case for case in cases.cases_of("full", SEED)}
+    assert all(full[case.name] == case for tier in ("smoke", "quick") for case in cases.cases_of(tier, SEED))
+    assert len(cases.cases_of("smoke", SEED)) <= 12
     assert cases.CaseSpec.from_json(json.loads(json.dumps(full["triple-003"].to_json()))) == full["triple-003"]
-    assert [case.group for case in cases.cases_of("quick", "double")] == ["double"] * 6
+    assert [case.group for case in cases.cases_of("quick", SEED, "double")] == ["double"] * 6
+
+
+def test_another_seed_is_another_list_of_the_same_balance(hidden: dict[str, ModuleType]) -> None:
+    """Nobody can tell the next seed's cases from this one's; the counts of the groups and of the effects stay."""
+    cases, by_key = hidden["cases"], hidden["kinds"].BY_KEY
+    lists = [cases.cases_of("full", seed) for seed in (SEED, SEED + 1)]
+    assert [case.name for case in lists[0]] == [case.name for case in lists[1]]
+    assert not any(one == other for one, other in zip(*lists, strict=True))
+    assert sum(one.hidden == other.hidden for one, other in zip(*lists, strict=True) if one.hidden) < 36, "of 360"
+    counts = [
+        sorted(Counter(by_key[each.hidden[0].kind].named[0][0] for each in found if each.group == "single").values())
+        for found in lists
+    ]
+    assert counts[0] == counts[1]
+
+
+def test_seed_is_that_of_a_clean_commit_or_a_number(hidden: dict[str, ModuleType], tmp_path: Path) -> None:
+    seed = hidden["seed"]
+
+    def git(*arguments: str) -> str:
+        who = ("-c", "user.name=a", "-c", "user.email=a@b.c", "-c", "commit.gpgsign=false")
+        return subprocess.run(["git", "-C", tmp_path, *who, *arguments], check=True, capture_output=True, text=True).stdout
+
+    git("init", "-q")
+    (tmp_path / "search.py").write_text("a = 1\n")
+    git("add", ".")
+    git("commit", "-q", "-m", "one")
+    head = git("rev-parse", "HEAD").strip()
+    found = seed.seed_of("commit", tmp_path)
+    assert (found.value, found.commit, found.published) == (int(head[:8], 16), head, True)
+    result = tmp_path / "reports" / "hidden_effects" / "result.json"
+    result.parent.mkdir(parents=True)
+    result.write_text('{"seed": 5}')
+    assert seed.seed_of("commit", tmp_path) == found, "result files are no change"
+    (tmp_path / "search.py").write_text("a = 2\n")
+    with pytest.raises(ValueError, match=r"differs from its commit in search\.py"):
+        seed.seed_of("commit", tmp_path)
+    given = seed.seed_of("5", tmp_path)
+    assert (given.value, given.published) == (5, False)
+    with pytest.raises(ValueError, match="'five' is no seed"):
+        seed.seed_of("five", tmp_path)
+    git("commit", "-q", "-a", "-m", "two")
+    with pytest.raises(ValueError, match=f"HEAD is not {head}"):
+        seed.check_unchanged(found, tmp_path)
+    seed.check_same_seed(given, result)
+    with pytest.raises(ValueError, match=f"seed 5; expected {found.value}"):
+        seed.check_same_seed(found, result)
+    seed.check_same_seed(found, tmp_path / "none.json")
 
 
 def test_every_kind_changes_its_machine_and_is_a_machine(hidden: dict[str, ModuleType]) -> None:
@@ -145,7 +197,7 @@ def test_site_holds_nothing_of_what_is_sealed(hidden: dict[str, ModuleType], tmp
 def test_case_with_an_answer_is_not_run_again_and_a_crash_is_an_answer(
     hidden: dict[str, ModuleType], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    runner, specs = hidden["runner"], hidden["cases"].cases_of("smoke")[:2]
+    runner, specs = hidden["runner"], hidden["cases"].cases_of("smoke", SEED)[:2]
     calls: list[str] = []
 
     def process(task: Callable[..., None], arguments: list[object], limit: float) -> str | None:
@@ -179,7 +231,7 @@ def test_step_that_fails_or_takes_too_long_says_so(hidden: dict[str, ModuleType]
 
 
 def sealed_case(hidden: dict[str, ModuleType], group: str, *names: tuple[str, str], factor: float = 5.0) -> dict[str, Any]:
-    spec = replace(hidden["cases"].case(group, 0), hidden=())
+    spec = replace(hidden["cases"].case(group, 0, SEED), hidden=())
     entries = [
         {"effects": [{"name": n, "target": t}], "factor": factor, "judged": True, "kind": f"valve_crane:{n}({t})"}
         for n, t in names
@@ -257,6 +309,7 @@ def test_rates_over_cases(hidden: dict[str, ModuleType]) -> None:
     assert values["unknown_not_misnamed"] == (1, 1)
     assert values["interval_coverage"] == (3, 3)
     assert values["interval_coverage_alike"] == (2, 2), "of the boom the truth is a fit"
+    assert values["interval_coverage_unlike"] == (1, 1)
     assert values["closed"] == (0, 2), "0.8 of 0.9"
     assert values["failure"] == (1, 8)
     assert found["parameter_error"]["count"] == 3
@@ -277,23 +330,32 @@ def test_wilson_interval(hidden: dict[str, ModuleType]) -> None:
 def test_page_replaces_only_what_it_generated(hidden: dict[str, ModuleType], pipeline: ModuleType, tmp_path: Path) -> None:
     sealed = sealed_case(hidden, "single", ("backlash", "slew"))
     judged = [hidden["judge"].judge(sealed, answer(effect("stiction", "slew")))]
-    result = json.loads(json.dumps(pipeline.result_of("quick", judged, 60, "make hidden-effects"), allow_nan=False))
+    seed = hidden["seed"].seed_of_commit("0000000bcd" + 30 * "0")
+    result = json.loads(json.dumps(pipeline.result_of("quick", seed, judged, 60, "make hidden-effects"), allow_nan=False))
     assert result["rates"]["wrong_name"]["value"] == 1.0
-    agreed = "tier cases rates parameter_error closed_min seconds confusion command seed versions machine date"
+    agreed = "commit tier cases rates parameter_error closed_min seconds confusion command seed versions machine date"
     assert set(agreed.split()) <= set(result)
+    assert (result["seed"], result["commit"][:8]) == (11, "0000000b")
+    rates = "false_naming_none single_right wrong_name double_exact triple_exact unknown_not_misnamed"
+    assert all({"value", "wilson95"} <= set(result["rates"][key]) for key in rates.split())
+    assert {"median", "p90"} <= set(result["parameter_error"])
+    assert {"median", "max"} <= set(result["seconds"])
     text = hidden["page"].page_tables(result)
     assert "| any case: a wrong name | ≤ 2 % | 100.0 % |" in text
     assert "| backlash | stiction 1 |" in text
+    assert "seed 11 (commit 0000000b)" in text
 
 
 def test_a_committed_result_is_gone_on_from(hidden: dict[str, ModuleType], pipeline: ModuleType, tmp_path: Path) -> None:
     """What was judged comes back as it was; a case that is another one by now does not."""
     judge = hidden["judge"].judge
-    specs = [hidden["cases"].case(group, 0) for group in ("none", "single")]
+    specs = [hidden["cases"].case(group, 0, SEED) for group in ("none", "single")]
     sealed = [{"spec": spec.to_json(), "hidden": [], "effects": []} for spec in specs]
     judged = [judge(sealed[0], answer()), judge(sealed[1], {"failure": "took more than 180 s"})]
     path = tmp_path / "result.json"
-    path.write_text(json.dumps(pipeline.result_of("full", judged, 660, "a command"), allow_nan=False), "utf-8")
+    path.write_text(
+        json.dumps(pipeline.result_of("full", hidden["seed"].Seed(SEED), judged, 660, "a command"), allow_nan=False), "utf-8"
+    )
     found = pipeline.judged_in(path, specs)
     assert list(found) == [spec.name for spec in specs]
     assert found["none-000"] == judged[0]
@@ -307,7 +369,7 @@ def test_a_committed_result_is_gone_on_from(hidden: dict[str, ModuleType], pipel
 
 def test_an_answer_without_its_truth_is_not_judged(hidden: dict[str, ModuleType], pipeline: ModuleType, tmp_path: Path) -> None:
     """Without the truth every name would be a wrong one; a case that could not be made has none, and failed."""
-    spec = hidden["cases"].cases_of("smoke")[0]
+    spec = hidden["cases"].cases_of("smoke", SEED)[0]
     (tmp_path / "answers").mkdir()
     answer = tmp_path / "answers" / f"{spec.name}.json"
     answer.write_text(json.dumps({"failure": "not made: no such machine"}))

@@ -147,7 +147,8 @@ def _disturbances(
 def _beginnings(z: Array) -> list[Array]:
     """Logarithms of noise, amplitudes and correlation time as they are, ten times the one or the other, and interchanged."""
     swapped, more = z[[0, 2, 1, 3]], np.log(10.0)
-    return [z, swapped, z + [0.0, more, 0.0, 0.0], z + [0.0, 0.0, more, 0.0], swapped + [0.0, more, 0.0, 0.0]]
+    still, moving = np.array([0.0, more, 0.0, 0.0]), np.array([0.0, 0.0, more, 0.0])
+    return [z, swapped, z + still, z + moving, swapped + still]
 
 
 def _groups(gram: Array, fixed: int, group: npt.NDArray[np.int64], taus: Array) -> Array:
