@@ -51,6 +51,8 @@ EXPLAINED = 1.1
 #: 97.5 % quantile of the normal distribution.
 Z = 1.959964
 
+#: What an effect lacks that the recordings do not excite.
+NOT_EXCITED = "the recordings do not excite it enough"
 #: An effect without its form: (name, target, side).
 Key = tuple[str, str, str | None]
 
@@ -154,7 +156,7 @@ def _lacks(
 ) -> str:
     """Why an effect of the chosen model is not named; empty where it is."""
     if candidate.label not in nameable:
-        return "the recordings do not excite it enough"
+        return NOT_EXCITED
     if not all(any(c.key == candidate.key for c in f.candidates) for f in minimal):
         return "another model without it predicts as well"
     if any(_within_rope(c, f, rope) for f in minimal for c in f.candidates if c.key == candidate.key):

@@ -12,7 +12,7 @@ import numpy.typing as npt
 from sysid.datasets.recording import Recording
 from sysid.gap.candidates import Candidate
 from sysid.gap.case import Case, Stage
-from sysid.gap.decision import EXPLAINED, SHARE, Z
+from sysid.gap.decision import EXPLAINED, NOT_EXCITED, SHARE, Z
 from sysid.gap.fit import Fit
 from sysid.gap.floor import problem_floor
 from sysid.gap.likelihood.stage import ModelFit
@@ -54,9 +54,26 @@ def judge(case: Case, stages: Sequence[Stage]) -> Outcome:
         elif finding.named:
             outcome.notes.append(f"{stage.label}: what was found does not lower the error on held-out recordings")
         outcome.notes += _near_misses(stage)
+        if proven and not finding.named:
+            _without_name(stage, outcome)
         if (finding.final_rmse if proven else finding.nominal_rmse) > EXPLAINED:
             _describe(case, stage, proven, outcome)
     return outcome
+
+
+def _without_name(stage: Stage, outcome: Outcome) -> None:
+    """A stage whose gap is closed by effects that are excited and yet not certain enough for a name."""
+    finding = stage.found
+    assert finding.stage_fit is not None
+    decision = finding.stage_fit.decision
+    here = {c.label for c in decision.model.candidates}
+    lacking = {m.candidate.label: m.lacks for m in decision.near_misses if m.candidate.label in here}
+    if not lacking or all(lacks == NOT_EXCITED for lacks in lacking.values()):
+        return
+    form = "; ".join(f"{label} fits, not named: {lacks}" for label, lacks in lacking.items())
+    depends = next(iter(finding.stage_fit.remainder.groups), "nothing that was measured")
+    rmse = float(stage_rmse(stage.problem, stage.theta, stage.split.held_out)[0])
+    outcome.unnamed.append(Unnamed(stage.problem.stage, stage.problem.target, rmse, depends, form))
 
 
 def _describe(case: Case, stage: Stage, proven: bool, outcome: Outcome) -> None:

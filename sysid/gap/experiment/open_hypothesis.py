@@ -75,7 +75,7 @@ def open_hypotheses(case: Case, stages: Sequence[Stage], outcome: Outcome) -> li
             if kept.ties and tie in outcome.ties:
                 found.append(non_identifiable_set(case, stage, base, kept.candidate, kept.ties[: MAX_ALTERNATIVES - 1], seen))
     for stage in stages:
-        if stage.finding is not None and stage.finding.final_rmse > EXPLAINED:
+        if stage.finding is not None and stage.finding.nominal_rmse > EXPLAINED:
             found += _unexcited(case, stage, base)
     return found
 
@@ -101,9 +101,17 @@ def non_identifiable_set(
 
 
 def _unexcited(case: Case, stage: Stage, base: Array) -> list[OpenHypothesis]:
-    fit = stage.found.fit
-    used = {c.key for c in fit.candidates}
+    """Effects that the recordings do not excite enough, those among them that are adjusted in the plant: there, or absent."""
     seen = Data(stage.problem, stage.split.seen, stage.sigma)
+    fit = stage.found.fit
+    excited = tuple(c for c in fit.candidates if excitation_of(c, stage.split.seen, case.plant.machine).sufficient)
+    if len(excited) < len(fit.candidates):
+        base = _as_in(base, case.theta, fit)
+        start = np.concatenate([np.empty(0), *(fit.values_of(c) for c in excited)])
+        fit = fit_candidates(seen, stage.theta, excited, [start])
+    elif stage.found.final_rmse <= EXPLAINED:
+        return []
+    used = {c.key for c in fit.candidates}
     noise = noise_of_bin(stage.problem.rate(stage.split.seen[0]))
     calm = tuple(Drift(noise=noise, memory=drift.memory) for drift in fit.drifts)
     found = []

@@ -27,8 +27,10 @@ from sysid.gap.likelihood.rows import Rows
 
 Array = npt.NDArray[np.float64]
 
-#: Prior standard deviation of a parameter, in the median departure of the values that a fit starts from.
+#: Prior standard deviation of a parameter, in the largest departure of the values that a fit starts from.
 WIDE = 1.0
+#: The same in what is negligible of it, where a fit starts from its known value alone.
+PLAUSIBLE = 100.0
 #: Prior standard deviation of timing, in half samples: what sample-and-hold leaves open.
 TIMING = 1.0
 #: Directions of the linear part whose prior keeps them below this share of the noise's variance cannot matter.
@@ -133,7 +135,7 @@ def prior_of(candidates: Sequence[Candidate]) -> Prior:
             far = float(np.abs(unknown.nominal - values).min()) > 3.0 * span
             centre.append(float(np.mean(values)) if far else unknown.nominal)
             away = np.abs(values - unknown.nominal)
-            reach = span if far else max(float(np.median(away)), unknown.negligible)
+            reach = span if far else float(np.max(away)) or PLAUSIBLE * unknown.negligible
             width.append(WIDE * reach)
             low.append(unknown.bounds[0])
             high.append(unknown.bounds[1])
