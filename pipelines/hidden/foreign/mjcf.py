@@ -27,7 +27,8 @@ from hidden.foreign.machines import CRANE_AXES, Tables
 ROTOR, SETTLING = 60.0, 1e-3
 #: Inertia in front of a drive that has a spring in it [kg·m²].
 RINGING_LINK = 6.0
-#: Masses of the crane's bodies [kg]: light beside the rotors, so that a lag hardly depends on the pose; the tool is a plumb that no drive feels.
+#: Masses of the crane's bodies [kg]: light beside the rotors, so that a lag hardly depends on the pose; the tool is a
+#: plumb that no drive feels.
 MASSES = {"slew": 1.0, "boom": 0.4, "stick": 0.2, "telescope": 0.1, "tool": 2e-5}
 #: Of the servo arm: stiffness of a servo [N·m/rad], and inertia behind the gear [kg·m²].
 STIFF, GEARED = 2e4, 0.5
