@@ -192,7 +192,7 @@ def _unknown_kinds() -> list[Kind]:
         found += [
             kind("mujoco_crane", axis, "uneven gear", _axis(axis, uneven=lambda a, m, d: (d * m, -m)), 0.2, smooth),
             kind("mujoco_crane", axis, "cogging", _axis(axis, cogging=lambda a, m, d: (m, 12.0)), 0.6, smooth),
-            kind("mujoco_crane", axis, "soft wall", _axis(axis, wall=_wall(0.55)), 2.0, speed),
+            kind("mujoco_crane", axis, "soft wall", _axis(axis, wall=_wall(0.55)), 0.05, speed),
         ]
     for axis in ARM_AXES:
         found += [

@@ -27,8 +27,9 @@ from hidden.foreign.machines import CRANE_AXES, Tables
 ROTOR, SETTLING = 60.0, 1e-3
 #: Inertia in front of a drive that has a spring in it [kg·m²].
 RINGING_LINK = 6.0
-#: Masses of the crane's bodies [kg]: light beside the rotors, so that a lag hardly depends on the pose; the tool is a plumb.
-MASSES = {"slew": 1.0, "boom": 0.4, "stick": 0.2, "telescope": 0.1, "tool": 0.002}
+#: Masses of the crane's bodies [kg]: light beside the rotors, so that a lag hardly depends on the pose; the tool is a
+#: plumb that no drive feels.
+MASSES = {"slew": 1.0, "boom": 0.4, "stick": 0.2, "telescope": 0.1, "tool": 2e-5}
 #: Of the servo arm: stiffness of a servo [N·m/rad], and inertia behind the gear [kg·m²].
 STIFF, GEARED = 2e4, 0.5
 #: Inertia of a link of the arm for which a spring before it is half critically damped [kg·m²].
@@ -91,7 +92,7 @@ def _crane(tables: Tables, parts: dict[str, Element]) -> None:
         natural = math.sqrt(9.81 / tool["length"])
         damping = 2.0 * tool["damping_ratio"] * mass * tool["length"] ** 2 * natural
         add(hanging, "joint", name="hook", type="ball", damping=text(damping))
-    add(hanging, "inertial", pos=text(0.0, 0.0, -tool["length"]), mass=text(mass), diaginertia="1e-9 1e-9 1e-9")
+    add(hanging, "inertial", pos=text(0.0, 0.0, -tool["length"]), mass=text(mass), diaginertia="1e-11 1e-11 1e-11")
     add(hanging, "site", name="tool", pos=text(0.0, 0.0, -tool["length"]))
 
 
