@@ -11,8 +11,9 @@ from sysid.effects.compiled import inlined, kernel, loop
 
 #: The start of a swing is estimated from so many of its periods, or from this long [s] where that is longer.
 PERIODS, LEAST = 2.0, 3.0
-#: Runs of that stretch at most; a correction [standard deviations of the noise] that needs no other one.
-ROUNDS, EXACT = 6, 0.1
+#: Runs of that stretch at most, the first ones of a single period; a correction [standard deviations of the noise] that needs
+#: no other one.
+ROUNDS, COARSE, EXACT = 7, 2, 0.3
 #: Prior: the tool hangs still; standard deviations of its deflection [lengths], and of a constant error of tip and tool [m].
 DEFLECTION, BESIDE = 0.3, 0.005
 #: No deflection starts larger than this [lengths].
@@ -86,12 +87,18 @@ def _find(p, at, pivot, measured, first, last, dt, s, now, tried, normal, out):
     rate = math.sqrt(gripper_sway.GRAVITY / length)
     least = np.inf
     _copy(tried, now)
-    for _ in range(ROUNDS):
+    for turn in range(ROUNDS):
+        # Near enough by a period of it, then by all of it.
+        end = last if turn >= COARSE else min(last, first + math.ceil(2.0 * math.pi / rate / dt))
+        if turn == COARSE:
+            least = np.inf
         _copy(s, tried)
-        for k in range(first, last):
+        for k in range(first, end):
             gripper_sway.step(pivot[k, 0], pivot[k, 1], pivot[k, 2], p, at, s, 0, dt, out[k])
-        cost, count = _normal(p, at, measured, out, first, last, dt, normal)
-        if count == 0 or not cost < least:
+        cost, count = _normal(p, at, measured, out, first, end, dt, normal)
+        if count == 0 and turn < COARSE:
+            continue
+        if count == 0 or (turn >= COARSE and not cost < least):
             return
         least, moved = cost, 0.0
         _copy(now, tried)
@@ -101,7 +108,7 @@ def _find(p, at, pivot, measured, first, last, dt, s, now, tried, normal, out):
             tried[c] = now[4 + c] + min(max(away + by_place, -LARGEST * length), LARGEST * length)
             tried[2 + c] = now[2 + c] + by_speed
             moved = max(moved, abs(by_place), abs(by_speed) / rate)
-        if moved < EXACT * math.sqrt(cost / count):
+        if turn >= COARSE and moved < EXACT * math.sqrt(cost / count):
             _copy(now, tried)
             return
 
