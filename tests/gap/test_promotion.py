@@ -81,7 +81,6 @@ def test_it_remembers_what_it_was_made_from(searched: Study, proof: Proof, regis
     assert lineage["seed"] == 0
     assert lineage["recordings"] == {"fit": ["run-1", "run-2"], "select": ["run-3"], "held_out": ["run-4"]}
     assert lineage["settings"]["forms"] == "simple"
-    assert lineage["settings"]["forms"] == "all"
     assert lineage["settings"]["noise"]["boom.cylinder"] == 2e-5
     assert {"sysid", "python", "numpy", "numba"} <= set(lineage["software"])
     effects = {e["name"]: e for e in lineage["effects"]}

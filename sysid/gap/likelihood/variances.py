@@ -139,7 +139,7 @@ def _disturbances(
         low, high = np.array(bounds).T
         # A disturbance at rest and one of the motion are two optima: begin at the better one.
         begin = min((np.clip(row, low, high) for row in _beginnings(z[here])), key=one)
-        found = minimize(one, begin, method="L-BFGS-B", bounds=bounds, options={"maxiter": 12, "eps": 2e-2, "ftol": 1e-7})
+        found = minimize(one, begin, method="L-BFGS-B", bounds=bounds, options={"maxiter": 25, "eps": 2e-2, "ftol": 1e-7})
         z[here] = found.x
     return variances_of(z)
 

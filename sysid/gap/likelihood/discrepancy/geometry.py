@@ -7,7 +7,6 @@ from collections.abc import Callable, Sequence
 import numpy as np
 import numpy.typing as npt
 
-from sysid.compiled import kernel
 from sysid.datasets.recording import Recording
 from sysid.gap.likelihood.discrepancy.shapes import filled, slope, slow_cosines, smooth, span_of, waves
 from sysid.machine import Axis
@@ -36,11 +35,10 @@ def joint_columns(model: Model, axis: Axis, recordings: Sequence[Recording]) -> 
         dt = 1.0 / recording.rate_hz
         c = (filled(recording.values(cylinder)) - middle) / half
         v = slope(recording.values(cylinder), dt) / half if recording.kind == "motion" else np.zeros(len(c))
-        past = _followed(c)
         time = np.arange(len(c)) * dt
         parts = {
             "position": [np.ones_like(c), c, c * c, c**3, *waves(c, (1.5, 3.0, 4.5, 7.5)).T],
-            "direction": [np.tanh(v / 0.02), np.tanh(v / 0.1), *past.T],
+            "direction": [np.tanh(v / 0.02), np.tanh(v / 0.1)],
             "speed": [v, v * np.abs(v), v * c],
             "time": [*slow_cosines(time).T],
         }
@@ -76,7 +74,7 @@ def tip_columns(model: Model, recordings: Sequence[Recording], theta: Array) -> 
         for k, (q, v, way) in enumerate(zip(joints, speeds, ways, strict=True)):
             turns = {
                 "position": np.column_stack([np.ones(n), q, q * q, waves(q, (1.5, 3.0, 6.0))]),
-                "direction": np.column_stack([np.tanh(v / 0.05), _followed(q)]),
+                "direction": np.column_stack([np.tanh(v / 0.05), np.tanh(v / 0.2)]),
                 "speed": v[:, None],
                 "time": slow_cosines(time, 1) if moving and n > 1 else np.zeros((n, 0)),
                 "load": loads[:, k : k + 1],
@@ -130,23 +128,3 @@ def _loads(model: Model, recordings: Sequence[Recording]) -> Callable[[Recording
         return found if found is not None else np.nan_to_num(gravity_load(model.machine, recording)) * scale
 
     return load_of
-
-
-#: Widths of plays whose side is a column, as shares of half a range.
-PLAYS = np.array([0.002, 0.01, 0.04])
-
-
-def _followed(q: Array) -> Array:
-    """Where a signal stands within plays of several widths, −1 … 1, (n, 3): it keeps its side at rest."""
-    out = np.zeros((len(q), len(PLAYS)))
-    _follow(np.ascontiguousarray(q), PLAYS, out)
-    return out
-
-
-@kernel
-def _follow(q, plays, out):
-    for j in range(len(plays)):
-        middle = q[0] if len(q) else 0.0
-        for k in range(len(q)):
-            middle = min(max(middle, q[k] - 0.5 * plays[j]), q[k] + 0.5 * plays[j])
-            out[k, j] = 2.0 * (q[k] - middle) / plays[j]
