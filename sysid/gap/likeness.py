@@ -101,7 +101,7 @@ def _within(recording: Recording, signal: str) -> Array:
 
 
 def _predict(model: Model, axis: Axis, like: Array, restart_every: float | None = None) -> Callable[[Array, Recording], Array]:
-    """Effects in front, the likeness, and effects behind: (lanes, N) → (lanes, n, 1)."""
+    """Effects in front, the likeness, and effects behind: (lanes, N) → (lanes, n, 1). It starts as the simulator's runs do."""
     i = model.axis_index(axis.name)
     behind = [i * AXIS_WIDTH + at for at in (AT.backlash_drive, AT.joint_compliance_drive)]
 
@@ -120,7 +120,7 @@ def _predict(model: Model, axis: Axis, like: Array, restart_every: float | None 
         def lane(k: int) -> None:
             axis_run.drive_axis(
                 lanes[k], model.rig, i, commands[k], measured, load, share, segments, dt, model.window(recording),
-                round(SETTLE_WINDOW / dt), size, position[k], out[k], None,
+                round(SETTLE_WINDOW / dt), size, True, position[k], out[k], None,
             )  # fmt: skip
 
         in_parallel(lane, len(thetas), count)
