@@ -29,12 +29,12 @@ def find_starts(p, rig, i, command, measured, joint, load, share, segments, dt, 
     for row in range(len(segments)):
         find_start(
             p, rig, i, s, starts[row], command, measured, joint, load, share, segments[row, 0], segments[row, 1], dt, window,
-            settle, drive, behind, scratch, work, False, own,
+            settle, drive, behind, scratch, work, False, False, own,
         )  # fmt: skip
 
 
 @kernel
-def drive_axis(p, rig, i, command, measured, load, share, segments, dt, window, settle, size, drive, behind, own):
+def drive_axis(p, rig, i, command, measured, load, share, segments, dt, window, settle, size, held, drive, behind, own):
     """Free run of axis ``i`` from its command over all segments.
 
     Args:
@@ -42,6 +42,7 @@ def drive_axis(p, rig, i, command, measured, load, share, segments, dt, window, 
         load: gravity load about the joint, (n,); ``share`` of the demand that the pump feeds, (n,).
         segments: (m, 2) first and last+1 sample of each stretch with commands; where one begins at the end of the one before,
             the valve goes on as it is and only the place starts afresh.
+        held: the first command was held since long before; else what the valve did then is estimated.
         drive, behind: out, (n,): position of the drive, and of the joint behind the play where the joint is driven.
         own: the network that the axis carries, or None.
     """
@@ -51,7 +52,7 @@ def drive_axis(p, rig, i, command, measured, load, share, segments, dt, window, 
         follows = row > 0 and segments[row - 1, 1] == first
         find_start(
             p, rig, i, s, begun, command, measured, measured, load, share, first, last, dt, window, settle, drive, behind,
-            scratch, work, follows, own,
+            scratch, work, follows, held, own,
         )  # fmt: skip
         run(p, rig, i, begun, command, load, share, first, last, dt, drive, behind, own)
         if rig.axes[i, CYLINDER] != 0.0:

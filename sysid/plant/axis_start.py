@@ -120,7 +120,7 @@ def _start_side(p, rig, i, s, begun, command, measured, load, share, first, far,
 @loop
 def find_start(
     p, rig, i, s, begun, command, measured, joint, load, share, first, last, dt, window, settle, out, behind, scratch, work,
-    follows, own,
+    follows, held, own,
 ):  # fmt: skip
     """State ``begun`` (size,) in which a stretch starts.
 
@@ -128,6 +128,7 @@ def find_start(
         window: samples that show where the joint behind a cylinder stands, and what follows on from ``begun``.
         settle: samples that show on which side of a play the drive stands; those of the window cannot.
         follows: the stretch follows on the one that ended in ``begun``: the valve is known, only the place starts afresh.
+        held: so is a first command that was held since long before.
         s, out, behind, scratch, work: used inside.
     """
     b, m = i * AXIS_WIDTH, np.int64(0)
@@ -138,7 +139,8 @@ def find_start(
     # a lag, a short stretch does not tell that from a valve that opens.
     sudden = p[b + AT.first_order_lag] + p[b + AT.input_delay] == 0.0
     calm = window if sudden and not cylinder and p[b + AT.backlash_drive] > 0.0 else round(LEVEL / dt)
-    position = _first_measured(measured, first, near if follows else min(first + max(window, calm), last), low, high)
+    level = follows or (held and kind != FORCE)
+    position = _first_measured(measured, first, near if level else min(first + max(window, calm), last), low, high)
     speed = 0.0
     if kind == FORCE:
         for k in range(first, near):
@@ -150,14 +152,14 @@ def find_start(
         begun[STATE.position] = position
         begun[STATE.speed] = speed
         begun[STATE.backlash_drive] = np.nan
-    if kind == VELOCITY and not follows:
+    if kind == VELOCITY and not level:
         start_valve(
             p, rig, i, s, begun, command, measured, load, share, first, last, calm, dt, out, behind, scratch, work, own
         )  # fmt: skip
     elif kind == FORCE and not follows:
         _start_force(p, rig, i, s, begun, command, measured, load, share, first, last, dt, out, behind, own)
     else:
-        if kind == POSITION and not follows:
+        if kind == POSITION and not level:
             start_servo(p, rig, i, begun, command, measured, first, last, dt)
         _start_level(p, rig, i, s, begun, command, measured, load, share, first, near, dt, out, behind, scratch, own)
     if cylinder:

@@ -94,8 +94,8 @@ class Model:
 
         def lane(k: int) -> None:
             axis_run.drive_axis(
-                thetas[k], self.rig, i, command, measured[k], load, share[k], segments, dt, window, settle, size, position[k],
-                behind[k], self.own(place, axis, commands),
+                thetas[k], self.rig, i, command, measured[k], load, share[k], segments, dt, window, settle, size, False,
+                position[k], behind[k], self.own(place, axis, commands),
             )  # fmt: skip
 
         in_parallel(lane, len(thetas), len(command))

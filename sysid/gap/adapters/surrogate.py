@@ -106,7 +106,7 @@ def _within(recording: Recording, signal: str) -> Array:
 def _predict(
     model: Model, axis: Axis, fitted: Array, restart_every: float | None = None
 ) -> Callable[[Array, Recording], Array]:
-    """Input effects, surrogate, output effects: (lanes, N) → (lanes, n, 1)."""
+    """Input effects, surrogate, output effects: (lanes, N) → (lanes, n, 1). It starts as the runs of the simulator do."""
     i = model.axis_index(axis.name)
     output_effects = [i * AXIS_WIDTH + at for at in (AT.backlash_drive, AT.joint_compliance_drive)]
 
@@ -125,7 +125,7 @@ def _predict(
         def lane(k: int) -> None:
             axis_run.drive_axis(
                 lanes[k], model.rig, i, commands[k], measured, load, share, segments, dt, model.window(recording),
-                round(SETTLE_WINDOW / dt), size, position[k], out[k], None,
+                round(SETTLE_WINDOW / dt), size, True, position[k], out[k], None,
             )  # fmt: skip
 
         in_parallel(lane, len(thetas), count)
