@@ -113,17 +113,23 @@ def _covers(richer: Candidate, candidate: Candidate) -> bool:
     return richer.contains(candidate)
 
 
-def decide(models: Sequence[ModelFit], nameable: Sequence[str], rope: Mapping[Key, float] | None = None) -> Decision:
+def decide(
+    models: Sequence[ModelFit],
+    nameable: Sequence[str],
+    rope: Mapping[Key, float] | None = None,
+    shared: Sequence[str] = (),
+) -> Decision:
     """Apply the rule to the models of a stage.
 
     Args:
         nameable: labels of the candidates that the recordings excite enough.
         rope: least half-widths of regions of equivalence, by effect.
+        shared: labels of effects that another stage would have to share: of models that tie, one without them is chosen.
     """
     best = max(models, key=lambda f: float(f.predictive.sum()))
     survivors = sorted((f for f in models if survives(f, best)), key=lambda f: -f.evidence)
     minimal = tuple(f for f in survivors if not any(simpler(g, f) for g in survivors))
-    model = max(minimal, key=lambda f: f.evidence)
+    model = max(minimal, key=lambda f: (-len(f.labels.intersection(shared)), f.evidence))
     named, near, tied = [], [], []
     for candidate in model.candidates:
         lacks = _lacks(candidate, model, minimal, nameable, rope or {})

@@ -61,6 +61,7 @@ def fit_stage(
     nameable: Sequence[str],
     rope: Mapping[Key, float] | None = None,
     on_fit: Callable[[str], None] = lambda text: None,
+    shared: Sequence[str] = (),
 ) -> StageFit:
     """Search and decide one stage.
 
@@ -86,7 +87,7 @@ def fit_stage(
         proposals.warm(other.candidates, other)
     proposals.forward(proposals.best)
     proposals.around()
-    decision = decide(proposals.near(), nameable, rope)
+    decision = decide(proposals.near(), nameable, rope, shared)
     for _ in range(4):  # every survivor without each of its effects, until nothing new survives
         before = len(proposals.fits)
         for survivor in decision.minimal:
@@ -94,7 +95,7 @@ def fit_stage(
                 proposals.without(survivor, candidate)
         if len(proposals.fits) == before:
             break
-        decision = decide(proposals.near(), nameable, rope)
+        decision = decide(proposals.near(), nameable, rope, shared)
     dropped = {c.label: proposals.without(decision.model, c) for c in decision.model.candidates}
     remainder = explained(likelihood, decision.model)
     return StageFit(rows, likelihood, tuple(proposals.near()), decision, dropped, remainder)

@@ -118,10 +118,16 @@ def _found(case: Case, stage: Stage, forms: Forms, tell: Progress) -> StageResul
         compile_plant(case.plant), problem, stage.split.seen, stage.theta, stage.sigma, offered, nameable,
         _equivalence(case, problem.stage, offered),
         on_fit=lambda text: tell(0.0, f"{stage.label}: {text}"),
+        shared=[c.label for c in offered if problem.stage == "joint" and c.key in _scales_of_drives(case)],
     )  # fmt: skip
     finding = _result(problem, seen, fitted, nominal)
     tell(1.0, stage.label)
     return finding if problem is stage.problem else on_itself(finding, stage, stage.theta)
+
+
+def _scales_of_drives(case: Case) -> set[Key]:
+    """Scales of the sensors that read what a command drives: at a joint they would change what the drive's stage says."""
+    return {(SCALE, axis.driven, None) for axis in case.plant.machine.axes}
 
 
 def _equivalence(case: Case, stage: str, offered: Sequence[Candidate]) -> dict[Key, float]:

@@ -30,7 +30,7 @@ gain = 0.03
 stroke = [0.0, 0.3]
 limits = [-0.4, 1.2]
 """
-RECIPE = "[actuator]\nsamples = 300\nhidden_of = {boom = [16, 16]}\n[actuator.training]\nlearning_rate = 3e-3\nepochs = 60\n"
+RECIPE = "[actuator]\nsamples = 300\nhidden_of = {boom = [16, 16]}\n[actuator.training]\nlearning_rate = 3e-3\nepochs = 400\n"
 LINKAGE = TriangleLinkage(Linkage("triangle", a=0.15, b=0.4, offset=1.1, retracted=0.3))
 DEADBAND = (0.11, 0.07)
 

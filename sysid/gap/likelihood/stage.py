@@ -28,7 +28,7 @@ from sysid.gap.likelihood.rows import Rows
 Array = npt.NDArray[np.float64]
 
 #: Prior standard deviation of a parameter, in the largest departure of the values that a fit starts from.
-WIDE = 1.0
+WIDE = 10.0
 #: The same in what is negligible of it, where a fit starts from its known value alone.
 PLAUSIBLE = 100.0
 #: Prior standard deviation of timing, in half samples: what sample-and-hold leaves open.

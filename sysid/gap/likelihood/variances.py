@@ -27,8 +27,8 @@ TAU, TAU_SPREAD = 1e-3, 4.0
 #: Prior spreads of the logarithms of noise, disturbance and its correlation time; the latter around MEMORY [s].
 NOISE_SPREAD, DISTURBANCE_SPREAD, MEMORY, MEMORY_SPREAD = 0.5, 3.0, 0.5, 1.0
 SPREAD = np.array([NOISE_SPREAD, DISTURBANCE_SPREAD, DISTURBANCE_SPREAD, MEMORY_SPREAD])
-#: Below this τ a group is absent.
-ABSENT = 1e-6
+#: Below this τ a group is absent; a discrepancy above the other, a tenth of what a stage does, would be the model itself.
+ABSENT, LARGEST = 1e-6, 0.1
 #: Rounds of the two maximisations.
 ROUNDS = 2
 
@@ -137,10 +137,11 @@ def _disturbances(
 
         bounds = [(c - 4.0 * w, c + 4.0 * w) for c, w in zip(np.log(centre[k]), (0.5, 3.0, 3.0, 0.8), strict=True)]
         low, high = np.array(bounds).T
-        # A disturbance at rest and one of the motion are two optima: begin at the better one.
-        begin = min((np.clip(row, low, high) for row in _beginnings(z[here])), key=one)
-        found = minimize(one, begin, method="L-BFGS-B", bounds=bounds, options={"maxiter": 25, "eps": 2e-2, "ftol": 1e-7})
-        z[here] = found.x
+        # A disturbance at rest and one of the motion are two optima: begin at the two most promising.
+        begins = sorted((np.clip(row, low, high) for row in _beginnings(z[here])), key=one)[:2]
+        options = {"maxiter": 12, "eps": 2e-2, "ftol": 1e-7}
+        found = [minimize(one, begin, method="L-BFGS-B", bounds=bounds, options=options) for begin in begins]
+        z[here] = min(found, key=lambda each: float(each.fun)).x
     return variances_of(z)
 
 
@@ -169,8 +170,8 @@ def _groups(gram: Array, fixed: int, group: npt.NDArray[np.int64], taus: Array) 
         away = (z - np.log(TAU)) / TAU_SPREAD
         return float(value + 0.5 * away @ away), slope + away / TAU_SPREAD
 
-    bounds = [(np.log(ABSENT), 0.0)] * count
-    begin = np.clip(np.log(np.maximum(taus, 1e-5)), np.log(ABSENT), 0.0)
+    bounds = [(np.log(ABSENT), np.log(LARGEST))] * count
+    begin = np.clip(np.log(np.maximum(taus, 1e-5)), np.log(ABSENT), np.log(LARGEST))
     best = min(
         (minimize(negative, z, jac=True, method="L-BFGS-B", bounds=bounds, options={"maxiter": 60})
          for z in (begin, np.full(count, np.log(TAU)))), key=lambda found: found.fun)  # fmt: skip

@@ -153,7 +153,12 @@ def force_columns(model: Model, axis: Axis, recordings: Sequence[Recording], pro
         parts = {
             "speed": [
                 *bumps(v, centres, np.array([0.25, 0.2, 0.14, 0.09, 0.06, 0.06, 0.09, 0.14, 0.2, 0.25]), 0.01).T,
-                v, np.abs(v), v * np.abs(v), v**3, sign, np.tanh(v / 0.02), np.tanh(v / 0.1), np.ones_like(v),
+                v, np.abs(v), v * np.abs(v), v**3, sign, np.ones_like(v),
+            ],
+            # Around a standstill friction is not determined, and filters leave narrow features there: a variance of their own.
+            "standstill": [
+                *(sign - np.tanh(v / w) for w in (0.02, 0.05, 0.1)),
+                *(np.exp(-((v / w) ** 2)) * part for w in (0.03, 0.1) for part in (np.ones_like(v), a, np.tanh(a / 0.2))),
             ],
             "position": [*waves(q, (1.5, 3.0, 6.0, 12.0)).T, q, q * q],
             "position and direction": [*(waves(q, (1.5, 3.0, 6.0)) * sign[:, None]).T, q * sign],
