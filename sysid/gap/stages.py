@@ -175,7 +175,8 @@ def _comparison(candidate: Candidate, fitted: StageFit) -> Comparison:
     model, less = fitted.decision.model, fitted.dropped[candidate.label]
     total, error = difference(model, less)
     ratio = less.rms / max(model.rms, 1e-12)
-    return Comparison(2.0 * (model.evidence - less.evidence), total, float(norm.sf(total / max(error, 1e-9))), ratio)
+    chance = max(float(norm.sf(total / max(error, 1e-9))), 0.5 ** len(model.predictive))  # no less than all blocks by chance
+    return Comparison(2.0 * (model.evidence - less.evidence), total, chance, ratio)
 
 
 def _rejected(candidate: Candidate, fitted: StageFit) -> tuple[tuple[Candidate, str], ...]:

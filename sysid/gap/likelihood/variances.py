@@ -139,8 +139,10 @@ def _disturbances(
         low, high = np.array(bounds).T
         # A disturbance at rest and one of the motion are two optima: begin at the two most promising.
         begins = sorted((np.clip(row, low, high) for row in _beginnings(z[here])), key=one)[:2]
-        options = {"maxiter": 12, "eps": 2e-2, "ftol": 1e-7}
-        found = [minimize(one, begin, method="L-BFGS-B", bounds=bounds, options=options) for begin in begins]
+        found = [
+            minimize(one, begin, method="L-BFGS-B", bounds=bounds, options={"maxiter": 12, "eps": 2e-2, "ftol": 1e-7})
+            for begin in begins
+        ]
         z[here] = min(found, key=lambda each: float(each.fun)).x
     return variances_of(z)
 
