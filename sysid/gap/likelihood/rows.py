@@ -88,6 +88,7 @@ class Rows:
                 begin += count
         self.count = begin
         self.series = tuple(_normalised(series))
+        self.spans = _spans(self.series, len(problem.signals))
         self.block = self._blocks()
         self.blocks = int(self.block.max(initial=-1)) + 1
         self.theta = theta
@@ -191,6 +192,15 @@ def _speed(output: Array, time: Array) -> Array:
         return np.zeros(len(output))
     filled = np.interp(time, time[there], output[there])
     return np.asarray(np.abs(np.gradient(filled, time)), dtype=np.float64)
+
+
+def _spans(series: Sequence[Series], signals: int) -> tuple[float, ...]:
+    """What each signal's output spans."""
+    found = []
+    for k in range(signals):
+        joined = np.concatenate([s.measured for s in series if s.signal == k])
+        found.append(float(np.nanmax(joined) - np.nanmin(joined)) if not np.isnan(joined).all() else 1.0)
+    return tuple(found)
 
 
 def _normalised(series: Sequence[Series]) -> list[Series]:

@@ -142,24 +142,20 @@ def prior_of(candidates: Sequence[Candidate]) -> Prior:
     return Prior(np.array(centre), np.array(width), np.array(low), np.array(high))
 
 
+def whitening_of(rows: Rows, k: int, disturbance: Disturbance, extra: Array) -> Filter:
+    """The filter of series ``k``; ``extra`` as in :func:`filter_of`."""
+    s = rows.series[k]
+    span, integrates = rows.spans[s.signal], rows.problem.integrates
+    return filter_of(disturbance, s.step, s.activity, s.present, s.restart, extra, span, integrates)
+
+
 class StageLikelihood:
     """Marginal likelihoods of models of one stage under shared variances."""
 
     def __init__(self, rows: Rows, discrepancy: Discrepancy, variances: Variances, extra: Sequence[Array]) -> None:
         self.rows, self.discrepancy, self.variances = rows, discrepancy, variances
-        spans = _spans(rows)
         self.filters: tuple[Filter, ...] = tuple(
-            filter_of(
-                variances.disturbances[s.signal],
-                s.step,
-                s.activity,
-                s.present,
-                s.restart,
-                extra[k],
-                spans[s.signal],
-                rows.problem.integrates,
-            )
-            for k, s in enumerate(rows.series)
+            whitening_of(rows, k, variances.disturbances[s.signal], extra[k]) for k, s in enumerate(rows.series)
         )
         self.log_scale = float(sum(f.log_scale for f in self.filters))
         self.timing = self.whitened(TIMING * discrepancy.timing[:, None])
@@ -193,15 +189,6 @@ def _linear(columns: Array) -> Linear:
     values, vectors = np.linalg.eigh(columns.T @ columns)
     kept = np.ascontiguousarray(columns @ vectors[:, values > NEGLIGIBLE])
     return Linear(kept, np.linalg.cholesky(kept.T @ kept + np.eye(kept.shape[1])))
-
-
-def _spans(rows: Rows) -> list[float]:
-    """What each signal's output spans."""
-    found = []
-    for k in range(len(rows.problem.signals)):
-        joined = np.concatenate([s.measured for s in rows.series if s.signal == k])
-        found.append(float(np.nanmax(joined) - np.nanmin(joined)) if not np.isnan(joined).all() else 1.0)
-    return found
 
 
 # -- fitting -------------------------------------------------------------------------------------------------------------

@@ -16,9 +16,9 @@ from scipy.optimize import minimize
 
 from sysid.gap.fit import place
 from sysid.gap.likelihood.discrepancy import Discrepancy
-from sysid.gap.likelihood.disturbance import Disturbance, filter_of
+from sysid.gap.likelihood.disturbance import Disturbance
 from sysid.gap.likelihood.rows import Rows
-from sysid.gap.likelihood.stage import HUBER, ModelFit, StageLikelihood, Variances, _spans, steps_of
+from sysid.gap.likelihood.stage import HUBER, ModelFit, StageLikelihood, Variances, steps_of, whitening_of
 
 Array = npt.NDArray[np.float64]
 
@@ -79,14 +79,10 @@ def _gram(
 ) -> tuple[Array, float]:
     """Products of all whitened columns of some signals (of all), and the log scale of their innovations."""
     total, scale = np.zeros((columns.shape[1], columns.shape[1])), 0.0
-    spans = _spans(rows)
     for k, s in enumerate(rows.series):
         if signals is not None and s.signal not in signals:
             continue
-        whitener = filter_of(
-            variances.disturbances[s.signal], s.step, s.activity, s.present, s.restart, extra[k], spans[s.signal],
-            rows.problem.integrates,
-        )  # fmt: skip
+        whitener = whitening_of(rows, k, variances.disturbances[s.signal], extra[k])
         out = np.empty((len(s.step), columns.shape[1]))
         whitener.whiten(columns[s.rows], out)
         out *= variances.weights[s.rows, None]
