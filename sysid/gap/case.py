@@ -145,7 +145,7 @@ def on_itself(finding: StageResult, stage: Stage, theta: Array) -> StageResult:
     unseen = Data(stage.problem, stage.split.select, stage.sigma)
     fit = fit_candidates(seen, theta, finding.fit.candidates, [finding.fit.values])  # noqa: PD011
     nominal, final = (spread_of(unseen.residuals(values[None])) for values in (theta, fit.theta))
-    return replace(finding, problem=stage.problem, fit=fit, nominal_rmse=nominal, final_rmse=final)
+    return replace(finding, problem=stage.problem, fit=fit, nominal_rmse=nominal, final_rmse=final, names_alone=None)
 
 
 def scales_of(plant: Plant, stage: Stage) -> Scales:

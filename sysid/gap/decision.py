@@ -8,18 +8,24 @@ Given models of one stage (sets of effects) under shared variances:
    are compared one is better by two standard errors by chance, and evidence knows what its parameters cost). A block counts
    for ``BLOCK_NATS`` at most, so that several have to agree (without it one block with 1600 nats makes the sum
    insignificant: 2070 ± 1611).
-3. *Minimal survivors.* Supersets of a survivor survive too; what the minimal ones share is needed.
+   A model that lacks an effect of another one predicts as well wherever the discrepancy can do that effect's work, and so does
+   one that needs more numbers for the same. There the evidence decides, the discrepancy of each learned beside it alone: it
+   does not survive if it has ``LEAST`` nats less.
+3. *Minimal survivors.* Supersets of a survivor survive too; what the minimal ones share is needed. One whose other effects may
+   all be absent (intervals as in 4), or lie at the edge of what is plausible, says nothing else than the likeliest.
 4. *Named*: in every minimal survivor, the 95 % interval of some parameter lies outside the region of practical equivalence
-   around its known value, and the discrepancy leaves enough information about it (variance inflation below ``INFLATION``).
-5. *Ambiguous*: in some of the minimal survivors; those that take its place in the others are its partners.
+   around its known value.
+5. *The smallest set of them that matters*: the others together move the output (free run) by less than ``STANDARD_ERRORS``
+   times what the discrepancy explains beside the whole model, which formulas that are wrong could move as well. What halves
+   an error and leaves the other half has not found its cause, and of two effects that make up for each other neither has.
+6. *Ambiguous*: in some of the minimal survivors; those that take its place in the others are its partners.
 
 =================== ======= ============================================================================================
 number              value   derivation
 =================== ======= ============================================================================================
 ``STANDARD_ERRORS`` 2       two-sided 5 % of a normal sum of block differences (Vehtari, Gelman, Gabry, Stat. Comput. 27, 2017)
-``LEAST``           2 nats  a likelihood ratio of e² ≈ 7.4, "positive" evidence (Kass and Raftery, JASA 90, 1995)
+``LEAST``           3 nats  odds of e³ ≈ 20 to 1, "strong" evidence (Kass and Raftery, JASA 90, 1995); 95 % with equal priors
 ``BLOCK_NATS``      5 nats  "very strong" evidence in one block (same scale); more than one block has to say so
-``INFLATION``       100     the discrepancy has taken 99 % of the information about the parameter
 ``EXPLAINED``       1.1     what is within a tenth of the noise floor has nothing to explain, and a tenth is what matters
 ``SHARE``           1 %     of the closable gap on held-out recordings: less is of no practical significance
 =================== ======= ============================================================================================
@@ -30,8 +36,9 @@ adds a tenth to what is left of it (in quadrature); at least what is known to be
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import combinations
 
 import numpy as np
 import numpy.typing as npt
@@ -42,12 +49,13 @@ from sysid.gap.likelihood.stage import ModelFit
 Array = npt.NDArray[np.float64]
 
 STANDARD_ERRORS = 2.0
-LEAST = 2.0
+LEAST = 3.0
 BLOCK_NATS = 5.0
-INFLATION = 100.0
 SHARE = 0.01
 #: A stage within this multiple of its noise floor has nothing to explain: what is left moves the error by a tenth at most.
 EXPLAINED = 1.1
+#: So many of the likeliest survivors a model is compared with by its own evidence.
+LIKELIEST = 3
 #: 97.5 % quantile of the normal distribution.
 Z = 1.959964
 
@@ -99,6 +107,13 @@ def survives(model: ModelFit, best: ModelFit) -> bool:
     return total < max(STANDARD_ERRORS * error, LEAST) or model.evidence > best.evidence - LEAST
 
 
+def _replaced(model: ModelFit, survivors: Sequence[ModelFit], own_evidence: Callable[[ModelFit], float]) -> bool:
+    """Whether a survivor that has an effect more, or does with fewer numbers, is clearly likelier."""
+    likelier = [f for f in survivors if f.evidence > model.evidence + LEAST]
+    others = [f for f in likelier if simpler(model, f) or len(f.unknowns) < len(model.unknowns)]
+    return any(own_evidence(f) > own_evidence(model) + LEAST for f in others[:LIKELIEST])
+
+
 def simpler(one: ModelFit, other: ModelFit) -> bool:
     """Whether every effect of ``one`` is in ``other``, in the same or a richer form, and ``other`` has more."""
     if one.labels == other.labels:
@@ -118,28 +133,40 @@ def decide(
     nameable: Sequence[str],
     rope: Mapping[Key, float] | None = None,
     shared: Sequence[str] = (),
+    own_evidence: Callable[[ModelFit], float] = lambda model: model.evidence,
+    refit: Callable[[ModelFit, Sequence[Candidate]], ModelFit] | None = None,
 ) -> Decision:
     """Apply the rule to the models of a stage.
 
     Args:
         nameable: labels of the candidates that the recordings excite enough.
         rope: least half-widths of regions of equivalence, by effect.
-        shared: labels of effects that another stage would have to share: of models that tie, one without them is chosen.
+        shared: labels of effects that another stage would have to share: of models that tie, one without them, and without
+            effects that are not excited, is chosen.
+        own_evidence: of a model, the discrepancy learned beside it alone.
+        refit: a model with fewer of its effects.
     """
     best = max(models, key=lambda f: float(f.predictive.sum()))
     survivors = sorted((f for f in models if survives(f, best)), key=lambda f: -f.evidence)
+    survivors = [f for f in survivors if not _replaced(f, survivors, own_evidence)]
     minimal = tuple(f for f in survivors if not any(simpler(g, f) for g in survivors))
-    model = max(minimal, key=lambda f: (-len(f.labels.intersection(shared)), f.evidence))
+    unsure = {*shared, *(c.label for f in minimal for c in f.candidates if c.label not in nameable)}
+    model = max(minimal, key=lambda f: (-len(f.labels & unsure), f.evidence))
+    minimal = tuple(f for f in minimal if f is model or _says_something_else(f, model, rope or {}))
     named, near, tied = [], [], []
+    lacking = {c.label: _lacks(c, model, minimal, nameable, rope or {}) for c in model.candidates}
+    partners = {c.label: _partners(c, model, minimal, nameable, rope or {}) for c in model.candidates}
+    found = [c for c in model.candidates if not lacking[c.label] or partners[c.label]]
+    enough = found if refit is None else _enough(model, found, refit)
     for candidate in model.candidates:
-        lacks = _lacks(candidate, model, minimal, nameable, rope or {})
-        if not lacks:
+        lacks = lacking[candidate.label]
+        if candidate in enough and not lacks:
             named.append(candidate)
             continue
-        if len(minimal) > 1 and candidate.label in nameable:
-            partners = _partners(candidate, model, minimal)
-            if partners and not _within_rope(candidate, model, rope or {}):
-                tied.append((candidate, *partners))
+        if candidate in enough and partners[candidate.label]:
+            tied.append((candidate, *partners[candidate.label]))
+        elif candidate in found:
+            lacks = "what it takes of the error away is little beside what stays"
         near.append(NearMiss(candidate, model.values_of(candidate), model.deviations_of(candidate), lacks))
     seen = {c.key for c in model.candidates}
     for other in survivors:
@@ -167,10 +194,39 @@ def _lacks(
         return "another model without it predicts as well"
     if any(_within_rope(c, f, rope) for f in minimal for c in f.candidates if c.key == candidate.key):
         return "its 95 % interval reaches into the region of practical equivalence"
-    inflation = float(model.inflation[model.rows_of(candidate)].min())
-    if inflation >= INFLATION:
-        return f"systematic discrepancy leaves {1.0 / inflation:.1%} of the information about it"
     return ""
+
+
+def _enough(
+    model: ModelFit, found: Sequence[Candidate], refit: Callable[[ModelFit, Sequence[Candidate]], ModelFit]
+) -> Sequence[Candidate]:
+    """The smallest set of effects, of several the likeliest, beside which the others move the output by little."""
+    allowed = model.left**2 + STANDARD_ERRORS**2 * max(model.systematic**2, EXPLAINED**2 - 1.0)
+    for size in range(len(found)):
+        sets = [
+            refit(model, [c for c in model.candidates if c not in found or c in kept]) for kept in combinations(found, size)
+        ]
+        sets = [f for f in sets if f.left**2 <= allowed]
+        if sets:
+            likeliest = max(sets, key=lambda f: f.evidence)
+            return [c for c in found if c in likeliest.candidates]
+    return found
+
+
+def _says_something_else(other: ModelFit, model: ModelFit, rope: Mapping[Key, float]) -> bool:
+    """Whether ``other`` does without an effect of ``model``, or has one in its place that is there for certain.
+
+    One that fits at the edge of what is plausible stands for something else: oil that is warm after five seconds, for a gain.
+    """
+    here = {c.key for c in model.candidates}
+    instead = [c for c in other.candidates if c.key not in here]
+    return not instead or any(not _within_rope(c, other, rope) and not _at_its_edge(c, other) for c in instead)
+
+
+def _at_its_edge(candidate: Candidate, model: ModelFit) -> bool:
+    """Whether a value of an effect lies at a bound that is not its absence."""
+    pairs = zip(candidate.unknowns, model.values_of(candidate), strict=True)
+    return any(value in u.bounds and value != u.nominal for u, value in pairs)
 
 
 def _within_rope(candidate: Candidate, model: ModelFit, rope: Mapping[Key, float]) -> bool:
@@ -183,8 +239,12 @@ def _within_rope(candidate: Candidate, model: ModelFit, rope: Mapping[Key, float
     return bool((np.abs(values - nominal) - reach <= half).all())
 
 
-def _partners(candidate: Candidate, model: ModelFit, minimal: Sequence[ModelFit]) -> tuple[Candidate, ...]:
-    """What stands in other minimal survivors in the place of an effect."""
+def _partners(
+    candidate: Candidate, model: ModelFit, minimal: Sequence[ModelFit], nameable: Sequence[str], rope: Mapping[Key, float]
+) -> tuple[Candidate, ...]:
+    """What stands in other minimal survivors in the place of an effect that would have a name without them."""
+    if candidate.label not in nameable or _within_rope(candidate, model, rope):
+        return ()
     here = {c.key for c in model.candidates}
     found: dict[Key, Candidate] = {}
     for other in minimal:

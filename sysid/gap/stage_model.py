@@ -16,7 +16,7 @@ from sysid.gap.likelihood.discrepancy import Discrepancy, discrepancy_of
 from sysid.gap.likelihood.explained import Explained, explained
 from sysid.gap.likelihood.rows import Rows
 from sysid.gap.likelihood.stage import ModelFit, StageLikelihood, Variances
-from sysid.gap.likelihood.variances import Start, estimated, first_variances, log_prior, robust
+from sysid.gap.likelihood.variances import Start, estimated, first_variances, log_prior, own_evidence, robust
 from sysid.gap.problem import Problem
 from sysid.gap.proposals import Proposals
 from sysid.plant import Model
@@ -36,7 +36,7 @@ class StageFit:
     """A stage after its search: its rows, the likelihood under the final variances, the models and the decision.
 
     ``dropped``: by label, the chosen model without that effect, the rest refitted. ``remainder``: what the discrepancy explains
-    beside the chosen model.
+    beside the chosen model. ``names_alone``: the same with the named effects alone, where the chosen model has others.
     """
 
     rows: Rows
@@ -45,6 +45,7 @@ class StageFit:
     decision: Decision
     dropped: Mapping[str, ModelFit]
     remainder: Explained
+    names_alone: StageFit | None = None
 
     @property
     def variances(self) -> Variances:
@@ -78,7 +79,9 @@ def fit_stage(
     samples = max(1, round(1.0 / sample)) * rows.series[0].width
     start = _start(rows, sigma, samples)
     extra = _transients(rows)
-    found = [_settled(model, rows, theta, sample, start, extra, candidates, tau, on_fit) for tau in FIRST]
+    # What the recordings do not excite would take what others leave; it competes at the end alone.
+    excited = [c for c in candidates if c.label in nameable]
+    found = [_settled(model, rows, theta, sample, start, extra, excited, tau, on_fit) for tau in FIRST]
     likelihood, rich = max(found, key=lambda each: each[1].evidence + log_prior(each[0].variances, start))
     variances = robust(likelihood, rich)
     likelihood = StageLikelihood(rows, likelihood.discrepancy, variances, extra)
@@ -87,7 +90,17 @@ def fit_stage(
         proposals.warm(other.candidates, other)
     proposals.forward(proposals.best)
     proposals.around()
-    decision = decide(proposals.near(), nameable, rope, shared)
+    own: dict[int, float] = {}
+
+    def own_of(fit: ModelFit) -> float:
+        if id(fit) not in own:
+            own[id(fit)] = own_evidence(likelihood, start, fit)
+        return own[id(fit)]
+
+    def decided() -> Decision:
+        return decide(proposals.near(), nameable, rope, shared, own_of, lambda f, kept: proposals.warm(kept, f))
+
+    decision = decided()
     for _ in range(4):  # every survivor without each of its effects, until nothing new survives
         before = len(proposals.fits)
         for survivor in decision.minimal:
@@ -95,10 +108,18 @@ def fit_stage(
                 proposals.without(survivor, candidate)
         if len(proposals.fits) == before:
             break
-        decision = decide(proposals.near(), nameable, rope, shared)
-    dropped = {c.label: proposals.without(decision.model, c) for c in decision.model.candidates}
-    remainder = explained(likelihood, decision.model)
-    return StageFit(rows, likelihood, tuple(proposals.near()), decision, dropped, remainder)
+        decision = decided()
+    fitted = _fitted(proposals, decision)
+    if not decision.named or len(decision.named) == len(decision.model.candidates):
+        return fitted
+    alone = replace(decision, model=proposals.warm(decision.named, decision.model), tied=())
+    return replace(fitted, names_alone=_fitted(proposals, alone))
+
+
+def _fitted(proposals: Proposals, decision: Decision) -> StageFit:
+    likelihood, model = proposals.likelihood, decision.model
+    dropped = {c.label: proposals.without(model, c) for c in model.candidates}
+    return StageFit(likelihood.rows, likelihood, tuple(proposals.near()), decision, dropped, explained(likelihood, model))
 
 
 def _settled(

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
+import numpy.typing as npt
+
 from sysid.gap.candidates import Candidate
 from sysid.gap.evidence import Comparison
 from sysid.gap.fit import Fit
@@ -43,6 +46,8 @@ class StageResult:
         fit: values of the chosen model.
         nominal_rmse, final_rmse: of the fitted recordings, as multiples of the noise floor.
         stage_fit: the models that were compared and the decision; None where the stage was explained before.
+        names_alone: the outcome without what is only adjusted, for where that does not hold on held-out recordings.
+        limits: 95 % intervals of the unknowns of ``fit``, (k, 2), once they are known.
     """
 
     problem: Problem
@@ -53,3 +58,5 @@ class StageResult:
     final_rmse: float
     trials: tuple[TestedModel, ...] = ()
     stage_fit: StageFit | None = None
+    names_alone: StageResult | None = None
+    limits: npt.NDArray[np.float64] | None = None

@@ -161,7 +161,8 @@ def _result(problem: Problem, seen: Data, fitted: StageFit, nominal: float) -> S
     kept += [AcceptedEffect(tie[0], _comparison(tie[0], fitted), (), tie[1:]) for tie in decision.tied]
     taken = {k.candidate.label for k in kept}
     adjusted = tuple(c for c in decision.model.candidates if c.label not in taken)
-    return StageResult(problem, tuple(kept), adjusted, fit, nominal, final, _trials(fitted, seen), fitted)
+    alone = _result(problem, seen, fitted.names_alone, nominal) if fitted.names_alone is not None else None
+    return StageResult(problem, tuple(kept), adjusted, fit, nominal, final, _trials(fitted, seen), fitted, alone)
 
 
 def _fit(seen: Data, candidates: Sequence[Candidate], theta: Array, model: ModelFit | None = None) -> Fit:

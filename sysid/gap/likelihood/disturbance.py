@@ -1,13 +1,17 @@
-"""What disturbs a stage at random: sensor noise, and a disturbance with a correlation time that an integrating stage sums up.
+"""What disturbs a stage at random: sensor noise, a disturbance with a correlation time that an integrating stage sums up, and
+what fast dynamics that no formula has leave of its output while it moves.
 
     s_k     = ρ_k·s_{k−1} + √(1 − ρ_k²)·η_k          ρ_k = e^(−Δt_k/T), stationary variance 1
     level_k = level_{k−1} + Δt_k·a_k·s_{k−1}          (a stage that integrates its input)
-    y_k     = level_k + σ·ε_k                         or, where nothing integrates,  y_k = a_k·s_k + σ·ε_k
+    p_k     = φ_k·p_{k−1} + √(1 − φ_k²)·r_k·ζ_k      φ_k = e^(−Δt_k/R), the output's own, not integrated
+    y_k     = level_k + p_k + σ·ε_k                   or, where nothing integrates,  y_k = a_k·s_k + σ·ε_k
 
-with the amplitude ``a_k² = still² + moving²·activity_k²``: a flow disturbance grows with the flow. A Kalman filter turns the
-residual of a run into independent standard normal innovations; it is linear, so that it whitens the columns of a regression
-as well (Harvey, Forecasting, Structural Time Series Models and the Kalman Filter, 1989, ch. 3). The level at the beginning of
-a run is unknown (diffuse), so that a constant offset of a run is no evidence where the stage integrates.
+with the amplitudes ``a_k² = still² + moving²·activity_k²`` (a flow disturbance grows with the flow) and
+``r_k = ripple·activity_k``. Without the last one an oscillation that stays within millimetres would pass for a flow that
+wanders off, and with it whatever acts slowly. A Kalman filter turns the residual of a run into independent standard normal
+innovations; it is linear, so that it whitens the columns of a regression as well (Harvey, Forecasting, Structural Time Series
+Models and the Kalman Filter, 1989, ch. 3). The level at the beginning of a run is unknown (diffuse), so that a constant offset
+of a run is no evidence where the stage integrates.
 """
 
 from __future__ import annotations
@@ -33,12 +37,16 @@ class Disturbance:
         noise: standard deviation of the sensor noise of one row [unit of the signal].
         still, moving: amplitude at rest and at an activity of one [unit of the signal, a second where the stage integrates].
         memory: correlation time T [s].
+        ripple: amplitude of the output's own error at an activity of one [unit of the signal].
+        ripple_memory: its correlation time R [s].
     """
 
     noise: float
     still: float
     moving: float
     memory: float
+    ripple: float = 0.0
+    ripple_memory: float = 0.1
 
 
 @dataclass(frozen=True)
@@ -47,8 +55,10 @@ class Filter:
 
     level: Array
     state: Array
+    ripple: Array
     deviation: Array
     correlation: Array
+    decay: Array
     amplitude: Array
     step: Array
     present: npt.NDArray[np.bool_]
@@ -62,19 +72,22 @@ class Filter:
 
     def whiten(self, columns: Array, out: Array) -> None:
         """Innovations of ``columns`` (n, m) in standard deviations into ``out`` (n, m); missing rows are zero."""
-        _whiten(
-            columns,
-            self.level,
-            self.state,
-            self.deviation,
-            self.correlation,
-            self.amplitude,
-            self.step,
-            self.present,
-            self.restart,
-            self.integrates,
-            out,
-        )
+        if self.integrates:
+            _whiten_integrated(
+                columns,
+                self.level,
+                self.state,
+                self.ripple,
+                self.deviation,
+                self.correlation,
+                self.decay,
+                self.amplitude * self.step,
+                self.present,
+                self.restart,
+                out,
+            )
+        else:
+            _whiten(columns, self.state, self.deviation, self.correlation, self.amplitude, self.present, self.restart, out)
 
 
 def filter_of(
@@ -98,81 +111,120 @@ def filter_of(
     n = len(step)
     amplitude = np.sqrt(disturbance.still**2 + (disturbance.moving * activity) ** 2)
     correlation = np.exp(-step / disturbance.memory)
-    level, state, deviation = np.zeros(n), np.zeros(n), np.ones(n)
-    _gains(
-        disturbance.noise**2,
-        (DIFFUSE * max(span, disturbance.noise)) ** 2,
-        correlation,
-        amplitude,
-        step,
-        extra,
-        present,
-        restart,
-        integrates,
-        level,
-        state,
-        deviation,
-    )
-    return Filter(level, state, deviation, correlation, amplitude, step, present, restart, integrates)
+    decay = np.exp(-step / disturbance.ripple_memory)
+    level, state, ripple, deviation = np.zeros(n), np.zeros(n), np.zeros(n), np.ones(n)
+    if integrates:
+        diffuse = (DIFFUSE * max(span, disturbance.noise)) ** 2
+        own = (disturbance.ripple * activity) ** 2
+        _gains_integrated(
+            disturbance.noise**2,
+            diffuse,
+            correlation,
+            decay,
+            amplitude * step,
+            own,
+            extra,
+            present,
+            restart,
+            level,
+            state,
+            ripple,
+            deviation,
+        )
+    else:
+        _gains(disturbance.noise**2, correlation, amplitude, present, restart, state, deviation)
+    return Filter(level, state, ripple, deviation, correlation, decay, amplitude, step, present, restart, integrates)
 
 
 @kernel
-def _gains(noise, diffuse, correlation, amplitude, step, extra, present, restart, integrates, level, state, deviation):
-    a, b, c = 0.0, 0.0, 1.0  # covariance of (level, s)
-    for k in range(len(step)):
-        rho = correlation[k]
+def _gains_integrated(noise, diffuse, correlation, decay, flow, own, extra, present, restart, level, state, ripple, deviation):
+    # Covariances of w (level), s (disturbance) and p (the output's own error).
+    ww, ws, wp, ss, sp, pp = 0.0, 0.0, 0.0, 1.0, 0.0, 0.0
+    for k in range(len(flow)):
+        rho, phi, f = correlation[k], decay[k], flow[k]
         if restart[k]:
-            a, b, c = diffuse if integrates else 0.0, 0.0, 1.0
+            ww, ws, wp, ss, sp, pp = diffuse, 0.0, 0.0, 1.0, 0.0, own[k]
         else:
-            if integrates:
-                f = step[k] * amplitude[k]
-                a = a + 2.0 * f * b + f * f * c + extra[k]
-                b = rho * (b + f * c)
-            c = rho * rho * c + 1.0 - rho * rho
+            ww += 2.0 * f * ws + f * f * ss + extra[k]
+            wp = phi * (wp + f * sp)
+            ws = rho * (ws + f * ss)
+            ss = rho * rho * ss + 1.0 - rho * rho
+            sp = rho * phi * sp
+            pp = phi * phi * pp + (1.0 - phi * phi) * own[k]
         if not present[k]:
             continue
-        if integrates:
-            s = a + noise
-            g0, g1 = a / s, b / s
-            c = c - g1 * b
-            b = b - g0 * b
-            a = a - g0 * a
-        else:
-            h = amplitude[k]
-            s = h * h * c + noise
-            g0, g1 = 0.0, h * c / s
-            c = c - g1 * h * c
-        level[k], state[k], deviation[k] = g0, g1, np.sqrt(s)
+        hw, hs, hp = ww + wp, ws + sp, wp + pp  # covariance with the prediction
+        unit = hw + hp + noise
+        gw, gs, gp = hw / unit, hs / unit, hp / unit
+        ww -= gw * hw
+        ws -= gw * hs
+        wp -= gw * hp
+        ss -= gs * hs
+        sp -= gs * hp
+        pp -= gp * hp
+        level[k], state[k], ripple[k], deviation[k] = gw, gs, gp, np.sqrt(unit)
 
 
 @kernel
-def _whiten(columns, level, state, deviation, correlation, amplitude, step, present, restart, integrates, out):
+def _gains(noise, correlation, amplitude, present, restart, state, deviation):
+    c = 1.0
+    for k in range(len(correlation)):
+        rho = correlation[k]
+        c = 1.0 if restart[k] else rho * rho * c + 1.0 - rho * rho
+        if not present[k]:
+            continue
+        h = amplitude[k]
+        unit = h * h * c + noise
+        g = h * c / unit
+        c = c - g * h * c
+        state[k], deviation[k] = g, np.sqrt(unit)
+
+
+@kernel
+def _whiten_integrated(columns, level, state, ripple, deviation, correlation, decay, flow, present, restart, out):
     m = columns.shape[1]
-    w, s = np.zeros(m), np.zeros(m)
+    w, s, p = np.zeros(m), np.zeros(m), np.zeros(m)
     for k in range(len(columns)):
         if restart[k]:
             w[:] = 0.0
             s[:] = 0.0
+            p[:] = 0.0
         else:
-            f = step[k] * amplitude[k] if integrates else 0.0
-            rho = correlation[k]
+            f, rho, phi = flow[k], correlation[k], decay[k]
             for j in range(m):
                 w[j] += f * s[j]
+                s[j] *= rho
+                p[j] *= phi
+        if not present[k]:
+            for j in range(m):
+                out[k, j] = 0.0
+            continue
+        gw, gs, gp, unit = level[k], state[k], ripple[k], 1.0 / deviation[k]
+        for j in range(m):
+            e = columns[k, j] - w[j] - p[j]
+            w[j] += gw * e
+            s[j] += gs * e
+            p[j] += gp * e
+            out[k, j] = e * unit
+
+
+@kernel
+def _whiten(columns, state, deviation, correlation, amplitude, present, restart, out):
+    m = columns.shape[1]
+    s = np.zeros(m)
+    for k in range(len(columns)):
+        if restart[k]:
+            s[:] = 0.0
+        else:
+            rho = correlation[k]
+            for j in range(m):
                 s[j] *= rho
         if not present[k]:
             for j in range(m):
                 out[k, j] = 0.0
             continue
-        g0, g1, unit = level[k], state[k], 1.0 / deviation[k]
-        if integrates:
-            for j in range(m):
-                e = columns[k, j] - w[j]
-                w[j] += g0 * e
-                s[j] += g1 * e
-                out[k, j] = e * unit
-        else:
-            h = amplitude[k]
-            for j in range(m):
-                e = columns[k, j] - h * s[j]
-                s[j] += g1 * e
-                out[k, j] = e * unit
+        g, h, unit = state[k], amplitude[k], 1.0 / deviation[k]
+        for j in range(m):
+            e = columns[k, j] - h * s[j]
+            s[j] += g * e
+            out[k, j] = e * unit

@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from sysid.gap.fit import place
 from sysid.gap.likelihood.rows import Series
-from sysid.gap.likelihood.stage import ModelFit, StageLikelihood, prior_of, steps_of
+from sysid.gap.likelihood.stage import ModelFit, StageLikelihood, prior_of, share_of, steps_of
 
 Array = npt.NDArray[np.float64]
 
@@ -40,15 +40,13 @@ def explained(likelihood: StageLikelihood, fit: ModelFit) -> Explained:
     table = rows.residuals(place(rows.theta, fit.unknowns, lanes)).T
     if fit.unknowns:
         table[:, 1:] = (table[:, 1:] - table[:, :1]) / steps * prior_of(fit.candidates).width
-    whitened = likelihood.whitened(np.hstack([found.columns * scale, found.timing[:, None], table[:, 1:], table[:, :1]]))
+    effects = table[:, 1:]
+    discrepancy = found.columns * scale
+    discrepancy = discrepancy - effects @ share_of(rows.scaled(effects), rows.scaled(discrepancy))
+    whitened = likelihood.whitened(np.hstack([discrepancy, found.timing[:, None], effects, table[:, :1]]))
     columns, target = whitened[:, :-1], whitened[:, -1]
-    weights = np.linalg.solve(columns.T @ columns + np.eye(columns.shape[1]), columns.T @ target)
-    parts = np.column_stack(
-        [
-            found.columns[:, found.group == g] @ (scale * weights[: len(scale)])[found.group == g]
-            for g in range(len(found.groups))
-        ]
-    )
+    weights = np.linalg.solve(columns.T @ columns + np.eye(columns.shape[1]), columns.T @ target)[: len(scale)]
+    parts = np.column_stack([discrepancy @ (weights * (found.group == g)) for g in range(len(found.groups))])
     centred = _centred(rows.series, np.column_stack([table[:, 0], table[:, 0] - parts.sum(axis=1), parts]))
     sizes = rows.in_floors(centred)
     groups = dict(sorted(zip(found.groups, map(float, sizes[2:]), strict=True), key=lambda item: -item[1]))

@@ -120,12 +120,16 @@ class Rows:
             at += signals
         return out
 
+    def scaled(self, columns: Array) -> Array:
+        """Columns (rows, m) in noise floors; zero where nothing is measured."""
+        out = np.zeros(columns.shape)
+        for s in self.series:
+            out[s.rows] = np.where(s.present[:, None], columns[s.rows] / self.floor[s.signal], 0.0)
+        return out
+
     def in_floors(self, columns: Array) -> Array:
         """Root mean square of columns (rows, m) over what is measured, in noise floors, (m,)."""
-        total = np.zeros(columns.shape[1])
-        for s in self.series:
-            total += ((columns[s.rows][s.present] / self.floor[s.signal]) ** 2).sum(axis=0)
-        return np.asarray(np.sqrt(total / max(self.measured_rows, 1)))
+        return np.asarray(np.sqrt((self.scaled(columns) ** 2).sum(axis=0) / max(self.measured_rows, 1)))
 
     def _blocks(self) -> npt.NDArray[np.int64]:
         """The block of every row; rows of all signals at one time share one, so do neighbouring poses."""

@@ -6,8 +6,12 @@ Noise and disturbance whiten the residual once; timing and discrepancy are linea
 Gauss–Newton on what is left. The marginal likelihood (evidence) is that of Laplace's approximation. The variances are estimated
 with the richest model and shared by all models of the stage (:mod:`sysid.gap.likelihood.variances`).
 
-Sources: Kennedy and O'Hagan 2001 (discrepancy); Kristensen, Madsen and Jørgensen, Automatica 40 (2004), 225–237 (stochastic
-grey-box models); MacKay, Information Theory, Inference, and Learning Algorithms, 2003, ch. 27–28 (evidence).
+The discrepancy is orthogonal to what the effects of a model change of the free run: θ is what fits the output best, and no
+discrepancy undoes an effect whose side is wanted for something else.
+
+Sources: Kennedy and O'Hagan 2001 (discrepancy); Plumlee, JASA 112 (2017), 1274–1285 (orthogonal to the model); Kristensen,
+Madsen and Jørgensen, Automatica 40 (2004), 225–237 (stochastic grey-box models); MacKay, Information Theory, Inference, and
+Learning Algorithms, 2003, ch. 27–28 (evidence).
 """
 
 from __future__ import annotations
@@ -24,6 +28,7 @@ from sysid.gap.fit import place
 from sysid.gap.likelihood.discrepancy import Discrepancy
 from sysid.gap.likelihood.disturbance import Disturbance, Filter, filter_of
 from sysid.gap.likelihood.rows import Rows
+from sysid.gap.likelihood.uncertainty import posterior_covariance
 
 Array = npt.NDArray[np.float64]
 
@@ -31,6 +36,8 @@ Array = npt.NDArray[np.float64]
 WIDE = 10.0
 #: The same in what is negligible of it, where a fit starts from its known value alone.
 PLAUSIBLE = 100.0
+#: Smallest plausible size of an effect, in what is negligible of it.
+FINEST = 0.1
 #: Prior standard deviation of timing, in half samples: what sample-and-hold leaves open.
 TIMING = 1.0
 #: Directions of the linear part whose prior keeps them below this share of the noise's variance cannot matter.
@@ -56,10 +63,38 @@ class Variances:
 
 @dataclass(frozen=True)
 class Linear:
-    """The linear part, whitened and in unit prior: ``columns`` (rows, p), and the factor of ``columnsᵀcolumns + 1``."""
+    """The linear part, whitened and in unit prior: ``columns`` (rows, p), and the factor of ``columnsᵀcolumns + 1``.
+
+    ``outputs``: what the discrepancy in each column does to the output, in noise floors, (rows, p).
+    """
 
     columns: Array
     factor: Array
+    outputs: Array
+
+    def beside(self, slopes: Array, outputs: Array) -> Linear:
+        """Without what the effects of a model can do: ``slopes`` (rows, k) whitened, ``outputs`` (rows, k) in noise floors."""
+        if not slopes.shape[1]:
+            return self
+        share = share_of(outputs, self.outputs)
+        return _factored(self.columns - slopes @ share, self.outputs - outputs @ share)
+
+    def projected(self, columns: Array) -> Array:
+        """``columns`` (rows, m) as the linear part explains them, (p, m): to be taken off their products."""
+        return np.asarray(solve_triangular(self.factor, self.columns.T @ columns, lower=True))
+
+    def costs(self, innovations: Array) -> Array:
+        """Half the squared length of columns (rows, lanes) that the linear part leaves."""
+        z = self.projected(innovations)
+        return 0.5 * np.asarray((innovations**2).sum(axis=0) - (z**2).sum(axis=0))
+
+
+def share_of(effects: Array, discrepancy: Array) -> Array:
+    """How much of each effect's output (rows, k) is in each column of a discrepancy (rows, p), by least squares, (k, p).
+
+    Both in noise floors, the effects in units of their prior, which keeps what has no slope out.
+    """
+    return np.asarray(np.linalg.solve(effects.T @ effects + np.eye(effects.shape[1]), effects.T @ discrepancy))
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,12 +104,12 @@ class ModelFit:
     Args:
         values: of ``unknowns``, (k,).
         covariance: of the values, the linear part marginalised, (k, k).
-        inflation: variance of each value relative to that without discrepancy, (k,).
         evidence: log marginal likelihood.
         predictive: log density of each block, parameters and discrepancy from the other blocks, (blocks,).
         rms: root mean square of the whitened rows that neither effects nor discrepancy explain.
         response: root mean square of the output's change with each unknown, in noise floors a unit of it, (k,).
         left: root mean square of what the effects leave of the output, in noise floors.
+        systematic: that of what the discrepancy explains of it.
     """
 
     candidates: tuple[Candidate, ...]
@@ -82,12 +117,12 @@ class ModelFit:
     values: Array
     theta: Array
     covariance: Array
-    inflation: Array
     evidence: float
     predictive: Array
     rms: float
     response: Array
     left: float
+    systematic: float
 
     @property
     def labels(self) -> frozenset[str]:
@@ -113,12 +148,29 @@ class ModelFit:
 
 @dataclass(frozen=True)
 class Prior:
-    """Normal prior of some unknowns: ``centre`` and ``width``, (k,) each; bounds ``low`` and ``high``."""
+    """Normal prior of some unknowns: ``centre`` and ``width``, (k,) each; bounds ``low`` and ``high``.
+
+    ``finest``: the smallest width that is plausible, (k,); equal to ``width`` where an unknown has no absent value near it.
+    """
 
     centre: Array
     width: Array
     low: Array
     high: Array
+    finest: Array
+
+    def at_scale(self, values: Array) -> tuple[Array, float]:
+        """Widths of maximum evidence at ``values`` (k,), and what their being unknown costs [nats].
+
+        The size of an effect is unknown over decades, like that of the discrepancy: the logarithm of a width is uniform
+        between ``finest`` and ``width``. A normal density is largest where its width is the departure; Laplace's approximation
+        over the logarithm (curvature 2) leaves √π / ln(width / finest) of it.
+        """
+        decades = np.log(self.width / self.finest)
+        known = decades <= 0.0
+        widths = np.where(known, self.width, np.clip(np.abs(values - self.centre), self.finest, self.width))
+        cost = np.where(known, 0.0, np.log(np.maximum(decades, np.sqrt(np.pi))) - 0.5 * np.log(np.pi))
+        return widths, float(cost.sum())
 
 
 def prior_of(candidates: Sequence[Candidate]) -> Prior:
@@ -126,7 +178,7 @@ def prior_of(candidates: Sequence[Candidate]) -> Prior:
 
     An effect whose absence is far from all of them (a limit that is never reached) is centred among them.
     """
-    centre, width, low, high = [], [], [], []
+    centre, width, low, high, finest = [], [], [], [], []
     for candidate in candidates:
         starts = np.array(candidate.starts)
         for k, unknown in enumerate(candidate.unknowns):
@@ -137,9 +189,10 @@ def prior_of(candidates: Sequence[Candidate]) -> Prior:
             away = np.abs(values - unknown.nominal)
             reach = span if far else float(np.max(away)) or PLAUSIBLE * unknown.negligible
             width.append(WIDE * reach)
+            finest.append(WIDE * reach if far else min(FINEST * unknown.negligible, WIDE * reach))
             low.append(unknown.bounds[0])
             high.append(unknown.bounds[1])
-    return Prior(np.array(centre), np.array(width), np.array(low), np.array(high))
+    return Prior(np.array(centre), np.array(width), np.array(low), np.array(high), np.array(finest))
 
 
 def whitening_of(rows: Rows, k: int, disturbance: Disturbance, extra: Array) -> Filter:
@@ -153,14 +206,16 @@ class StageLikelihood:
     """Marginal likelihoods of models of one stage under shared variances."""
 
     def __init__(self, rows: Rows, discrepancy: Discrepancy, variances: Variances, extra: Sequence[Array]) -> None:
-        self.rows, self.discrepancy, self.variances = rows, discrepancy, variances
+        self.rows, self.discrepancy, self.variances, self.extra = rows, discrepancy, variances, extra
         self.filters: tuple[Filter, ...] = tuple(
             whitening_of(rows, k, variances.disturbances[s.signal], extra[k]) for k, s in enumerate(rows.series)
         )
         self.log_scale = float(sum(f.log_scale for f in self.filters))
         self.timing = self.whitened(TIMING * discrepancy.timing[:, None])
         scaled = discrepancy.columns * variances.groups[discrepancy.group]
-        self.linear = _linear(np.hstack([self.timing, self.whitened(scaled[:, variances.groups[discrepancy.group] > 0.0])]))
+        active = variances.groups[discrepancy.group] > 0.0
+        outputs = rows.scaled(np.hstack([np.zeros((rows.count, 1)), scaled[:, active]]))
+        self.linear = _linear(np.hstack([self.timing, self.whitened(scaled[:, active])]), outputs)
 
     def whitened(self, columns: Array) -> Array:
         """Innovations of columns (rows, m), weighted."""
@@ -170,25 +225,24 @@ class StageLikelihood:
         out *= self.variances.weights[:, None]
         return out
 
+    def residuals(self, thetas: Array) -> Array:
+        """Residuals of parameter vectors, (rows, lanes)."""
+        return np.ascontiguousarray(self.rows.residuals(thetas).T)
+
     def innovations(self, thetas: Array) -> Array:
         """Whitened residuals of parameter vectors, (rows, lanes)."""
-        return self.whitened(np.ascontiguousarray(self.rows.residuals(thetas).T))
-
-    def projected(self, columns: Array) -> Array:
-        """``columns`` (rows, m) as the linear part explains them, (p, m): to be taken off their products."""
-        return np.asarray(solve_triangular(self.linear.factor, self.linear.columns.T @ columns, lower=True))
-
-    def costs(self, innovations: Array) -> Array:
-        """Half the squared length of columns (rows, lanes) that the linear part leaves."""
-        z = self.projected(innovations)
-        return 0.5 * np.asarray((innovations**2).sum(axis=0) - (z**2).sum(axis=0))
+        return self.whitened(self.residuals(thetas))
 
 
-def _linear(columns: Array) -> Linear:
+def _linear(columns: Array, outputs: Array) -> Linear:
     """Principal directions of the linear part that can matter."""
     values, vectors = np.linalg.eigh(columns.T @ columns)
-    kept = np.ascontiguousarray(columns @ vectors[:, values > NEGLIGIBLE])
-    return Linear(kept, np.linalg.cholesky(kept.T @ kept + np.eye(kept.shape[1])))
+    kept = vectors[:, values > NEGLIGIBLE]
+    return _factored(np.ascontiguousarray(columns @ kept), outputs @ kept)
+
+
+def _factored(columns: Array, outputs: Array) -> Linear:
+    return Linear(columns, np.asarray(np.linalg.cholesky(columns.T @ columns + np.eye(columns.shape[1]))), outputs)
 
 
 # -- fitting -------------------------------------------------------------------------------------------------------------
@@ -216,29 +270,31 @@ def fit_model(likelihood: StageLikelihood, candidates: Sequence[Candidate], star
     """Fit the unknowns of ``candidates`` from the best of ``starts`` (s, k)."""
     candidates = tuple(candidates)
     unknowns = tuple(u for c in candidates for u in c.unknowns)
-    nominal = likelihood.rows.theta
+    rows = likelihood.rows
+    nominal = rows.theta
     prior = prior_of(candidates)
     starts = np.clip(starts, prior.low, prior.high)
     x = starts[0]
 
-    def evaluated(lanes: Array) -> tuple[Array, Array]:
-        """Innovations (rows, lanes) and costs of values (lanes, k)."""
-        found = likelihood.innovations(place(nominal, unknowns, lanes))
-        return found, likelihood.costs(found) + 0.5 * (((lanes - prior.centre) / prior.width) ** 2).sum(axis=1)
+    def costs(lanes: Array, innovations: Array, linear: Linear) -> Array:
+        """Of values (lanes, k) with their innovations (rows, lanes)."""
+        return np.asarray(linear.costs(innovations) + 0.5 * (((lanes - prior.centre) / prior.width) ** 2).sum(axis=1))
 
     if not unknowns:
-        return _finished(likelihood, candidates, unknowns, x, likelihood.rows.residuals(nominal[None]).T, prior)
+        return _finished(likelihood, candidates, unknowns, x, rows.residuals(nominal[None]).T, prior)
     if len(starts) > 1:
-        x = starts[int(np.argmin(evaluated(starts)[1]))]
+        table = likelihood.innovations(place(nominal, unknowns, starts))
+        x = starts[int(np.argmin(costs(starts, table, likelihood.linear)))]
     stepwise = np.array([u.stepwise for u in unknowns])
-    slopes = np.empty(0)
-    w, cost = np.empty(0), np.inf
     for _ in range(rounds):
         steps = steps_of(unknowns, x)
-        table, costs = evaluated(np.vstack([x[None], x + np.diag(steps)]))
-        w, cost = table[:, 0], float(costs[0])
-        slopes = (table[:, 1:] - w[:, None]) / steps * prior.width
-        z = likelihood.projected(np.column_stack([slopes, w]))
+        raw = likelihood.residuals(place(nominal, unknowns, np.vstack([x[None], x + np.diag(steps)])))
+        raw[:, 1:] = (raw[:, 1:] - raw[:, :1]) / steps * prior.width
+        table = likelihood.whitened(raw)
+        w, slopes = table[:, 0], table[:, 1:]
+        linear = likelihood.linear.beside(slopes, rows.scaled(raw[:, 1:]))
+        cost = float(costs(x[None], w[:, None], linear)[0])
+        z = linear.projected(np.column_stack([slopes, w]))
         hessian = slopes.T @ slopes - z[:, :-1].T @ z[:, :-1] + np.eye(len(x))
         gradient = slopes.T @ w - z[:, :-1].T @ z[:, -1] + (x - prior.centre) / prior.width
         trials = [_stepped(x, hessian, gradient, damping, prior) for damping in DAMPING]
@@ -250,17 +306,17 @@ def fit_model(likelihood: StageLikelihood, candidates: Sequence[Candidate], star
                 moved[k] += offset
                 trials.append(np.clip(moved, prior.low, prior.high))
         lanes = np.array(trials)
-        tried, tried_costs = evaluated(lanes)
-        best = int(np.argmin(tried_costs))
-        gained = cost - float(tried_costs[best])
+        tried = costs(lanes, likelihood.innovations(place(nominal, unknowns, lanes)), linear)
+        best = int(np.argmin(tried))
+        gained = cost - float(tried[best])
         if not gained > 1e-6:
             break
-        x, w, cost = lanes[best], tried[:, best], float(tried_costs[best])
+        x = lanes[best]
         if gained < CONVERGED:
             break
     steps = steps_of(unknowns, x)
     lanes = np.vstack([x[None], x + np.diag(steps)])
-    table = likelihood.rows.residuals(place(nominal, unknowns, lanes)).T
+    table = likelihood.residuals(place(nominal, unknowns, lanes))
     table[:, 1:] = (table[:, 1:] - table[:, :1]) / steps
     return _finished(likelihood, candidates, unknowns, x, table, prior)
 
@@ -294,27 +350,31 @@ def _finished(
     rows = likelihood.rows
     size = rows.in_floors(table)
     whitened = likelihood.whitened(np.ascontiguousarray(table))
-    w, slopes = whitened[:, 0], whitened[:, 1:] * prior.width
-    linear = likelihood.linear.columns
+    w, slopes = whitened[:, 0], whitened[:, 1:]
+    scaled = rows.scaled(table[:, 1:])
+    beside = likelihood.linear.beside(slopes * prior.width, scaled * prior.width)
+    linear = beside.columns
     p, k = linear.shape[1], len(unknowns)
-    X = np.hstack([linear, -slopes])  # the residual falls where a parameter explains it
-    offset = (values - prior.centre) / prior.width
+    covariance = np.zeros((0, 0))
+    if k:
+        wide = -slopes * prior.width
+        start = w + wide @ ((values - prior.centre) / prior.width)
+        covariance = posterior_covariance(np.hstack([linear, wide]), k, start, rows.block)
+        covariance = covariance * np.outer(prior.width, prior.width)
+    widths, cost = prior.at_scale(values)
+    X = np.hstack([linear, -slopes * widths])  # the residual falls where a parameter explains it
+    offset = (values - prior.centre) / widths
     r = w + (X[:, p:] @ offset if k else 0.0)
     H = X.T @ X + np.eye(p + k)
     m = cho_solve(cho_factor(H, lower=True), X.T @ r)
     e = r - X @ m
-    evidence = -0.5 * float(e @ e + m @ m) - 0.5 * float(np.linalg.slogdet(H)[1]) - likelihood.log_scale
-    covariance = np.linalg.inv(H)[p:, p:] * np.outer(prior.width, prior.width) if k else np.zeros((0, 0))
-    inflation = np.ones(k)
-    if k:
-        plain = np.hstack([likelihood.timing, -slopes])
-        alone = np.linalg.inv(plain.T @ plain + np.eye(k + 1))[1:, 1:]
-        inflation = np.diag(covariance) / prior.width**2 / np.diag(alone)
+    evidence = -0.5 * float(e @ e + m @ m) - 0.5 * float(np.linalg.slogdet(H)[1]) - likelihood.log_scale - cost
     predictive = _block_densities(X, r, H, rows)
     theta = place(rows.theta, unknowns, values[None])[0] if k else rows.theta
     rms = float(np.sqrt(e @ e / max(rows.measured_rows, 1)))
+    systematic = float(np.sqrt(((beside.outputs @ m[:p]) ** 2).sum() / max(rows.measured_rows, 1)))
     return ModelFit(
-        candidates, unknowns, values, theta, covariance, inflation, evidence, predictive, rms, size[1:], float(size[0])
+        candidates, unknowns, values, theta, covariance, evidence, predictive, rms, size[1:], float(size[0]), systematic
     )
 
 

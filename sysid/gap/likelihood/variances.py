@@ -18,15 +18,18 @@ from sysid.gap.fit import place
 from sysid.gap.likelihood.discrepancy import Discrepancy
 from sysid.gap.likelihood.disturbance import Disturbance
 from sysid.gap.likelihood.rows import Rows
-from sysid.gap.likelihood.stage import HUBER, ModelFit, StageLikelihood, Variances, steps_of, whitening_of
+from sysid.gap.likelihood.stage import HUBER, ModelFit, StageLikelihood, Variances, fit_model, steps_of, whitening_of
 
 Array = npt.NDArray[np.float64]
 
 #: Prior of log τ: unknown over some decades.
 TAU, TAU_SPREAD = 1e-3, 4.0
-#: Prior spreads of the logarithms of noise, disturbance and its correlation time; the latter around MEMORY [s].
-NOISE_SPREAD, DISTURBANCE_SPREAD, MEMORY, MEMORY_SPREAD = 0.5, 3.0, 0.5, 1.0
-SPREAD = np.array([NOISE_SPREAD, DISTURBANCE_SPREAD, DISTURBANCE_SPREAD, MEMORY_SPREAD])
+#: Prior spreads of the logarithms of noise, disturbance and its correlation time; the latter around MEMORY [s]. The same of the
+#: output's own error, around the noise and around RIPPLE_MEMORY [s].
+NOISE_SPREAD, DISTURBANCE_SPREAD, MEMORY, MEMORY_SPREAD, RIPPLE_MEMORY = 0.5, 3.0, 0.5, 1.0, 0.1
+SPREAD = np.array([NOISE_SPREAD, DISTURBANCE_SPREAD, DISTURBANCE_SPREAD, MEMORY_SPREAD, DISTURBANCE_SPREAD, MEMORY_SPREAD])
+#: How far from their centres the logarithms may go.
+FAR = np.array([2.0, 12.0, 12.0, 3.2, 12.0, 3.2])
 #: Below this τ a group is absent; a discrepancy above the other, a tenth of what a stage does, would be the model itself.
 ABSENT, LARGEST = 1e-6, 0.1
 #: Rounds of the two maximisations.
@@ -44,7 +47,8 @@ class Start:
 def first_variances(rows: Rows, start: Start, groups: int, tau: float) -> Variances:
     """Before anything is estimated: noise as the data say, a small disturbance, every group with coefficients of ``tau``."""
     disturbances = tuple(
-        Disturbance(float(n), float(0.1 * d), float(d), MEMORY) for n, d in zip(start.noise, start.disturbance, strict=True)
+        Disturbance(float(n), float(0.1 * d), float(d), MEMORY, float(n), RIPPLE_MEMORY)
+        for n, d in zip(start.noise, start.disturbance, strict=True)
     )
     return Variances(disturbances, np.full(groups, tau), np.ones(rows.count))
 
@@ -61,6 +65,20 @@ def estimated(
         gram, _ = _gram(rows, columns, variances, extra)
         variances = replace(variances, groups=_groups(gram, fixed, discrepancy.group, variances.groups))
     return variances
+
+
+def own_evidence(likelihood: StageLikelihood, start: Start, model: ModelFit) -> float:
+    """Log evidence of a model whose discrepancy is learned beside it alone, noise and disturbance held; with the prior of τ.
+
+    Of two models under shared variances the one they were learned with has the advantage: this takes it away.
+    """
+    rows, discrepancy, variances, extra = likelihood.rows, likelihood.discrepancy, likelihood.variances, likelihood.extra
+    residual, slopes = _linearised(rows, model)
+    columns = np.column_stack([discrepancy.timing, slopes, discrepancy.columns, residual])
+    gram, _ = _gram(rows, columns, variances, extra)
+    own = replace(variances, groups=_groups(gram, 1 + slopes.shape[1], discrepancy.group, variances.groups))
+    again = fit_model(StageLikelihood(rows, discrepancy, own, extra), model.candidates, model.values[None], rounds=0)
+    return again.evidence + log_prior(own, start)
 
 
 def _linearised(rows: Rows, model: ModelFit) -> tuple[Array, Array]:
@@ -112,16 +130,17 @@ def _disturbances(
     scale = _scales(fixed, discrepancy.group, variances.groups)
     kept = np.concatenate([scale > 10.0 * ABSENT, [True]])
     table, scale = np.ascontiguousarray(columns[:, kept]), scale[kept[:-1]]
-    first = np.array([[d.noise, d.still, d.moving, d.memory] for d in variances.disturbances])
+    first = _table(variances)
     centre = _centre(start)
+    width = first.shape[1]
 
     def variances_of(z: Array) -> Variances:
-        found = np.exp(z.reshape(signals, 4))
+        found = np.exp(z.reshape(signals, width))
         return replace(variances, disturbances=tuple(Disturbance(*map(float, row)) for row in found))
 
     z = np.log(first).ravel()
     for k in range(signals):  # signals of one stage have filters of their own: one at a time
-        here = slice(4 * k, 4 * k + 4)
+        here = slice(width * k, width * (k + 1))
         rest = _gram(rows, table, variances_of(z), extra, [j for j in range(signals) if j != k])[0]
 
         def one(part: Array, here: slice = here, k: int = k, rest: Array = rest) -> float:
@@ -131,8 +150,8 @@ def _disturbances(
             prior = 0.5 * (((part - np.log(centre[k])) / SPREAD) ** 2).sum()
             return log_scale - _evidence(rest + gram, scale) + float(prior)
 
-        bounds = [(c - 4.0 * w, c + 4.0 * w) for c, w in zip(np.log(centre[k]), (0.5, 3.0, 3.0, 0.8), strict=True)]
-        low, high = np.array(bounds).T
+        low, high = np.log(centre[k]) - FAR, np.log(centre[k]) + FAR
+        bounds = list(zip(low, high, strict=True))
         # A disturbance at rest and one of the motion are two optima: begin at the two most promising.
         begins = sorted((np.clip(row, low, high) for row in _beginnings(z[here])), key=one)[:2]
         found = [
@@ -144,10 +163,9 @@ def _disturbances(
 
 
 def _beginnings(z: Array) -> list[Array]:
-    """Logarithms of noise, amplitudes and correlation time as they are, ten times the one or the other, and interchanged."""
-    swapped, more = z[[0, 2, 1, 3]], np.log(10.0)
-    still, moving = np.array([0.0, more, 0.0, 0.0]), np.array([0.0, 0.0, more, 0.0])
-    return [z, swapped, z + still, z + moving, swapped + still]
+    """Logarithms of the variances as they are, ten times one of them, and amplitudes at rest and in motion interchanged."""
+    swapped, more = z[[0, 2, 1, 3, 4, 5]], np.log(10.0) * np.eye(len(z))
+    return [z, swapped, z + more[1], z + more[2], z + more[4], z + more[4] - more[2], swapped + more[1]]
 
 
 def _groups(gram: Array, fixed: int, group: npt.NDArray[np.int64], taus: Array) -> Array:
@@ -178,16 +196,21 @@ def _groups(gram: Array, fixed: int, group: npt.NDArray[np.int64], taus: Array) 
 
 def log_prior(variances: Variances, start: Start) -> float:
     """Log density of variances under their priors, up to a constant."""
-    found = np.log([[d.noise, d.still, d.moving, d.memory] for d in variances.disturbances])
+    found = np.log(_table(variances))
     centre = _centre(start)
     groups = (np.log(np.maximum(variances.groups, ABSENT)) - np.log(TAU)) / TAU_SPREAD
     return float(-0.5 * (((found - np.log(centre)) / SPREAD) ** 2).sum() - 0.5 * groups @ groups)
 
 
 def _centre(start: Start) -> Array:
-    """Where the priors of noise, amplitudes and correlation time are centred, (d, 4)."""
-    memory = np.full(len(start.noise), MEMORY)
-    return np.column_stack([start.noise, 0.1 * start.disturbance, start.disturbance, memory])
+    """Where the priors of a disturbance's numbers are centred, (d, 6)."""
+    memory, ripple = np.full(len(start.noise), MEMORY), np.full(len(start.noise), RIPPLE_MEMORY)
+    return np.column_stack([start.noise, 0.1 * start.disturbance, start.disturbance, memory, start.noise, ripple])
+
+
+def _table(variances: Variances) -> Array:
+    """The numbers of each disturbance, (d, 6)."""
+    return np.array([[d.noise, d.still, d.moving, d.memory, d.ripple, d.ripple_memory] for d in variances.disturbances])
 
 
 def robust(likelihood: StageLikelihood, model: ModelFit) -> Variances:
@@ -199,7 +222,7 @@ def _weights(likelihood: StageLikelihood, model: ModelFit) -> Array:
     """Square roots of Huber's weights from the innovations of ``model`` that the linear part leaves."""
     w = likelihood.innovations(model.theta[None])[:, 0]
     weights = likelihood.variances.weights
-    z = likelihood.projected(w[:, None])
+    z = likelihood.linear.projected(w[:, None])
     fitted = likelihood.linear.columns @ np.linalg.solve(likelihood.linear.factor.T, z)[:, 0]
     left = np.abs(w - fitted) / np.maximum(weights, 1e-6)
     return np.asarray(np.sqrt(np.minimum(1.0, HUBER / np.maximum(left, 1e-12))))

@@ -12,6 +12,8 @@ from sysid.gap.likelihood.disturbance import DIFFUSE, Disturbance, Filter, filte
 
 Array = npt.NDArray[np.float64]
 FLOW = Disturbance(noise=0.05, still=0.02, moving=0.3, memory=0.6)
+#: The same and an error of the output itself.
+RIPPLE = Disturbance(noise=0.05, still=0.02, moving=0.1, memory=0.6, ripple=0.2, ripple_memory=0.15)
 
 
 @dataclass(frozen=True)
@@ -37,10 +39,12 @@ def inputs(count: int, seed: int = 0, runs: int = 2, missing: float = 0.15) -> I
 
 
 def drawn(given: Inputs, disturbance: Disturbance, integrates: bool, shocks: Array) -> Array:
-    """Series (n, m) of the model from standard normal ``shocks`` (3, n, m), equation by equation of its docstring."""
-    level, state = np.zeros(shocks.shape[2]), np.zeros(shocks.shape[2])
+    """Series (n, m) of the model from standard normal ``shocks`` (4, n, m), equation by equation of its docstring."""
+    level, state, own = (np.zeros(shocks.shape[2]) for _ in range(3))
     out = np.zeros(shocks.shape[1:])
     for k in range(len(given.step)):
+        size, phi = disturbance.ripple * given.activity[k], np.exp(-given.step[k] / disturbance.ripple_memory)
+        own = size * shocks[3, k] if given.restart[k] else phi * own + np.sqrt(1.0 - phi**2) * size * shocks[3, k]
         amplitude = np.hypot(disturbance.still, disturbance.moving * given.activity[k])
         rho = np.exp(-given.step[k] / disturbance.memory)
         if given.restart[k]:
@@ -49,14 +53,14 @@ def drawn(given: Inputs, disturbance: Disturbance, integrates: bool, shocks: Arr
         else:
             level = level + given.step[k] * amplitude * state + np.sqrt(given.extra[k]) * shocks[2, k]
             state = rho * state + np.sqrt(1.0 - rho**2) * shocks[0, k]
-        out[k] = (level if integrates else amplitude * state) + disturbance.noise * shocks[1, k]
+        out[k] = (level + own if integrates else amplitude * state) + disturbance.noise * shocks[1, k]
     return out
 
 
 def dense(given: Inputs, disturbance: Disturbance, integrates: bool) -> Array:
     """Covariance of the present rows, (m, m), from the response to every single shock."""
     n = len(given.step)
-    response = drawn(given, disturbance, integrates, np.eye(3 * n).reshape(3, n, 3 * n))
+    response = drawn(given, disturbance, integrates, np.eye(4 * n).reshape(4, n, 4 * n))
     return (response @ response.T)[np.ix_(given.present, given.present)]
 
 
@@ -66,25 +70,27 @@ def whitened(used: Filter, columns: Array) -> Array:
     return out
 
 
-@pytest.mark.parametrize("integrates", [True, False])
+@pytest.mark.parametrize(("disturbance", "integrates"), [(FLOW, True), (FLOW, False), (RIPPLE, True)])
 @pytest.mark.parametrize("seed", [0, 1])
-def test_the_innovations_give_the_density_of_the_dense_covariance(integrates: bool, seed: int) -> None:
+def test_the_innovations_give_the_density_of_the_dense_covariance(
+    disturbance: Disturbance, integrates: bool, seed: int
+) -> None:
     """Runs that restart, rows that are missing and steps of any length included."""
     given = inputs(60, seed)
-    used = given.filter(FLOW, integrates)
+    used = given.filter(disturbance, integrates)
     series = np.random.default_rng([seed, 1]).standard_normal((60, 1))
-    covariance = dense(given, FLOW, integrates)
+    covariance = dense(given, disturbance, integrates)
     y = series[given.present, 0]
     white = whitened(used, series)
     assert float(white[:, 0] @ white[:, 0]) == pytest.approx(float(y @ np.linalg.solve(covariance, y)), rel=1e-6)
     assert used.log_scale == pytest.approx(0.5 * np.linalg.slogdet(covariance)[1], rel=1e-9)
 
 
-@pytest.mark.parametrize("integrates", [True, False])
-def test_a_disturbance_of_the_model_becomes_white_with_unit_variance(integrates: bool) -> None:
+@pytest.mark.parametrize(("disturbance", "integrates"), [(FLOW, True), (FLOW, False), (RIPPLE, True)])
+def test_a_disturbance_of_the_model_becomes_white_with_unit_variance(disturbance: Disturbance, integrates: bool) -> None:
     given = inputs(6000, 2)
-    series = drawn(given, FLOW, integrates, np.random.default_rng(5).standard_normal((3, 6000, 1)))
-    white = whitened(given.filter(FLOW, integrates), series)[given.present & ~given.restart, 0]
+    series = drawn(given, disturbance, integrates, np.random.default_rng(5).standard_normal((4, 6000, 1)))
+    white = whitened(given.filter(disturbance, integrates), series)[given.present & ~given.restart, 0]
     bound = 3.5 / np.sqrt(len(white))
     assert np.std(white) == pytest.approx(1.0, abs=3.5 / np.sqrt(2 * len(white)))
     assert np.mean(white) == pytest.approx(0.0, abs=bound)

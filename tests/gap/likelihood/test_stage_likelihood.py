@@ -10,7 +10,7 @@ import pytest
 from regression_stage import NOISE, candidate, discrepancy, functions, likelihood, rows_of
 from scipy.stats import multivariate_normal
 
-from sysid.gap.likelihood.stage import ModelFit, StageLikelihood, _block_densities, fit_model, prior_of
+from sysid.gap.likelihood.stage import ModelFit, StageLikelihood, _block_densities, fit_model, prior_of, share_of
 
 Array = npt.NDArray[np.float64]
 
@@ -40,7 +40,10 @@ def test_block_densities_are_those_of_a_refit_without_the_block() -> None:
 @pytest.mark.parametrize("places", [(), (0,), (0, 1)])
 @pytest.mark.parametrize("disturbance", [1e-9, 0.3])
 def test_the_evidence_is_the_density_of_the_data(places: tuple[int, ...], disturbance: float) -> None:
-    """The stage is linear in θ, so that Laplace's approximation is exact: a normal with all of its covariances added up."""
+    """The stage is linear in θ, so that Laplace's approximation is exact: a normal with all of its covariances added up.
+
+    The discrepancy is without what the effects can do; their widths are those of their sizes.
+    """
     rows = rows_of((0.6, 0.2, 0.0), count=2, seconds=8.0)
     table = likelihood(rows, tau=0.2, disturbance=disturbance)
     y = rows.residuals(np.zeros((1, 3)))[0]
@@ -48,14 +51,18 @@ def test_the_evidence_is_the_density_of_the_data(places: tuple[int, ...], distur
     for s in rows.series:
         gap = np.abs(s.time[:, None] - s.time[None, :])
         covariance[s.rows, s.rows] += disturbance**2 * np.exp(-gap / 0.5)
-    smooth = discrepancy(rows).columns
-    covariance += 0.2**2 * smooth @ smooth.T
-    width = prior_of([candidate(k) for k in places]).width
+    found = fitted(table, *places)
+    prior = prior_of([candidate(k) for k in places])
     time = np.concatenate([s.time + 31.0 * s.recording for s in rows.series])
-    slopes = functions(time)[:, list(places)] * width
-    covariance += slopes @ slopes.T
-    expected = multivariate_normal(np.zeros(rows.count), covariance).logpdf(y) + 0.5 * rows.count * np.log(2 * np.pi)
-    assert fitted(table, *places).evidence == pytest.approx(expected, abs=0.05)
+    slopes = functions(time)[:, list(places)]
+    smooth = 0.2 * discrepancy(rows).columns
+    wide = slopes * prior.width
+    smooth = smooth - wide @ share_of(rows.scaled(wide), rows.scaled(smooth))
+    covariance += smooth @ smooth.T
+    widths, cost = prior.at_scale(found.values)
+    covariance += (slopes * widths) @ (slopes * widths).T
+    density = multivariate_normal(np.zeros(rows.count), covariance).logpdf(y)
+    assert found.evidence == pytest.approx(density + 0.5 * rows.count * np.log(2 * np.pi) - cost, abs=0.05)
 
 
 def test_values_and_their_deviations_are_those_of_least_squares() -> None:
@@ -67,7 +74,6 @@ def test_values_and_their_deviations_are_those_of_least_squares() -> None:
     H = X.T @ X + np.eye(2)  # starting values are ±1, so the prior's width is one
     assert found.values == pytest.approx(np.linalg.solve(H, X.T @ y), abs=1e-5)
     assert np.sqrt(np.diag(found.covariance)) == pytest.approx(np.sqrt(np.diag(np.linalg.inv(H))), rel=1e-5)
-    assert found.inflation == pytest.approx(np.ones(2), rel=1e-6)
     assert found.left == pytest.approx(1.0, abs=0.05)
     assert found.response == pytest.approx(np.sqrt((functions(time)[:, :2] ** 2).mean(axis=0)) / NOISE, rel=1e-6)
 
@@ -86,14 +92,33 @@ def test_nothing_is_likelier_than_an_effect_where_there_is_none() -> None:
         assert max(fitted(table, k).evidence for k in range(3)) < fitted(table).evidence
 
 
-def test_a_discrepancy_that_holds_the_effect_takes_the_information_about_it() -> None:
+def test_a_discrepancy_that_holds_an_effect_leaves_it_to_the_effect() -> None:
+    """Orthogonal to the output of an effect, it neither undoes it nor widens its interval."""
     rows = rows_of((0.6, 0.0, 0.0))
     time = np.concatenate([s.time + 31.0 * s.recording for s in rows.series])
     same = functions(time)[:, :1]
     alone, shared = (fitted(likelihood(rows, tau, columns=same), 0) for tau in (1e-9, 10.0))
-    assert alone.inflation[0] == pytest.approx(1.0, abs=1e-3)
-    assert shared.inflation[0] > 1e3
-    assert shared.deviations_of(candidate(0))[0] > 30.0 * alone.deviations_of(candidate(0))[0]
+    assert shared.values == pytest.approx(alone.values, abs=1e-3)
+    assert shared.deviations_of(candidate(0))[0] == pytest.approx(alone.deviations_of(candidate(0))[0], rel=0.01)
+
+
+def test_a_discrepancy_that_holds_no_effect_of_the_model_stays_as_it_is() -> None:
+    rows = rows_of((0.6, 0.4, 0.0))
+    time = np.concatenate([s.time + 31.0 * s.recording for s in rows.series])
+    other = functions(time)[:, 1:2]
+    without, with_it = (fitted(likelihood(rows, tau, columns=other), 0) for tau in (1e-9, 10.0))
+    assert with_it.evidence > without.evidence + 50.0, "it explains what no effect of the model does"
+
+
+def test_the_size_of_an_effect_is_unknown_over_decades() -> None:
+    """A small effect costs as much evidence as a large one; what does not move from its centre costs nothing of the data."""
+    known = prior_of([candidate(0)])
+    assert known.width[0] > known.finest[0]
+    small, large = known.at_scale(np.array([0.01])), known.at_scale(np.array([0.1]))
+    assert small[1] == large[1] > 0.0
+    assert small[0] == pytest.approx([0.01])
+    assert known.at_scale(np.zeros(1))[0] == pytest.approx(known.finest)
+    assert known.at_scale(np.array([1e6]))[0] == pytest.approx(known.width)
 
 
 def test_columns_that_are_negligible_do_not_change_the_evidence() -> None:

@@ -1,0 +1,54 @@
+"""How sure parameters are: the posterior where the model holds, wider where the blocks disagree."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+from sysid.gap.likelihood.uncertainty import posterior_covariance
+
+Array = npt.NDArray[np.float64]
+BLOCKS, ROWS = 30, 80
+BLOCK = np.repeat(np.arange(BLOCKS), ROWS)
+
+
+def drawn(seed: int, disagree: float) -> tuple[Array, Array]:
+    """Columns (two of a discrepancy, two parameters) and a response whose last coefficient differs from block to block."""
+    rng = np.random.default_rng(seed)
+    columns = rng.standard_normal((BLOCKS * ROWS, 4))
+    last = 0.5 + disagree * rng.standard_normal(BLOCKS)[BLOCK]
+    return columns, 0.3 * columns[:, 2] + last * columns[:, 3] + rng.standard_normal(len(BLOCK))
+
+
+def test_where_the_model_holds_it_is_the_posterior() -> None:
+    columns, response = drawn(0, 0.0)
+    found = posterior_covariance(columns, 2, response, BLOCK)
+    exact = np.linalg.inv(columns.T @ columns + np.eye(4))[2:, 2:]
+    assert np.sqrt(np.diag(found)) == pytest.approx(np.sqrt(np.diag(exact)), rel=0.35)
+    assert (np.diag(found) >= np.diag(exact)).all(), "the blocks only widen it"
+
+
+@pytest.mark.parametrize("disagree", [0.1, 0.3])
+def test_where_blocks_disagree_it_is_the_scatter_of_repetitions(disagree: float) -> None:
+    values, deviations = [], []
+    for seed in range(60):
+        columns, response = drawn(seed, disagree)
+        values.append(np.linalg.solve(columns.T @ columns + np.eye(4), columns.T @ response)[3])
+        deviations.append(np.sqrt(posterior_covariance(columns, 2, response, BLOCK)[1, 1]))
+    assert np.mean(deviations) == pytest.approx(np.std(values), rel=0.25)
+
+
+def test_one_block_alone_says_nothing_of_scatter() -> None:
+    columns, response = drawn(0, 0.5)
+    one = np.zeros(len(BLOCK), dtype=np.int64)
+    exact = np.linalg.inv(columns.T @ columns + np.eye(4))[2:, 2:]
+    assert np.allclose(posterior_covariance(columns, 2, response, one), exact)
+
+
+def test_rows_that_are_not_measured_change_nothing() -> None:
+    columns, response = drawn(1, 0.2)
+    more = np.vstack([columns, np.zeros((7, 4))])
+    block = np.concatenate([BLOCK, np.full(7, BLOCKS - 1)])
+    found = posterior_covariance(more, 2, np.append(response, np.zeros(7)), block)
+    assert np.allclose(found, posterior_covariance(columns, 2, response, BLOCK))
