@@ -12,9 +12,11 @@ import numpy.typing as npt
 from sysid.datasets.recording import Recording
 from sysid.gap.candidates import Candidate
 from sysid.gap.case import Case, Stage
+from sysid.gap.data import Data
 from sysid.gap.decision import EXPLAINED, NOT_EXCITED, SHARE, Z
-from sysid.gap.fit import Fit
+from sysid.gap.fit import Fit, spread_of
 from sysid.gap.floor import problem_floor
+from sysid.gap.intervals import known_of
 from sysid.gap.likelihood.stage import ModelFit
 from sysid.gap.localise import stage_rmse
 from sysid.gap.readings import Coarse
@@ -46,7 +48,8 @@ def judge(case: Case, stages: Sequence[Stage]) -> Outcome:
     outcome = Outcome(case.plant)
     for coarse in case.coarse:
         _read_off(case, stages, coarse, outcome)
-    for stage in stages:
+    for searched in stages:
+        stage = _holding(case, searched)
         finding = stage.found
         proven = bool(finding.fit.candidates) and _better(stage)
         if proven:
@@ -59,6 +62,35 @@ def judge(case: Case, stages: Sequence[Stage]) -> Outcome:
         if (finding.final_rmse if proven else finding.nominal_rmse) > EXPLAINED:
             _describe(case, stage, proven, outcome)
     return outcome
+
+
+def _holding(case: Case, searched: Stage) -> Stage:
+    """The stage with its intervals; with its named effects alone, where these hold on held-out recordings and all do not."""
+    stage = _known(case, searched)
+    alone = searched.found.names_alone
+    if alone is None or _better(stage):
+        return stage
+    without = _known(case, replace(searched, finding=alone))
+    return without if _better(without) else stage
+
+
+def _known(case: Case, stage: Stage) -> Stage:
+    """The stage with the intervals of its unknowns, where it has names: what both likelihoods leave open.
+
+    The posterior of the decision's model knows systematic discrepancy, the profile of :mod:`sysid.gap.intervals` bounds,
+    thresholds and noise of the input. The values are those that leave less of the free runs.
+    """
+    finding = stage.found
+    if not finding.named or finding.stage_fit is None:
+        return stage
+    limits = _limits(finding)
+    if case.adapter is not None:
+        return replace(stage, finding=replace(finding, limits=limits))
+    seen = Data(stage.problem, stage.split.seen, stage.sigma)
+    known = known_of(seen, stage.theta, finding.fit, case.noise, case.seed)
+    limits = np.column_stack([np.minimum(limits[:, 0], known.limits[:, 0]), np.maximum(limits[:, 1], known.limits[:, 1])])
+    fit = min((known.fit, finding.fit), key=lambda f: spread_of(seen.residuals(f.theta[None])))
+    return replace(stage, finding=replace(finding, fit=fit, limits=limits))
 
 
 def _without_name(stage: Stage, outcome: Outcome) -> None:
@@ -96,13 +128,13 @@ def _describe(case: Case, stage: Stage, proven: bool, outcome: Outcome) -> None:
 
 
 def _better(stage: Stage) -> bool:
-    """Whether no held-out signal of the stage gets worse, and the stage as a whole gets better."""
+    """Whether no held-out signal of the stage gets worse by a tenth, and the stage as a whole gets better if they show it."""
     before = stage_rmse(stage.problem, stage.theta, stage.split.held_out)
     after = stage_rmse(stage.problem, stage.found.fit.theta, stage.split.held_out)
     there = ~np.isnan(before) & ~np.isnan(after)
-    limit = np.maximum(before, EXPLAINED * stage.sigma)[there]
+    limit = EXPLAINED * np.maximum(before, stage.sigma)[there]
     whole = float(np.sum((after[there] / stage.sigma[there]) ** 2)) < float(np.sum((before[there] / stage.sigma[there]) ** 2))
-    return bool(there.any() and (after[there] <= limit).all() and (whole or not _shown(stage)))
+    return bool(there.any() and (after[there] <= limit).all() and (whole or not _shown(stage, stage.theta)))
 
 
 def _read_off(case: Case, stages: Sequence[Stage], coarse: Coarse, outcome: Outcome) -> None:
@@ -132,7 +164,7 @@ def _accept(stage: Stage, outcome: Outcome) -> None:
     """Name what matters on held-out recordings; the whole model goes into the plant."""
     finding = stage.found
     assert finding.stage_fit is not None
-    limits = _limits(finding)
+    limits = finding.limits if finding.limits is not None else _limits(finding)
     adjusted = list(finding.adjusted)
     for kept in finding.named:
         candidate = kept.candidate
@@ -229,14 +261,22 @@ def _share(stage: Stage, candidate: Candidate) -> float:
     fitted = stage.found.stage_fit
     assert fitted is not None
     dropped = fitted.dropped[candidate.label]
-    recordings = stage.split.held_out if _shown(stage) else stage.split.seen
+    recordings = stage.split.held_out if _shown(stage, dropped.theta) else stage.split.seen
     before, after, less = (_score(stage, theta, recordings) for theta in (stage.theta, stage.found.fit.theta, dropped.theta))
     return float(np.clip((less - after) / (before - 1.0), 0.0, 1.0)) if before > 1.0 else 0.0
 
 
-def _shown(stage: Stage) -> bool:
-    """Whether the held-out recordings show a gap at the stage at all; otherwise the fitted ones have to tell what it closes."""
-    return held_out_score(stage, stage.theta) > EXPLAINED
+def _shown(stage: Stage, without: Array) -> bool:
+    """Whether held-out recordings show what the chosen model does beside ``without``; otherwise the fitted ones have to tell.
+
+    They do where it moves the output by more than the region of practical equivalence of :mod:`sysid.gap.decision`.
+    """
+    score = held_out_score(stage, stage.found.fit.theta)
+    moved = [
+        np.diff(stage.problem.predict(np.array([without, stage.found.fit.theta]), r), axis=0)[0] for r in stage.split.held_out
+    ]
+    size = float(np.sqrt(np.nanmean((np.concatenate(moved) / stage.sigma) ** 2)))
+    return held_out_score(stage, stage.theta) > EXPLAINED and size > np.sqrt(EXPLAINED**2 - 1.0) * max(1.0, score)
 
 
 def held_out_score(stage: Stage, theta: Array) -> float:

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
-import pytest
-from plant_data import dataset_of, nominal, slide
+from dataclasses import replace
 
+import pytest
+from plant_data import ROLES, arm_inputs, dataset_of, measured, nominal, slide
+
+from sysid.datasets.recording import Dataset
 from sysid.gap import GapResult, find_gap
 from sysid.machine import KnownEffect
 
@@ -15,10 +18,17 @@ def reads_too_much(seconds: float) -> GapResult:
     return find_gap(dataset_of(true, seconds, seed=5), nominal())
 
 
+def holds(found: GapResult, parameter: str, truth: float) -> bool:
+    """Whether the interval of the first effect holds the truth."""
+    low, high = found.effects[0].interval95[parameter]
+    return bool(low <= truth <= high)
+
+
 def test_a_sensor_that_reads_too_much_is_no_gain_as_well() -> None:
     found = reads_too_much(40.0)
     assert [(effect.name, effect.target) for effect in found.effects] == [("sensor_scale", "boom.cylinder")]
     assert found.effects[0].parameters["scale"] == pytest.approx(1.006, abs=1e-4)
+    assert holds(found, "scale", 1.006)
     after, floor = found.stage_gap.after["boom.cylinder"], found.stage_gap.noise_floor["boom.cylinder"]
     assert after < 1.15 * floor
 
@@ -40,6 +50,7 @@ def test_a_small_value_that_everything_depends_on_gets_its_name() -> None:
     found = find_gap(dataset_of(true, 20.0, seed=5), plant)
     assert [(effect.name, effect.target) for effect in found.effects] == [("input_delay", "wrist")]
     assert found.effects[0].parameters["delay"] == pytest.approx(0.0307, abs=1e-4)
+    assert holds(found, "delay", 0.0307)
 
 
 def test_of_two_names_for_one_thing_the_simpler_one_is_taken() -> None:
@@ -49,6 +60,25 @@ def test_of_two_names_for_one_thing_the_simpler_one_is_taken() -> None:
     found = find_gap(dataset_of(true, 8.0, seed=5), nominal(known, machine=slide()))
     assert [effect.name for effect in found.effects] == ["load_bias"]
     assert found.effects[0].parameters["force"] == pytest.approx(3.0, abs=0.02)
+    assert holds(found, "force", 3.0)
     assert found.ambiguous == ()
     after, floor = found.stage_gap.after["slide.command"], found.stage_gap.noise_floor["slide.command"]
     assert after < 1.1 * floor
+
+
+def test_a_limit_that_the_held_out_recording_never_reaches_gets_its_name_from_the_others() -> None:
+    """That recording neither proves nor refutes it; the share is what it closes where it shows."""
+    true = nominal(KnownEffect("flow_saturation", "boom", {"limit": 0.6}))
+    recordings = []
+    for k, role in enumerate(ROLES):
+        inputs = arm_inputs(f"run-{k + 1}", 25.0, 50 + k)
+        if role == "held_out":
+            table = inputs.table.copy()
+            table["boom.command"] *= 0.5
+            inputs = replace(inputs, table=table)
+        recordings.append(measured(true, inputs, 50 + k))
+    splits = {r.name: role for r, role in zip(recordings, ROLES, strict=True)}
+    found = find_gap(Dataset.of(true.machine, recordings, splits), nominal())
+    assert [(effect.name, effect.target) for effect in found.effects] == [("flow_saturation", "boom")]
+    assert found.effects[0].gap_share > 0.5
+    assert holds(found, "limit", 0.6)
