@@ -10,10 +10,6 @@ import pytest
 VISCOUS, COULOMB, BIAS = 203.50, 20.394, -3.165
 
 
-#: The discrepancy over the speed is as large as the friction's difference by direction, and takes the information about it.
-NOT_NAMED = pytest.mark.xfail(strict=True, reason="friction is adjusted in the plant but keeps no name beside the discrepancy")
-
-
 @pytest.fixture(scope="module")
 def result(result_on_measured: Callable[[str], dict[str, Any]]) -> dict[str, Any]:
     return result_on_measured("emps")
@@ -29,7 +25,6 @@ def test_least_squares_under_our_filter_repeat_the_published_parameters(result: 
             assert fit["parameters"][name] == pytest.approx(value, rel=0.03), f"{structure}: {name}"
 
 
-@NOT_NAMED
 @pytest.mark.parametrize("start", ["rigid", "viscous only"])
 def test_one_value_an_effect(result: dict[str, Any], start: str) -> None:
     run = result["runs"][f"{start}, simple forms"]
@@ -41,7 +36,6 @@ def test_one_value_an_effect(result: dict[str, Any], start: str) -> None:
     assert run["error"]["after"]["pulses"] < 0.25 * run["error"]["before"]["pulses"]
 
 
-@NOT_NAMED
 @pytest.mark.parametrize("start", ["rigid", "viscous only"])
 def test_friction_by_direction_predicts_unseen_force_as_well_as_least_squares(result: dict[str, Any], start: str) -> None:
     run = result["runs"][f"{start}, all forms"]
