@@ -10,7 +10,7 @@ from plant_data import arm_inputs, dataset_of, measured, nominal
 from sysid.datasets.recording import Dataset
 from sysid.gap import find_gap
 from sysid.gap.drift import Drift, estimate_drift, log_density
-from sysid.gap.evidence import confidence_set, gain_p_value
+from sysid.gap.evidence import gain_p_value
 from sysid.machine import KnownEffect
 
 Array = npt.NDArray[np.float64]
@@ -63,17 +63,6 @@ def test_no_gain_at_all_is_no_evidence() -> None:
 def test_p_values_repeat_with_their_seed() -> None:
     gain = autoregressive(200, 0.6, np.random.default_rng(1))
     assert gain_p_value(gain, 7) == gain_p_value(gain, 7)
-
-
-def test_confidence_set_keeps_ties_and_drops_losers() -> None:
-    rng = np.random.default_rng(0)
-    base = rng.standard_normal(400) ** 2
-    losses = [base, base + 0.01 * rng.standard_normal(400), base + 0.5 + 0.3 * rng.standard_normal(400), base]
-    assert confidence_set(losses) == [0, 1, 3]
-
-
-def test_equal_losses_all_stay() -> None:
-    assert confidence_set([np.ones(50), np.ones(50)]) == [0, 1]
 
 
 def test_density_of_a_better_prediction_is_higher() -> None:
