@@ -16,8 +16,9 @@ Given models of one stage (sets of effects) under shared variances:
 4. *Named*: in every minimal survivor, the 95 % interval of some parameter lies outside the region of practical equivalence
    around its known value.
 5. *The smallest set of them that matters*: the others together move the output (free run) by less than ``STANDARD_ERRORS``
-   times what the discrepancy explains beside the whole model, which formulas that are wrong could move as well. What halves
-   an error and leaves the other half has not found its cause, and of two effects that make up for each other neither has.
+   times what the whole model leaves of it above the noise floor, which formulas that are wrong, or a disturbance, could move
+   as well. What halves an error and leaves the other half has not found its cause, of two effects that make up for each other
+   neither has, and what is further off than without any effect explains nothing.
 6. *Ambiguous*: in some of the minimal survivors; those that take its place in the others are its partners.
 
 =================== ======= ============================================================================================
@@ -157,7 +158,8 @@ def decide(
     lacking = {c.label: _lacks(c, model, minimal, nameable, rope or {}) for c in model.candidates}
     partners = {c.label: _partners(c, model, minimal, nameable, rope or {}) for c in model.candidates}
     found = [c for c in model.candidates if not lacking[c.label] or partners[c.label]]
-    enough = found if refit is None else _enough(model, found, refit)
+    nothing = next((f for f in models if not f.candidates), None)
+    enough = found if refit is None else _enough(model, found, refit, nothing)
     for candidate in model.candidates:
         lacks = lacking[candidate.label]
         if candidate in enough and not lacks:
@@ -198,10 +200,15 @@ def _lacks(
 
 
 def _enough(
-    model: ModelFit, found: Sequence[Candidate], refit: Callable[[ModelFit, Sequence[Candidate]], ModelFit]
+    model: ModelFit,
+    found: Sequence[Candidate],
+    refit: Callable[[ModelFit, Sequence[Candidate]], ModelFit],
+    nothing: ModelFit | None,
 ) -> Sequence[Candidate]:
     """The smallest set of effects, of several the likeliest, beside which the others move the output by little."""
-    allowed = model.left**2 + STANDARD_ERRORS**2 * max(model.systematic**2, EXPLAINED**2 - 1.0)
+    allowed = model.left**2 + STANDARD_ERRORS**2 * (max(model.left, EXPLAINED) ** 2 - 1.0)
+    if nothing is not None and nothing.left**2 <= allowed:
+        return ()
     for size in range(len(found)):
         sets = [
             refit(model, [c for c in model.candidates if c not in found or c in kept]) for kept in combinations(found, size)

@@ -39,7 +39,6 @@ def model(
     away: float = 0.1,
     deviation: float = 0.001,
     left: float = 1.0,
-    systematic: float = 0.0,
     evidence: float | None = None,
 ) -> ModelFit:
     """A model that predicts each block by ``worse`` nats worse than the best, with all values ``away`` from nominal."""
@@ -48,7 +47,7 @@ def model(
     blocks = -np.broadcast_to(np.asarray(worse, dtype=float), (BLOCKS,))
     return ModelFit(
         candidates, unknowns, np.array([u.nominal + away for u in unknowns]), PLANT.vector(), deviation**2 * np.eye(k),
-        float(blocks.sum()) - 0.01 * k if evidence is None else evidence, blocks, 1.0, np.full(k, RESPONSE), left, systematic,
+        float(blocks.sum()) - 0.01 * k if evidence is None else evidence, blocks, 1.0, np.full(k, RESPONSE), left,
     )  # fmt: skip
 
 
@@ -123,11 +122,11 @@ def refits(*models: ModelFit) -> Callable[[ModelFit, Sequence[Candidate]], Model
     return lambda _, kept: known[frozenset(c.label for c in kept)]
 
 
-@pytest.mark.parametrize(("without", "named"), [(2.8, False), (2.9, True)])
+@pytest.mark.parametrize(("without", "named"), [(3.9, False), (4.1, True)])
 def test_what_takes_little_of_the_error_away_beside_what_stays_is_no_name(without: float, named: bool) -> None:
-    """It has to move the output by twice what the discrepancy explains beside it, 2.83² = 2² + 4·1²."""
+    """It has to move the output by twice what stays of it above the floor, 4² = 2² + 4·(2² − 1)."""
     refit = refits(model(left=without))
-    found = decide([NOTHING, model(DELAY, away=0.5, left=2.0, systematic=1.0)], ALL, refit=refit)
+    found = decide([model(worse=4.0, left=10.0), model(DELAY, away=0.5, left=2.0)], ALL, refit=refit)
     assert (found.named == (DELAY,)) == named
     if not named:
         assert found.near_misses[0].lacks == "what it takes of the error away is little beside what stays"
@@ -135,12 +134,18 @@ def test_what_takes_little_of_the_error_away_beside_what_stays_is_no_name(withou
 
 def test_effects_that_make_up_for_each_other_have_no_name() -> None:
     """Without either of the two much is left, without both no more than with them."""
-    whole = model(BAND, GAIN, LAG, left=2.0, systematic=1.0)
+    whole = model(BAND, GAIN, LAG, left=2.0)
     one = [model(BAND, GAIN, left=20.0), model(BAND, LAG, left=20.0), model(GAIN, LAG, left=20.0)]
     refit = refits(model(left=20.0), model(BAND, left=2.2), model(GAIN, left=20.0), model(LAG, left=20.0), *one)
-    found = decide([NOTHING, whole], ALL, refit=refit)
+    found = decide([model(worse=4.0, left=20.0), whole], ALL, refit=refit)
     assert found.named == (BAND,)
     assert {n.candidate for n in found.near_misses} == {GAIN, LAG}
+
+
+def test_what_is_further_off_than_without_any_effect_explains_nothing() -> None:
+    refit = refits(model(left=50.0))
+    found = decide([model(worse=4.0, left=15.0), model(DELAY, away=0.5, left=20.0)], ALL, refit=refit)
+    assert found.named == ()
 
 
 def test_where_the_discrepancy_does_the_work_of_an_effect_the_evidence_decides() -> None:

@@ -109,7 +109,6 @@ class ModelFit:
         rms: root mean square of the whitened rows that neither effects nor discrepancy explain.
         response: root mean square of the output's change with each unknown, in noise floors a unit of it, (k,).
         left: root mean square of what the effects leave of the output, in noise floors.
-        systematic: that of what the discrepancy explains of it.
     """
 
     candidates: tuple[Candidate, ...]
@@ -122,7 +121,6 @@ class ModelFit:
     rms: float
     response: Array
     left: float
-    systematic: float
 
     @property
     def labels(self) -> frozenset[str]:
@@ -352,8 +350,7 @@ def _finished(
     whitened = likelihood.whitened(np.ascontiguousarray(table))
     w, slopes = whitened[:, 0], whitened[:, 1:]
     scaled = rows.scaled(table[:, 1:])
-    beside = likelihood.linear.beside(slopes * prior.width, scaled * prior.width)
-    linear = beside.columns
+    linear = likelihood.linear.beside(slopes * prior.width, scaled * prior.width).columns
     p, k = linear.shape[1], len(unknowns)
     covariance = np.zeros((0, 0))
     if k:
@@ -372,10 +369,7 @@ def _finished(
     predictive = _block_densities(X, r, H, rows)
     theta = place(rows.theta, unknowns, values[None])[0] if k else rows.theta
     rms = float(np.sqrt(e @ e / max(rows.measured_rows, 1)))
-    systematic = float(np.sqrt(((beside.outputs @ m[:p]) ** 2).sum() / max(rows.measured_rows, 1)))
-    return ModelFit(
-        candidates, unknowns, values, theta, covariance, evidence, predictive, rms, size[1:], float(size[0]), systematic
-    )
+    return ModelFit(candidates, unknowns, values, theta, covariance, evidence, predictive, rms, size[1:], float(size[0]))
 
 
 def _block_densities(X: Array, r: Array, H: Array, rows: Rows) -> Array:
