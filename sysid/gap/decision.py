@@ -236,11 +236,16 @@ def _at_its_edge(candidate: Candidate, model: ModelFit) -> bool:
     return any(value in u.bounds and value != u.nominal for u, value in pairs)
 
 
+def unnoticed(left: float) -> float:
+    """Change of the output that adds a tenth, in quadrature, to what is left of it; both in noise floors."""
+    return float(np.sqrt(EXPLAINED**2 - 1.0) * max(1.0, left))
+
+
 def _within_rope(candidate: Candidate, model: ModelFit, rope: Mapping[Key, float]) -> bool:
     """Whether the 95 % intervals of all its parameters reach into the region of practical equivalence."""
     values, reach = model.values_of(candidate), Z * model.deviations_of(candidate)
     response = model.response[model.rows_of(candidate)]
-    seen = np.sqrt(EXPLAINED**2 - 1.0) * max(1.0, model.left) / np.maximum(response, 1e-300)
+    seen = unnoticed(model.left) / np.maximum(response, 1e-300)
     half = np.maximum(seen, rope.get(candidate.key, 0.0))
     nominal = np.array([u.nominal for u in candidate.unknowns])
     return bool((np.abs(values - nominal) - reach <= half).all())

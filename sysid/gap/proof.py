@@ -13,7 +13,7 @@ from sysid.datasets.recording import Recording
 from sysid.gap.candidates import Candidate
 from sysid.gap.case import Case, Stage
 from sysid.gap.data import Data
-from sysid.gap.decision import EXPLAINED, NOT_EXCITED, SHARE, Z
+from sysid.gap.decision import EXPLAINED, NOT_EXCITED, SHARE, Z, unnoticed
 from sysid.gap.fit import Fit, spread_of
 from sysid.gap.floor import problem_floor
 from sysid.gap.intervals import known_of
@@ -276,7 +276,7 @@ def _shown(stage: Stage, without: Array) -> bool:
         np.diff(stage.problem.predict(np.array([without, stage.found.fit.theta]), r), axis=0)[0] for r in stage.split.held_out
     ]
     size = float(np.sqrt(np.nanmean((np.concatenate(moved) / stage.sigma) ** 2)))
-    return held_out_score(stage, stage.theta) > EXPLAINED and size > np.sqrt(EXPLAINED**2 - 1.0) * max(1.0, score)
+    return held_out_score(stage, stage.theta) > EXPLAINED and size > unnoticed(score)
 
 
 def held_out_score(stage: Stage, theta: Array) -> float:

@@ -197,7 +197,7 @@ def test_it_still_keeps_others_from_their_name() -> None:
     for better, worse in ((model(LAG), model(BAND, worse=0.02)), (model(BAND), model(LAG, worse=0.02))):
         found = decide([NOTHING, better, worse], shown)
         assert found.named == ()
-        assert found.tied == ((LAG, BAND),), "what can be told stands first, whichever is likelier"
+        assert found.tied == ((LAG, BAND),), "the excited effect comes first, whichever model has more evidence"
 
 
 def test_a_richer_form_is_no_other_effect() -> None:

@@ -11,7 +11,7 @@ with the amplitudes ``a_k² = still² + moving²·activity_k²`` (a flow disturb
 wanders off, and with it whatever acts slowly. A Kalman filter turns the residual of a run into independent standard normal
 innovations; it is linear, so that it whitens the columns of a regression as well (Harvey, Forecasting, Structural Time Series
 Models and the Kalman Filter, 1989, ch. 3). The level at the beginning of a run is unknown (diffuse), so that a constant offset
-of a run is no evidence where the stage integrates.
+of a run does not change the likelihood where the stage integrates.
 """
 
 from __future__ import annotations

@@ -104,7 +104,7 @@ def test_noise_and_disturbance_are_found(moving: float, memory: float) -> None:
     assert found.noise == pytest.approx(sigma, rel=0.3)
     speed = np.mean([np.mean(s.activity**2) for s in rows.series])
     assert np.sqrt(found.still**2 + found.moving**2 * speed) == pytest.approx(moving, rel=0.35)
-    assert found.moving > 0.9 * found.still, "with a long memory the two are hardly told apart"
+    assert found.moving > 0.9 * found.still, "over a long correlation time the data hardly separate the two"
 
 
 @pytest.mark.parametrize("seed", [1, 2])
