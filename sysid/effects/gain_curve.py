@@ -16,7 +16,7 @@ EFFECT = Effect(
     equation="y = sign(u)·|u|^exponent",
     source="Jelali & Kroll 2003, §3.2 (progressive spools)",
     excited_by="commands of many magnitudes on both sides",
-    confused_with=("valve_deadband", "flow_saturation"),
+    confused_with=("valve_deadband", "flow_saturation", "gain_error"),
     need=Need("small_commands", 2, "Record {axis} at 10, 20, 40, 70 and 100 % in both directions, 5 s each."),
     actuations=("velocity",),
 )

@@ -14,7 +14,7 @@ EFFECT = Effect(
     equation="v = ratio · gain · x",
     source="definition",
     excited_by="any motion",
-    confused_with=("asymmetric_gain", "temperature_drift", "sensor_scale"),
+    confused_with=("asymmetric_gain", "temperature_drift", "sensor_scale", "gain_curve"),
     need=Need("motion", 5, "Record {axis} moving over half of its range, 20 s."),
     actuations=("velocity",),
 )

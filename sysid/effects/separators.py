@@ -33,6 +33,7 @@ _PAIRS: tuple[tuple[str, str, str], ...] = (
     ),
     ("flow_saturation", "gain_curve", "a corner and a plateau, or a smooth bend"),
     ("gain_curve", "valve_deadband", "at mid commands: an offset line, or a curve through the origin"),
+    ("gain_curve", "gain_error", "a gain changes all speeds by one ratio, a curve the low ones most"),
     ("gain_error", "temperature_drift", "constant over the session, or creeping: the same motion early and late"),
     ("gain_error", "sensor_scale", "a scaled sensor also disagrees with every other sensor of the same motion"),
     ("gripper_sway", "oil_compressibility", "0.9–1.3 Hz that goes on after the joints stop, or 5–13 Hz of the axis itself"),
