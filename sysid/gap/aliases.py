@@ -1,9 +1,9 @@
 """Effects of the kinematics that no pose can tell apart: they are tried and reported once, under one name.
 
-A stick that is longer and a telescope whose zero is off move the end effector in the same way in every pose. Whether two
-are such aliases is asked of the kinematics themselves, at poses all over the joints' ranges; that recordings happen not to
-tell two apart is another matter (a tie). So is whether one is a special case of another: a first joint whose zero is off turns
-everything behind it as a base does that stands askew.
+A stick that is longer and a telescope whose zero is off move the end effector in the same way in every pose, and so does a
+sensor of the telescope that reads too much. Whether two are such aliases is asked of the kinematics themselves, at poses all
+over the joints' ranges; that recordings happen not to tell two apart is another matter (a tie). So is whether one is a special
+case of another: a first joint whose zero is off turns everything behind it as a base does that stands askew.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ POSES = 24
 #: Sine of the angle between what two aliases do, at most; they are asked for steps of this share of what is negligible.
 SAME, SHORT = 1e-5, 0.01
 #: The name that stays: a length before a telescope is that of the revolute axis that carries it (contract).
-ORDER = ("link_length_error", "joint_offset")
+ORDER = ("link_length_error", "joint_offset", "sensor_bias")
 #: Range of an axis without limits [rad or m].
 UNLIMITED = (-1.0, 1.0)
 

@@ -33,8 +33,8 @@ from sysid.signals import axis_signal
 Array = npt.NDArray[np.float64]
 #: A play narrower than this many standard deviations of the noise of the signal that drives it acts as a filter of that noise.
 PLAY_OVER_NOISE = 4.0
-#: What a joint stage says of a sensor that a drive is read by.
-SCALE = "sensor_scale"
+#: What a stage behind a drive says of the sensor that the drive is read by, and the stages that say it.
+SCALE, BEHIND = "sensor_scale", ("joint", "end_effector")
 
 Forms = Literal["all", "simple"]
 
@@ -64,7 +64,7 @@ def _side_by_side(case: Case, stages: Sequence[Stage], forms: Forms, progress: P
 
 
 def _as_read(case: Case, stages: tuple[Stage, ...], forms: Forms, progress: Progress) -> tuple[Stage, ...]:
-    """Drives read by a sensor whose scale was found at its joint are searched again with that scale: it looks like a gain.
+    """Drives read by a sensor whose scale was found behind them are searched again with that scale: it looks like a gain.
 
     Where the scale ties with another effect it stands in the repaired plant all the same, and must not be counted twice.
     """
@@ -72,7 +72,7 @@ def _as_read(case: Case, stages: tuple[Stage, ...], forms: Forms, progress: Prog
         (stage.found.fit, kept.candidate)
         for stage in stages
         for kept in stage.found.named
-        if stage.problem.stage == "joint" and kept.candidate.effect.name == SCALE
+        if stage.problem.stage in BEHIND and kept.candidate.effect.name == SCALE
     ]
     found = []
     for stage in stages:
@@ -118,7 +118,7 @@ def _found(case: Case, stage: Stage, forms: Forms, tell: Progress) -> StageResul
         compile_plant(case.plant), problem, stage.split.seen, stage.theta, stage.sigma, offered, nameable,
         _equivalence(case, problem.stage, offered),
         on_fit=lambda text: tell(0.0, f"{stage.label}: {text}"),
-        shared=[c.label for c in offered if problem.stage == "joint" and c.key in _scales_of_drives(case)],
+        shared=[c.label for c in offered if problem.stage in BEHIND and c.key in _scales_of_drives(case)],
     )  # fmt: skip
     finding = _result(problem, seen, fitted, nominal)
     tell(1.0, stage.label)
@@ -126,7 +126,7 @@ def _found(case: Case, stage: Stage, forms: Forms, tell: Progress) -> StageResul
 
 
 def _scales_of_drives(case: Case) -> set[Key]:
-    """Scales of the sensors that read what a command drives: at a joint they would change what the drive's stage says."""
+    """Scales of the sensors that read what a command drives: behind it they would change what the drive's stage says."""
     return {(SCALE, axis.driven, None) for axis in case.plant.machine.axes}
 
 

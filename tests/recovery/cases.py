@@ -76,6 +76,7 @@ CASES: tuple[KnownEffect, ...] = (
     KnownEffect("inertia_error", "slide", {"ratio": 1.25}),
     KnownEffect("load_bias", "slide", {"force": -4.0}),
     KnownEffect("sensor_scale", "boom.joint", {"scale": 1.02}),
+    KnownEffect("sensor_scale", "slew.joint", {"scale": 1.03}),
     KnownEffect("sensor_scale", "boom.cylinder", {"scale": 0.97}),
     KnownEffect("sensor_bias", "boom.joint", {"bias": 0.008}),
     KnownEffect("sensor_bias", "boom.cylinder", {"bias": -0.002}),
