@@ -9,17 +9,22 @@ Given models of one stage (sets of effects) under shared variances:
    for ``BLOCK_NATS`` at most, so that several have to agree (without it one block with 1600 nats makes the sum
    insignificant: 2070 ± 1611).
    A model that lacks an effect of another one predicts as well wherever the discrepancy can do that effect's work, and so does
-   one that needs more numbers for the same. There the evidence decides, the discrepancy of each learned beside it alone: it
-   does not survive if it has ``LEAST`` nats less.
-3. *Minimal survivors.* Supersets of a survivor survive too; what the minimal ones share is needed. One whose other effects may
-   all be absent (intervals as in 4), or lie at the edge of what is plausible, says nothing else than the likeliest.
-4. *Named*: in every minimal survivor, the 95 % interval of some parameter lies outside the region of practical equivalence
+   one that needs more numbers for the same. There the evidence decides, the discrepancy of each learned beside it alone.
+3. *Where the formulas are right* up to a random disturbance (a discrepancy gains less than ``LEAST`` nats beside the likeliest
+   minimal survivor, and no set of as few effects leaves a tenth less of the free run), the minimal survivors are what may be
+   meant: those of which no simpler one survives, without those whose other effects may all be absent, or lie at the edge of
+   what is plausible.
+4. *Where they are wrong and errors add up* (a stage that integrates), the smallest sets of effects that explain the free run
+   are. Each effect has its price: with it, the variance that is left above the noise floor is a fifth (it moves the output by
+   ``STANDARD_ERRORS`` of what stays). What halves an error and leaves the other half has not found its cause, and what wrong
+   formulas leave is no name for a second and a third effect that repair it. Of equally large sets within such a price those are
+   meant that leave no more than another by ``STANDARD_ERRORS`` of the difference between blocks. An effect that is confused
+   with a larger one of its axis may repair the formula of that one, and has no name.
+   *Where they are wrong and nothing adds up*, the minimal survivors, and of their effects the fewest beside which the others
+   move the output by less than ``STANDARD_ERRORS`` of what all of them leave.
+5. *Named*: in all of these sets, and the 95 % interval of some parameter lies outside the region of practical equivalence
    around its known value.
-5. *The smallest set of them that matters*: the others together move the output (free run) by less than ``STANDARD_ERRORS``
-   times what the whole model leaves of it above the noise floor, which formulas that are wrong, or a disturbance, could move
-   as well. What halves an error and leaves the other half has not found its cause, of two effects that make up for each other
-   neither has, and what is further off than without any effect explains nothing.
-6. *Ambiguous*: in some of the minimal survivors; those that take its place in the others are its partners.
+6. *Ambiguous*: in some of them; what takes its place in the others are its partners.
 
 =================== ======= ============================================================================================
 number              value   derivation
@@ -55,13 +60,18 @@ BLOCK_NATS = 5.0
 SHARE = 0.01
 #: A stage within this multiple of its noise floor has nothing to explain: what is left moves the error by a tenth at most.
 EXPLAINED = 1.1
-#: So many of the likeliest survivors a model is compared with by its own evidence.
+#: An effect moves the output by ``STANDARD_ERRORS`` of what is left with it: what it has to divide the variance by.
+PRICE = 1.0 + STANDARD_ERRORS**2
+#: So many of the likeliest survivors the minimal ones are compared with, the discrepancy learned beside each alone.
 LIKELIEST = 3
 #: 97.5 % quantile of the normal distribution.
 Z = 1.959964
 
-#: What an effect lacks that the recordings do not excite.
+#: What an effect lacks that has no name.
 NOT_EXCITED = "the recordings do not excite it enough"
+LITTLE = "what it takes of the error away is little beside what stays"
+REPLACED = "another model without it predicts as well"
+REPAIRS = "it may repair the formula of an effect that it looks like"
 #: An effect without its form: (name, target, side).
 Key = tuple[str, str, str | None]
 
@@ -81,11 +91,12 @@ class Decision:
     """What the comparison of models says of one stage.
 
     Args:
-        model: the minimal survivor of the largest predictive density: what goes into the repaired plant.
+        model: the smallest set that explains the output and what is adjusted beside it: what goes into the repaired plant.
         named: its effects that are named.
         tied: sets of effects of which each would do, the one in ``model`` first.
         near_misses: its other effects and those of other survivors.
-        survivors: all of them, best first; ``minimal``: those without a simpler survivor.
+        survivors: models that predict as well as the best, likeliest first.
+        rivals: the smallest sets that explain the output, that of ``model`` first.
     """
 
     model: ModelFit
@@ -93,7 +104,27 @@ class Decision:
     tied: tuple[tuple[Candidate, ...], ...]
     near_misses: tuple[NearMiss, ...]
     survivors: tuple[ModelFit, ...]
-    minimal: tuple[ModelFit, ...]
+    rivals: tuple[ModelFit, ...]
+
+
+class FreeRun:
+    """What sets of effects leave of the free run of a stage, in noise floors: with the values that they have."""
+
+    def left(self, model: ModelFit) -> float:
+        return model.left
+
+    def further(self, model: ModelFit, other: ModelFit) -> float:
+        """By how many standard errors ``model`` leaves more than ``other``."""
+        return 0.0
+
+    def fewer(self, model: ModelFit, kept: Sequence[Candidate]) -> ModelFit:
+        """A model with some of its effects, fitted again."""
+        raise NotImplementedError
+
+    def moved(self, model: ModelFit, candidate: Candidate) -> float:
+        """What one of its effects moves of the output."""
+        away = model.values_of(candidate) - np.array([u.nominal for u in candidate.unknowns])
+        return float(np.linalg.norm(model.response[model.rows_of(candidate)] * away))
 
 
 def difference(better: ModelFit, other: ModelFit) -> tuple[float, float]:
@@ -106,13 +137,6 @@ def survives(model: ModelFit, best: ModelFit) -> bool:
     """Whether a model is not significantly worse than the best: a loser loses on both counts."""
     total, error = difference(best, model)
     return total < max(STANDARD_ERRORS * error, LEAST) or model.evidence > best.evidence - LEAST
-
-
-def _replaced(model: ModelFit, survivors: Sequence[ModelFit], own_evidence: Callable[[ModelFit], float]) -> bool:
-    """Whether a survivor that has an effect more, or does with fewer numbers, is clearly likelier."""
-    likelier = [f for f in survivors if f.evidence > model.evidence + LEAST]
-    others = [f for f in likelier if simpler(model, f) or len(f.unknowns) < len(model.unknowns)]
-    return any(own_evidence(f) > own_evidence(model) + LEAST for f in others[:LIKELIEST])
 
 
 def simpler(one: ModelFit, other: ModelFit) -> bool:
@@ -135,7 +159,9 @@ def decide(
     rope: Mapping[Key, float] | None = None,
     shared: Sequence[str] = (),
     own_evidence: Callable[[ModelFit], float] = lambda model: model.evidence,
-    refit: Callable[[ModelFit, Sequence[Candidate]], ModelFit] | None = None,
+    needed: Callable[[ModelFit], float] = lambda model: np.inf,
+    integrates: bool = True,
+    free: FreeRun | None = None,
 ) -> Decision:
     """Apply the rule to the models of a stage.
 
@@ -145,79 +171,75 @@ def decide(
         shared: labels of effects that another stage would have to share: of models that tie, one without them, and without
             effects that are not excited, is chosen.
         own_evidence: of a model, the discrepancy learned beside it alone.
-        refit: a model with fewer of its effects.
+        needed: by how many nats a model is likelier with a discrepancy than without any.
+        integrates: whether the output adds up what is wrong of its input, so that what acts slowly hides from the likelihood.
+        free: what sets of effects leave of the output, with the values that leave least; those of the models without it.
     """
+    rope, free = rope or {}, free or FreeRun()
     best = max(models, key=lambda f: float(f.predictive.sum()))
     survivors = sorted((f for f in models if survives(f, best)), key=lambda f: -f.evidence)
-    survivors = [f for f in survivors if not _replaced(f, survivors, own_evidence)]
-    minimal = tuple(f for f in survivors if not any(simpler(g, f) for g in survivors))
-    unsure = {*shared, *(c.label for f in minimal for c in f.candidates if c.label not in nameable)}
-    model = max(minimal, key=lambda f: (-len(f.labels & unsure), f.evidence))
-    minimal = tuple(f for f in minimal if f is model or _says_something_else(f, model, rope or {}))
+    unsure = {*shared, *(c.label for f in models for c in f.candidates if c.label not in nameable)}
+    likely = _likely(survivors, unsure, own_evidence, rope)
+    exact = _exact(likely[0], models, needed, free)
+    if exact or not integrates:
+        rivals, model = likely, likely[0]
+    else:
+        rivals = _nearest(models, unsure, free)
+        model = _whole(rivals[0], survivors, unsure)
+    lacking = {c.key: _lacks(c, (model, *rivals), nameable, rope) for c in model.candidates}
+    tying = {
+        c.key: _partners(c, model, rivals)
+        for c in model.candidates
+        if lacking[c.key] == REPLACED and not _within_rope(c, model, rope)
+    }
+    found = [c for c in model.candidates if not lacking[c.key] or tying.get(c.key)]
+    if exact:
+        enough = set(lacking)
+    elif integrates:
+        enough = {c.key for c in rivals[0].candidates}
+    else:
+        enough = {c.key for c in _enough(model, found, models, free)}
     named, near, tied = [], [], []
-    lacking = {c.label: _lacks(c, model, minimal, nameable, rope or {}) for c in model.candidates}
-    partners = {c.label: _partners(c, model, minimal, nameable, rope or {}) for c in model.candidates}
-    found = [c for c in model.candidates if not lacking[c.label] or partners[c.label]]
-    nothing = next((f for f in models if not f.candidates), None)
-    enough = found if refit is None else _enough(model, found, refit, nothing)
     for candidate in model.candidates:
-        lacks = lacking[candidate.label]
-        if candidate in enough and not lacks:
+        lacks = lacking[candidate.key]
+        if candidate.key not in enough and (candidate in found or integrates):
+            lacks = LITTLE
+        elif not lacks and integrates and not exact and _repairs(candidate, rivals[0], free):
+            lacks = REPAIRS
+        elif not lacks:
             named.append(candidate)
             continue
-        if candidate in enough and partners[candidate.label]:
-            tied.append((candidate, *partners[candidate.label]))
-        elif candidate in found:
-            lacks = "what it takes of the error away is little beside what stays"
+        elif tying.get(candidate.key):
+            tied.append((candidate, *tying[candidate.key]))
         near.append(NearMiss(candidate, model.values_of(candidate), model.deviations_of(candidate), lacks))
     seen = {c.key for c in model.candidates}
-    for other in survivors:
+    for other in (*rivals, *survivors):
         for candidate in other.candidates:
             if candidate.key not in seen:
                 seen.add(candidate.key)
-                near.append(
-                    NearMiss(
-                        candidate,
-                        other.values_of(candidate),
-                        other.deviations_of(candidate),
-                        "a model without it predicts as well",
-                    )
-                )
-    return Decision(model, tuple(named), tuple(tied), tuple(near), tuple(survivors), minimal)
+                values, deviations = other.values_of(candidate), other.deviations_of(candidate)
+                near.append(NearMiss(candidate, values, deviations, "a model without it predicts as well"))
+    return Decision(model, tuple(named), tuple(tied), tuple(near), tuple(survivors), tuple(rivals))
 
 
-def _lacks(
-    candidate: Candidate, model: ModelFit, minimal: Sequence[ModelFit], nameable: Sequence[str], rope: Mapping[Key, float]
-) -> str:
-    """Why an effect of the chosen model is not named; empty where it is."""
-    if candidate.label not in nameable:
-        return NOT_EXCITED
-    if not all(any(c.key == candidate.key for c in f.candidates) for f in minimal):
-        return "another model without it predicts as well"
-    if any(_within_rope(c, f, rope) for f in minimal for c in f.candidates if c.key == candidate.key):
-        return "its 95 % interval reaches into the region of practical equivalence"
-    return ""
+# -- the whitened likelihood: where formulas are right, and where nothing adds up ------------------------------------------
 
 
-def _enough(
-    model: ModelFit,
-    found: Sequence[Candidate],
-    refit: Callable[[ModelFit, Sequence[Candidate]], ModelFit],
-    nothing: ModelFit | None,
-) -> Sequence[Candidate]:
-    """The smallest set of effects, of several the likeliest, beside which the others move the output by little."""
-    allowed = model.left**2 + STANDARD_ERRORS**2 * (max(model.left, EXPLAINED) ** 2 - 1.0)
-    if nothing is not None and nothing.left**2 <= allowed:
-        return ()
-    for size in range(len(found)):
-        sets = [
-            refit(model, [c for c in model.candidates if c not in found or c in kept]) for kept in combinations(found, size)
-        ]
-        sets = [f for f in sets if f.left**2 <= allowed]
-        if sets:
-            likeliest = max(sets, key=lambda f: f.evidence)
-            return [c for c in found if c in likeliest.candidates]
-    return found
+def _likely(
+    survivors: Sequence[ModelFit], unsure: set[str], own_evidence: Callable[[ModelFit], float], rope: Mapping[Key, float]
+) -> list[ModelFit]:
+    """The minimal survivors, the likeliest first."""
+    stay = [f for f in survivors if not _replaced(f, survivors, own_evidence)]
+    minimal = [f for f in stay if not any(simpler(g, f) for g in stay)]
+    chosen = max(minimal, key=lambda f: (-len(f.labels & unsure), f.evidence))
+    return [chosen, *(f for f in minimal if f is not chosen and _says_something_else(f, chosen, rope))]
+
+
+def _replaced(model: ModelFit, survivors: Sequence[ModelFit], own_evidence: Callable[[ModelFit], float]) -> bool:
+    """Whether a survivor that has an effect more, or does with fewer numbers, is clearly likelier."""
+    likelier = [f for f in survivors if f.evidence > model.evidence + LEAST]
+    others = [f for f in likelier if simpler(model, f) or len(f.unknowns) < len(model.unknowns)]
+    return any(own_evidence(f) > own_evidence(model) + LEAST for f in others[:LIKELIEST])
 
 
 def _says_something_else(other: ModelFit, model: ModelFit, rope: Mapping[Key, float]) -> bool:
@@ -228,6 +250,105 @@ def _says_something_else(other: ModelFit, model: ModelFit, rope: Mapping[Key, fl
     here = {c.key for c in model.candidates}
     instead = [c for c in other.candidates if c.key not in here]
     return not instead or any(not _within_rope(c, other, rope) and not _at_its_edge(c, other) for c in instead)
+
+
+def _enough(model: ModelFit, found: Sequence[Candidate], models: Sequence[ModelFit], free: FreeRun) -> Sequence[Candidate]:
+    """The fewest effects, of equally many the likeliest, beside which the others move the output by little."""
+    allowed = model.left**2 + STANDARD_ERRORS**2 * (max(model.left, EXPLAINED) ** 2 - 1.0)
+    if any(not f.candidates and f.left**2 <= allowed for f in models):
+        return ()
+    for size in range(len(found)):
+        parts = ([c for c in model.candidates if c not in found or c in kept] for kept in combinations(found, size))
+        sets = [free.fewer(model, part) for part in parts]
+        sets = [f for f in sets if f.left**2 <= allowed]
+        if sets:
+            likeliest = max(sets, key=lambda f: f.evidence)
+            return [c for c in found if c in likeliest.candidates]
+    return found
+
+
+def _exact(model: ModelFit, models: Sequence[ModelFit], needed: Callable[[ModelFit], float], free: FreeRun) -> bool:
+    """Whether formulas are right up to a random disturbance: no discrepancy is needed, no set as small leaves a tenth less."""
+    as_small = [f for f in models if len(f.candidates) <= len(model.candidates)]
+    least = min(max(free.left(f), 1.0) for f in as_small)
+    return model.left <= EXPLAINED * least and needed(model) < LEAST
+
+
+# -- the free run: where formulas are wrong and errors add up ----------------------------------------------------------------
+
+
+def smallest_sets(models: Sequence[ModelFit], left: Callable[[ModelFit], float]) -> list[ModelFit]:
+    """The sets of as few effects as explain the output, what leaves least of it first.
+
+    Each effect has its price: what is left above the noise floor has to be divided by ``PRICE``. Sets of equal size that differ
+    by less are not told apart by what they leave.
+    """
+    variance = {f.labels: max(left(f), EXPLAINED) ** 2 - 1.0 for f in models}
+    size = len(min(models, key=lambda f: variance[f.labels] * PRICE ** len(f.candidates)).candidates)
+    equal = sorted((f for f in models if len(f.candidates) == size), key=lambda f: variance[f.labels])
+    return [f for f in equal if variance[f.labels] <= PRICE * variance[equal[0].labels]]
+
+
+def _nearest(models: Sequence[ModelFit], unsure: set[str], free: FreeRun) -> list[ModelFit]:
+    """The smallest sets of effects that explain the output and that no other is preferred to; what leaves least comes first."""
+    close = smallest_sets(models, free.left)
+
+    def preferred(f: ModelFit, g: ModelFit) -> bool:
+        """What leaves less; without a difference what is simpler, and what is not at the edge of the plausible."""
+        less, more = (free.further(*pair) > STANDARD_ERRORS for pair in ((g, f), (f, g)))
+        edges = [any(_at_its_edge(c, each) for c in each.candidates) for each in (f, g)]
+        return (less or simpler(f, g) or edges == [False, True]) and not more
+
+    found = [g for g in close if not any(preferred(f, g) for f in close if f is not g)] or close
+    chosen = min(found, key=lambda f: (len(f.labels & unsure), free.left(f)))
+    here = {c.key for c in chosen.candidates}
+    return [chosen, *(f for f in found if {c.key for c in f.candidates} != here)]
+
+
+def _whole(smallest: ModelFit, survivors: Sequence[ModelFit], unsure: set[str]) -> ModelFit:
+    """The likeliest survivor that has the effects of the smallest set and leaves no more; none with them has fewer."""
+    keys = {c.key for c in smallest.candidates}
+    those = [f for f in survivors if keys <= {c.key for c in f.candidates} and f.left <= smallest.left]
+    minimal = [f for f in those if not any(simpler(g, f) for g in those)]
+    return max(minimal, key=lambda f: (-len(f.labels & unsure), f.evidence), default=smallest)
+
+
+def _lacks(candidate: Candidate, models: Sequence[ModelFit], nameable: Sequence[str], rope: Mapping[Key, float]) -> str:
+    """Why an effect of the chosen model is not named; empty where it is."""
+    if candidate.label not in nameable:
+        return NOT_EXCITED
+    if not all(any(c.key == candidate.key for c in f.candidates) for f in models):
+        return REPLACED
+    if any(_within_rope(c, f, rope) for f in models for c in f.candidates if c.key == candidate.key):
+        return "its 95 % interval reaches into the region of practical equivalence"
+    return ""
+
+
+def _repairs(candidate: Candidate, model: ModelFit, free: FreeRun) -> bool:
+    """Whether an effect moves less than another one of its axis that it is confused with.
+
+    The formulas of valves and servos are idealisations, those of geometry and of forces are not: what the form of a curve lacks
+    looks like a gain beside it.
+    """
+    if candidate.effect.stage != "command":
+        return False
+    alike = [c for c in model.candidates if c.target == candidate.target and _confused(c, candidate)]
+    return any(free.moved(model, candidate) < free.moved(model, other) for other in alike)
+
+
+def _confused(one: Candidate, other: Candidate) -> bool:
+    return one.effect.name in other.effect.confused_with or other.effect.name in one.effect.confused_with
+
+
+def _partners(candidate: Candidate, model: ModelFit, rivals: Sequence[ModelFit]) -> tuple[Candidate, ...]:
+    """What stands in the rivals in the place of an effect."""
+    here = {c.key for c in model.candidates}
+    without = [f for f in rivals if all(c.key != candidate.key for c in f.candidates)]
+    found: dict[Key, Candidate] = {}
+    for c in (c for f in without for c in f.candidates if c.key not in here or f is not model):
+        if c.key != candidate.key and not any(c.key == d.key for d in rivals[0].candidates):
+            found.setdefault(c.key, c)
+    return tuple(found.values())
 
 
 def _at_its_edge(candidate: Candidate, model: ModelFit) -> bool:
@@ -249,20 +370,3 @@ def _within_rope(candidate: Candidate, model: ModelFit, rope: Mapping[Key, float
     half = np.maximum(seen, rope.get(candidate.key, 0.0))
     nominal = np.array([u.nominal for u in candidate.unknowns])
     return bool((np.abs(values - nominal) - reach <= half).all())
-
-
-def _partners(
-    candidate: Candidate, model: ModelFit, minimal: Sequence[ModelFit], nameable: Sequence[str], rope: Mapping[Key, float]
-) -> tuple[Candidate, ...]:
-    """What stands in other minimal survivors in the place of an effect that would have a name without them."""
-    if candidate.label not in nameable or _within_rope(candidate, model, rope):
-        return ()
-    here = {c.key for c in model.candidates}
-    found: dict[Key, Candidate] = {}
-    for other in minimal:
-        if any(c.key == candidate.key for c in other.candidates):
-            continue
-        for c in other.candidates:
-            if c.key not in here:
-                found.setdefault(c.key, c)
-    return tuple(found.values())

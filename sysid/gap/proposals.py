@@ -114,6 +114,10 @@ class Proposals:
             if self.best is best:
                 break
 
+    def grown(self, model: ModelFit, most: int | None = None) -> list[ModelFit]:
+        """A model with each of the candidates that are not in it yet, or of so many that promise most."""
+        return [self._added(model, promise) for promise in self.promises(model)[:most]]
+
     def near(self) -> list[ModelFit]:
         """Models close to the best, likeliest first, the one without effects among them."""
         empty = self.fit(())

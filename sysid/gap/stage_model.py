@@ -10,12 +10,13 @@ import numpy.typing as npt
 
 from sysid.datasets.recording import Recording
 from sysid.gap.candidates import Candidate
-from sysid.gap.decision import Decision, Key, decide
+from sysid.gap.decision import Decision, Key, decide, smallest_sets
+from sysid.gap.free_run import LeastSquares, free_run_of
 from sysid.gap.likelihood.averaged import averaged
 from sysid.gap.likelihood.discrepancy import Discrepancy, discrepancy_of
 from sysid.gap.likelihood.explained import Explained, explained
 from sysid.gap.likelihood.rows import Rows
-from sysid.gap.likelihood.stage import ModelFit, StageLikelihood, Variances
+from sysid.gap.likelihood.stage import ModelFit, StageLikelihood, Variances, fit_model
 from sysid.gap.likelihood.variances import Start, estimated, first_variances, log_prior, own_evidence, robust
 from sysid.gap.problem import Problem
 from sysid.gap.proposals import Proposals
@@ -36,7 +37,8 @@ class StageFit:
     """A stage after its search: its rows, the likelihood under the final variances, the models and the decision.
 
     ``dropped``: by label, the chosen model without that effect, the rest refitted. ``remainder``: what the discrepancy explains
-    beside the chosen model. ``names_alone``: the same with the named effects alone, where the chosen model has others.
+    beside the chosen model. ``least_squares``: the smallest set that explains the output, fitted to the free run.
+    ``names_alone``: the same with the named effects alone, where the chosen model has others.
     """
 
     rows: Rows
@@ -45,6 +47,7 @@ class StageFit:
     decision: Decision
     dropped: Mapping[str, ModelFit]
     remainder: Explained
+    least_squares: ModelFit
     names_alone: StageFit | None = None
 
     @property
@@ -81,7 +84,10 @@ def fit_stage(
     extra = _transients(rows)
     # What the recordings do not excite would take what others leave; it competes at the end alone.
     excited = [c for c in candidates if c.label in nameable]
-    found = [_settled(model, rows, theta, sample, start, extra, excited, tau, on_fit) for tau in FIRST]
+    free = free_run_of(rows, _discrepancy(model, rows, theta, sample), excited)
+    sets = smallest_sets(free.sets(), free.left) if problem.integrates else [free.proposals.fit(())]
+    taus = FIRST[-1:] if problem.integrates else FIRST  # what explains the free run is a good start by itself
+    found = [_settled(model, rows, theta, sample, start, extra, excited, tau, sets[0], on_fit) for tau in taus]
     likelihood, rich = max(found, key=lambda each: each[1].evidence + log_prior(each[0].variances, start))
     variances = robust(likelihood, rich)
     likelihood = StageLikelihood(rows, likelihood.discrepancy, variances, extra)
@@ -90,6 +96,7 @@ def fit_stage(
         proposals.warm(other.candidates, other)
     proposals.forward(proposals.best)
     proposals.around()
+    rivals = [proposals.warm(f.candidates, f) for f in sets]
     own: dict[int, float] = {}
 
     def own_of(fit: ModelFit) -> float:
@@ -97,29 +104,38 @@ def fit_stage(
             own[id(fit)] = own_evidence(likelihood, start, fit)
         return own[id(fit)]
 
+    bare = StageLikelihood(rows, likelihood.discrepancy, replace(variances, groups=0.0 * variances.groups), extra)
+
+    def needed(fit: ModelFit) -> float:
+        return fit.evidence - fit_model(bare, fit.candidates, fit.values[None]).evidence
+
     def decided() -> Decision:
-        return decide(proposals.near(), nameable, rope, shared, own_of, lambda f, kept: proposals.warm(kept, f))
+        models = {f.labels: f for f in (*proposals.near(), *rivals)}
+        runs = replace(free, refit=proposals.warm)
+        return decide(tuple(models.values()), nameable, rope, shared, own_of, needed, problem.integrates, runs)
 
     decision = decided()
     for _ in range(4):  # every survivor without each of its effects, until nothing new survives
         before = len(proposals.fits)
-        for survivor in decision.minimal:
+        for survivor in (decision.model, *decision.rivals):
             for candidate in survivor.candidates:
                 proposals.without(survivor, candidate)
         if len(proposals.fits) == before:
             break
         decision = decided()
-    fitted = _fitted(proposals, decision)
+    fitted = _fitted(proposals, decision, free)
     if not decision.named or len(decision.named) == len(decision.model.candidates):
         return fitted
     alone = replace(decision, model=proposals.warm(decision.named, decision.model), tied=())
-    return replace(fitted, names_alone=_fitted(proposals, alone))
+    return replace(fitted, names_alone=_fitted(proposals, alone, free))
 
 
-def _fitted(proposals: Proposals, decision: Decision) -> StageFit:
-    likelihood, model = proposals.likelihood, decision.model
+def _fitted(proposals: Proposals, decision: Decision, free: LeastSquares) -> StageFit:
+    likelihood, model, smallest = proposals.likelihood, decision.model, decision.rivals[0]
     dropped = {c.label: proposals.without(model, c) for c in model.candidates}
-    return StageFit(likelihood.rows, likelihood, tuple(proposals.near()), decision, dropped, explained(likelihood, model))
+    remainder = explained(likelihood, model)
+    squares = free.proposals.warm(smallest.candidates, smallest)
+    return StageFit(likelihood.rows, likelihood, tuple(proposals.near()), decision, dropped, remainder, squares)
 
 
 def _settled(
@@ -131,16 +147,18 @@ def _settled(
     extra: Sequence[Array],
     candidates: Sequence[Candidate],
     tau: float,
+    first: ModelFit,
     on_fit: Callable[[str], None],
 ) -> tuple[StageLikelihood, ModelFit]:
-    """Effects and variances found in turn, from a first size of the discrepancy: the likelihood, and its likeliest model."""
+    """Effects and variances found in turn, from the effects ``first``: the likelihood, and its likeliest model."""
     discrepancy = _discrepancy(model, rows, theta, sample)
     variances = first_variances(rows, start, len(discrepancy.groups), tau)
     likelihood = StageLikelihood(rows, discrepancy, variances, extra)
     rich: ModelFit | None = None
     for _ in range(2):
         proposals = Proposals(likelihood, candidates, on_fit)
-        begin = proposals.fit(()) if rich is None else proposals.warm(rich.candidates, rich)
+        before = first if rich is None else rich
+        begin = proposals.warm(before.candidates, before)
         rich = proposals.forward(begin)
         discrepancy = _discrepancy(model, rows, rich.theta, sample)
         variances = estimated(rows, discrepancy, variances, start, extra, rich)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 import numpy.typing as npt
@@ -12,7 +12,7 @@ from plant_data import arm, nominal, slide
 
 from sysid.gap import decision
 from sysid.gap.candidates import Candidate, candidates_at
-from sysid.gap.decision import BLOCK_NATS, decide, difference, simpler, survives
+from sysid.gap.decision import BLOCK_NATS, FreeRun, decide, difference, simpler, survives
 from sysid.gap.likelihood.stage import ModelFit
 
 Array = npt.NDArray[np.float64]
@@ -51,16 +51,16 @@ def model(
     )  # fmt: skip
 
 
-NOTHING = model(worse=4.0)
+NOTHING = model(worse=4.0, left=10.0)
 ALL = tuple(OFFERED)
 
 
 def test_an_effect_without_which_nothing_predicts_as_well_is_named() -> None:
-    found = decide([NOTHING, model(BAND), model(LAG, worse=3.0), model(BAND, LAG)], ALL)
+    found = decide([NOTHING, model(BAND), model(LAG, worse=3.0, left=3.0), model(BAND, LAG)], ALL)
     assert found.named == (BAND,)
     assert found.model.candidates == (BAND,)
     assert found.tied == ()
-    assert found.minimal == (found.model,)
+    assert found.rivals == (found.model,)
 
 
 def test_what_a_larger_survivor_holds_besides_is_a_near_miss() -> None:
@@ -71,9 +71,9 @@ def test_what_a_larger_survivor_holds_besides_is_a_near_miss() -> None:
     assert near.values == pytest.approx([u.nominal + 0.1 for u in LAG.unknowns])
 
 
-def test_nothing_is_named_where_nothing_survives_as_well() -> None:
-    found = decide([model(worse=0.05), model(BAND), model(LAG, worse=0.02)], ALL)
-    assert found.model.candidates == ()
+def test_nothing_is_named_where_nothing_is_left_to_explain() -> None:
+    """However certain an effect is: what moves an output that is within a tenth of its noise floor does not matter."""
+    found = decide([model(worse=4.0, left=1.1), model(BAND), model(LAG, worse=0.02)], ALL)
     assert found.named == ()
     assert found.tied == ()
     assert {n.candidate.label for n in found.near_misses} == {BAND.label, LAG.label}
@@ -116,17 +116,153 @@ def test_one_parameter_outside_the_region_is_enough() -> None:
     assert decide([NOTHING, ModelFit(**{**vars(chosen), "values": values})], ALL).named == (BAND,)
 
 
-def refits(*models: ModelFit) -> Callable[[ModelFit, Sequence[Candidate]], ModelFit]:
-    """Refits without effects, known beforehand."""
-    known = {f.labels: f for f in models}
-    return lambda _, kept: known[frozenset(c.label for c in kept)]
+# -- how many effects explain the output -----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("without", "named"), [(3.8, False), (4.1, True)])
+def test_an_effect_has_to_divide_what_is_left_by_its_price(without: float, named: bool) -> None:
+    """The variance above the noise floor by five: 4² − 1 = 5·(2² − 1)."""
+    found = decide([model(worse=4.0, left=without), model(DELAY, away=0.5, left=2.0)], ALL)
+    assert (found.named == (DELAY,)) == named
+    if not named:
+        assert found.near_misses[0].lacks == "what it takes of the error away is little beside what stays"
+
+
+def test_effects_that_repair_what_the_first_one_leaves_have_no_name() -> None:
+    """One takes 30 floors to 5; with three more, each of which takes a little, it is 2.5."""
+    models = [model(worse=9.0, left=30.0), model(BAND, worse=4.0, left=5.0), model(BAND, LAG, worse=2.0, left=4.0)]
+    found = decide([*models, model(BAND, LAG, DELAY, GAIN, left=2.5)], ALL)
+    assert found.named == (BAND,)
+    assert found.model.candidates == (BAND, LAG, DELAY, GAIN), "their values go into the plant all the same"
+    assert {n.lacks for n in found.near_misses} == {"what it takes of the error away is little beside what stays"}
+
+
+def test_two_effects_that_help_together_alone_are_both_named() -> None:
+    one = [model(BAND, worse=3.0, left=18.0), model(GAIN, worse=3.0, left=19.0)]
+    assert set(decide([model(worse=4.0, left=20.0), *one, model(BAND, GAIN)], ALL).named) == {BAND, GAIN}
+
+
+def test_what_is_further_off_than_without_any_effect_explains_nothing() -> None:
+    assert decide([model(worse=4.0, left=15.0), model(DELAY, away=0.5, left=20.0)], ALL).named == ()
+
+
+def test_what_is_adjusted_beside_a_name_leaves_no_more_than_the_name_alone() -> None:
+    alone, more = model(BAND, worse=4.0, left=2.0), model(BAND, LAG, left=9.0)
+    assert decide([model(worse=9.0, left=30.0), alone, more], ALL).model is alone
+
+
+# -- what else explains it -------------------------------------------------------------------------------------------------
+
+
+class Compared(FreeRun):
+    """By how many standard errors one effect leaves more than another; what each moves."""
+
+    def __init__(self, further: float = 0.0, moved: dict[Candidate, float] | None = None) -> None:
+        self.standard_errors, self.moves = further, moved or {}
+
+    def further(self, model: ModelFit, other: ModelFit) -> float:
+        return self.standard_errors * (len(model.labels & {LAG.label}) - len(other.labels & {LAG.label}))
+
+    def moved(self, model: ModelFit, candidate: Candidate) -> float:
+        return self.moves[candidate]
+
+
+@pytest.mark.parametrize(("standard_errors", "named"), [(1.9, False), (2.1, True)])
+def test_one_set_is_preferred_if_it_leaves_significantly_less(standard_errors: float, named: bool) -> None:
+    """Where formulas are wrong, the whitened likelihood does not count: 80 nats are for the other one."""
+    models = [NOTHING, model(DELAY, evidence=-80.0), model(LAG, evidence=0.0)]
+    found = decide(models, ALL, free=Compared(standard_errors))
+    assert (found.named == (DELAY,)) == named
+    assert bool(found.tied) != named
+
+
+def test_a_difference_that_formulas_could_make_is_none() -> None:
+    """One effect leaves 2 floors, another 3.9: variances within a factor of five."""
+    models = [model(worse=9.0, left=30.0), model(DELAY, evidence=0.0, left=2.0), model(LAG, evidence=-1.0, left=3.9)]
+    assert decide(models, ALL).tied == ((DELAY, LAG),)
+    further_off = ModelFit(**{**vars(models[2]), "left": 4.1})
+    assert decide([*models[:2], further_off], ALL).named == (DELAY,)
+
+
+def test_what_fits_at_the_edge_of_the_plausible_is_no_alternative() -> None:
+    edge = model(LAG)
+    values = np.array([u.bounds[1] for u in edge.unknowns])
+    found = decide([NOTHING, model(DELAY), ModelFit(**{**vars(edge), "values": values})], ALL)
+    assert found.named == (DELAY,)
+
+
+def test_effects_in_each_other_s_place_tie() -> None:
+    found = decide([NOTHING, model(DELAY), model(LAG, worse=0.02, left=1.05)], ALL)
+    assert found.named == ()
+    assert found.tied == ((DELAY, LAG),)
+    assert len(found.rivals) == 2
+    assert found.near_misses[0].lacks == "another model without it predicts as well"
+
+
+def test_what_two_alternatives_share_is_named_beside_their_tie() -> None:
+    models = [NOTHING, model(BAND, DELAY), model(BAND, LAG, worse=0.02, left=1.05), model(BAND, worse=2.0, left=5.0)]
+    found = decide(models, ALL)
+    assert found.named == (BAND,)
+    assert found.tied == ((DELAY, LAG),)
+
+
+@pytest.mark.parametrize(("moves", "named"), [(9.9, False), (10.1, True)])
+def test_what_may_repair_the_formula_of_an_effect_that_it_looks_like_has_no_name(moves: float, named: bool) -> None:
+    """The one that moves more is named; a band and a gain are not confused."""
+    models = [model(worse=9.0, left=30.0), model(LAG, DELAY)]
+    found = decide(models, ALL, free=Compared(moved={LAG: 10.0, DELAY: moves}))
+    assert (DELAY in found.named) == named
+    assert (LAG in found.named) != named
+    assert found.near_misses[0].lacks == "it may repair the formula of an effect that it looks like"
+    apart = decide([models[0], model(BAND, GAIN)], ALL, free=Compared(moved={BAND: 10.0, GAIN: moves}))
+    assert set(apart.named) == {BAND, GAIN}
+
+
+# -- where formulas are right, and where nothing adds up ---------------------------------------------------------------------
+
+
+def right(model: ModelFit) -> float:
+    """No discrepancy is needed."""
+    return 0.0
+
+
+def test_where_formulas_are_right_the_likelihood_decides() -> None:
+    """A disturbance leaves 8 floors whatever is named; 60 nats are for one effect."""
+    models = [model(worse=4.0, left=9.0), model(DELAY, left=8.0), model(LAG, worse=3.0, left=8.0)]
+    assert decide(models, ALL, needed=right).named == (DELAY,)
+    assert decide(models, ALL).named == (), "9 floors are not divided by the price"
+    assert decide([*models, model(GAIN, worse=4.0, left=7.0)], ALL, needed=right).named == (), "another leaves a tenth less"
+
+
+def test_the_discrepancy_is_learned_beside_each_alone() -> None:
+    """The model without the effect predicts every block as well; shared variances favour the one they were learned with."""
+    without, whole = model(worse=0.001, evidence=-80.0, left=10.0), model(BAND, evidence=0.0)
+    for own, named in ((-5.0, True), (-2.0, False)):
+        found = decide([without, whole], ALL, needed=right, own_evidence=lambda f, own=own: own if not f.candidates else 0.0)  # type: ignore[misc]
+        assert (found.named == (BAND,)) == named, own
+
+
+def test_what_may_be_absent_itself_is_no_alternative() -> None:
+    sure = decide([NOTHING, model(DELAY), model(LAG, worse=0.02, deviation=0.2)], ALL, needed=right)
+    assert sure.named == (DELAY,)
+    assert sure.tied == ()
+
+
+class Refitted(FreeRun):
+    """Models with fewer effects, known beforehand."""
+
+    def __init__(self, *models: ModelFit) -> None:
+        self.known = {f.labels: f for f in models}
+
+    def fewer(self, model: ModelFit, kept: Sequence[Candidate]) -> ModelFit:
+        return self.known[frozenset(c.label for c in kept)]
 
 
 @pytest.mark.parametrize(("without", "named"), [(3.9, False), (4.1, True)])
 def test_what_takes_little_of_the_error_away_beside_what_stays_is_no_name(without: float, named: bool) -> None:
     """It has to move the output by twice what stays of it above the floor, 4² = 2² + 4·(2² − 1)."""
-    refit = refits(model(left=without))
-    found = decide([model(worse=4.0, left=10.0), model(DELAY, away=0.5, left=2.0)], ALL, refit=refit)
+    models = [model(worse=4.0, left=10.0), model(DELAY, away=0.5, left=2.0)]
+    found = decide(models, ALL, integrates=False, free=Refitted(model(left=without)))
     assert (found.named == (DELAY,)) == named
     if not named:
         assert found.near_misses[0].lacks == "what it takes of the error away is little beside what stays"
@@ -136,51 +272,10 @@ def test_effects_that_make_up_for_each_other_have_no_name() -> None:
     """Without either of the two much is left, without both no more than with them."""
     whole = model(BAND, GAIN, LAG, left=2.0)
     one = [model(BAND, GAIN, left=20.0), model(BAND, LAG, left=20.0), model(GAIN, LAG, left=20.0)]
-    refit = refits(model(left=20.0), model(BAND, left=2.2), model(GAIN, left=20.0), model(LAG, left=20.0), *one)
-    found = decide([model(worse=4.0, left=20.0), whole], ALL, refit=refit)
+    known = Refitted(model(left=20.0), model(BAND, left=2.2), model(GAIN, left=20.0), model(LAG, left=20.0), *one)
+    found = decide([model(worse=4.0, left=20.0), whole], ALL, integrates=False, free=known)
     assert found.named == (BAND,)
     assert {n.candidate for n in found.near_misses} == {GAIN, LAG}
-
-
-def test_what_is_further_off_than_without_any_effect_explains_nothing() -> None:
-    refit = refits(model(left=50.0))
-    found = decide([model(worse=4.0, left=15.0), model(DELAY, away=0.5, left=20.0)], ALL, refit=refit)
-    assert found.named == ()
-
-
-def test_where_the_discrepancy_does_the_work_of_an_effect_the_evidence_decides() -> None:
-    """The model without it predicts every block as well; shared variances favour the one they were learned with."""
-    without, whole = model(worse=0.001, evidence=-80.0), model(BAND, evidence=0.0)
-    for own, named in ((-5.0, True), (-2.0, False)):
-        found = decide([without, whole], ALL, own_evidence=lambda f, own=own: own if not f.candidates else 0.0)  # type: ignore[misc]
-        assert (found.named == (BAND,)) == named, own
-
-
-def test_what_may_be_absent_itself_is_no_alternative() -> None:
-    sure = decide([NOTHING, model(DELAY), model(LAG, worse=0.02, deviation=0.2)], ALL)
-    assert sure.named == (DELAY,)
-    assert sure.tied == ()
-
-
-def test_what_fits_at_the_edge_of_the_plausible_is_no_alternative() -> None:
-    edge = model(LAG, worse=0.02)
-    values = np.array([u.bounds[1] for u in edge.unknowns])
-    found = decide([NOTHING, model(DELAY), ModelFit(**{**vars(edge), "values": values})], ALL)
-    assert found.named == (DELAY,)
-
-
-def test_effects_in_each_other_s_place_tie() -> None:
-    found = decide([NOTHING, model(DELAY), model(LAG, worse=0.02)], ALL)
-    assert found.named == ()
-    assert found.tied == ((DELAY, LAG),)
-    assert len(found.minimal) == 2
-    assert found.near_misses[0].lacks == "another model without it predicts as well"
-
-
-def test_what_two_alternatives_share_is_named_beside_their_tie() -> None:
-    found = decide([NOTHING, model(BAND, DELAY), model(BAND, LAG, worse=0.02), model(BAND, worse=2.0)], ALL)
-    assert found.named == (BAND,)
-    assert found.tied == ((DELAY, LAG),)
 
 
 def test_what_the_recordings_do_not_excite_is_not_named() -> None:
@@ -265,8 +360,11 @@ def test_the_rule_has_five_numbers_and_its_table_says_them() -> None:
     table = re.findall(r"^``(\w+)``\s+([\d.]+)\s*(%?)", decision.__doc__ or "", re.MULTILINE)
     said = {name: float(value) / (100.0 if percent else 1.0) for name, value, percent in table}
     numbers = {
-        name: value for name, value in vars(decision).items() if name.isupper() and isinstance(value, float) and name != "Z"
+        name: value
+        for name, value in vars(decision).items()
+        if name.isupper() and isinstance(value, float) and name not in ("Z", "PRICE")
     }
     assert said == numbers
     assert len(numbers) == 5
+    assert decision.PRICE == 1.0 + decision.STANDARD_ERRORS**2
     assert pytest.approx(1.959964, abs=1e-6) == decision.Z

@@ -91,6 +91,9 @@ class Rows:
         self.spans = _spans(self.series, len(problem.signals))
         self.block = self._blocks()
         self.blocks = int(self.block.max(initial=-1)) + 1
+        self.recording_of_block = np.zeros(self.blocks, dtype=np.int64)
+        for s in self.series:
+            self.recording_of_block[self.block[s.rows]] = s.recording
         self.theta = theta
         self._nominal = np.zeros(begin)
         self._nominal = self.residuals(theta[None])[0]

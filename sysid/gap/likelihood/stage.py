@@ -42,6 +42,10 @@ FINEST = 0.1
 TIMING = 1.0
 #: Directions of the linear part whose prior keeps them below this share of the noise's variance cannot matter.
 NEGLIGIBLE = 0.02
+#: Effects whose outputs are alike to this share share what they could do.
+ALIKE = 1e-10
+#: Columns of more noise floors come of a simulation that does not converge.
+DIVERGED = 1e6
 #: Innovations beyond so many standard deviations count less (Huber 1964).
 HUBER = 4.0
 
@@ -94,7 +98,10 @@ def share_of(effects: Array, discrepancy: Array) -> Array:
 
     Both in noise floors, the effects in units of their prior, which keeps what has no slope out.
     """
-    return np.asarray(np.linalg.solve(effects.T @ effects + np.eye(effects.shape[1]), effects.T @ discrepancy))
+    scale = np.maximum(np.linalg.norm(effects, axis=0), 1.0)
+    unit = effects / scale
+    found = np.linalg.solve(unit.T @ unit + np.diag(scale**-2.0) + ALIKE * np.eye(len(scale)), unit.T @ discrepancy)
+    return np.asarray(found / scale[:, None])
 
 
 @dataclass(frozen=True, eq=False)
@@ -201,17 +208,30 @@ def whitening_of(rows: Rows, k: int, disturbance: Disturbance, extra: Array) -> 
 
 
 class StageLikelihood:
-    """Marginal likelihoods of models of one stage under shared variances."""
+    """Marginal likelihoods of models of one stage under shared variances.
 
-    def __init__(self, rows: Rows, discrepancy: Discrepancy, variances: Variances, extra: Sequence[Array]) -> None:
+    Args:
+        extra: of each series, as in :func:`filter_of`.
+        clusters: of each row, (rows,): the covariance of the unknowns takes errors within one as dependent; blocks by default.
+    """
+
+    def __init__(
+        self,
+        rows: Rows,
+        discrepancy: Discrepancy,
+        variances: Variances,
+        extra: Sequence[Array],
+        clusters: npt.NDArray[np.int64] | None = None,
+    ) -> None:
         self.rows, self.discrepancy, self.variances, self.extra = rows, discrepancy, variances, extra
+        self.clusters = rows.block if clusters is None else clusters
         self.filters: tuple[Filter, ...] = tuple(
             whitening_of(rows, k, variances.disturbances[s.signal], extra[k]) for k, s in enumerate(rows.series)
         )
         self.log_scale = float(sum(f.log_scale for f in self.filters))
         self.timing = self.whitened(TIMING * discrepancy.timing[:, None])
         scaled = discrepancy.columns * variances.groups[discrepancy.group]
-        active = variances.groups[discrepancy.group] > 0.0
+        active = (variances.groups[discrepancy.group] > 0.0) & (rows.in_floors(scaled) < DIVERGED)
         outputs = rows.scaled(np.hstack([np.zeros((rows.count, 1)), scaled[:, active]]))
         self.linear = _linear(np.hstack([self.timing, self.whitened(scaled[:, active])]), outputs)
 
@@ -251,6 +271,8 @@ ROUNDS, CONVERGED = 15, 0.05
 DAMPING = (0.0, 1e-2, 0.3, 10.0)
 #: A parameter is flat where what is negligible of it changes the innovations by less than this, all together.
 FLAT = 1e-3
+#: Standard deviations of the innovations from which on a change of an unknown that acts in steps is seen.
+SHOWN = 2.0
 #: Half widths of the grid around a parameter whose slope says nothing, in what is negligible of it.
 GRID = (20.0, 7.5, 2.5, 1.0, 0.4)
 
@@ -316,7 +338,26 @@ def fit_model(likelihood: StageLikelihood, candidates: Sequence[Candidate], star
     lanes = np.vstack([x[None], x + np.diag(steps)])
     table = likelihood.residuals(place(nominal, unknowns, lanes))
     table[:, 1:] = (table[:, 1:] - table[:, :1]) / steps
+    for k in np.flatnonzero(stepwise):
+        table[:, 1 + k] = _secant(likelihood, unknowns, x, table, int(k), prior)
     return _finished(likelihood, candidates, unknowns, x, table, prior)
+
+
+def _secant(likelihood: StageLikelihood, unknowns: Sequence[Unknown], x: Array, table: Array, k: int, prior: Prior) -> Array:
+    """Slope of an unknown that acts in steps: over the shortest distance that shows, where its own says less, (rows,)."""
+    unknown = unknowns[k]
+    reach = np.sort(np.array(GRID)) * unknown.negligible
+    reach = np.append(reach, np.abs(x[k] - unknown.nominal) * np.array([0.25, 0.5, 1.0]))
+    lanes = np.repeat(x[None], 2 * len(reach), axis=0)
+    lanes[:, k] = np.clip(x[k] + np.concatenate([-reach, reach]), prior.low[k], prior.high[k])
+    away = lanes[:, k] - x[k]
+    changes = likelihood.residuals(place(likelihood.rows.theta, unknowns, lanes)) - table[:, :1]
+    seen = np.linalg.norm(likelihood.whitened(changes), axis=0)
+    order = np.argsort(np.abs(away))
+    shown = [j for j in order if seen[j] > SHOWN and away[j] != 0.0]
+    if not shown:
+        return table[:, 1 + k]
+    return np.asarray(changes[:, shown[0]] / away[shown[0]])
 
 
 def _stepped(x: Array, hessian: Array, gradient: Array, damping: float, prior: Prior) -> Array:
@@ -356,7 +397,7 @@ def _finished(
     if k:
         wide = -slopes * prior.width
         start = w + wide @ ((values - prior.centre) / prior.width)
-        covariance = posterior_covariance(np.hstack([linear, wide]), k, start, rows.block)
+        covariance = posterior_covariance(np.hstack([linear, wide]), k, start, likelihood.clusters)
         covariance = covariance * np.outer(prior.width, prior.width)
     widths, cost = prior.at_scale(values)
     X = np.hstack([linear, -slopes * widths])  # the residual falls where a parameter explains it

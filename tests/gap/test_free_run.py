@@ -1,0 +1,70 @@
+"""Sets of effects by what they leave of the free run, on a stage that is a regression."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from regression_stage import candidate, likelihood, rows_of
+
+from sysid.gap.candidates import Candidate
+from sysid.gap.free_run import LeastSquares, free_run_of
+from sysid.gap.likelihood.stage import ModelFit, fit_model
+
+F, G, TWIN = candidate(0), candidate(1), candidate(2)
+
+
+def fitted(theta: tuple[float, float, float], *offered: Candidate) -> LeastSquares:
+    rows = rows_of(theta, seed=0)
+    return free_run_of(rows, likelihood(rows).discrepancy, offered or (F, G, TWIN))
+
+
+def with_value(free: LeastSquares, effect: Candidate, value: float) -> ModelFit:
+    """The model of one effect with a value that is not the best."""
+    return fit_model(free.proposals.likelihood, [effect], np.array([[value]]), rounds=0)
+
+
+def test_every_candidate_is_tried_alone_and_the_best_together() -> None:
+    sets = fitted((0.6, -0.3, 0.0)).sets()
+    assert next(f.labels for f in sets if len(f.candidates) == 1) == {F.label}
+    assert {f.labels for f in sets if len(f.candidates) < 2} == {frozenset(), *(frozenset({c.label}) for c in (F, G, TWIN))}
+    (best, *others) = (f for f in sets if len(f.candidates) == 2)
+    assert best.labels == {F.label, G.label}
+    assert best.left == pytest.approx(1.0, abs=0.1)
+    assert best.values == pytest.approx([0.6, -0.3], abs=0.03)
+    assert all(f.left >= best.left for f in others)
+    assert max(len(f.candidates) for f in sets) == 2, "nothing is left to explain"
+
+
+def test_nothing_is_added_where_nothing_is_left() -> None:
+    assert all(len(f.candidates) < 2 for f in fitted((0.0, 0.0, 0.0)).sets())
+
+
+def test_what_is_left_is_that_of_the_better_values() -> None:
+    free = fitted((0.6, 0.0, 0.0))
+    far = with_value(free, F, 0.1)
+    assert far.left > 3.0
+    assert free.left(far) == pytest.approx(1.0, abs=0.1)
+    assert free.nearest(far).values == pytest.approx([0.6], abs=0.03)
+
+
+def test_one_set_leaves_more_than_another_by_standard_errors_of_the_blocks() -> None:
+    free = fitted((0.6, -0.3, 0.0))
+    none, one, both = (
+        free.proposals.fit(()),
+        free.proposals.warm([F], free.sets()[1]),
+        free.proposals.warm([F, G], free.sets()[1]),
+    )
+    assert free.further(none, both) > 4.0
+    assert free.further(both, none) == pytest.approx(-free.further(none, both))
+    assert free.further(one, one) == 0.0
+    assert free.moved(both, G) == pytest.approx(np.sqrt(one.left**2 - both.left**2))
+
+
+def test_the_error_of_neighbouring_blocks_counts_together() -> None:
+    """The same difference in every fourth block is seen better than in a run of them, which may be one accident."""
+    free = fitted((0.0, 0.0, 0.0))
+    blocks = free.proposals.likelihood.rows.blocks
+    spread, together = np.zeros(blocks), np.zeros(blocks)
+    spread[::4], together[:4] = 1.0, 1.0
+    assert spread.sum() == together.sum()
+    assert free.standard_errors(spread) > 1.3 * free.standard_errors(together)
