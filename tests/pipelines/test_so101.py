@@ -36,8 +36,6 @@ def test_play_is_named_where_there_are_turns_enough_and_left_open_where_not(resu
     (turns,) = [e for e in few["excitation"] if (e["name"], e["target"]) == ("backlash", "rotation")]
     assert (turns["have"], turns["sufficient"]) == (7.0, False)
     assert "friction_gravity" not in named
-    tie = {item["name"] for tied in few["ambiguous"] for item in tied if item["target"].startswith("rotation")}
-    assert "backlash" in tie
 
 
 @pytest.mark.parametrize(
@@ -48,7 +46,13 @@ def test_the_repaired_simulation_predicts_the_last_block_better(result: dict[str
     assert gap["after"][f"{joint}.joint"] < 0.3 * gap["before"][f"{joint}.joint"]
 
 
-def test_what_sags_under_the_arm_is_left_over_and_said(result: dict[str, Any]) -> None:
-    for recording in ("friction_gravity", "multisine"):
-        left = {item["target"] for item in result["runs"][recording]["unnamed"]}
-        assert {"pitch", "elbow"} <= left
+@pytest.mark.parametrize("joint", ["pitch", "elbow"])
+def test_what_sags_under_the_arm_lags_by_the_same_width_in_each_recording_that_shows_it(
+    result: dict[str, Any], joint: str
+) -> None:
+    """Play, or friction that a weak servo does not overcome: from outside the two are one, and a load is the bias beside it."""
+    found = {item["name"]: item for item in result["stability"] if item["target"] in (joint, f"{joint}.joint")}
+    for name, key in (("backlash", "width"), ("sensor_bias", "bias")):
+        values = found[name]["parameters"][key]
+        assert len(values) >= 2
+        assert max(values) < 1.2 * min(values), name
