@@ -18,13 +18,15 @@ Given models of one stage (sets of effects) under shared variances:
    are. Each effect has its price: with it, the variance that is left above the noise floor is a fifth (it moves the output by
    ``STANDARD_ERRORS`` of what stays). What halves an error and leaves the other half has not found its cause, and what wrong
    formulas leave is no name for a second and a third effect that repair it. Of equally large sets within such a price those are
-   meant that leave no more than another by ``STANDARD_ERRORS`` of the difference between blocks. An effect that is confused
-   with a larger one of its axis may repair the formula of that one, and has no name.
-   *Where they are wrong and nothing adds up*, the minimal survivors, and of their effects the fewest beside which the others
-   move the output by less than ``STANDARD_ERRORS`` of what all of them leave.
+   meant that leave no more than another by ``STANDARD_ERRORS`` of the difference between blocks.
+   *Where they are wrong and nothing adds up*, the minimal survivors, if they are worth the price of one effect; not those
+   that lack effects which are worth theirs, because the discrepancy does their work.
 5. *Named*: in all of these sets, and the 95 % interval of some parameter lies outside the region of practical equivalence
-   around its known value.
+   around its known value. Where nothing adds up, that interval contains what the discrepancy could do in the effect's place.
+   Where errors add up, an effect that is confused with a larger one of its axis has no name: it may be what the formula of
+   the larger one lacks.
 6. *Ambiguous*: in some of them; what takes its place in the others are its partners.
+7. Where formulas are wrong, what is named has to be worth the price of an effect on held-out recordings too (:func:`pays`).
 
 =================== ======= ============================================================================================
 number              value   derivation
@@ -43,8 +45,7 @@ adds a tenth to what is left of it (in quadrature); at least what is known to be
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
-from itertools import combinations
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -72,6 +73,7 @@ NOT_EXCITED = "the recordings do not excite it enough"
 LITTLE = "what it takes of the error away is little beside what stays"
 REPLACED = "another model without it predicts as well"
 REPAIRS = "it may repair the formula of an effect that it looks like"
+LOST = "on held-out recordings what it takes of the error away is little beside what stays"
 #: An effect without its form: (name, target, side).
 Key = tuple[str, str, str | None]
 
@@ -97,6 +99,7 @@ class Decision:
         near_misses: its other effects and those of other survivors.
         survivors: models that predict as well as the best, likeliest first.
         rivals: the smallest sets that explain the output, that of ``model`` first.
+        exact: whether the formulas are right up to a random disturbance.
     """
 
     model: ModelFit
@@ -105,6 +108,14 @@ class Decision:
     near_misses: tuple[NearMiss, ...]
     survivors: tuple[ModelFit, ...]
     rivals: tuple[ModelFit, ...]
+    exact: bool
+
+    def without_names(self, lacks: str) -> Decision:
+        """The same model, whose names and ties lack something."""
+        taken = (*self.named, *(tie[0] for tie in self.tied))
+        near = [NearMiss(c, self.model.values_of(c), self.model.deviations_of(c), lacks) for c in taken]
+        others = [m for m in self.near_misses if all(m.candidate.key != c.key for c in taken)]
+        return replace(self, named=(), tied=(), near_misses=(*near, *others))
 
 
 class FreeRun:
@@ -116,10 +127,6 @@ class FreeRun:
     def further(self, model: ModelFit, other: ModelFit) -> float:
         """By how many standard errors ``model`` leaves more than ``other``."""
         return 0.0
-
-    def fewer(self, model: ModelFit, kept: Sequence[Candidate]) -> ModelFit:
-        """A model with some of its effects, fitted again."""
-        raise NotImplementedError
 
     def moved(self, model: ModelFit, candidate: Candidate) -> float:
         """What one of its effects moves of the output."""
@@ -179,32 +186,28 @@ def decide(
     best = max(models, key=lambda f: float(f.predictive.sum()))
     survivors = sorted((f for f in models if survives(f, best)), key=lambda f: -f.evidence)
     unsure = {*shared, *(c.label for f in models for c in f.candidates if c.label not in nameable)}
-    likely = _likely(survivors, unsure, own_evidence, rope)
+    likely = _likely([f for f in survivors if integrates or not _outdone(f, survivors)], unsure, own_evidence, rope)
     exact = _exact(likely[0], models, needed, free)
     if exact or not integrates:
         rivals, model = likely, likely[0]
     else:
         rivals = _nearest(models, unsure, free)
         model = _whole(rivals[0], survivors, unsure)
+    nothing = next((f.left for f in models if not f.candidates), np.inf)
+    worth = exact or integrates or _divided(nothing, model.left)
     lacking = {c.key: _lacks(c, (model, *rivals), nameable, rope) for c in model.candidates}
     tying = {
         c.key: _partners(c, model, rivals)
         for c in model.candidates
         if lacking[c.key] == REPLACED and not _within_rope(c, model, rope)
     }
-    found = [c for c in model.candidates if not lacking[c.key] or tying.get(c.key)]
-    if exact:
-        enough = set(lacking)
-    elif integrates:
-        enough = {c.key for c in rivals[0].candidates}
-    else:
-        enough = {c.key for c in _enough(model, found, models, free)}
+    smallest = {c.key for c in rivals[0].candidates}
     named, near, tied = [], [], []
     for candidate in model.candidates:
         lacks = lacking[candidate.key]
-        if candidate.key not in enough and (candidate in found or integrates):
+        if not worth or candidate.key not in smallest:
             lacks = LITTLE
-        elif not lacks and integrates and not exact and _repairs(candidate, rivals[0], free):
+        elif not lacks and integrates and _repairs(candidate, rivals[0], free):
             lacks = REPAIRS
         elif not lacks:
             named.append(candidate)
@@ -219,7 +222,7 @@ def decide(
                 seen.add(candidate.key)
                 values, deviations = other.values_of(candidate), other.deviations_of(candidate)
                 near.append(NearMiss(candidate, values, deviations, "a model without it predicts as well"))
-    return Decision(model, tuple(named), tuple(tied), tuple(near), tuple(survivors), tuple(rivals))
+    return Decision(model, tuple(named), tuple(tied), tuple(near), tuple(survivors), tuple(rivals), exact)
 
 
 # -- the whitened likelihood: where formulas are right, and where nothing adds up ------------------------------------------
@@ -242,6 +245,12 @@ def _replaced(model: ModelFit, survivors: Sequence[ModelFit], own_evidence: Call
     return any(own_evidence(f) > own_evidence(model) + LEAST for f in others[:LIKELIEST])
 
 
+def _outdone(model: ModelFit, survivors: Sequence[ModelFit]) -> bool:
+    """Whether a survivor has more effects that are worth their price: what they do is not left to the discrepancy."""
+    more = [(f, len(f.candidates) - len(model.candidates)) for f in survivors]
+    return any(count > 0 and _divided(model.left, f.left, count) for f, count in more)
+
+
 def _says_something_else(other: ModelFit, model: ModelFit, rope: Mapping[Key, float]) -> bool:
     """Whether ``other`` does without an effect of ``model``, or has one in its place that is there for certain.
 
@@ -250,21 +259,6 @@ def _says_something_else(other: ModelFit, model: ModelFit, rope: Mapping[Key, fl
     here = {c.key for c in model.candidates}
     instead = [c for c in other.candidates if c.key not in here]
     return not instead or any(not _within_rope(c, other, rope) and not _at_its_edge(c, other) for c in instead)
-
-
-def _enough(model: ModelFit, found: Sequence[Candidate], models: Sequence[ModelFit], free: FreeRun) -> Sequence[Candidate]:
-    """The fewest effects, of equally many the likeliest, beside which the others move the output by little."""
-    allowed = model.left**2 + STANDARD_ERRORS**2 * (max(model.left, EXPLAINED) ** 2 - 1.0)
-    if any(not f.candidates and f.left**2 <= allowed for f in models):
-        return ()
-    for size in range(len(found)):
-        parts = ([c for c in model.candidates if c not in found or c in kept] for kept in combinations(found, size))
-        sets = [free.fewer(model, part) for part in parts]
-        sets = [f for f in sets if f.left**2 <= allowed]
-        if sets:
-            likeliest = max(sets, key=lambda f: f.evidence)
-            return [c for c in found if c in likeliest.candidates]
-    return found
 
 
 def _exact(model: ModelFit, models: Sequence[ModelFit], needed: Callable[[ModelFit], float], free: FreeRun) -> bool:
@@ -287,6 +281,16 @@ def smallest_sets(models: Sequence[ModelFit], left: Callable[[ModelFit], float])
     size = len(min(models, key=lambda f: variance[f.labels] * PRICE ** len(f.candidates)).candidates)
     equal = sorted((f for f in models if len(f.candidates) == size), key=lambda f: variance[f.labels])
     return [f for f in equal if variance[f.labels] <= PRICE * variance[equal[0].labels]]
+
+
+def pays(before: float, after: float) -> bool:
+    """Whether effects are worth the price of one; root mean squares of the output without and with them, in noise floors."""
+    return after <= EXPLAINED or _divided(before, after)
+
+
+def _divided(before: float, after: float, effects: int = 1) -> bool:
+    """Whether the variance above the noise floor is divided by the price of so many effects."""
+    return before**2 - 1.0 >= PRICE**effects * (max(after, EXPLAINED) ** 2 - 1.0)
 
 
 def _nearest(models: Sequence[ModelFit], unsure: set[str], free: FreeRun) -> list[ModelFit]:
@@ -363,9 +367,13 @@ def unnoticed(left: float) -> float:
 
 
 def _within_rope(candidate: Candidate, model: ModelFit, rope: Mapping[Key, float]) -> bool:
-    """Whether the 95 % intervals of all its parameters reach into the region of practical equivalence."""
-    values, reach = model.values_of(candidate), Z * model.deviations_of(candidate)
-    response = model.response[model.rows_of(candidate)]
+    """Whether the 95 % intervals of all its parameters reach into the region of practical equivalence.
+
+    They contain what the discrepancy could do in its place, as large as it was learned to be.
+    """
+    here = model.rows_of(candidate)
+    values, reach = model.values_of(candidate), Z * np.hypot(model.deviations_of(candidate), model.confounded[here])
+    response = model.response[here]
     seen = unnoticed(model.left) / np.maximum(response, 1e-300)
     half = np.maximum(seen, rope.get(candidate.key, 0.0))
     nominal = np.array([u.nominal for u in candidate.unknowns])

@@ -7,7 +7,7 @@ are also what a calibration is where formulas differ (Tuo and Wu, Ann. Stat. 43 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -36,7 +36,6 @@ class LeastSquares(FreeRun):
     """Fits of one stage by least squares over its free run."""
 
     proposals: Proposals
-    refit: Callable[[Sequence[Candidate], ModelFit], ModelFit]
 
     def nearest(self, model: ModelFit) -> ModelFit:
         """The set of effects with the values that leave least of the output: its own, or those of least squares."""
@@ -63,10 +62,6 @@ class LeastSquares(FreeRun):
             together = recording[lag:] == recording[:-lag]
             variance += 2.0 * (1.0 - lag / (LAGS + 1)) * float((away[lag:] * away[:-lag])[together].sum())
         return float(blocks.sum() / np.sqrt(variance)) if variance > 0.0 else 0.0
-
-    def fewer(self, model: ModelFit, kept: Sequence[Candidate]) -> ModelFit:
-        """A model with some of its effects, fitted again under the likelihood of the stage."""
-        return self.refit(kept, model)
 
     def moved(self, model: ModelFit, candidate: Candidate) -> float:
         """What stays without one of its effects, the others fitted again, beyond what stays with it."""
@@ -99,8 +94,7 @@ def free_run_of(rows: Rows, discrepancy: Discrepancy, candidates: Sequence[Candi
     variances = Variances(white, np.zeros(len(discrepancy.groups)), np.ones(rows.count))
     calm = [np.zeros(len(s.step)) for s in rows.series]
     likelihood = StageLikelihood(rows, discrepancy, variances, calm, _clusters(rows))
-    search = Proposals(likelihood, candidates)
-    return LeastSquares(search, search.warm)
+    return LeastSquares(Proposals(likelihood, candidates))
 
 
 def _clusters(rows: Rows) -> npt.NDArray[np.int64]:

@@ -13,7 +13,7 @@ from sysid.datasets.recording import Recording
 from sysid.gap.candidates import Candidate
 from sysid.gap.case import Case, Stage
 from sysid.gap.data import Data
-from sysid.gap.decision import EXPLAINED, NOT_EXCITED, SHARE, Z, unnoticed
+from sysid.gap.decision import EXPLAINED, LOST, NOT_EXCITED, SHARE, Z, pays, unnoticed
 from sysid.gap.fit import Fit, spread_of
 from sysid.gap.floor import problem_floor
 from sysid.gap.intervals import known_of
@@ -23,6 +23,7 @@ from sysid.gap.readings import Coarse
 from sysid.gap.result import Alternative, Evidence, Gap, NamedEffect, ResidualModelResult, Unnamed, Value
 from sysid.gap.stage_result import AcceptedEffect, StageResult
 from sysid.gap.unnamed.residual_formula import describe_residual
+from sysid.machine import KnownEffect
 from sysid.plant import Place, Plant, Uncertainty
 
 Array = npt.NDArray[np.float64]
@@ -49,7 +50,7 @@ def judge(case: Case, stages: Sequence[Stage]) -> Outcome:
     for coarse in case.coarse:
         _read_off(case, stages, coarse, outcome)
     for searched in stages:
-        stage = _holding(case, searched)
+        stage = _paying(_holding(case, searched))
         finding = stage.found
         proven = bool(finding.fit.candidates) and _better(stage)
         if proven:
@@ -72,6 +73,18 @@ def _holding(case: Case, searched: Stage) -> Stage:
         return stage
     without = _known(case, replace(searched, finding=alone))
     return without if _better(without) else stage
+
+
+def _paying(stage: Stage) -> Stage:
+    """The stage without names where formulas are wrong and held-out recordings show no more than a part of them."""
+    finding, fitted = stage.found, stage.found.stage_fit
+    if not finding.named or fitted is None or fitted.decision.exact or not _shown(stage, stage.theta):
+        return stage
+    if pays(held_out_score(stage, stage.theta), held_out_score(stage, finding.fit.theta)):
+        return stage
+    adjusted = (*finding.adjusted, *(kept.candidate for kept in finding.named))
+    unsure = replace(fitted, decision=fitted.decision.without_names(LOST))
+    return replace(stage, finding=replace(finding, named=(), adjusted=adjusted, stage_fit=unsure))
 
 
 def _known(case: Case, stage: Stage) -> Stage:
@@ -186,6 +199,8 @@ def _accept(stage: Stage, outcome: Outcome) -> None:
         others = {(candidate.effect.name, candidate.target), *candidate.aliases}
         if others & {(e.name, e.target) for e in outcome.named if e.side == candidate.side}:  # a pump shows at several stages
             outcome.notes.append(f"{instance.name} on {instance.target} shows at the {stage.label} as well: {shown}")
+            if not kept.ties:
+                _know_better(outcome, _named(stage, kept, limits, share), instance)
             continue
         outcome.repaired = outcome.repaired.with_effect(instance)
         if kept.ties:
@@ -200,6 +215,20 @@ def _accept(stage: Stage, outcome: Outcome) -> None:
         shown = ", ".join(f"{u.key} = {v:.4g}" for u, v in zip(candidate.unknowns, values, strict=True))
         outcome.notes.append(f"{candidate.effect.name} on {candidate.target} is adjusted in the plant without a name: {shown}")
     outcome.repaired = outcome.repaired.with_uncertainty(_uncertainty(finding.stage_fit.decision.model))
+
+
+def _know_better(outcome: Outcome, found: NamedEffect, instance: KnownEffect) -> None:
+    """Take the values of the stage that knows an effect best, where several show it."""
+    for k, known in enumerate(outcome.named):
+        same = (known.name, known.target, known.side) == (found.name, found.target, found.side)
+        if same and _widest(found) < _widest(known):
+            outcome.named[k] = found
+            outcome.repaired = outcome.repaired.with_effect(instance)
+
+
+def _widest(effect: NamedEffect) -> float:
+    """Width of the widest interval of its parameters."""
+    return max(float(np.max(np.abs(np.subtract(*ends)))) for ends in effect.interval95.values())
 
 
 def _near_misses(stage: Stage) -> list[str]:

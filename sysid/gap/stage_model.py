@@ -26,8 +26,9 @@ Array = npt.NDArray[np.float64]
 
 #: A typical disturbance, as a share of the root-mean-square speed (or of the range, where nothing integrates).
 TYPICAL = 0.01
-#: First sizes of the discrepancy's coefficients: effects with a name come first, or smooth functions do.
-FIRST = (1e-5, 1e-3)
+#: First sizes of the discrepancy's coefficients, as a share of what a stage does: effects with a name come first, or smooth
+#: functions do. Where errors add up, beside the effects that explain the free run.
+FIRST, BESIDE = (1e-5, 1e-3), 1e-3
 #: Transient of an unknown start state: over this time [s], and this share of the distance that it may come to.
 TRANSIENT, UNKNOWN = 0.4, 0.1
 
@@ -86,7 +87,7 @@ def fit_stage(
     excited = [c for c in candidates if c.label in nameable]
     free = free_run_of(rows, _discrepancy(model, rows, theta, sample), excited)
     sets = smallest_sets(free.sets(), free.left) if problem.integrates else [free.proposals.fit(())]
-    taus = FIRST[-1:] if problem.integrates else FIRST  # what explains the free run is a good start by itself
+    taus = (BESIDE,) if problem.integrates else FIRST
     found = [_settled(model, rows, theta, sample, start, extra, excited, tau, sets[0], on_fit) for tau in taus]
     likelihood, rich = max(found, key=lambda each: each[1].evidence + log_prior(each[0].variances, start))
     variances = robust(likelihood, rich)
@@ -111,8 +112,7 @@ def fit_stage(
 
     def decided() -> Decision:
         models = {f.labels: f for f in (*proposals.near(), *rivals)}
-        runs = replace(free, refit=proposals.warm)
-        return decide(tuple(models.values()), nameable, rope, shared, own_of, needed, problem.integrates, runs)
+        return decide(tuple(models.values()), nameable, rope, shared, own_of, needed, problem.integrates, free)
 
     decision = decided()
     for _ in range(4):  # every survivor without each of its effects, until nothing new survives

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
 
 import numpy as np
 import numpy.typing as npt
@@ -12,7 +11,7 @@ from plant_data import arm, nominal, slide
 
 from sysid.gap import decision
 from sysid.gap.candidates import Candidate, candidates_at
-from sysid.gap.decision import BLOCK_NATS, FreeRun, decide, difference, simpler, survives
+from sysid.gap.decision import BLOCK_NATS, FreeRun, decide, difference, pays, simpler, survives
 from sysid.gap.likelihood.stage import ModelFit
 
 Array = npt.NDArray[np.float64]
@@ -47,7 +46,7 @@ def model(
     blocks = -np.broadcast_to(np.asarray(worse, dtype=float), (BLOCKS,))
     return ModelFit(
         candidates, unknowns, np.array([u.nominal + away for u in unknowns]), PLANT.vector(), deviation**2 * np.eye(k),
-        float(blocks.sum()) - 0.01 * k if evidence is None else evidence, blocks, 1.0, np.full(k, RESPONSE), left,
+        np.zeros(k), float(blocks.sum()) - 0.01 * k if evidence is None else evidence, blocks, 1.0, np.full(k, RESPONSE), left,
     )  # fmt: skip
 
 
@@ -248,34 +247,48 @@ def test_what_may_be_absent_itself_is_no_alternative() -> None:
     assert sure.tied == ()
 
 
-class Refitted(FreeRun):
-    """Models with fewer effects, known beforehand."""
+@pytest.mark.parametrize(("could", "named"), [(0.1, False), (0.02, True)])
+def test_what_the_discrepancy_could_do_in_its_place_is_in_the_interval(could: float, named: bool) -> None:
+    """Its value is 0.1 away from its absence, sure to 0.001 were there no discrepancy that does the same."""
+    chosen = model(BAND)
+    confounded = ModelFit(**{**vars(chosen), "confounded": np.full(len(chosen.unknowns), could)})
+    found = decide([NOTHING, confounded], ALL, integrates=False)
+    assert (found.named == (BAND,)) == named
+    if not named:
+        assert "region of practical equivalence" in found.near_misses[0].lacks
 
-    def __init__(self, *models: ModelFit) -> None:
-        self.known = {f.labels: f for f in models}
 
-    def fewer(self, model: ModelFit, kept: Sequence[Candidate]) -> ModelFit:
-        return self.known[frozenset(c.label for c in kept)]
-
-
-@pytest.mark.parametrize(("without", "named"), [(3.9, False), (4.1, True)])
-def test_what_takes_little_of_the_error_away_beside_what_stays_is_no_name(without: float, named: bool) -> None:
-    """It has to move the output by twice what stays of it above the floor, 4² = 2² + 4·(2² − 1)."""
-    models = [model(worse=4.0, left=10.0), model(DELAY, away=0.5, left=2.0)]
-    found = decide(models, ALL, integrates=False, free=Refitted(model(left=without)))
-    assert (found.named == (DELAY,)) == named
+@pytest.mark.parametrize(("without", "named"), [(4.0, False), (4.4, True)])
+def test_where_nothing_adds_up_effects_are_worth_the_price_of_one(without: float, named: bool) -> None:
+    """They leave twice the floor, 2² − 1 above it; without them five times that is left, or less: 4² = 1 + 5·3."""
+    nothing = model(worse=4.0, left=without - 0.05)
+    found = decide([nothing, model(BAND, left=2.0)], ALL, integrates=False)
+    assert (found.named == (BAND,)) == named
     if not named:
         assert found.near_misses[0].lacks == "what it takes of the error away is little beside what stays"
 
 
-def test_effects_that_make_up_for_each_other_have_no_name() -> None:
-    """Without either of the two much is left, without both no more than with them."""
-    whole = model(BAND, GAIN, LAG, left=2.0)
-    one = [model(BAND, GAIN, left=20.0), model(BAND, LAG, left=20.0), model(GAIN, LAG, left=20.0)]
-    known = Refitted(model(left=20.0), model(BAND, left=2.2), model(GAIN, left=20.0), model(LAG, left=20.0), *one)
-    found = decide([model(worse=4.0, left=20.0), whole], ALL, integrates=False, free=known)
-    assert found.named == (BAND,)
-    assert {n.candidate for n in found.near_misses} == {GAIN, LAG}
+@pytest.mark.parametrize(("left", "named"), [(22.0, {BAND}), (24.0, {BAND, LAG})])
+def test_the_discrepancy_does_not_do_the_work_of_an_effect_that_is_worth_its_price(left: float, named: set[Candidate]) -> None:
+    """Without the lag the model predicts as well, and leaves 22 or 24 noise floors instead of ten: 23² is five times 10²."""
+    models = [model(worse=4.0, left=90.0), model(BAND, left=left), model(BAND, LAG, left=10.3)]
+    assert set(decide(models, ALL, integrates=False).named) == named
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "paid"), [(30.0, 13.3, True), (30.0, 13.6, False), (1.3, 1.1, True), (8.3, 5.8, False)]
+)
+def test_what_is_named_is_worth_its_price_on_held_out_recordings(before: float, after: float, paid: bool) -> None:
+    """A fifth of the variance above the floor may stay; what is explained needs no price."""
+    assert pays(before, after) == paid
+
+
+def test_names_that_are_not_worth_their_price_become_near_misses() -> None:
+    found = decide([NOTHING, model(BAND), model(BAND, LAG)], ALL).without_names("something")
+    assert found.named == ()
+    assert found.model.candidates == (BAND,)
+    assert found.near_misses[0].lacks == "something"
+    assert [n.candidate for n in found.near_misses].count(BAND) == 1
 
 
 def test_what_the_recordings_do_not_excite_is_not_named() -> None:

@@ -106,7 +106,6 @@ def test_what_the_held_out_recording_does_not_have_gets_no_name() -> None:
     assert any("held-out" in note for note in found.notes)
 
 
-@pytest.mark.xfail(strict=True, reason="viscous friction is named, and the Coulomb friction that goes with it is adjusted")
 def test_friction_that_saturates_smoothly_is_not_viscous() -> None:
     """It grows with the speed and then no more; a viscous friction alone would be a stand-in."""
     recordings = rubbed(lambda v, x: 22.0 * float(np.tanh(v / 0.15)), 8.0, seed=1)

@@ -58,11 +58,13 @@ class Variances:
         disturbances: one for each signal.
         groups: standard deviation τ of the coefficients of each group of the discrepancy, (g,).
         weights: square root of the weight of each row, (rows,): outliers of the richest model count less.
+        left: what the richest model leaves of the output [noise floors]: no group does more. Infinite where errors add up.
     """
 
     disturbances: tuple[Disturbance, ...]
     groups: Array
     weights: Array
+    left: float = np.inf
 
 
 @dataclass(frozen=True)
@@ -114,6 +116,8 @@ class ModelFit:
         evidence: log marginal likelihood.
         predictive: log density of each block, parameters and discrepancy from the other blocks, (blocks,).
         rms: root mean square of the whitened rows that neither effects nor discrepancy explain.
+        confounded: standard deviations of what the discrepancy could do in the place of each unknown, (k,); zero where the
+            output adds up errors: there the free run says how much is the effect's.
         response: root mean square of the output's change with each unknown, in noise floors a unit of it, (k,).
         left: root mean square of what the effects leave of the output, in noise floors.
     """
@@ -123,6 +127,7 @@ class ModelFit:
     values: Array
     theta: Array
     covariance: Array
+    confounded: Array
     evidence: float
     predictive: Array
     rms: float
@@ -386,13 +391,16 @@ def _finished(
     prior: Prior,
 ) -> ModelFit:
     """Evidence, covariance and predictive density at the optimum; ``table`` (rows, 1 + k): residual and its slopes."""
-    rows = likelihood.rows
+    rows, k = likelihood.rows, len(unknowns)
     size = rows.in_floors(table)
     whitened = likelihood.whitened(np.ascontiguousarray(table))
     w, slopes = whitened[:, 0], whitened[:, 1:]
     scaled = rows.scaled(table[:, 1:])
     linear = likelihood.linear.beside(slopes * prior.width, scaled * prior.width).columns
-    p, k = linear.shape[1], len(unknowns)
+    confounded = np.zeros(k)
+    if k and not rows.problem.integrates:
+        confounded = np.linalg.norm(share_of(scaled * prior.width, likelihood.linear.outputs), axis=1) * prior.width
+    p = linear.shape[1]
     covariance = np.zeros((0, 0))
     if k:
         wide = -slopes * prior.width
@@ -410,7 +418,9 @@ def _finished(
     predictive = _block_densities(X, r, H, rows)
     theta = place(rows.theta, unknowns, values[None])[0] if k else rows.theta
     rms = float(np.sqrt(e @ e / max(rows.measured_rows, 1)))
-    return ModelFit(candidates, unknowns, values, theta, covariance, evidence, predictive, rms, size[1:], float(size[0]))
+    return ModelFit(
+        candidates, unknowns, values, theta, covariance, confounded, evidence, predictive, rms, size[1:], float(size[0])
+    )
 
 
 def _block_densities(X: Array, r: Array, H: Array, rows: Rows) -> Array:

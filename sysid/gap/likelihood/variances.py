@@ -60,10 +60,12 @@ def estimated(
     residual, slopes = _linearised(rows, model)
     columns = np.column_stack([discrepancy.timing, slopes, discrepancy.columns, residual])
     fixed = 1 + slopes.shape[1]
+    variances = replace(variances, left=np.inf if rows.problem.integrates else max(model.left, 1.0))
+    largest = _largest(rows, discrepancy, variances.left)
     for _ in range(ROUNDS):
         variances = _disturbances(rows, columns, fixed, discrepancy, variances, start, extra)
         gram, _ = _gram(rows, columns, variances, extra)
-        variances = replace(variances, groups=_groups(gram, fixed, discrepancy.group, variances.groups))
+        variances = replace(variances, groups=_groups(gram, fixed, discrepancy.group, variances.groups, largest))
     return variances
 
 
@@ -76,7 +78,8 @@ def own_evidence(likelihood: StageLikelihood, start: Start, model: ModelFit) -> 
     residual, slopes = _linearised(rows, model)
     columns = np.column_stack([discrepancy.timing, slopes, discrepancy.columns, residual])
     gram, _ = _gram(rows, columns, variances, extra)
-    own = replace(variances, groups=_groups(gram, 1 + slopes.shape[1], discrepancy.group, variances.groups))
+    largest = _largest(rows, discrepancy, variances.left)
+    own = replace(variances, groups=_groups(gram, 1 + slopes.shape[1], discrepancy.group, variances.groups, largest))
     again = fit_model(StageLikelihood(rows, discrepancy, own, extra), model.candidates, model.values[None], rounds=0)
     return again.evidence + log_prior(own, start)
 
@@ -168,8 +171,17 @@ def _beginnings(z: Array) -> list[Array]:
     return [z, swapped, z + more[1], z + more[2], z + more[4], z + more[4] - more[2], swapped + more[1]]
 
 
-def _groups(gram: Array, fixed: int, group: npt.NDArray[np.int64], taus: Array) -> Array:
-    """Standard deviations of the groups, with the exact gradient of the evidence."""
+def _largest(rows: Rows, discrepancy: Discrepancy, left: float) -> Array:
+    """Largest standard deviation of each group, (g,): all of its columns together do no more than is ``left`` [noise floors].
+
+    A function of speed that may be as large as friction is friction: no effect would be told from it.
+    """
+    squares = np.bincount(discrepancy.group, rows.in_floors(discrepancy.columns) ** 2, minlength=len(discrepancy.groups))
+    return np.clip(left / np.sqrt(np.maximum(squares, 1e-300)), 10.0 * ABSENT, LARGEST)
+
+
+def _groups(gram: Array, fixed: int, group: npt.NDArray[np.int64], taus: Array, largest: Array) -> Array:
+    """Standard deviations of the groups, with the exact gradient of the evidence; at most ``largest``."""
     count = len(taus)
 
     def negative(z: Array) -> tuple[float, Array]:
@@ -186,11 +198,11 @@ def _groups(gram: Array, fixed: int, group: npt.NDArray[np.int64], taus: Array) 
         away = (z - np.log(TAU)) / TAU_SPREAD
         return float(value + 0.5 * away @ away), slope + away / TAU_SPREAD
 
-    bounds = [(np.log(ABSENT), np.log(LARGEST))] * count
-    begin = np.clip(np.log(np.maximum(taus, 1e-5)), np.log(ABSENT), np.log(LARGEST))
+    bounds = [(np.log(ABSENT), high) for high in np.log(largest)]
+    begin = np.clip(np.log(np.maximum(taus, 1e-5)), np.log(ABSENT), np.log(largest))
     best = min(
         (minimize(negative, z, jac=True, method="L-BFGS-B", bounds=bounds, options={"maxiter": 60})
-         for z in (begin, np.full(count, np.log(TAU)))), key=lambda found: found.fun)  # fmt: skip
+         for z in (begin, np.minimum(np.log(TAU), np.log(largest)))), key=lambda found: found.fun)  # fmt: skip
     return np.asarray(np.exp(best.x))
 
 

@@ -51,7 +51,7 @@ def test_the_slope_by_group_is_that_of_finite_differences(monkeypatch: pytest.Mo
 
     monkeypatch.setattr(module, "minimize", kept)
     gram, _ = products((0.3, 0.01))
-    _groups(gram, 1, GROUP, np.full(2, 1e-3))
+    _groups(gram, 1, GROUP, np.full(2, 1e-3), np.full(2, module.LARGEST))
     for z in (np.array([-1.0, -5.0]), np.array([-7.0, -2.0]), np.array([-12.0, 0.0])):
         slope = costs[0](z)[1]
         step = 1e-5
@@ -63,7 +63,7 @@ def test_the_slope_by_group_is_that_of_finite_differences(monkeypatch: pytest.Mo
 @pytest.mark.parametrize("seed", [0, 1, 2])
 def test_the_size_of_a_group_s_coefficients_is_found(seed: int) -> None:
     gram, beta = products((0.06, 0.0), seed)
-    taus = _groups(gram, 1, GROUP, np.full(2, 1e-3))
+    taus = _groups(gram, 1, GROUP, np.full(2, 1e-3), np.full(2, module.LARGEST))
     assert taus[0] == pytest.approx(float(np.sqrt(np.mean(beta[GROUP == 0] ** 2))), rel=0.15)
     assert taus[1] < 0.03, "less than what noise leaves of a coefficient"
 

@@ -1,4 +1,7 @@
-"""Discrepancies of the drives: speed of a velocity axis, position of a servo, force of a force axis."""
+"""Discrepancies of the drives: speed of a velocity axis, position of a servo, force of a force axis.
+
+A coefficient of one is what the stage does: its full speed, half its range, its usual force.
+"""
 
 from __future__ import annotations
 
@@ -34,8 +37,6 @@ Make = Callable[[Recording], dict[str, Array]]
 
 #: A recent past of a command or a set-point [s]: what a spool or a drive remembers.
 PAST = 0.15
-#: A reading may be off by functions of this size, as a share of its range.
-READING = 0.01
 
 
 def velocity_columns(model: Model, axis: Axis, recordings: Sequence[Recording], theta: Array) -> Make:
@@ -75,9 +76,8 @@ def velocity_columns(model: Model, axis: Axis, recordings: Sequence[Recording], 
         if others:
             demand = sum(np.abs(model.held(recording, name)[0]) for name in others)
             found["other axes"] = flow(np.column_stack([u * demand, u * demand * demand, u * np.maximum(demand - 0.5, 0.0)]))
-        scale = READING * half
-        found["reading"] = scale * np.column_stack([waves(q, (1.5, 3.0, 6.0, 12.0)), q, q * q])[:, :, None]
-        found["direction"] = scale * np.column_stack([np.tanh(slow / 0.05), np.tanh(u / SMALL)])[:, :, None]
+        found["reading"] = half * np.column_stack([waves(q, (1.5, 3.0, 6.0, 12.0)), q, q * q])[:, :, None]
+        found["direction"] = half * np.column_stack([np.tanh(slow / 0.05), np.tanh(u / SMALL)])[:, :, None]
         return found
 
     return columns
@@ -111,7 +111,6 @@ def servo_columns(model: Model, axis: Axis, recordings: Sequence[Recording], the
         q = (u - middle) / half
         past = low_pass(speed, PAST, dt)
         time = np.arange(len(u)) * dt
-        scale = READING * half
         size = np.abs(speed)
         parts = {
             "speed": [speed, size, speed * size, speed**3, np.tanh(speed / 0.2), low_pass(speed, 0.5, dt)],
@@ -124,7 +123,7 @@ def servo_columns(model: Model, axis: Axis, recordings: Sequence[Recording], the
         if largest > 0.0:
             load = _load(model, recording, i) / largest
             parts["load"] = [load, load * load, load * np.tanh(speed / 0.02), load * speed]
-        return {name: scale * np.column_stack(values)[:, :, None] for name, values in parts.items()}
+        return {name: half * np.column_stack(values)[:, :, None] for name, values in parts.items()}
 
     return columns
 
@@ -139,7 +138,7 @@ def force_columns(model: Model, axis: Axis, recordings: Sequence[Recording], pro
     middle, half = span_of(tuple(recordings), axis.driven)
     fastest = _fastest(recordings, axis.driven)
     force = np.concatenate([problem.measured(r)[:, 0] for r in recordings])
-    scale = 0.1 * float(np.nanmedian(np.abs(force))) if len(force) else 1.0
+    scale = float(np.nanmedian(np.abs(force))) if len(force) else 1.0
 
     def columns(recording: Recording) -> dict[str, Array]:
         inputs = force_inputs(recording, axis, rows=problem.rows(recording))

@@ -17,10 +17,8 @@ from sysid.signals import axis_signal, point_signals
 Array = npt.NDArray[np.float64]
 Make = Callable[[Recording], dict[str, Array]]
 
-#: Size of a reading's error, as a share of its range; of an angle [rad] and of a length [m] in the kinematics.
-READING, TURN = 0.01, 0.01
-#: Size of what a hanging tool does beside its formula [m].
-HANG = 0.01
+#: Turn of a joint that its column of the Jacobian is asked of the plant with [rad].
+TURN = 0.01
 
 
 def joint_columns(model: Model, axis: Axis, recordings: Sequence[Recording]) -> Make:
@@ -28,7 +26,7 @@ def joint_columns(model: Model, axis: Axis, recordings: Sequence[Recording]) -> 
     i = model.axis_index(axis.name)
     cylinder = axis_signal(axis.name, "cylinder")
     middle, half = span_of(tuple(recordings), cylinder)
-    scale = READING * span_of(tuple(recordings), axis_signal(axis.name, "joint"))[1]
+    scale = span_of(tuple(recordings), axis_signal(axis.name, "joint"))[1]
     load_of = _loads(model, recordings)
 
     def columns(recording: Recording) -> dict[str, Array]:
@@ -58,6 +56,7 @@ def tip_columns(model: Model, recordings: Sequence[Recording], theta: Array) -> 
     names = model.machine.axis_names
     load_of = _loads(model, recordings)
     spans = [span_of(tuple(recordings), axis_signal(name, "joint")) for name in names]
+    reach = _reach(recordings)
 
     def columns(recording: Recording) -> dict[str, Array]:
         n, moving = len(recording), recording.kind == "motion"
@@ -65,7 +64,7 @@ def tip_columns(model: Model, recordings: Sequence[Recording], theta: Array) -> 
         for i in range(len(names)):
             lanes[i + 1, i * AXIS_WIDTH + AT.joint_offset] += TURN
         ends = model.tip(lanes, recording)
-        ways = np.nan_to_num(ends[1:] - ends[:1])  # (A, n, 3)
+        ways = np.nan_to_num(ends[1:] - ends[:1]) / TURN  # (A, n, 3)
         joints = [(filled(recording.values(axis_signal(a, "joint"))) - m) / h for a, (m, h) in zip(names, spans, strict=True)]
         speeds = [slope(q, 1.0 / recording.rate_hz) if moving else np.zeros(n) for q in joints]
         loads = load_of(recording)
@@ -83,8 +82,7 @@ def tip_columns(model: Model, recordings: Sequence[Recording], theta: Array) -> 
                 found.setdefault(name, []).append(turn[:, :, None] * way[:, None, :])
         first = joints[0]
         frame = np.column_stack([np.ones(n), waves(first * spans[0][1] + spans[0][0], (1.0, 2.0))])
-        axes = 0.003 * np.eye(3)
-        found["frame"] = [frame[:, :, None] * axis[None, None, :] for axis in axes]
+        found["frame"] = [frame[:, :, None] * axis[None, None, :] for axis in reach * np.eye(3)]
         return {name: np.concatenate(parts, axis=1) for name, parts in found.items()}
 
     return columns
@@ -92,6 +90,7 @@ def tip_columns(model: Model, recordings: Sequence[Recording], theta: Array) -> 
 
 def tool_columns(model: Model, recordings: Sequence[Recording]) -> Make:
     """End effector → tool: as functions of place, speed and acceleration of the end effector, and of time."""
+    reach = _reach(recordings)
 
     def columns(recording: Recording) -> dict[str, Array]:
         dt = 1.0 / recording.rate_hz
@@ -99,7 +98,6 @@ def tool_columns(model: Model, recordings: Sequence[Recording]) -> Make:
         v = np.column_stack([slope(x, dt) for x in ends.T])
         a = np.column_stack([np.gradient(smooth(x, round(0.3 / dt)), dt) for x in v.T])
         time = np.arange(len(ends)) * dt
-        reach = np.maximum(np.abs(ends).max(), 1e-6)
         ones = np.ones(len(ends))
         parts = {
             "position": [ones, *(ends / reach).T],
@@ -108,11 +106,17 @@ def tool_columns(model: Model, recordings: Sequence[Recording]) -> Make:
             "time": list(slow_cosines(time, 1).T),
         }
         return {
-            name: HANG * np.concatenate([np.column_stack(values)[:, :, None] * axis for axis in np.eye(3)], axis=1)
+            name: reach * np.concatenate([np.column_stack(values)[:, :, None] * axis for axis in np.eye(3)], axis=1)
             for name, values in parts.items()
         }
 
     return columns
+
+
+def _reach(recordings: Sequence[Recording]) -> float:
+    """Largest coordinate of the end effector [m]."""
+    ends = [np.abs(r.values(s)) for r in recordings for s in point_signals("ee")]
+    return max(float(np.nanmax(np.concatenate(ends))), 1e-6)
 
 
 def _loads(model: Model, recordings: Sequence[Recording]) -> Callable[[Recording], Array]:
