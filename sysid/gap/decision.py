@@ -246,9 +246,13 @@ def _replaced(model: ModelFit, survivors: Sequence[ModelFit], own_evidence: Call
 
 
 def _outdone(model: ModelFit, survivors: Sequence[ModelFit]) -> bool:
-    """Whether a survivor has more effects that are worth their price: what they do is not left to the discrepancy."""
+    """Whether a survivor has more effects that are worth their price: what they do is not left to the discrepancy.
+
+    What brings an output down to its noise floor needs no price.
+    """
     more = [(f, len(f.candidates) - len(model.candidates)) for f in survivors]
-    return any(count > 0 and _divided(model.left, f.left, count) for f, count in more)
+    explained = model.left <= EXPLAINED
+    return not explained and any(n > 0 and (f.left <= EXPLAINED or _divided(model.left, f.left, n)) for f, n in more)
 
 
 def _says_something_else(other: ModelFit, model: ModelFit, rope: Mapping[Key, float]) -> bool:

@@ -268,6 +268,12 @@ def test_where_nothing_adds_up_effects_are_worth_the_price_of_one(without: float
         assert found.near_misses[0].lacks == "what it takes of the error away is little beside what stays"
 
 
+def test_what_brings_an_output_to_its_noise_floor_needs_no_price() -> None:
+    """With the lag nothing is left to explain; without it the discrepancy hides a third of a noise floor."""
+    models = [model(worse=4.0, left=9.0), model(BAND, left=1.35), model(BAND, LAG, left=1.0)]
+    assert set(decide(models, ALL, integrates=False).named) == {BAND, LAG}
+
+
 @pytest.mark.parametrize(("left", "named"), [(22.0, {BAND}), (24.0, {BAND, LAG})])
 def test_the_discrepancy_does_not_do_the_work_of_an_effect_that_is_worth_its_price(left: float, named: set[Candidate]) -> None:
     """Without the lag the model predicts as well, and leaves 22 or 24 noise floors instead of ten: 23² is five times 10²."""
