@@ -214,7 +214,8 @@ def _accept(stage: Stage, outcome: Outcome) -> None:
         outcome.repaired = outcome.repaired.with_effect(candidate.instance(values))
         shown = ", ".join(f"{u.key} = {v:.4g}" for u, v in zip(candidate.unknowns, values, strict=True))
         outcome.notes.append(f"{candidate.effect.name} on {candidate.target} is adjusted in the plant without a name: {shown}")
-    outcome.repaired = outcome.repaired.with_uncertainty(_uncertainty(finding.stage_fit.decision.model))
+    known = _uncertainty(finding.stage_fit.decision.model, outcome.repaired)
+    outcome.repaired = outcome.repaired.with_uncertainty(known) if known.places else outcome.repaired
 
 
 def _know_better(outcome: Outcome, found: NamedEffect, instance: KnownEffect) -> None:
@@ -280,14 +281,17 @@ def _interval(model: ModelFit) -> Array:
     return np.asarray(model.values[:, None] + Z * np.sqrt(np.diag(model.covariance))[:, None] * [-1.0, 1.0])
 
 
-def _uncertainty(model: ModelFit) -> Uncertainty:
-    """What the fit of a stage says of the plant's parameters."""
-    places = []
+def _uncertainty(model: ModelFit, plant: Plant) -> Uncertainty:
+    """What the fit of a stage says of the plant's parameters: of those effects that it has (some are known as an alias)."""
+    places, kept = list[Place](), list[int]()
     for candidate in model.candidates:
         name, target, side = candidate.key
+        if plant.effect(name, target, side) is None:
+            continue
+        kept += range(len(model.unknowns))[model.rows_of(candidate)]
         for parameter in candidate.form.parameters:
             places += [Place(name, target, side, parameter.name, k) for k in range(len(parameter.components))]  # type: ignore[arg-type]
-    return Uncertainty(tuple(places), model.covariance)
+    return Uncertainty(tuple(places), model.covariance[np.ix_(kept, kept)])
 
 
 def _named(stage: Stage, kept: AcceptedEffect, limits: Array, share: float) -> NamedEffect:

@@ -94,7 +94,9 @@ def fit_residual_models(
             "Add it inside the simulator itself.",
         )
     repaired, found = outcome.repaired, list[ResidualModelResult]()
-    for k, item in enumerate(outcome.unnamed):
+    # A stage is listed once for what fits without a name and once for what is left of it then.
+    by_stage = {(item.stage, item.target): item for item in outcome.unnamed}
+    for k, item in enumerate(by_stage.values()):
         (stage,) = [s for s in stages if (s.problem.stage, s.problem.target) == (item.stage, item.target)]
         if item.stage not in PLACES:
             text = f"the {stage.label} cannot hold one: only {', '.join(PLACES)} stages can"
@@ -102,7 +104,7 @@ def fit_residual_models(
                 ResidualModelResult(item.stage, item.target, "", float("nan"), float("nan"), float("nan"), False, text)
             )
             continue
-        stage_progress = part(progress, k / len(outcome.unnamed), (k + 1) / len(outcome.unnamed))
+        stage_progress = part(progress, k / len(by_stage), (k + 1) / len(by_stage))
         stage_progress(0.0, f"{stage.label}: residual network")
         result, repaired = _fit_stage(case, stage, item, repaired, settings or RecurrentSettings(), stage_progress)
         found.append(result)
