@@ -279,7 +279,7 @@ def smallest_sets(models: Sequence[ModelFit], left: Callable[[ModelFit], float])
     """The sets of as few effects as explain the output, what leaves least of it first.
 
     Each effect has its price: what is left above the noise floor has to be divided by ``PRICE``. Sets of equal size that differ
-    by less are not told apart by what they leave.
+    by less are not distinguished by what they leave.
     """
     variance = {f.labels: max(left(f), EXPLAINED) ** 2 - 1.0 for f in models}
     size = len(min(models, key=lambda f: variance[f.labels] * PRICE ** len(f.candidates)).candidates)

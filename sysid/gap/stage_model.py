@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 
 import numpy as np
 import numpy.typing as npt
@@ -85,10 +86,11 @@ def fit_stage(
     extra = _transients(rows)
     # What the recordings do not excite would take what others leave; it competes at the end alone.
     excited = [c for c in candidates if c.label in nameable]
-    free = free_run_of(rows, _discrepancy(model, rows, theta, sample), excited)
+    discrepancy = _discrepancy(model, rows, theta, sample)
+    free = free_run_of(rows, discrepancy, excited)
     sets = smallest_sets(free.sets(), free.left) if problem.integrates else [free.proposals.fit(())]
     taus = (BESIDE,) if problem.integrates else FIRST
-    found = [_settled(model, rows, theta, sample, start, extra, excited, tau, sets[0], on_fit) for tau in taus]
+    found = [_settled(model, rows, discrepancy, sample, start, extra, excited, tau, sets[0], on_fit) for tau in taus]
     likelihood, rich = max(found, key=lambda each: each[1].evidence + log_prior(each[0].variances, start))
     variances = robust(likelihood, rich)
     likelihood = StageLikelihood(rows, likelihood.discrepancy, variances, extra)
@@ -98,15 +100,14 @@ def fit_stage(
     proposals.forward(proposals.best)
     proposals.around()
     rivals = [proposals.warm(f.candidates, f) for f in sets]
-    own: dict[int, float] = {}
 
+    @cache
     def own_of(fit: ModelFit) -> float:
-        if id(fit) not in own:
-            own[id(fit)] = own_evidence(likelihood, start, fit)
-        return own[id(fit)]
+        return own_evidence(likelihood, start, fit)
 
     bare = StageLikelihood(rows, likelihood.discrepancy, replace(variances, groups=0.0 * variances.groups), extra)
 
+    @cache
     def needed(fit: ModelFit) -> float:
         return fit.evidence - fit_model(bare, fit.candidates, fit.values[None]).evidence
 
@@ -141,7 +142,7 @@ def _fitted(proposals: Proposals, decision: Decision, free: LeastSquares) -> Sta
 def _settled(
     model: Model,
     rows: Rows,
-    theta: Array,
+    discrepancy: Discrepancy,
     sample: float,
     start: Start,
     extra: Sequence[Array],
@@ -151,7 +152,6 @@ def _settled(
     on_fit: Callable[[str], None],
 ) -> tuple[StageLikelihood, ModelFit]:
     """Effects and variances found in turn, from the effects ``first``: the likelihood, and its likeliest model."""
-    discrepancy = _discrepancy(model, rows, theta, sample)
     variances = first_variances(rows, start, len(discrepancy.groups), tau)
     likelihood = StageLikelihood(rows, discrepancy, variances, extra)
     rich: ModelFit | None = None

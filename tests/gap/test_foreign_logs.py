@@ -129,7 +129,7 @@ def test_inertia_gets_no_name_where_friction_has_a_memory() -> None:
     assert {name for name, _ in names(found)} <= {"coulomb_friction", "stribeck_friction"}
 
 
-# -- what cannot be told apart ----------------------------------------------------------------------------------------------
+# -- effects that are not distinguishable -----------------------------------------------------------------------------------
 
 
 def test_two_splits_of_smooth_motion_do_not_give_two_names() -> None:

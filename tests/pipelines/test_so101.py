@@ -38,6 +38,13 @@ def test_play_is_named_where_there_are_turns_enough_and_left_open_where_not(resu
     assert "friction_gravity" not in named
 
 
+@pytest.mark.xfail(strict=True, reason="play and dead time are near misses there, of which neither stands in the plant")
+def test_what_few_turns_leave_open_is_a_tie(result: dict[str, Any]) -> None:
+    few = result["runs"]["friction_gravity"]
+    tie = {item["name"] for tied in few["ambiguous"] for item in tied if item["target"].startswith("rotation")}
+    assert "backlash" in tie
+
+
 @pytest.mark.parametrize(
     ("recording", "joint"), [("multisine", "rotation"), ("multisine", "wrist_roll"), ("friction_gravity", "wrist_roll")]
 )
@@ -56,3 +63,10 @@ def test_what_sags_under_the_arm_lags_by_the_same_width_in_each_recording_that_s
         values = found[name]["parameters"][key]
         assert len(values) >= 2
         assert max(values) < 1.2 * min(values), name
+
+
+@pytest.mark.xfail(strict=True, reason="play and a bias explain what sags, and are named")
+def test_what_sags_under_the_arm_is_left_over_and_said(result: dict[str, Any]) -> None:
+    for recording in ("friction_gravity", "multisine"):
+        left = {item["target"] for item in result["runs"][recording]["unnamed"]}
+        assert {"pitch", "elbow"} <= left

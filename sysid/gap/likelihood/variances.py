@@ -174,7 +174,7 @@ def _beginnings(z: Array) -> list[Array]:
 def _largest(rows: Rows, discrepancy: Discrepancy, left: float) -> Array:
     """Largest standard deviation of each group, (g,): all of its columns together do no more than is ``left`` [noise floors].
 
-    A function of speed that may be as large as friction is friction: no effect would be told from it.
+    A function of speed that may be as large as friction cannot be distinguished from friction.
     """
     squares = np.bincount(discrepancy.group, rows.in_floors(discrepancy.columns) ** 2, minlength=len(discrepancy.groups))
     return np.clip(left / np.sqrt(np.maximum(squares, 1e-300)), 10.0 * ABSENT, LARGEST)
