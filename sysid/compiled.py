@@ -18,3 +18,5 @@ inlined: Any = njit(forceinline=True, error_model="numpy", fastmath={"contract"}
 loop: Any = njit(nogil=True, error_model="numpy", fastmath={"contract"}, **_BARE)
 #: What Python calls: kept between processes, and without the interpreter lock.
 kernel: Any = njit(cache=True, nogil=True, error_model="numpy")
+#: A kernel whose sums may be taken in any order, so that they run on several numbers at once.
+summing: Any = njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "reassoc", "nsz"})

@@ -13,7 +13,9 @@ EFFECT = Effect(
     stage="command",
     target="axis",
     slots=(Slot("limit", ABSENT),),
-    forms=(Form((Parameter("limit", "1", (0.02, ABSENT), (0.2, 0.4, 0.6, 0.8), 0.01, "speed is constant above it"),)),),
+    forms=(
+        Form((Parameter("limit", "1", (0.02, ABSENT), (0.2, 0.4, 0.6, 0.8, 0.9, 0.96), 0.01, "speed is constant above it"),)),
+    ),
     equation="y = max(−limit, min(limit, u))",
     source="Merritt 1967, ch. 5",
     excited_by="large commands on one axis at a time",

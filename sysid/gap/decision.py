@@ -121,8 +121,16 @@ class Decision:
 class FreeRun:
     """What sets of effects leave of the free run of a stage, in noise floors: with the values that they have."""
 
+    def nearest(self, model: ModelFit) -> ModelFit:
+        """The set of effects with the values that leave least of the output."""
+        return model
+
+    def least_squares(self, model: ModelFit) -> ModelFit:
+        """The set of effects with values of least squares, and their covariance."""
+        return model
+
     def left(self, model: ModelFit) -> float:
-        return model.left
+        return self.nearest(model).left
 
     def further(self, model: ModelFit, other: ModelFit) -> float:
         """By how many standard errors ``model`` leaves more than ``other``."""
@@ -195,7 +203,9 @@ def decide(
         model = _whole(rivals[0], survivors, unsure)
     nothing = next((f.left for f in models if not f.candidates), np.inf)
     worth = exact or integrates or _divided(nothing, model.left)
-    lacking = {c.key: _lacks(c, (model, *rivals), nameable, rope) for c in model.candidates}
+    # What the whitened likelihood knows of a value says nothing where it is wrong of what adds up.
+    tested = (model, *rivals) if exact or not integrates else tuple(free.least_squares(f) for f in rivals)
+    lacking = {c.key: _lacks(c, tested, nameable, rope) for c in model.candidates}
     tying = {
         c.key: _partners(c, model, rivals)
         for c in model.candidates
@@ -267,9 +277,10 @@ def _says_something_else(other: ModelFit, model: ModelFit, rope: Mapping[Key, fl
 
 def _exact(model: ModelFit, models: Sequence[ModelFit], needed: Callable[[ModelFit], float], free: FreeRun) -> bool:
     """Whether formulas are right up to a random disturbance: no discrepancy is needed, no set as small leaves a tenth less."""
+    if needed(model) >= LEAST:
+        return False
     as_small = [f for f in models if len(f.candidates) <= len(model.candidates)]
-    least = min(max(free.left(f), 1.0) for f in as_small)
-    return model.left <= EXPLAINED * least and needed(model) < LEAST
+    return all(model.left <= EXPLAINED * max(free.left(f), 1.0) for f in as_small)
 
 
 # -- the free run: where formulas are wrong and errors add up ----------------------------------------------------------------
@@ -281,15 +292,40 @@ def smallest_sets(models: Sequence[ModelFit], left: Callable[[ModelFit], float])
     Each effect has its price: what is left above the noise floor has to be divided by ``PRICE``. Sets of equal size that differ
     by less are not distinguished by what they leave.
     """
-    variance = {f.labels: max(left(f), EXPLAINED) ** 2 - 1.0 for f in models}
-    size = len(min(models, key=lambda f: variance[f.labels] * PRICE ** len(f.candidates)).candidates)
-    equal = sorted((f for f in models if len(f.candidates) == size), key=lambda f: variance[f.labels])
-    return [f for f in equal if variance[f.labels] <= PRICE * variance[equal[0].labels]]
+    variance: dict[int, list[tuple[float, ModelFit]]] = {}
+    least, size = np.inf, 0
+    for f in sorted(models, key=lambda f: len(f.candidates)):
+        n = len(f.candidates)
+        if (EXPLAINED**2 - 1.0) * PRICE**n >= least and n != size:
+            break  # more effects do not pay, whatever they leave
+        found = max(left(f), EXPLAINED) ** 2 - 1.0
+        variance.setdefault(n, []).append((found, f))
+        if found * PRICE**n < least:
+            least, size = found * PRICE**n, n
+    equal = sorted(variance[size], key=lambda each: each[0])
+    return [f for found, f in equal if found <= PRICE * equal[0][0]]
 
 
-def pays(before: float, after: float) -> bool:
-    """Whether effects are worth the price of one; root mean squares of the output without and with them, in noise floors."""
-    return after <= EXPLAINED or _divided(before, after)
+def _likelier(better: ModelFit, other: ModelFit, free: FreeRun) -> bool:
+    """Whether a set is clearly likelier than another of its size, with values with which it leaves hardly more of the output.
+
+    A set whose likeliest values leave much more than it could has no values for both fast and slow errors.
+    """
+    return better.left <= EXPLAINED * free.left(better) and better.evidence > other.evidence + LEAST
+
+
+def pays(before: float, after: float, integrates: bool) -> bool:
+    """Whether effects are worth their price on recordings that nothing has touched.
+
+    Where errors add up, a recording has few independent ones, so that what stays varies by chance: there the effects have to
+    explain more than they leave.
+
+    Args:
+        before, after: root mean squares of the output without and with them, in noise floors.
+    """
+    if after <= EXPLAINED or _divided(before, after):
+        return True
+    return integrates and before**2 - 1.0 >= 2.0 * (after**2 - 1.0)
 
 
 def _divided(before: float, after: float, effects: int = 1) -> bool:
@@ -305,7 +341,7 @@ def _nearest(models: Sequence[ModelFit], unsure: set[str], free: FreeRun) -> lis
         """What leaves less; without a difference what is simpler, and what is not at the edge of the plausible."""
         less, more = (free.further(*pair) > STANDARD_ERRORS for pair in ((g, f), (f, g)))
         edges = [any(_at_its_edge(c, each) for c in each.candidates) for each in (f, g)]
-        return (less or simpler(f, g) or edges == [False, True]) and not more
+        return (less or simpler(f, g) or edges == [False, True] or _likelier(f, g, free)) and not more
 
     found = [g for g in close if not any(preferred(f, g) for f in close if f is not g)] or close
     chosen = min(found, key=lambda f: (len(f.labels & unsure), free.left(f)))

@@ -27,6 +27,8 @@ Array = npt.NDArray[np.float64]
 MOST, KEPT, ADDED = 3, 3, 6
 #: Blocks over which an error of the free run is taken to last.
 LAGS = 4
+#: A fit ends where less than this share of what is left is to be gained.
+CONVERGED = 1e-4
 #: Amplitude of a disturbance that is none, in noise floors.
 NONE = 1e-9
 
@@ -39,7 +41,10 @@ class LeastSquares(FreeRun):
 
     def nearest(self, model: ModelFit) -> ModelFit:
         """The set of effects with the values that leave least of the output: its own, or those of least squares."""
-        return min(model, self.proposals.warm(model.candidates, model), key=lambda f: f.left)
+        return min(model, self.least_squares(model), key=lambda f: f.left)
+
+    def least_squares(self, model: ModelFit) -> ModelFit:
+        return self.proposals.warm(model.candidates, model)
 
     def left(self, model: ModelFit) -> float:
         """What a set of effects leaves of the output at least, in noise floors."""
@@ -93,7 +98,7 @@ def free_run_of(rows: Rows, discrepancy: Discrepancy, candidates: Sequence[Candi
     white = tuple(Disturbance(float(f), NONE * float(f), NONE * float(f), 1.0, NONE * float(f), 1.0) for f in rows.floor)
     variances = Variances(white, np.zeros(len(discrepancy.groups)), np.ones(rows.count))
     calm = [np.zeros(len(s.step)) for s in rows.series]
-    likelihood = StageLikelihood(rows, discrepancy, variances, calm, _clusters(rows))
+    likelihood = StageLikelihood(rows, discrepancy, variances, calm, _clusters(rows), False, CONVERGED)
     return LeastSquares(Proposals(likelihood, candidates))
 
 

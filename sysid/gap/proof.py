@@ -80,7 +80,7 @@ def _paying(stage: Stage) -> Stage:
     finding, fitted = stage.found, stage.found.stage_fit
     if not finding.named or fitted is None or fitted.decision.exact or not _shown(stage, stage.theta):
         return stage
-    if pays(held_out_score(stage, stage.theta), held_out_score(stage, finding.fit.theta)):
+    if pays(held_out_score(stage, stage.theta), held_out_score(stage, finding.fit.theta), stage.problem.integrates):
         return stage
     adjusted = (*finding.adjusted, *(kept.candidate for kept in finding.named))
     unsure = replace(fitted, decision=fitted.decision.without_names(LOST))
@@ -251,19 +251,19 @@ def _limits(finding: StageResult) -> Array:
     """95 % intervals of the unknowns of the chosen model, (k, 2), within their bounds.
 
     The hull of what the stage's likelihood leaves open and of what the free run does, the named effects alone: where formulas
-    are not those of the machine the two answer different questions.
+    are not those of the machine the two answer different questions. Where these errors add up, a value is what fits the output
+    best, and the likelihood gives no more than its estimate.
     """
     fitted = finding.stage_fit
     assert fitted is not None
     model, alone = fitted.decision.model, fitted.least_squares
     limits = _interval(model)
+    summed = finding.problem.integrates and not fitted.decision.exact
     for candidate in alone.candidates:
         if candidate.label in model.labels:
             here, there = model.rows_of(candidate), _interval(alone)[alone.rows_of(candidate)]
-            limits[here, 0], limits[here, 1] = (
-                np.minimum(limits[here, 0], there[:, 0]),
-                np.maximum(limits[here, 1], there[:, 1]),
-            )
+            kept = np.repeat(model.values[here, None], 2, axis=1) if summed else limits[here]
+            limits[here, 0], limits[here, 1] = np.minimum(kept[:, 0], there[:, 0]), np.maximum(kept[:, 1], there[:, 1])
     low = np.array([u.bounds[0] for u in model.unknowns])
     high = np.array([u.bounds[1] for u in model.unknowns])
     return np.clip(limits, low[:, None], high[:, None])

@@ -6,7 +6,7 @@ A search only proposes; :mod:`sysid.gap.decision` decides. The screening is a sc
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -26,8 +26,8 @@ MOST, TRIED, SWAPPED = 6, 4, 3
 LIBERAL = 3.0
 #: Models further below the best than this [nats] are not compared.
 NEAR = 60.0
-#: Starting values spread around those of an added effect.
-SPREAD = 16
+#: Starting values spread around those of an added effect: of one unknown that is absent near them, and of others.
+FEW, MANY = 4, 16
 #: Short steps of the screening, in what is negligible of each parameter.
 STEP = 2.0
 
@@ -43,11 +43,16 @@ class Promise:
 
 @dataclass
 class Proposals:
-    """Models of one stage under shared variances, each fitted once."""
+    """Models of one stage under shared variances, each fitted once.
+
+    Args:
+        earlier: fits of the same sets under other variances; a fit of them starts there.
+    """
 
     likelihood: StageLikelihood
     candidates: Sequence[Candidate]
     on_fit: Callable[[str], None] = lambda text: None
+    earlier: Mapping[frozenset[str], ModelFit] = field(default_factory=dict)
     fits: dict[frozenset[str], ModelFit] = field(default_factory=dict)
     _promises: dict[frozenset[str], list[Promise]] = field(default_factory=dict)
 
@@ -98,7 +103,7 @@ class Proposals:
                 break
         return best
 
-    def around(self, rounds: int = 3) -> None:
+    def around(self, rounds: int = 2) -> None:
         """Drops, additions and swaps around the likeliest model until it stays the likeliest."""
         for _ in range(rounds):
             best = self.best
@@ -135,10 +140,15 @@ class Proposals:
     def _added(self, model: ModelFit, promise: Promise) -> ModelFit:
         new = promise.candidate
         rest = [c for c in model.candidates if c.key != new.key and not new.contains(c)]
-        if frozenset(c.label for c in (*rest, new)) in self.fits:
-            return self.fits[frozenset(c.label for c in (*rest, new))]
+        key = frozenset(c.label for c in (*rest, new))
+        if key in self.fits:
+            return self.fits[key]
         known = np.concatenate([np.empty(0), *(model.values_of(c) for c in rest)])
-        starts = np.array([np.concatenate([known, start]) for start in (promise.start, *new.starts, *_spread(new))])
+        before = self.earlier.get(key)
+        spread = _spread(new) if before is None else np.array([before.values_of(new)])
+        starts = np.array([np.concatenate([known, start]) for start in (promise.start, *new.starts, *spread)])
+        if before is not None:
+            starts = np.vstack([starts, np.concatenate([before.values_of(c) for c in (*rest, new)])])
         return self.fit((*rest, new), starts)
 
     def _open(self, model: ModelFit) -> list[Candidate]:
@@ -227,14 +237,17 @@ def _lanes(
 
 
 def _spread(candidate: Candidate) -> Array:
-    """Starting values between and around a candidate's own, (SPREAD, k): a frequency or a length has to be met closely."""
+    """Starting values between and around a candidate's own, (s, k): a frequency or a length has to be met closely."""
     table = np.array(candidate.starts)
     low, high = table.min(axis=0), table.max(axis=0)
     room = np.maximum(high - low, 0.5 * np.abs(high))
     bounds = np.array([u.bounds for u in candidate.unknowns])
+    nominal = candidate.unknowns[0].nominal
     low = np.maximum(np.where(low > 0.0, 0.3 * low, low - 0.5 * room), bounds[:, 0])
     high = np.minimum(high + 0.5 * room, bounds[:, 1])
-    draws = qmc.Sobol(len(low), rng=np.random.default_rng(0)).random(SPREAD)
+    draws = qmc.Sobol(len(low), rng=np.random.default_rng(0)).random(
+        FEW if len(low) == 1 and low[0] <= nominal <= high[0] else MANY
+    )
     logarithmic = low > 0.0
     floor = np.where(logarithmic, low, 1.0)
     return np.where(logarithmic, floor * (np.where(logarithmic, high, 1.0) / floor) ** draws, low + (high - low) * draws)

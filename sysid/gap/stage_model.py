@@ -13,10 +13,10 @@ from sysid.datasets.recording import Recording
 from sysid.gap.candidates import Candidate
 from sysid.gap.decision import Decision, Key, decide, smallest_sets
 from sysid.gap.free_run import LeastSquares, free_run_of
-from sysid.gap.likelihood.averaged import averaged
+from sysid.gap.likelihood.averaged import SPANS, averaged
 from sysid.gap.likelihood.discrepancy import Discrepancy, discrepancy_of
 from sysid.gap.likelihood.explained import Explained, explained
-from sysid.gap.likelihood.rows import Rows
+from sysid.gap.likelihood.rows import Rows, averaged_out
 from sysid.gap.likelihood.stage import ModelFit, StageLikelihood, Variances, fit_model
 from sysid.gap.likelihood.variances import Start, estimated, first_variances, log_prior, own_evidence, robust
 from sysid.gap.problem import Problem
@@ -30,6 +30,9 @@ TYPICAL = 0.01
 #: First sizes of the discrepancy's coefficients, as a share of what a stage does: effects with a name come first, or smooth
 #: functions do. Where errors add up, beside the effects that explain the free run.
 FIRST, BESIDE = (1e-5, 1e-3), 1e-3
+#: Where errors add up and a discrepancy gains this much beside the likeliest model [nats], the free run decides, and models
+#: around that one are not looked for.
+CERTAIN = 30.0
 #: Transient of an unknown start state: over this time [s], and this share of the distance that it may come to.
 TRANSIENT, UNKNOWN = 0.4, 0.1
 
@@ -77,9 +80,11 @@ def fit_stage(
     """
     full = recordings[0].rate_hz
     # Means over 0.1 s shifted by a clock's error are off by several noise floors at every start and stop.
-    if not any(c.effect.target == "stream" for c in candidates):
+    span = 0.0 if any(c.effect.target == "stream" for c in candidates) else SPANS.get(problem.stage, 0.0)
+    hidden = averaged_out(problem, recordings, theta, sigma, span)
+    if span > 0.0:
         recordings = [averaged(r, problem.stage) for r in recordings]
-    rows = Rows(problem, recordings, theta, sigma)
+    rows = Rows(problem, recordings, theta, sigma, hidden)
     sample = recordings[0].rate_hz / full  # of the log, in samples of the averaged recordings
     samples = max(1, round(1.0 / sample)) * rows.series[0].width
     start = _start(rows, sigma, samples)
@@ -90,16 +95,14 @@ def fit_stage(
     free = free_run_of(rows, discrepancy, excited)
     sets = smallest_sets(free.sets(), free.left) if problem.integrates else [free.proposals.fit(())]
     taus = (BESIDE,) if problem.integrates else FIRST
-    found = [_settled(model, rows, discrepancy, sample, start, extra, excited, tau, sets[0], on_fit) for tau in taus]
+    known = dict(free.proposals.fits)
+    found = [_settled(model, rows, discrepancy, sample, start, extra, excited, tau, sets[0], known, on_fit) for tau in taus]
     likelihood, rich = max(found, key=lambda each: each[1].evidence + log_prior(each[0].variances, start))
     variances = robust(likelihood, rich)
     likelihood = StageLikelihood(rows, likelihood.discrepancy, variances, extra)
-    proposals = Proposals(likelihood, candidates, on_fit)
+    proposals = Proposals(likelihood, candidates, on_fit, known)
     for _, other in found:
         proposals.warm(other.candidates, other)
-    proposals.forward(proposals.best)
-    proposals.around()
-    rivals = [proposals.warm(f.candidates, f) for f in sets]
 
     @cache
     def own_of(fit: ModelFit) -> float:
@@ -110,6 +113,11 @@ def fit_stage(
     @cache
     def needed(fit: ModelFit) -> float:
         return fit.evidence - fit_model(bare, fit.candidates, fit.values[None]).evidence
+
+    proposals.forward(proposals.best)
+    if not problem.integrates or needed(proposals.best) < CERTAIN:
+        proposals.around()
+    rivals = [proposals.warm(f.candidates, f) for f in sets]
 
     def decided() -> Decision:
         models = {f.labels: f for f in (*proposals.near(), *rivals)}
@@ -149,22 +157,27 @@ def _settled(
     candidates: Sequence[Candidate],
     tau: float,
     first: ModelFit,
+    known: dict[frozenset[str], ModelFit],
     on_fit: Callable[[str], None],
 ) -> tuple[StageLikelihood, ModelFit]:
-    """Effects and variances found in turn, from the effects ``first``: the likelihood, and its likeliest model."""
+    """Effects and variances found in turn, from the effects ``first``: the likelihood, and its likeliest model.
+
+    ``known``: fits under other variances, to start from; those of this one are added.
+    """
     variances = first_variances(rows, start, len(discrepancy.groups), tau)
     likelihood = StageLikelihood(rows, discrepancy, variances, extra)
     rich: ModelFit | None = None
     for _ in range(2):
-        proposals = Proposals(likelihood, candidates, on_fit)
+        proposals = Proposals(likelihood, candidates, on_fit, known)
         before = first if rich is None else rich
         begin = proposals.warm(before.candidates, before)
         rich = proposals.forward(begin)
+        known.update(proposals.fits)
         discrepancy = _discrepancy(model, rows, rich.theta, sample)
         variances = estimated(rows, discrepancy, variances, start, extra, rich)
         likelihood = StageLikelihood(rows, discrepancy, variances, extra)
     assert rich is not None
-    proposals = Proposals(likelihood, candidates, on_fit)
+    proposals = Proposals(likelihood, candidates, on_fit, known)
     proposals.warm(rich.candidates, rich)
     for candidate in rich.candidates:
         proposals.without(rich, candidate)

@@ -239,18 +239,30 @@ class Model:
         if (thetas[:, place] >= neutral).all():
             return np.broadcast_to(np.ones(len(recording)), (len(thetas), len(recording)))
         dt = 1.0 / recording.rate_hz
-        total, load = np.zeros((len(thetas), len(recording))), self.load(thetas, recording, seconds)
-        size = layout.axis_memory(dt)
+        limited = np.flatnonzero(thetas[:, place] < neutral)
+        # The demand does not depend on the limit: lanes that differ in it alone, or elsewhere, share theirs.
         moved = [i for i in range(self.axes) if self.rig.axes[i, KIND] == VELOCITY]
+        blocks = np.concatenate([np.arange(i * AXIS_WIDTH, (i + 1) * AXIS_WIDTH) for i in moved])
+        rows: list[int] = []
+        known: dict[bytes, int] = {}
+        of_lane = np.empty(len(limited), dtype=np.int64)
+        for k, lane_of in enumerate(limited):
+            of_lane[k] = known.setdefault(thetas[lane_of, blocks].tobytes(), len(rows))
+            if of_lane[k] == len(rows):
+                rows.append(int(lane_of))
+        total, load = np.zeros((len(rows), len(recording))), self.load(thetas, recording, seconds)
+        size = layout.axis_memory(dt)
         names = self.machine.axis_names
         inputs = [(i, self.held(recording, names[i])[0], self.stretches(recording, names[i], seconds)) for i in moved]
 
         def lane(k: int) -> None:
             for i, command, segments in inputs:
-                axis_run.add_demand(thetas[k], self.rig, i, command, load[i], segments, dt, size, total[k])
+                axis_run.add_demand(thetas[rows[k]], self.rig, i, command, load[i], segments, dt, size, total[k])
 
-        in_parallel(lane, len(thetas), len(recording) * len(moved))
-        return frozen(np.minimum(1.0, thetas[:, place, None] / np.maximum(total, 1e-12)))
+        in_parallel(lane, len(rows), len(recording) * len(moved))
+        out = np.ones((len(thetas), len(recording)))
+        out[limited] = np.minimum(1.0, thetas[limited, place, None] / np.maximum(total[of_lane], 1e-12))
+        return frozen(out)
 
     # -- sensors -----------------------------------------------------------------------------------------------------
 

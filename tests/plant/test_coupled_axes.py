@@ -188,3 +188,22 @@ def test_measured_loads_are_not_asked_for_in_a_free_run() -> None:
         wrong.loc[100:, signal] += 0.5
     one, other = free_run(plant, recording), free_run(plant, replace(recording, table=wrong))
     assert np.array_equal(one["boom.cylinder"], other["boom.cylinder"])
+
+
+def test_lanes_share_a_demand_and_keep_their_own_limits() -> None:
+    """Parameter vectors with one limit, another, none, and another gain, side by side, are what each is alone."""
+    variants = [(0.6, 1.0), (0.9, 1.0), (None, 1.0), (0.6, 1.4)]
+    plants = [
+        nominal(
+            *((KnownEffect("pump_flow_limit", "machine", {"limit": limit}),) if limit is not None else ()),
+            KnownEffect("gain_error", "boom", {"ratio": ratio}),
+        )
+        for limit, ratio in variants
+    ]
+    model, thetas = compile_plant(plants[0]), np.array([plant.vector() for plant in plants])
+    made = commanded(0.8 * np.sin(np.arange(300) / 20.0), np.full(300, -0.7))
+    together = model.share(thetas, made)
+    assert together == pytest.approx(np.concatenate([model.share(theta[None], made) for theta in thetas]))
+    assert together[2] == pytest.approx(1.0)
+    assert together[0].min() < together[1].min() < 1.0
+    assert together[3].min() < together[0].min()

@@ -55,10 +55,14 @@ class Rows:
     Args:
         theta: vector of the questioned plant: a row counts where its prediction is there.
         floor: noise floor of each output, (d,).
+        averaged_out: variance of the outputs that the averages of samples no longer show, in noise floors.
     """
 
-    def __init__(self, problem: Problem, recordings: Sequence[Recording], theta: Array, floor: Array) -> None:
+    def __init__(
+        self, problem: Problem, recordings: Sequence[Recording], theta: Array, floor: Array, averaged_out: float = 0.0
+    ) -> None:
         self.problem, self.recordings, self.floor = problem, tuple(recordings), floor
+        self.averaged_out = averaged_out
         series: list[Series] = []
         begin = 0
         for r, recording in enumerate(self.recordings):
@@ -134,6 +138,13 @@ class Rows:
         """Root mean square of columns (rows, m) over what is measured, in noise floors, (m,)."""
         return np.asarray(np.sqrt((self.scaled(columns) ** 2).sum(axis=0) / max(self.measured_rows, 1)))
 
+    def left(self, residual: Array) -> float:
+        """Root mean square of a residual (rows,) over the samples behind its rows, in noise floors.
+
+        The noise that the averages no longer show is in the floor as well.
+        """
+        return float(np.sqrt(self.in_floors(residual[:, None])[0] ** 2 + self.averaged_out))
+
     def _blocks(self) -> npt.NDArray[np.int64]:
         """The block of every row; rows of all signals at one time share one, so do neighbouring poses."""
         block = np.zeros(self.count, dtype=np.int64)
@@ -171,6 +182,31 @@ def bin_means(values: Array, width: int) -> Array:
     out = np.empty((values.shape[0], values.shape[1] // width, values.shape[2]))
     _means(np.ascontiguousarray(values), width, out)
     return out
+
+
+def averaged_out(problem: Problem, recordings: Sequence[Recording], theta: Array, floor: Array, span: float) -> float:
+    """Variance of the residual about a parabola within each ``span`` [s], less what stays in its mean; in noise floors.
+
+    From the recordings themselves: the steps of a coarse sensor do not average out where it moves slowly. No more than the
+    floor.
+    """
+    total, count = 0.0, 0
+    for recording in recordings:
+        width = round(max(span, BIN) * problem.rate(recording)) if recording.kind == "motion" else 1
+        residual = problem.measured(recording) - problem.predict(theta[None], recording)[0]
+        bins = len(residual) // width
+        if width < 3 or not bins:
+            count += int((~np.isnan(residual)).sum())
+            continue
+        parts = (residual / floor)[: bins * width].reshape(bins, width, -1)
+        parts = np.moveaxis(parts, 1, 2).reshape(-1, width)
+        parts = parts[~np.isnan(parts).any(axis=1)]
+        degrees = min(3, width - 1)
+        motion = np.vander(np.linspace(-1.0, 1.0, width), degrees)
+        away = parts - parts @ (motion @ np.linalg.pinv(motion)).T
+        total += float((away**2).sum()) / (width - degrees) * (width - 1)
+        count += parts.size
+    return min(total / max(count, 1), 1.0)
 
 
 def _time(problem: Problem, recording: Recording, width: int, count: int) -> Array:

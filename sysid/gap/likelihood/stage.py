@@ -18,6 +18,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
@@ -58,7 +59,8 @@ class Variances:
         disturbances: one for each signal.
         groups: standard deviation τ of the coefficients of each group of the discrepancy, (g,).
         weights: square root of the weight of each row, (rows,): outliers of the richest model count less.
-        left: what the richest model leaves of the output [noise floors]: no group does more. Infinite where errors add up.
+        left: what the richest model leaves of the output beyond noise [noise floors]: no group does more. Infinite where errors
+            add up.
     """
 
     disturbances: tuple[Disturbance, ...]
@@ -69,25 +71,50 @@ class Variances:
 
 @dataclass(frozen=True)
 class Linear:
-    """The linear part, whitened and in unit prior: ``columns`` (rows, p), and the factor of ``columnsᵀcolumns + 1``.
+    """The linear part, whitened and in unit prior: ``columns`` (rows, p), their products ``gram`` (p, p).
 
     ``outputs``: what the discrepancy in each column does to the output, in noise floors, (rows, p).
     """
 
     columns: Array
-    factor: Array
+    gram: Array
     outputs: Array
 
-    def beside(self, slopes: Array, outputs: Array) -> Linear:
-        """Without what the effects of a model can do: ``slopes`` (rows, k) whitened, ``outputs`` (rows, k) in noise floors."""
-        if not slopes.shape[1]:
-            return self
+    @cached_property
+    def alone(self) -> Orthogonal:
+        """Beside no effects."""
+        none = np.zeros((len(self.columns), 0))
+        return Orthogonal(self.columns, none, np.zeros((0, len(self.gram))), _factor(self.gram))
+
+    def beside(self, slopes: Array, outputs: Array) -> Orthogonal:
+        """Without what the effects of a model can do: ``slopes`` (rows, k) whitened, ``outputs`` (rows, k) in noise floors.
+
+        From products alone: no table of rows is made.
+        """
         share = share_of(outputs, self.outputs)
-        return _factored(self.columns - slopes @ share, self.outputs - outputs @ share)
+        both = share.T @ (slopes.T @ self.columns)
+        gram = self.gram - both - both.T + share.T @ (slopes.T @ slopes) @ share
+        return Orthogonal(self.columns, slopes, share, _factor(gram))
+
+
+@dataclass(frozen=True)
+class Orthogonal:
+    """The linear part less ``share`` (k, p) of the ``slopes`` (rows, k) of a model's effects, with its factor."""
+
+    whole: Array
+    slopes: Array
+    share: Array
+    factor: Array
+
+    @property
+    def columns(self) -> Array:
+        """(rows, p)."""
+        return np.asarray(self.whole - self.slopes @ self.share)
 
     def projected(self, columns: Array) -> Array:
         """``columns`` (rows, m) as the linear part explains them, (p, m): to be taken off their products."""
-        return np.asarray(solve_triangular(self.factor, self.columns.T @ columns, lower=True))
+        products = self.whole.T @ columns - self.share.T @ (self.slopes.T @ columns)
+        return np.asarray(solve_triangular(self.factor, products, lower=True))
 
     def costs(self, innovations: Array) -> Array:
         """Half the squared length of columns (rows, lanes) that the linear part leaves."""
@@ -218,6 +245,8 @@ class StageLikelihood:
     Args:
         extra: of each series, as in :func:`filter_of`.
         clusters: of each row, (rows,): the covariance of the unknowns takes errors within one as dependent; blocks by default.
+        predicts: whether blocks are predicted from one another.
+        converged: share of the cost that a fit does not follow further; at least :data:`CONVERGED`.
     """
 
     def __init__(
@@ -227,7 +256,10 @@ class StageLikelihood:
         variances: Variances,
         extra: Sequence[Array],
         clusters: npt.NDArray[np.int64] | None = None,
+        predicts: bool = True,
+        converged: float = 0.0,
     ) -> None:
+        self.predicts, self.converged = predicts, converged
         self.rows, self.discrepancy, self.variances, self.extra = rows, discrepancy, variances, extra
         self.clusters = rows.block if clusters is None else clusters
         self.filters: tuple[Filter, ...] = tuple(
@@ -260,20 +292,22 @@ class StageLikelihood:
 def _linear(columns: Array, outputs: Array) -> Linear:
     """Principal directions of the linear part that can matter."""
     values, vectors = np.linalg.eigh(columns.T @ columns)
-    kept = vectors[:, values > NEGLIGIBLE]
-    return _factored(np.ascontiguousarray(columns @ kept), outputs @ kept)
+    there = values > NEGLIGIBLE
+    kept = vectors[:, there]
+    return Linear(np.ascontiguousarray(columns @ kept), np.diag(values[there]), outputs @ kept)
 
 
-def _factored(columns: Array, outputs: Array) -> Linear:
-    return Linear(columns, np.asarray(np.linalg.cholesky(columns.T @ columns + np.eye(columns.shape[1]))), outputs)
+def _factor(gram: Array) -> Array:
+    """Lower Cholesky factor of products in unit prior."""
+    return np.asarray(np.linalg.cholesky(gram + np.eye(len(gram))))
 
 
 # -- fitting -------------------------------------------------------------------------------------------------------------
 
 #: Gauss–Newton steps at most, and the gain [nats] below which a fit has converged.
 ROUNDS, CONVERGED = 15, 0.05
-#: Damping factors that are tried side by side.
-DAMPING = (0.0, 1e-2, 0.3, 10.0)
+#: Damping factors: those behind the first one are tried where a step gains less than this share of what its slopes promise.
+DAMPING, TRUSTED = (0.0, 1e-2, 0.3, 10.0), 0.5
 #: A parameter is flat where what is negligible of it changes the innovations by less than this, all together.
 FLAT = 1e-3
 #: Standard deviations of the innovations from which on a change of an unknown that acts in steps is seen.
@@ -301,20 +335,26 @@ def fit_model(likelihood: StageLikelihood, candidates: Sequence[Candidate], star
     starts = np.clip(starts, prior.low, prior.high)
     x = starts[0]
 
-    def costs(lanes: Array, innovations: Array, linear: Linear) -> Array:
+    def costs(lanes: Array, innovations: Array, linear: Orthogonal) -> Array:
         """Of values (lanes, k) with their innovations (rows, lanes)."""
         return np.asarray(linear.costs(innovations) + 0.5 * (((lanes - prior.centre) / prior.width) ** 2).sum(axis=1))
+
+    def changes_at(values: Array) -> Array:
+        """Residual at ``values`` (k,), and what it changes with each unknown in a unit of its prior, (rows, 1 + k)."""
+        steps = steps_of(unknowns, values)
+        table = likelihood.residuals(place(nominal, unknowns, np.vstack([values[None], values + np.diag(steps)])))
+        table[:, 1:] = (table[:, 1:] - table[:, :1]) / steps * prior.width
+        return table
 
     if not unknowns:
         return _finished(likelihood, candidates, unknowns, x, rows.residuals(nominal[None]).T, prior)
     if len(starts) > 1:
         table = likelihood.innovations(place(nominal, unknowns, starts))
-        x = starts[int(np.argmin(costs(starts, table, likelihood.linear)))]
+        x = starts[int(np.argmin(costs(starts, table, likelihood.linear.alone)))]
     stepwise = np.array([u.stepwise for u in unknowns])
-    for _ in range(rounds):
-        steps = steps_of(unknowns, x)
-        raw = likelihood.residuals(place(nominal, unknowns, np.vstack([x[None], x + np.diag(steps)])))
-        raw[:, 1:] = (raw[:, 1:] - raw[:, :1]) / steps * prior.width
+    raw: Array | None = None
+    for round_ in range(rounds):
+        raw = changes_at(x)
         table = likelihood.whitened(raw)
         w, slopes = table[:, 0], table[:, 1:]
         linear = likelihood.linear.beside(slopes, rows.scaled(raw[:, 1:]))
@@ -322,30 +362,51 @@ def fit_model(likelihood: StageLikelihood, candidates: Sequence[Candidate], star
         z = linear.projected(np.column_stack([slopes, w]))
         hessian = slopes.T @ slopes - z[:, :-1].T @ z[:, :-1] + np.eye(len(x))
         gradient = slopes.T @ w - z[:, :-1].T @ z[:, -1] + (x - prior.centre) / prior.width
-        trials = [_stepped(x, hessian, gradient, damping, prior) for damping in DAMPING]
         flat = np.linalg.norm(slopes, axis=0) * np.array([u.negligible for u in unknowns]) < FLAT * prior.width
-        for k in np.flatnonzero(stepwise | flat):
-            reach = np.array(GRID) * unknowns[k].negligible
-            for offset in (*-reach, *reach):
-                moved = x.copy()
-                moved[k] += offset
-                trials.append(np.clip(moved, prior.low, prior.high))
-        lanes = np.array(trials)
-        tried = costs(lanes, likelihood.innovations(place(nominal, unknowns, lanes)), linear)
-        best = int(np.argmin(tried))
-        gained = cost - float(tried[best])
-        if not gained > 1e-6:
+        coarse = np.flatnonzero(stepwise | flat)
+        first = _stepped(x, hessian, gradient, DAMPING[0], prior)
+        away = (x - first) / prior.width
+        promised = float(gradient @ away - 0.5 * away @ hessian @ away)
+        least = max(CONVERGED, likelihood.converged * cost)
+        lanes, tried = [x], [cost]
+
+        def attempt(
+            trials: Sequence[Array], lanes: list[Array] = lanes, tried: list[float] = tried, linear: Orthogonal = linear
+        ) -> float:
+            """The gain of the best values so far, with ``trials`` among them."""
+            lanes += trials
+            innovations = likelihood.innovations(place(nominal, unknowns, np.array(trials)))
+            tried += list(costs(np.array(trials), innovations, linear))
+            return tried[0] - min(tried)
+
+        gained = 0.0
+        if promised > least:
+            gained = attempt([first])
+            if gained < TRUSTED * promised:
+                gained = attempt([_stepped(x, hessian, gradient, damping, prior) for damping in DAMPING[1:]])
+        if len(coarse) and (round_ == 0 or gained <= least):
+            gained = attempt([moved for k in coarse for moved in _grid(x, int(k), unknowns[k], prior)])
+        if gained <= least:
             break
-        x = lanes[best]
-        if gained < CONVERGED:
-            break
-    steps = steps_of(unknowns, x)
-    lanes = np.vstack([x[None], x + np.diag(steps)])
-    table = likelihood.residuals(place(nominal, unknowns, lanes))
-    table[:, 1:] = (table[:, 1:] - table[:, :1]) / steps
+        x, raw = lanes[int(np.argmin(tried))], None
+    if raw is None:
+        raw = changes_at(x)
+    table = raw.copy()
+    table[:, 1:] /= prior.width
     for k in np.flatnonzero(stepwise):
         table[:, 1 + k] = _secant(likelihood, unknowns, x, table, int(k), prior)
     return _finished(likelihood, candidates, unknowns, x, table, prior)
+
+
+def _grid(x: Array, k: int, unknown: Unknown, prior: Prior) -> list[Array]:
+    """Values with one unknown moved to both sides."""
+    reach = np.array(GRID) * unknown.negligible
+    found = []
+    for offset in (*-reach, *reach):
+        moved = x.copy()
+        moved[k] += offset
+        found.append(np.clip(moved, prior.low, prior.high))
+    return found
 
 
 def _secant(likelihood: StageLikelihood, unknowns: Sequence[Unknown], x: Array, table: Array, k: int, prior: Prior) -> Array:
@@ -415,11 +476,11 @@ def _finished(
     m = cho_solve(cho_factor(H, lower=True), X.T @ r)
     e = r - X @ m
     evidence = -0.5 * float(e @ e + m @ m) - 0.5 * float(np.linalg.slogdet(H)[1]) - likelihood.log_scale - cost
-    predictive = _block_densities(X, r, H, rows)
+    predictive = _block_densities(X, r, H, rows) if likelihood.predicts else np.zeros(rows.blocks)
     theta = place(rows.theta, unknowns, values[None])[0] if k else rows.theta
     rms = float(np.sqrt(e @ e / max(rows.measured_rows, 1)))
     return ModelFit(
-        candidates, unknowns, values, theta, covariance, confounded, evidence, predictive, rms, size[1:], float(size[0])
+        candidates, unknowns, values, theta, covariance, confounded, evidence, predictive, rms, size[1:], rows.left(table[:, 0])
     )
 
 

@@ -6,7 +6,7 @@ of the whitened columns is all that is needed).
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -15,8 +15,9 @@ from scipy.linalg import cho_factor, cho_solve
 from scipy.optimize import minimize
 
 from sysid.gap.fit import place
+from sysid.gap.likelihood.adjoint import gradient_of
 from sysid.gap.likelihood.discrepancy import Discrepancy
-from sysid.gap.likelihood.disturbance import Disturbance
+from sysid.gap.likelihood.disturbance import Disturbance, Filter
 from sysid.gap.likelihood.rows import Rows
 from sysid.gap.likelihood.stage import HUBER, ModelFit, StageLikelihood, Variances, fit_model, steps_of, whitening_of
 
@@ -32,6 +33,8 @@ SPREAD = np.array([NOISE_SPREAD, DISTURBANCE_SPREAD, DISTURBANCE_SPREAD, MEMORY_
 FAR = np.array([2.0, 12.0, 12.0, 3.2, 12.0, 3.2])
 #: Below this τ a group is absent; a discrepancy above the other, a tenth of what a stage does, would be the model itself.
 ABSENT, LARGEST = 1e-6, 0.1
+#: A discrepancy that goes unnoticed where nothing else is left: it adds a tenth to the noise floor [noise floors].
+UNNOTICED = 0.458
 #: Rounds of the two maximisations.
 ROUNDS = 2
 
@@ -60,7 +63,8 @@ def estimated(
     residual, slopes = _linearised(rows, model)
     columns = np.column_stack([discrepancy.timing, slopes, discrepancy.columns, residual])
     fixed = 1 + slopes.shape[1]
-    variances = replace(variances, left=np.inf if rows.problem.integrates else max(model.left, 1.0))
+    systematic = float(np.sqrt(max(model.left**2 - 1.0, UNNOTICED**2)))
+    variances = replace(variances, left=np.inf if rows.problem.integrates else systematic)
     largest = _largest(rows, discrepancy, variances.left)
     for _ in range(ROUNDS):
         variances = _disturbances(rows, columns, fixed, discrepancy, variances, start, extra)
@@ -114,11 +118,24 @@ def _gram(
 
 def _evidence(gram: Array, scale: Array) -> float:
     """Log evidence up to the log scale; ``scale`` (m,) prior standard deviations of all columns but the last."""
+    return _evidence_and_slope(gram, scale)[0]
+
+
+def _evidence_and_slope(gram: Array, scale: Array) -> tuple[float, Array]:
+    """Log evidence as :func:`_evidence`, and what whitened columns (n, m + 1) are multiplied by for the slope of its negative.
+
+    With X the columns in unit prior, H = XᵀX + 1 and e = r − X·m, m = H⁻¹·Xᵀr: the negative is e·r/2 + log|H|/2, and its
+    derivatives are e with respect to r and X·H⁻¹ − e·mᵀ with respect to X, linear in the columns.
+    """
     H = gram[:-1, :-1] * np.outer(scale, scale) + np.eye(len(scale))
     factor = cho_factor(H, lower=True)
     g = gram[:-1, -1] * scale
-    v = gram[-1, -1] - g @ cho_solve(factor, g)
-    return float(-0.5 * v - np.log(np.diag(factor[0])).sum())
+    m = cho_solve(factor, g)
+    value = float(-0.5 * (gram[-1, -1] - g @ m) - np.log(np.diag(factor[0])).sum())
+    residual = np.append(-scale * m, 1.0)
+    by_column = np.outer(residual, residual)
+    by_column[:-1, :-1] += cho_solve(factor, np.eye(len(scale))) * np.outer(scale, scale)
+    return value, by_column
 
 
 def _scales(fixed: int, group: npt.NDArray[np.int64], taus: Array) -> Array:
@@ -141,28 +158,72 @@ def _disturbances(
         found = np.exp(z.reshape(signals, width))
         return replace(variances, disturbances=tuple(Disturbance(*map(float, row)) for row in found))
 
-    z = np.log(first).ravel()
+    z = np.log(first)
     for k in range(signals):  # signals of one stage have filters of their own: one at a time
-        here = slice(width * k, width * (k + 1))
         rest = _gram(rows, table, variances_of(z), extra, [j for j in range(signals) if j != k])[0]
-
-        def one(part: Array, here: slice = here, k: int = k, rest: Array = rest) -> float:
-            whole = z.copy()
-            whole[here] = part
-            gram, log_scale = _gram(rows, table, variances_of(whole), extra, [k])
-            prior = 0.5 * (((part - np.log(centre[k])) / SPREAD) ** 2).sum()
-            return log_scale - _evidence(rest + gram, scale) + float(prior)
-
+        one = _Signal(rows, k, table, scale, rest, variances.weights, extra, np.log(centre[k]))
         low, high = np.log(centre[k]) - FAR, np.log(centre[k]) + FAR
-        bounds = list(zip(low, high, strict=True))
+        bounds = [(float(a), float(b)) for a, b in zip(low, high, strict=True)]
         # A disturbance at rest and one of the motion are two optima: begin at the two most promising.
-        begins = sorted((np.clip(row, low, high) for row in _beginnings(z[here])), key=one)[:2]
+        begins = sorted((np.clip(row, low, high) for row in _beginnings(z[k])), key=one.cost)[:2]
         found = [
-            minimize(one, begin, method="L-BFGS-B", bounds=bounds, options={"maxiter": 12, "eps": 2e-2, "ftol": 1e-7})
+            minimize(
+                one.cost_and_slope, begin, jac=True, method="L-BFGS-B", bounds=bounds, options={"maxiter": 12, "ftol": 1e-7}
+            )
             for begin in begins
         ]
-        z[here] = min(found, key=lambda each: float(each.fun)).x
+        z[k] = min(found, key=lambda each: float(each.fun)).x
     return variances_of(z)
+
+
+@dataclass(frozen=True)
+class _Signal:
+    """Negative log evidence as a function of the logarithms of one signal's disturbance, (6,).
+
+    Args:
+        rest: products of the columns whitened for the other signals.
+        centre: of the prior, (6,).
+    """
+
+    rows: Rows
+    signal: int
+    columns: Array
+    scale: Array
+    rest: Array
+    weights: Array
+    extra: Sequence[Array]
+    centre: Array
+
+    def cost(self, z: Array) -> float:
+        return self._whitened(z)[1]
+
+    def cost_and_slope(self, z: Array) -> tuple[float, Array]:
+        whitened, cost, by_column = self._whitened(z)
+        slope = (z - self.centre) / SPREAD**2
+        for k, table in whitened.items():
+            here = self.rows.series[k].rows
+            weights = self.weights[here, None]
+            filters = self._filters(k)
+            slope += gradient_of(self.columns[here], (table @ by_column) * weights, filters, z)
+        return cost, slope
+
+    def _whitened(self, z: Array) -> tuple[dict[int, Array], float, Array]:
+        """Whitened columns by series, the cost, and the matrix that takes them to its derivatives with respect to them."""
+        found, gram, log_scale = dict[int, Array](), self.rest.copy(), 0.0
+        for k, s in enumerate(self.rows.series):
+            if s.signal == self.signal:
+                whitener = self._filters(k)(z)
+                found[k] = np.empty((len(s.step), self.columns.shape[1]))
+                whitener.whiten(self.columns[s.rows], found[k])
+                found[k] *= self.weights[s.rows, None]
+                gram += found[k].T @ found[k]
+                log_scale += whitener.log_scale
+        value, by_column = _evidence_and_slope(gram, self.scale)
+        prior = 0.5 * (((z - self.centre) / SPREAD) ** 2).sum()
+        return found, float(log_scale - value + prior), by_column
+
+    def _filters(self, k: int) -> Callable[[Array], Filter]:
+        return lambda z: whitening_of(self.rows, k, Disturbance(*map(float, np.exp(z))), self.extra[k])
 
 
 def _beginnings(z: Array) -> list[Array]:
@@ -234,7 +295,7 @@ def _weights(likelihood: StageLikelihood, model: ModelFit) -> Array:
     """Square roots of Huber's weights from the innovations of ``model`` that the linear part leaves."""
     w = likelihood.innovations(model.theta[None])[:, 0]
     weights = likelihood.variances.weights
-    z = likelihood.linear.projected(w[:, None])
-    fitted = likelihood.linear.columns @ np.linalg.solve(likelihood.linear.factor.T, z)[:, 0]
+    linear = likelihood.linear.alone
+    fitted = linear.columns @ np.linalg.solve(linear.factor.T, linear.projected(w[:, None]))[:, 0]
     left = np.abs(w - fitted) / np.maximum(weights, 1e-6)
     return np.asarray(np.sqrt(np.minimum(1.0, HUBER / np.maximum(left, 1e-12))))

@@ -13,7 +13,7 @@ from regression_stage import NOISE, SIGNAL, functions, problem, recordings, rows
 from sysid.datasets.recording import Recording
 from sysid.effects.effect import Stage
 from sysid.gap.likelihood.averaged import SPANS, averaged
-from sysid.gap.likelihood.rows import BIN, BLOCK, Rows, bin_means
+from sysid.gap.likelihood.rows import BIN, BLOCK, Rows, averaged_out, bin_means
 from sysid.gap.problem import drive_problem
 from sysid.plant import compile_plant
 
@@ -136,3 +136,21 @@ def test_stages_with_dynamics_and_poses_keep_their_rows() -> None:
     assert averaged(made, "command") is made
     assert averaged(made, "force") is made
     assert averaged(poses, "end_effector") is poses
+
+
+def test_what_is_left_is_that_of_the_samples_whatever_is_averaged() -> None:
+    """Noise that averages out is added back; the steps of a coarse sensor, which stay in the means, are not counted twice."""
+    plant = compile_plant(nominal())
+    stage = drive_problem(plant, plant.machine.axis("slew"))
+    theta, floor = nominal().vector(), np.array([2e-4])
+    given = dataset_of(nominal(), 40.0).recordings
+    for step in (0.0, 4e-4):
+        read = [replace(r, table=r.table.assign(**{"slew.joint": _read(r.values("slew.joint"), step)})) for r in given]
+        rows = Rows(stage, read, theta, floor, averaged_out(stage, read, theta, floor, 0.0))
+        samples = np.concatenate([stage.measured(r)[:, 0] - stage.predict(theta[None], r)[0][:, 0] for r in read])
+        found = rows.left(rows.residuals(theta[None])[0])
+        assert found == pytest.approx(float(np.sqrt(np.nanmean((samples / floor) ** 2))), rel=0.1)
+
+
+def _read(values: np.ndarray, step: float) -> np.ndarray:
+    return values if step == 0.0 else np.round(values / step) * step
