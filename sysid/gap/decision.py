@@ -199,7 +199,7 @@ def decide(
     if exact or not integrates:
         rivals, model = likely, likely[0]
     else:
-        rivals = _nearest(models, unsure, free)
+        rivals = _nearest(models, unsure, free, own_evidence)
         model = _whole(rivals[0], survivors, unsure)
     nothing = next((f.left for f in models if not f.candidates), np.inf)
     worth = exact or integrates or _divided(nothing, model.left)
@@ -306,12 +306,13 @@ def smallest_sets(models: Sequence[ModelFit], left: Callable[[ModelFit], float])
     return [f for found, f in equal if found <= PRICE * equal[0][0]]
 
 
-def _likelier(better: ModelFit, other: ModelFit, free: FreeRun) -> bool:
+def _likelier(better: ModelFit, other: ModelFit, free: FreeRun, own_evidence: Callable[[ModelFit], float]) -> bool:
     """Whether a set is clearly likelier than another of its size, with values with which it leaves hardly more of the output.
 
-    A set whose likeliest values leave much more than it could has no values for both fast and slow errors.
+    A set whose likeliest values leave much more than it could has no values for both fast and slow errors. Where formulas are
+    wrong, very strong evidence of one block is not enough.
     """
-    return better.left <= EXPLAINED * free.left(better) and better.evidence > other.evidence + LEAST
+    return better.left <= EXPLAINED * free.left(better) and own_evidence(better) > own_evidence(other) + 2.0 * BLOCK_NATS
 
 
 def pays(before: float, after: float, integrates: bool) -> bool:
@@ -333,7 +334,9 @@ def _divided(before: float, after: float, effects: int = 1) -> bool:
     return before**2 - 1.0 >= PRICE**effects * (max(after, EXPLAINED) ** 2 - 1.0)
 
 
-def _nearest(models: Sequence[ModelFit], unsure: set[str], free: FreeRun) -> list[ModelFit]:
+def _nearest(
+    models: Sequence[ModelFit], unsure: set[str], free: FreeRun, own_evidence: Callable[[ModelFit], float]
+) -> list[ModelFit]:
     """The smallest sets of effects that explain the output and that no other is preferred to; what leaves least comes first."""
     close = smallest_sets(models, free.left)
 
@@ -341,7 +344,7 @@ def _nearest(models: Sequence[ModelFit], unsure: set[str], free: FreeRun) -> lis
         """What leaves less; without a difference what is simpler, and what is not at the edge of the plausible."""
         less, more = (free.further(*pair) > STANDARD_ERRORS for pair in ((g, f), (f, g)))
         edges = [any(_at_its_edge(c, each) for c in each.candidates) for each in (f, g)]
-        return (less or simpler(f, g) or edges == [False, True] or _likelier(f, g, free)) and not more
+        return (less or simpler(f, g) or edges == [False, True] or _likelier(f, g, free, own_evidence)) and not more
 
     found = [g for g in close if not any(preferred(f, g) for f in close if f is not g)] or close
     chosen = min(found, key=lambda f: (len(f.labels & unsure), free.left(f)))

@@ -172,26 +172,21 @@ def screened(likelihood: StageLikelihood, model: ModelFit, candidates: Sequence[
     lanes, owners, starts, whole = _lanes(model.theta, candidates)
     if not len(lanes):
         return []
-    thetas = [model.theta[None], lanes]
-    if model.unknowns:
-        steps = steps_of(model.unknowns, model.values)
-        thetas.append(place(likelihood.rows.theta, model.unknowns, model.values + np.diag(steps)))
-    table = likelihood.innovations(np.vstack(thetas))
-    w, changes = table[:, 0], table[:, 1 : len(lanes) + 1] - table[:, :1]
-    basis = likelihood.linear.columns
-    offset = np.zeros(0)
-    if model.unknowns:
-        prior = prior_of(model.candidates)
-        slopes = (table[:, len(lanes) + 1 :] - table[:, :1]) / steps * prior.width
-        basis = np.hstack([basis, slopes])
-        offset = (model.values - prior.centre) / prior.width
-    p = basis.shape[1]
-    factor = np.linalg.cholesky(basis.T @ basis + np.eye(p))
-    target = basis.T @ w
-    target[p - len(offset) :] += offset
-    z = solve_triangular(factor, np.column_stack([basis.T @ changes, target]), lower=True)
-    gram = changes.T @ changes - z[:, :-1].T @ z[:, :-1]
-    slope = -(changes.T @ w - z[:, :-1].T @ z[:, -1])  # how the cost falls with each change
+    steps, prior = steps_of(model.unknowns, model.values), prior_of(model.candidates)
+    moved = place(likelihood.rows.theta, model.unknowns, model.values + np.diag(steps))
+    count, m = len(lanes), len(model.unknowns)
+    p = likelihood.linear.columns.shape[1] + m
+    products = np.zeros((p + count + 1,) * 2)  # of linear part, slopes of the model, changes, and residual
+    for here, part in likelihood.innovation_parts(np.vstack([model.theta[None], lanes, moved])):
+        w, changes, slopes = part[:, :1], part[:, 1 : count + 1], part[:, count + 1 :]
+        table = np.hstack([likelihood.linear.columns[here], (slopes - w) / steps * prior.width, changes - w, w])
+        products += table.T @ table
+    factor = np.linalg.cholesky(products[:p, :p] + np.eye(p))
+    right = products[:p, p:].copy()
+    right[p - m :, -1] += (model.values - prior.centre) / prior.width
+    z = solve_triangular(factor, right, lower=True)
+    left = products[p:, p:] - z.T @ z
+    gram, slope = left[:-1, :-1], -left[:-1, -1]  # how the cost falls with each change
     found = []
     for k, candidate in enumerate(candidates):
         best = Promise(candidate, -np.inf, np.array(candidate.starts[0]))

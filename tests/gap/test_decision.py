@@ -168,11 +168,28 @@ class Compared(FreeRun):
 
 @pytest.mark.parametrize(("standard_errors", "named"), [(1.9, False), (2.1, True)])
 def test_one_set_is_preferred_if_it_leaves_significantly_less(standard_errors: float, named: bool) -> None:
-    """Where formulas are wrong, the whitened likelihood does not count: 80 nats are for the other one."""
-    models = [NOTHING, model(DELAY, evidence=-80.0), model(LAG, evidence=0.0)]
+    """Where formulas are wrong, nine nats for the other one do not count."""
+    models = [NOTHING, model(DELAY, evidence=-9.0), model(LAG, evidence=0.0)]
     found = decide(models, ALL, free=Compared(standard_errors))
     assert (found.named == (DELAY,)) == named
     assert bool(found.tied) != named
+
+
+@pytest.mark.parametrize(
+    ("nats", "least", "standard_errors", "named"),
+    [(11.0, 2.0, 1.9, True), (9.0, 2.0, 1.9, False), (80.0, 1.7, 1.9, False), (80.0, 2.0, 2.1, False)],
+)
+def test_of_two_sets_that_the_run_does_not_separate_the_likelier_one_is_meant(
+    nats: float, least: float, standard_errors: float, named: bool
+) -> None:
+    """If very strong evidence of more than one block is for it, with values that leave hardly more than the least it can."""
+
+    class Least(Compared):
+        def left(self, model: ModelFit) -> float:
+            return min(model.left, least) if model.labels == {LAG.label} else model.left
+
+    models = [model(worse=9.0, left=30.0), model(DELAY, evidence=-nats, left=2.0), model(LAG, evidence=0.0, left=2.0)]
+    assert (decide(models, ALL, free=Least(standard_errors)).named == (LAG,)) == named
 
 
 def test_a_difference_that_formulas_could_make_is_none() -> None:

@@ -27,11 +27,11 @@ def test_the_screened_gain_is_what_a_fit_gains() -> None:
     search = proposals((0.6, -0.3, 0.0))
     table = search.likelihood
     empty = search.fit(())
-    cost = table.linear.alone.costs(table.innovations(empty.theta[None]))[0]
+    cost = table.costs(empty.theta[None], table.linear.alone)[0]
     for promise in screened(table, empty, (F, G)):
         theta = empty.theta.copy()
         theta[promise.candidate.unknowns[0].places[0]] = promise.start[0]
-        assert cost - table.linear.alone.costs(table.innovations(theta[None]))[0] == pytest.approx(promise.gain, rel=1e-3)
+        assert cost - table.costs(theta[None], table.linear.alone)[0] == pytest.approx(promise.gain, rel=1e-3)
         fitted = search.fit([promise.candidate], promise.start[None])
         assert promise.start == pytest.approx(fitted.values, abs=0.01)
 

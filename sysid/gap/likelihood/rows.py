@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -112,20 +112,25 @@ class Rows:
 
         Where another parameter vector predicts nothing (a clock that is wrong loses the ends), the residual is the nominal one.
         """
-        out = np.zeros((len(thetas), self.count))
-        at = 0
+        out = np.empty((len(thetas), self.count))
+        for here, part in self.residual_parts(thetas):
+            out[:, here] = part
+        return out
+
+    def residual_parts(self, thetas: Array) -> Iterator[tuple[slice, Array]]:
+        """:meth:`residuals` recording by recording: its rows, and the residuals there, (lanes, n)."""
         signals = len(self.problem.signals)
-        for recording in self.recordings:
-            width = self.series[at].width
+        for r, recording in enumerate(self.recordings):
+            series = self.series[r * signals : (r + 1) * signals]
             left = self.problem.measured(recording)[None] - self.problem.predict(thetas, recording)
-            means = bin_means(left, width)
-            for k in range(signals):
-                s = self.series[at + k]
+            means = bin_means(left, series[0].width)
+            here = slice(series[0].rows.start, series[-1].rows.stop)
+            out = np.zeros((len(thetas), here.stop - here.start))
+            for k, s in enumerate(series):
                 part = means[:, :, k]
                 part = np.where(np.isnan(part), self._nominal[s.rows], part)
-                out[:, s.rows] = np.where(s.present, part, 0.0)
-            at += signals
-        return out
+                out[:, s.rows.start - here.start : s.rows.stop - here.start] = np.where(s.present, part, 0.0)
+            yield here, out
 
     def scaled(self, columns: Array) -> Array:
         """Columns (rows, m) in noise floors; zero where nothing is measured."""
@@ -136,7 +141,10 @@ class Rows:
 
     def in_floors(self, columns: Array) -> Array:
         """Root mean square of columns (rows, m) over what is measured, in noise floors, (m,)."""
-        return np.asarray(np.sqrt((self.scaled(columns) ** 2).sum(axis=0) / max(self.measured_rows, 1)))
+        total = np.zeros(columns.shape[1])
+        for s in self.series:
+            total += ((columns[s.rows][s.present] / self.floor[s.signal]) ** 2).sum(axis=0)
+        return np.asarray(np.sqrt(total / max(self.measured_rows, 1)))
 
     def left(self, residual: Array) -> float:
         """Root mean square of a residual (rows,) over the samples behind its rows, in noise floors.

@@ -16,7 +16,7 @@ Learning Algorithms, 2003, ch. 27–28 (evidence).
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -28,7 +28,7 @@ from sysid.gap.candidates import Candidate, Unknown
 from sysid.gap.fit import place
 from sysid.gap.likelihood.discrepancy import Discrepancy
 from sysid.gap.likelihood.disturbance import Disturbance, Filter, filter_of
-from sysid.gap.likelihood.rows import Rows
+from sysid.gap.likelihood.rows import Rows, Series
 from sysid.gap.likelihood.uncertainty import posterior_covariance
 
 Array = npt.NDArray[np.float64]
@@ -111,15 +111,17 @@ class Orthogonal:
         """(rows, p)."""
         return np.asarray(self.whole - self.slopes @ self.share)
 
-    def projected(self, columns: Array) -> Array:
-        """``columns`` (rows, m) as the linear part explains them, (p, m): to be taken off their products."""
-        products = self.whole.T @ columns - self.share.T @ (self.slopes.T @ columns)
+    def products(self, columns: Array, rows: slice = slice(None)) -> Array:
+        """Of ``columns`` (n, m), which belong to some of the rows, with the linear part there, (p, m)."""
+        return np.asarray(self.whole[rows].T @ columns - self.share.T @ (self.slopes[rows].T @ columns))
+
+    def solved(self, products: Array) -> Array:
+        """``products`` (p, m) of some columns in an orthonormal basis of the linear part, (p, m)."""
         return np.asarray(solve_triangular(self.factor, products, lower=True))
 
-    def costs(self, innovations: Array) -> Array:
-        """Half the squared length of columns (rows, lanes) that the linear part leaves."""
-        z = self.projected(innovations)
-        return 0.5 * np.asarray((innovations**2).sum(axis=0) - (z**2).sum(axis=0))
+    def projected(self, columns: Array) -> Array:
+        """``columns`` (rows, m) as the linear part explains them, (p, m): to be taken off their products."""
+        return self.solved(self.products(columns))
 
 
 def share_of(effects: Array, discrepancy: Array) -> Array:
@@ -266,18 +268,46 @@ class StageLikelihood:
             whitening_of(rows, k, variances.disturbances[s.signal], extra[k]) for k, s in enumerate(rows.series)
         )
         self.log_scale = float(sum(f.log_scale for f in self.filters))
-        self.timing = self.whitened(TIMING * discrepancy.timing[:, None])
-        scaled = discrepancy.columns * variances.groups[discrepancy.group]
-        active = (variances.groups[discrepancy.group] > 0.0) & (rows.in_floors(scaled) < DIVERGED)
-        outputs = rows.scaled(np.hstack([np.zeros((rows.count, 1)), scaled[:, active]]))
-        self.linear = _linear(np.hstack([self.timing, self.whitened(scaled[:, active])]), outputs)
+        self.linear = self._linear()
+
+    def _linear(self) -> Linear:
+        """Principal directions of timing and discrepancy that can matter; no table of all whitened columns is made."""
+        rows, discrepancy = self.rows, self.discrepancy
+        scale = self.variances.groups[discrepancy.group]
+        active = (scale > 0.0) & (rows.in_floors(discrepancy.columns) * scale < DIVERGED)
+
+        def part(s: Series) -> Array:
+            return np.column_stack(
+                [TIMING * discrepancy.timing[s.rows], discrepancy.columns[s.rows][:, active] * scale[active]]
+            )
+
+        gram = np.zeros((1 + int(active.sum()),) * 2)
+        for k, s in enumerate(rows.series):
+            whitened = self._whitened(k, part(s))
+            gram += whitened.T @ whitened
+        values, vectors = np.linalg.eigh(gram)
+        there = values > NEGLIGIBLE
+        kept = vectors[:, there]
+        columns, outputs = np.empty((rows.count, int(there.sum()))), np.empty((rows.count, int(there.sum())))
+        for k, s in enumerate(rows.series):
+            own = part(s)
+            columns[s.rows] = self._whitened(k, own @ kept)
+            output = own[:, 1:] @ kept[1:] / rows.floor[s.signal]
+            outputs[s.rows] = np.where(s.present[:, None], output, 0.0)
+        return Linear(columns, np.diag(values[there]), outputs)
+
+    def _whitened(self, k: int, columns: Array) -> Array:
+        """Weighted innovations of columns (n, m) of series ``k``."""
+        out = np.empty(columns.shape)
+        self.filters[k].whiten(np.ascontiguousarray(columns), out)
+        out *= self.variances.weights[self.rows.series[k].rows, None]
+        return out
 
     def whitened(self, columns: Array) -> Array:
         """Innovations of columns (rows, m), weighted."""
         out = np.empty(columns.shape)
-        for s, whitener in zip(self.rows.series, self.filters, strict=True):
-            whitener.whiten(np.ascontiguousarray(columns[s.rows]), out[s.rows])
-        out *= self.variances.weights[:, None]
+        for k, s in enumerate(self.rows.series):
+            out[s.rows] = self._whitened(k, columns[s.rows])
         return out
 
     def residuals(self, thetas: Array) -> Array:
@@ -288,13 +318,25 @@ class StageLikelihood:
         """Whitened residuals of parameter vectors, (rows, lanes)."""
         return self.whitened(self.residuals(thetas))
 
+    def innovation_parts(self, thetas: Array) -> Iterator[tuple[slice, Array]]:
+        """:meth:`innovations` recording by recording: its rows, and the innovations there, (n, lanes)."""
+        signals = len(self.rows.problem.signals)
+        for r, (here, part) in enumerate(self.rows.residual_parts(thetas)):
+            out = np.empty((part.shape[1], len(thetas)))
+            for k in range(r * signals, (r + 1) * signals):
+                rows = self.rows.series[k].rows
+                own = slice(rows.start - here.start, rows.stop - here.start)
+                out[own] = self._whitened(k, part[:, own].T)
+            yield here, out
 
-def _linear(columns: Array, outputs: Array) -> Linear:
-    """Principal directions of the linear part that can matter."""
-    values, vectors = np.linalg.eigh(columns.T @ columns)
-    there = values > NEGLIGIBLE
-    kept = vectors[:, there]
-    return Linear(np.ascontiguousarray(columns @ kept), np.diag(values[there]), outputs @ kept)
+    def costs(self, thetas: Array, linear: Orthogonal) -> Array:
+        """Half the squared length that the linear part leaves of the innovations of parameter vectors, (lanes,)."""
+        squares, products = np.zeros(len(thetas)), np.zeros((linear.whole.shape[1], len(thetas)))
+        for here, part in self.innovation_parts(thetas):
+            squares += (part**2).sum(axis=0)
+            products += linear.products(part, here)
+        z = linear.solved(products)
+        return np.asarray(0.5 * (squares - (z**2).sum(axis=0)))
 
 
 def _factor(gram: Array) -> Array:
@@ -335,9 +377,10 @@ def fit_model(likelihood: StageLikelihood, candidates: Sequence[Candidate], star
     starts = np.clip(starts, prior.low, prior.high)
     x = starts[0]
 
-    def costs(lanes: Array, innovations: Array, linear: Orthogonal) -> Array:
-        """Of values (lanes, k) with their innovations (rows, lanes)."""
-        return np.asarray(linear.costs(innovations) + 0.5 * (((lanes - prior.centre) / prior.width) ** 2).sum(axis=1))
+    def costs(lanes: Array, linear: Orthogonal) -> Array:
+        """Of values (lanes, k)."""
+        away = 0.5 * (((lanes - prior.centre) / prior.width) ** 2).sum(axis=1)
+        return np.asarray(likelihood.costs(place(nominal, unknowns, lanes), linear) + away)
 
     def changes_at(values: Array) -> Array:
         """Residual at ``values`` (k,), and what it changes with each unknown in a unit of its prior, (rows, 1 + k)."""
@@ -349,8 +392,7 @@ def fit_model(likelihood: StageLikelihood, candidates: Sequence[Candidate], star
     if not unknowns:
         return _finished(likelihood, candidates, unknowns, x, rows.residuals(nominal[None]).T, prior)
     if len(starts) > 1:
-        table = likelihood.innovations(place(nominal, unknowns, starts))
-        x = starts[int(np.argmin(costs(starts, table, likelihood.linear.alone)))]
+        x = starts[int(np.argmin(costs(starts, likelihood.linear.alone)))]
     stepwise = np.array([u.stepwise for u in unknowns])
     raw: Array | None = None
     for round_ in range(rounds):
@@ -358,8 +400,9 @@ def fit_model(likelihood: StageLikelihood, candidates: Sequence[Candidate], star
         table = likelihood.whitened(raw)
         w, slopes = table[:, 0], table[:, 1:]
         linear = likelihood.linear.beside(slopes, rows.scaled(raw[:, 1:]))
-        cost = float(costs(x[None], w[:, None], linear)[0])
         z = linear.projected(np.column_stack([slopes, w]))
+        away = (x - prior.centre) / prior.width
+        cost = 0.5 * float(w @ w - z[:, -1] @ z[:, -1] + away @ away)
         hessian = slopes.T @ slopes - z[:, :-1].T @ z[:, :-1] + np.eye(len(x))
         gradient = slopes.T @ w - z[:, :-1].T @ z[:, -1] + (x - prior.centre) / prior.width
         flat = np.linalg.norm(slopes, axis=0) * np.array([u.negligible for u in unknowns]) < FLAT * prior.width
@@ -375,8 +418,7 @@ def fit_model(likelihood: StageLikelihood, candidates: Sequence[Candidate], star
         ) -> float:
             """The gain of the best values so far, with ``trials`` among them."""
             lanes += trials
-            innovations = likelihood.innovations(place(nominal, unknowns, np.array(trials)))
-            tried += list(costs(np.array(trials), innovations, linear))
+            tried += list(costs(np.array(trials), linear))
             return tried[0] - min(tried)
 
         gained = 0.0

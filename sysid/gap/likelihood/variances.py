@@ -18,7 +18,7 @@ from sysid.gap.fit import place
 from sysid.gap.likelihood.adjoint import gradient_of
 from sysid.gap.likelihood.discrepancy import Discrepancy
 from sysid.gap.likelihood.disturbance import Disturbance, Filter
-from sysid.gap.likelihood.rows import Rows
+from sysid.gap.likelihood.rows import Rows, Series
 from sysid.gap.likelihood.stage import HUBER, ModelFit, StageLikelihood, Variances, fit_model, steps_of, whitening_of
 
 Array = npt.NDArray[np.float64]
@@ -61,7 +61,7 @@ def estimated(
 ) -> Variances:
     """Variances of maximum evidence beside ``model``."""
     residual, slopes = _linearised(rows, model)
-    columns = np.column_stack([discrepancy.timing, slopes, discrepancy.columns, residual])
+    columns = _Columns(discrepancy, slopes, residual)
     fixed = 1 + slopes.shape[1]
     systematic = float(np.sqrt(max(model.left**2 - 1.0, UNNOTICED**2)))
     variances = replace(variances, left=np.inf if rows.problem.integrates else systematic)
@@ -73,6 +73,30 @@ def estimated(
     return variances
 
 
+@dataclass(frozen=True)
+class _Columns:
+    """Timing, what a model's unknowns change (rows, k), discrepancy, and residual (rows,), put side by side series by series.
+
+    ``kept``: places of the columns of the discrepancy that are taken; all by default.
+    """
+
+    discrepancy: Discrepancy
+    slopes: Array
+    residual: Array
+    kept: npt.NDArray[np.int64] | None = None
+
+    @property
+    def count(self) -> int:
+        taken = self.discrepancy.columns.shape[1] if self.kept is None else len(self.kept)
+        return 2 + int(self.slopes.shape[1]) + int(taken)
+
+    def of(self, s: Series) -> Array:
+        """(n, count)."""
+        found = self.discrepancy.columns[s.rows]
+        found = found if self.kept is None else found[:, self.kept]
+        return np.column_stack([self.discrepancy.timing[s.rows], self.slopes[s.rows], found, self.residual[s.rows]])
+
+
 def own_evidence(likelihood: StageLikelihood, start: Start, model: ModelFit) -> float:
     """Log evidence of a model whose discrepancy is learned beside it alone, noise and disturbance held; with the prior of τ.
 
@@ -80,8 +104,7 @@ def own_evidence(likelihood: StageLikelihood, start: Start, model: ModelFit) -> 
     """
     rows, discrepancy, variances, extra = likelihood.rows, likelihood.discrepancy, likelihood.variances, likelihood.extra
     residual, slopes = _linearised(rows, model)
-    columns = np.column_stack([discrepancy.timing, slopes, discrepancy.columns, residual])
-    gram, _ = _gram(rows, columns, variances, extra)
+    gram, _ = _gram(rows, _Columns(discrepancy, slopes, residual), variances, extra)
     largest = _largest(rows, discrepancy, variances.left)
     own = replace(variances, groups=_groups(gram, 1 + slopes.shape[1], discrepancy.group, variances.groups, largest))
     again = fit_model(StageLikelihood(rows, discrepancy, own, extra), model.candidates, model.values[None], rounds=0)
@@ -100,16 +123,16 @@ def _linearised(rows: Rows, model: ModelFit) -> tuple[Array, Array]:
 
 
 def _gram(
-    rows: Rows, columns: Array, variances: Variances, extra: Sequence[Array], signals: Sequence[int] | None = None
+    rows: Rows, columns: _Columns, variances: Variances, extra: Sequence[Array], signals: Sequence[int] | None = None
 ) -> tuple[Array, float]:
     """Products of all whitened columns of some signals (of all), and the log scale of their innovations."""
-    total, scale = np.zeros((columns.shape[1], columns.shape[1])), 0.0
+    total, scale = np.zeros((columns.count, columns.count)), 0.0
     for k, s in enumerate(rows.series):
         if signals is not None and s.signal not in signals:
             continue
         whitener = whitening_of(rows, k, variances.disturbances[s.signal], extra[k])
-        out = np.empty((len(s.step), columns.shape[1]))
-        whitener.whiten(columns[s.rows], out)
+        out = np.empty((len(s.step), columns.count))
+        whitener.whiten(columns.of(s), out)
         out *= variances.weights[s.rows, None]
         total += out.T @ out
         scale += whitener.log_scale
@@ -143,13 +166,19 @@ def _scales(fixed: int, group: npt.NDArray[np.int64], taus: Array) -> Array:
 
 
 def _disturbances(
-    rows: Rows, columns: Array, fixed: int, discrepancy: Discrepancy, variances: Variances, start: Start, extra: Sequence[Array]
+    rows: Rows,
+    columns: _Columns,
+    fixed: int,
+    discrepancy: Discrepancy,
+    variances: Variances,
+    start: Start,
+    extra: Sequence[Array],
 ) -> Variances:
     """Noise, amplitude and correlation time of every signal, the groups held."""
     signals = len(variances.disturbances)
     scale = _scales(fixed, discrepancy.group, variances.groups)
-    kept = np.concatenate([scale > 10.0 * ABSENT, [True]])
-    table, scale = np.ascontiguousarray(columns[:, kept]), scale[kept[:-1]]
+    present = scale > 10.0 * ABSENT
+    table, scale = replace(columns, kept=np.flatnonzero(present[fixed:])), scale[present]
     first = _table(variances)
     centre = _centre(start)
     width = first.shape[1]
@@ -187,7 +216,7 @@ class _Signal:
 
     rows: Rows
     signal: int
-    columns: Array
+    columns: _Columns
     scale: Array
     rest: Array
     weights: Array
@@ -195,32 +224,40 @@ class _Signal:
     centre: Array
 
     def cost(self, z: Array) -> float:
-        return self._whitened(z)[1]
+        return self._cost(z)[0]
 
     def cost_and_slope(self, z: Array) -> tuple[float, Array]:
-        whitened, cost, by_column = self._whitened(z)
+        cost, by_column = self._cost(z)
         slope = (z - self.centre) / SPREAD**2
-        for k, table in whitened.items():
-            here = self.rows.series[k].rows
-            weights = self.weights[here, None]
-            filters = self._filters(k)
-            slope += gradient_of(self.columns[here], (table @ by_column) * weights, filters, z)
+        for k in self._series:
+            columns, whitened, _ = self._whitened(k, z)
+            weights = self.weights[self.rows.series[k].rows, None]
+            slope += gradient_of(columns, (whitened @ by_column) * weights, self._filters(k), z)
         return cost, slope
 
-    def _whitened(self, z: Array) -> tuple[dict[int, Array], float, Array]:
-        """Whitened columns by series, the cost, and the matrix that takes them to its derivatives with respect to them."""
-        found, gram, log_scale = dict[int, Array](), self.rest.copy(), 0.0
-        for k, s in enumerate(self.rows.series):
-            if s.signal == self.signal:
-                whitener = self._filters(k)(z)
-                found[k] = np.empty((len(s.step), self.columns.shape[1]))
-                whitener.whiten(self.columns[s.rows], found[k])
-                found[k] *= self.weights[s.rows, None]
-                gram += found[k].T @ found[k]
-                log_scale += whitener.log_scale
+    @property
+    def _series(self) -> list[int]:
+        return [k for k, s in enumerate(self.rows.series) if s.signal == self.signal]
+
+    def _cost(self, z: Array) -> tuple[float, Array]:
+        """The cost, and the matrix that takes whitened columns to its derivatives with respect to them."""
+        gram, log_scale = self.rest.copy(), 0.0
+        for k in self._series:
+            _, whitened, scale = self._whitened(k, z)
+            gram += whitened.T @ whitened
+            log_scale += scale
         value, by_column = _evidence_and_slope(gram, self.scale)
         prior = 0.5 * (((z - self.centre) / SPREAD) ** 2).sum()
-        return found, float(log_scale - value + prior), by_column
+        return float(log_scale - value + prior), by_column
+
+    def _whitened(self, k: int, z: Array) -> tuple[Array, Array, float]:
+        """Columns of a series, whitened, and the log scale of its innovations."""
+        s, whitener = self.rows.series[k], self._filters(k)(z)
+        columns = self.columns.of(s)
+        out = np.empty(columns.shape)
+        whitener.whiten(columns, out)
+        out *= self.weights[s.rows, None]
+        return columns, out, whitener.log_scale
 
     def _filters(self, k: int) -> Callable[[Array], Filter]:
         return lambda z: whitening_of(self.rows, k, Disturbance(*map(float, np.exp(z))), self.extra[k])
