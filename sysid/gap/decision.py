@@ -195,6 +195,8 @@ def decide(
     survivors = sorted((f for f in models if survives(f, best)), key=lambda f: -f.evidence)
     unsure = {*shared, *(c.label for f in models for c in f.candidates if c.label not in nameable)}
     likely = _likely([f for f in survivors if integrates or not _outdone(f, survivors)], unsure, own_evidence, rope)
+    if not integrates:
+        likely = list({f.labels: f for f in (_simplest(f, models) for f in likely)}.values())
     exact = _exact(likely[0], models, needed, free)
     if exact or not integrates:
         rivals, model = likely, likely[0]
@@ -253,6 +255,15 @@ def _replaced(model: ModelFit, survivors: Sequence[ModelFit], own_evidence: Call
     likelier = [f for f in survivors if f.evidence > model.evidence + LEAST]
     others = [f for f in likelier if simpler(model, f) or len(f.unknowns) < len(model.unknowns)]
     return any(own_evidence(f) > own_evidence(model) + LEAST for f in others[:LIKELIEST])
+
+
+def _simplest(model: ModelFit, models: Sequence[ModelFit]) -> ModelFit:
+    """The simplest model within one that brings the output to its noise floor too: what it lacks has no practical significance.
+
+    A base that is turned about the axis of the first joint is an offset of that joint, whatever its other five numbers repair.
+    """
+    within = [f for f in models if f.left <= EXPLAINED and simpler(f, model)]
+    return min(within, key=lambda f: (len(f.unknowns), -f.evidence), default=model)
 
 
 def _outdone(model: ModelFit, survivors: Sequence[ModelFit]) -> bool:

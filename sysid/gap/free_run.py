@@ -89,9 +89,18 @@ class LeastSquares(FreeRun):
             best = level[0].left
             level = sorted(grown.values(), key=lambda f: f.left)
             found += level
+            for model in level[:KEPT]:
+                self._settle(model)
             if not level or level[0].left <= EXPLAINED or level[0].left * EXPLAINED > best:
                 break
-        return found
+        return [self.proposals.fits[f.labels] for f in found]
+
+    def _settle(self, model: ModelFit) -> None:
+        """Fit what a set has without one of its effects from where the set ended: alone it may be caught elsewhere."""
+        for candidate in model.candidates:
+            rest = [c for c in model.candidates if c.key != candidate.key]
+            if rest:
+                self.proposals.fit(rest, np.concatenate([model.values_of(c) for c in rest])[None])
 
 
 def free_run_of(rows: Rows, discrepancy: Discrepancy, candidates: Sequence[Candidate]) -> LeastSquares:

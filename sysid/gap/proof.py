@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -53,13 +53,14 @@ def judge(case: Case, stages: Sequence[Stage]) -> Outcome:
         stage = _paying(_holding(case, searched))
         finding = stage.found
         proven = bool(finding.fit.candidates) and _better(stage)
+        refused = dict[str, str]()
         if proven:
-            _accept(stage, outcome)
+            refused = _accept(stage, outcome)
         elif finding.named:
             outcome.notes.append(f"{stage.label}: what was found does not lower the error on held-out recordings")
         outcome.notes += _near_misses(stage)
-        if proven and not finding.named:
-            _without_name(stage, outcome)
+        if proven and all(kept.candidate.label in refused for kept in finding.named):
+            _without_name(stage, refused, outcome)
         if (finding.final_rmse if proven else finding.nominal_rmse) > EXPLAINED:
             _describe(case, stage, proven, outcome)
     return outcome
@@ -107,13 +108,16 @@ def _known(case: Case, stage: Stage) -> Stage:
     return replace(stage, finding=replace(finding, fit=fit, limits=limits))
 
 
-def _without_name(stage: Stage, outcome: Outcome) -> None:
-    """A stage whose gap is closed by effects that are excited and yet not certain enough for a name."""
+def _without_name(stage: Stage, refused: Mapping[str, str], outcome: Outcome) -> None:
+    """A stage whose gap is closed by effects that are excited and yet not certain enough for a name.
+
+    ``refused``: by label, why a name that the decision gave is not kept.
+    """
     finding = stage.found
     assert finding.stage_fit is not None
     decision = finding.stage_fit.decision
     here = {c.label for c in decision.model.candidates}
-    lacking = {m.candidate.label: m.lacks for m in decision.near_misses if m.candidate.label in here}
+    lacking = {m.candidate.label: m.lacks for m in decision.near_misses if m.candidate.label in here} | {**refused}
     if not lacking or all(lacks == NOT_EXCITED for lacks in lacking.values()):
         return
     form = "; ".join(f"{label} fits, not named: {lacks}" for label, lacks in lacking.items())
@@ -174,9 +178,10 @@ def _explained(case: Case, stage: Stage, coarse: Coarse) -> float:
     return (min(off, stepped) - floor) / (off - floor) if min(off, stepped) > EXPLAINED * floor else 0.0
 
 
-def _accept(stage: Stage, outcome: Outcome) -> None:
-    """Name what matters on held-out recordings; the whole model goes into the plant."""
+def _accept(stage: Stage, outcome: Outcome) -> dict[str, str]:
+    """Name what matters on held-out recordings; the whole model goes into the plant. By label, why effects lose their name."""
     finding = stage.found
+    refused = dict[str, str]()
     assert finding.stage_fit is not None
     limits = finding.limits if finding.limits is not None else _limits(finding)
     adjusted = list(finding.adjusted)
@@ -186,14 +191,12 @@ def _accept(stage: Stage, outcome: Outcome) -> None:
         shown = ", ".join(f"{key} = {value}" for key, value in instance.parameters.items())
         share = _share(stage, candidate)
         if share < SHARE:
-            closes = f"it closes {share:.1%} of the gap on held-out recordings"
-            outcome.notes.append(f"{candidate.effect.name} on {candidate.target} is not named: {closes}")
-            adjusted.append(candidate)
-            continue
-        if _may_be_absent(finding, candidate, limits):
-            outcome.notes.append(
-                f"{candidate.effect.name} on {candidate.target} is not named: its interval contains its absence"
-            )
+            refused[candidate.label] = f"it closes {share:.1%} of the gap on held-out recordings"
+        elif _may_be_absent(finding, candidate, limits):
+            refused[candidate.label] = "its interval contains its absence"
+        if candidate.label in refused:
+            why = refused[candidate.label]
+            outcome.notes.append(f"{candidate.effect.name} on {candidate.target} is not named: {why}")
             adjusted.append(candidate)
             continue
         others = {(candidate.effect.name, candidate.target), *candidate.aliases}
@@ -216,6 +219,7 @@ def _accept(stage: Stage, outcome: Outcome) -> None:
         outcome.notes.append(f"{candidate.effect.name} on {candidate.target} is adjusted in the plant without a name: {shown}")
     known = _uncertainty(finding.stage_fit.decision.model, outcome.repaired)
     outcome.repaired = outcome.repaired.with_uncertainty(known) if known.places else outcome.repaired
+    return refused
 
 
 def _know_better(outcome: Outcome, found: NamedEffect, instance: KnownEffect) -> None:
