@@ -19,8 +19,9 @@ Given models of one stage (sets of effects) under shared variances:
    ``STANDARD_ERRORS`` of what stays). What halves an error and leaves the other half has not found its cause, and what wrong
    formulas leave is no name for a second and a third effect that repair it. Of equally large sets within such a price those are
    meant that leave no more than another by ``STANDARD_ERRORS`` of the difference between blocks.
-   *Where they are wrong and nothing adds up*, the minimal survivors, if they are worth the price of one effect; not those
-   that lack effects which are worth theirs, because the discrepancy does their work.
+   *Where they are wrong and nothing adds up*, the minimal survivors, if what is certain of them is worth the price of so many
+   effects; not those that lack effects which are worth theirs, because the discrepancy does their work. In both cases a model
+   within one of them stands for it that brings the output to its noise floor as well.
 5. *Named*: in all of these sets, and the 95 % interval of some parameter lies outside the region of practical equivalence
    around its known value. Where nothing adds up, that interval contains what the discrepancy could do in the effect's place.
    Where errors add up, an effect that is confused with a larger one of its axis has no name: it may be what the formula of
@@ -204,7 +205,6 @@ def decide(
         rivals = _nearest(models, unsure, free, own_evidence)
         model = _whole(rivals[0], survivors, unsure)
     nothing = next((f.left for f in models if not f.candidates), np.inf)
-    worth = exact or integrates or _divided(nothing, model.left)
     # What the whitened likelihood knows of a value says nothing where it is wrong of what adds up.
     tested = (model, *rivals) if exact or not integrates else tuple(free.least_squares(f) for f in rivals)
     lacking = {c.key: _lacks(c, tested, nameable, rope) for c in model.candidates}
@@ -214,6 +214,8 @@ def decide(
         if lacking[c.key] == REPLACED and not _within_rope(c, model, rope)
     }
     smallest = {c.key for c in rivals[0].candidates}
+    certain = sum(not lacks for lacks in lacking.values())
+    worth = exact or integrates or pays(nothing, model.left, max(certain, 1))
     named, near, tied = [], [], []
     for candidate in model.candidates:
         lacks = lacking[candidate.key]
@@ -326,18 +328,9 @@ def _likelier(better: ModelFit, other: ModelFit, free: FreeRun, own_evidence: Ca
     return better.left <= EXPLAINED * free.left(better) and own_evidence(better) > own_evidence(other) + 2.0 * BLOCK_NATS
 
 
-def pays(before: float, after: float, integrates: bool) -> bool:
-    """Whether effects are worth their price on recordings that nothing has touched.
-
-    Where errors add up, a recording has few independent ones, so that what stays varies by chance: there the effects have to
-    explain more than they leave.
-
-    Args:
-        before, after: root mean squares of the output without and with them, in noise floors.
-    """
-    if after <= EXPLAINED or _divided(before, after):
-        return True
-    return integrates and before**2 - 1.0 >= 2.0 * (after**2 - 1.0)
+def pays(before: float, after: float, effects: int = 1) -> bool:
+    """Whether effects are worth their price; root mean squares of the output without and with them, in noise floors."""
+    return after <= EXPLAINED or _divided(before, after, effects)
 
 
 def _divided(before: float, after: float, effects: int = 1) -> bool:

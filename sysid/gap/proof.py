@@ -81,7 +81,7 @@ def _paying(stage: Stage) -> Stage:
     finding, fitted = stage.found, stage.found.stage_fit
     if not finding.named or fitted is None or fitted.decision.exact or not _shown(stage, stage.theta):
         return stage
-    if pays(held_out_score(stage, stage.theta), held_out_score(stage, finding.fit.theta), stage.problem.integrates):
+    if pays(held_out_score(stage, stage.theta), held_out_score(stage, finding.fit.theta)):
         return stage
     adjusted = (*finding.adjusted, *(kept.candidate for kept in finding.named))
     unsure = replace(fitted, decision=fitted.decision.without_names(LOST))
