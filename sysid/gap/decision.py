@@ -20,8 +20,8 @@ Given models of one stage (sets of effects) under shared variances:
    formulas leave is no name for a second and a third effect that repair it. Of equally large sets within such a price those are
    meant that leave no more than another by ``STANDARD_ERRORS`` of the difference between blocks.
    *Where they are wrong and nothing adds up*, the minimal survivors, if what is certain of them is worth the price of so many
-   effects; not those that lack effects which are worth theirs, because the discrepancy does their work. In both cases a model
-   within one of them stands for it that brings the output to its noise floor as well.
+   effects; not those that lack effects which are worth theirs, because the discrepancy does their work.
+   Where nothing adds up, right or wrong, a simpler model within a survivor that also reaches the noise floor replaces it.
 5. *Named*: in all of these sets, and the 95 % interval of some parameter lies outside the region of practical equivalence
    around its known value. Where nothing adds up, that interval contains what the discrepancy could do in the effect's place.
    Where errors add up, an effect that is confused with a larger one of its axis has no name: it may be what the formula of

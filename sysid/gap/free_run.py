@@ -46,10 +46,6 @@ class LeastSquares(FreeRun):
     def least_squares(self, model: ModelFit) -> ModelFit:
         return self.proposals.warm(model.candidates, model)
 
-    def left(self, model: ModelFit) -> float:
-        """What a set of effects leaves of the output at least, in noise floors."""
-        return self.nearest(model).left
-
     def further(self, model: ModelFit, other: ModelFit) -> float:
         """By how many standard errors a set of effects leaves more of the output than another, block by block."""
         return self.standard_errors(self._squares(model) - self._squares(other))

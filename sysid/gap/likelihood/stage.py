@@ -404,7 +404,7 @@ def fit_model(likelihood: StageLikelihood, candidates: Sequence[Candidate], star
         away = (x - prior.centre) / prior.width
         cost = 0.5 * float(w @ w - z[:, -1] @ z[:, -1] + away @ away)
         hessian = slopes.T @ slopes - z[:, :-1].T @ z[:, :-1] + np.eye(len(x))
-        gradient = slopes.T @ w - z[:, :-1].T @ z[:, -1] + (x - prior.centre) / prior.width
+        gradient = slopes.T @ w - z[:, :-1].T @ z[:, -1] + away
         flat = np.linalg.norm(slopes, axis=0) * np.array([u.negligible for u in unknowns]) < FLAT * prior.width
         coarse = np.flatnonzero(stepwise | flat)
         first = _stepped(x, hessian, gradient, DAMPING[0], prior)
