@@ -11,14 +11,14 @@ import pandas as pd
 
 from sysid.datasets.channel import Channel
 from sysid.datasets.channels import Mounts, Reading, concatenate, joined, read_channels, survey_mounts
-from sysid.datasets.clocks.records import Clocked, KnownSkew, align, by_source, machine_times
+from sysid.datasets.clocks.records import Alignment, Clocked, KnownSkew, aligned, by_source, machine_times
 from sysid.datasets.discover import RecordingFiles, discover, unmatched
 from sysid.datasets.flags.collect import flag_rows
 from sysid.datasets.frames.degenerate import offset_notes
 from sysid.datasets.plan import INGEST_VERSION, Plan, content_of, plan_of, settings_of, shared_mounts, sources_of
 from sysid.datasets.poses import pose_table, still_phases
 from sysid.datasets.quality import describe
-from sysid.datasets.recipe import Recipe
+from sysid.datasets.recipe import Recipe, Splits
 from sysid.datasets.recording import ClockRecord, Dataset, Recording, Role, Source
 from sysid.datasets.resample import grid, resample
 from sysid.datasets.splits import split
@@ -162,7 +162,8 @@ def walk(
         files.check_unchanged()
     clocked = tuple(Clocked(files.name, files.kind, readings[files.name].channels) for files in found)
     report(0.4, "aligning clocks")
-    clocks = align(clocked, skews)
+    alignment = aligned(clocked, skews)
+    clocks, clocked = alignment.records, _placed(clocked, alignment, settings.splits)
     recordings = []
     for number, recording in enumerate(clocked):
         report(0.8 + 0.1 * number / len(found), f"resampling {recording.name}")
@@ -172,8 +173,28 @@ def walk(
         INGEST_VERSION, plan.rules.text if plan.rules is not None else "", settings_of(plan), shared_mounts(found, mounts)
     )
     flags = [row for recording in clocked for row in flag_rows(recording, clocks, plan.machine, settings.hold_s)]
-    notes = (*offset_notes(settings.streams, mounts, plan.machine), *unmatched(found, plan.rules))
+    notes = (*offset_notes(settings.streams, mounts, plan.machine), *unmatched(found, plan.rules), *_left_out(alignment))
+    readings = {recording.name: readings[recording.name] for recording in clocked}
     return Walked(readings, clocked, clocks, tuple(recordings), made, tuple(flags), tuple(notes))
+
+
+def _placed(recordings: Sequence[Clocked], alignment: Alignment, splits: Splits) -> tuple[Clocked, ...]:
+    """The recordings that have a place in time.
+
+    Raises:
+        AlignmentError: none has one, or one that the recipe gives a role by its name has none.
+    """
+    asked = {*splits.fit, *splits.select, *splits.held_out, *splits.held_out_last}
+    kept = tuple(recording for recording in recordings if recording.name not in alignment.refused)
+    for name, error in alignment.refused.items():
+        if not kept or name in asked:
+            raise error
+    return kept
+
+
+def _left_out(alignment: Alignment) -> list[str]:
+    """What is said of recordings that have no place in time."""
+    return [f"left out: {error}" for error in alignment.refused.values()]
 
 
 def _check_name(name: str) -> None:

@@ -12,7 +12,7 @@ import pandas as pd
 import pytest
 
 from sysid.datasets import Store, ingest
-from sysid.errors import InputError, SettingsError
+from sysid.errors import AlignmentError, InputError, SettingsError
 
 MACHINE = """schema = 1
 name = "demo"
@@ -145,6 +145,39 @@ def test_another_file_of_one_recording_has_a_clock_of_its_own(tmp_path: Path) ->
     channels = Store(tmp_path / "ws").channels("demo")
     raw = channels[channels["source"] == "inclino.csv"]["stamp_ns"].to_numpy()
     np.testing.assert_array_equal(raw, np.rint((time - 0.35) * 1e9).astype(np.int64))  # raw stamps are kept
+
+
+def other_clock(root: Path, run: str, moves: bool) -> None:
+    """A joint that the cylinder turns, on a clock of another epoch; where nothing moves it has no place in time."""
+    time, command, cylinder = motion(60.0, 4)
+    noise = np.random.default_rng(0).normal(size=(2, len(time)))
+    sway = cylinder + 0.1 * np.sin(time) if moves else np.full(len(time), 0.25)
+    (root / run).mkdir(parents=True)
+    pd.DataFrame({"time": time, "boom.command": command, "boom.cylinder": sway + 1e-4 * noise[0]}).to_csv(
+        root / run / "machine.csv", index=False
+    )
+    pd.DataFrame({"time": time + 1e6, "boom.joint [deg]": 90 * np.sqrt(sway) + 0.03 * noise[1]}).to_csv(
+        root / run / "inclino.csv", index=False
+    )
+    (root / "machine.toml").write_text(MACHINE)
+
+
+def test_a_recording_in_which_nothing_moves_is_left_out_and_said(tmp_path: Path) -> None:
+    root = tmp_path / "logs"
+    other_clock(root, "moves", True)
+    other_clock(root, "stands", False)
+    dataset = ingest(root, tmp_path / "ws")
+    assert {recording.name.partition("#")[0] for recording in dataset.recordings} == {"moves"}
+    (note,) = (note for note in dataset.quality["notes"] if note.startswith("left out"))
+    assert "recording stands: inclino.csv" in note
+    assert "nothing moves" in note
+    (root / "recipe.toml").write_text('schema = 1\n[splits]\nheld_out = ["stands"]\n')
+    with pytest.raises(AlignmentError, match="recording stands"):
+        ingest(root, tmp_path / "other", recipe=root / "recipe.toml")
+    shutil.rmtree(root / "moves")
+    (root / "recipe.toml").unlink()
+    with pytest.raises(AlignmentError, match="recording stands"):
+        ingest(root, tmp_path / "other")
 
 
 def write(path: Path, text: str) -> None:

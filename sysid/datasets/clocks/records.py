@@ -64,8 +64,28 @@ class Clocked:
         return min(int(channel.stamps[0]) for channel in self.machine)
 
 
+@dataclass(frozen=True)
+class Alignment:
+    """Clock records of those recordings that have a place in time, and why others have none, by their names."""
+
+    records: tuple[ClockRecord, ...]
+    refused: Mapping[str, AlignmentError]
+
+
 def align(recordings: Sequence[Clocked], known: Mapping[str, KnownSkew] | None = None) -> tuple[ClockRecord, ...]:
-    """Clock records of all recordings.
+    """Clock records of all recordings; :func:`aligned` goes on without those that have no place in time.
+
+    Raises:
+        AlignmentError: nothing can be observed and the stamps do not even overlap; or the machine's own clock was set.
+    """
+    found = aligned(recordings, known)
+    for error in found.refused.values():
+        raise error
+    return found.records
+
+
+def aligned(recordings: Sequence[Clocked], known: Mapping[str, KnownSkew] | None = None) -> Alignment:
+    """Clock records of the recordings that have a place in time.
 
     The skew is a property of two crystals: where the estimates of the recordings of one device agree, their weighted mean is
     applied to each; where they do not, each has its own. A skew whose interval is too wide, or that was seen for too short a
@@ -75,8 +95,7 @@ def align(recordings: Sequence[Clocked], known: Mapping[str, KnownSkew] | None =
         known: clock domain → its skew from recordings that are not among these; counts as one more estimate.
 
     Raises:
-        AlignmentError: nothing can be observed and the stamps do not even overlap, so the samples have no place in time; or the
-            machine's own clock was set.
+        AlignmentError: the machine's own clock was set.
     """
     found: dict[tuple[str, str], tuple[Piece, ...]] = {}
     for recording in recordings:
@@ -91,14 +110,21 @@ def align(recordings: Sequence[Clocked], known: Mapping[str, KnownSkew] | None =
         own = [(name, p.estimate) for (name, clock), parts in found.items() if _domain(clock) == domain for p in parts]
         skews[domain] = pooled(own, earlier.get(domain))
     records: list[ClockRecord] = []
+    refused: dict[str, AlignmentError] = {}
     for recording in recordings:
-        for clock, channels in recording.clocks().items():
-            shared = skews.get(_domain(clock))
-            if recording.kind == "poses":
-                records += _static(recording, channels, shared)
-            else:
-                records += _moving(recording, channels, found[recording.name, clock], shared)
-    return tuple(records)
+        placed: list[ClockRecord] = []
+        try:
+            for clock, channels in recording.clocks().items():
+                shared = skews.get(_domain(clock))
+                if recording.kind == "poses":
+                    placed += _static(recording, channels, shared)
+                else:
+                    placed += _moving(recording, channels, found[recording.name, clock], shared)
+        except AlignmentError as error:
+            refused[recording.name] = error
+        else:
+            records += placed
+    return Alignment(tuple(records), refused)
 
 
 def machine_times(channel: Channel, start_ns: int, records: Sequence[ClockRecord] | ClockRecord | None) -> Array:
