@@ -135,19 +135,21 @@ def show_localised(out: Printer, result: GapResult, dataset: Dataset) -> None:
 def show_gap(out: Printer, result: GapResult, dataset: Dataset) -> None:
     """The verdict, what was named with its intervals, what could not be, and the gap before and after of every signal."""
     from sysid.reports.display import digits_for, percent
-    from sysid.reports.effect_units import shown, shown_parameters
+    from sysid.reports.effect_units import UNDETERMINED, shown, shown_parameters
     from sysid.reports.words import effect_sentence, headline
 
     machine = dataset.machine
     out.line(f"{headline(result.verdict, len(result.effects))}  [{result.verdict}, {result.seconds:.1f} s]")
     rows = []
     for effect in result.effects:
-        texts = shown_parameters(effect.name, effect.target, effect.parameters, machine)
+        texts = shown_parameters(effect.name, effect.target, effect.given, machine)
         out.line(f"  {effect_sentence(effect.name, effect.target, texts, result.names_on(effect.target))}")
         for name, value in effect.parameters.items():
             low, high = effect.interval95[name]
             digits = 4 if isinstance(low, (list, tuple)) else digits_for(low, high)
             value_shown, *ends = (shown(effect.name, name, effect.target, v, machine, digits) for v in (value, low, high))
+            if name in effect.undetermined:
+                value_shown = UNDETERMINED
             rows.append((effect.name, effect.target, name, value_shown, " … ".join(ends), percent(effect.gap_share)))
     if rows:
         out.table(("effect", "target", "parameter", "value", "95 % interval", "share of gap"), rows, right=(3, 4, 5))

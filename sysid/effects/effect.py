@@ -32,6 +32,7 @@ class Parameter:
         scale: ``starts`` and ``negligible`` are multiples of the typical force, or of one over the typical gravity load, that
             the data show; "" where they are the values themselves.
         stepwise: a small change may change nothing at all (a threshold between two samples of a command): a fit searches it.
+        secondary: it says how the effect acts, not how much: it means nothing without the others.
         sets: for each component of the parameter, the slots that take its value; by default the slot of the same name.
     """
 
@@ -43,6 +44,7 @@ class Parameter:
     about: str
     sets: tuple[tuple[str, ...], ...] = ()
     stepwise: bool = False
+    secondary: bool = False
     scale: Literal["", "force", "1/load"] = ""
 
     @property

@@ -22,7 +22,7 @@ EFFECT = Effect(
         Form(
             (
                 Parameter("length", "m", (0.0, 5.0), (0.03, 0.1, 0.25, 0.6), 5e-3, "pivot to tool point"),
-                Parameter("damping_ratio", "1", (0.001, 0.9), (0.05, 0.02, 0.1), 1.0, "of the swing"),
+                Parameter("damping_ratio", "1", (0.001, 0.9), (0.05, 0.02, 0.1), 1.0, "of the swing", secondary=True),
             )
         ),
     ),

@@ -23,7 +23,7 @@ EFFECT = Effect(
         Form(
             (
                 Parameter("frequency", "Hz", (1.0, ABSENT), (4.0, 7.0, 12.0), 0.3, "natural frequency of load on oil"),
-                Parameter("damping_ratio", "1", (0.005, 0.6), (0.05, 0.2), 0.5, "of the ringing"),
+                Parameter("damping_ratio", "1", (0.005, 0.6), (0.05, 0.2), 0.5, "of the ringing", secondary=True),
             )
         ),
     ),

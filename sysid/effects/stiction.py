@@ -35,6 +35,7 @@ EFFECT = Effect(
                     0.004,
                     "effective command below which it ends",
                     stepwise=True,
+                    secondary=True,
                 ),
             )
         ),

@@ -20,7 +20,13 @@ EFFECT = Effect(
                 ),
                 Parameter("coulomb_force", "N or N·m", (0.0, 1e6), (0.5,), 0.01, "once the film carries", scale="force"),
                 Parameter(
-                    "stribeck_velocity", "drive/s", (1e-5, 0.05), (0.003, 0.01, 0.03), 0.05, "where 63 % of the excess is gone"
+                    "stribeck_velocity",
+                    "drive/s",
+                    (1e-5, 0.05),
+                    (0.003, 0.01, 0.03),
+                    0.05,
+                    "where 63 % of the excess is gone",
+                    secondary=True,
                 ),
             )
         ),

@@ -18,7 +18,15 @@ EFFECT = Effect(
         Form(
             (
                 Parameter("fraction", "1", (-0.6, 0.6), (-0.1, 0.1), 0.01, "gain gained when warm, as a share of the cold one"),
-                Parameter("time_constant", "s", (5.0, 7200.0), (60.0, 300.0), 1200.0, "of warming up, from the first sample"),
+                Parameter(
+                    "time_constant",
+                    "s",
+                    (5.0, 7200.0),
+                    (60.0, 300.0),
+                    1200.0,
+                    "of warming up, from the first sample",
+                    secondary=True,
+                ),
             )
         ),
     ),

@@ -30,6 +30,8 @@ Array = npt.NDArray[np.float64]
 
 #: Steps of a sensor are its explanation where they account for this share of what its stage leaves above its noise.
 MOST = 0.5
+#: A secondary parameter is given where its 95 % interval reaches no further than this share of its value to each side.
+DETERMINED = 0.25
 
 
 @dataclass
@@ -303,12 +305,15 @@ def _named(stage: Stage, kept: AcceptedEffect, limits: Array, share: float) -> N
     begin = fit.rows_of(candidate).start
     parameters: dict[str, Value] = {}
     interval: dict[str, tuple[Any, Any]] = {}
+    undetermined: list[str] = []
     for parameter in candidate.form.parameters:
         here = slice(begin, begin + len(parameter.components))
         value, low, high = (tuple(map(float, column)) for column in (fit.values[here], limits[here, 0], limits[here, 1]))
         single = len(value) == 1
         parameters[parameter.name] = value[0] if single else value
         interval[parameter.name] = (low[0], high[0]) if single else (low, high)
+        if parameter.secondary and single and high[0] - low[0] > 2.0 * DETERMINED * abs(value[0]):
+            undetermined.append(parameter.name)
         begin = here.stop
     return NamedEffect(
         candidate.effect.name,
@@ -320,6 +325,7 @@ def _named(stage: Stage, kept: AcceptedEffect, limits: Array, share: float) -> N
         candidate.aliases,
         side=candidate.side,
         evidence=Evidence(compared.delta_bic, compared.gain, compared.p_value, compared.ratio),
+        undetermined=tuple(undetermined),
     )
 
 

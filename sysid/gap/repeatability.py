@@ -74,7 +74,7 @@ def _repeat(name: str, target: str, results: Mapping[str, GapResult]) -> Repeate
             shown.append(run)
         if effect is not None:
             named.append(run)
-            for key, value in effect.parameters.items():
+            for key, value in effect.given.items():
                 for place, number in enumerate(value if isinstance(value, tuple | list) else (value,)):
                     label = f"{key}[{place}]" if isinstance(value, tuple | list) else key
                     values.setdefault(label, []).append(float(number))

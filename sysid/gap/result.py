@@ -50,7 +50,11 @@ class Evidence:
 
 @dataclass(frozen=True)
 class NamedEffect:
-    """A missing effect with its parameters (absolute values in the repaired plant)."""
+    """A missing effect with its parameters (absolute values in the repaired plant).
+
+    Args:
+        undetermined: parameters that the repaired plant has and the recordings leave open; the answer gives their intervals alone.
+    """
 
     name: str
     target: str
@@ -61,6 +65,12 @@ class NamedEffect:
     aliases: tuple[tuple[str, str], ...] = ()
     side: str | None = None
     evidence: Evidence | None = None
+    undetermined: tuple[str, ...] = ()
+
+    @property
+    def given(self) -> dict[str, Value]:
+        """The parameters that the recordings determine."""
+        return {key: value for key, value in self.parameters.items() if key not in self.undetermined}
 
 
 @dataclass(frozen=True)
@@ -349,13 +359,15 @@ def _effect_json(effect: NamedEffect) -> dict[str, Any]:
     entry = {
         "name": effect.name,
         "target": effect.target,
-        "parameters": dict(effect.parameters),
-        "interval95": {key: list(interval) for key, interval in effect.interval95.items()},
+        "parameters": effect.given,
+        "interval95": {key: list(effect.interval95[key]) for key in effect.given},
         "gap_share": effect.gap_share,
         "alternatives": [asdict(alternative) for alternative in effect.alternatives],
     }
     if effect.aliases:
         entry["aliases"] = [{"name": name, "target": target} for name, target in effect.aliases]
+    if effect.undetermined:
+        entry["undetermined"] = {key: list(effect.interval95[key]) for key in effect.undetermined}
     if effect.side is not None:
         entry["side"] = effect.side
     if effect.evidence is not None:

@@ -10,6 +10,9 @@ from sysid.errors import SettingsError
 from sysid.machine import Machine
 from sysid.reports import display
 
+#: Stands for the value of a parameter that the recordings leave open.
+UNDETERMINED = "not determined"
+
 
 def parameter_unit(effect: str, parameter: str, target: str, machine: Machine) -> str:
     """SI unit of a parameter of a named effect; ``1`` where neither the catalogue nor the machine knows better."""

@@ -115,14 +115,14 @@ def confidence(effect: NamedEffect, candidates: Sequence[Candidate]) -> list[str
         said.append(text + ".")
     width = relative_width(effect)
     if math.isfinite(width):
-        said.append(f"Its value{'s are' if len(effect.parameters) > 1 else ' is'} known to within ±{_percent(width)}.")
+        said.append(f"Its value{'s are' if len(effect.given) > 1 else ' is'} known to within ±{_percent(width)}.")
     return said
 
 
 def relative_width(effect: NamedEffect) -> float:
     """Half the widest 95 % interval of a parameter over its value; NaN where that means nothing (a value near zero)."""
     widths = []
-    for name, value in effect.parameters.items():
+    for name, value in effect.given.items():
         low, high = effect.interval95.get(name, (math.nan, math.nan))
         if isinstance(value, (list, tuple)) or isinstance(low, (list, tuple)) or value == 0.0:
             return math.nan

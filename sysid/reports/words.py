@@ -45,7 +45,13 @@ EFFECTS: dict[str, Words] = {
     "pump_flow_limit": Words("Pump flow limit", ("The pump feeds at most {limit} full-speed axes at once.",)),
     "internal_leakage": Words("Internal leakage", ("With its valve closed the {target} creeps by {rate} a second.",)),
     "temperature_drift": Words("Warm-up drift", ("As the oil warms up, the speed of the {target} drifts by {fraction}.",)),
-    "stiction": Words("Stiction", ("The {target} sticks until its command reaches {breakaway} and stops again at {release}.",)),
+    "stiction": Words(
+        "Stiction",
+        (
+            "The {target} sticks until its command reaches {breakaway} and stops again at {release}.",
+            "The {target} sticks until its command reaches {breakaway}.",
+        ),
+    ),
     "oil_compressibility": Words("Oil spring", ("The {target} rings at {frequency} on the compressed oil.",)),
     "coulomb_friction": Words(
         "Dry friction",
@@ -77,7 +83,10 @@ EFFECTS: dict[str, Words] = {
     ),
     "gripper_sway": Words(
         "Swinging tool",
-        ("The tool swings on a pendulum of {length} (damping ratio {damping_ratio}); the simulation keeps it still.",),
+        (
+            "The tool swings on a pendulum of {length} (damping ratio {damping_ratio}); the simulation keeps it still.",
+            "The tool swings on a pendulum of {length}; the simulation keeps it still.",
+        ),
     ),
     "sensor_bias": Words("Sensor bias", ("The sensor {target} reads {bias} too much.",)),
     "sensor_scale": Words("Sensor scale", ("The sensor {target} reads {scale} times the true value.",)),

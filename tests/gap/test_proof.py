@@ -82,3 +82,24 @@ def test_a_limit_that_the_held_out_recording_never_reaches_gets_its_name_from_th
     assert [(effect.name, effect.target) for effect in found.effects] == [("flow_saturation", "boom")]
     assert found.effects[0].gap_share > 0.5
     assert holds(found, "limit", 0.6)
+
+
+def test_a_release_that_no_recording_shows_is_not_given() -> None:
+    """Commands that jump past the release say nothing of it: the repaired plant has a value, the answer its interval alone."""
+    true = nominal(KnownEffect("stiction", "boom", {"breakaway": 0.15, "release": 0.02}))
+    found = find_gap(dataset_of(true, 20.0, seed=5), nominal())
+    (effect,) = found.effects
+    assert (effect.name, effect.undetermined) == ("stiction", ("release",))
+    (entry,) = found.to_json()["effects"]
+    assert list(entry["parameters"]) == list(entry["interval95"]) == ["breakaway"]
+    low, high = entry["undetermined"]["release"]
+    assert low <= 0.02 <= high
+
+
+def test_the_damping_of_a_swing_is_given() -> None:
+    """A secondary parameter that is known to a quarter."""
+    true = nominal(KnownEffect("gripper_sway", "tool", {"length": 0.2, "damping_ratio": 0.04}))
+    found = find_gap(dataset_of(true, 60.0, seed=5), nominal())
+    (effect,) = found.effects
+    assert effect.undetermined == ()
+    assert effect.parameters["damping_ratio"] == pytest.approx(0.04, rel=0.25)

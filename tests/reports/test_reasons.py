@@ -86,3 +86,10 @@ def test_places_in_words(crane_machine: Machine) -> None:
     assert place_text("sensor", "boom.cylinder") == "sensor boom cylinder"
     assert place_text("link", "ee") == "links up to the boom tip"
     assert place_text("clock", "mocap") == "clock of mocap"
+
+
+def test_a_parameter_that_is_not_determined_has_no_width() -> None:
+    values, intervals = {"breakaway": 0.1, "release": 0.004}, {"breakaway": (0.099, 0.101), "release": (0.0, 0.03)}
+    known = NamedEffect("stiction", "boom", values, intervals, 0.8, undetermined=("release",))
+    assert math.isclose(relative_width(known), 0.01)
+    assert "Its value is known to within" in confidence(known, ())[-1]

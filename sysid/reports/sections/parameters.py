@@ -11,7 +11,7 @@ from sysid.gap.result import NamedEffect
 from sysid.machine import KnownEffect, Machine
 from sysid.plant import effects_toml
 from sysid.reports import display, words
-from sysid.reports.effect_units import parameter_unit, shown
+from sysid.reports.effect_units import UNDETERMINED, parameter_unit, shown
 from sysid.reports.inputs import ReportInputs
 
 
@@ -40,9 +40,11 @@ def _rows(effect: NamedEffect, machine: Machine) -> list[dict[str, Any]]:
                 "effect": words.effect_title(effect.name) if not rows else "",
                 "target": words.owner_name(effect.target) if not rows else "",
                 "parameter": name.replace("_", " "),
-                "value": shown(effect.name, name, effect.target, value, machine, _digits(low, high)),
+                "value": UNDETERMINED
+                if name in effect.undetermined
+                else shown(effect.name, name, effect.target, value, machine, _digits(low, high)),
                 "interval": _interval(effect, name, low, high, machine),
-                "bar": _bar(value, low, high),
+                "bar": Markup("") if name in effect.undetermined else _bar(value, low, high),
                 "nominal": shown(effect.name, name, effect.target, known, machine) if known is not None else "not in it",
                 "first": not rows,
             }

@@ -175,7 +175,7 @@ def _card(number: int, title: str, target: str, sentence: str, quiet: list[str],
 
 
 def _effect(number: int, effect: NamedEffect, gap: GapResult, machine: Machine) -> dict[str, Any]:
-    shown = shown_parameters(effect.name, effect.target, effect.parameters, machine)
+    shown = shown_parameters(effect.name, effect.target, effect.given, machine)
     where = place_text(part_of(effect.name, effect.target, machine), effect.target)
     if effect.side:
         where += " (between " + ("drive and joint sensor)" if effect.side == "drive" else "joint sensor and structure)")
