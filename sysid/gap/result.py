@@ -53,7 +53,7 @@ class NamedEffect:
     """A missing effect with its parameters (absolute values in the repaired plant).
 
     Args:
-        undetermined: parameters that the repaired plant has and the recordings leave open; the answer gives their intervals alone.
+        undetermined: parameters that the repaired plant has and no recording determines; the answer gives their intervals.
     """
 
     name: str
