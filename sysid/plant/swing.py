@@ -25,6 +25,7 @@ def swing(p, at, pivot, measured, dt, out):
     """Boom tip (n, 3) → tool (n, 3). After a gap in the tip the swing restarts from the first measured samples."""
     s, now, tried = np.empty(gripper_sway.MEMORY), np.empty(gripper_sway.MEMORY), np.empty(gripper_sway.MEMORY)
     normal = np.empty((2, 3, 4))
+    columns, wide = np.empty((4, _longest(p, at, dt, len(pivot)), 2)), np.empty((7, 5))
     begun = False
     for k in range(len(pivot)):
         if np.isnan(pivot[k, 0]):
@@ -35,7 +36,7 @@ def swing(p, at, pivot, measured, dt, out):
             continue
         if not begun:
             begun = True
-            _find(p, at, pivot, measured, k, _end(p, at, pivot, k, dt), dt, s, now, tried, normal, out)
+            _find(p, at, pivot, measured, k, _end(p, at, pivot, k, dt), dt, s, now, tried, normal, columns, wide, out)
             _copy(s, now)
         gripper_sway.step(pivot[k, 0], pivot[k, 1], pivot[k, 2], p, at, s, 0, dt, out[k])
 
@@ -45,14 +46,21 @@ def start(p, at, pivot, measured, dt, found):
     """State before the first sample into ``found`` (MEMORY,) from which the swing below ``pivot`` (n, 3) fits ``measured``."""
     s, tried = np.empty(gripper_sway.MEMORY), np.empty(gripper_sway.MEMORY)
     normal, out = np.empty((2, 3, 4)), np.empty((len(pivot), 3))
-    _find(p, at, pivot, measured, 0, _end(p, at, pivot, 0, dt), dt, s, found, tried, normal, out)
+    columns, wide = np.empty((4, _longest(p, at, dt, len(pivot)), 2)), np.empty((7, 5))
+    _find(p, at, pivot, measured, 0, _end(p, at, pivot, 0, dt), dt, s, found, tried, normal, columns, wide, out)
+
+
+@loop
+def _longest(p, at, dt, rows):
+    """So many of ``rows`` samples the start is estimated from at most."""
+    period = 2.0 * math.pi * math.sqrt(max(p[at], 0.0) / gripper_sway.GRAVITY)
+    return min(rows, max(5, math.ceil(max(LEAST, PERIODS * period) / dt)))
 
 
 @loop
 def _end(p, at, pivot, first, dt):
     """Last+1 sample that the start is estimated from."""
-    period = 2.0 * math.pi * math.sqrt(max(p[at], 0.0) / gripper_sway.GRAVITY)
-    last, end = first, min(len(pivot), first + max(5, math.ceil(max(LEAST, PERIODS * period) / dt)))
+    last, end = first, first + _longest(p, at, dt, len(pivot) - first)
     while last < end and not np.isnan(pivot[last, 0]):
         last += 1
     return last
@@ -78,8 +86,8 @@ def _hang(pivot, first, last, dt, state):
 
 
 @loop
-def _find(p, at, pivot, measured, first, last, dt, s, now, tried, normal, out):
-    """Gauss-Newton steps towards the most probable start, into ``now``; a step that fits worse is taken back."""
+def _find(p, at, pivot, measured, first, last, dt, s, now, tried, normal, columns, wide, out):
+    """Gauss-Newton steps towards the most probable start, into ``now``; where those of a linear pendulum fail, exact ones."""
     length = p[at]
     _hang(pivot, first, last, dt, now)
     if length < 1e-3:
@@ -98,7 +106,10 @@ def _find(p, at, pivot, measured, first, last, dt, s, now, tried, normal, out):
         cost, count = _normal(p, at, measured, out, first, end, dt, normal)
         if count == 0 and turn < COARSE:
             continue
-        if count == 0 or (turn >= COARSE and not cost < least):
+        if count == 0:
+            return
+        if turn >= COARSE and not cost < least:
+            _find_wide(p, at, pivot, measured, first, last, dt, least / count, s, now, tried, normal, columns, wide, out)
             return
         least, moved = cost, 0.0
         _copy(now, tried)
@@ -111,6 +122,87 @@ def _find(p, at, pivot, measured, first, last, dt, s, now, tried, normal, out):
         if turn >= COARSE and moved < EXACT * math.sqrt(cost / count):
             _copy(now, tried)
             return
+
+
+@loop
+def _find_wide(p, at, pivot, measured, first, last, dt, variance, s, now, tried, normal, columns, wide, out):
+    """The same for a swing so wide that its period depends on its width: derivatives are differences of runs."""
+    rate = math.sqrt(gripper_sway.GRAVITY / p[at])
+    step, least = wide[5], np.inf
+    _copy(tried, now)
+    for _ in range(ROUNDS):
+        _copy(s, tried)
+        for k in range(first, last):
+            gripper_sway.step(pivot[k, 0], pivot[k, 1], pivot[k, 2], p, at, s, 0, dt, out[k])
+        cost, count = _normal(p, at, measured, out, first, last, dt, normal)
+        if cost < least:
+            least, variance = cost, cost / count
+            _copy(now, tried)
+            _differences(p, at, pivot, first, last, dt, s, now, out, wide[6], columns)
+            _wide_step(p[at], rate, measured, out, first, last, variance, now, columns, wide)
+        else:
+            for j in range(4):
+                step[j] *= 0.5
+        moved = 0.0
+        for j in range(4):
+            tried[j] = now[j] + step[j]
+            moved = max(moved, abs(step[j]) / (1.0 if j < 2 else rate))
+        if moved < EXACT * math.sqrt(variance):
+            return
+
+
+@loop
+def _differences(p, at, pivot, first, last, dt, s, now, out, moved, columns):
+    """Derivatives of the run ``out`` by the places and speeds of ``now``, into ``columns`` (4, n, 2)."""
+    for j in range(4):
+        small = 1e-4 * p[at] if j < 2 else 1e-4 * math.sqrt(gripper_sway.GRAVITY * p[at])
+        _copy(s, now)
+        s[j] += small
+        for k in range(first, last):
+            gripper_sway.step(pivot[k, 0], pivot[k, 1], pivot[k, 2], p, at, s, 0, dt, moved)
+            for c in range(2):
+                columns[j, k - first, c] = (moved[c] - out[k, c]) / small
+
+
+@loop
+def _wide_step(length, rate, measured, out, first, last, variance, now, columns, wide):
+    """Gauss-Newton step by ``columns`` into row 5 of ``wide``: with the prior, a constant error eliminated by direction."""
+    a, means, step = wide, wide[4], wide[5]
+    for i in range(4):
+        for j in range(5):
+            a[i, j] = 0.0
+    for c in range(2):
+        count = 0
+        for j in range(5):
+            means[j] = 0.0
+        for k in range(last - first):
+            left = measured[first + k, c] - out[first + k, c]
+            if not np.isnan(left):
+                for i in range(4):
+                    means[i] += columns[i, k, c]
+                    for j in range(4):
+                        a[i, j] += columns[i, k, c] * columns[j, k, c]
+                    a[i, 4] += columns[i, k, c] * left
+                means[4] += left
+                count += 1
+        for i in range(4):
+            for j in range(5):
+                a[i, j] -= means[i] * means[j] / max(count, 1)
+    for j in range(4):
+        prior = DEFLECTION * length * (1.0 if j < 2 else rate)
+        beside = now[j] - now[4 + j] if j < 2 else now[j] - now[5 + j]
+        a[j, j] += variance / (prior * prior)
+        a[j, 4] -= variance * beside / (prior * prior)
+    for i in range(4):  # positive definite: no pivots are needed
+        for r in range(i + 1, 4):
+            factor = a[r, i] / a[i, i]
+            for j in range(i, 5):
+                a[r, j] -= factor * a[i, j]
+    for i in range(3, -1, -1):
+        step[i] = a[i, 4]
+        for j in range(i + 1, 4):
+            step[i] -= a[i, j] * step[j]
+        step[i] /= a[i, i]
 
 
 @loop

@@ -11,11 +11,12 @@ from plant_data import arm_inputs, measured, nominal, slide, slide_inputs
 from start_data import BEGUN, NOISE, Begun, started
 
 from sysid.datasets.recording import Recording
+from sysid.effects import gripper_sway
 from sysid.gap.floor import run_floor
 from sysid.machine import KnownEffect
 from sysid.plant import Model, Plant, compile_plant, free_run
 from sysid.plant.rollout import true_run
-from sysid.plant.stepper import Stepper, held_commands, step_commands
+from sysid.plant.stepper import Stepper, held_commands, step_commands, swing_start
 from sysid.signals import point_signals
 
 Array = npt.NDArray[np.float64]
@@ -145,6 +146,25 @@ def test_a_wrong_length_starts_no_wild_swing(factor: float) -> None:
     said = np.column_stack([recording.values(signal) for signal in signals])
     errors = [rms((said - model.tool(model.theta[None], r)[0])[:300, :2]) for r in (recording, unknown)]
     assert errors[0] < 1.05 * errors[1]
+
+
+@pytest.mark.parametrize("width", [0.05, 0.4, 0.65, 0.8])
+def test_a_wide_swing_starts_where_it_was(width: float) -> None:
+    """Its period depends on its width, and its plane turns: a linear pendulum does not find it."""
+    length, dt, count = 0.19, 0.01, 600
+    plant = nominal(KnownEffect("gripper_sway", "tool", {"length": length, "damping_ratio": 0.014}))
+    ee = np.full((count, 3), [0.8, -0.6, 1.2])
+    state, tool = np.full(gripper_sway.MEMORY, 0.0), np.empty((count, 3))
+    state[:2], state[2:4], state[4:7] = ee[0, :2] + length * np.array([width, 0.1]), [0.1, 0.5], ee[0]
+    parameters = np.array([length, 0.014])
+    for k in range(count):
+        gripper_sway.step(*ee[k], parameters, 0, state, 0, dt, tool[k])
+    noise = np.random.default_rng(1).normal(0.0, 5e-4, tool.shape)
+    begun = swing_start(plant, ee, tool + noise, 1.0 / dt)
+    again = np.empty((count, 3))
+    for k in range(count):
+        gripper_sway.step(*ee[k], parameters, 0, begun, 0, dt, again[k])
+    assert rms((again - tool)[:, :2]) < 0.2 * 5e-4
 
 
 def test_noise_alone_starts_no_swing() -> None:
