@@ -18,7 +18,9 @@ Given models of one stage (sets of effects) under shared variances:
    are. Each effect has its price: with it, the variance that is left above the noise floor is a fifth (it moves the output by
    ``STANDARD_ERRORS`` of what stays). What halves an error and leaves the other half has not found its cause, and what wrong
    formulas leave is no name for a second and a third effect that repair it. Of equally large sets within such a price those are
-   meant that leave no more than another by ``STANDARD_ERRORS`` of the difference between blocks.
+   meant that leave no more than another by ``STANDARD_ERRORS`` of the difference between blocks, and of which no other is
+   likelier by more than twice ``BLOCK_NATS`` at the values with which each leaves least. These values go into the plant where no
+   survivor with further effects leaves less.
    *Where they are wrong and nothing adds up*, the minimal survivors, if what is certain of them is worth the price of so many
    effects; not those that lack effects which are worth theirs, because the discrepancy does their work.
    Where nothing adds up, right or wrong, a simpler model within a survivor that also reaches the noise floor replaces it.
@@ -73,6 +75,7 @@ Z = 1.959964
 NOT_EXCITED = "the recordings do not excite it enough"
 LITTLE = "what it takes of the error away is little beside what stays"
 REPLACED = "another model without it predicts as well"
+WITHOUT = "a model without it predicts as well"
 REPAIRS = "it may repair the formula of an effect that it looks like"
 LOST = "on held-out recordings what it takes of the error away is little beside what stays"
 #: An effect without its form: (name, target, side).
@@ -203,7 +206,7 @@ def decide(
         rivals, model = likely, likely[0]
     else:
         rivals = _nearest(models, unsure, free, own_evidence)
-        model = _whole(rivals[0], survivors, unsure)
+        model = _whole(rivals[0].with_values(free.least_squares(rivals[0])), survivors, unsure)
     nothing = next((f.left for f in models if not f.candidates), np.inf)
     # What the whitened likelihood knows of a value says nothing where it is wrong of what adds up.
     tested = (model, *rivals) if exact or not integrates else tuple(free.least_squares(f) for f in rivals)
@@ -229,13 +232,14 @@ def decide(
         elif tying.get(candidate.key):
             tied.append((candidate, *tying[candidate.key]))
         near.append(NearMiss(candidate, model.values_of(candidate), model.deviations_of(candidate), lacks))
+    predicts = exact or not integrates or any(rivals[0] is f for f in survivors)
     seen = {c.key for c in model.candidates}
     for other in (*rivals, *survivors):
         for candidate in other.candidates:
             if candidate.key not in seen:
                 seen.add(candidate.key)
                 values, deviations = other.values_of(candidate), other.deviations_of(candidate)
-                near.append(NearMiss(candidate, values, deviations, "a model without it predicts as well"))
+                near.append(NearMiss(candidate, values, deviations, WITHOUT if predicts else LITTLE))
     return Decision(model, tuple(named), tuple(tied), tuple(near), tuple(survivors), tuple(rivals), exact)
 
 
@@ -320,12 +324,13 @@ def smallest_sets(models: Sequence[ModelFit], left: Callable[[ModelFit], float])
 
 
 def _likelier(better: ModelFit, other: ModelFit, free: FreeRun, own_evidence: Callable[[ModelFit], float]) -> bool:
-    """Whether a set is clearly likelier than another of its size, with values with which it leaves hardly more of the output.
+    """Whether a set is clearly likelier than another of its size, each with the values that explain the output best.
 
-    A set whose likeliest values leave much more than it could has no values for both fast and slow errors. Where formulas are
-    wrong, very strong evidence of one block is not enough.
+    Its own likeliest values may leave most of the output: they would compare what the sets do to fast errors alone. Where
+    formulas are wrong, very strong evidence of one block is not enough.
     """
-    return better.left <= EXPLAINED * free.left(better) and own_evidence(better) > own_evidence(other) + 2.0 * BLOCK_NATS
+    evidence = [own_evidence(f.with_values(free.least_squares(f))) for f in (better, other)]
+    return evidence[0] > evidence[1] + 2.0 * BLOCK_NATS
 
 
 def pays(before: float, after: float, effects: int = 1) -> bool:

@@ -105,9 +105,22 @@ def _known(case: Case, stage: Stage) -> Stage:
     seen = Data(stage.problem, stage.split.seen, stage.sigma)
     known = known_of(seen, stage.theta, finding.fit, case.noise, case.seed)
     limits = np.column_stack([np.minimum(limits[:, 0], known.limits[:, 0]), np.maximum(limits[:, 1], known.limits[:, 1])])
-    here, there = (spread_of(seen.residuals(f.theta[None])) for f in (finding.fit, known.fit))
-    fit = known.fit if EXPLAINED * there < here else finding.fit
+    before, after = (spread_of(seen.residuals(f.theta[None])) for f in (finding.fit, known.fit))
+    fit = known.fit if EXPLAINED * after < before else finding.fit
+    if finding.names_alone is not None and _summed(finding):
+        # What is adjusted beside a name repairs the formulas; it does not make the name less certain.
+        alone = _known(case, replace(stage, finding=finding.names_alone)).found
+        assert alone.limits is not None
+        for kept in finding.named:
+            here, there = fit.rows_of(kept.candidate), alone.fit.rows_of(kept.candidate)
+            limits[here, 0] = np.minimum(alone.limits[there, 0], fit.values[here])
+            limits[here, 1] = np.maximum(alone.limits[there, 1], fit.values[here])
     return replace(stage, finding=replace(finding, fit=fit, limits=limits))
+
+
+def _summed(finding: StageResult) -> bool:
+    """Whether the formulas of a stage are wrong and their errors add up."""
+    return finding.stage_fit is not None and finding.problem.integrates and not finding.stage_fit.decision.exact
 
 
 def _without_name(stage: Stage, refused: Mapping[str, str], outcome: Outcome) -> None:
@@ -264,7 +277,7 @@ def _limits(finding: StageResult) -> Array:
     assert fitted is not None
     model, alone = fitted.decision.model, fitted.least_squares
     limits = _interval(model)
-    summed = finding.problem.integrates and not fitted.decision.exact
+    summed = _summed(finding)
     for candidate in alone.candidates:
         if candidate.label in model.labels:
             here, there = model.rows_of(candidate), _interval(alone)[alone.rows_of(candidate)]

@@ -367,7 +367,9 @@ def _effect_json(effect: NamedEffect) -> dict[str, Any]:
     if effect.aliases:
         entry["aliases"] = [{"name": name, "target": target} for name, target in effect.aliases]
     if effect.undetermined:
-        entry["undetermined"] = {key: list(effect.interval95[key]) for key in effect.undetermined}
+        entry["undetermined"] = {
+            key: {"in_plant": effect.parameters[key], "interval95": list(effect.interval95[key])} for key in effect.undetermined
+        }
     if effect.side is not None:
         entry["side"] = effect.side
     if effect.evidence is not None:

@@ -135,16 +135,22 @@ def fit_stage(
     fitted = _fitted(proposals, decision, free)
     if not decision.named or len(decision.named) == len(decision.model.candidates):
         return fitted
-    alone = replace(decision, model=proposals.warm(decision.named, decision.model), tied=())
+    alone = replace(decision, model=_valued(proposals.warm(decision.named, decision.model), decision, free), tied=())
     return replace(fitted, names_alone=_fitted(proposals, alone, free))
 
 
 def _fitted(proposals: Proposals, decision: Decision, free: LeastSquares) -> StageFit:
     likelihood, model, smallest = proposals.likelihood, decision.model, decision.rivals[0]
-    dropped = {c.label: proposals.without(model, c) for c in model.candidates}
+    dropped = {c.label: _valued(proposals.without(model, c), decision, free) for c in model.candidates}
     remainder = explained(likelihood, model)
     squares = free.proposals.warm(smallest.candidates, smallest)
     return StageFit(likelihood.rows, likelihood, tuple(proposals.near()), decision, dropped, remainder, squares)
+
+
+def _valued(model: ModelFit, decision: Decision, free: LeastSquares) -> ModelFit:
+    """A model with the values that the decision goes by."""
+    inexact = free.proposals.likelihood.rows.problem.integrates and not decision.exact
+    return model.with_values(free.least_squares(model)) if inexact else model
 
 
 def _settled(

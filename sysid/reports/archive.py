@@ -80,6 +80,9 @@ def load_gap(folder: Path) -> GapResult | None:
 def _result(values: dict[str, Any], traces: tuple[Traces, ...], experiments: tuple[Experiment, ...]) -> GapResult:
     for effect in values["effects"]:
         effect["aliases"] = [(alias["name"], alias["target"]) for alias in effect.get("aliases", [])]
+        for key, left in effect.get("undetermined", {}).items():
+            effect["parameters"][key], effect["interval95"][key] = left["in_plant"], left["interval95"]
+        effect["undetermined"] = tuple(effect.get("undetermined", ()))
     return GapResult(
         dataset=values["dataset"],
         plant_before=values["plant"]["before"],

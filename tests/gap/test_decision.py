@@ -145,9 +145,22 @@ def test_what_is_further_off_than_without_any_effect_explains_nothing() -> None:
     assert decide([model(worse=4.0, left=15.0), model(DELAY, away=0.5, left=20.0)], ALL).named == ()
 
 
-def test_what_is_adjusted_beside_a_name_leaves_no_more_than_the_name_alone() -> None:
-    alone, more = model(BAND, worse=4.0, left=2.0), model(BAND, LAG, left=9.0)
-    assert decide([model(worse=9.0, left=30.0), alone, more], ALL).model is alone
+def test_where_errors_add_up_the_values_are_those_that_leave_least_of_the_output() -> None:
+    """The likeliest ones may fit fast errors of a wrong formula."""
+    models = [model(worse=9.0, left=30.0), model(BAND, away=0.5, left=20.0), model(LAG, worse=9.0, left=28.0)]
+    nearest = model(BAND, away=0.3, left=2.0)
+
+    class Nearest(FreeRun):
+        def least_squares(self, model: ModelFit) -> ModelFit:
+            return nearest if model.labels == nearest.labels else model
+
+        def left(self, model: ModelFit) -> float:
+            return self.least_squares(model).left
+
+    found = decide(models, ALL, free=Nearest())
+    assert found.named == (BAND,)
+    assert found.model.values == pytest.approx(nearest.values)
+    assert (found.model.left, found.model.evidence) == (2.0, models[1].evidence)
 
 
 # -- what else explains it -------------------------------------------------------------------------------------------------
@@ -176,20 +189,27 @@ def test_one_set_is_preferred_if_it_leaves_significantly_less(standard_errors: f
 
 
 @pytest.mark.parametrize(
-    ("nats", "least", "standard_errors", "named"),
-    [(11.0, 2.0, 1.9, True), (9.0, 2.0, 1.9, False), (80.0, 1.7, 1.9, False), (80.0, 2.0, 2.1, False)],
+    ("nats", "standard_errors", "named"), [(11.0, 1.9, True), (9.0, 1.9, False), (-80.0, 1.9, False), (80.0, 2.1, False)]
 )
 def test_of_two_sets_that_the_run_does_not_separate_the_likelier_one_is_meant(
-    nats: float, least: float, standard_errors: float, named: bool
+    nats: float, standard_errors: float, named: bool
 ) -> None:
-    """If very strong evidence of more than one block is for it, with values that leave hardly more than the least it can."""
+    """If very strong evidence of more than one block is for it, at the values with which each leaves least of the output."""
 
-    class Least(Compared):
+    def own_evidence(fit: ModelFit) -> float:
+        assert fit.left == 2.0, "its likeliest values, which leave three floors, do not count"
+        return nats if fit.labels == {LAG.label} else 0.0
+
+    class Nearest(Compared):
+        def least_squares(self, model: ModelFit) -> ModelFit:
+            return ModelFit(**{**vars(model), "left": 2.0}) if model.candidates else model
+
         def left(self, model: ModelFit) -> float:
-            return min(model.left, least) if model.labels == {LAG.label} else model.left
+            return self.least_squares(model).left
 
-    models = [model(worse=9.0, left=30.0), model(DELAY, evidence=-nats, left=2.0), model(LAG, evidence=0.0, left=2.0)]
-    assert (decide(models, ALL, free=Least(standard_errors)).named == (LAG,)) == named
+    models = [model(worse=9.0, left=30.0), model(DELAY, left=3.0), model(LAG, left=3.0)]
+    found = decide(models, ALL, own_evidence=own_evidence, free=Nearest(standard_errors))
+    assert (found.named == (LAG,)) == named
 
 
 def test_a_difference_that_formulas_could_make_is_none() -> None:

@@ -92,7 +92,7 @@ def test_a_release_that_no_recording_shows_is_not_given() -> None:
     assert (effect.name, effect.undetermined) == ("stiction", ("release",))
     (entry,) = found.to_json()["effects"]
     assert list(entry["parameters"]) == list(entry["interval95"]) == ["breakaway"]
-    low, high = entry["undetermined"]["release"]
+    low, high = entry["undetermined"]["release"]["interval95"]
     assert low <= 0.02 <= high
 
 

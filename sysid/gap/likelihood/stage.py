@@ -17,7 +17,7 @@ Learning Algorithms, 2003, ch. 27–28 (evidence).
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -178,6 +178,15 @@ class ModelFit:
 
     def values_of(self, candidate: Candidate) -> Array:
         return self.values[self.rows_of(candidate)]
+
+    def with_values(self, other: ModelFit) -> ModelFit:
+        """The same set of effects with the values of another fit of it, and what those leave; evidence and predictions stay."""
+        if other is self:
+            return self
+        return replace(
+            self, values=other.values, theta=other.theta, covariance=other.covariance, confounded=other.confounded,
+            response=other.response, left=other.left,
+        )  # fmt: skip
 
     def deviations_of(self, candidate: Candidate) -> Array:
         """Standard deviations of its values."""
