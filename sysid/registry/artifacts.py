@@ -40,7 +40,7 @@ class FolderArtifacts:
     folder: Path
 
     def write(self, digest: str, files: Mapping[str, bytes], manifest: str, record: Record) -> tuple[str, str | None]:
-        """Files and folder reach the disk under a temporary name and appear by one rename; damaged files are replaced one by one.
+        """Files and folder reach the disk under a temporary name and appear by one rename; a damaged file is replaced.
 
         Only the holder of the registry's lock may call this: a folder under a temporary name is then a dead writer's.
         """

@@ -1,5 +1,7 @@
-"""Opens MLflow late and quietly, since it takes a second to import, reports home by default and logs tracebacks of handled errors;
-and what every registry needs: its lock, and errors of disks and libraries in the words of this toolkit."""
+"""Opens MLflow late and quietly: it takes a second to import, reports home by default and logs tracebacks of handled errors.
+
+With it what every registry needs: its lock, and errors of disks and libraries in the words of this toolkit.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Register, load, list and alias model versions. Files first, rows last and in one transaction: a crash leaves nothing half done.
+"""Register, load, list and alias model versions. Files first, rows last in one transaction: a crash leaves nothing half done.
 
 A version is made of ``files`` (safetensors and JSON), a ``kind`` and a ``lineage``. MLflow's registry holds the number, the
 aliases and, as tags, the manifest with the sha256 of every file. Registering the same content with the same lineage again
@@ -16,12 +16,13 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
-from sysid.errors import StoreError, nearest
+from sysid.errors import SettingsError, StoreError, nearest
 from sysid.registry.artifacts import ArtifactStore, FolderArtifacts, RunArtifacts, checked
 from sysid.registry.client import SQLITE, written
 from sysid.registry.entries import aliases_of, check_model, decision_key, kind_of, version_of
 from sysid.registry.promotion import Decision, now_ms
 from sysid.registry.record import Record
+from sysid.registry.repair import Repaired, repair
 from sysid.registry.seal import sealed
 from sysid.registry.server import ServerTables
 from sysid.registry.stored import DIGEST, MANIFEST, METRICS, Change, StoredModel, StoredVersion, Tables
@@ -63,7 +64,7 @@ class Registry:
     """
 
     def __init__(self, workspace: Path, uri: str | None = None, wait_s: float = 30.0) -> None:
-        self._workspace = Path(workspace)
+        self._workspace, self._wait_s = Path(workspace), wait_s
         given = uri or os.environ.get(URI_VARIABLE) or None
         self.uri = given or f"{SQLITE}{(self._workspace / 'registry.db').resolve()}"
         self._server = ServerTables(self._workspace, given, wait_s) if given is not None else None
@@ -251,6 +252,16 @@ class Registry:
 
         model = self._tables.change(name, build)
         return self._chosen(model, f"{name}@{number}")[0]
+
+    def repair(self, accept: bool = False) -> Repaired:
+        """Mend the registry of the workspace: see :func:`sysid.registry.repair.repair`.
+
+        Raises:
+            SettingsError: the registry is on a server.
+        """
+        if self._server is not None:
+            raise SettingsError(f"model registry {self.uri}", "on a server", "one of a workspace", "Its server looks after it.")
+        return repair(self._workspace, accept, self._wait_s)
 
     @functools.cached_property
     def _artifacts(self) -> ArtifactStore:

@@ -1,6 +1,6 @@
 """The empty tables of a registry: made by MLflow's own migrations, once for each of its versions, and copied from then on.
 
-The copy lies in the user's cache. It is named by the versions of MLflow, SQLAlchemy and alembic, by the list of migrations, and by
+The copy lies in the user's cache. Its name holds the versions of MLflow, SQLAlchemy and alembic, the list of migrations, and
 its own sha256, so that another MLflow makes its own and a damaged copy is made again.
 """
 
@@ -56,7 +56,7 @@ def empty_registry() -> bytes:
 
 
 def install(database: Path, content: bytes) -> None:
-    """Put ``content`` where the registry is to be: whole, or not at all. Only the holder of the registry's lock may call this."""
+    """Put ``content`` where the registry is to be, whole or not at all; only for the holder of the registry's lock."""
     for dead in database.parent.glob(f".{database.name}.*.part"):
         dead.unlink()
     with written_whole(database) as half:
@@ -74,8 +74,10 @@ def migrate(database: Path) -> None:
     from mlflow.store.db.utils import _upgrade_db
 
     engine = sqlalchemy.create_engine(f"{SQLITE}{database.resolve()}")
+    # A copy needs no syncs: it is synced once, when it is whole.
+    sqlalchemy.event.listen(engine, "connect", lambda connection, _: connection.execute("PRAGMA synchronous = OFF"))
     try:
-        _upgrade_db(engine)
+        _upgrade_db(engine)  # type: ignore[no-untyped-call]
     except Exception as error:  # alembic, SQLAlchemy and the migrations themselves raise anything
         message = str(error).splitlines()[0]
         raise StoreError(database, f"cannot be migrated ({message})", "tables that MLflow made") from None
@@ -98,6 +100,15 @@ def missing(connection: sqlite3.Connection) -> str:
         if columns - found:
             return f"{table} has no column {sorted(columns - found)[0]}: an older MLflow made it"
     return ""
+
+
+def revision(connection: sqlite3.Connection) -> str:
+    """The last of MLflow's migrations that the tables have had; empty where that is not known."""
+    try:
+        row = connection.execute("SELECT version_num FROM alembic_version").fetchone()
+    except sqlite3.OperationalError:
+        return ""
+    return str(row[0]) if row else ""
 
 
 def _migrated() -> bytes:

@@ -1,7 +1,7 @@
 """A digest over what the manifest of a version does not cover: figures, decisions, time, aliases.
 
 The manifest is sealed by the version's own digest. The rest may grow, so it has a seal that is written anew in the transaction
-that changes it. It has no key: it tells what was changed by hand or by another program, not who forges a registry with its seals.
+that changes it. It has no key: it shows what was changed by hand or by another program, not what was forged with its seal.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
-"""A registry on an MLflow server, which several workspaces share: one request for every row, so a journal makes them one change.
+"""A registry on an MLflow server, which several workspaces share: a request for every row, so a journal makes them one change.
 
-The change is written down in the workspace before the first request and struck out after the last. What was killed in between is
+The change is written down in the workspace before the first request and removed after the last. What was killed in between is
 finished by the next command of this workspace that asks the registry. Each step may be repeated without harm.
 """
 

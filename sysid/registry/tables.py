@@ -1,13 +1,13 @@
 """The registry of a workspace: MLflow's tables in one sqlite file, read and changed by one transaction each.
 
-MLflow's client takes a transaction for every tag and alias, and a second to import. Its tables are its public face all the same:
-its server and pages read what is written here. Looking opens the file for reading alone, so it makes and migrates nothing.
+MLflow's client takes a transaction for every tag and alias, and a second to import. Its tables are open all the same: its
+server and pages read what is written here. Looking opens the file for reading alone, so it makes and migrates nothing.
 """
 
 from __future__ import annotations
 
 import sqlite3
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import TypeVar
@@ -40,7 +40,7 @@ class WorkspaceTables:
         return self._look(lambda connection: _model(connection, name), StoredModel(name))
 
     def models(self) -> tuple[StoredModel, ...]:
-        return self._look(lambda connection: tuple(_models(connection)), ())
+        return self._look(lambda connection: tuple(models_of(connection)), ())
 
     def change(self, name: str, build: Build) -> StoredModel:
         # The tables are made before the lock is taken: that may take seconds.
@@ -53,7 +53,7 @@ class WorkspaceTables:
                 connection.execute("BEGIN IMMEDIATE")
                 change = build(_model(connection, name))
                 if change is not None:
-                    _apply(connection, name, change)
+                    apply(connection, name, change)
                 connection.execute("COMMIT")
                 return _model(connection, name)
 
@@ -64,7 +64,7 @@ class WorkspaceTables:
             with self._opened("ro") as connection:
                 connection.execute("BEGIN")  # all that is read is of one moment
                 return read(connection)
-        except _Interrupted:
+        except _InterruptedError:
             with self._opened("rw") as connection:  # sqlite sets back what a killed writer had begun
                 connection.execute("BEGIN")
                 return read(connection)
@@ -89,7 +89,7 @@ class WorkspaceTables:
         text = str(error)
         if isinstance(error, sqlite3.OperationalError):
             if getattr(error, "sqlite_errorname", "") == "SQLITE_READONLY_ROLLBACK" and mode == "ro":
-                return _Interrupted()
+                return _InterruptedError()
             if "locked" in text or "busy" in text:
                 return locked(self._workspace)
             refused = next((words for words in REFUSED if words in text), None)
@@ -99,15 +99,15 @@ class WorkspaceTables:
         return StoreError(self._database, f"not a model registry ({text})", "an sqlite file with MLflow's tables", REMEDY)
 
 
-class _Interrupted(Exception):
+class _InterruptedError(Exception):
     """A writer was killed in the middle of a transaction."""
 
 
 def _model(connection: sqlite3.Connection, name: str) -> StoredModel:
-    return next(iter(_models(connection, name)), StoredModel(name))
+    return next(iter(models_of(connection, name)), StoredModel(name))
 
 
-def _models(connection: sqlite3.Connection, name: str | None = None) -> list[StoredModel]:
+def models_of(connection: sqlite3.Connection, name: str | None = None) -> list[StoredModel]:
     """Every model by name, or the one of this name; each table is read once."""
     only, chosen = ("", ()) if name is None else (" WHERE name = ?", (name,))
     tags: dict[tuple[str, int], dict[str, str]] = {}
@@ -134,7 +134,7 @@ def _models(connection: sqlite3.Connection, name: str | None = None) -> list[Sto
     return [StoredModel(n, tuple(versions.get(n, ())), aliases.get(n, {}), own.get(n, {}), last.get(n, 0)) for n in names]
 
 
-def _apply(connection: sqlite3.Connection, name: str, change: Change) -> None:
+def apply(connection: sqlite3.Connection, name: str, change: Change) -> None:
     """The rows of ``change``, as MLflow would write them."""
     new = change.new
     if new is not None:
@@ -163,17 +163,17 @@ def _insert_version(connection: sqlite3.Connection, name: str, new: StoredVersio
         _insert(connection, "model_version_tags", {"name": name, "version": new.number, "key": key, "value": value})
 
 
-def _set(connection: sqlite3.Connection, table: str, place: dict[str, object], value: str | None) -> None:
+def _set(connection: sqlite3.Connection, table: str, place: Mapping[str, object], value: str | None) -> None:
     _delete(connection, table, place)
     if value is not None:
         _insert(connection, table, {**place, "value": value})
 
 
-def _insert(connection: sqlite3.Connection, table: str, row: dict[str, object]) -> None:
+def _insert(connection: sqlite3.Connection, table: str, row: Mapping[str, object]) -> None:
     columns, places = ", ".join(row), ", ".join("?" * len(row))
     connection.execute(f"INSERT INTO {table} ({columns}) VALUES ({places})", tuple(row.values()))
 
 
-def _delete(connection: sqlite3.Connection, table: str, place: dict[str, object]) -> None:
+def _delete(connection: sqlite3.Connection, table: str, place: Mapping[str, object]) -> None:
     where = " AND ".join(f"{column} = ?" for column in place)
     connection.execute(f"DELETE FROM {table} WHERE {where}", tuple(place.values()))
