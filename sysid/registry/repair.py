@@ -19,7 +19,7 @@ from sysid.errors import StoreError
 from sysid.files import on_disk, written_whole
 from sysid.registry.client import exclusive, locked, written
 from sysid.registry.record import Record, read_records
-from sysid.registry.schema import empty_registry, migrate, missing, revision
+from sysid.registry.schema import clear_drafts, empty_registry, migrate, missing, revision
 from sysid.registry.seal import broken_model, broken_version, changed, is_sealed, sealed, sealed_aliases
 from sysid.registry.stored import DECISION, DIGEST, MANIFEST, METRICS, Change, StoredModel, StoredVersion
 from sysid.registry.tables import WorkspaceTables, apply, models_of
@@ -202,6 +202,7 @@ def _unnamed(workspace: Path, models: Mapping[str, StoredModel]) -> list[str]:
 def _replaced(database: Path, make: Callable[[Path], None], why: str) -> Path:
     """Let what ``make`` writes take the place of ``database``; returns the path that the old one has now."""
     kept = database.with_name(f"{database.name}.{why}-{time.strftime('%Y%m%d-%H%M%S')}")
+    clear_drafts(database)
     with written_whole(database) as half:
         make(half)
         if database.exists():

@@ -57,11 +57,16 @@ def empty_registry() -> bytes:
 
 def install(database: Path, content: bytes) -> None:
     """Put ``content`` where the registry is to be, whole or not at all; only for the holder of the registry's lock."""
-    for dead in database.parent.glob(f".{database.name}.*.part"):
-        dead.unlink()
+    clear_drafts(database)
     with written_whole(database) as half:
         write_through(half, content)
     on_disk(database.parent)
+
+
+def clear_drafts(database: Path) -> None:
+    """Remove what dead writers left of a registry that they were making; only for the holder of the registry's lock."""
+    for dead in database.parent.glob(f".{database.name}.*.part*"):
+        dead.unlink()
 
 
 def migrate(database: Path) -> None:
