@@ -11,19 +11,17 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
+from registry_verbs import FILES, PASSED, broken, promote, register, registered, repair
 from stored import small_dataset
 
 from sysid.datasets import Store, append, ingest
 from sysid.datasets.versions.manifest import Made
 from sysid.errors import StoreError
-from sysid.registry import Check, Registry, decide
-from sysid.registry.repair import repair
+from sysid.registry import Registry, decide
 from sysid.reports.archive import load_gap
 from sysid.workspace import Workspace
 
 State = tuple[object, ...]
-FILES = {"plant.json": b"{}", "weights.json": b"[1]"}
-PASSED = Check("rmse", "passed", "boom.joint: rmse 1 mrad")
 MACHINE = """schema = 1
 name = "demo"
 rate_hz = 50.0
@@ -109,19 +107,6 @@ def several(workspace: Path) -> None:
         store.save(*small_dataset(seed), Made(1))
 
 
-def registered(workspace: Path) -> None:
-    """``arm@1`` is the champion, ``arm@2`` the candidate."""
-    registry = Registry(workspace)
-    for number in (1, 2):
-        registry.register("arm", "plant", FILES, {"n": number}, {"rmse": 0.5})
-    decide(registry, "arm@1", None, [PASSED])
-
-
-def broken(workspace: Path) -> None:
-    registered(workspace)
-    (workspace / "registry.db").write_bytes(b"not a database, but long enough to have a header" * 10)
-
-
 def poses(workspace: Path) -> None:
     from crane_data import dataset
     from crane_data import poses as some_poses
@@ -152,15 +137,6 @@ def append_logs(workspace: Path) -> None:
 
 def vacuum(workspace: Path) -> None:
     Workspace(workspace).vacuum(keep=1)
-
-
-def register(workspace: Path) -> None:
-    Registry(workspace).register("arm", "plant", FILES, {"n": 3}, {"rmse": 0.4})
-
-
-def promote(workspace: Path) -> None:
-    registry = Registry(workspace)
-    decide(registry, "arm@2", registry.promoted("arm"), [PASSED])
 
 
 def fit(workspace: Path) -> None:
@@ -204,10 +180,6 @@ def train(workspace: Path) -> None:
     train_policy(Registry(workspace), recipe(evaluations=1, learning=learning), workspace / "training", every=0.0)
 
 
-def mend(workspace: Path) -> None:
-    repair(workspace)
-
-
 VERBS = (
     Verb("ingest", nothing, ingest_logs),
     Verb("append", ingested, append_logs),
@@ -215,7 +187,7 @@ VERBS = (
     Verb("register, first of a workspace", lambda workspace: None, register),
     Verb("register", registered, register),
     Verb("promote", registered, promote),
-    Verb("repair", broken, mend),
+    Verb("repair", broken, repair),
     Verb("fit", poses, fit),
     Verb("gap --add", lambda workspace: None, add, between=True),
     Verb("train", crane, train),
