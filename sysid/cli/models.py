@@ -222,6 +222,7 @@ def ui(workspace: str, out: Path | None, show_it: bool, serve: bool, port: int) 
     """Write one page about all versions: aliases, figures, lineage, decisions."""
     from datetime import datetime
 
+    from sysid.registry import Damaged
     from sysid.reports.model_pages import models_page
     from sysid.reports.pages import write_page
 
@@ -230,7 +231,12 @@ def ui(workspace: str, out: Path | None, show_it: bool, serve: bool, port: int) 
     there = {file.stem: file for file in sorted((place.folder / "cards").glob("*.html"))}
     cards = {} if out is not None else {name: f"cards/{name}.html" for name in there}
     created = f"{datetime.now().astimezone():%d %B %Y, %H:%M}".lstrip("0")
-    click.echo(str(write_page(path, models_page(place.models.list(), str(workspace), created, cards))))
+    found = place.models.survey()
+    versions = [entry for entry in found if not isinstance(entry, Damaged)]
+    click.echo(str(write_page(path, models_page(versions, str(workspace), created, cards))))
+    for entry in found:
+        if isinstance(entry, Damaged):
+            click.echo(f"damaged, and not on the page: {entry.error}", err=True)
     if serve:
         _serve({"/": path, **{f"/cards/{name}.html": file for name, file in there.items()}}, port, show_it)
     elif show_it:

@@ -19,7 +19,7 @@ from sysid.errors import StoreError
 from sysid.files import on_disk, write_through, written_whole
 from sysid.registry.client import SQLITE, open_client
 
-#: What the statements of :mod:`sysid.registry.tables` need; MLflow has had them since aliases came (2.3).
+#: What the statements of :mod:`sysid.registry.tables` need; MLflow has had them since the end of 2023.
 NEEDED = {
     "registered_models": {"name", "creation_time", "last_updated_time"},
     "registered_model_tags": {"name", "key", "value"},
