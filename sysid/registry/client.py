@@ -38,6 +38,17 @@ def open_client(uri: str) -> Any:
     Raises:
         StoreError: the registry cannot be reached or is no registry.
     """
+    quieten()
+    from mlflow import MlflowClient
+
+    with translated(uri):
+        client = MlflowClient(tracking_uri=uri, registry_uri=uri)
+        client.search_registered_models(max_results=1)
+    return client
+
+
+def quieten() -> None:
+    """To be called before MLflow is imported."""
     # Read by MLflow when it is imported.
     os.environ.setdefault("MLFLOW_DISABLE_TELEMETRY", "true")
     os.environ.setdefault("DO_NOT_TRACK", "true")
@@ -46,12 +57,6 @@ def open_client(uri: str) -> Any:
     for name in ("mlflow.store.db.utils", "alembic"):
         # Progress of table creation, and a traceback for errors that are raised as well.
         logging.getLogger(name).setLevel(logging.CRITICAL)
-    from mlflow import MlflowClient
-
-    with translated(uri):
-        client = MlflowClient(tracking_uri=uri, registry_uri=uri)
-        client.search_registered_models(max_results=1)
-    return client
 
 
 @contextmanager

@@ -17,7 +17,7 @@ from pathlib import Path
 
 from sysid.errors import StoreError
 from sysid.files import on_disk, write_through, written_whole
-from sysid.registry.client import SQLITE, open_client
+from sysid.registry.client import SQLITE, open_client, quieten
 
 #: What the statements of :mod:`sysid.registry.tables` need; MLflow has had them since the end of 2023.
 NEEDED = {
@@ -75,6 +75,7 @@ def migrate(database: Path) -> None:
     Raises:
         StoreError: MLflow cannot.
     """
+    quieten()
     import sqlalchemy
     from mlflow.store.db.utils import _upgrade_db
 

@@ -200,6 +200,22 @@ def test_a_schema_that_is_too_old_is_told_apart_and_migrated(workspace: Path) ->
     assert Registry(workspace).list() == ()
 
 
+@pytest.mark.slow
+def test_a_migration_that_was_interrupted_is_made_anew_from_its_rows(tmp_path: Path) -> None:
+    """As versions of before left it: a table is there, and the number of its migration is not."""
+    (tmp_path / "registry.db").touch()
+    older(tmp_path / "registry.db", "acf3f17fdcc7")
+    execute(tmp_path, "CREATE TABLE spans (name TEXT)")
+    assert Registry(tmp_path).list() == ()
+    assert Registry(tmp_path).register("arm", "plant", FILES, {}).version == 1
+    before = state(tmp_path)
+    found = Registry(tmp_path).repair()
+    assert "half made" in found.done[0]
+    assert "1 versions, 0 of them from the files" in found.done[0]
+    assert state(tmp_path) == before
+    assert Registry(tmp_path).repair().done == ()
+
+
 def older(path: Path, revision: str) -> None:
     import sqlalchemy
     from alembic import command
