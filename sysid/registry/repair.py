@@ -50,7 +50,8 @@ def repair(workspace: Path, accept: bool = False, wait_s: float = 30.0) -> Repai
     database = workspace / "registry.db"
     if not database.exists() and not (workspace / "models").is_dir():
         return Repaired((), ())
-    empty = empty_registry()  # before the lock: it may take seconds
+    with written(workspace):
+        empty = empty_registry()  # before the lock: it may take seconds
     with exclusive(workspace, wait_s), written(workspace):
         done, left = _mend_tables(workspace, database, empty)
     tables = WorkspaceTables(workspace, wait_s)

@@ -44,7 +44,8 @@ class WorkspaceTables:
 
     def change(self, name: str, build: Build) -> StoredModel:
         # The tables are made before the lock is taken: that may take seconds.
-        empty = None if self._database.exists() else empty_registry()
+        with written(self._workspace):
+            empty = None if self._database.exists() else empty_registry()
         with exclusive(self._workspace, self._wait_s):
             if empty is not None and not self._database.exists():
                 with written(self._workspace):

@@ -13,7 +13,7 @@ import pandas as pd
 from filelock import FileLock
 from pydantic import TypeAdapter
 
-from sysid.errors import SettingsError, StoreError
+from sysid.errors import SettingsError, StorageError, StoreError
 from sysid.files import json_text, make_folder, on_disk
 from sysid.gap.experiment import Experiment, read_experiment, write_experiment
 from sysid.gap.result import (
@@ -43,18 +43,25 @@ def save_gap(folder: Path, result: GapResult) -> Path:
 
     They are written to a folder beside it, which counts from its rename to ``<folder>.next`` on; what remains to be done then
     is done by the next call, if not by this one.
+
+    Raises:
+        StorageError: the disk is full, or may not be written.
     """
     draft = folder.with_name(f".{folder.name}.part")
-    make_folder(folder.parent)
-    with FileLock(folder.with_name(f".{folder.name}.lock")):
-        _settle(folder)
-        if draft.exists():  # of a dead writer
-            shutil.rmtree(draft)
-        draft.mkdir()
-        _write(draft, result)
-        draft.rename(_ready(folder))
-        on_disk(folder.parent)
-        _settle(folder)
+    try:
+        make_folder(folder.parent)
+        with FileLock(folder.with_name(f".{folder.name}.lock")):
+            _settle(folder)
+            if draft.exists():  # of a dead writer
+                shutil.rmtree(draft)
+            draft.mkdir()
+            _write(draft, result)
+            draft.rename(_ready(folder))
+            on_disk(folder.parent)
+            _settle(folder)
+    except OSError as error:
+        found = f"cannot be written ({error.strerror or error}); the result before, or this one, is whole"
+        raise StorageError(folder, found, remedy="Make room, and run the command again.") from None
     return folder / RESULT
 
 
