@@ -19,6 +19,7 @@ from benchmarks.logs import ingest_rows, memory_rows, reader_rows
 from benchmarks.motion import motion_rows
 from benchmarks.networks import network_rows
 from benchmarks.plant import plant_rows
+from benchmarks.registry import registry_rows
 from benchmarks.rows import against_limit, seconds
 from benchmarks.training import training_rows
 from committed import provenance, write_result, write_tables
@@ -58,6 +59,7 @@ PARTS: dict[str, Callable[[], list[dict[str, Any]]]] = {
     "memory": memory_rows,
     "ingest": ingest_rows,
     "cli": cli_rows,
+    "registry": registry_rows,
     "plant": plant_rows,
     "gap": gap_rows,
     "networks": network_rows,

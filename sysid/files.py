@@ -49,6 +49,14 @@ def on_disk(path: Path) -> None:
         os.close(descriptor)
 
 
+def make_folder(path: Path) -> None:
+    """Make a folder and those above it that are missing; each is on the disk, by name, when this returns."""
+    absent = [folder for folder in (path, *path.parents) if not folder.exists()]
+    for folder in reversed(absent):
+        folder.mkdir(exist_ok=True)
+        on_disk(folder.parent)
+
+
 def write_durably(path: Path, content: bytes, what: str, remedy: str) -> None:
     """Put ``content`` in the place of ``path``, on the disk when this returns; the folder is made when it is missing.
 
@@ -59,9 +67,10 @@ def write_durably(path: Path, content: bytes, what: str, remedy: str) -> None:
         StorageError: the disk is full or fails; what was there before stays whole.
     """
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
+        make_folder(path.parent)
         with written_whole(path) as half:
             half.write_bytes(content)
+        on_disk(path.parent)
     except OSError as error:
         raise StorageError(f"{what} {path}", error.strerror or str(error), f"room for {len(content)} bytes", remedy) from error
 

@@ -115,7 +115,7 @@ class Workspace:
     def network_version(self, dataset: Dataset, kind: str) -> ModelVersion | None:
         """The network of ``kind`` fitted on this dataset version, else on any version of the dataset: the champion if it is
         one of them, else the newest."""
-        versions = [version for version in self.models.list(kind) if version.name == f"{dataset.name}-{kind}"]
+        versions = [version for version in self.models.versions(f"{dataset.name}-{kind}") if version.kind == kind]
         exact = [version for version in versions if version.lineage.get("dataset_digest") == dataset.digest]
         return max(exact or versions, key=lambda version: (CHAMPION in version.aliases, version.version), default=None)
 

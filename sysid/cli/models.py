@@ -14,7 +14,7 @@ from sysid.errors import SettingsError, StoreError
 
 if TYPE_CHECKING:
     from sysid.model_versions import ModelVersions
-    from sysid.registry import ModelVersion
+    from sysid.registry import Damaged, ModelVersion
 
 RESIDUAL_NOTE = "contains unnamed_residual: a bounded network learned from the recordings. It is no physics and names no cause."
 ANYWAY = "'WHY'"
@@ -35,6 +35,7 @@ def models() -> None:
 @click.pass_obj
 def show(workspace: str, reference: str | None, kind: str | None, json_file: str | None) -> None:
     """List model versions, or show one."""
+    from sysid.registry import Damaged
     from sysid.workspace import open_workspace
 
     registry = open_workspace(workspace).models
@@ -53,24 +54,53 @@ def show(workspace: str, reference: str | None, kind: str | None, json_file: str
         _show_decisions(out, version)
         write_json(json_file, {"schema": 1, **version.to_json()})
         return
-    versions = registry.list(kind)
-    write_json(json_file, {"schema": 1, "models": [version.to_json() for version in versions]})
-    if not versions:
+    found = registry.survey(kind)
+    versions = [entry for entry in found if not isinstance(entry, Damaged)]
+    damaged = [entry for entry in found if isinstance(entry, Damaged)]
+    rows = [{"reference": entry.reference, "damage": str(entry.error)} for entry in damaged]
+    write_json(json_file, {"schema": 1, "models": [version.to_json() for version in versions], "damaged": rows})
+    if not found:
         out.line(f"No models in {workspace} yet: sysid fit makes networks, sysid gap makes plants.")
         return
-    rows = [
-        (
-            version.reference,
-            f"{version.kind}{' *' if _has_residual(version) else ''}",
-            version.lineage.get("dataset", "–"),
-            ", ".join(version.aliases),
-            version.digest[:12],
-        )
-        for version in versions
-    ]
-    out.table(("model", "kind", "made from", "aliases", "content"), rows)
+    out.table(("model", "kind", "made from", "aliases", "content"), [_row(entry) for entry in found])
     if any(map(_has_residual, versions)):
         out.line(f"* {RESIDUAL_NOTE}")
+    for entry in damaged:
+        out.line(f"damaged: {entry.error}")
+
+
+def _row(entry: ModelVersion | Damaged) -> tuple[str, ...]:
+    from sysid.registry import Damaged
+
+    if isinstance(entry, Damaged):
+        return entry.reference, "damaged", "–", "", ""
+    kind = f"{entry.kind}{' *' if _has_residual(entry) else ''}"
+    made_from = str(entry.lineage.get("dataset", "–"))
+    return entry.reference, kind, made_from, ", ".join(entry.aliases), entry.digest[:12]
+
+
+@models.command()
+@click.option("--accept", is_flag=True, help="Take what was changed by hand as it stands.")
+@json_option
+@click.pass_obj
+def repair(workspace: str, accept: bool, json_file: str | None) -> None:
+    """Mend the registry: finish what was half made, migrate old tables, make lost ones anew from the files of the models.
+
+    Aliases and figures that were changed by hand are set back to what was recorded. Exit status 2 where something is left.
+    """
+    from dataclasses import asdict
+
+    from sysid.workspace import open_workspace
+
+    found = open_workspace(workspace).models.repair(accept)
+    out = Printer(json_file)
+    for line in found.done:
+        out.line(line)
+    if not found.done and not found.left:
+        out.line("The registry is whole: nothing to mend.")
+    write_json(json_file, {"schema": 1, **asdict(found)})
+    if found.left:
+        raise StoreError(f"model registry of {workspace}", " ".join(found.left))
 
 
 @models.command()
@@ -192,6 +222,7 @@ def ui(workspace: str, out: Path | None, show_it: bool, serve: bool, port: int) 
     """Write one page about all versions: aliases, figures, lineage, decisions."""
     from datetime import datetime
 
+    from sysid.registry import Damaged
     from sysid.reports.model_pages import models_page
     from sysid.reports.pages import write_page
 
@@ -200,7 +231,12 @@ def ui(workspace: str, out: Path | None, show_it: bool, serve: bool, port: int) 
     there = {file.stem: file for file in sorted((place.folder / "cards").glob("*.html"))}
     cards = {} if out is not None else {name: f"cards/{name}.html" for name in there}
     created = f"{datetime.now().astimezone():%d %B %Y, %H:%M}".lstrip("0")
-    click.echo(str(write_page(path, models_page(place.models.list(), str(workspace), created, cards))))
+    found = place.models.survey()
+    versions = [entry for entry in found if not isinstance(entry, Damaged)]
+    click.echo(str(write_page(path, models_page(versions, str(workspace), created, cards))))
+    for entry in found:
+        if isinstance(entry, Damaged):
+            click.echo(f"damaged, and not on the page: {entry.error}", err=True)
     if serve:
         _serve({"/": path, **{f"/cards/{name}.html": file for name, file in there.items()}}, port, show_it)
     elif show_it:

@@ -2,7 +2,8 @@
 
 from sysid.registry.lineage import made_from, made_from_dataset, made_of
 from sysid.registry.promotion import Check, Decision, Promotion, decide
-from sysid.registry.registry import Registry
+from sysid.registry.registry import Damaged, Registry
+from sysid.registry.repair import Repaired
 from sysid.registry.version import CANDIDATE, CHAMPION, KINDS, NETWORKS, Kind, ModelVersion
 
 __all__ = [
@@ -11,11 +12,13 @@ __all__ = [
     "KINDS",
     "NETWORKS",
     "Check",
+    "Damaged",
     "Decision",
     "Kind",
     "ModelVersion",
     "Promotion",
     "Registry",
+    "Repaired",
     "decide",
     "made_from",
     "made_from_dataset",

@@ -10,18 +10,22 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from sysid.errors import StoreError
-from sysid.files import on_disk, write_through
-from sysid.registry.version import sha256
+from sysid.files import make_folder, on_disk, write_through
+from sysid.registry.record import RECORDS, Record, read_records, with_record
+from sysid.registry.version import MANIFEST, sha256
 
-MANIFEST = "manifest.json"
 _PARTIAL = ".partial-"
 
 
 class ArtifactStore(Protocol):
     """Keeps the files of one version under its digest; both calls may be repeated without harm."""
 
-    def write(self, digest: str, files: Mapping[str, bytes], manifest: str) -> tuple[str, str | None]:
-        """Store all files or none; returns (source URI, MLflow run id or None)."""
+    def write(self, digest: str, files: Mapping[str, bytes], manifest: str, record: Record) -> tuple[str, str | None]:
+        """Store all files or none; returns (source URI, MLflow run id or None).
+
+        Args:
+            record: the row that the registry is about to have, kept where a lost registry is made again from the files.
+        """
         ...
 
     def read(self, digest: str, source: str, name: str) -> bytes:
@@ -35,28 +39,33 @@ class FolderArtifacts:
 
     folder: Path
 
-    def write(self, digest: str, files: Mapping[str, bytes], manifest: str) -> tuple[str, str | None]:
-        """Files and folder reach the disk under a temporary name and appear by one rename.
+    def write(self, digest: str, files: Mapping[str, bytes], manifest: str, record: Record) -> tuple[str, str | None]:
+        """Files and folder reach the disk under a temporary name and appear by one rename; a damaged file is replaced.
 
         Only the holder of the registry's lock may call this: a folder under a temporary name is then a dead writer's.
         """
         target = self.folder / digest
-        contents = {**files, MANIFEST: manifest.encode("utf-8")}
-        self.folder.mkdir(parents=True, exist_ok=True)
+        make_folder(self.folder)
         for dead in self.folder.glob(f"{_PARTIAL}*"):
             shutil.rmtree(dead)
-        if not _holds(target, contents):
+        records = with_record(read_records(target), record)
+        contents = {**files, MANIFEST: manifest.encode("utf-8"), RECORDS: records}
+        wrong = {name: content for name, content in contents.items() if not _holds(target / name, content)}
+        if wrong:
             partial = Path(tempfile.mkdtemp(prefix=_PARTIAL, dir=self.folder))
             try:
-                for name, content in contents.items():
+                for name, content in wrong.items():
                     write_through(partial / name, content)
-                on_disk(partial)
-                if target.exists():  # damaged: this call brings the true content
-                    shutil.rmtree(target)
-                partial.rename(target)
+                if target.exists():
+                    for name in wrong:
+                        (partial / name).replace(target / name)
+                    on_disk(target)
+                else:
+                    on_disk(partial)
+                    partial.rename(target)
+                    on_disk(self.folder)
             finally:
                 shutil.rmtree(partial, ignore_errors=True)
-            on_disk(self.folder)
         return target.resolve().as_uri(), None
 
     def read(self, digest: str, source: str, name: str) -> bytes:
@@ -80,7 +89,8 @@ class RunArtifacts:
     experiment: str = "sysid"
     location: str | None = None
 
-    def write(self, digest: str, files: Mapping[str, bytes], manifest: str) -> tuple[str, str | None]:
+    def write(self, digest: str, files: Mapping[str, bytes], manifest: str, record: Record) -> tuple[str, str | None]:
+        """A server keeps its own rows, so ``record`` is not written."""
         experiment = self.client.get_experiment_by_name(self.experiment)
         identity = (
             experiment.experiment_id
@@ -125,8 +135,8 @@ def checked(content: bytes, expected: str, where: object) -> bytes:
     return content
 
 
-def _holds(folder: Path, contents: Mapping[str, bytes]) -> bool:
+def _holds(path: Path, content: bytes) -> bool:
     try:
-        return all((folder / name).read_bytes() == content for name, content in contents.items())
+        return path.read_bytes() == content
     except OSError:
         return False

@@ -1,14 +1,18 @@
-"""Opens MLflow late and quietly: it takes a second to import, reports home by default and logs tracebacks of handled errors."""
+"""Opens MLflow late and quietly: it takes a second to import, reports home by default and logs tracebacks of handled errors.
+
+With it what every registry needs: its lock, and errors of disks and libraries in the words of this toolkit.
+"""
 
 from __future__ import annotations
 
 import logging
 import os
-import sqlite3
 from collections.abc import Iterator
-from contextlib import closing, contextmanager
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
+
+from filelock import FileLock, Timeout
 
 from sysid.errors import StorageError, StoreError
 
@@ -17,8 +21,10 @@ SQLITE = "sqlite:///"
 #: What is left of work that the disk ended.
 UNTOUCHED = "nothing was registered, the versions that are there are whole"
 MEND = "Make room, or name a workspace that may be written, and run the command again."
+#: How often the lock of another process is tried again [s]: short beside the time that it is held.
+POLL_S = 0.01
 #: What sqlite says when the disk is full, quota is used up, or nothing may be written.
-_REFUSED = (
+REFUSED = (
     "database or disk is full",
     "disk I/O error",
     "attempt to write a readonly database",
@@ -32,6 +38,17 @@ def open_client(uri: str) -> Any:
     Raises:
         StoreError: the registry cannot be reached or is no registry.
     """
+    quieten()
+    from mlflow import MlflowClient
+
+    with translated(uri):
+        client = MlflowClient(tracking_uri=uri, registry_uri=uri)
+        client.search_registered_models(max_results=1)
+    return client
+
+
+def quieten() -> None:
+    """To be called before MLflow is imported."""
     # Read by MLflow when it is imported.
     os.environ.setdefault("MLFLOW_DISABLE_TELEMETRY", "true")
     os.environ.setdefault("DO_NOT_TRACK", "true")
@@ -40,12 +57,6 @@ def open_client(uri: str) -> Any:
     for name in ("mlflow.store.db.utils", "alembic"):
         # Progress of table creation, and a traceback for errors that are raised as well.
         logging.getLogger(name).setLevel(logging.CRITICAL)
-    from mlflow import MlflowClient
-
-    with translated(uri):
-        client = MlflowClient(tracking_uri=uri, registry_uri=uri)
-        client.search_registered_models(max_results=1)
-    return client
 
 
 @contextmanager
@@ -60,7 +71,7 @@ def translated(uri: str) -> Iterator[None]:
         text = str(error)
         if "database is locked" in text:
             raise locked(uri) from None
-        refused = next((words for words in _REFUSED if words in text), None)
+        refused = next((words for words in REFUSED if words in text), None)
         if refused is not None:
             raise StorageError(f"model registry {uri}", f"cannot be written ({refused}); {UNTOUCHED}", remedy=MEND) from None
         raise StoreError(
@@ -92,20 +103,22 @@ def locked(where: object) -> StoreError:
     )
 
 
-def probe_sqlite(path: Path, wait_s: float, write: bool) -> None:
-    """Find out before MLflow does whether the file can be used, since MLflow waits 20 s for a lock.
+@contextmanager
+def exclusive(workspace: Path, wait_s: float) -> Iterator[None]:
+    """One writer at a time, also across processes. To be held for files and rows alone: no imports, no fits.
 
     Raises:
-        StoreError: the file is locked for longer than ``wait_s`` or is no database.
+        StoreError: somebody held it for longer than ``wait_s``.
+        StorageError: the workspace may not be written.
     """
-    if not path.exists():
-        return
+    lock = FileLock(workspace / "registry.lock", poll_interval=POLL_S)
     try:
-        with closing(sqlite3.connect(path, timeout=wait_s, isolation_level=None)) as connection:
-            connection.execute("BEGIN IMMEDIATE" if write else "SELECT count(*) FROM sqlite_master")
-    except sqlite3.OperationalError as error:
-        if "locked" in str(error) or "busy" in str(error):
-            raise locked(path) from None
-        raise StoreError(path, f"cannot be opened ({error})", "a readable and writable sqlite file") from None
-    except sqlite3.DatabaseError as error:
-        raise StoreError(path, f"not a model registry ({error})", "a sqlite file", "Restore it or move it away.") from None
+        with written(workspace):
+            workspace.mkdir(parents=True, exist_ok=True)
+            lock.acquire(timeout=wait_s)
+    except Timeout:
+        raise locked(workspace) from None
+    try:
+        yield
+    finally:
+        lock.release()

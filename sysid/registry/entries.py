@@ -1,56 +1,77 @@
-"""Names, versions, aliases and decisions as an MLflow registry holds them, read into frozen values and checked."""
+"""Stored rows, read into frozen values and checked."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
-from typing import Any
 
 from sysid.errors import SettingsError, StoreError
 from sysid.registry.artifacts import checked
 from sysid.registry.promotion import Decision
+from sysid.registry.seal import broken_model, broken_version
+from sysid.registry.stored import DECISION, DIGEST, MANIFEST, METRICS, StoredModel, StoredVersion
 from sysid.registry.version import CHAMPION, ModelVersion, check_files, sha256
 
-#: Tags of an MLflow version. One tag a decision: nothing that was decided is ever rewritten.
-DIGEST, MANIFEST, METRICS, DECISION = "sysid.digest", "sysid.manifest", "sysid.metrics", "sysid.decision"
 #: What the champion was called in registries of before.
 FORMER = "promoted"
 
-_PAGE = 1000
 
-
-def model_names(client: Any) -> list[str]:
-    """Every registered model, sorted."""
-    names: list[str] = []
-    token = None
-    while True:
-        page = client.search_registered_models(max_results=_PAGE, page_token=token)
-        names += [model.name for model in page]
-        token = page.token
-        if not token:
-            return sorted(names)
-
-
-def entries(client: Any, name: str) -> list[tuple[ModelVersion, str]]:
-    """(version, source URI) of every version of ``name`` that this toolkit registered, oldest first.
-
-    Raises:
-        StoreError: a manifest or decision that was changed.
-    """
-    own: list[Any] = []
-    token = None
-    while True:
-        page = client.search_model_versions(f"name='{name}'", max_results=_PAGE, page_token=token)
-        own += [entry for entry in page if DIGEST in entry.tags and MANIFEST in entry.tags]
-        token = page.token
-        if not token:
-            break
-    # The search leaves out aliases (mlflow/mlflow#16734).
-    aliases = dict(client.get_registered_model(name).aliases) if own else {}
+def aliases_of(model: StoredModel) -> dict[str, int]:
+    """What each alias means."""
+    aliases = dict(model.aliases)
     if FORMER in aliases:
         aliases.setdefault(CHAMPION, aliases.pop(FORMER))
-    found = [(_version(entry, aliases), str(entry.source)) for entry in own]
-    return sorted(found, key=lambda entry: entry[0].version)
+    return aliases
+
+
+def check_model(model: StoredModel) -> None:
+    """Refuse aliases and lists of versions that another hand has changed.
+
+    Raises:
+        StoreError: they were changed after they were recorded.
+    """
+    broken = broken_model(model)
+    if broken is not None:
+        raise broken
+
+
+def version_of(model: StoredModel, entry: StoredVersion) -> ModelVersion:
+    """One version as a frozen value; its manifest must hash to its digest, and its seal to the rest.
+
+    Raises:
+        StoreError: the manifest, the figures or a decision were changed.
+    """
+    text, digest = entry.tags[MANIFEST], entry.tags[DIGEST]
+    where = f"{model.name}@{entry.number}"
+    checked(text.encode("utf-8"), digest, f"{where}: manifest")
+    try:
+        content = json.loads(text)
+        kind, lineage, files = content["kind"], content["lineage"], content["files"]
+        check_files(dict.fromkeys(files, b""), where)  # a foreign registry may name paths
+    except (ValueError, KeyError, TypeError, SettingsError) as error:
+        found = f"not one of ours ({type(error).__name__}: {error})"
+        raise StoreError(f"{where}: manifest", found, "what sysid registered", "Was it made by another program?") from None
+    keys = sorted(key for key in entry.tags if key.startswith(f"{DECISION}."))
+    decisions = tuple(Decision.from_text(entry.tags[key], f"{where}: {key}") for key in keys)
+    broken = broken_version(model, entry)
+    if broken is not None:
+        raise broken
+    return ModelVersion(
+        name=model.name,
+        version=entry.number,
+        kind=kind,
+        digest=digest,
+        lineage=lineage,
+        metrics=_metrics(entry.tags.get(METRICS, "{}"), where),
+        sha256=files,
+        aliases=tuple(sorted(alias for alias, target in aliases_of(model).items() if target == entry.number)),
+        created_ms=entry.created_ms,
+        decisions=decisions,
+    )
+
+
+def kind_of(model: StoredModel) -> str | None:
+    """The kind that all versions of a model are of; None where there is none."""
+    return version_of(model, model.own[0]).kind if model.own else None
 
 
 def decision_key(decision: Decision) -> str:
@@ -58,29 +79,9 @@ def decision_key(decision: Decision) -> str:
     return f"{DECISION}.{decision.decided_ms:013d}-{sha256(decision.to_text().encode('utf-8'))[:6]}"
 
 
-def _version(entry: Any, aliases: Mapping[str, Any]) -> ModelVersion:
-    """One MLflow entry as a frozen value; its manifest must hash to its digest."""
-    text, digest, number = entry.tags[MANIFEST], entry.tags[DIGEST], int(entry.version)
-    where = f"{entry.name}@{number}"
-    checked(text.encode("utf-8"), digest, f"{where}: manifest")
+def _metrics(text: str, where: str) -> dict[str, float]:
     try:
-        content = json.loads(text)
-        kind, lineage, files = content["kind"], content["lineage"], content["files"]
-        metrics = json.loads(entry.tags.get(METRICS, "{}"))
-        check_files(dict.fromkeys(files, b""), where)  # a foreign registry may name paths
-    except (ValueError, KeyError, TypeError, SettingsError) as error:
-        found = f"not one of ours ({type(error).__name__}: {error})"
-        raise StoreError(f"{where}: manifest", found, "what sysid registered", "Was it made by another program?") from None
-    decisions = sorted((key, value) for key, value in entry.tags.items() if key.startswith(f"{DECISION}."))
-    return ModelVersion(
-        name=entry.name,
-        version=number,
-        kind=kind,
-        digest=digest,
-        lineage=lineage,
-        metrics=metrics,
-        sha256=files,
-        aliases=tuple(sorted(alias for alias, target in aliases.items() if int(target) == number)),
-        created_ms=int(entry.creation_timestamp),
-        decisions=tuple(Decision.from_text(value, f"{where}: {key}") for key, value in decisions),
-    )
+        return {str(key): float(value) for key, value in json.loads(text).items()}
+    except (ValueError, TypeError, AttributeError) as error:
+        found = f"not figures ({type(error).__name__}: {error})"
+        raise StoreError(f"{where}: {METRICS}", found, "what sysid registered", "Remove that tag in the registry.") from None

@@ -1,4 +1,4 @@
-"""Register, load, list and alias model versions. Files first, registration last: a crash leaves nothing half done.
+"""Register, load, list and alias model versions. Files first, rows last in one transaction: a crash leaves nothing half done.
 
 A version is made of ``files`` (safetensors and JSON), a ``kind`` and a ``lineage``. MLflow's registry holds the number, the
 aliases and, as tags, the manifest with the sha256 of every file. Registering the same content with the same lineage again
@@ -11,19 +11,22 @@ import builtins
 import functools
 import json
 import os
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
-from dataclasses import replace
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
-from filelock import FileLock, Timeout
-
-from sysid.errors import StoreError, nearest
+from sysid.errors import SettingsError, StoreError, nearest
 from sysid.registry.artifacts import ArtifactStore, FolderArtifacts, RunArtifacts, checked
-from sysid.registry.client import SQLITE, locked, open_client, probe_sqlite, translated, written
-from sysid.registry.entries import DIGEST, MANIFEST, METRICS, decision_key, entries, model_names
-from sysid.registry.promotion import Decision
+from sysid.registry.client import SQLITE, written
+from sysid.registry.entries import aliases_of, check_model, decision_key, kind_of, version_of
+from sysid.registry.promotion import Decision, now_ms
+from sysid.registry.record import Record
+from sysid.registry.repair import Repaired, repair
+from sysid.registry.seal import sealed
+from sysid.registry.server import ServerTables
+from sysid.registry.stored import DIGEST, MANIFEST, METRICS, Change, StoredModel, StoredVersion, Tables
+from sysid.registry.tables import WorkspaceTables
 from sysid.registry.version import (
     CANDIDATE,
     CHAMPION,
@@ -42,6 +45,14 @@ from sysid.registry.version import (
 URI_VARIABLE = "SYSID_REGISTRY_URI"
 
 
+@dataclass(frozen=True)
+class Damaged:
+    """A row of the registry that cannot be shown as true: of which version or model, and why."""
+
+    reference: str
+    error: StoreError
+
+
 class Registry:
     """Model versions of one workspace, or of an MLflow server that several people share.
 
@@ -53,12 +64,11 @@ class Registry:
     """
 
     def __init__(self, workspace: Path, uri: str | None = None, wait_s: float = 30.0) -> None:
-        self._workspace = Path(workspace)
-        self._database = self._workspace / "registry.db"
+        self._workspace, self._wait_s = Path(workspace), wait_s
         given = uri or os.environ.get(URI_VARIABLE) or None
-        self._own = given is None
-        self.uri = given or f"{SQLITE}{self._database.resolve()}"
-        self._wait_s = wait_s
+        self.uri = given or f"{SQLITE}{(self._workspace / 'registry.db').resolve()}"
+        self._server = ServerTables(self._workspace, given, wait_s) if given is not None else None
+        self._tables: Tables = self._server or WorkspaceTables(self._workspace, wait_s)
 
     def register(
         self,
@@ -86,30 +96,30 @@ class Registry:
         text = manifest(kind, {file: sha256(files[file]) for file in sorted(files)}, lineage, place)
         figures = json.dumps({key: float(value) for key, value in (metrics or {}).items()})
         digest = sha256(text.encode("utf-8"))
-        with self._locked():
-            existing = self._versions(name) if self._exists() else []
-            if existing and existing[0].kind != kind:
+
+        def build(model: StoredModel) -> Change | None:
+            known = kind_of(self._checked(model))
+            if known not in (None, kind):
                 raise StoreError(
                     place,
-                    f"already registered as kind {existing[0].kind!r}",
+                    f"already registered as kind {known!r}",
                     f"kind {kind!r}",
                     "Choose another name for this model.",
                 )
-            same = [version for version in existing if version.digest == digest]
-            if same and not self._own:
-                return same[0]
+            same = next((entry for entry in model.own if entry.tags[DIGEST] == digest), None)
+            if same is not None and self._server is not None:
+                return None
+            tags = {DIGEST: digest, MANIFEST: text, METRICS: figures}
+            new = same or StoredVersion(model.last + 1, now_ms(), "", tags)
             # For the workspace's own folder the write is repeated: it is free when all is well and repairs damaged files.
             with written(self._workspace):
-                source, run = self._artifacts.write(digest, files, text)
-            if same:
-                return same[0]
-            with translated(self.uri):
-                self._create_model(name)
-                made = self._client.create_model_version(
-                    name, source, run_id=run, tags={DIGEST: digest, MANIFEST: text, METRICS: figures}
-                )
-                self._client.set_registered_model_alias(name, CANDIDATE, str(made.version))
-            return next(version for version in self._versions(name) if version.digest == digest)
+                source, run = self._artifacts.write(digest, files, text, Record.of(name, new))
+            if same is not None:
+                return None
+            return self._sealed(model, Change(replace(new, source=source), run, aliases={CANDIDATE: new.number}))
+
+        model = self._tables.change(name, build)
+        return version_of(model, next(entry for entry in model.own if entry.tags[DIGEST] == digest))
 
     def load(self, reference: str) -> ModelVersion:
         """The version with its files, each checked against its registered sha256 before anything reads it.
@@ -136,22 +146,40 @@ class Registry:
         return self.find(reference).lineage
 
     def list(self, kind: str | None = None) -> tuple[ModelVersion, ...]:
-        """Every version, by name and number, without files; of one ``kind`` if given."""
+        """Every version, by name and number, without files; of one ``kind`` if given.
+
+        Raises:
+            StoreError: one of them was changed after it was recorded; :meth:`survey` shows the others.
+        """
+        found = self.survey(kind)
+        for entry in found:
+            if isinstance(entry, Damaged):
+                raise entry.error
+        return tuple(entry for entry in found if isinstance(entry, ModelVersion))
+
+    def survey(self, kind: str | None = None) -> tuple[ModelVersion | Damaged, ...]:
+        """As :meth:`list`, with what cannot be shown as true in its place: the kind of that is not known."""
         if kind is not None:
             check_kind(kind)
-        if not self._exists():
-            return ()
-        self._probe(write=False)
-        versions = [version for name in self._names() for version in self._versions(name)]
-        return tuple(version for version in versions if kind in (None, version.kind))
+        found: builtins.list[ModelVersion | Damaged] = []
+        for model in self._tables.models():
+            found += _surveyed(model, self._tables.seals_aliases)
+        return tuple(entry for entry in found if isinstance(entry, Damaged) or kind in (None, entry.kind))
+
+    def versions(self, name: str) -> tuple[ModelVersion, ...]:
+        """Every version of one model, oldest first; none where there is no such model.
+
+        Raises:
+            StoreError: one of them was changed after it was recorded.
+        """
+        model = self._model(check_name(name))
+        return tuple(version_of(model, entry) for entry in model.own)
 
     def promoted(self, name: str) -> ModelVersion | None:
         """The version that ``name`` alone means because it was promoted; None where none was, or there is no such model."""
-        check_name(name)
-        if not self._exists():
-            return None
-        self._probe(write=False)
-        return next((version for version in self._versions(name) if CHAMPION in version.aliases), None)
+        model = self._model(check_name(name))
+        number = aliases_of(model).get(CHAMPION)
+        return next((version_of(model, entry) for entry in model.own if entry.number == number), None)
 
     def promote(self, reference: str, *, instead_of: ModelVersion | None, decision: Decision | None = None) -> ModelVersion:
         """Let the name alone mean this version from now on; the others stay.
@@ -167,11 +195,18 @@ class Registry:
 
     def record(self, reference: str, decision: Decision) -> ModelVersion:
         """Keep a decision with a version; one that says what the last one said is not repeated."""
-        with self._locked():
-            version = self.find(reference)
-            with translated(self.uri):
-                self._record(version, decision)
-            return self.find(version.reference)
+        name, _ = split_reference(reference)
+        number = 0
+
+        def build(model: StoredModel) -> Change | None:
+            nonlocal number
+            version = self._chosen(model, reference)[0]
+            number = version.version
+            tags = _decided(version, decision)
+            return self._sealed(model, Change(version_tags=tags)) if tags else None
+
+        model = self._tables.change(name, build)
+        return self._chosen(model, f"{name}@{number}")[0]
 
     def set_alias(
         self,
@@ -191,91 +226,97 @@ class Registry:
             StoreError: no such version, or the alias means another one than ``instead_of``.
         """
         check_alias(alias)
-        with self._locked():
-            version = self.find(reference)
-            if instead_of != "any":
-                now = next((entry for entry in self._versions(version.name) if alias in entry.aliases), None)
-                if (now and now.version) != (instead_of and instead_of.version):
-                    found, expected = (entry.reference if entry else "no version" for entry in (now, instead_of))
-                    raise StoreError(
-                        f"{version.name}@{alias}",
-                        f"means {found}",
-                        expected,
-                        "It was changed in the meantime; look at it and decide again.",
-                    )
-            with translated(self.uri):
-                if decision is not None:  # before the alias: what is in use has its reason
-                    self._record(version, decision)
-                self._client.set_registered_model_alias(version.name, alias, str(version.version))
-                if alias == CHAMPION and CANDIDATE in version.aliases:
-                    self._client.delete_registered_model_alias(version.name, CANDIDATE)
-            return self.find(version.reference)
+        name, _ = split_reference(reference)
+        number = 0
 
-    @functools.cached_property
-    def _client(self) -> Any:
-        if self._own:
-            self._workspace.mkdir(parents=True, exist_ok=True)
-        return open_client(self.uri)
+        def build(model: StoredModel) -> Change:
+            nonlocal number
+            version = self._chosen(model, reference)[0]
+            number = version.version
+            meant = aliases_of(model)
+            if instead_of != "any" and meant.get(alias) != (instead_of and instead_of.version):
+                now, expected = (
+                    f"{name}@{n}" if n else "no version" for n in (meant.get(alias), instead_of and instead_of.version)
+                )
+                raise StoreError(
+                    f"{name}@{alias}",
+                    f"means {now}",
+                    expected,
+                    "It was changed in the meantime; look at it and decide again.",
+                )
+            aliases: dict[str, int | None] = {alias: number}
+            if alias == CHAMPION and meant.get(CANDIDATE) == number:
+                aliases[CANDIDATE] = None
+            tags = _decided(version, decision) if decision is not None else {}
+            return self._sealed(model, Change(version_tags=tags, aliases=aliases))
+
+        model = self._tables.change(name, build)
+        return self._chosen(model, f"{name}@{number}")[0]
+
+    def repair(self, accept: bool = False) -> Repaired:
+        """Mend the registry of the workspace: see :func:`sysid.registry.repair.repair`.
+
+        Raises:
+            SettingsError: the registry is on a server.
+        """
+        if self._server is not None:
+            raise SettingsError(f"model registry {self.uri}", "on a server", "one of a workspace", "Its server looks after it.")
+        return repair(self._workspace, accept, self._wait_s)
 
     @functools.cached_property
     def _artifacts(self) -> ArtifactStore:
-        return FolderArtifacts(self._workspace / "models") if self._own else RunArtifacts(self._client, self.uri)
+        if self._server is not None:
+            return RunArtifacts(self._server.client, self.uri)
+        return FolderArtifacts(self._workspace / "models")
 
-    def _exists(self) -> bool:
-        """False only for a workspace that has no registry yet: looking must not create one."""
-        return not self._own or self._database.exists()
+    def _sealed(self, model: StoredModel, change: Change) -> Change:
+        return sealed(model, change, self._tables.seals_aliases)
 
-    @contextmanager
-    def _locked(self) -> Iterator[None]:
-        """One writer at a time, also across processes; also keeps two from creating the tables together."""
-        lock = FileLock(self._workspace / "registry.lock")
-        try:
-            with written(self._workspace):
-                self._workspace.mkdir(parents=True, exist_ok=True)
-                lock.acquire(timeout=self._wait_s)
-        except Timeout:
-            raise locked(self._workspace) from None
-        try:
-            self._probe(write=True)
-            yield
-        finally:
-            lock.release()
+    def _model(self, name: str) -> StoredModel:
+        return self._checked(self._tables.model(name))
 
-    def _probe(self, write: bool) -> None:
-        if self._own:
-            probe_sqlite(self._database, self._wait_s, write)
-
-    def _create_model(self, name: str) -> None:
-        from mlflow.exceptions import MlflowException
-
-        try:
-            self._client.create_registered_model(name)
-        except MlflowException as error:
-            if error.error_code != "RESOURCE_ALREADY_EXISTS":
-                raise
+    def _checked(self, model: StoredModel) -> StoredModel:
+        if self._tables.seals_aliases:
+            check_model(model)
+        return model
 
     def _find(self, reference: str) -> tuple[ModelVersion, str]:
+        name, _ = split_reference(reference)
+        return self._chosen(self._tables.model(name), reference)
+
+    def _chosen(self, model: StoredModel, reference: str) -> tuple[ModelVersion, str]:
+        """The version of ``model`` that ``reference`` means, and where its files lie."""
         name, selector = split_reference(reference)
-        self._probe(write=False)
-        found = self._entries(name) if self._exists() else []
-        if not found:
-            known = [known for known in self._names() if self._versions(known)] if self._exists() else []
+        if not model.own:
+            known = [other.name for other in self._tables.models() if other.own]
             raise StoreError(f"model registry {self.uri}", f"no model {name!r}", nearest(name, known))
-        chosen = choose([version for version, _ in found], name, selector)
-        return next(entry for entry in found if entry[0] == chosen)
+        self._checked(model)
+        number = choose([entry.number for entry in model.own], aliases_of(model), name, selector)
+        entry = next(entry for entry in model.own if entry.number == number)
+        return version_of(model, entry), entry.source
 
-    def _names(self) -> builtins.list[str]:
-        with translated(self.uri):
-            return model_names(self._client)
 
-    def _versions(self, name: str) -> builtins.list[ModelVersion]:
-        return [version for version, _ in self._entries(name)]
+def _surveyed(model: StoredModel, aliases: bool) -> builtins.list[ModelVersion | Damaged]:
+    """All versions of a model, and before them what is wrong with the model as a whole."""
+    found: builtins.list[ModelVersion | Damaged] = []
+    if not model.own:
+        return found
+    if aliases:
+        try:
+            check_model(model)
+        except StoreError as error:
+            found.append(Damaged(model.name, error))
+            model = replace(model, aliases={})  # none of them is to be believed
+    for entry in model.own:
+        try:
+            found.append(version_of(model, entry))
+        except StoreError as error:
+            found.append(Damaged(f"{model.name}@{entry.number}", error))
+    return found
 
-    def _entries(self, name: str) -> builtins.list[tuple[ModelVersion, str]]:
-        with translated(self.uri):
-            return entries(self._client, name)
 
-    def _record(self, version: ModelVersion, decision: Decision) -> None:
-        if not (version.decisions and version.decisions[-1].same(decision)):
-            key = decision_key(decision)
-            self._client.set_model_version_tag(version.name, str(version.version), key, decision.to_text())
+def _decided(version: ModelVersion, decision: Decision) -> dict[int, dict[str, str | None]]:
+    """The tag of a decision; nothing where the last one said the same."""
+    if version.decisions and version.decisions[-1].same(decision):
+        return {}
+    return {version.version: {decision_key(decision): decision.to_text()}}

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Literal, get_args
 
@@ -19,6 +19,9 @@ KINDS: tuple[str, ...] = get_args(Kind)
 
 #: Nothing that is executed on reading: no pickle, no ``.pt``, no ``.npy`` (which may hold objects). A ``.diff`` is for people.
 SUFFIXES = (".safetensors", ".json", ".diff")
+
+#: Of a version's files, beside them; its sha256 is the version's digest.
+MANIFEST = "manifest.json"
 
 #: The alias of the version that a name alone means, because it was promoted.
 CHAMPION = "champion"
@@ -163,19 +166,24 @@ def split_reference(reference: str) -> tuple[str, str | None]:
     return name, selector or None
 
 
-def choose(versions: Iterable[ModelVersion], name: str, selector: str | None) -> ModelVersion:
+def choose(numbers: Sequence[int], aliases: Mapping[str, int], name: str, selector: str | None) -> int:
     """The version that ``selector`` means: a number or an alias; for None the promoted one, or the newest where none is.
+
+    Args:
+        numbers: of all versions, at least one.
+        aliases: alias → version; one that means a version that is no more is none.
 
     Raises:
         StoreError: there is none; lists what there is.
     """
-    ordered = sorted(versions, key=lambda version: version.version)
+    known = {alias: number for alias, number in aliases.items() if number in numbers}
+    newest = max(numbers)
     if selector is None:
-        return next((version for version in ordered if CHAMPION in version.aliases), ordered[-1])
-    for version in ordered:
-        if selector == str(version.version) or selector in version.aliases:
-            return version
-    aliases = [alias for version in ordered for alias in version.aliases]
-    numbers = f"versions 1 to {ordered[-1].version}" if len(ordered) > 1 else f"version {ordered[-1].version}"
-    expected = numbers if selector.isdigit() else f"{numbers}, or an alias: {nearest(selector, aliases)}"
+        return known.get(CHAMPION, newest)
+    if selector.isdecimal() and str(int(selector)) == selector and int(selector) in numbers:
+        return int(selector)
+    if selector in known:
+        return known[selector]
+    there = f"versions {min(numbers)} to {newest}" if len(numbers) > 1 else f"version {newest}"
+    expected = there if selector.isdigit() else f"{there}, or an alias: {nearest(selector, known)}"
     raise StoreError(f"model {name}", f"no version or alias {selector!r}", expected)

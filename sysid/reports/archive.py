@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import math
+import shutil
 from pathlib import Path
 from typing import Any
 
 import pandas as pd
+from filelock import FileLock
 from pydantic import TypeAdapter
 
-from sysid.errors import SettingsError, StoreError
-from sysid.files import json_text, written_whole
+from sysid.errors import SettingsError, StorageError, StoreError
+from sysid.files import json_text, make_folder, on_disk
 from sysid.gap.experiment import Experiment, read_experiment, write_experiment
 from sysid.gap.result import (
     EXPERIMENTS,
@@ -30,51 +33,111 @@ from sysid.gap.result import (
     WorldGap,
 )
 
-RESULT, TRACES, DIFFERENCE = "result.json", "traces.parquet", "machine.diff"
+RESULT, TRACES, DIFFERENCE, SEAL = "result.json", "traces.parquet", "machine.diff", "seal.json"
+AGAIN = "Run `sysid gap` again."
 VERSIONS = ("measured", "before", "after")
 
 
 def save_gap(folder: Path, result: GapResult) -> Path:
-    """Write ``result`` into ``folder``: traces and experiments first, the JSON last, each whole or not at all."""
-    folder.mkdir(parents=True, exist_ok=True)
-    frames = [
-        getattr(trace, version).assign(recording=trace.recording, version=version)
-        for trace in result.traces
-        for version in VERSIONS
-    ]
-    traces = folder / TRACES
-    if frames:
-        with written_whole(traces) as half:
-            pd.concat(frames, ignore_index=True).to_parquet(half, index=False)
-    else:
-        traces.unlink(missing_ok=True)
-    for old in (folder / EXPERIMENTS).glob("*.*"):  # those of the result before: nobody should execute them any more
-        old.unlink()
-    for experiment in result.experiments:
-        write_experiment(folder / EXPERIMENTS, experiment)
-    with written_whole(folder / DIFFERENCE) as half:
-        half.write_text(result.machine_diff, "utf-8")
-    with written_whole(folder / RESULT) as half:
-        half.write_text(json_text(result.to_json()), "utf-8")
+    """File ``result`` as ``folder``, in the place of the one before: all of its files or none.
+
+    They are written to a folder beside it, which counts from its rename to ``<folder>.next`` on; what remains to be done then
+    is done by the next call, if not by this one.
+
+    Raises:
+        StorageError: the disk is full, or may not be written.
+    """
+    draft = folder.with_name(f".{folder.name}.part")
+    try:
+        make_folder(folder.parent)
+        with FileLock(folder.with_name(f".{folder.name}.lock")):
+            _settle(folder)
+            if draft.exists():  # of a dead writer
+                shutil.rmtree(draft)
+            draft.mkdir()
+            _write(draft, result)
+            draft.rename(_ready(folder))
+            on_disk(folder.parent)
+            _settle(folder)
+    except OSError as error:
+        found = f"cannot be written ({error.strerror or error}); the result before, or this one, is whole"
+        raise StorageError(folder, found, remedy="Make room, and run the command again.") from None
     return folder / RESULT
 
 
 def load_gap(folder: Path) -> GapResult | None:
-    """The result that :func:`save_gap` wrote into ``folder``; None where there is none.
+    """The result that :func:`save_gap` filed as ``folder``; None where there is none.
 
     Raises:
-        StoreError: the files are damaged.
+        StoreError: the files are damaged, or were changed after they were written.
     """
+    folder = _ready(folder) if _ready(folder).is_dir() else folder
     path = folder / RESULT
     if not path.is_file():
         return None
+    _check_seal(folder)
     try:
         values = _numbers(json.loads(path.read_text("utf-8")))
         experiments = tuple(read_experiment(folder / item["file"]) for item in values.get("experiments", []))
         return _result(values, _traces(folder / TRACES), experiments)
     except (ValueError, KeyError, TypeError, SettingsError) as error:
         message = str(error).splitlines()[0]
-        raise StoreError(path, f"not readable ({message})", "a result as it was written", "Run `sysid gap` again.") from None
+        raise StoreError(path, f"not readable ({message})", "a result as it was written", AGAIN) from None
+
+
+def _ready(folder: Path) -> Path:
+    return folder.with_name(f"{folder.name}.next")
+
+
+def _settle(folder: Path) -> None:
+    """Let a result that is ready take the place of the one before."""
+    if _ready(folder).is_dir():
+        if folder.exists():
+            shutil.rmtree(folder)
+        _ready(folder).rename(folder)
+        on_disk(folder.parent)
+
+
+def _write(folder: Path, result: GapResult) -> None:
+    """All files of a result, on the disk; the last one is the seal over the others."""
+    frames = [
+        getattr(trace, version).assign(recording=trace.recording, version=version)
+        for trace in result.traces
+        for version in VERSIONS
+    ]
+    if frames:
+        pd.concat(frames, ignore_index=True).to_parquet(folder / TRACES, index=False)
+    for experiment in result.experiments:
+        write_experiment(folder / EXPERIMENTS, experiment)
+    (folder / DIFFERENCE).write_text(result.machine_diff, "utf-8")
+    (folder / RESULT).write_text(json_text(result.to_json()), "utf-8")
+    (folder / SEAL).write_text(json_text({"schema": 1, "sha256": _digests(folder)}), "utf-8")
+    for path in (*folder.rglob("*"), folder):
+        on_disk(path)
+
+
+def _digests(folder: Path) -> dict[str, str]:
+    paths = (path for path in sorted(folder.rglob("*")) if path.is_file() and path.name != SEAL)
+    return {path.relative_to(folder).as_posix(): hashlib.sha256(path.read_bytes()).hexdigest() for path in paths}
+
+
+def _check_seal(folder: Path) -> None:
+    """Refuse files that are not those that were written. Results of before there were seals have none.
+
+    Raises:
+        StoreError: names one of them.
+    """
+    try:
+        sealed = dict(json.loads((folder / SEAL).read_text("utf-8"))["sha256"])
+    except FileNotFoundError:
+        return
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise StoreError(folder / SEAL, f"not readable ({error})", "the seal as it was written", AGAIN) from None
+    found = _digests(folder)
+    changed = sorted(name for name in sealed if found.get(name) != sealed[name])
+    if changed:
+        what = "changed after it was written" if changed[0] in found else "the file is gone"
+        raise StoreError(folder / changed[0], what, f"sha256 {str(sealed[changed[0]])[:12]}…", AGAIN)
 
 
 def _result(values: dict[str, Any], traces: tuple[Traces, ...], experiments: tuple[Experiment, ...]) -> GapResult:

@@ -70,7 +70,7 @@ class TrainingFiles:
         arrays: dict[str, np.ndarray[Any, Any]] = {}
         rest = _split(trainer.state(), "", arrays)
         content = save(arrays, {"format": str(FORMAT), "state": json.dumps(rest)})
-        write_durably(self.folder / STATE, content, "checkpoint", REMEDY)
+        write_durably(self.folder / STATE, content, "checkpoint", REMEDY)  # with its name, so that older segments may go
         trainer.replay.prune(self.folder)
         self._last = time.monotonic()
 
@@ -98,7 +98,8 @@ class TrainingFiles:
         return True
 
     def remove(self) -> None:
-        """Training is done."""
+        """Training is done. The state goes first: without it what is left is no checkpoint."""
+        (self.folder / STATE).unlink(missing_ok=True)
         shutil.rmtree(self.folder, ignore_errors=True)
 
 

@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sysid.errors import StorageError, StoreError
+from sysid.files import make_folder, on_disk
 
 if TYPE_CHECKING:
     import torch
@@ -76,11 +77,12 @@ class Replay:
         """
         begin = max(self.saved, self.count - self.capacity)
         try:
-            folder.mkdir(parents=True, exist_ok=True)
+            make_folder(folder)
             while begin < self.count:
                 end = min(self.count, (begin // SEGMENT + 1) * SEGMENT)
                 self._write(_segment(folder, begin), begin, end)
                 begin = end
+            on_disk(folder)  # the names of new files, before a checkpoint refers to them
         except OSError as error:
             raise StorageError(
                 f"replay buffer in {folder}", error.strerror or str(error), f"room for {self.count - self.saved} transitions",
@@ -89,7 +91,8 @@ class Replay:
         self.saved = self.count
 
     def prune(self, folder: Path) -> None:
-        """Delete segments that hold nothing of the buffer any more; to be called when a checkpoint that says so is there."""
+        """Delete segments that hold nothing of the buffer any more; to be called when a checkpoint that says so is on the disk,
+        its name too: else a power cut could bring back the one before, which needs them."""
         for path in folder.glob("replay-*.f32"):
             if (int(path.stem.partition("-")[2]) + 1) * SEGMENT <= self.count - self.capacity:
                 path.unlink()

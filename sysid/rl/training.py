@@ -79,8 +79,8 @@ def train_policy(
         "forward_digest": forward.digest,
         "recipe": recipe.to_json(),
     }
-    for version in registry.list("policy"):
-        if version.name == recipe.name and version.lineage == _plain(lineage):
+    for version in registry.versions(recipe.name):
+        if version.kind == "policy" and version.lineage == _plain(lineage):
             return Trained(version, dict(version.metrics), 0.0, 0.0, None)
 
     files = TrainingFiles(training_folder(root, recipe, {"plant": plant.digest, "forward": forward.digest}), every)

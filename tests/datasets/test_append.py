@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import shutil
 import sys
+import threading
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
@@ -50,6 +52,37 @@ def logs(tmp_path: Path) -> Path:
 
 def content(workspace: Path) -> dict[Path, bytes]:
     return {path: path.read_bytes() for path in (workspace / "datasets").rglob("*") if path.is_file()}
+
+
+def test_four_that_append_at_once_all_add_theirs(logs: Path, tmp_path: Path) -> None:
+    """Each reads ``demo@1`` as the newest before any of them stores; the others then go on from what was stored."""
+    workspace = tmp_path / "ws"
+    first = ingest(logs, workspace)
+    for index in range(3, 7):
+        record(tmp_path / f"more{index}" / f"r{index}", index)
+    together = threading.Barrier(4, timeout=60)
+    repeated = []
+
+    def add(index: int) -> str:
+        waited: list[float] = []
+
+        def report(share: float, text: str) -> None:
+            if text == "storing" and not waited:
+                waited.append(share)
+                together.wait()
+            if "once more" in text:
+                repeated.append(text)
+
+        return append(tmp_path / f"more{index}", workspace, "demo", progress=report).reference
+
+    with ThreadPoolExecutor(4) as pool:
+        made = list(pool.map(add, range(3, 7)))
+    assert first.reference == "demo@1"
+    assert sorted(made) == [f"demo@{number}" for number in range(2, 6)]
+    assert len(repeated) >= 3
+    assert sorted({r.name.partition("#")[0] for r in Store(workspace).load("demo").recordings}) == [
+        f"r{index}" for index in range(7)
+    ]
 
 
 def test_only_what_is_new_is_read_and_written(logs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

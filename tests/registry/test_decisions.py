@@ -162,16 +162,14 @@ def full(*_: object, **__: object) -> None:
 
 
 def full_table(*_: object, **__: object) -> None:
-    from sqlalchemy.exc import OperationalError
-
-    raise OperationalError("INSERT", {}, sqlite3.OperationalError("database or disk is full"))
+    raise sqlite3.OperationalError("database or disk is full")
 
 
 DISKS: dict[str, Callable[[pytest.MonkeyPatch], None]] = {
     "no room for a folder": lambda m: m.setattr("tempfile.mkdtemp", full),
     "no room for a file": lambda m: m.setattr("sysid.registry.artifacts.write_through", full),
     "no room when it is settled": lambda m: m.setattr("os.fsync", full),
-    "no room for a row": lambda m: m.setattr("mlflow.MlflowClient.create_model_version", full_table),
+    "no room for a row": lambda m: m.setattr("sysid.registry.tables._insert_version", full_table),
 }
 
 
@@ -192,16 +190,16 @@ def test_a_full_disk_registers_nothing(workspace: Path, monkeypatch: pytest.Monk
 
 def test_a_database_that_may_not_grow(workspace: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A real refusal of sqlite, half-way through the rows of a version."""
-    import sqlalchemy
+    from sysid.registry import tables
 
-    registry = Registry(workspace)
-    registry.list()
+    begin = tables._insert_version
 
-    def capped(connection: Any, _: Any) -> None:
+    def capped(connection: sqlite3.Connection, *rest: Any) -> None:
         connection.execute("PRAGMA max_page_count = 1")  # sqlite keeps what is there and takes no page more
+        begin(connection, *rest)
 
-    engine = registry._client._get_registry_client().store.engine
-    sqlalchemy.event.listen(engine, "checkout", lambda connection, *_: capped(connection, _))
+    monkeypatch.setattr(tables, "_insert_version", capped)
+    registry = Registry(workspace)
     with pytest.raises(StorageError, match="database or disk is full"):
         registry.register("arm", "plant", FILES, {"long": "x" * 90_000})
     assert [version.version for version in Registry(workspace).list()] == [1, 2]

@@ -226,7 +226,7 @@ REGISTER = """
     import json, os, signal, sys
     from pathlib import Path
     from sysid.registry import Registry
-    from sysid.registry import artifacts, registry
+    from sysid.registry import artifacts, tables
     crash = sys.argv[2]
     if crash == "before_registration":
         write = artifacts.FolderArtifacts.write
@@ -238,11 +238,11 @@ REGISTER = """
         sync = artifacts.on_disk
         artifacts.on_disk = lambda path: os.kill(os.getpid(), signal.SIGKILL)
     elif crash == "before_version":
-        create = registry.Registry._create_model
-        def then_die(self, name):
-            create(self, name)
+        insert = tables._insert_version
+        def then_die(*arguments):
+            insert(*arguments)
             os.kill(os.getpid(), signal.SIGKILL)
-        registry.Registry._create_model = then_die
+        tables._insert_version = then_die
     version = Registry(Path(sys.argv[1])).register("new", "plant", {"plant.json": b"{}"}, {"n": sys.argv[3]})
     print(version.version)
 """

@@ -41,12 +41,36 @@ def test_round_trip(crane: Dataset, tmp_path: Path) -> None:
 def test_numbers_that_json_lacks_survive(crane: Dataset, tmp_path: Path) -> None:
     result = sample_unnamed(crane)
     lost = replace(result.candidates[0], delta_bic=math.nan)
-    save_gap(tmp_path, replace(result, candidates=(lost,), traces=()))
-    again = load_gap(tmp_path)
+    save_gap(tmp_path / "gap", replace(result, candidates=(lost,), traces=()))
+    again = load_gap(tmp_path / "gap")
     assert again is not None
     assert math.isnan(again.candidates[0].delta_bic)
     assert again.ambiguous == result.ambiguous
     assert again.traces == ()
+
+
+@pytest.mark.parametrize("name", ["result.json", "traces.parquet", "machine.diff"])
+def test_a_result_that_was_changed_by_hand_is_refused(crane: Dataset, tmp_path: Path, name: str) -> None:
+    save_gap(tmp_path / "gap", sample_gap(crane))
+    path = tmp_path / "gap" / name
+    content = path.read_bytes()
+    path.write_bytes(content.replace(b"0.", b"1.", 1) + b" ")
+    with pytest.raises(StoreError, match=rf"{name}: changed after it was written; expected sha256 .*Run `sysid gap` again"):
+        load_gap(tmp_path / "gap")
+    path.unlink()
+    if name != "result.json":
+        with pytest.raises(StoreError, match=f"{name}: the file is gone"):
+            load_gap(tmp_path / "gap")
+    path.write_bytes(content)
+    assert load_gap(tmp_path / "gap") is not None
+    save_gap(tmp_path / "gap", sample_unnamed(crane))
+    assert load_gap(tmp_path / "gap").effects == sample_unnamed(crane).effects  # type: ignore[union-attr]
+
+
+def test_a_result_of_before_there_were_seals_is_read(crane: Dataset, tmp_path: Path) -> None:
+    save_gap(tmp_path / "gap", sample_gap(crane))
+    (tmp_path / "gap" / "seal.json").unlink()
+    assert load_gap(tmp_path / "gap") is not None
 
 
 def test_nothing_there_and_something_broken(tmp_path: Path) -> None:

@@ -20,6 +20,7 @@ from sysid.datasets.plan import content_of, plan_of, sources_of
 from sysid.datasets.recipe import Splits, stored_recipe
 from sysid.datasets.recording import Dataset, Recording, Role, Source
 from sysid.datasets.splits import split
+from sysid.datasets.versions.files import OvertakenError
 from sysid.datasets.versions.manifest import Manifest, clock_from, digest_of
 from sysid.datasets.versions.store import Store
 from sysid.errors import InputError, SettingsError, nearest
@@ -45,6 +46,9 @@ def append(
     roles. A new recording has ``role``, else what the splits of the recipe say, else :data:`DEFAULT_ROLE`. What ``to`` knows of
     the devices (skew of their clocks, mounts of rigid bodies where one reference pose is for all) holds for the new recordings.
 
+    Where ``to`` has no number and another version is stored in the meantime, the step is repeated on that one: of several at
+    once, each adds its own.
+
     Args:
         paths: folders of recordings or log files; recordings that ``to`` holds may be among them.
         workspace: folder or object-store URL.
@@ -60,14 +64,19 @@ def append(
     Raises:
         InputError: a log that cannot be used, or a recording that ``to`` holds with other content or under another name.
         SettingsError: another machine, a mistake in the recipe, an unknown role.
-        StoreError: no such version; or ``to`` has no number, and another version came in the meantime.
+        StoreError: no such version.
     """
     from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]
 
     if role is not None and role not in get_args(Role):
         raise SettingsError("role", repr(role), nearest(role, get_args(Role)))
+    report = progress or silent
     with threadpool_limits(limits=1):
-        return _append(paths, Store(workspace), to, machine, recipe, role, progress or silent)
+        while True:
+            try:
+                return _append(paths, Store(workspace), to, machine, recipe, role, report)
+            except OvertakenError as error:  # each time somebody else got on, so that this ends
+                report(0.0, f"{error.found}: once more, on that one")
 
 
 def _append(

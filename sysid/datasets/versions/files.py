@@ -17,6 +17,10 @@ class TakenError(StoreError):
     """The file to be published is there already: another writer was first."""
 
 
+class OvertakenError(StoreError):
+    """Another version was stored since the newest one was read, which was to be added to."""
+
+
 class Files(Protocol):
     """Paths are relative to the workspace and use ``/``."""
 

@@ -18,7 +18,7 @@ from typing import BinaryIO
 
 from sysid.datasets.versions.files import TakenError, explained
 from sysid.errors import StoreError
-from sysid.files import on_disk, write_through
+from sysid.files import make_folder, on_disk, write_through
 
 #: How long a writer waits for another one [s].
 LOCK_WAIT_S = 300.0
@@ -53,7 +53,7 @@ class LocalFiles:
 
     def create(self, path: str) -> BinaryIO:
         final = self.root / path
-        final.parent.mkdir(parents=True, exist_ok=True)
+        make_folder(final.parent)
         return final.open("xb")
 
     def settle(self, folder: str) -> None:
@@ -65,7 +65,7 @@ class LocalFiles:
 
     def publish(self, path: str, text: str) -> None:
         final = self.root / path
-        final.parent.mkdir(parents=True, exist_ok=True)
+        make_folder(final.parent)
         draft = final.parent / f".{final.name}.{uuid.uuid4().hex}"
         try:
             write_through(draft, text.encode("utf-8"))
@@ -102,7 +102,7 @@ class LocalFiles:
 
         place = self.root / folder
         with explained(place, "nothing was changed"):
-            place.mkdir(parents=True, exist_ok=True)
+            make_folder(place)
             lock = FileLock(place / ".lock", timeout=LOCK_WAIT_S)
             try:
                 lock.acquire()

@@ -27,7 +27,7 @@ import pandas as pd
 from sysid.datasets.channel import Channel
 from sysid.datasets.recording import Dataset, Role
 from sysid.datasets.versions.assemble import Entry, dataset_of, entry_of
-from sysid.datasets.versions.files import Files, TakenError, explained, open_files
+from sysid.datasets.versions.files import Files, OvertakenError, TakenError, explained, open_files
 from sysid.datasets.versions.manifest import (
     Made,
     Manifest,
@@ -197,7 +197,8 @@ class Store:
             newest: ``base`` was meant as the newest version, so that nothing may have come after it.
 
         Raises:
-            StoreError: ``base`` was removed, or is the newest no more where it has to be.
+            OvertakenError: ``base`` is the newest no more where it has to be.
+            StoreError: ``base`` was removed.
             StorageError: the disk is full, or may not be written; nothing of the version is visible then.
         """
 
@@ -207,7 +208,7 @@ class Store:
             if newest and last != manifest["version"]:
                 found = f"{addition.name}@{last} was stored in the meantime"
                 remedy = "Run the command again: it adds to that one."
-                raise StoreError(f"dataset {addition.name}", found, f"{base} to be the newest version", remedy)
+                raise OvertakenError(f"dataset {addition.name}", found, f"{base} to be the newest version", remedy)
             return appended(manifest, addition, number, part)
 
         self.manifest(base)  # before anything is written

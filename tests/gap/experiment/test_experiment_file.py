@@ -114,11 +114,12 @@ def test_kept_beside_the_result(tmp_path: Path) -> None:
     plant = nominal()
     result = find_gap(slow_dataset(plant, 6.0), plant)
     first = replace(result, experiments=(made([0.0, 0.5]),))
-    save_gap(tmp_path, first)
-    assert load_gap(tmp_path).experiments == first.experiments  # type: ignore[union-attr]
-    (entry,) = first.to_json(tmp_path)["experiments"]
+    folder = tmp_path / "gap"
+    save_gap(folder, first)
+    assert load_gap(folder).experiments == first.experiments  # type: ignore[union-attr]
+    (entry,) = first.to_json(folder)["experiments"]
     assert Path(entry["file"]).is_file()
     assert first.to_json()["experiments"][0]["file"] == "experiments/boom-steps.toml"
-    save_gap(tmp_path, replace(result, experiments=(made([0.0], "boom-rest"),)))
-    left = sorted(p.name for p in (tmp_path / "experiments").iterdir())
+    save_gap(folder, replace(result, experiments=(made([0.0], "boom-rest"),)))
+    left = sorted(p.name for p in (folder / "experiments").iterdir())
     assert left == ["boom-rest.csv", "boom-rest.toml"], "experiments of the previous result are removed"

@@ -1,0 +1,143 @@
+"""A registry on an MLflow server, which several workspaces share: a request for every row, so a journal makes them one change.
+
+The change is written down in the workspace before the first request and removed after the last. What was killed in between is
+finished by the next command of this workspace that asks the registry. Each step may be repeated without harm.
+"""
+
+from __future__ import annotations
+
+import functools
+import hashlib
+import json
+from pathlib import Path
+from typing import Any
+
+from sysid.errors import StoreError
+from sysid.files import write_durably
+from sysid.registry.client import MEND, exclusive, open_client, translated
+from sysid.registry.stored import DIGEST, Build, Change, StoredModel, StoredVersion
+
+_PAGE = 1000
+
+
+class ServerTables:
+    """The models at ``uri``.
+
+    Args:
+        workspace: holds the journal and the lock that keeps the writers of this workspace apart.
+    """
+
+    seals_aliases = False  # everybody who uses the server may set them, by way of its pages too
+
+    def __init__(self, workspace: Path, uri: str, wait_s: float) -> None:
+        self._workspace, self._uri, self._wait_s = workspace, uri, wait_s
+        self._journal = workspace / f"registry-{hashlib.sha256(uri.encode()).hexdigest()[:8]}.journal"
+
+    @functools.cached_property
+    def client(self) -> Any:
+        return open_client(self._uri)
+
+    def model(self, name: str) -> StoredModel:
+        self._finish()
+        with translated(self._uri):
+            return self._model(name)
+
+    def models(self) -> tuple[StoredModel, ...]:
+        self._finish()
+        with translated(self._uri):
+            return tuple(self._model(name) for name in self._names())
+
+    def change(self, name: str, build: Build) -> StoredModel:
+        _ = self.client  # it takes seconds to import, and longer to be told that nobody answers: not with the lock
+        with exclusive(self._workspace, self._wait_s):
+            self._finish_locked()
+            with translated(self._uri):
+                before = self._model(name)
+            change = build(before)
+            if change is None:
+                return before
+            text = json.dumps({"uri": self._uri, "name": name, "change": change.to_json()})
+            write_durably(self._journal, text.encode("utf-8"), "journal of the registry", MEND)
+            with translated(self._uri):
+                self._carry_out(name, change)
+            self._journal.unlink()
+            with translated(self._uri):
+                return self._model(name)
+
+    def _finish(self) -> None:
+        if self._journal.exists():
+            with exclusive(self._workspace, self._wait_s):
+                self._finish_locked()
+
+    def _finish_locked(self) -> None:
+        """Carry out what the journal says: it was begun by a process of this workspace that is dead."""
+        try:
+            values = json.loads(self._journal.read_text("utf-8"))
+            name, change = str(values["name"]), Change.from_json(values["change"])
+        except FileNotFoundError:
+            return
+        except (OSError, KeyError, TypeError, ValueError, AttributeError) as error:
+            found = f"not readable ({type(error).__name__}: {error})"
+            remedy = "Delete it, and repeat the last registration or promotion."
+            raise StoreError(self._journal, found, "what sysid wrote", remedy) from None
+        with translated(self._uri):
+            self._carry_out(name, change)
+        self._journal.unlink()
+
+    def _carry_out(self, name: str, change: Change) -> None:
+        client, new = self.client, change.new
+        number = {} if new is None else {new.number: self._added(name, new, change.run)}
+        for version, tags in change.version_tags.items():
+            for key, value in tags.items():
+                if value is not None:
+                    client.set_model_version_tag(name, str(version), key, value)
+        for alias, target in change.aliases.items():
+            if target is not None:
+                client.set_registered_model_alias(name, alias, str(number.get(target, target)))
+            else:
+                client.delete_registered_model_alias(name, alias)  # also where there is none
+        for key, value in change.tags.items():
+            client.set_registered_model_tag(name, key, value)
+
+    def _added(self, name: str, new: StoredVersion, run: str | None) -> int:
+        """The number of the version on the server; somebody else may have taken the one that was expected."""
+        from mlflow.exceptions import MlflowException
+
+        try:
+            self.client.create_registered_model(name)
+        except MlflowException as error:
+            if error.error_code != "RESOURCE_ALREADY_EXISTS":
+                raise
+        there = [version.number for version in self._model(name).own if version.tags[DIGEST] == new.tags[DIGEST]]
+        if there:
+            return there[0]
+        return int(self.client.create_model_version(name, new.source, run_id=run, tags=dict(new.tags)).version)
+
+    def _names(self) -> list[str]:
+        names: list[str] = []
+        token = None
+        while True:
+            page = self.client.search_registered_models(max_results=_PAGE, page_token=token)
+            names += [model.name for model in page]
+            token = page.token
+            if not token:
+                return sorted(names)
+
+    def _model(self, name: str) -> StoredModel:
+        versions: list[StoredVersion] = []
+        token = None
+        while True:
+            page = self.client.search_model_versions(f"name='{name}'", max_results=_PAGE, page_token=token)
+            for entry in page:
+                created, tags = int(entry.creation_timestamp), dict(entry.tags)
+                versions.append(StoredVersion(int(entry.version), created, str(entry.source), tags))
+            token = page.token
+            if not token:
+                break
+        versions.sort(key=lambda version: version.number)
+        if not versions:
+            return StoredModel(name)
+        # The search leaves out aliases (mlflow/mlflow#16734).
+        model = self.client.get_registered_model(name)
+        aliases = {alias: int(number) for alias, number in dict(model.aliases).items()}
+        return StoredModel(name, tuple(versions), aliases, dict(model.tags), versions[-1].number)
