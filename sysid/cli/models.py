@@ -53,9 +53,12 @@ def show(workspace: str, reference: str | None, kind: str | None, json_file: str
         _show_decisions(out, version)
         write_json(json_file, {"schema": 1, **version.to_json()})
         return
-    versions = registry.list(kind)
-    write_json(json_file, {"schema": 1, "models": [version.to_json() for version in versions]})
-    if not versions:
+    versions, damaged = registry.list(kind), registry.damaged()
+    unread = [{"model": row.reference, "aliases": list(row.aliases), "damage": row.damage} for row in damaged]
+    write_json(json_file, {"schema": 1, "models": [version.to_json() for version in versions], "damaged": unread})
+    for row in damaged:
+        out.line(f"{row.reference} cannot be read: {row.damage}")
+    if not versions and not damaged:
         out.line(f"No models in {workspace} yet: sysid fit makes networks, sysid gap makes plants.")
         return
     rows = [

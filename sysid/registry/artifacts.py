@@ -12,6 +12,7 @@ from typing import Any, Protocol
 from sysid.errors import StoreError
 from sysid.files import on_disk, write_through
 from sysid.registry.version import sha256
+from sysid.root import Root
 
 MANIFEST = "manifest.json"
 _PARTIAL = ".partial-"
@@ -42,7 +43,7 @@ class FolderArtifacts:
         """
         target = self.folder / digest
         contents = {**files, MANIFEST: manifest.encode("utf-8")}
-        self.folder.mkdir(parents=True, exist_ok=True)
+        Root(self.folder.parent).make(self.folder.name)
         for dead in self.folder.glob(f"{_PARTIAL}*"):
             shutil.rmtree(dead)
         if not _holds(target, contents):
@@ -62,7 +63,7 @@ class FolderArtifacts:
     def read(self, digest: str, source: str, name: str) -> bytes:
         path = self.folder / digest / name
         try:
-            return path.read_bytes()
+            return Root(self.folder.parent).read(f"{self.folder.name}/{digest}/{name}")
         except FileNotFoundError:
             raise StoreError(
                 path, "the file is gone", "the file that was registered", "Fit or register the model again."

@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Any
 
+from pydantic import ConfigDict, TypeAdapter
+from typing_extensions import TypedDict
+
 from sysid.errors import SettingsError, StoreError
+from sysid.names import check_name
+from sysid.parse import parse_json
 from sysid.registry.artifacts import checked
 from sysid.registry.promotion import Decision
-from sysid.registry.version import CHAMPION, ModelVersion, check_files, sha256
+from sysid.registry.version import CHAMPION, Kind, ModelVersion, check_files, sha256
 
 #: Tags of an MLflow version. One tag a decision: nothing that was decided is ever rewritten.
 DIGEST, MANIFEST, METRICS, DECISION = "sysid.digest", "sysid.manifest", "sysid.metrics", "sysid.decision"
@@ -17,6 +22,20 @@ DIGEST, MANIFEST, METRICS, DECISION = "sysid.digest", "sysid.manifest", "sysid.m
 FORMER = "promoted"
 
 _PAGE = 1000
+
+
+class _Content(TypedDict):
+    """The manifest of a version."""
+
+    __pydantic_config__ = ConfigDict(strict=True)  # type: ignore[misc]
+
+    kind: Kind
+    lineage: dict[str, Any]
+    files: dict[str, str]
+
+
+_CONTENT = TypeAdapter(_Content)
+_METRICS = TypeAdapter(dict[str, float])
 
 
 def model_names(client: Any) -> list[str]:
@@ -31,12 +50,30 @@ def model_names(client: Any) -> list[str]:
             return sorted(names)
 
 
-def entries(client: Any, name: str) -> list[tuple[ModelVersion, str]]:
-    """(version, source URI) of every version of ``name`` that this toolkit registered, oldest first.
+@dataclass(frozen=True)
+class DamagedVersion:
+    """A row that cannot be read, and why: changed by hand, damaged, or made by somebody else.
 
-    Raises:
-        StoreError: a manifest or decision that was changed.
+    Args:
+        version: 0 where the model itself cannot be read.
     """
+
+    name: str
+    version: int
+    damage: str
+    aliases: tuple[str, ...] = ()
+
+    @property
+    def reference(self) -> str:
+        return f"{self.name}@{self.version}"
+
+
+def entries(client: Any, name: str) -> tuple[list[tuple[ModelVersion, str]], list[DamagedVersion]]:
+    """(version, source URI) of every version of ``name`` that this toolkit registered, oldest first; and those it cannot read."""
+    try:
+        check_name(name)
+    except SettingsError as error:
+        return [], [DamagedVersion(name, 0, str(error))]
     own: list[Any] = []
     token = None
     while True:
@@ -49,8 +86,13 @@ def entries(client: Any, name: str) -> list[tuple[ModelVersion, str]]:
     aliases = dict(client.get_registered_model(name).aliases) if own else {}
     if FORMER in aliases:
         aliases.setdefault(CHAMPION, aliases.pop(FORMER))
-    found = [(_version(entry, aliases), str(entry.source)) for entry in own]
-    return sorted(found, key=lambda entry: entry[0].version)
+    found, damaged = [], []
+    for entry in own:
+        try:
+            found.append((_version(entry, aliases), str(entry.source)))
+        except StoreError as error:
+            damaged.append(DamagedVersion(name, int(entry.version), str(error), _aliases_of(int(entry.version), aliases)))
+    return sorted(found, key=lambda entry: entry[0].version), damaged
 
 
 def decision_key(decision: Decision) -> str:
@@ -64,9 +106,9 @@ def _version(entry: Any, aliases: Mapping[str, Any]) -> ModelVersion:
     where = f"{entry.name}@{number}"
     checked(text.encode("utf-8"), digest, f"{where}: manifest")
     try:
-        content = json.loads(text)
+        content = _CONTENT.validate_python(parse_json(text))
         kind, lineage, files = content["kind"], content["lineage"], content["files"]
-        metrics = json.loads(entry.tags.get(METRICS, "{}"))
+        metrics = _METRICS.validate_python(parse_json(entry.tags.get(METRICS, "{}")))
         check_files(dict.fromkeys(files, b""), where)  # a foreign registry may name paths
     except (ValueError, KeyError, TypeError, SettingsError) as error:
         found = f"not one of ours ({type(error).__name__}: {error})"
@@ -80,7 +122,11 @@ def _version(entry: Any, aliases: Mapping[str, Any]) -> ModelVersion:
         lineage=lineage,
         metrics=metrics,
         sha256=files,
-        aliases=tuple(sorted(alias for alias, target in aliases.items() if int(target) == number)),
+        aliases=_aliases_of(number, aliases),
         created_ms=int(entry.creation_timestamp),
         decisions=tuple(Decision.from_text(value, f"{where}: {key}") for key, value in decisions),
     )
+
+
+def _aliases_of(number: int, aliases: Mapping[str, Any]) -> tuple[str, ...]:
+    return tuple(sorted(alias for alias, target in aliases.items() if int(target) == number))

@@ -20,9 +20,10 @@ from typing import Any, Literal
 from filelock import FileLock, Timeout
 
 from sysid.errors import StoreError, nearest
+from sysid.names import check_name
 from sysid.registry.artifacts import ArtifactStore, FolderArtifacts, RunArtifacts, checked
 from sysid.registry.client import SQLITE, locked, open_client, probe_sqlite, translated, written
-from sysid.registry.entries import DIGEST, MANIFEST, METRICS, decision_key, entries, model_names
+from sysid.registry.entries import DIGEST, MANIFEST, METRICS, DamagedVersion, decision_key, entries, model_names
 from sysid.registry.promotion import Decision
 from sysid.registry.version import (
     CANDIDATE,
@@ -31,12 +32,12 @@ from sysid.registry.version import (
     check_alias,
     check_files,
     check_kind,
-    check_name,
     choose,
     manifest,
     sha256,
     split_reference,
 )
+from sysid.root import Root
 
 #: Environment variable with the address of an MLflow server that is used instead of the workspace's own registry.
 URI_VARIABLE = "SYSID_REGISTRY_URI"
@@ -136,7 +137,7 @@ class Registry:
         return self.find(reference).lineage
 
     def list(self, kind: str | None = None) -> tuple[ModelVersion, ...]:
-        """Every version, by name and number, without files; of one ``kind`` if given."""
+        """Every version that can be read, by name and number, without files; of one ``kind`` if given."""
         if kind is not None:
             check_kind(kind)
         if not self._exists():
@@ -145,12 +146,21 @@ class Registry:
         versions = [version for name in self._names() for version in self._versions(name)]
         return tuple(version for version in versions if kind in (None, version.kind))
 
+    def damaged(self) -> tuple[DamagedVersion, ...]:
+        """Every version that cannot be read, with the reason."""
+        if not self._exists():
+            return ()
+        self._probe(write=False)
+        with translated(self.uri):
+            return tuple(row for name in model_names(self._client) for row in entries(self._client, name)[1])
+
     def promoted(self, name: str) -> ModelVersion | None:
         """The version that ``name`` alone means because it was promoted; None where none was, or there is no such model."""
         check_name(name)
         if not self._exists():
             return None
         self._probe(write=False)
+        self._refuse_damaged(name, CHAMPION)
         return next((version for version in self._versions(name) if CHAMPION in version.aliases), None)
 
     def promote(self, reference: str, *, instead_of: ModelVersion | None, decision: Decision | None = None) -> ModelVersion:
@@ -228,10 +238,9 @@ class Registry:
     @contextmanager
     def _locked(self) -> Iterator[None]:
         """One writer at a time, also across processes; also keeps two from creating the tables together."""
-        lock = FileLock(self._workspace / "registry.lock")
         try:
             with written(self._workspace):
-                self._workspace.mkdir(parents=True, exist_ok=True)
+                lock = FileLock(Root(self._workspace).output("registry.lock"))
                 lock.acquire(timeout=self._wait_s)
         except Timeout:
             raise locked(self._workspace) from None
@@ -243,6 +252,8 @@ class Registry:
 
     def _probe(self, write: bool) -> None:
         if self._own:
+            if self._workspace.is_dir():
+                Root(self._workspace).path(self._database.name)
             probe_sqlite(self._database, self._wait_s, write)
 
     def _create_model(self, name: str) -> None:
@@ -257,6 +268,8 @@ class Registry:
     def _find(self, reference: str) -> tuple[ModelVersion, str]:
         name, selector = split_reference(reference)
         self._probe(write=False)
+        if self._exists():
+            self._refuse_damaged(name, selector)
         found = self._entries(name) if self._exists() else []
         if not found:
             known = [known for known in self._names() if self._versions(known)] if self._exists() else []
@@ -273,7 +286,19 @@ class Registry:
 
     def _entries(self, name: str) -> builtins.list[tuple[ModelVersion, str]]:
         with translated(self.uri):
-            return entries(self._client, name)
+            return entries(self._client, name)[0]
+
+    def _refuse_damaged(self, name: str, selector: str | None) -> None:
+        """Raise where what ``selector`` means is a version that cannot be read, so that no other is taken for it."""
+        with translated(self.uri):
+            found, damaged = entries(self._client, name)
+        for row in damaged:
+            meant = selector in (str(row.version), *row.aliases)
+            if selector is None:
+                newest = all(row.version > version.version for version, _ in found)
+                meant = CHAMPION in row.aliases or (newest and not any(CHAMPION in version.aliases for version, _ in found))
+            if meant:
+                raise StoreError(f"model {name}", f"version {row.version} cannot be read ({row.damage})", "a version as it was")
 
     def _record(self, version: ModelVersion, decision: Decision) -> None:
         if not (version.decisions and version.decisions[-1].same(decision)):

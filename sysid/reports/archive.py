@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from pathlib import Path
 from typing import Any
@@ -29,6 +28,8 @@ from sysid.gap.result import (
     Unnamed,
     WorldGap,
 )
+from sysid.parse import parse_json
+from sysid.root import Root
 
 RESULT, TRACES, DIFFERENCE = "result.json", "traces.parquet", "machine.diff"
 VERSIONS = ("measured", "before", "after")
@@ -37,25 +38,23 @@ VERSIONS = ("measured", "before", "after")
 def save_gap(folder: Path, result: GapResult) -> Path:
     """Write ``result`` into ``folder``: traces and experiments first, the JSON last, each whole or not at all."""
     folder.mkdir(parents=True, exist_ok=True)
+    root = Root(folder)
     frames = [
         getattr(trace, version).assign(recording=trace.recording, version=version)
         for trace in result.traces
         for version in VERSIONS
     ]
-    traces = folder / TRACES
     if frames:
-        with written_whole(traces) as half:
+        with written_whole(root.output(TRACES)) as half:
             pd.concat(frames, ignore_index=True).to_parquet(half, index=False)
     else:
-        traces.unlink(missing_ok=True)
-    for old in (folder / EXPERIMENTS).glob("*.*"):  # those of the result before: nobody should execute them any more
-        old.unlink()
+        root.remove(TRACES)
+    for old in root.entries(EXPERIMENTS):  # those of the result before: nobody should execute them any more
+        root.remove(f"{EXPERIMENTS}/{old}")
     for experiment in result.experiments:
-        write_experiment(folder / EXPERIMENTS, experiment)
-    with written_whole(folder / DIFFERENCE) as half:
-        half.write_text(result.machine_diff, "utf-8")
-    with written_whole(folder / RESULT) as half:
-        half.write_text(json_text(result.to_json()), "utf-8")
+        write_experiment(root.make(EXPERIMENTS), experiment)
+    root.write(DIFFERENCE, result.machine_diff.encode("utf-8"))
+    root.write(RESULT, json_text(result.to_json()).encode("utf-8"))
     return folder / RESULT
 
 
@@ -65,14 +64,14 @@ def load_gap(folder: Path) -> GapResult | None:
     Raises:
         StoreError: the files are damaged.
     """
-    path = folder / RESULT
+    path, root = folder / RESULT, Root(folder)
     if not path.is_file():
         return None
     try:
-        values = _numbers(json.loads(path.read_text("utf-8")))
-        experiments = tuple(read_experiment(folder / item["file"]) for item in values.get("experiments", []))
-        return _result(values, _traces(folder / TRACES), experiments)
-    except (ValueError, KeyError, TypeError, SettingsError) as error:
+        values = _numbers(parse_json(root.read(RESULT)))
+        experiments = tuple(read_experiment(root.path(item["file"])) for item in values.get("experiments", []))
+        return _result(values, _traces(root.path(TRACES)), experiments)
+    except (ValueError, KeyError, TypeError, AttributeError, SettingsError) as error:
         message = str(error).splitlines()[0]
         raise StoreError(path, f"not readable ({message})", "a result as it was written", "Run `sysid gap` again.") from None
 
