@@ -39,6 +39,18 @@ def shown(value: object, most: int = MOST_NAME) -> str:
     return visible(words, most)
 
 
+def escaped_json(text: str) -> str:
+    """JSON with every hidden character of its texts as ``\\uXXXX``: the same values, and safe for a terminal."""
+    if text.isascii():  # JSON itself escapes the control characters of ASCII, but DEL
+        return text.replace("\x7f", "\\u007f")
+    return "".join(letter if letter in "\n\t\r" or not _hidden(letter) else _as_utf16(letter) for letter in text)
+
+
+def _as_utf16(letter: str) -> str:
+    units = letter.encode("utf-16-be", "surrogatepass")
+    return "".join(f"\\u{units[i]:02x}{units[i + 1]:02x}" for i in range(0, len(units), 2))
+
+
 def _hidden(letter: str) -> bool:
     return unicodedata.category(letter) in _HIDDEN
 

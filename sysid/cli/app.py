@@ -12,7 +12,9 @@ from typing import NoReturn
 import click
 
 from sysid import __version__
+from sysid.children import safe_children
 from sysid.errors import StorageError, SysidError, nearest
+from sysid.foreign import visible
 
 
 @dataclass(frozen=True)
@@ -92,7 +94,9 @@ def main(argv: Sequence[str] | None = None) -> NoReturn:
 
     Exit status: 0 done, 1 the machine failed us (disk full, no permission), 2 a mistake of the user, 130 interrupted.
     """
-    sys.exit(_run(None if argv is None else list(argv)))
+    with safe_children():
+        status = _run(None if argv is None else list(argv))
+    sys.exit(status)
 
 
 def _run(argv: list[str] | None) -> int:
@@ -103,6 +107,7 @@ def _run(argv: list[str] | None) -> int:
     except SysidError as error:
         return _complain(str(error), 1 if isinstance(error, StorageError) else 2)
     except click.ClickException as error:
+        error.message = visible(error.message, keep="\n")
         error.show()
         return error.exit_code
     except (click.Abort, KeyboardInterrupt):
@@ -119,5 +124,5 @@ def _run(argv: list[str] | None) -> int:
 
 
 def _complain(message: str, status: int) -> int:
-    click.echo(click.style("sysid: ", fg="red", bold=True) + " ".join(message.split()), err=True)
+    click.echo(click.style("sysid: ", fg="red", bold=True) + visible(" ".join(message.split())), err=True)
     return status
