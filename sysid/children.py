@@ -1,8 +1,8 @@
 """Python processes that this one starts: they import what this one would, never what lies in the current folder.
 
 ``python -m`` and ``python -c`` look for modules in the current folder first, and so do the processes of :mod:`multiprocessing`
-before they take the path of their parent. A ``numpy.py`` beside somebody's logs would run. ``-P`` (``PYTHONSAFEPATH``, Python 3.11)
-takes that folder out.
+before they take the path of their parent. A ``numpy.py`` beside somebody's logs would run. ``-P`` (``PYTHONSAFEPATH``,
+Python 3.11) takes that folder out.
 """
 
 from __future__ import annotations

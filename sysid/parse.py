@@ -1,7 +1,7 @@
 """TOML and JSON from files, in bounds: depth, size of numbers, text that UTF-8 has; whatever is beyond them is a ValueError.
 
-The parsers of the standard library end with RecursionError at some depths and go through at others, after which the next walk over
-the values ends with it; they take integers that no float holds, and halves of surrogate pairs that cannot be written again.
+The parsers of the standard library end with RecursionError at some depths and go through at others, after which the next walk
+over the values ends with it; they take integers that no float holds, and halves of surrogate pairs that cannot be written again.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ MOST_BYTES = 8 * 2**20
 _LARGEST = 2**63
 
 #: A dotted key makes a table for every dot, and tomllib's time grows with their square.
-_DOTTED = re.compile(r"""(?<![\w-])(?:(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')[ \t]*+\.[ \t]*+){%d}""" % MOST_DEPTH)
+_DOTTED = re.compile(r"""(?<![\w-])(?:(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')[ \t]*+\.[ \t]*+){64}""")
 
 
 def parse_json(content: str | bytes) -> Any:

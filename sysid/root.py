@@ -1,8 +1,8 @@
 """A root: one folder, and files below it that are opened, written, listed and removed without following a link.
 
-As Go's ``os.Root``, stricter in one thing: a link below the root is refused, wherever it leads. Each folder on the way is opened
-by the descriptor of the one above it (``openat`` with ``O_NOFOLLOW``), so that what is checked is what is used. The root itself
-may be reached through links: whoever runs the command named it.
+As Go's ``os.Root``, stricter in one thing: a link below the root is refused, wherever it leads. Each folder on the way is
+opened by the descriptor of the one above it (``openat`` with ``O_NOFOLLOW``), so that what is checked is what is used. The root
+itself may be reached through links: whoever runs the command named it.
 
 Paths are relative to the root and use ``/``; an absolute path, ``..`` or a null character is refused.
 """

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import io
 import os
 import sys
 from collections.abc import Sequence
@@ -107,8 +108,9 @@ def _run(argv: list[str] | None) -> int:
     except SysidError as error:
         return _complain(str(error), 1 if isinstance(error, StorageError) else 2)
     except click.ClickException as error:
-        error.message = visible(error.message, keep="\n")
-        error.show()
+        shown = io.StringIO()
+        error.show(shown)
+        click.echo(visible(shown.getvalue(), keep="\n"), err=True, nl=False)
         return error.exit_code
     except (click.Abort, KeyboardInterrupt):
         return _complain("interrupted; nothing half-written is left visible, the same command starts again", 130)

@@ -12,7 +12,9 @@ HOST = "127.0.0.1"
 #: Gives the bytes of a page; OSError or SysidError where it is gone, or has become a link.
 Page = Callable[[], bytes]
 #: No page runs a script, loads anything, or is shown inside another one.
-POLICY = "default-src 'none'; style-src 'unsafe-inline'; img-src data:; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
+POLICY = (
+    "default-src 'none'; style-src 'unsafe-inline'; img-src data:; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
+)
 #: A request that does not come is not waited for longer [s].
 PATIENCE_S = 10.0
 

@@ -174,8 +174,8 @@ def export(
 @click.pass_obj
 def card(workspace: str, reference: str, out: Path | None) -> None:
     """Write the card of a version: what it is, what it reaches, where it holds, where it came from, how to load it."""
-    from sysid.reports.model_pages import card_page
     from sysid.names import check_file_name
+    from sysid.reports.model_pages import card_page
     from sysid.reports.pages import write_page
 
     if out is not None and out.suffix not in (".md", ".html"):

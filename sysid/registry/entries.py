@@ -69,7 +69,7 @@ class DamagedVersion:
 
 
 def entries(client: Any, name: str) -> tuple[list[tuple[ModelVersion, str]], list[DamagedVersion]]:
-    """(version, source URI) of every version of ``name`` that this toolkit registered, oldest first; and those it cannot read."""
+    """Of every version of ``name`` that this toolkit registered, oldest first: (version, source URI), and those it cannot read."""
     try:
         check_name(name)
     except SettingsError as error:

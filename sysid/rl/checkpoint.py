@@ -23,6 +23,7 @@ from sysid.files import write_durably
 from sysid.networks.checkpoint import REMEDY
 from sysid.rl.ddpg import Trainer
 from sysid.rl.recipe import Recipe
+from sysid.root import Root
 
 #: Of the files; another one is another name.
 FORMAT = 1

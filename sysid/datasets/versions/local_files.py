@@ -51,7 +51,7 @@ class LocalFiles:
 
     def address(self, path: str) -> tuple[int, str]:
         with self.below.open(path) as file:
-            digest = hashlib.file_digest(file, "sha256").hexdigest()
+            digest = hashlib.file_digest(file, "sha256").hexdigest()  # type: ignore[arg-type]
             return file.tell(), digest
 
     def create(self, path: str) -> BinaryIO:

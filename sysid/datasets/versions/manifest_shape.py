@@ -139,7 +139,9 @@ def check_shape(manifest: Mapping[str, Any]) -> None:
         if names.count(recording["name"]) > 1:
             raise ValueError(f"two recordings are named {shown(recording['name'])}")
         if recording["part"] >= len(manifest["parts"]):
-            raise ValueError(f"recording {shown(recording['name'])} lies in part {recording['part']} of {len(manifest['parts'])}")
+            raise ValueError(
+                f"recording {shown(recording['name'])} lies in part {recording['part']} of {len(manifest['parts'])}"
+            )
         for signal in recording["signals"]:
             if signal not in manifest["units"]:
                 raise ValueError(f"signal {shown(signal)} has no unit")
