@@ -1,7 +1,7 @@
 """Text from files, shown to people: what a terminal would obey becomes visible, and no line has no end.
 
-A name in a log, a manifest or a registry may hold escape sequences that move the cursor, write to the clipboard, or hide the rest
-of a line; directional marks let ``a`` look like ``b``. Python's own escapes (``\\x1b``, ``\\u202e``) take their place.
+A name in a log, a manifest or a registry may hold escape sequences that move the cursor, write to the clipboard, or hide the
+rest of a line; directional marks let ``a`` look like ``b``. Python's own escapes (``\\x1b``, ``\\u202e``) take their place.
 """
 
 from __future__ import annotations

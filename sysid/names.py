@@ -1,7 +1,7 @@
 """Names that come from files: what one may look like before it becomes part of a path, a key or a query.
 
-A name is checked where it is read (manifest, registry row, recipe, command line), not only where it is made: files from somebody
-else were not made here.
+A name is checked where it is read (manifest, registry row, recipe, command line), not only where it is made: files from
+somebody else were not made here.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """The one check of numbers from files: finite, of the right sign, in the right order, and of a size that a machine can have.
 
-Types for the fields of settings dataclasses, which :mod:`sysid.config` fills, and :func:`number` and :func:`interval` for what is
-no TOML. A range is wide: it refuses what only a mistake of units, sign or typing gives.
+Types for the fields of settings dataclasses, which :mod:`sysid.config` fills, and :func:`number` and :func:`interval` for what
+is no TOML. A range is wide: it refuses what only a mistake of units, sign or typing gives.
 """
 
 from __future__ import annotations

@@ -1,7 +1,8 @@
 """TOML and JSON from files, in bounds: depth, size of numbers, text that UTF-8 has; whatever is beyond them is a ValueError.
 
-The parsers of the standard library end with RecursionError at some depths and go through at others, after which the next walk
-over the values ends with it; they take integers that no float holds, and halves of surrogate pairs that cannot be written again.
+The parsers of the standard library end with RecursionError at some depths and go through at others, after which the next
+walk over the values ends with it; they take integers that no float holds, and halves of surrogate pairs that cannot be
+written again.
 """
 
 from __future__ import annotations

@@ -32,7 +32,7 @@ MOST_CELL = 1000
 
 
 class Printer:
-    """Prints for people; on stderr when stdout carries JSON. What a terminal would obey is written out (:mod:`sysid.foreign`)."""
+    """Prints for people; on stderr when stdout carries JSON. What a terminal would obey is written out: ``sysid.foreign``."""
 
     def __init__(self, json_file: str | None = None) -> None:
         from rich.console import Console

@@ -69,7 +69,7 @@ class DamagedVersion:
 
 
 def entries(client: Any, name: str) -> tuple[list[tuple[ModelVersion, str]], list[DamagedVersion]]:
-    """Of every version of ``name`` that this toolkit registered, oldest first: (version, source URI), and those it cannot read."""
+    """Of each version of ``name`` that sysid registered, oldest first, (version, source URI); and what cannot be read."""
     try:
         check_name(name)
     except SettingsError as error:

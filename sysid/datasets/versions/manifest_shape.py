@@ -113,8 +113,8 @@ def check_shape(manifest: Mapping[str, Any]) -> None:
     """Raise where a manifest of the newest schema is none.
 
     Raises:
-        ValueError: a key that is missing or of another type, a version that is based on itself or a later one, a part that is not
-            there, a folder of another dataset.
+        ValueError: a key that is missing or of another type, a version that is based on itself or a later one, a part that is
+            not there, a folder of another dataset.
         SettingsError: a name that could be mistaken for a path.
     """
     try:
@@ -139,9 +139,8 @@ def check_shape(manifest: Mapping[str, Any]) -> None:
         if names.count(recording["name"]) > 1:
             raise ValueError(f"two recordings are named {shown(recording['name'])}")
         if recording["part"] >= len(manifest["parts"]):
-            raise ValueError(
-                f"recording {shown(recording['name'])} lies in part {recording['part']} of {len(manifest['parts'])}"
-            )
+            found = f"part {recording['part']} of {len(manifest['parts'])}"
+            raise ValueError(f"recording {shown(recording['name'])} lies in {found}")
         for signal in recording["signals"]:
             if signal not in manifest["units"]:
                 raise ValueError(f"signal {shown(signal)} has no unit")
