@@ -78,8 +78,6 @@ def test_the_viewer_of_a_run_is_such_a_child(monkeypatch: pytest.MonkeyPatch) ->
     assert environment[SAFE_PATH] == "1"
 
 
-
-
 def test_every_place_that_starts_a_process_is_listed() -> None:
     """Readers that run in a process of their own enter theirs here."""
     found = set()

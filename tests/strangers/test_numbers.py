@@ -149,7 +149,15 @@ def test_no_number_of_a_recipe_may_be_anything(key: str, value: str) -> None:
         "schema = 1\nname = '''\u202e'''\nx = 1",
         "schema = 1\nname = '../x'\n[recordings.files]\n'../../x' = 'a.csv'",
     ],
-    ids=["deep lists", "deep tables", "dotted key", "quoted dotted key", "long integer", "unknown key", "a name that is a path"],
+    ids=[
+        "deep lists",
+        "deep tables",
+        "dotted key",
+        "quoted dotted key",
+        "long integer",
+        "unknown key",
+        "a name that is a path",
+    ],
 )
 def test_toml_that_is_too_much_is_refused_at_once(text: str) -> None:
     with pytest.raises(SettingsError, match="here") as refused:
