@@ -23,9 +23,12 @@ from typing import BinaryIO, Literal
 
 from sysid.errors import StoreError
 from sysid.files import on_disk
+from sysid.foreign import shown
 
 Kind = Literal["file", "folder", "link", "other"]
 
+#: What Linux takes in one name.
+MOST_BYTES = 255
 _FOLDER = os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW | os.O_CLOEXEC
 _REMEDY = "Links inside a workspace are not followed. Move what it leads to here, or mount it (mount --bind)."
 
@@ -43,6 +46,8 @@ class Root:
             StoreError: a link on the way to it.
         """
         parts = self._parts(path)
+        if not parts:
+            return "folder" if self.folder.is_dir() else None
         try:
             with self._opened(parts[:-1]) as above:
                 return _kind(os.stat(parts[-1], dir_fd=above, follow_symlinks=False).st_mode)
@@ -214,7 +219,9 @@ class Root:
     def _parts(self, path: str) -> tuple[str, ...]:
         parts = tuple(path.split("/")) if path else ()
         if any(part in ("", ".", "..") or "\0" in part for part in parts):
-            raise StoreError(f"workspace {self.folder}", f"path {path!r} leaves it", "a path inside it")
+            raise StoreError(f"workspace {self.folder}", f"path {shown(path)} leaves it", "a path inside it")
+        if any(_length(part) > MOST_BYTES for part in parts):
+            raise StoreError(f"workspace {self.folder}", f"path {shown(path)}", f"at most {MOST_BYTES} bytes a name")
         return parts
 
     @contextmanager
@@ -260,6 +267,14 @@ class Root:
 
     def _refused(self, path: str) -> StoreError:
         return StoreError(self.folder / path, "is a link", "a file or folder of its own", _REMEDY)
+
+
+def _length(name: str) -> int:
+    """Bytes of a name on the disk; beyond all bounds where it has none (half a surrogate pair)."""
+    try:
+        return len(os.fsencode(name))
+    except UnicodeEncodeError:
+        return MOST_BYTES + 1
 
 
 def _kind(mode: int) -> Kind:

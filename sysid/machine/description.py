@@ -191,6 +191,8 @@ def _build(values: dict[str, Any], text: str, urdf_text: str | None, where: obje
     machine = parse_settings({**values, "text": text, "urdf_text": urdf_text}, Machine, where)
     _check_axes(machine, where)
     if machine.urdf is not None:
+        if urdf_text is None:
+            raise SettingsError(f"{where}: urdf", f"no file {shown(machine.urdf)}", "the URDF beside machine.toml")
         for axis in machine.axes:  # before the kinematics are built, which need every name
             if axis.joint is None:
                 raise SettingsError(f"{where}: axis {axis.name!r}", "no joint", 'joint = "<URDF joint>" where a urdf is given')

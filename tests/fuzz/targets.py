@@ -1,7 +1,7 @@
 """What is fuzzed beside the readers of logs: files that a stranger can hand over with a workspace, and names.
 
-A target takes bytes and lets nothing out but errors of ``sysid.errors``; what it takes for good is used as far as a list or a check
-would use it. The seeds are what the project itself writes.
+A target takes bytes and lets nothing out but errors of ``sysid.errors``; what it takes for good is used as far as a list or a
+check would use it. The seeds are what the project itself writes.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ import hashlib
 import json
 import shutil
 import tempfile
+import unicodedata
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -77,7 +78,7 @@ def workspace(data: bytes) -> None:
             try:
                 work("demo@2")
             except SysidError:
-                assert rows["demo@2"].damage or work is store.load, f"{work} refuses what the list takes"
+                assert rows["demo@2"].damage or work == store.load, f"{work} refuses what the list takes"
         vacuum(store, lambda *_: (), dry_run=True)
     assert {path.name for path in place.parent.iterdir()} == before, "something was written outside"
 
@@ -196,15 +197,14 @@ def names(data: bytes) -> None:
     for check in (check_name, check_dataset_name, check_file_name):
         try:
             name = check(text, "input")
-        except SettingsError as error:
-            assert len(str(error)) < 2000
+        except SettingsError:
             continue
         assert Path(name).name == name
         assert name not in (".", "..")
         assert visible(name) == name
         assert (Path("/root") / name).parent == Path("/root")
     for words in (visible(text), shown(text)):
-        assert words.isprintable()
+        assert not any(unicodedata.category(letter)[0] == "C" or letter in "\u2028\u2029" for letter in words)
     assert json.loads(escaped_json(json.dumps(_text(data), ensure_ascii=False))) == _text(data)
     root = Root(_workspace())
     try:

@@ -18,7 +18,7 @@ TOKENS = (
     b"null", b"''", b"\xff\xfe", b"\0", b"'", b'"', b"\n", b"= =", b"..", b"/", b"</robot>", b"<robot>" * 80, "\u202e".encode(),
 )  # fmt: skip
 #: Inputs of each target; a workspace takes ten times as long as a text.
-COUNT = {"workspace": 60, "recipe": 150}
+COUNT = {"workspace": 20, "machine": 120, "urdf": 120, "recipe": 80}
 
 
 @pytest.fixture(autouse=True, scope="module")
