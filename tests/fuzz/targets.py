@@ -114,6 +114,49 @@ def _registry_seeds() -> tuple[bytes, ...]:
     return (f'{manifest}\0{{"rmse": 1e-3}}\0{decision}'.encode(),)
 
 
+# -- models ---------------------------------------------------------------------------------------------------------
+
+
+@functools.cache
+def _models() -> tuple[dict[str, bytes], dict[str, bytes]]:
+    from crane_model import crane_plant
+    from crane_store import learned
+
+    from sysid.networks import to_files
+
+    plant = crane_plant()
+    return plant.to_files(), to_files(learned(plant))[1]
+
+
+def plant(data: bytes) -> None:
+    """The description of a plant, beside its tables."""
+    from sysid.errors import SysidError
+    from sysid.plant import plant_from_files
+
+    try:
+        plant_from_files({**_models()[0], "plant.json": data}, "input")
+    except SysidError:
+        return
+
+
+def network(data: bytes) -> None:
+    """The structure of a network, beside its weights."""
+    from sysid.errors import SysidError
+    from sysid.networks import from_files
+    from sysid.networks.artifacts import STRUCTURE
+
+    try:
+        from_files({**_models()[1], STRUCTURE: data}, "input")
+    except SysidError:
+        return
+
+
+def _structure() -> bytes:
+    from sysid.networks.artifacts import STRUCTURE
+
+    return _models()[1][STRUCTURE]
+
+
 # -- descriptions ---------------------------------------------------------------------------------------------------
 
 
@@ -221,6 +264,8 @@ def _name_seeds() -> tuple[bytes, ...]:
 TARGETS: dict[str, Target] = {
     "workspace": Target(workspace, _workspace_seeds),
     "registry-row": Target(registry_row, _registry_seeds),
+    "plant": Target(plant, lambda: (_models()[0]["plant.json"],)),
+    "network": Target(network, lambda: (_structure(),)),
     "machine": Target(machine, lambda: (_autolog()[0].encode(),)),
     "urdf": Target(urdf, lambda: (_autolog()[1].encode(), *(p.read_bytes() for p in sorted(ROOT.glob("datasets/*/*.urdf"))))),
     "recipe": Target(recipe, _recipe_seeds),

@@ -266,3 +266,13 @@ def test_what_a_terminal_would_obey_is_written_out() -> None:
     text = json.dumps(value, ensure_ascii=False)
     assert json.loads(escaped_json(text)) == value
     assert not any(character in escaped_json(text) for character in OBEYED)
+
+
+def test_tables_that_are_not_what_the_manifest_says_are_a_message(place: Path) -> None:
+    def change(manifest: dict[str, Any]) -> None:
+        manifest["recordings"][0]["signals"].append("b.joint")
+        manifest["units"]["b.joint"] = "rad"
+
+    spoiled(place, change)
+    with pytest.raises(StoreError, match=r"dataset demo@2: not readable .*expected tables with the columns"):
+        Store(place).load("demo@2")

@@ -86,7 +86,13 @@ class Store:
             StoreError: no such dataset or version, or its files are damaged.
         """
         manifest = self.manifest(reference)
-        return dataset_of(manifest, [self._table(manifest, part, "samples") for part in manifest["parts"]])
+        tables = [self._table(manifest, part, "samples") for part in manifest["parts"]]
+        try:
+            return dataset_of(manifest, tables)
+        except (KeyError, ValueError, TypeError, ArithmeticError, NotImplementedError) as error:  # those of Arrow are such, too
+            where, found = f"dataset {manifest['name']}@{manifest['version']}", f"{type(error).__name__}: {error}"
+            expected = "tables with the columns that the manifest names"
+            raise StoreError(where, f"not readable ({found})", expected, "Ingest the logs again.") from None
 
     def channels(self, reference: str) -> pd.DataFrame:
         """The raw channels, each on its own clock: recording, source, domain, signal, unit, primary, stamp_ns, value."""
