@@ -97,7 +97,7 @@ def main(raw: Path, workspace: Path) -> Path:
     out.table(("simulation", "parameters", "identify", "pulses (unseen)"), rows, right=(2, 3))
     result = {"schema": 1, "dataset": dataset.reference, "runs": runs, "least_squares": fits, "published": PUBLISHED}
     write_json(folder / "result.json", {**result, "seconds": station.seconds, "files": {"report": page}})
-    out.line(f"Report   {page}\nFigures  {folder / 'result.json'}")
+    out.block(f"Report   {page}\nFigures  {folder / 'result.json'}")
     return folder / "result.json"
 
 
