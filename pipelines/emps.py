@@ -81,7 +81,7 @@ def main(raw: Path, workspace: Path) -> Path:
         page = write_report(folder / "report.html", place.report_inputs(dataset))
 
     fits = {name: least_squares(files, slide, name) for name in STRUCTURES}
-    out.line(
+    out.block(
         "\nRelative force error |measured - model| / |measured|, filtered as in sysid/plant/force.py (published: their filter)"
     )
     rows = [
