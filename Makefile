@@ -18,7 +18,8 @@ test: $(READY)
 test-slow: $(READY)
 	HYPOTHESIS_PROFILE=explore $(BIN)/python -m pytest -m "slow or hypothesis" --timeout 7200
 
-# Damaged bytes at every reader, guided by the code they reach; what is found is kept in the workspace.
+# Damaged bytes at every reader, and at workspaces, registry rows, machines, URDFs, recipes and names; guided by the code they
+# reach; what is found is kept in the workspace.
 SECONDS ?= 60
 fuzz: $(READY)
 	$(BIN)/python -m pip install --quiet -c constraints.txt -e '.[fuzz]'

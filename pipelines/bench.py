@@ -44,7 +44,7 @@ HELP_LIMIT = 0.5
 
 
 def help_seconds() -> float:
-    program = [sys.executable, "-c", "from sysid.cli import main; main()", "--help"]
+    program = [sys.executable, "-P", "-c", "from sysid.cli import main; main()", "--help"]
     return seconds(lambda: subprocess.run(program, check=True, capture_output=True))
 
 

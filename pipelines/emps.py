@@ -81,7 +81,7 @@ def main(raw: Path, workspace: Path) -> Path:
         page = write_report(folder / "report.html", place.report_inputs(dataset))
 
     fits = {name: least_squares(files, slide, name) for name in STRUCTURES}
-    out.line(
+    out.block(
         "\nRelative force error |measured - model| / |measured|, filtered as in sysid/plant/force.py (published: their filter)"
     )
     rows = [
@@ -97,7 +97,7 @@ def main(raw: Path, workspace: Path) -> Path:
     out.table(("simulation", "parameters", "identify", "pulses (unseen)"), rows, right=(2, 3))
     result = {"schema": 1, "dataset": dataset.reference, "runs": runs, "least_squares": fits, "published": PUBLISHED}
     write_json(folder / "result.json", {**result, "seconds": station.seconds, "files": {"report": page}})
-    out.line(f"Report   {page}\nFigures  {folder / 'result.json'}")
+    out.block(f"Report   {page}\nFigures  {folder / 'result.json'}")
     return folder / "result.json"
 
 

@@ -26,8 +26,8 @@ AUTOLOG = Path(__file__).resolve().parents[1] / "datasets" / "autolog"
 def main(workspace: Path, logs: Path = AUTOLOG, recipe: NetworkRecipe | None = None) -> Path:
     """Run the whole line on ``logs`` and return the path of ``<workspace>/demo/result.json``."""
     recipe = recipe or NetworkRecipe()  # the paper's
-    place, out, folder = open_workspace(workspace), Printer(), workspace / "demo"
-    folder.mkdir(parents=True, exist_ok=True)
+    place, out = open_workspace(workspace), Printer()
+    folder = place.root.make("demo")
     station = Stations(out)
 
     with station("ingest") as progress:
@@ -52,7 +52,7 @@ def main(workspace: Path, logs: Path = AUTOLOG, recipe: NetworkRecipe | None = N
         simulated = place.predictions(dataset, recording)
         film = write_rerun(folder / f"{recording}.rrd", dataset, recording, simulated, gap.maps)
 
-    out.line(f"\nDataset {dataset.reference}: {len(dataset.recordings)} recordings from {len(dataset.sources)} files\n")
+    out.block(f"\nDataset {dataset.reference}: {len(dataset.recordings)} recordings from {len(dataset.sources)} files\n")
     show_errors(out, *reports, paper=PAPER_MAX)
     show_gap(out, gap, dataset)
     show_world(out, gap, dataset)
@@ -68,7 +68,7 @@ def main(workspace: Path, logs: Path = AUTOLOG, recipe: NetworkRecipe | None = N
         "files": {"report": page, "rerun": film},
     }
     write_json(folder / "result.json", result)
-    out.line(f"\nReport   {page}\nRerun    {film}   (look at it: {rerun_command(film)})\nFigures  {folder / 'result.json'}")
+    out.block(f"\nReport   {page}\nRerun    {film}   (look at it: {rerun_command(film)})\nFigures  {folder / 'result.json'}")
     return folder / "result.json"
 
 

@@ -83,7 +83,7 @@ def main(raw: Path, workspace: Path) -> Path:
     result |= {"exchanged": runs["fit and select exchanged"].to_json(), "stability": [item.to_json() for item in repeats]}
     result |= {"literature": LITERATURE, "seconds": station.seconds, "files": {"report": page}}
     write_json(folder / "result.json", result)
-    out.line(f"Report   {page}\nFigures  {folder / 'result.json'}")
+    out.block(f"Report   {page}\nFigures  {folder / 'result.json'}")
     return folder / "result.json"
 
 

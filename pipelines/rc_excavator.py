@@ -57,7 +57,7 @@ def main(raw: Path, workspace: Path) -> Path:
     manual = [recording for recording in dataset.with_role("held_out") if recording.name.startswith("manual")]
     errors = {axis.name: stroke_error(manual, (plant, repaired), axis.driven) for axis in dataset.machine.axes}
     rows = [(name, *(f"{1e3 * value:.2f}" for value in pair)) for name, pair in errors.items()]
-    out.line("\nLast third of the manual log, free run from the joystick commands: RMSE [mm]")
+    out.block("\nLast third of the manual log, free run from the joystick commands: RMSE [mm]")
     out.table(("cylinder", "before", "after"), rows, right=(1, 2))
 
     strokes = [
@@ -75,7 +75,7 @@ def main(raw: Path, workspace: Path) -> Path:
     result: dict[str, Any] = {"schema": 1, "dataset": dataset.reference, "gap": gap.to_json(), "manual": errors}
     result |= {"steps": [asdict(line) for line in strokes], "seconds": station.seconds, "files": {"report": page}}
     write_json(folder / "result.json", result)
-    out.line(f"Report   {page}\nFigures  {folder / 'result.json'}")
+    out.block(f"Report   {page}\nFigures  {folder / 'result.json'}")
     return folder / "result.json"
 
 

@@ -133,7 +133,7 @@ STOPS = ("stopped", "fault")
 
 @contextmanager
 def machine(folder: Path, seconds: float) -> Iterator[subprocess.Popen[str]]:
-    words = [sys.executable, "-m", "sysid.bench", "live", str(ROOT / "datasets/autolog/bench.toml")]
+    words = [sys.executable, "-P", "-m", "sysid.bench", "live", str(ROOT / "datasets/autolog/bench.toml")]
     words += ["--database", str(DATABASE), "--pty", str(folder / "can0"), "--control", str(folder / "control")]
     words += ["--truth", str(folder / "truth.bin"), "--seconds", str(seconds)]
     with subprocess.Popen(words, stdout=subprocess.PIPE, text=True, env=_environment()) as process:

@@ -43,7 +43,7 @@ def main(raw: Path, workspace: Path, recordings: tuple[str, ...] = RECORDINGS) -
         show_gap(out, gaps[name], dataset)
 
     repeats = repeatability(gaps)
-    out.line(f"\nSO-101 over {len(gaps)} recordings; what a recording does not excite is not counted against it")
+    out.block(f"\nSO-101 over {len(gaps)} recordings; what a recording does not excite is not counted against it")
     show_repeatability(out, repeats, machine)
     rows = [(axis, *(left_over(gap, f"{axis}.joint") for gap in gaps.values())) for axis in machine.axis_names]
     out.line("Held-out RMSE of the joint [mrad]: ideal servo → repaired")
@@ -52,7 +52,7 @@ def main(raw: Path, workspace: Path, recordings: tuple[str, ...] = RECORDINGS) -
     result: dict[str, Any] = {"schema": 1, "runs": {name: gap.to_json() for name, gap in gaps.items()}}
     result |= {"stability": [item.to_json() for item in repeats], "seconds": station.seconds, "files": pages}
     write_json(folder / "result.json", result)
-    out.line("".join(f"Report   {page}\n" for page in pages.values()) + f"Figures  {folder / 'result.json'}")
+    out.block("".join(f"Report   {page}\n" for page in pages.values()) + f"Figures  {folder / 'result.json'}")
     return folder / "result.json"
 
 

@@ -65,7 +65,7 @@ def main(raw: Path, workspace: Path) -> Path:
             together = find_gap(whole, place.plant(whole), place.models, add=True)
         pages[view] = report_on(place, whole, together, folder / f"report-{view}.html")
         repeats = repeatability(runs)
-        out.line(f"\nThe {view}, all logs together")
+        out.block(f"\nThe {view}, all logs together")
         show_gap(out, together, whole)
         out.line(f"The {view}, each log alone ({len(runs)} runs; {verdicts(runs)})")
         show_repeatability(out, repeats, dataset.machine)
@@ -86,7 +86,7 @@ def main(raw: Path, workspace: Path) -> Path:
     out.table(("effect", "parameter", "published", "median here", "named in"), rows, right=(2, 3))
     result = {"schema": 1, "views": views, "published": PUBLISHED, "seconds": station.seconds, "files": pages}
     write_json(folder / "result.json", result)
-    out.line("".join(f"Report   {page}\n" for page in pages.values()) + f"Figures  {folder / 'result.json'}")
+    out.block("".join(f"Report   {page}\n" for page in pages.values()) + f"Figures  {folder / 'result.json'}")
     return folder / "result.json"
 
 

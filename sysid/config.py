@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-import tomllib
 import types
 import typing
 from pathlib import Path
@@ -13,29 +12,52 @@ from typing import Any, TypeVar, get_args
 from pydantic import ConfigDict, TypeAdapter, ValidationError
 
 from sysid.errors import SettingsError, nearest
+from sysid.foreign import shown
+from sysid.numbers import expected_of
+from sysid.parse import parse_toml, read_text
 
 T = TypeVar("T")
 
-#: Put ``__pydantic_config__ = STRICT`` into a settings dataclass: unknown keys fail.
-STRICT = ConfigDict(extra="forbid", strict=False, arbitrary_types_allowed=True)
+#: Put ``__pydantic_config__ = STRICT`` into a settings dataclass: unknown keys, NaN and infinity fail.
+STRICT = ConfigDict(extra="forbid", strict=False, arbitrary_types_allowed=True, allow_inf_nan=False)
 
 
 def read_toml(path: Path) -> dict[str, Any]:
     """Parse a TOML file into a dictionary.
 
     Raises:
-        SettingsError: the file is missing, is not UTF-8 or is not TOML.
+        SettingsError: the file is missing, is no text of a settings file, is not TOML, or is nested beyond the bounds of
+            :mod:`sysid.parse`.
+    """
+    return toml_values(settings_text(path), path)
+
+
+def settings_text(path: Path, what: str = "a TOML file") -> str:
+    """The text of a file that a person named.
+
+    Raises:
+        SettingsError: the file is missing, is a folder, a device or a pipe, is not UTF-8, or is too large.
     """
     try:
-        return tomllib.loads(path.read_text("utf-8"))
+        return read_text(path)
     except FileNotFoundError:
-        raise SettingsError(path, "no such file", "a TOML file", "Check the path.") from None
+        raise SettingsError(path, "no such file", what, "Check the path.") from None
     except IsADirectoryError:
-        raise SettingsError(path, "is a folder", "a TOML file") from None
-    except UnicodeDecodeError as error:
-        raise SettingsError(path, f"not UTF-8 text ({error.reason})", "a TOML file") from None
-    except tomllib.TOMLDecodeError as error:
-        raise SettingsError(path, f"not valid TOML: {error}") from None
+        raise SettingsError(path, "is a folder", what) from None
+    except ValueError as error:
+        raise SettingsError(path, str(error), what) from None
+
+
+def toml_values(text: str, where: object) -> dict[str, Any]:
+    """The tables of a TOML text.
+
+    Raises:
+        SettingsError: not TOML, or nested beyond the bounds of :mod:`sysid.parse`.
+    """
+    try:
+        return parse_toml(text)
+    except ValueError as error:
+        raise SettingsError(where, f"not valid TOML: {error}") from None
 
 
 def load_settings(path: Path, cls: type[T]) -> T:
@@ -71,7 +93,7 @@ def _as_settings_error(error: ValidationError, cls: type[Any], where: object) ->
         return SettingsError(where, f"unknown key {key!r}", nearest(str(path[-1]), valid), "Correct or remove the key.")
     if problem["type"] in ("missing", "missing_argument"):
         return SettingsError(where, f"key {key!r} is missing", "it to be given")
-    return SettingsError(where, f"{key} = {problem['input']!r}", problem["msg"][0].lower() + problem["msg"][1:])
+    return SettingsError(where, f"{key} = {shown(problem['input'])}", expected_of(problem["msg"]))
 
 
 def _dotted(path: tuple[int | str, ...]) -> str:

@@ -5,13 +5,13 @@
 
 from __future__ import annotations
 
-import json
 import math
 from dataclasses import dataclass
 from pathlib import Path
 
 from sysid.datasets import Dataset
 from sysid.errors import ExcitationError, SettingsError, StoreError
+from sysid.parse import parse_json
 from sysid.registry import NETWORKS, Check, ModelVersion, Promotion, decide
 from sysid.reports.archive import RESULT
 from sysid.validate import ValidationReport
@@ -106,7 +106,7 @@ class ModelVersions:
     ) -> tuple[Path, tuple[Exported, ...]]:
         """Write a network as ONNX; default folder: ``exports/NAME@V`` of the workspace."""
         version = self.place.models.find(reference)
-        target = folder or self.place.folder / "exports" / version.reference
+        target = folder or self.place.output(f"exports/{version.reference}")
         about = {"reference": version.reference, "digest": version.digest}
         policy = version.kind == "policy"
         network = self.place.policy(version.reference) if policy else self.place.network(version.reference)
@@ -156,13 +156,12 @@ class ModelVersions:
     def _uses(self, version: ModelVersion) -> tuple[Use, ...]:
         """Answers of the gap workflow that questioned or made this version, or whose plant rests on it."""
         found = []
-        for path in sorted((self.place.folder / "results").glob(f"*/gap/{RESULT}")):
+        for dataset in self.place.root.entries("results"):
             try:
-                values = json.loads(path.read_text("utf-8"))
+                values = parse_json(self.place.root.read(f"results/{dataset}/gap/{RESULT}"))
                 roles = (("questioned it", values.get("plant_before")), ("made it", values.get("plant_after")))
-            except (OSError, ValueError, AttributeError):
-                continue  # damaged: `sysid gap` says so where it is read for what is in it
-            dataset = path.parent.parent.name
+            except (OSError, ValueError, AttributeError, StoreError):
+                continue  # damaged, or a link: `sysid gap` says so where it is read for what is in it
             found += [Use("gap result", dataset, how) for how, plant in roles if plant == version.reference]
         return tuple(found)
 

@@ -23,6 +23,7 @@ from sysid.datasets.clocks.residual import clock_residuals
 from sysid.errors import ExcitationError, SettingsError, StoreError
 from sysid.gap import GapResult
 from sysid.gap.experiment.excitation_verdict import excitation_report
+from sysid.names import check_dataset_name
 from sysid.networks import (
     ActuatorNetwork,
     Model,
@@ -34,10 +35,11 @@ from sysid.networks import (
 )
 from sysid.networks.policy import PolicyNetwork
 from sysid.plant import Plant, free_run, nominal_plant, plant_from_files
-from sysid.registry import CHAMPION, NETWORKS, ModelVersion, Registry, made_from_dataset
+from sysid.registry import CHAMPION, NETWORKS, Damaged, ModelVersion, Registry, made_from_dataset
 from sysid.reports import ReportInputs, VersionNote
 from sysid.reports.archive import load_gap, save_gap
 from sysid.rl.policy import load_policy
+from sysid.root import Root
 from sysid.validate import ValidationReport, validate_model
 
 #: What the figures of a report depend on.
@@ -60,6 +62,11 @@ class Workspace:
     def folder(self) -> Path:
         """Where models, results and reports live."""
         return self.local if "://" in str(self.location) else Path(self.location)
+
+    @property
+    def root(self) -> Root:
+        """Opens what is below :attr:`folder`; a link there is refused."""
+        return Root(self.folder)
 
     @cached_property
     def datasets(self) -> Store:
@@ -96,7 +103,12 @@ class Workspace:
         Raises:
             StoreError: no such version, or the registry cannot be asked; nothing is removed then.
         """
-        versions = self.models.list()
+        versions: list[ModelVersion] = []
+        for entry in self.models.survey():
+            if isinstance(entry, Damaged):
+                expected = "a registry that says what every model was made from"
+                raise StoreError(entry.error.where, entry.error.found, expected, "Nothing was removed: repair it first.")
+            versions.append(entry)
 
         def users(reference: str, digest: str) -> list[str]:
             return [f"{version.kind} {version.reference}" for version in made_from_dataset(versions, reference, digest)]
@@ -190,16 +202,28 @@ class Workspace:
         return self.plant(dataset, promoted.reference if promoted is not None else reference)
 
     def results(self, dataset: Dataset) -> Path:
-        """Folder for what was computed on a dataset version."""
-        return self.folder / "results" / dataset.reference
+        """Folder for what was computed on a dataset version.
+
+        Raises:
+            StoreError: it is a link.
+        """
+        return self.root.path(_results(dataset))
+
+    def output(self, path: str, dataset: Dataset | None = None) -> Path:
+        """Where a file is to be written, relative to the workspace, or to the results of a dataset version; its folder is made.
+
+        Raises:
+            StoreError: it is a link, or a folder on the way is one.
+        """
+        return self.root.output(f"{_results(dataset)}/{path}" if dataset is not None else path)
 
     def keep_gap(self, dataset: Dataset, result: GapResult) -> Path:
         """File the answer of the gap workflow; the newest one of a dataset version is kept."""
-        return save_gap(self.results(dataset) / "gap", result)
+        return save_gap(self.root.output(f"{_results(dataset)}/gap"), result)
 
     def gap(self, dataset: Dataset) -> GapResult | None:
         """The newest answer of the gap workflow on this dataset version."""
-        return load_gap(self.results(dataset) / "gap")
+        return load_gap(self.root.path(f"{_results(dataset)}/gap"))
 
     def predictions(self, dataset: Dataset, recording: str, plant: str | None = None) -> dict[str, pd.DataFrame]:
         """Free runs of one recording: of one named plant; else ``before`` and ``after`` the newest gap result; else of what
@@ -261,6 +285,10 @@ class Workspace:
             if "@" in reference:
                 notes.append(_note(self.models.find(reference)))
         return tuple(notes)
+
+
+def _results(dataset: Dataset) -> str:
+    return f"results/{check_dataset_name(dataset.name)}@{dataset.version}"
 
 
 def _note(version: ModelVersion) -> VersionNote:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import io
 import os
 import sys
 from collections.abc import Sequence
@@ -12,7 +13,9 @@ from typing import NoReturn
 import click
 
 from sysid import __version__
+from sysid.children import safe_children
 from sysid.errors import StorageError, SysidError, nearest
+from sysid.foreign import visible
 
 
 @dataclass(frozen=True)
@@ -92,7 +95,9 @@ def main(argv: Sequence[str] | None = None) -> NoReturn:
 
     Exit status: 0 done, 1 the machine failed us (disk full, no permission), 2 a mistake of the user, 130 interrupted.
     """
-    sys.exit(_run(None if argv is None else list(argv)))
+    with safe_children():
+        status = _run(None if argv is None else list(argv))
+    sys.exit(status)
 
 
 def _run(argv: list[str] | None) -> int:
@@ -103,7 +108,9 @@ def _run(argv: list[str] | None) -> int:
     except SysidError as error:
         return _complain(str(error), 1 if isinstance(error, StorageError) else 2)
     except click.ClickException as error:
-        error.show()
+        shown = io.StringIO()
+        error.show(shown)
+        click.echo(visible(shown.getvalue(), keep="\n"), err=True, nl=False)
         return error.exit_code
     except (click.Abort, KeyboardInterrupt):
         return _complain("interrupted; nothing half-written is left visible, the same command starts again", 130)
@@ -119,5 +126,5 @@ def _run(argv: list[str] | None) -> int:
 
 
 def _complain(message: str, status: int) -> int:
-    click.echo(click.style("sysid: ", fg="red", bold=True) + " ".join(message.split()), err=True)
+    click.echo(click.style("sysid: ", fg="red", bold=True) + visible(" ".join(message.split())), err=True)
     return status

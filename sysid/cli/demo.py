@@ -1,4 +1,4 @@
-"""``sysid demo``: runs ``pipelines/first_look.py`` of the project."""
+"""``sysid demo``: runs ``pipelines/first_look.py`` of the checkout that this package runs from, and of no other place."""
 
 from __future__ import annotations
 
@@ -8,9 +8,11 @@ from types import ModuleType
 
 import click
 
-from sysid.cli.output import json_option
+from sysid.cli.output import json_option, write_json_text
 
-PIPELINE = Path("pipelines") / "first_look.py"
+#: The pipeline and its logs are content of the repository, not of the package.
+CHECKOUT = Path(__file__).resolve().parents[2]
+PIPELINE = "pipelines/first_look.py"
 
 
 @click.command()
@@ -18,29 +20,25 @@ PIPELINE = Path("pipelines") / "first_look.py"
 @click.pass_obj
 def demo(workspace: str, json_file: str | None) -> None:
     """Run the whole line on the logs that ship: datasets/autolog."""
-    import shutil
-
-    module = _load(_find())
-    result = module.main(Path(workspace))
-    if json_file is not None and json_file != "-":
-        shutil.copyfile(result, json_file)
-    elif json_file == "-":
-        click.echo(Path(result).read_text("utf-8"), nl=False)
+    module = _load(find_pipeline(CHECKOUT))
+    result: Path = module.main(Path(workspace))
+    write_json_text(json_file, result.read_text("utf-8"))
 
 
-def _find() -> Path:
-    """The pipeline of the folder we are in, of one above it, or of the checkout that the package runs from.
+def find_pipeline(checkout: Path) -> Path:
+    """The pipeline of a checkout.
 
     Raises:
-        SettingsError: none of them has one.
+        SettingsError: the package does not run from one.
     """
     from sysid.errors import SettingsError
 
-    here = Path.cwd()
-    for folder in (here, *here.parents, Path(__file__).resolve().parents[2]):
-        if (folder / PIPELINE).is_file():
-            return folder / PIPELINE
-    raise SettingsError("demo", f"no {PIPELINE} here or above", "the project's own folder", "Run it in a checkout.")
+    path = checkout / PIPELINE
+    # Beside an installed package lie other packages, which may be named `pipelines` too.
+    if not path.is_file() or not (checkout / "pyproject.toml").is_file():
+        remedy = "Clone the repository and type `make demo`; a pipeline of your own is run as `python FILE`."
+        raise SettingsError("sysid demo", f"no {PIPELINE} in {checkout}", "sysid to be installed from its repository", remedy)
+    return path
 
 
 def _load(path: Path) -> ModuleType:

@@ -47,7 +47,7 @@ def fit(workspace: str, kind: str, reference: str, recipe: Path | None, json_fil
     with progress_bar(f"fit {kind}") as progress:
         actuator = fit_history if settings.actuator.model == "history" else fit_actuator
         model = {"actuator": actuator, "motion": fit_motion, "forward": fit_forward}[kind](
-            dataset, settings, progress, Checkpoints(place.folder / "training")
+            dataset, settings, progress, Checkpoints(place.root.path("training"))
         )
     seconds = time.perf_counter() - begin
     try:

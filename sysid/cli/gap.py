@@ -94,7 +94,7 @@ def gap(
     folder = None
     if localise:
         show_localised(out, result, dataset)
-        page = write_report(place.results(dataset) / "localise.html", place.report_inputs(dataset, result))
+        page = write_report(place.output("localise.html", dataset), place.report_inputs(dataset, result))
         out.line(f"With the maps: {page}")
     else:
         folder = place.keep_gap(dataset, result).parent

@@ -72,7 +72,7 @@ def _show(out: Printer, item: Surveyed) -> None:
     out.line(f"The recipe's own {of} is {1e3 * item.moved_m:.2f} mm and {math.degrees(item.turned_rad):.3f}° from it.")
     out.line("For the recipe, if you agree (it is never applied by itself):")
     out.line()
-    out.line(proposal.lines)
+    out.block(proposal.lines)
     out.line()
 
 

@@ -64,7 +64,7 @@ def inspect_paths(
     else:
         out.line("A recipe to fill in (--draft R.toml writes it to a file):")
         out.line()
-        out.line(text.rstrip())
+        out.block(text.rstrip())
     write_json(json_file, {"schema": 1, "files": [asdict(summary) for summary in summaries], "recipe": text})
 
 

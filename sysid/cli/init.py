@@ -9,6 +9,7 @@ import click
 
 from sysid.cli.output import Printer, json_option, write_json
 from sysid.errors import SettingsError
+from sysid.root import Root
 
 FOLDERS = {
     "datasets": "One folder a machine: machine.toml, recipe.toml, raw logs under logs/<recording>/. Read by sysid.datasets.",
@@ -77,16 +78,15 @@ def init(directory: Path, name: str | None, json_file: str | None) -> None:
     files[f"datasets/{name}/machine.toml"] = MACHINE.format(name=name)
     files[f"datasets/{name}/recipe.toml"] = RECIPE.format(name=name)
     files[".gitignore"] = "/workspace/\n"
-    made, kept = [], []
+    made, kept, root = [], [], Root(directory)
     for relative, text in files.items():
-        path = directory / relative
-        path.parent.mkdir(parents=True, exist_ok=True)
-        if path.exists():
+        root.make(relative.rpartition("/")[0])
+        if root.kind(relative) is not None:
             kept.append(relative)
         else:
-            path.write_text(text, "utf-8")
+            root.write(relative, text.encode("utf-8"))
             made.append(relative)
-    (directory / "datasets" / name / "logs").mkdir(exist_ok=True)
+    root.make(f"datasets/{name}/logs")
     out = Printer(json_file)
     for relative in made:
         out.line(f"made  {directory / relative}")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
@@ -11,8 +12,10 @@ import click
 from sysid.cli.datasets import ReferenceGroup
 from sysid.cli.output import Printer, json_option, write_json
 from sysid.errors import SettingsError, StoreError
+from sysid.foreign import visible
 
 if TYPE_CHECKING:
+    from sysid.cli.loopback import Page
     from sysid.model_versions import ModelVersions
     from sysid.registry import Damaged, ModelVersion
 
@@ -44,9 +47,9 @@ def show(workspace: str, reference: str | None, kind: str | None, json_file: str
         version = registry.find(reference)
         known = f"  ({', '.join(version.aliases)})" if version.aliases else ""
         out.line(f"{version.reference}{known}  {version.kind}  {version.digest}")
-        out.line(json.dumps(dict(version.lineage), indent=2, ensure_ascii=False))
+        out.block(json.dumps(dict(version.lineage), indent=2, ensure_ascii=False))
         if "machine.diff" in version.sha256:
-            out.line(registry.load(version.reference).files["machine.diff"].decode("utf-8"))
+            out.block(registry.load(version.reference).files["machine.diff"].decode("utf-8", "replace"))
         if _has_residual(version):
             out.line(RESIDUAL_NOTE)
         for name, value in version.metrics.items():
@@ -199,6 +202,7 @@ def export(
 @click.pass_obj
 def card(workspace: str, reference: str, out: Path | None) -> None:
     """Write the card of a version: what it is, what it reaches, where it holds, where it came from, how to load it."""
+    from sysid.names import check_file_name
     from sysid.reports.model_pages import card_page
     from sysid.reports.pages import write_page
 
@@ -206,10 +210,10 @@ def card(workspace: str, reference: str, out: Path | None) -> None:
         raise SettingsError(f"--out {out}", f"suffix {out.suffix!r}", ".md or .html")
     versions = _versions(workspace)
     found = versions.card(reference)
-    folder = versions.place.folder / "cards"
-    for path in (out,) if out is not None else (folder / f"{found.title}.md", folder / f"{found.title}.html"):
+    names = [f"cards/{check_file_name(found.title, 'card')}{suffix}" for suffix in (".md", ".html")]
+    for path in (out,) if out is not None else tuple(map(versions.place.output, names)):
         text = found.markdown() if path.suffix == ".md" else card_page(found)
-        click.echo(str(write_page(path, text)))
+        Printer().line(str(write_page(path, text)))
 
 
 @models.command()
@@ -227,23 +231,26 @@ def ui(workspace: str, out: Path | None, show_it: bool, serve: bool, port: int) 
     from sysid.reports.pages import write_page
 
     place = _versions(workspace).place
-    path = out or place.folder / "models.html"
-    there = {file.stem: file for file in sorted((place.folder / "cards").glob("*.html"))}
+    path = out or place.output("models.html")
+    kinds = place.root.entries("cards")
+    there = [name.removesuffix(".html") for name, kind in kinds.items() if kind == "file" and name.endswith(".html")]
     cards = {} if out is not None else {name: f"cards/{name}.html" for name in there}
     created = f"{datetime.now().astimezone():%d %B %Y, %H:%M}".lstrip("0")
     found = place.models.survey()
     versions = [entry for entry in found if not isinstance(entry, Damaged)]
-    click.echo(str(write_page(path, models_page(versions, str(workspace), created, cards))))
+    Printer().line(str(write_page(path, models_page(versions, str(workspace), created, cards))))
     for entry in found:
         if isinstance(entry, Damaged):
-            click.echo(f"damaged, and not on the page: {entry.error}", err=True)
+            click.echo(visible(f"damaged, and not on the page: {entry.error}"), err=True)
     if serve:
-        _serve({"/": path, **{f"/cards/{name}.html": file for name, file in there.items()}}, port, show_it)
+        pages: dict[str, Page] = {"/": path.read_bytes if out is not None else partial(place.root.read, "models.html")}
+        pages |= {f"/cards/{name}.html": partial(place.root.read, f"cards/{name}.html") for name in there}
+        _serve(pages, port, show_it)
     elif show_it:
         click.launch(path.resolve().as_uri())
 
 
-def _serve(pages: dict[str, Path], port: int, show_it: bool) -> None:
+def _serve(pages: dict[str, Page], port: int, show_it: bool) -> None:
     from sysid.cli.loopback import page_server
 
     try:
@@ -252,7 +259,7 @@ def _serve(pages: dict[str, Path], port: int, show_it: bool) -> None:
         raise SettingsError(f"--port {port}", f"cannot be used ({error.strerror})", "a free port; 0 takes one") from None
     with server:
         address = f"http://127.0.0.1:{server.server_address[1]}/"
-        click.echo(f"{address}  (Ctrl-C ends it)")
+        Printer().line(f"{address}  (Ctrl-C ends it)")
         if show_it:
             click.launch(address)
         server.serve_forever()

@@ -15,6 +15,7 @@ import click
 
 from sysid.errors import SettingsError
 from sysid.files import json_text, written_whole
+from sysid.foreign import escaped_json, visible
 from sysid.progress import Progress
 
 json_option = click.option(
@@ -26,8 +27,12 @@ json_option = click.option(
 )
 
 
+#: Characters of one cell of a table.
+MOST_CELL = 1000
+
+
 class Printer:
-    """Prints for people; on stderr when stdout carries JSON."""
+    """Prints for people; on stderr when stdout carries JSON. What a terminal would obey is written out: ``sysid.foreign``."""
 
     def __init__(self, json_file: str | None = None) -> None:
         from rich.console import Console
@@ -37,7 +42,12 @@ class Printer:
         self.console = Console(file=stream, highlight=False, width=None if stream.isatty() else 160)
 
     def line(self, text: str = "") -> None:
-        self.console.print(text, markup=False, soft_wrap=True)
+        """One line: a line break in it is written out, since a name with one would forge the next line."""
+        self.console.print(visible(text), markup=False, soft_wrap=True)
+
+    def block(self, text: str) -> None:
+        """Text of several lines."""
+        self.console.print(visible(text, len(text), keep="\n\t"), markup=False, soft_wrap=True)
 
     def table(self, header: Sequence[str], rows: Sequence[Sequence[object]], right: Sequence[int] = ()) -> None:
         """Columns with ``header``; ``right`` numbers the columns that are aligned right."""
@@ -49,7 +59,7 @@ class Printer:
         for number, name in enumerate(header):
             table.add_column(Text(name), justify="right" if number in right else "left", overflow="fold")
         for row in rows:
-            table.add_row(*(Text(str(cell)) for cell in row))
+            table.add_row(*(Text(visible(cell, MOST_CELL)) for cell in row))
         self.console.print(table)
 
 
@@ -60,6 +70,7 @@ def progress_bar(title: str) -> Iterator[Progress]:
         yield lambda done, text: None
         return
     from rich.console import Console
+    from rich.markup import escape
     from rich.progress import BarColumn, TextColumn, TimeElapsedColumn
     from rich.progress import Progress as Bar
 
@@ -70,10 +81,10 @@ def progress_bar(title: str) -> Iterator[Progress]:
         TimeElapsedColumn(),
     )
     with Bar(*columns, TextColumn("{task.description}"), console=Console(stderr=True), transient=True) as bar:
-        task = bar.add_task("", total=1.0, title=title)
+        task = bar.add_task("", total=1.0, title=escape(visible(title, MOST_CELL)))
 
         def report(done: float, text: str) -> None:
-            bar.update(task, completed=min(max(done, 0.0), 1.0), description=text)
+            bar.update(task, completed=min(max(done, 0.0), 1.0), description=escape(visible(text, MOST_CELL)))
 
         yield report
 
@@ -111,11 +122,15 @@ def write_json(json_file: str | Path | None, value: Mapping[str, Any]) -> None:
     Raises:
         SettingsError: the folder of the file does not exist.
     """
+    write_json_text(json_file, json_text(value) if json_file is not None else "")
+
+
+def write_json_text(json_file: str | Path | None, text: str) -> None:
+    """:func:`write_json` of text that is JSON already."""
     if json_file is None:
         return
-    text = json_text(value)
     if json_file == "-":
-        click.echo(text, nl=False)
+        click.echo(escaped_json(text), nl=False)
         return
     path = Path(json_file)
     if not path.parent.is_dir():

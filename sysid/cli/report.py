@@ -22,7 +22,7 @@ def report(workspace: str, reference: str | None, path: Path | None, json_file: 
     place = open_workspace(workspace)
     dataset = place.dataset(reference)
     inputs = place.report_inputs(dataset)
-    path = path or place.results(dataset) / "report.html"
+    path = path or place.output("report.html", dataset)
     write_report(path, inputs)
     out = Printer(json_file)
     out.line(f"{path}  ({path.stat().st_size / 1e6:.1f} MB)")

@@ -105,10 +105,11 @@ def _show(log: Path) -> None:
     """A viewer that follows the log: a process of its own, behind the loop, that a Ctrl-C of the runner does not end."""
     import os
     import subprocess
-    import sys
 
-    command = [sys.executable, "-m", "sysid.cli", "view", str(log)]
-    subprocess.Popen(command, start_new_session=True, preexec_fn=lambda: os.nice(10))  # noqa: PLW1509
+    from sysid.children import child_environment, python_command
+
+    command = python_command("-m", "sysid.cli", "view", "--", str(log))
+    subprocess.Popen(command, env=child_environment(), start_new_session=True, preexec_fn=lambda: os.nice(10))  # noqa: PLW1509
 
 
 def _closed(flight: FlightLog) -> StorageError | None:

@@ -68,6 +68,7 @@ def track(
     """
     from sysid.control import simple
     from sysid.errors import SettingsError
+    from sysid.names import check_file_name
     from sysid.rl.course import BASELINES, Course, Shortened, lay_out
     from sysid.rl.environment import load_versions
     from sysid.rl.policy import Searching, load_policy
@@ -102,7 +103,8 @@ def track(
             progress(0.5 + 0.4 * number / len(baselines), name)
             runs.append(course.baseline(name))
         kind = "full" if full else "kinematic"
-        folder = out or place.folder / "tracks" / f"{policy.replace('@', '-')}-{course.path.name}-{kind}"
+        name = check_file_name(f"{policy.replace('@', '-')}-{course.path.name}-{kind}", "path")
+        folder = out or place.root.make(f"tracks/{name}")
         files = keep(folder, simulation.machine, runs)
     printer = Printer(json_file)
     _show(printer, runs)

@@ -70,12 +70,12 @@ def _one(workspace: str, recipe: object, tensorboard: bool, mlflow: str | None, 
         raise SettingsError(
             f"--workspace {workspace}", "no such folder", "one with a plant and a forward model", "make demo makes one."
         )
-    observers: list[Observer] = [JsonLines(place.folder / "curves" / f"{recipe.name}-seed{recipe.seed}.jsonl")]
+    observers: list[Observer] = [JsonLines(place.output(f"curves/{recipe.name}-seed{recipe.seed}.jsonl"))]
     if tensorboard:
-        observers.append(TensorBoard(place.folder / "tensorboard"))
+        observers.append(TensorBoard(place.root.path("tensorboard")))
     if mlflow is not None:
         observers.append(MlflowRun(mlflow))
-    done = train_policy(place.models, recipe, place.folder / "training", progress, observers)
+    done = train_policy(place.models, recipe, place.root.path("training"), progress, observers)
     return {
         "policy": done.version.reference,
         "seed": recipe.seed,

@@ -30,7 +30,7 @@ def show_diff(out: Printer, found: DatasetDiff) -> None:
     for change in found.splits:
         out.line(f"role of {change.what}: {change.before or 'none'} → {change.after or 'none'}")
     for text in found.texts.values():
-        out.line(text)
+        out.block(text)
     show_changes(out, "made with", found.settings)
     rows: list[tuple[str, ...]] = []
     for clock in found.clocks:

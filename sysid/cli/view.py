@@ -60,7 +60,7 @@ def view(
         )
         return
     predictions = place.predictions(dataset, recording, plant)
-    path = path or place.results(dataset) / f"{recording.replace('#', '-')}.rrd"
+    path = path or place.output(f"{recording.replace('#', '-')}.rrd", dataset)
     result = place.gap(dataset) if plant is None else None
     write_rerun(path, dataset, recording, predictions, result.maps if result is not None else ())
     out = Printer(json_file)

@@ -11,8 +11,9 @@ from pathlib import Path
 from sysid.config import inside
 from sysid.datasets.recipe import Recipe, Recordings, StreamMap
 from sysid.datasets.recording import Kind
-from sysid.errors import InputError, nearest
+from sysid.errors import InputError, SettingsError, nearest
 from sysid.logs.readers import is_log, reader_for
+from sysid.names import check_file_name
 
 
 @dataclass(frozen=True)
@@ -57,7 +58,7 @@ def discover(paths: Sequence[Path], recipe: Recipe | None) -> tuple[RecordingFil
         if not path.exists():
             raise InputError(path, "no such file or folder", "a folder of recordings", "Check the path.")
         found += _in_path(path, recipe)
-    names = [recording.name for recording in found]
+    names = [_checked(recording) for recording in found]
     for name in names:
         if names.count(name) > 1:
             raise InputError(", ".join(map(str, paths)), f"two recordings are named {name!r}", "one recording a name")
@@ -75,6 +76,13 @@ def unmatched(found: Sequence[RecordingFiles], recipe: Recipe | None) -> tuple[s
     return tuple(
         f"no recording has a file {stream.files!r}: nothing of it is read" for stream in streams if id(stream) not in used
     )
+
+
+def _checked(recording: RecordingFiles) -> str:
+    try:
+        return check_file_name(recording.name, f"recording in {recording.root}")
+    except SettingsError as error:
+        raise InputError(error.where, error.found, error.expected, "Rename its folder or file.") from None
 
 
 def _written(path: Path) -> tuple[int, int]:

@@ -24,8 +24,9 @@ from sysid.datasets.resample import grid, resample
 from sysid.datasets.splits import split
 from sysid.datasets.versions.manifest import Made, digest_of
 from sysid.datasets.versions.store import Store
-from sysid.errors import InputError, SettingsError
+from sysid.errors import InputError
 from sysid.machine import Machine
+from sysid.names import check_dataset_name
 from sysid.progress import Progress, silent
 
 #: A recording with more rows on the grid than this is a mistake in its stamps (a day at 1 kHz has 86 million).
@@ -71,7 +72,7 @@ def _ingest(
     plan = plan_of(paths, machine, recipe)
     rules, description = plan.rules, plan.machine
     title = name or (rules.name if rules is not None else None) or description.name
-    _check_name(title)
+    check_dataset_name(title, remedy="Choose another --name.")
 
     report(0.0, "reading file names")
     found = discover(plan.roots, rules)
@@ -195,11 +196,6 @@ def _placed(recordings: Sequence[Clocked], alignment: Alignment, splits: Splits)
 def _left_out(alignment: Alignment) -> list[str]:
     """What is said of recordings that have no place in time."""
     return [f"left out: {error}" for error in alignment.refused.values()]
-
-
-def _check_name(name: str) -> None:
-    if not name or not all(letter.isalnum() or letter in "-_." for letter in name) or name.startswith("."):
-        raise SettingsError("dataset name", repr(name), "letters, digits, '-', '_' and '.'", "Choose another --name.")
 
 
 def _recording(recording: Clocked, records: Mapping[str, Sequence[ClockRecord]], machine: Machine, rules: Recipe) -> Recording:

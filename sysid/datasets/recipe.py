@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-import math
-import tomllib
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
 
-from sysid.config import STRICT, inside, parse_settings, read_toml
+from sysid.config import STRICT, inside, parse_settings, settings_text, toml_values
 from sysid.errors import SettingsError, nearest
 from sysid.logs.readers import reader_named
 from sysid.machine import Machine
+from sysid.names import check_file_name
+from sysid.numbers import Factor, Finite, Interval, NonNegative, Positive, Rate, Raw
 from sysid.signals import POINTS, split_signal
 
 
@@ -34,10 +34,10 @@ class SignalMap:
     field: str
     topic: str | None = None
     unit: str | None = None
-    zero: float = 0.0
-    span: float = 1.0
-    scale: float = 1.0
-    offset: float = 0.0
+    zero: Raw = 0.0
+    span: Factor = 1.0
+    scale: Factor = 1.0
+    offset: Finite = 0.0
     sign: Literal[1, -1] = 1
     primary: bool = True
 
@@ -48,8 +48,8 @@ class Frame:
 
     __pydantic_config__ = STRICT
 
-    translation: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    rpy: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    translation: tuple[Finite, Finite, Finite] = (0.0, 0.0, 0.0)
+    rpy: tuple[Finite, Finite, Finite] = (0.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True)
@@ -59,7 +59,7 @@ class PointMap:
     __pydantic_config__ = STRICT
 
     body: str | None = None
-    at: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    at: tuple[Finite, Finite, Finite] = (0.0, 0.0, 0.0)
     marker: str | None = None
 
 
@@ -76,8 +76,8 @@ class Reference:
 
     __pydantic_config__ = STRICT
 
-    seconds: tuple[float, float]
-    joints: dict[str, float]
+    seconds: Interval
+    joints: dict[str, Finite]
     recording: str | None = None
 
 
@@ -96,12 +96,12 @@ class Survey:
 
     __pydantic_config__ = STRICT
 
-    markers: dict[str, tuple[float, float, float]] = field(default_factory=dict)
+    markers: dict[str, tuple[Finite, Finite, Finite]] = field(default_factory=dict)
     axis: str | None = None
     turning: tuple[str, ...] = ()
     sense: Literal[1, -1] = 1
     recording: str | None = None
-    seconds: tuple[float, float] | None = None
+    seconds: Interval | None = None
 
 
 @dataclass(frozen=True)
@@ -129,12 +129,12 @@ class StreamMap:
     domain: str = "machine"
     time: str | None = None
     time_unit: str = "s"
-    rate_hz: float | None = None
+    rate_hz: Rate | None = None
     length_unit: str | None = None
     rotation: str | None = None
     dbc: str | None = None
     interpolation: Literal["linear", "cubic"] = "linear"
-    max_gap_s: float | None = None
+    max_gap_s: Positive | None = None
     signals: dict[str, SignalMap] = field(default_factory=dict)
     secondary: tuple[str, ...] = ()
     frame: Frame = Frame()
@@ -171,7 +171,7 @@ class Splits:
     select: tuple[str, ...] = ()
     held_out: tuple[str, ...] = ()
     held_out_last: dict[str, float] = field(default_factory=dict)
-    guard_s: float = 1.0
+    guard_s: NonNegative = 1.0
 
 
 @dataclass(frozen=True)
@@ -180,8 +180,8 @@ class StillPhases:
 
     __pydantic_config__ = STRICT
 
-    seconds: float = 0.4
-    tolerance: float = 2e-3
+    seconds: Positive = 0.4
+    tolerance: Positive = 2e-3
 
 
 @dataclass(frozen=True)
@@ -198,7 +198,7 @@ class Recipe:
     splits: Splits = Splits()
     still: StillPhases = StillPhases()
     streams: tuple[StreamMap, ...] = ()
-    hold_s: float = 0.5
+    hold_s: NonNegative = 0.5
     text: str = ""
 
 
@@ -208,7 +208,8 @@ def load_recipe(path: Path) -> Recipe:
     Raises:
         SettingsError: an unknown key, reader or value, or a path that leaves the recipe's folder.
     """
-    recipe = _checked(read_toml(path), path.read_text("utf-8"), path)
+    text = settings_text(path)
+    recipe = _checked(toml_values(text, path), text, path)
     for key in ("machine", "logs"):
         value = getattr(recipe, key)
         if value is not None:
@@ -222,7 +223,7 @@ def stored_recipe(text: str, where: object) -> Recipe:
     Raises:
         SettingsError: it names a CAN database, which only its folder has.
     """
-    recipe = _checked(tomllib.loads(text), text, where)
+    recipe = _checked(toml_values(text, where), text, where)
     for stream in recipe.streams:
         if stream.dbc is not None:
             found = f"the recipe names the database {stream.dbc!r}, which is not stored with the version"
@@ -234,6 +235,8 @@ def _checked(values: dict[str, Any], text: str, where: object) -> Recipe:
     if "text" in values:
         raise SettingsError(where, "unknown key 'text'", "the keys of a recipe", "Remove it.")
     recipe = parse_settings({**values, "text": text}, Recipe, where)
+    for name in recipe.recordings.files:
+        check_file_name(name, f"{where}: recordings.files")
     for pattern in (*recipe.recordings.files.values(), *(stream.files for stream in recipe.streams)):
         if Path(pattern).is_absolute() or ".." in Path(pattern).parts:
             raise SettingsError(
@@ -265,12 +268,8 @@ def _check_stream(stream: StreamMap, recipe: object) -> None:
         reader = reader_named(stream.reader, where)
         if stream.clock is not None and stream.clock not in reader.clocks:
             raise SettingsError(where, f"unknown clock {stream.clock!r}", nearest(stream.clock, reader.clocks))
-    if stream.rate_hz is not None and (stream.time is not None or not 0.0 < stream.rate_hz < math.inf):
-        found = "both `time` and `rate_hz`" if stream.time is not None else f"rate_hz = {stream.rate_hz}"
-        raise SettingsError(where, found, "a time column, or the rate of evenly spaced rows [Hz]")
-    for name, signal in stream.signals.items():
-        if signal.span == 0.0 or signal.scale == 0.0:
-            raise SettingsError(f"{where}: {name}", "a span or scale of zero", "a number other than zero")
+    if stream.rate_hz is not None and stream.time is not None:
+        raise SettingsError(where, "both `time` and `rate_hz`", "a time column, or the rate of evenly spaced rows [Hz]")
     for point, entry in stream.points.items():
         if point not in POINTS:
             raise SettingsError(f"{where}: points", f"unknown point {point!r}", nearest(point, POINTS))

@@ -19,8 +19,8 @@ Given models of one stage (sets of effects) under shared variances:
    ``STANDARD_ERRORS`` of what stays). What halves an error and leaves the other half has not found its cause, and what wrong
    formulas leave is no name for a second and a third effect that repair it. Of equally large sets within such a price those are
    meant that leave no more than another by ``STANDARD_ERRORS`` of the difference between blocks, and of which no other is
-   likelier by more than twice ``BLOCK_NATS`` at the values with which each leaves least. These go into the plant where no
-   survivor with further effects leaves less.
+   likelier by more than twice ``BLOCK_NATS`` at the values with which each leaves least. These values go into the plant where
+   no survivor with further effects leaves less.
    *Where they are wrong and nothing adds up*, the minimal survivors, if what is certain of them is worth the price of so many
    effects; not those that lack effects which are worth theirs, because the discrepancy does their work.
    Where nothing adds up, right or wrong, a simpler model within a survivor that also reaches the noise floor replaces it.

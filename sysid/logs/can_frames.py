@@ -17,6 +17,7 @@ import numpy.typing as npt
 
 from sysid.errors import InputError
 from sysid.logs.blf_file import most_frames
+from sysid.logs.cut_off import cut_blf
 from sysid.logs.limits import check_whole
 from sysid.logs.table import CUT_ROW, to_ns
 
@@ -90,7 +91,9 @@ def _read_blf(path: Path) -> FrameLog:
             remedy = "The file is damaged."
             raise InputError(path, f"a start {reader.start_timestamp:.3g} s from 1970", "a date of this century", remedy)
         reader.start_timestamp = 0.0
-        return _collect(path, reader, start_ns, limit)
+        log = _collect(path, reader, start_ns, limit)
+        log.losses += cut_blf(path)
+        return log
 
 
 def _read_asc(path: Path) -> FrameLog:

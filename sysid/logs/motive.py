@@ -19,6 +19,7 @@ import numpy as np
 
 from sysid.errors import InputError
 from sysid.logs.capture import Array, check_streams, euler_order, from_euler, length_factor, number_rows, quaternion_columns
+from sysid.logs.cut_off import missing_frames
 from sysid.logs.limits import check_whole
 from sysid.logs.motive_records import RECORD_TYPES, read_records
 from sysid.logs.reader import ReadOptions
@@ -30,7 +31,8 @@ VERSIONS = ("1.2", "1.20", "1.21", "1.22", "1.23", "1.24", "1.25")
 _LATER = re.compile(r"1\.(2[6-9]|[3-9]\d)")
 _BODIES = ("Rigid Body", "Bone")
 _MARKERS = ("Marker", "Rigid Body Marker", "Bone Marker")
-_KEYS = ("Format Version", "Rotation Type", "Length Units", "Coordinate Space")
+EXPORTED = "Total Exported Frames"
+_KEYS = ("Format Version", "Rotation Type", "Length Units", "Coordinate Space", EXPORTED)
 _ROWS = ("Type", "Name", "ID", "Parent")
 
 
@@ -80,6 +82,8 @@ class MotiveReader:
         stop = (time, options.seconds) if options.seconds is not None else None
         table, losses = number_rows(path, head.width, head.lines, ",", stop=stop, columns=used)
         losses = (*losses, *head.unread)
+        if options.seconds is None:
+            losses += missing_frames(path, head.stated.get(EXPORTED, ""), len(table))
         if not len(table):
             raise InputError(path, "a header but no frames", "at least one frame", "Export the take again.")
         stamps = {"capture": to_ns(table[:, time], 1.0, f"{path}: Time")}

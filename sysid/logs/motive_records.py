@@ -16,6 +16,7 @@ import numpy as np
 
 from sysid.errors import InputError
 from sysid.logs.capture import Array, check_streams, length_factor, quaternion_columns
+from sysid.logs.cut_off import missing_frames
 from sysid.logs.reader import ReadOptions
 from sysid.logs.stream import Stream
 from sysid.logs.table import to_ns
@@ -27,6 +28,7 @@ _BODY_CELLS, _MARKER_CELLS = 11, 5
 
 @dataclass
 class _Take:
+    stated: str = ""
     names: dict[str, str] = field(default_factory=dict)
     seconds: list[float] = field(default_factory=list)
     #: Body or marker → [(frame, numbers)].
@@ -55,6 +57,7 @@ def read_records(path: Path, options: ReadOptions) -> tuple[Stream, ...]:
     if not take.seconds:
         raise InputError(path, "no frames", "at least one frame", "Export the take again.")
     check_streams(path, options, [*take.bodies, *take.markers], "rigid body or marker")
+    losses += missing_frames(path, take.stated, len(take.seconds))
     stamps = {"capture": to_ns(np.array(take.seconds), 1.0, f"{path}: Time")}
     makers: list[tuple[str, dict[str, list[tuple[int, list[float]]]], Callable[[Array], dict[str, Array]]]] = [
         ("Rigid Body", take.bodies, lambda table: {**_position(table, factor), **quaternion_columns(table[:, 3:7])}),
@@ -68,7 +71,7 @@ def read_records(path: Path, options: ReadOptions) -> tuple[Stream, ...]:
                 for frame, numbers in seen:
                     table[frame, : len(numbers)] = numbers
                 units = dict.fromkeys("xyz", "m")
-                streams.append(Stream(name, path, stamps, columns(table), units, tuple(losses[:20]), kind=kind))
+                streams.append(Stream(name, path, stamps, columns(table), units, tuple(losses[-20:]), kind=kind))
     return tuple(streams)
 
 
@@ -82,6 +85,8 @@ def _record(path: Path, row: list[str], take: _Take) -> None:
         raise InputError(path, "left-handed coordinates", "right-handed ones", "Export the take again.")
     if kind == "info" and row[1].strip().lower() == "version" and row[2].strip() != "1.1":
         raise InputError(path, f"format version {row[2]!r}", "1.1 for a file of records", "Export the take again.")
+    if kind == "info" and row[1].strip().lower() == "framecount":
+        take.stated = row[2]
     if kind == "rigidbody" and len(row) > 3 and not row[1].strip().isdecimal():
         take.names[row[2].strip()] = row[1].strip()
     elif kind == "frame":

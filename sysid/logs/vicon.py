@@ -10,13 +10,14 @@ Source: Vicon Nexus documentation, "ASCII file format".
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from sysid.errors import InputError
 from sysid.logs.capture import Array, check_streams, number_rows, text_lines
+from sysid.logs.cut_off import uneven_sections
 from sysid.logs.limits import check_whole
 from sysid.logs.reader import ReadOptions
 from sysid.logs.stream import Stream
@@ -55,8 +56,9 @@ class ViconReader:
     def read(self, path: Path, options: ReadOptions) -> tuple[Stream, ...]:
         check_whole(path, _WHAT)
         found: list[tuple[str, Stream]] = []
+        last_frames: list[tuple[str, float]] = []
         for section in _sections(path):
-            for stream in _streams(path, section):
+            for stream in _streams(path, section, last_frames):
                 twice = any(other.name == stream.name for _, other in found)
                 name = f"{stream.name} ({section.kind})" if twice else stream.name
                 found.append((name, stream))
@@ -64,7 +66,7 @@ class ViconReader:
             raise InputError(path, "no frames", f"a section such as {SECTIONS[0]!r} with frames", "Export the trial again.")
         check_streams(path, options, [name for name, _ in found], "marker, segment or device")
         return tuple(
-            Stream(name, path, stream.stamps, stream.columns, stream.units, stream.losses, kind=stream.kind)
+            replace(stream, name=name, losses=(*stream.losses, *uneven_sections(path, last_frames)))
             for name, stream in found
             if options.streams is None or name in options.streams
         )
@@ -104,7 +106,8 @@ def _sections(path: Path) -> Iterator[_Section]:
         yield _Section(kind, rate, rows[1], rows[2], rows[3], separator, number + 5, count, last)
 
 
-def _streams(path: Path, section: _Section) -> Iterator[Stream]:
+def _streams(path: Path, section: _Section, last_frames: list[tuple[str, float]]) -> Iterator[Stream]:
+    """The streams of a section; its last frame goes into ``last_frames``."""
     last = max(i for i, name in enumerate(section.columns) if name)
     table, losses = number_rows(path, last + 1, section.first, section.separator, section.count, whole=section.last)
     frames = table[:, 0]
@@ -112,6 +115,7 @@ def _streams(path: Path, section: _Section) -> Iterator[Stream]:
     if damaged.any():
         losses = (*losses, f"{path.name}: {section.kind}: {int(damaged.sum())} rows without a frame number have been left out")
         table = table[~damaged]
+    last_frames.append((section.kind, float(table[-1, 0]) if len(table) else 0.0))
     if not len(table):
         return
     stamps = {"capture": to_ns(_seconds(table, section), 1.0, f"{path}: {section.kind}")}

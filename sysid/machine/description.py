@@ -7,9 +7,12 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
 
-from sysid.config import STRICT, inside, parse_settings, read_toml
+from sysid.config import STRICT, inside, parse_settings, settings_text, toml_values
 from sysid.errors import SettingsError, nearest
+from sysid.foreign import shown
 from sysid.machine.kinematics import Kinematics
+from sysid.names import check_file_name
+from sysid.numbers import Finite, Interval, NonNegative, Positive, Rate, interval
 from sysid.signals import canonical_signals, split_signal
 
 Actuation = Literal["velocity", "position", "force"]
@@ -32,10 +35,10 @@ class Linkage:
     __pydantic_config__ = STRICT
 
     kind: Literal["triangle"]
-    a: float
-    b: float
-    offset: float
-    retracted: float
+    a: Positive
+    b: Positive
+    offset: Finite
+    retracted: NonNegative
     sense: Literal[1, -1] = 1
 
 
@@ -49,10 +52,10 @@ class Axis:
     actuation: Actuation
     drives: Drives
     joint: str | None = None
-    gain: float = 1.0
-    inertia: float | None = None
-    stroke: tuple[float, float] | None = None
-    limits: tuple[float, float] | None = None
+    gain: Positive = 1.0
+    inertia: Positive | None = None
+    stroke: Interval | None = None
+    limits: Interval | None = None
     linkage: Linkage | None = None
 
     @property
@@ -90,12 +93,12 @@ class Machine:
 
     schema: Literal[1]
     name: str
-    rate_hz: float
+    rate_hz: Rate
     axes: tuple[Axis, ...]
     urdf: str | None = None
     tip: str | None = None
     tool: str | None = None
-    noise: dict[str, float] = field(default_factory=dict)
+    noise: dict[str, NonNegative] = field(default_factory=dict)
     effects: tuple[KnownEffect, ...] = ()
     text: str = ""
     urdf_text: str | None = None
@@ -157,21 +160,26 @@ def load_machine(path: Path) -> Machine:
     Raises:
         SettingsError: an unknown key, a missing file, a name that does not exist, a linkage that does not close.
     """
-    values = read_toml(path)
+    text = settings_text(path)
+    values = toml_values(text, path)
     urdf_text = None
     if isinstance(values.get("urdf"), str):
         urdf_path = inside(path.parent, values["urdf"], f"{path}: urdf")
         if not urdf_path.is_file():
             raise SettingsError(f"{path}: urdf", f"no such file {values['urdf']!r}", "a URDF file relative to machine.toml")
-        urdf_text = urdf_path.read_text("utf-8")
-    return _build(values, path.read_text("utf-8"), urdf_text, where=path)
+        urdf_text = settings_text(urdf_path, "a URDF file")
+    return _build(values, text, urdf_text, where=path)
 
 
 def machine_from_files(files: dict[str, str], where: object) -> Machine:
-    """The machine whose :meth:`Machine.files` these are (as stored with a dataset version)."""
-    import tomllib
+    """The machine whose :meth:`Machine.files` these are (as stored with a dataset version).
 
-    values = tomllib.loads(files["machine.toml"])
+    Raises:
+        SettingsError: as :func:`load_machine`.
+    """
+    if "machine.toml" not in files:
+        raise SettingsError(where, "no machine.toml", "the machine's description")
+    values = toml_values(files["machine.toml"], f"{where}: machine.toml")
     urdf = values.get("urdf")
     return _build(values, files["machine.toml"], files.get(urdf) if isinstance(urdf, str) else None, where)
 
@@ -183,6 +191,8 @@ def _build(values: dict[str, Any], text: str, urdf_text: str | None, where: obje
     machine = parse_settings({**values, "text": text, "urdf_text": urdf_text}, Machine, where)
     _check_axes(machine, where)
     if machine.urdf is not None:
+        if urdf_text is None:
+            raise SettingsError(f"{where}: urdf", f"no file {shown(machine.urdf)}", "the URDF beside machine.toml")
         for axis in machine.axes:  # before the kinematics are built, which need every name
             if axis.joint is None:
                 raise SettingsError(f"{where}: axis {axis.name!r}", "no joint", 'joint = "<URDF joint>" where a urdf is given')
@@ -197,21 +207,18 @@ def _build(values: dict[str, Any], text: str, urdf_text: str | None, where: obje
 def _check_axes(machine: Machine, where: object) -> None:
     if not machine.axes:
         raise SettingsError(where, "no axes", "at least one [[axes]] entry")
-    if not (math.isfinite(machine.rate_hz) and machine.rate_hz > 0):
-        raise SettingsError(where, f"rate_hz = {machine.rate_hz}", "a positive rate [Hz]")
+    check_file_name(machine.name, f"{where}: name")
     names = list(machine.axis_names)
     for axis in machine.axes:
-        place = f"{where}: axis {axis.name!r}"
+        place = f"{where}: axis {shown(axis.name)}"
+        if not axis.name or len(axis.name) > 64 or not all(letter.isalnum() or letter in "_-" for letter in axis.name):
+            raise SettingsError(place, "a name that no signal can have", "letters, digits, '_' and '-', at most 64")
         if names.count(axis.name) > 1 or axis.name in ("ee", "tool", "machine", "base", "time"):
             raise SettingsError(place, "name is taken", "a name of its own for every axis")
         if axis.actuation == "force" and axis.inertia is None:
             raise SettingsError(place, "no inertia", "inertia [kg or kg·m²] for a force-actuated axis")
         if axis.drives == "cylinder" and axis.stroke is None:
             raise SettingsError(place, "no stroke", "stroke = [lo, hi] [m] for an axis that drives a cylinder")
-        for key in ("stroke", "limits"):
-            ends = getattr(axis, key)
-            if ends is not None and not ends[0] < ends[1]:
-                raise SettingsError(place, f"{key} = {list(ends)}", "lower end below upper end")
 
 
 def _with_urdf_limits(machine: Machine, axis: Axis, where: object) -> Axis:
@@ -221,8 +228,9 @@ def _with_urdf_limits(machine: Machine, axis: Axis, where: object) -> Axis:
     kinematics = machine.kinematics()
     assert kinematics is not None
     assert axis.joint is not None
-    limits = axis.limits or kinematics.limits(axis.joint)
-    return replace(axis, limits=limits)
+    if axis.limits is not None:
+        return axis
+    return replace(axis, limits=interval(*kinematics.limits(axis.joint), f"urdf: joint {axis.joint!r}: limit"))
 
 
 def _check_linkages(machine: Machine, where: object) -> None:

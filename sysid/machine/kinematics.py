@@ -14,6 +14,9 @@ import numpy as np
 import numpy.typing as npt
 
 from sysid.errors import SettingsError, nearest
+from sysid.foreign import shown
+from sysid.machine.urdf_tree import urdf_tree
+from sysid.numbers import Finite, NonNegative, number
 
 Array = npt.NDArray[np.float64]
 
@@ -127,22 +130,15 @@ def rotation_about(axis: Array, angle: Array) -> Array:
 
 def parse_urdf(text: str) -> tuple[dict[str, Joint], dict[str, tuple[float, tuple[float, float, float]]]]:
     """All joints by name, and link name → (mass [kg], centre of mass in the link frame [m])."""
-    from defusedxml.common import DefusedXmlException
-    from defusedxml.ElementTree import ParseError, fromstring
-
-    try:
-        root = fromstring(text, forbid_dtd=True)
-    except (ParseError, DefusedXmlException) as error:
-        raise SettingsError("urdf", f"not readable as XML ({error})", "a URDF without DTD or entities") from None
-    if root.tag != "robot":
-        raise SettingsError("urdf", f"root element <{root.tag}>", "<robot>")
+    root = urdf_tree(text)
     joints = {joint.name: joint for joint in (_parse_joint(element) for element in root.findall("joint"))}
     masses = {}
     for link in root.findall("link"):
         mass = link.find("inertial/mass")
         if mass is not None:
             centre = _vector(link.find("inertial/origin"), "xyz", "0 0 0")
-            masses[link.get("name", "")] = (float(mass.get("value", "0")), (centre[0], centre[1], centre[2]))
+            value = number(mass.get("value", "0"), NonNegative, f"urdf: link {link.get('name', '')!r}: mass")
+            masses[link.get("name", "")] = (value, (centre[0], centre[1], centre[2]))
     return joints, masses
 
 
@@ -163,7 +159,7 @@ def _parse_joint(element: Element) -> Joint:
     limit = element.find("limit")
     low, high = -math.inf, math.inf
     if limit is not None and kind in ("revolute", "prismatic"):
-        low, high = float(limit.get("lower", "0")), float(limit.get("upper", "0"))
+        low, high = (number(limit.get(end, "0"), Finite, f"urdf: joint {name!r}: {end}") for end in ("lower", "upper"))
     origin = element.find("origin")
     pose = np.eye(4)
     pose[:3, 3] = _vector(origin, "xyz", "0 0 0")
@@ -173,10 +169,10 @@ def _parse_joint(element: Element) -> Joint:
 
 def _vector(element: Element | None, key: str, default: str) -> Array:
     text = default if element is None else element.get(key, default)
-    values = np.array([float(word) for word in text.split()])
-    if values.shape != (3,) or not np.all(np.isfinite(values)):
-        raise SettingsError("urdf", f"{key}={text!r}", "three numbers")
-    return values
+    words = text.split()
+    if len(words) != 3:
+        raise SettingsError("urdf", f"{key}={shown(text)}", "three numbers")
+    return np.array([number(word, Finite, f"urdf: {key}={shown(text)}") for word in words])
 
 
 def _from_rpy(rpy: Array) -> Array:

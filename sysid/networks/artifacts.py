@@ -23,6 +23,7 @@ from sysid.networks.mlp import Mlp, Normalisation, Rectifier
 from sysid.networks.motion import MotionNetwork
 from sysid.networks.structured import StructuredForward
 from sysid.networks.trust import Trust
+from sysid.parse import parse_json
 
 WEIGHTS, STRUCTURE = "weights.safetensors", "network.json"
 #: Arrays of a :class:`Chain`.
@@ -103,7 +104,7 @@ def from_files(files: Mapping[str, bytes], where: object) -> Model:
         if name not in files:
             raise StoreError(where, f"no file {name}", f"{WEIGHTS} and {STRUCTURE}", "Is it a network?")
     try:
-        structure = json.loads(files[STRUCTURE])
+        structure = parse_json(files[STRUCTURE])
         tensors = load(files[WEIGHTS])
         if structure["schema"] != 1:
             raise StoreError(f"{where}: {STRUCTURE}", f"schema {structure['schema']!r}", "schema 1", "Update the toolkit.")
@@ -115,7 +116,7 @@ def from_files(files: Mapping[str, bytes], where: object) -> Model:
             )
         static = {axis: _actuator(axis, entry, tensors, where) for axis, entry in structure["axes"].items()}
         return take_memories(structure["memories"], static, tensors, where) if structure["kind"] == "history" else static
-    except (ValueError, KeyError, TypeError, SafetensorError) as error:
+    except (ValueError, KeyError, TypeError, AttributeError, IndexError, SafetensorError) as error:
         raise StoreError(where, f"not a network ({type(error).__name__}: {error})", f"{WEIGHTS} and {STRUCTURE}") from None
 
 

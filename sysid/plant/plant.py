@@ -14,6 +14,7 @@ import numpy.typing as npt
 from sysid.config import parse_settings
 from sysid.effects import Parameter, effect_named, form_for
 from sysid.errors import SettingsError, StoreError, nearest
+from sysid.foreign import shown
 from sysid.machine import (
     CylinderJointMap,
     KnownEffect,
@@ -24,6 +25,7 @@ from sysid.machine import (
     tabulate,
 )
 from sysid.networks.history import HistoryNetwork
+from sysid.parse import parse_json
 from sysid.plant.layout import Streams, neutral_vector, parameter_indices, side_of
 from sysid.plant.residual import FILE, Residual, check_residual, from_files, to_tensors
 from sysid.plant.uncertainty import NONE, Place, Uncertainty, uncertainty_from
@@ -186,13 +188,23 @@ def plant_from_files(files: Mapping[str, bytes], reference: str = "") -> Plant:
     Raises:
         StoreError: the files are not a plant.
     """
+    from safetensors import SafetensorError
+
+    where = reference or "plant"
+    if "plant.json" not in files:
+        raise StoreError(where, "no plant.json among its files", "a plant version")
+    try:
+        content = parse_json(files["plant.json"])
+        if content["schema"] not in (1, 2):
+            raise StoreError(where, f"schema {shown(content['schema'])}", "schema 1 or 2", "Update the toolkit.")
+        return _plant_of(content, files, reference)
+    except (ValueError, KeyError, TypeError, AttributeError, SafetensorError) as error:
+        raise StoreError(where, f"not a plant ({type(error).__name__}: {error})", "a plant as it was stored") from None
+
+
+def _plant_of(content: Mapping[str, Any], files: Mapping[str, bytes], reference: str) -> Plant:
     from safetensors.numpy import load
 
-    if "plant.json" not in files:
-        raise StoreError(reference or "plant", "no plant.json among its files", "a plant version")
-    content = json.loads(files["plant.json"])
-    if content["schema"] not in (1, 2):
-        raise StoreError(reference or "plant", f"schema {content['schema']!r}", "schema 1 or 2", "Update the toolkit.")
     machine = machine_from_files(content["machine_files"], where=reference or "plant")
     tables = load(files["linkages.safetensors"]) if "linkages.safetensors" in files else {}
     axes = {key.rpartition(".")[0] for key in tables}

@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-import shutil
 import tempfile
+import uuid
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
 
 from sysid.errors import StoreError
-from sysid.files import make_folder, on_disk, write_through
 from sysid.registry.record import RECORDS, Record, read_records, with_record
 from sysid.registry.version import MANIFEST, sha256
+from sysid.root import Root
 
 _PARTIAL = ".partial-"
 
@@ -44,34 +44,34 @@ class FolderArtifacts:
 
         Only the holder of the registry's lock may call this: a folder under a temporary name is then a dead writer's.
         """
-        target = self.folder / digest
-        make_folder(self.folder)
-        for dead in self.folder.glob(f"{_PARTIAL}*"):
-            shutil.rmtree(dead)
-        records = with_record(read_records(target), record)
+        root, models = Root(self.folder.parent), self.folder.name
+        target = f"{models}/{digest}"
+        root.make(models)
+        for dead in root.entries(models):
+            if dead.startswith(_PARTIAL):
+                root.remove(f"{models}/{dead}")
+        records = with_record(read_records(root, target), record)
         contents = {**files, MANIFEST: manifest.encode("utf-8"), RECORDS: records}
-        wrong = {name: content for name, content in contents.items() if not _holds(target / name, content)}
+        wrong = {name: content for name, content in contents.items() if not _holds(root, f"{target}/{name}", content)}
         if wrong:
-            partial = Path(tempfile.mkdtemp(prefix=_PARTIAL, dir=self.folder))
+            partial = f"{models}/{_PARTIAL}{uuid.uuid4().hex}"
             try:
                 for name, content in wrong.items():
-                    write_through(partial / name, content)
-                if target.exists():
+                    root.write_new(f"{partial}/{name}", content)
+                if root.kind(target) is not None:
                     for name in wrong:
-                        (partial / name).replace(target / name)
-                    on_disk(target)
+                        root.rename(f"{partial}/{name}", f"{target}/{name}")
                 else:
-                    on_disk(partial)
-                    partial.rename(target)
-                    on_disk(self.folder)
+                    root.sync(partial)
+                    root.rename(partial, target)
             finally:
-                shutil.rmtree(partial, ignore_errors=True)
-        return target.resolve().as_uri(), None
+                root.remove(partial)
+        return (self.folder / digest).resolve().as_uri(), None
 
     def read(self, digest: str, source: str, name: str) -> bytes:
         path = self.folder / digest / name
         try:
-            return path.read_bytes()
+            return Root(self.folder.parent).read(f"{self.folder.name}/{digest}/{name}")
         except FileNotFoundError:
             raise StoreError(
                 path, "the file is gone", "the file that was registered", "Fit or register the model again."
@@ -135,8 +135,8 @@ def checked(content: bytes, expected: str, where: object) -> bytes:
     return content
 
 
-def _holds(path: Path, content: bytes) -> bool:
+def _holds(root: Root, path: str, content: bytes) -> bool:
     try:
-        return path.read_bytes() == content
+        return root.read(path) == content
     except OSError:
         return False

@@ -15,6 +15,7 @@ from typing import Any
 from filelock import FileLock, Timeout
 
 from sysid.errors import StorageError, StoreError
+from sysid.root import Root
 
 SQLITE = "sqlite:///"
 
@@ -108,13 +109,12 @@ def exclusive(workspace: Path, wait_s: float) -> Iterator[None]:
     """One writer at a time, also across processes. To be held for files and rows alone: no imports, no fits.
 
     Raises:
-        StoreError: somebody held it for longer than ``wait_s``.
+        StoreError: somebody held it for longer than ``wait_s``; or its file is a link.
         StorageError: the workspace may not be written.
     """
-    lock = FileLock(workspace / "registry.lock", poll_interval=POLL_S)
     try:
         with written(workspace):
-            workspace.mkdir(parents=True, exist_ok=True)
+            lock = FileLock(Root(workspace).output("registry.lock"), poll_interval=POLL_S)
             lock.acquire(timeout=wait_s)
     except Timeout:
         raise locked(workspace) from None

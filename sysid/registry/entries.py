@@ -2,17 +2,36 @@
 
 from __future__ import annotations
 
-import json
+from typing import Any
+
+from pydantic import ConfigDict, TypeAdapter
+from typing_extensions import TypedDict
 
 from sysid.errors import SettingsError, StoreError
+from sysid.names import check_name
+from sysid.parse import parse_json
 from sysid.registry.artifacts import checked
 from sysid.registry.promotion import Decision
-from sysid.registry.seal import broken_model, broken_version
-from sysid.registry.stored import DECISION, DIGEST, MANIFEST, METRICS, StoredModel, StoredVersion
-from sysid.registry.version import CHAMPION, ModelVersion, check_files, sha256
+from sysid.registry.seal import REMEDY, broken_model, broken_version
+from sysid.registry.stored import DECISION, DIGEST, LATEST_MS, MANIFEST, METRICS, StoredModel, StoredVersion
+from sysid.registry.version import CHAMPION, Kind, ModelVersion, check_files, sha256
 
 #: What the champion was called in registries of before.
 FORMER = "promoted"
+
+
+class _Content(TypedDict):
+    """The manifest of a version."""
+
+    __pydantic_config__ = ConfigDict(strict=True)  # type: ignore[misc]
+
+    kind: Kind
+    lineage: dict[str, Any]
+    files: dict[str, str]
+
+
+_CONTENT = TypeAdapter(_Content)
+_METRICS = TypeAdapter(dict[str, float])
 
 
 def aliases_of(model: StoredModel) -> dict[str, int]:
@@ -21,6 +40,18 @@ def aliases_of(model: StoredModel) -> dict[str, int]:
     if FORMER in aliases:
         aliases.setdefault(CHAMPION, aliases.pop(FORMER))
     return aliases
+
+
+def check_stored_name(model: StoredModel) -> None:
+    """Refuse a name under which nothing is registered here: it is part of paths, queries and references.
+
+    Raises:
+        StoreError: with what a name may look like.
+    """
+    try:
+        check_name(model.name)
+    except SettingsError as error:
+        raise StoreError(error.where, error.found, error.expected, "Was it made by another program?") from None
 
 
 def check_model(model: StoredModel) -> None:
@@ -42,9 +73,12 @@ def version_of(model: StoredModel, entry: StoredVersion) -> ModelVersion:
     """
     text, digest = entry.tags[MANIFEST], entry.tags[DIGEST]
     where = f"{model.name}@{entry.number}"
-    checked(text.encode("utf-8"), digest, f"{where}: manifest")
+    if entry.number < 1 or not 0 <= entry.created_ms <= LATEST_MS:
+        found = f"number {entry.number}, made {entry.created_ms} ms after 1970"
+        raise StoreError(where, found, "a number from 1 on and a date", REMEDY)
+    checked(text.encode("utf-8", "surrogatepass"), digest, f"{where}: manifest")
     try:
-        content = json.loads(text)
+        content = _CONTENT.validate_python(parse_json(text))
         kind, lineage, files = content["kind"], content["lineage"], content["files"]
         check_files(dict.fromkeys(files, b""), where)  # a foreign registry may name paths
     except (ValueError, KeyError, TypeError, SettingsError) as error:
@@ -52,6 +86,7 @@ def version_of(model: StoredModel, entry: StoredVersion) -> ModelVersion:
         raise StoreError(f"{where}: manifest", found, "what sysid registered", "Was it made by another program?") from None
     keys = sorted(key for key in entry.tags if key.startswith(f"{DECISION}."))
     decisions = tuple(Decision.from_text(entry.tags[key], f"{where}: {key}") for key in keys)
+    metrics = _metrics(entry.tags.get(METRICS, "{}"), where)
     broken = broken_version(model, entry)
     if broken is not None:
         raise broken
@@ -61,7 +96,7 @@ def version_of(model: StoredModel, entry: StoredVersion) -> ModelVersion:
         kind=kind,
         digest=digest,
         lineage=lineage,
-        metrics=_metrics(entry.tags.get(METRICS, "{}"), where),
+        metrics=metrics,
         sha256=files,
         aliases=tuple(sorted(alias for alias, target in aliases_of(model).items() if target == entry.number)),
         created_ms=entry.created_ms,
@@ -81,7 +116,7 @@ def decision_key(decision: Decision) -> str:
 
 def _metrics(text: str, where: str) -> dict[str, float]:
     try:
-        return {str(key): float(value) for key, value in json.loads(text).items()}
-    except (ValueError, TypeError, AttributeError) as error:
+        return _METRICS.validate_python(parse_json(text))
+    except (ValueError, TypeError) as error:
         found = f"not figures ({type(error).__name__}: {error})"
         raise StoreError(f"{where}: {METRICS}", found, "what sysid registered", "Remove that tag in the registry.") from None

@@ -9,10 +9,13 @@ from __future__ import annotations
 import json
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field, fields, replace
 from typing import TYPE_CHECKING, Any, Literal
 
+from pydantic import TypeAdapter
+
 from sysid.errors import StorageError, StoreError
+from sysid.parse import parse_json
 
 if TYPE_CHECKING:
     from sysid.registry.registry import Registry
@@ -91,12 +94,16 @@ class Decision:
             StoreError: it is something else.
         """
         try:
-            values = json.loads(text)
-            checks = tuple(Check(item["name"], item["status"], item["text"]) for item in values.pop("checks"))
-            return Decision(checks=checks, **values)
+            values = parse_json(text)
+            if unknown := set(values) - {entry.name for entry in fields(Decision)}:
+                raise ValueError(f"unknown key {min(unknown)!r}")
+            return _DECISION.validate_python(values)
         except (ValueError, KeyError, TypeError, AttributeError) as error:
             found = f"not a decision ({type(error).__name__}: {error})"
             raise StoreError(where, found, "what sysid recorded", "Remove that tag in the registry.") from None
+
+
+_DECISION = TypeAdapter(Decision)
 
 
 def now_ms() -> int:

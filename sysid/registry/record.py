@@ -9,9 +9,15 @@ from __future__ import annotations
 import json
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
-from pathlib import Path
+from typing import Annotated
 
-from sysid.registry.stored import METRICS, StoredVersion
+from pydantic import AfterValidator, Field, TypeAdapter
+
+from sysid.errors import SysidError
+from sysid.names import check_name
+from sysid.parse import parse_json
+from sysid.registry.stored import LATEST_MS, METRICS, StoredVersion
+from sysid.root import Root
 
 RECORDS = "registered.json"
 
@@ -20,9 +26,9 @@ RECORDS = "registered.json"
 class Record:
     """One row: name, number, when it was registered [ms since 1970], figures as the JSON that the registry holds."""
 
-    name: str
-    version: int
-    created_ms: int
+    name: Annotated[str, AfterValidator(check_name)]
+    version: Annotated[int, Field(gt=0)]
+    created_ms: Annotated[int, Field(ge=0, le=LATEST_MS)]
     metrics: str
 
     @staticmethod
@@ -30,14 +36,15 @@ class Record:
         return Record(name, version.number, version.created_ms, version.tags.get(METRICS, "{}"))
 
 
-def read_records(folder: Path) -> tuple[Record, ...]:
-    """The rows beside the files in ``folder``; none where they are missing or damaged."""
+_RECORDS = TypeAdapter(tuple[Record, ...])
+
+
+def read_records(root: Root, folder: str) -> tuple[Record, ...]:
+    """The rows beside the files in ``folder``; none where they are missing or damaged, or reached by a link."""
     try:
-        values = json.loads((folder / RECORDS).read_text("utf-8"))["registered"]
-        return tuple(
-            Record(str(item["name"]), int(item["version"]), int(item["created_ms"]), str(item["metrics"])) for item in values
-        )
-    except (OSError, ValueError, KeyError, TypeError):
+        values = parse_json(root.read(f"{folder}/{RECORDS}"))
+        return _RECORDS.validate_python(values["registered"])
+    except (OSError, ValueError, KeyError, TypeError, SysidError):
         return ()
 
 

@@ -17,9 +17,10 @@ from pathlib import Path
 from typing import Any, Literal
 
 from sysid.errors import SettingsError, StoreError, nearest
+from sysid.names import check_name
 from sysid.registry.artifacts import ArtifactStore, FolderArtifacts, RunArtifacts, checked
 from sysid.registry.client import SQLITE, written
-from sysid.registry.entries import aliases_of, check_model, decision_key, kind_of, version_of
+from sysid.registry.entries import aliases_of, check_model, check_stored_name, decision_key, kind_of, version_of
 from sysid.registry.promotion import Decision, now_ms
 from sysid.registry.record import Record
 from sysid.registry.repair import Repaired, repair
@@ -34,7 +35,6 @@ from sysid.registry.version import (
     check_alias,
     check_files,
     check_kind,
-    check_name,
     choose,
     manifest,
     sha256,
@@ -299,8 +299,12 @@ class Registry:
 def _surveyed(model: StoredModel, aliases: bool) -> builtins.list[ModelVersion | Damaged]:
     """All versions of a model, and before them what is wrong with the model as a whole."""
     found: builtins.list[ModelVersion | Damaged] = []
-    if not model.own:
-        return found
+    if not model.own and not aliases:
+        return found  # another program's, on a server that is shared
+    try:
+        check_stored_name(model)
+    except StoreError as error:
+        return [Damaged(model.name, error)]
     if aliases:
         try:
             check_model(model)

@@ -25,6 +25,7 @@ from sysid.registry.stored import DECISION, DIGEST, MANIFEST, METRICS, Change, S
 from sysid.registry.tables import WorkspaceTables, apply, models_of
 from sysid.registry.version import CANDIDATE, CHAMPION, sha256
 from sysid.registry.version import MANIFEST as MANIFEST_FILE
+from sysid.root import Root
 
 LOST = "Decisions of restored versions are lost: `sysid models promote` decides anew."
 
@@ -47,8 +48,9 @@ def repair(workspace: Path, accept: bool = False, wait_s: float = 30.0) -> Repai
         StoreError: somebody is at work on the registry.
         StorageError: the disk is full, or may not be written; the registry is as it was.
     """
-    database = workspace / "registry.db"
-    if not database.exists() and not (workspace / "models").is_dir():
+    root = Root(workspace)
+    database = root.path("registry.db")
+    if not database.exists() and root.kind("models") is None:
         return Repaired((), ())
     with written(workspace):
         empty = empty_registry()  # before the lock: it may take seconds
@@ -162,10 +164,11 @@ def _readable(database: Path) -> Sequence[StoredModel]:
 def _records(workspace: Path) -> Mapping[str, Sequence[StoredVersion]]:
     """Name → versions that the model files tell of; of two with one number the later: the other was never registered."""
     found: dict[tuple[str, int], StoredVersion] = {}
-    for folder in sorted((workspace / "models").glob("*")):
-        text = _manifest(folder)
-        for record in read_records(folder) if text is not None else ():
-            entry = _entry(folder, text or "", record)
+    root = Root(workspace)
+    for digest in root.entries("models"):
+        text = _manifest(root, digest)
+        for record in read_records(root, f"models/{digest}") if text is not None else ():
+            entry = _entry(workspace / "models" / digest, text or "", record)
             other = found.get((record.name, record.version))
             if other is None or other.created_ms < entry.created_ms:
                 found[record.name, record.version] = entry
@@ -180,20 +183,21 @@ def _entry(folder: Path, text: str, record: Record) -> StoredVersion:
     return StoredVersion(record.version, record.created_ms, folder.resolve().as_uri(), tags)
 
 
-def _manifest(folder: Path) -> str | None:
-    """The manifest of a folder of model files; None where it is none, or was changed."""
+def _manifest(root: Root, digest: str) -> str | None:
+    """The manifest of a folder of model files; None where it is none, was changed, or is reached by a link."""
     try:
-        text = (folder / MANIFEST_FILE).read_text("utf-8")
-    except (OSError, ValueError):
+        content = root.read(f"models/{digest}/{MANIFEST_FILE}")
+        return content.decode("utf-8") if sha256(content) == digest else None
+    except (OSError, ValueError, StoreError):
         return None
-    return text if sha256(text.encode("utf-8")) == folder.name else None
 
 
 def _unnamed(workspace: Path, models: Mapping[str, StoredModel]) -> list[str]:
     """Model files that no row and no record names: from before there were records."""
     known = {version.tags[DIGEST] for model in models.values() for version in model.own}
-    folders = [folder for folder in (workspace / "models").glob("*") if not folder.name.startswith(".")]
-    lost = [folder.name for folder in folders if folder.name not in known and not read_records(folder)]
+    root = Root(workspace)
+    digests = [digest for digest in root.entries("models") if not digest.startswith(".")]
+    lost = [digest for digest in digests if digest not in known and not read_records(root, f"models/{digest}")]
     return [
         f"models/{digest[:12]}…: its name and number were in the registry alone; repeat the command that made it."
         for digest in sorted(lost)

@@ -11,10 +11,26 @@ import json
 from collections.abc import Mapping
 from dataclasses import replace
 
+from pydantic import ConfigDict, TypeAdapter
+from typing_extensions import TypedDict
+
 from sysid.errors import StoreError
+from sysid.parse import parse_json
 from sysid.registry.stored import DECISION, DIGEST, METRICS, SEAL, Change, StoredModel, StoredVersion
 
 REMEDY = "`sysid models repair` says what can be restored."
+
+
+class _Sealed(TypedDict):
+    """What the seal of a model says in the open, beside its sha256."""
+
+    __pydantic_config__ = ConfigDict(strict=True)  # type: ignore[misc]
+
+    aliases: dict[str, int]
+    count: int
+
+
+_SEALED = TypeAdapter(_Sealed)
 
 
 def version_seal(name: str, version: StoredVersion) -> str:
@@ -57,7 +73,7 @@ def broken_model(model: StoredModel) -> StoreError | None:
     where, sealed, count = f"model {model.name}", sealed_aliases(model), len(model.own)
     if sealed is None:
         return StoreError(where, "the seal of its aliases is gone or damaged", "the row as sysid wrote it", REMEDY)
-    recorded = json.loads(model.tags[SEAL])["count"]
+    recorded = parse_json(model.tags[SEAL])["count"]
     if dict(model.aliases) != sealed:
         found, expected = _aliases_text(model.aliases), _aliases_text(sealed)
         return StoreError(where, f"its aliases were changed by hand ({found})", expected, REMEDY)
@@ -69,10 +85,8 @@ def broken_model(model: StoredModel) -> StoreError | None:
 def sealed_aliases(model: StoredModel) -> dict[str, int] | None:
     """The aliases as they were last recorded; None where that cannot be read."""
     try:
-        values = json.loads(model.tags[SEAL])
-        int(values["count"])
-        return {str(alias): int(number) for alias, number in values["aliases"].items()}
-    except (KeyError, ValueError, TypeError, AttributeError):
+        return _SEALED.validate_python(parse_json(model.tags[SEAL]))["aliases"]
+    except (KeyError, ValueError):
         return None
 
 

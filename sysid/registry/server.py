@@ -13,9 +13,11 @@ from pathlib import Path
 from typing import Any
 
 from sysid.errors import StoreError
-from sysid.files import write_durably
-from sysid.registry.client import MEND, exclusive, open_client, translated
+from sysid.names import is_name
+from sysid.parse import parse_json
+from sysid.registry.client import exclusive, open_client, translated, written
 from sysid.registry.stored import DIGEST, Build, Change, StoredModel, StoredVersion
+from sysid.root import Root
 
 _PAGE = 1000
 
@@ -31,7 +33,7 @@ class ServerTables:
 
     def __init__(self, workspace: Path, uri: str, wait_s: float) -> None:
         self._workspace, self._uri, self._wait_s = workspace, uri, wait_s
-        self._journal = workspace / f"registry-{hashlib.sha256(uri.encode()).hexdigest()[:8]}.journal"
+        self._root, self._journal = Root(workspace), f"registry-{hashlib.sha256(uri.encode()).hexdigest()[:8]}.journal"
 
     @functools.cached_property
     def client(self) -> Any:
@@ -57,32 +59,33 @@ class ServerTables:
             if change is None:
                 return before
             text = json.dumps({"uri": self._uri, "name": name, "change": change.to_json()})
-            write_durably(self._journal, text.encode("utf-8"), "journal of the registry", MEND)
+            with written(self._workspace):
+                self._root.write(self._journal, text.encode("utf-8"))
             with translated(self._uri):
                 self._carry_out(name, change)
-            self._journal.unlink()
+            self._root.remove(self._journal)
             with translated(self._uri):
                 return self._model(name)
 
     def _finish(self) -> None:
-        if self._journal.exists():
+        if self._root.kind(self._journal) is not None:
             with exclusive(self._workspace, self._wait_s):
                 self._finish_locked()
 
     def _finish_locked(self) -> None:
         """Carry out what the journal says: it was begun by a process of this workspace that is dead."""
         try:
-            values = json.loads(self._journal.read_text("utf-8"))
+            values = parse_json(self._root.read(self._journal))
             name, change = str(values["name"]), Change.from_json(values["change"])
         except FileNotFoundError:
             return
-        except (OSError, KeyError, TypeError, ValueError, AttributeError) as error:
+        except (OSError, LookupError, TypeError, ValueError, ArithmeticError, AttributeError) as error:
             found = f"not readable ({type(error).__name__}: {error})"
             remedy = "Delete it, and repeat the last registration or promotion."
-            raise StoreError(self._journal, found, "what sysid wrote", remedy) from None
+            raise StoreError(self._workspace / self._journal, found, "what sysid wrote", remedy) from None
         with translated(self._uri):
             self._carry_out(name, change)
-        self._journal.unlink()
+        self._root.remove(self._journal)
 
     def _carry_out(self, name: str, change: Change) -> None:
         client, new = self.client, change.new
@@ -124,6 +127,8 @@ class ServerTables:
                 return sorted(names)
 
     def _model(self, name: str) -> StoredModel:
+        if not is_name(name):  # another program's, and no part of a query
+            return StoredModel(name)
         versions: list[StoredVersion] = []
         token = None
         while True:

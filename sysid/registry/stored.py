@@ -13,6 +13,8 @@ from typing import Any, Protocol
 DIGEST, MANIFEST, METRICS, DECISION = "sysid.digest", "sysid.manifest", "sysid.metrics", "sysid.decision"
 #: Tag of a version, and of a model: a digest over what the manifest does not cover.
 SEAL = "sysid.seal"
+#: The last millisecond that has a date, since 1970.
+LATEST_MS = 253_402_300_799_999
 
 
 @dataclass(frozen=True)

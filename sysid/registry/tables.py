@@ -16,6 +16,7 @@ from sysid.errors import StorageError, StoreError
 from sysid.registry.client import MEND, REFUSED, UNTOUCHED, exclusive, locked, written
 from sysid.registry.schema import REMEDY, empty_registry, install, missing
 from sysid.registry.stored import Build, Change, StoredModel, StoredVersion
+from sysid.root import Root
 
 _Result = TypeVar("_Result")
 #: MLflow keeps a deleted version under this stage.
@@ -73,6 +74,7 @@ class WorkspaceTables:
     @contextmanager
     def _opened(self, mode: str) -> Iterator[sqlite3.Connection]:
         """A connection whose tables are the ones that are needed; it ends what was not committed."""
+        Root(self._workspace).path(self._database.name)  # no link
         try:
             uri = f"{self._database.resolve().as_uri()}?mode={mode}"
             with closing(sqlite3.connect(uri, uri=True, timeout=self._wait_s, isolation_level=None)) as connection:
@@ -110,6 +112,7 @@ def _model(connection: sqlite3.Connection, name: str) -> StoredModel:
 
 def models_of(connection: sqlite3.Connection, name: str | None = None) -> list[StoredModel]:
     """Every model by name, or the one of this name; each table is read once."""
+    connection.text_factory = _text
     only, chosen = ("", ()) if name is None else (" WHERE name = ?", (name,))
     tags: dict[tuple[str, int], dict[str, str]] = {}
     for model, number, key, value in connection.execute(
@@ -121,18 +124,28 @@ def models_of(connection: sqlite3.Connection, name: str | None = None) -> list[S
     for model, number, created, source, stage in connection.execute(
         f"SELECT name, version, creation_time, source, current_stage FROM model_versions{only} ORDER BY version", chosen
     ):
-        last[model] = int(number)
+        last[model] = _number(number)
         if stage != _DELETED:
-            row = StoredVersion(int(number), int(created or 0), str(source), tags.get((model, number), {}))
+            row = StoredVersion(_number(number), _number(created), str(source), tags.get((model, number), {}))
             versions.setdefault(model, []).append(row)
     aliases: dict[str, dict[str, int]] = {}
     for model, alias, number in connection.execute(f"SELECT name, alias, version FROM registered_model_aliases{only}", chosen):
-        aliases.setdefault(model, {})[str(alias)] = int(number)
+        aliases.setdefault(model, {})[str(alias)] = _number(number)
     own: dict[str, dict[str, str]] = {}
     for model, key, value in connection.execute(f"SELECT name, key, value FROM registered_model_tags{only}", chosen):
         own.setdefault(model, {})[str(key)] = str(value)
     names = [str(row[0]) for row in connection.execute(f"SELECT name FROM registered_models{only} ORDER BY name", chosen)]
     return [StoredModel(n, tuple(versions.get(n, ())), aliases.get(n, {}), own.get(n, {}), last.get(n, 0)) for n in names]
+
+
+def _text(content: bytes) -> str:
+    """A text of a row that need not be UTF-8: it then fits no digest."""
+    return content.decode("utf-8", "replace")
+
+
+def _number(value: object) -> int:
+    """An integer of a row, which may hold anything; 0, which is no version and no alias means, where it is none."""
+    return value if isinstance(value, int) else 0
 
 
 def apply(connection: sqlite3.Connection, name: str, change: Change) -> None:

@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 from typing import Any, Literal, get_args
 
 from sysid.errors import SettingsError, StoreError, nearest
+from sysid.names import check_name
 from sysid.registry.promotion import Decision
 
 Kind = Literal["actuator", "history", "motion", "forward", "plant", "policy"]
@@ -31,7 +32,6 @@ CANDIDATE = "candidate"
 #: What every MLflow store accepts as the value of one tag.
 LARGEST_MANIFEST = 100_000
 
-_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,127}")
 _VERSION = re.compile(r"v?[0-9]+")
 
 
@@ -115,17 +115,6 @@ def manifest(kind: str, hashes: Mapping[str, str], lineage: Mapping[str, Any], w
             "Put long tables into a JSON file of the model.",
         )
     return text
-
-
-def check_name(name: str, role: str = "model name") -> str:
-    """``name`` unless it could not be stored, or could be mistaken for a path or a version.
-
-    Raises:
-        SettingsError: with what a name may look like.
-    """
-    if not _NAME.fullmatch(name) or ".." in name:
-        raise SettingsError(role, repr(name), "letters, digits, '.', '_' and '-', a letter or digit first, at most 128")
-    return name
 
 
 def check_alias(alias: str) -> str:

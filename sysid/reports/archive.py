@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import hashlib
-import json
 import math
-import shutil
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +13,7 @@ from filelock import FileLock
 from pydantic import TypeAdapter
 
 from sysid.errors import SettingsError, StorageError, StoreError
-from sysid.files import json_text, make_folder, on_disk
+from sysid.files import json_text
 from sysid.gap.experiment import Experiment, read_experiment, write_experiment
 from sysid.gap.result import (
     EXPERIMENTS,
@@ -32,10 +31,13 @@ from sysid.gap.result import (
     Unnamed,
     WorldGap,
 )
+from sysid.parse import parse_json
+from sysid.root import Root
 
 RESULT, TRACES, DIFFERENCE, SEAL = "result.json", "traces.parquet", "machine.diff", "seal.json"
 AGAIN = "Run `sysid gap` again."
 VERSIONS = ("measured", "before", "after")
+_SEALED = TypeAdapter(dict[str, str])
 
 
 def save_gap(folder: Path, result: GapResult) -> Path:
@@ -46,19 +48,18 @@ def save_gap(folder: Path, result: GapResult) -> Path:
 
     Raises:
         StorageError: the disk is full, or may not be written.
+        StoreError: ``folder``, or something in its way, is a link.
     """
-    draft = folder.with_name(f".{folder.name}.part")
+    root, name = Root(folder.parent), folder.name
+    draft = f".{name}.part"
     try:
-        make_folder(folder.parent)
-        with FileLock(folder.with_name(f".{folder.name}.lock")):
-            _settle(folder)
-            if draft.exists():  # of a dead writer
-                shutil.rmtree(draft)
-            draft.mkdir()
-            _write(draft, result)
-            draft.rename(_ready(folder))
-            on_disk(folder.parent)
-            _settle(folder)
+        with FileLock(root.output(f".{name}.lock")):
+            _settle(root, name)
+            root.remove(draft)  # of a dead writer
+            _write(root, draft, result)
+            root.settle(draft)
+            root.rename(draft, _ready(name))
+            _settle(root, name)
     except OSError as error:
         found = f"cannot be written ({error.strerror or error}); the result before, or this one, is whole"
         raise StorageError(folder, found, remedy="Make room, and run the command again.") from None
@@ -69,75 +70,81 @@ def load_gap(folder: Path) -> GapResult | None:
     """The result that :func:`save_gap` filed as ``folder``; None where there is none.
 
     Raises:
-        StoreError: the files are damaged, or were changed after they were written.
+        StoreError: the files are damaged, were changed after they were written, or one of them is a link.
     """
-    folder = _ready(folder) if _ready(folder).is_dir() else folder
-    path = folder / RESULT
-    if not path.is_file():
+    above = Root(folder.parent)
+    root = Root(above.path(_ready(folder.name) if above.kind(_ready(folder.name)) == "folder" else folder.name))
+    path = root.folder / RESULT
+    if root.kind(RESULT) is None:
         return None
-    _check_seal(folder)
+    _check_seal(root)
     try:
-        values = _numbers(json.loads(path.read_text("utf-8")))
-        experiments = tuple(read_experiment(folder / item["file"]) for item in values.get("experiments", []))
-        return _result(values, _traces(folder / TRACES), experiments)
-    except (ValueError, KeyError, TypeError, SettingsError) as error:
+        values = _numbers(parse_json(root.read(RESULT)))
+        experiments = tuple(read_experiment(root.path(item["file"])) for item in values.get("experiments", []))
+        return _result(values, _traces(root.path(TRACES)), experiments)
+    except (ValueError, KeyError, TypeError, AttributeError, SettingsError) as error:
         message = str(error).splitlines()[0]
         raise StoreError(path, f"not readable ({message})", "a result as it was written", AGAIN) from None
 
 
-def _ready(folder: Path) -> Path:
-    return folder.with_name(f"{folder.name}.next")
+def _ready(name: str) -> str:
+    return f"{name}.next"
 
 
-def _settle(folder: Path) -> None:
+def _settle(root: Root, name: str) -> None:
     """Let a result that is ready take the place of the one before."""
-    if _ready(folder).is_dir():
-        if folder.exists():
-            shutil.rmtree(folder)
-        _ready(folder).rename(folder)
-        on_disk(folder.parent)
+    if root.path(_ready(name)).is_dir():
+        root.remove(name)
+        root.rename(_ready(name), name)
 
 
-def _write(folder: Path, result: GapResult) -> None:
-    """All files of a result, on the disk; the last one is the seal over the others."""
+def _write(root: Root, folder: str, result: GapResult) -> None:
+    """All files of a result; the last one is the seal over the others."""
+    root.make(folder)
     frames = [
         getattr(trace, version).assign(recording=trace.recording, version=version)
         for trace in result.traces
         for version in VERSIONS
     ]
     if frames:
-        pd.concat(frames, ignore_index=True).to_parquet(folder / TRACES, index=False)
+        pd.concat(frames, ignore_index=True).to_parquet(root.output(f"{folder}/{TRACES}"), index=False)
     for experiment in result.experiments:
-        write_experiment(folder / EXPERIMENTS, experiment)
-    (folder / DIFFERENCE).write_text(result.machine_diff, "utf-8")
-    (folder / RESULT).write_text(json_text(result.to_json()), "utf-8")
-    (folder / SEAL).write_text(json_text({"schema": 1, "sha256": _digests(folder)}), "utf-8")
-    for path in (*folder.rglob("*"), folder):
-        on_disk(path)
+        write_experiment(root.make(f"{folder}/{EXPERIMENTS}"), experiment)
+    root.write_new(f"{folder}/{DIFFERENCE}", result.machine_diff.encode("utf-8"))
+    root.write_new(f"{folder}/{RESULT}", json_text(result.to_json()).encode("utf-8"))
+    digests = {name: hashlib.sha256(root.read(f"{folder}/{name}")).hexdigest() for name in _files(root, folder)}
+    root.write_new(f"{folder}/{SEAL}", json_text({"schema": 1, "sha256": digests}).encode("utf-8"))
 
 
-def _digests(folder: Path) -> dict[str, str]:
-    paths = (path for path in sorted(folder.rglob("*")) if path.is_file() and path.name != SEAL)
-    return {path.relative_to(folder).as_posix(): hashlib.sha256(path.read_bytes()).hexdigest() for path in paths}
+def _files(root: Root, folder: str) -> Iterator[str]:
+    """The files of a result, relative to its folder."""
+    for name, kind in root.entries(folder).items():
+        if kind == "file":
+            yield name
+    for name in root.entries(f"{folder}/{EXPERIMENTS}"):
+        yield f"{EXPERIMENTS}/{name}"
 
 
-def _check_seal(folder: Path) -> None:
+def _check_seal(root: Root) -> None:
     """Refuse files that are not those that were written. Results of before there were seals have none.
 
     Raises:
         StoreError: names one of them.
     """
     try:
-        sealed = dict(json.loads((folder / SEAL).read_text("utf-8"))["sha256"])
+        sealed = _SEALED.validate_python(parse_json(root.read(SEAL))["sha256"])
     except FileNotFoundError:
         return
     except (OSError, ValueError, KeyError, TypeError) as error:
-        raise StoreError(folder / SEAL, f"not readable ({error})", "the seal as it was written", AGAIN) from None
-    found = _digests(folder)
-    changed = sorted(name for name in sealed if found.get(name) != sealed[name])
-    if changed:
-        what = "changed after it was written" if changed[0] in found else "the file is gone"
-        raise StoreError(folder / changed[0], what, f"sha256 {str(sealed[changed[0]])[:12]}…", AGAIN)
+        raise StoreError(root.folder / SEAL, f"not readable ({error})", "the seal as it was written", AGAIN) from None
+    for name, digest in sorted(sealed.items()):
+        expected = f"sha256 {digest[:12]}…"
+        try:
+            content = root.read(name)
+        except (FileNotFoundError, NotADirectoryError):
+            raise StoreError(root.folder / name, "the file is gone", expected, AGAIN) from None
+        if hashlib.sha256(content).hexdigest() != digest:
+            raise StoreError(root.folder / name, "changed after it was written", expected, AGAIN)
 
 
 def _result(values: dict[str, Any], traces: tuple[Traces, ...], experiments: tuple[Experiment, ...]) -> GapResult:

@@ -23,6 +23,7 @@ from sysid.files import write_durably
 from sysid.networks.checkpoint import REMEDY
 from sysid.rl.ddpg import Trainer
 from sysid.rl.recipe import Recipe
+from sysid.root import Root
 
 #: Of the files; another one is another name.
 FORMAT = 1
@@ -36,7 +37,8 @@ def training_folder(root: Path, recipe: Recipe, origin: Mapping[str, str]) -> Pa
     libraries = {name: importlib.metadata.version(name) for name in LIBRARIES}
     decided = {"format": FORMAT, "recipe": recipe.to_json(), "origin": dict(origin), "libraries": libraries}
     digest = hashlib.sha256(json.dumps(decided, sort_keys=True).encode()).hexdigest()
-    return root / f"{recipe.name}-seed{recipe.seed}-{digest[:12]}"
+    name = f"{recipe.name}-seed{recipe.seed}-{digest[:12]}"
+    return Root(root).path(name) if root.is_dir() else root / name
 
 
 @dataclass

@@ -16,6 +16,7 @@ from typing import IO, Any, Protocol
 from sysid.errors import SettingsError
 from sysid.rl.ddpg import Trainer
 from sysid.rl.recipe import Recipe
+from sysid.root import Root
 
 
 class Observer(Protocol):
@@ -71,7 +72,7 @@ class TensorBoard:
                 "Type: pip install 'sysid[tensorboard]'",
             ) from None
         step = trainer.turn * trainer.environment.size
-        self._writer = SummaryWriter(str(self.folder / folder.name), purge_step=step + 1 if step else None)
+        self._writer = SummaryWriter(str(Root(self.folder).make(folder.name)), purge_step=step + 1 if step else None)
         try:
             yield
         finally:

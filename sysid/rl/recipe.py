@@ -12,6 +12,7 @@ from typing import Any, Literal
 
 from sysid.config import STRICT, parse_settings, read_toml
 from sysid.errors import SettingsError
+from sysid.names import check_name
 from sysid.rl.environment import Task
 
 
@@ -169,6 +170,7 @@ def load_training(path: Path) -> Recipe:
 def parse_training(values: dict[str, Any], where: object) -> Recipe:
     """``values`` as a recipe, checked; ``where`` names their source in messages."""
     recipe = parse_settings(values, Recipe, where)
+    check_name(recipe.name, f"{where}: name")
     learning, exploration, networks = recipe.learning, recipe.exploration, recipe.networks
     for key, found, low, high in (
         ("seed", recipe.seed, 0, None),

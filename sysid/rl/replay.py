@@ -121,7 +121,7 @@ class Replay:
         import torch
 
         content = self.rows[torch.from_numpy(at).to(self.rows.device)].cpu().numpy().tobytes()
-        with open(os.open(path, os.O_RDWR | os.O_CREAT, 0o644), "r+b") as file:
+        with open(os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o644), "r+b") as file:
             file.seek((begin % SEGMENT) * 4 * self.width)
             file.write(content)
             file.flush()

@@ -9,6 +9,7 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from typing import Any, TypeVar
 
+from sysid.children import safe_children
 from sysid.progress import Progress, silent
 
 T = TypeVar("T")
@@ -31,7 +32,7 @@ def side_by_side(
     """
     count = min(workers or len(os.sched_getaffinity(0)), len(calls))
     context = multiprocessing.get_context("spawn")
-    with context.Manager() as manager, ProcessPoolExecutor(count, context) as pool:
+    with safe_children(), context.Manager() as manager, ProcessPoolExecutor(count, context) as pool:
         shares = manager.dict()
         futures = [pool.submit(_run, work, call, shares, number) for number, call in enumerate(calls)]
         done, watched = threading.Event(), 0.0

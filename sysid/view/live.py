@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import time
 from collections.abc import Iterable, Mapping
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +13,7 @@ import numpy as np
 
 from sysid.datasets.recording import Dataset, Recording
 from sysid.errors import SettingsError
+from sysid.files import written_whole
 from sysid.machine import Machine
 from sysid.plant import Plant
 from sysid.signals import axis_signal, point_signals
@@ -50,19 +52,16 @@ def show_live(dataset: Dataset, recording: str, plant: Plant, path: Path | None 
             "sysid", recording_id=f"{dataset.reference}/{recording}/live/{os.getpid()}/{time.time_ns()}"
         )
         layout = blueprint(dataset, source, {"measured": source.table, "world": source.table}, TIMELINE)
-        half = None
-        if path is None:
-            stream.spawn(default_blueprint=layout)
-        else:
-            path.parent.mkdir(parents=True, exist_ok=True)
-            half = path.with_name(f".{path.name}.{os.getpid()}.part")
-            stream.save(str(half), default_blueprint=layout)
-        stream.send_recording_name(f"{dataset.reference} {recording}, {plant.reference or 'nominal plant'} in PyBullet")
-        shown = _play(stream, world, source, dataset.units, 0.0 if path is not None else 1.0 / speed)
-        stream.flush()
-        stream.disconnect()
-    if half is not None and path is not None:
-        half.replace(path)
+        with ExitStack() as files:
+            if path is None:
+                stream.spawn(default_blueprint=layout)
+            else:
+                path.parent.mkdir(parents=True, exist_ok=True)
+                stream.save(str(files.enter_context(written_whole(path))), default_blueprint=layout)
+            stream.send_recording_name(f"{dataset.reference} {recording}, {plant.reference or 'nominal plant'} in PyBullet")
+            shown = _play(stream, world, source, dataset.units, 0.0 if path is not None else 1.0 / speed)
+            stream.flush()
+            stream.disconnect()
     return shown
 
 

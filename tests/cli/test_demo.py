@@ -1,4 +1,4 @@
-"""``sysid demo`` runs the pipeline of the folder that it is called in."""
+"""``sysid demo`` runs the pipeline of its own checkout, and never what lies in the folder that it is called in."""
 
 from __future__ import annotations
 
@@ -8,6 +8,8 @@ from pathlib import Path
 import pytest
 
 from sysid.cli import main
+from sysid.cli.demo import CHECKOUT, find_pipeline
+from sysid.errors import SettingsError
 
 PIPELINE = """
 import json
@@ -16,19 +18,33 @@ from pathlib import Path
 def main(workspace: Path) -> Path:
     path = workspace / "demo" / "result.json"
     path.parent.mkdir(parents=True)
-    path.write_text(json.dumps({"schema": 1, "here": True}))
+    path.write_text(json.dumps({"schema": 1, "ran": %r}))
     return path
 """
 
 
-def test_demo_runs_the_pipeline_above_the_current_folder(
+def checkout(folder: Path, word: str) -> Path:
+    (folder / "pipelines").mkdir(parents=True)
+    (folder / "pipelines" / "first_look.py").write_text(PIPELINE % word)
+    (folder / "pyproject.toml").write_text("")
+    return folder
+
+
+def test_demo_runs_the_pipeline_of_its_checkout_alone(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    (tmp_path / "pipelines").mkdir()
-    (tmp_path / "pipelines" / "first_look.py").write_text(PIPELINE)
-    (tmp_path / "deeper").mkdir()
-    monkeypatch.chdir(tmp_path / "deeper")
-    with pytest.raises(SystemExit) as stop:
-        main(["--workspace", str(tmp_path / "ws"), "demo", "--json", str(tmp_path / "copy.json")])
-    assert stop.value.code == 0, capsys.readouterr().err
-    assert json.loads((tmp_path / "copy.json").read_text()) == {"schema": 1, "here": True}
+    monkeypatch.setattr("sysid.cli.demo.CHECKOUT", checkout(tmp_path / "own", "own"))
+    (checkout(tmp_path / "stranger", "stranger") / "deeper").mkdir()
+    for here in ("stranger", "stranger/deeper"):
+        monkeypatch.chdir(tmp_path / here)
+        with pytest.raises(SystemExit) as stop:
+            main(["--workspace", str(tmp_path / here / "ws"), "demo", "--json", str(tmp_path / "copy.json")])
+        assert stop.value.code == 0, capsys.readouterr().err
+        assert json.loads((tmp_path / "copy.json").read_text()) == {"schema": 1, "ran": "own"}
+
+
+def test_an_installed_package_has_no_demo_and_says_so(tmp_path: Path) -> None:
+    (checkout(tmp_path, "other package") / "pyproject.toml").unlink()
+    with pytest.raises(SettingsError, match=r"no pipelines/first_look\.py in .*Clone the repository and type `make demo`"):
+        find_pipeline(tmp_path)
+    assert find_pipeline(CHECKOUT) == Path(__file__).parents[2] / "pipelines" / "first_look.py"

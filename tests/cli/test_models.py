@@ -213,7 +213,8 @@ def test_an_empty_workspace_has_a_page_too(tmp_path: Path) -> None:
 def test_the_page_is_served_to_this_computer_alone(tmp_path: Path) -> None:
     (tmp_path / "models.html").write_text("<p>models</p>")
     (tmp_path / "secret.html").write_text("no")
-    with page_server({"/": tmp_path / "models.html", "/cards/a@1.html": tmp_path / "gone.html"}) as server:
+    pages = {"/": (tmp_path / "models.html").read_bytes, "/cards/a@1.html": (tmp_path / "gone.html").read_bytes}
+    with page_server(pages) as server:
         assert server.server_address[0] == "127.0.0.1"
         thread = threading.Thread(target=server.serve_forever, daemon=True)
         thread.start()

@@ -48,7 +48,7 @@ def model(name: str, lineage: Mapping[str, Any]) -> ModelVersion:
 
 
 def registered(monkeypatch: pytest.MonkeyPatch, *versions: ModelVersion) -> None:
-    monkeypatch.setattr(Registry, "list", lambda self, kind=None: versions)
+    monkeypatch.setattr(Registry, "survey", lambda self, kind=None: versions)
 
 
 def test_append_then_diff_then_split(place: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -66,10 +66,13 @@ joints = {boom = 0.5}
         ("[[streams]]\nfiles = 'a'\n[streams.signals]\n'boom.joint' = {colum = 'x'}", "streams"),
         ("[[streams]]\nfiles = 'a'\nreader = 'mcp'", r"unknown reader 'mcp'; expected 'mcap'\?"),
         ("[[streams]]\nfiles = 'a'\nreader = 'mcap'\nclock = 'heder'", r"unknown clock 'heder'; expected 'header'\?"),
-        ("[[streams]]\nfiles = 'a'\n[streams.signals]\n'boom.joint' = {field = 'x', span = 0.0}", "a span or scale of zero"),
+        (
+            "[[streams]]\nfiles = 'a'\n[streams.signals]\n'boom.joint' = {field = 'x', span = 0.0}",
+            r"span = 0\.0; expected a number other than zero",
+        ),
         (
             "[[streams]]\nfiles = 'a'\nrate_hz = 0.0",
-            r"rate_hz = 0\.0; expected a time column, or the rate of evenly spaced rows",
+            r"rate_hz = 0\.0; expected a number greater than or equal to 0\.001",
         ),
         ("[[streams]]\nfiles = 'a'\nrate_hz = 5.0\ntime = 't'", "both `time` and `rate_hz`"),
         ("[[streams]]\nfiles = 'a'\n[streams.points]\nhand = {body = 'b'}", "unknown point 'hand'"),

@@ -1,9 +1,12 @@
-"""Throws damaged bytes at the readers, guided by the code they reach: ``make fuzz`` (atheris, an extra: ``sysid[fuzz]``).
+"""Throws damaged bytes at the readers, and at whatever else strangers can hand over, guided by the code they reach.
 
-    python tests/fuzz/fuzz_readers.py [READER …] [--seconds 120] [--work FOLDER]
+``make fuzz`` runs it (atheris, an extra: ``sysid[fuzz]``).
 
-Each reader runs in a process of its own, starting from the small logs of its format, and ends early with the first input that
-raises anything but an error of ``sysid.errors``, takes longer than 20 s, or needs more than 2 GiB. That input is kept in
+    python tests/fuzz/fuzz_readers.py [READER | TARGET …] [--seconds 120] [--work FOLDER]
+
+Targets beside the readers are those of ``targets.py``: workspaces, registry rows, machines, URDFs, recipes, names. Each runs in
+a process of its own, starting from the small logs of its format or from what the project ships, and ends early with the first
+input that raises anything but an error of ``sysid.errors``, takes longer than 20 s, or needs more than 2 GiB. It is kept in
 ``FOLDER/<reader>/crash-…``; `--again FILE` reads it once more, in the open.
 """
 
@@ -17,6 +20,8 @@ import tempfile
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
+
+from targets import TARGETS, forget
 
 ROOT = Path(__file__).parents[2]
 sys.path[:0] = [str(ROOT), str(ROOT / "tests" / "helpers")]
@@ -68,12 +73,17 @@ def fuzz(reader: str, corpus: Path, seconds: int) -> None:
     """Run in this process; libFuzzer ends it."""
     import atheris
 
+    if reader in TARGETS:
+        with atheris.instrument_imports(include=["sysid"]):
+            for seed in TARGETS[reader].seeds():  # whatever it imports
+                TARGETS[reader].run(seed)
+        _run(TARGETS[reader].run, corpus, seconds)
+        return
     with atheris.instrument_imports(include=["sysid.logs"]):
         from sysid.logs import ReadOptions
         from sysid.logs.inspection import inspect_file  # noqa: F401
     from small_logs import LOGS, STATED
 
-    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     names = [name for name, (kind, _) in LOGS.items() if kind == reader]
     suffixes = {name: Path(name).suffix for name in names}
     folder = Path(tempfile.mkdtemp(dir="/dev/shm" if Path("/dev/shm").is_dir() else None))
@@ -92,6 +102,13 @@ def fuzz(reader: str, corpus: Path, seconds: int) -> None:
             read_file(path, reader, ReadOptions() if reader == "motive" and b"Length Units" in data else stated)
 
         heads = {path.name: path.read_bytes()[:4] for path in corpus.iterdir() if path.name in suffixes}
+    _run(target, corpus, seconds)
+
+
+def _run(target: Callable[[bytes], None], corpus: Path, seconds: int) -> None:
+    import atheris
+
+    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     limits = [
         f"-max_total_time={seconds}",
         f"-timeout={SECONDS_EACH}",
@@ -109,6 +126,11 @@ def seeds(reader: str, corpus: Path) -> None:
     from small_logs import LOGS, write_log
 
     corpus.mkdir(parents=True, exist_ok=True)
+    if reader in TARGETS:
+        for number, seed in enumerate(TARGETS[reader].seeds()):
+            (corpus / f"seed-{number}").write_bytes(seed)
+        forget()
+        return
     if reader == MESSAGE:
         line = "=" * 80
         (corpus / "seed").write_bytes(
@@ -124,7 +146,7 @@ def seeds(reader: str, corpus: Path) -> None:
 def main() -> int:
     from small_logs import LOGS
 
-    readers = [*dict.fromkeys(kind for kind, _ in LOGS.values()), MESSAGE]
+    readers = [*dict.fromkeys(kind for kind, _ in LOGS.values()), MESSAGE, *TARGETS]
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("readers", nargs="*", help=f"of {', '.join(readers)}; default: all")
     parser.add_argument("--seconds", type=int, default=120, help="for each reader")
@@ -141,7 +163,10 @@ def main() -> int:
     if given.again is not None:
         from sysid.logs import ReadOptions
 
-        if chosen[0] == MESSAGE:
+        if chosen[0] in TARGETS:
+            TARGETS[chosen[0]].run(given.again.read_bytes())
+            forget()
+        elif chosen[0] == MESSAGE:
             read_message(given.again.read_bytes())
         else:
             read_file(given.again, chosen[0], ReadOptions())

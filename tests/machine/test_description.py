@@ -23,7 +23,7 @@ def changed(before: str, after: str) -> Machine:
     ("before", "after", "message"),
     [
         ("gain = 0.436", "gian = 0.436", "unknown key 'axes[0].gian'; expected 'gain'?"),
-        ("rate_hz = 100.0", "rate_hz = 0.0", "rate_hz = 0.0; expected a positive rate [Hz]"),
+        ("rate_hz = 100.0", "rate_hz = 0.0", "rate_hz = 0.0; expected a number greater than or equal to 0.001"),
         ("rate_hz = 100.0", 'rate_hz = "fast"', "rate_hz = 'fast'"),
         ("schema = 1", "schema = 2", "schema = 2"),
         ('name = "boom"', 'name = "slew"', "axis 'slew': name is taken"),

@@ -326,7 +326,7 @@ def test_a_recipe_overrides_single_keys(tmp_path: Path) -> None:
         ("[forward]\nfeature = 'sincos'", r"unknown key 'forward.feature'; expected 'features'\?"),
         (
             "[forward]\nfeatures = 'cosine'",
-            r"forward.features = 'cosine'; expected input should be 'joints', 'sincos' or 'products'",
+            r"forward.features = 'cosine'; expected 'joints', 'sincos' or 'products'",
         ),
         ("[actuator.training]\nepochs = 0", r"actuator.training: epochs = 0; expected a positive number"),
         ("[actuator]\nrows = ['poses']", r"actuator.rows: \['poses'\]; expected motion, with or without poses"),

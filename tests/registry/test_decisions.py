@@ -166,8 +166,8 @@ def full_table(*_: object, **__: object) -> None:
 
 
 DISKS: dict[str, Callable[[pytest.MonkeyPatch], None]] = {
-    "no room for a folder": lambda m: m.setattr("tempfile.mkdtemp", full),
-    "no room for a file": lambda m: m.setattr("sysid.registry.artifacts.write_through", full),
+    "no room for a folder": lambda m: m.setattr("os.mkdir", full),
+    "no room for a file": lambda m: m.setattr("sysid.root.Root.create", full),
     "no room when it is settled": lambda m: m.setattr("os.fsync", full),
     "no room for a row": lambda m: m.setattr("sysid.registry.tables._insert_version", full_table),
 }

@@ -235,8 +235,7 @@ REGISTER = """
             os.kill(os.getpid(), signal.SIGKILL)
         artifacts.FolderArtifacts.write = then_die
     elif crash == "between_files":
-        sync = artifacts.on_disk
-        artifacts.on_disk = lambda path: os.kill(os.getpid(), signal.SIGKILL)
+        artifacts.Root.sync = lambda self, folder: os.kill(os.getpid(), signal.SIGKILL)
     elif crash == "before_version":
         insert = tables._insert_version
         def then_die(*arguments):

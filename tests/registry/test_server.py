@@ -93,7 +93,7 @@ def test_a_promotion_is_finished(uri: str, tmp_path: Path, monkeypatch: pytest.M
 def test_a_journal_that_is_damaged_is_named(uri: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     registry = Registry(tmp_path / "mine", uri=uri)
     registry.register("arm", "plant", FILES, {"n": 1})
-    registry._server._journal.write_text("{")  # type: ignore[union-attr]
+    (tmp_path / "mine" / registry._server._journal).write_text("{")  # type: ignore[union-attr]
     with pytest.raises(StoreError, match=r"registry-.*\.journal: not readable .*Delete it"):
         registry.list()
 

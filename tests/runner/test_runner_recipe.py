@@ -54,7 +54,7 @@ def test_the_shipped_recipe_is_read_and_says_the_defaults() -> None:
         ({"checks": {"emergency": {"reaction": "clamp"}}}, r"checks.emergency.reaction: 'clamp'; expected 'fault'"),
         ({"checks": {"dead_man": {"reaction": "hold"}}}, r"checks.dead_man.reaction: 'hold'; expected 'stop' or 'fault'"),
         ({"checks": {"stale": {"reaction": "off"}}}, "checks.stale.reaction = 'off'"),
-        ({"checks": {"stale": {"after_s": float("inf")}}}, "checks.stale.after_s: inf; expected a positive number"),
+        ({"checks": {"stale": {"after_s": float("inf")}}}, "checks.stale.after_s = inf; expected a finite number"),
         ({"checks": {"patience_s": 60.0}}, "checks.patience_s: 60 s; expected above 0, at most 1 s"),
         ({"checks": {"without": {"stale": "it is always late here, we know"}}}, "checks.without.stale: cannot be left out"),
         ({"checks": {"without": {"domain": "no"}}}, "the reason 'no'; expected one sentence that says why"),

@@ -22,7 +22,7 @@ class OvertakenError(StoreError):
 
 
 class Files(Protocol):
-    """Paths are relative to the workspace and use ``/``."""
+    """Paths are relative to the workspace and use ``/``; a link below it is refused with a StoreError."""
 
     @property
     def locks(self) -> bool:
@@ -37,6 +37,10 @@ class Files(Protocol):
 
     def folders(self, folder: str) -> list[str]:
         """Names of the folders in ``folder``, sorted."""
+        ...
+
+    def links(self, folder: str) -> list[str]:
+        """Names of the links in ``folder``, sorted: neither files nor folders, and never followed."""
         ...
 
     def read(self, path: str) -> bytes: ...

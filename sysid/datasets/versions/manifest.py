@@ -17,8 +17,11 @@ from typing import Any, Literal
 
 from sysid import __version__
 from sysid.datasets.recording import ClockRecord, Dataset
-from sysid.errors import StoreError
+from sysid.datasets.versions.manifest_shape import check_shape
+from sysid.errors import SettingsError, StoreError
 from sysid.files import plain
+from sysid.foreign import MOST_NAME, shown, visible
+from sysid.parse import parse_json
 
 Manifest = dict[str, Any]
 
@@ -182,12 +185,13 @@ def from_text(content: bytes, where: object) -> Manifest:
         StoreError: cut off, changed after it was written, or of a newer sysid.
     """
     try:
-        manifest: Manifest = json.loads(content)
+        manifest: Manifest = parse_json(content)
         schema = manifest["schema"]
     except (ValueError, TypeError, KeyError) as error:
         raise _damaged(where, f"damaged ({error or type(error).__name__})") from None
     if not isinstance(schema, int) or not 1 <= schema <= SCHEMA:
-        found, expected = f"schema {schema}, written by sysid {manifest.get('sysid', '?')}", f"schema 1 to {SCHEMA}"
+        written_by = visible(manifest.get("sysid", "?"), MOST_NAME)
+        found, expected = f"schema {shown(schema)}, written by sysid {written_by}", f"schema 1 to {SCHEMA}"
         raise StoreError(where, found, expected, "Use the sysid that wrote it, or a newer one.")
     if schema > 1 and manifest.pop("seal", None) != _seal(manifest):
         raise _damaged(where, "changed after it was written: its seal does not fit")
@@ -195,18 +199,14 @@ def from_text(content: bytes, where: object) -> Manifest:
         for older, migrate in MIGRATIONS:
             if manifest["schema"] == older:
                 manifest = migrate(manifest)
-        outside = [part["folder"] for part in manifest["parts"] if not _inside(part["folder"], manifest["name"])]
-    except (KeyError, TypeError) as error:
+        check_shape(manifest)
+        for clock in manifest["clocks"]:
+            clock_from(clock)
+    except (KeyError, AttributeError) as error:
         raise _damaged(where, f"damaged (without {error})") from None
-    if outside:
-        raise _damaged(where, f"names the folder {outside[0]!r}, which is not of this dataset")
+    except (ValueError, TypeError, SettingsError) as error:
+        raise _damaged(where, f"damaged ({error})") from None
     return manifest
-
-
-def _inside(folder: str, name: str) -> bool:
-    """Whether a part lies where the store writes the parts of this dataset."""
-    parent, _, last = folder.rpartition("/")
-    return parent == f"datasets/{name}/data" and last not in ("", ".", "..")
 
 
 def _seal(manifest: Manifest) -> str:

@@ -9,9 +9,11 @@ import uuid
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, BinaryIO, cast
 
 from sysid.datasets.versions.files import TakenError
+from sysid.root import Root
 
 
 @dataclass(frozen=True)
@@ -31,19 +33,31 @@ class ObjectFiles:
         system, root = FileSystem.from_uri(self.url)
         return system, str(root).rstrip("/")
 
+    def _at(self, path: str) -> tuple[Any, str]:
+        """The file system, and ``path`` in it; a folder that stands for an object store (``file:///``) has no links in it."""
+        system, root = self._open()
+        if self._in_folder and Path(root).is_dir():
+            Root(Path(root)).path(path)
+        return system, f"{root}/{path}"
+
+    @property
+    def _in_folder(self) -> bool:
+        return self.url.startswith("file:")
+
     def uri(self, path: str) -> str:
         return f"{self.url}/{path}"
 
     def _entries(self, folder: str, kind: str) -> list[str]:
         from pyarrow.fs import FileSelector
 
-        system, root = self._open()
-        selector = FileSelector(f"{root}/{folder}", allow_not_found=True)
+        system, place = self._at(folder)
+        selector = FileSelector(place, allow_not_found=True)
         try:
             entries = system.get_file_info(selector)
         except FileNotFoundError:  # Arrow lists, finds nothing, and looks again: another writer made the folder in between
             entries = system.get_file_info(selector)
-        return sorted(entry.base_name for entry in entries if entry.type.name == kind)
+        links = set(self.links(folder))
+        return sorted(entry.base_name for entry in entries if entry.type.name == kind and entry.base_name not in links)
 
     def names(self, folder: str) -> list[str]:
         return self._entries(folder, "File")
@@ -51,24 +65,31 @@ class ObjectFiles:
     def folders(self, folder: str) -> list[str]:
         return self._entries(folder, "Directory")
 
+    def links(self, folder: str) -> list[str]:
+        """None, but where a folder stands for an object store."""
+        _, place = self._at(folder)
+        if not self._in_folder or not Path(place).is_dir():
+            return []
+        return [name for name, kind in Root(Path(place)).entries("").items() if kind == "link"]
+
     def read(self, path: str) -> bytes:
-        system, root = self._open()
-        with system.open_input_stream(f"{root}/{path}") as file:
+        system, place = self._at(path)
+        with system.open_input_stream(place) as file:
             return bytes(file.read())
 
     def address(self, path: str) -> tuple[int, str]:
-        system, root = self._open()
+        system, place = self._at(path)
         digest, size = hashlib.sha256(), 0
-        with system.open_input_stream(f"{root}/{path}") as file:
+        with system.open_input_stream(place) as file:
             while block := file.read(1 << 22):
                 digest.update(block)
                 size += len(block)
         return size, digest.hexdigest()
 
     def create(self, path: str) -> BinaryIO:
-        system, root = self._open()
-        system.create_dir(f"{root}/{path}".rpartition("/")[0], recursive=True)
-        return cast("BinaryIO", system.open_output_stream(f"{root}/{path}"))
+        system, place = self._at(path)
+        system.create_dir(place.rpartition("/")[0], recursive=True)
+        return cast("BinaryIO", system.open_output_stream(place))
 
     def settle(self, folder: str) -> None:
         """A put has reached the store when it returns."""
@@ -81,8 +102,8 @@ class ObjectFiles:
         draft = f"{folder}/.{name}.{uuid.uuid4().hex}"
         with self.create(draft) as file:
             file.write(text.encode("utf-8"))
-        system, root = self._open()
-        system.move(f"{root}/{draft}", f"{root}/{path}")
+        system, place = self._at(path)
+        system.move(self._at(draft)[1], place)
 
     def _claim(self, folder: str) -> bool:
         """Whether this writer is the first; Delta's first commit of a table is written by one writer alone."""
@@ -102,25 +123,25 @@ class ObjectFiles:
         return sorted({*self.names(folder), *self.folders(f"{parent}/claims/{name}")})
 
     def rename(self, path: str, to: str) -> None:
-        system, root = self._open()
-        system.copy_file(f"{root}/{path}", f"{root}/{to}")
-        system.delete_file(f"{root}/{path}")
+        system, place = self._at(path)
+        system.copy_file(place, self._at(to)[1])
+        system.delete_file(place)
 
     def weight(self, folder: str) -> tuple[int, float]:
         from pyarrow.fs import FileSelector
 
-        system, root = self._open()
-        entries = system.get_file_info(FileSelector(f"{root}/{folder}", recursive=True))
+        system, place = self._at(folder)
+        entries = system.get_file_info(FileSelector(place, recursive=True))
         last = max((entry.mtime.timestamp() for entry in entries if entry.mtime), default=0.0)
         return sum(entry.size or 0 for entry in entries), time.time() - last
 
     def remove(self, path: str) -> None:
-        system, root = self._open()
-        kind = system.get_file_info(f"{root}/{path}").type.name
+        system, place = self._at(path)
+        kind = system.get_file_info(place).type.name
         if kind == "Directory":
-            system.delete_dir(f"{root}/{path}")
+            system.delete_dir(place)
         elif kind == "File":
-            system.delete_file(f"{root}/{path}")
+            system.delete_file(place)
 
     @contextmanager
     def lock(self, folder: str) -> Iterator[None]:

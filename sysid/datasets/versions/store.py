@@ -40,7 +40,9 @@ from sysid.datasets.versions.manifest import (
     to_text,
 )
 from sysid.datasets.versions.tables import PartTables, is_there, read_table, write_channels, write_samples
-from sysid.errors import StoreError, nearest
+from sysid.errors import SettingsError, StoreError, nearest
+from sysid.foreign import shown
+from sysid.names import check_dataset_name
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -62,10 +64,15 @@ class Store:
         return open_files(self.workspace)
 
     def list(self) -> tuple[Entry, ...]:
-        """All versions of all datasets, by name and number."""
-        entries = []
+        """All versions of all datasets, by name and number; what cannot be read is listed with its damage."""
+        entries = [Entry(name, 0, damage="is a link, which is not followed") for name in self.files.links("datasets")]
         for name in self.files.folders("datasets"):
-            for version in self.versions(name):
+            try:
+                versions = self.versions(check_dataset_name(name))
+            except (StoreError, SettingsError) as error:
+                entries.append(Entry(name, 0, damage=str(error)))
+                continue
+            for version in versions:
                 try:
                     entries.append(entry_of(self.read_manifest(name, version)))
                 except StoreError as error:
@@ -79,7 +86,13 @@ class Store:
             StoreError: no such dataset or version, or its files are damaged.
         """
         manifest = self.manifest(reference)
-        return dataset_of(manifest, [self._table(manifest, part, "samples") for part in manifest["parts"]])
+        tables = [self._table(manifest, part, "samples") for part in manifest["parts"]]
+        try:
+            return dataset_of(manifest, tables)
+        except (KeyError, ValueError, TypeError, ArithmeticError, NotImplementedError) as error:  # those of Arrow are such, too
+            where, found = f"dataset {manifest['name']}@{manifest['version']}", f"{type(error).__name__}: {error}"
+            expected = "tables with the columns that the manifest names"
+            raise StoreError(where, f"not readable ({found})", expected, "Ingest the logs again.") from None
 
     def channels(self, reference: str) -> pd.DataFrame:
         """The raw channels, each on its own clock: recording, source, domain, signal, unit, primary, stamp_ns, value."""
@@ -126,16 +139,17 @@ class Store:
 
         Raises:
             StoreError: no such dataset or version, or a manifest that is damaged.
+            SettingsError: a name that no dataset can have.
         """
         name, _, number = reference.partition("@")
-        versions = self.versions(name)
+        versions = self.versions(check_dataset_name(name))
         if not versions and not self._removed(name):
             names = [folder for folder in self.files.folders("datasets") if self.versions(folder)]
             where = f"workspace {self.workspace}"
             raise StoreError(where, f"no dataset {name!r}", nearest(name, names), "Run `sysid ingest`.")
-        if (number or not versions) and (not number.isdigit() or int(number) not in versions):
+        if (number or not versions) and (not is_number(number) or int(number) not in versions):
             listed = ", ".join(map(str, versions)) or "none is left"
-            if number.isdigit() and int(number) in self._removed(name):
+            if is_number(number) and int(number) in self._removed(name):
                 remedy = "Ingest the same logs again: they become a new version of the same content."
                 raise StoreError(f"dataset {name}", f"version {number} was removed by vacuum", f"one of: {listed}", remedy)
             raise StoreError(f"dataset {name}", f"no version {number!r}", f"one of: {listed}")
@@ -145,9 +159,13 @@ class Store:
         """:meth:`manifest` of a version that is there, or what vacuum left of one that was removed."""
         path = manifest_path(name, version, removed)
         try:
-            return from_text(self.files.read(path), path)
+            manifest = from_text(self.files.read(path), path)
         except FileNotFoundError:
             raise StoreError(path, "is gone", "a manifest", "It was removed by hand, or just now.") from None
+        if (manifest["name"], manifest["version"]) != (name, version):
+            found = f"the manifest of {shown(manifest['name'])}@{manifest['version']}"
+            raise StoreError(path, found, f"that of {name}@{version}", "It was copied or renamed by hand: move it back.")
+        return manifest
 
     def versions(self, name: str) -> Sequence[int]:
         """Numbers of the versions of ``name``, rising."""
@@ -312,4 +330,9 @@ def manifest_path(name: str, version: int, removed: bool = False) -> str:
 
 def _numbers(names: Sequence[str], ending: str) -> Sequence[int]:
     numbers = [name.removesuffix(ending) for name in names if name.endswith(ending)]
-    return sorted(int(number) for number in numbers if number.isdigit())
+    return sorted(int(number) for number in numbers if is_number(number))
+
+
+def is_number(text: str) -> bool:
+    """Whether ``text`` is that of a version; ``²`` is a digit too, and Python converts no more than 4300 of them."""
+    return text.isascii() and text.isdigit() and len(text) < 10

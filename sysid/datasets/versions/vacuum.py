@@ -11,8 +11,9 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
 from sysid.datasets.versions.files import explained
-from sysid.datasets.versions.store import Store, manifest_path
+from sysid.datasets.versions.store import Store, is_number, manifest_path
 from sysid.errors import SettingsError, StoreError, nearest
+from sysid.names import is_dataset_name
 
 #: Tables without a manifest may be those of a writer at work where nothing is locked: they are left alone for so long [s].
 YOUNG_S = 24 * 3600.0
@@ -69,7 +70,7 @@ def vacuum(
     """
     if keep is not None and keep < 1:
         raise SettingsError("keep", str(keep), "at least 1", "Name versions to remove all of a dataset.")
-    there = store.files.folders("datasets")
+    there = [name for name in store.files.folders("datasets") if is_dataset_name(name)]
     wanted: dict[str, set[int]] = {}
     for reference in references:
         name, _, number = reference.partition("@")
@@ -77,11 +78,11 @@ def vacuum(
             raise StoreError(f"workspace {store.workspace}", f"no dataset {name!r}", nearest(name, there))
         wanted.setdefault(name, set())
         if number:
-            if not number.isdigit() or int(number) not in store.versions(name):
+            if not is_number(number) or int(number) not in store.versions(name):
                 store.manifest(reference)  # says what there is
             wanted[name].add(int(number))
     removed: list[Removed] = []
-    kept: list[AcceptedEffect] = []
+    kept = _links(store, "datasets") if not wanted else []
     for name in sorted(wanted) or there:
         with store.files.lock(f"datasets/{name}"):
             some, others = _one(store, name, wanted.get(name, set()), users, keep, dry_run)
@@ -95,7 +96,7 @@ def _one(
 ) -> tuple[list[Removed], list[AcceptedEffect]]:
     """One dataset, whose lock is held."""
     versions = store.versions(name)
-    kept: list[AcceptedEffect] = []
+    kept = [item for folder in ("", "/data", "/versions") for item in _links(store, f"datasets/{name}{folder}")]
     going = []
     folders: dict[int, frozenset[str] | None] = {}
     for version in versions:
@@ -142,6 +143,11 @@ def _one(
             for path in (*(f"{data}/{folder}" for folder in loose), *drafts):
                 store.files.remove(path)
     return removed, kept
+
+
+def _links(store: Store, folder: str) -> list[AcceptedEffect]:
+    """Links, which nothing of this project makes: neither followed nor removed."""
+    return [AcceptedEffect(f"{folder}/{name}", "is a link, which is not followed") for name in store.files.links(folder)]
 
 
 def _read(store: Store, name: str, version: int) -> tuple[str, frozenset[str] | None]:

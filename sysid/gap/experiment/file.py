@@ -22,6 +22,7 @@ from sysid.errors import SettingsError, nearest
 from sysid.files import plain, written_whole
 from sysid.gap.experiment.experiment import Experiment, Purpose, command_columns, outside
 from sysid.machine import Machine
+from sysid.names import check_file_name
 
 
 @dataclass(frozen=True)
@@ -51,6 +52,7 @@ class _File:
 def write_experiment(folder: Path, experiment: Experiment) -> Path:
     """Write ``NAME.csv`` and then ``NAME.toml`` into ``folder``, each whole or not at all; returns the path of the latter."""
     folder.mkdir(parents=True, exist_ok=True)
+    check_file_name(experiment.name, "experiment")
     text = io.StringIO()
     experiment.commands.to_csv(text, index=False, float_format="%.9g", lineterminator="\n")
     content = text.getvalue().encode()
@@ -73,6 +75,7 @@ def read_experiment(path: Path, machine: Machine | None = None) -> Experiment:
             or beyond their limits; or another machine's experiment.
     """
     file = load_settings(path, _File)
+    check_file_name(file.name, f"{path}: name")
     where = inside(path.parent, file.commands, f"{path}: commands")
     if not where.is_file():
         raise SettingsError(f"{path}: commands", f"no such file {file.commands!r}", "the CSV file beside it")

@@ -1,0 +1,99 @@
+"""TOML and JSON from files, in bounds: depth, size of numbers, text that UTF-8 has; whatever is beyond them is a ValueError.
+
+The parsers of the standard library end with RecursionError at some depths and go through at others, after which the next
+walk over the values ends with it; they take integers that no float holds, and halves of surrogate pairs that cannot be
+written again.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import stat
+import tomllib
+from pathlib import Path
+from typing import Any
+
+#: Nested tables and lists; nothing that the project writes or reads goes beyond 12.
+MOST_DEPTH = 64
+#: Bytes of a settings file, its text or a description; the largest URDF of the ROS drivers has 100 kB.
+MOST_BYTES = 8 * 2**20
+_LARGEST = 2**63
+
+#: A dotted key makes a table for every dot, and tomllib's time grows with their square.
+_DOTTED = re.compile(r"""(?<![\w-])(?:(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')[ \t]*+\.[ \t]*+){64}""")
+
+
+def parse_json(content: str | bytes) -> Any:
+    """The value of a JSON text.
+
+    Raises:
+        ValueError: not JSON, or beyond the bounds.
+    """
+    try:
+        return _bounded(json.loads(content))
+    except RecursionError:
+        raise _too_deep() from None
+
+
+def parse_toml(text: str) -> dict[str, Any]:
+    """The tables of a TOML text.
+
+    Raises:
+        ValueError: not TOML, or beyond the bounds.
+    """
+    if _DOTTED.search(text):
+        raise _too_deep()
+    try:
+        values: dict[str, Any] = _bounded(tomllib.loads(text))
+    except RecursionError:
+        raise _too_deep() from None
+    return values
+
+
+def read_text(path: Path, most: int = MOST_BYTES) -> str:
+    """A text file that a person named, in UTF-8.
+
+    Raises:
+        ValueError: not UTF-8, larger than ``most``, or no regular file (a device, a pipe).
+        OSError: missing, or not readable.
+    """
+    # Not to wait for whoever writes to a pipe.
+    with os.fdopen(os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC), "rb") as file:
+        state = os.fstat(file.fileno())
+        if stat.S_ISDIR(state.st_mode):
+            raise IsADirectoryError(21, "is a folder", str(path))
+        if not stat.S_ISREG(state.st_mode):
+            raise ValueError("no regular file")
+        content = file.read(most + 1)
+    if len(content) > most:
+        raise ValueError(f"more than {most} bytes")
+    try:
+        return content.decode("utf-8")
+    except UnicodeDecodeError as error:
+        raise ValueError(f"not UTF-8 text ({error.reason})") from None
+
+
+def _bounded(value: Any) -> Any:
+    """``value`` unless something in it is beyond the bounds; walked without recursion."""
+    level = [value]
+    for _ in range(MOST_DEPTH + 1):
+        below: list[Any] = []
+        for item in level:
+            if isinstance(item, dict):
+                below += [*item, *item.values()]
+            elif isinstance(item, list):
+                below += item
+            elif isinstance(item, int) and not -_LARGEST <= item < 2 * _LARGEST:
+                raise ValueError(f"an integer of {item.bit_length()} bits, where 64 are the most")
+            elif isinstance(item, str) and not item.isascii():
+                item.encode("utf-8")  # raises UnicodeEncodeError, a ValueError, at half a surrogate pair
+        if not below:
+            return value
+        level = below
+    raise _too_deep()
+
+
+def _too_deep() -> ValueError:
+    return ValueError(f"nested deeper than {MOST_DEPTH} levels")

@@ -1,0 +1,58 @@
+"""Some hundred damaged inputs of each target of ``make fuzz``, the same in every run; more of them by that command."""
+
+from __future__ import annotations
+
+import random
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "fuzz"))
+from targets import TARGETS, forget
+
+#: Tokens that stand where a value of a file stood.
+TOKENS = (
+    b"nan", b"-inf", b"1e400", b"1" * 400, b"-1", b"0", b'"../../x"', b'"\\u001b[31m"', b'"\\ud800"', b"[" * 500, b"{}", b"[]",
+    b"null", b"''", b"\xff\xfe", b"\0", b"'", b'"', b"\n", b"= =", b"..", b"/", b"</robot>", b"<robot>" * 80, "\u202e".encode(),
+)  # fmt: skip
+#: Inputs of each target; a workspace takes ten times as long as a text.
+COUNT = {"workspace": 20, "machine": 120, "urdf": 120, "recipe": 80}
+
+
+@pytest.fixture(autouse=True, scope="module")
+def nothing_stays() -> Iterator[None]:
+    yield
+    forget()
+
+
+def damaged(seed: bytes, rng: random.Random) -> bytes:
+    content = bytearray(seed)
+    for _ in range(rng.choice((1, 1, 2, 5))):
+        at = rng.randrange(len(content) + 1)
+        kind = rng.randrange(4)
+        if kind == 0:
+            del content[at : at + rng.choice((1, 4, 40))]
+        elif kind == 1:
+            content[at:at] = rng.choice(TOKENS)
+        elif kind == 2:  # the value from here to the next separator
+            ends = [content.find(end, at) for end in (b",", b"\n", b" ", b'"')]
+            content[at : min((end for end in ends if end >= 0), default=at)] = rng.choice(TOKENS)
+        elif content:
+            content[at % len(content)] = rng.randrange(256)
+    return bytes(content)
+
+
+@pytest.mark.parametrize("name", TARGETS)
+def test_damaged_inputs_raise_nothing_but_our_errors(name: str) -> None:
+    target, rng = TARGETS[name], random.Random(name)
+    seeds = target.seeds()
+    for seed in seeds:
+        target.run(seed)
+    for number in range(COUNT.get(name, 300)):
+        data = damaged(rng.choice(seeds), rng)
+        try:
+            target.run(data)
+        except BaseException as error:
+            raise AssertionError(f"{name}, input {number}: {data[:2000]!r}") from error
