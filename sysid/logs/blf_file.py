@@ -48,7 +48,7 @@ def most_frames(path: Path, budget: Budget) -> int:
 
 
 def _unpacked(path: Path, body: bytes, budget: Budget) -> bytes:
-    method, stated = _CONTAINER.unpack_from(body)
+    method, _ = _CONTAINER.unpack_from(body)
     packed = body[_CONTAINER.size :]
     if method != _ZLIB:
         return packed
@@ -57,8 +57,7 @@ def _unpacked(path: Path, body: bytes, budget: Budget) -> bytes:
         data = unpacker.decompress(packed, budget.chunk + 1)
     except zlib.error:
         return b""  # what cannot be unpacked is reported where the frames are read
-    # The library asks for as many bytes as are stated before it unpacks them.
-    reason = budget.too_large(len(packed), max(stated, len(data)))
+    reason = budget.too_large(len(packed), len(data))
     if reason:
         raise InputError(path, f"a container that {reason}", "a log", "The file is damaged or made to do harm.")
     return data

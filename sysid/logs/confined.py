@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import contextlib
 import ctypes
+import faulthandler
 import json
 import os
 import resource
@@ -142,14 +143,16 @@ def _confine(budget: Budget) -> None:
 
         pa.set_memory_pool(pa.system_memory_pool())  # others reserve a gigabyte of address space at once
     taken = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
+    faulthandler.disable()  # what a crash is called is said by the parent
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
-    for what, limit in (
-        (resource.RLIMIT_AS, taken + budget.memory + _RESERVED),
-        (resource.RLIMIT_CPU, max(1, round(budget.seconds))),
+    seconds = max(1, round(budget.seconds))
+    for what, soft, limit in (
+        (resource.RLIMIT_AS, taken + budget.memory + _RESERVED, taken + budget.memory + _RESERVED),
+        (resource.RLIMIT_CPU, seconds, seconds + 5),  # SIGXCPU at the first, SIGKILL at the second
     ):
         hard = resource.getrlimit(what)[1]
         most = limit if hard == resource.RLIM_INFINITY else min(limit, hard)
-        resource.setrlimit(what, (most, most))
+        resource.setrlimit(what, (min(soft, most), most))
 
 
 def _send(inlet: int, kind: bytes, value: Any) -> None:

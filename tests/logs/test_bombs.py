@@ -27,7 +27,7 @@ def test_a_packed_variable_of_matlab(tmp_path: Path) -> None:
     matrix = struct.pack("<II", 14, len(head + names + inner)) + head + names + inner
     bomb = zlib.compress(matrix, 9)
     path.write_bytes(path.read_bytes()[:128] + struct.pack("<II", 15, len(bomb)) + bomb)
-    with pytest.raises(InputError, match=r"packed\.mat: .*variables that unpack to more than 16 MiB"):
+    with pytest.raises(InputError, match=r"packed\.mat: .*variables that unpack to more than \d+ MiB"):
         reader_for(path).read(path, ReadOptions())
 
 
