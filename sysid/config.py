@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+import re
 import tomllib
 import types
 import typing
@@ -20,22 +21,49 @@ T = TypeVar("T")
 STRICT = ConfigDict(extra="forbid", strict=False, arbitrary_types_allowed=True)
 
 
+#: Settings are written by hand. The parser keeps every beginning of a dotted key: a long one takes memory by its square.
+_MAX_TOML, _MAX_PARTS = 2**20, 32
+#: Words, texts and single signs: what a line of TOML is made of.
+_TOKEN = re.compile(r"[\w-]+|\"[^\"\n]*\"|'[^'\n]*'|\S")
+
+
 def read_toml(path: Path) -> dict[str, Any]:
     """Parse a TOML file into a dictionary.
 
     Raises:
-        SettingsError: the file is missing, is not UTF-8 or is not TOML.
+        SettingsError: the file is missing, no file, too large, nested too deep, is not UTF-8 or is not TOML.
     """
     try:
-        return tomllib.loads(path.read_text("utf-8"))
+        if path.exists() and not path.is_file():  # a pipe would be waited for
+            raise SettingsError(path, "is a folder" if path.is_dir() else "is no file", "a TOML file")
+        if path.exists() and path.stat().st_size > _MAX_TOML:
+            found = f"{path.stat().st_size / 2**20:.1f} MiB"
+            raise SettingsError(path, found, f"a TOML file of at most {_MAX_TOML // 2**20} MiB", "Is it the right file?")
+        text = path.read_text("utf-8")
+        if _longest_key(text) > _MAX_PARTS:
+            raise SettingsError(path, f"a key of more than {_MAX_PARTS} parts", "the keys of the documentation")
+        return tomllib.loads(text)
+    except RecursionError:
+        raise SettingsError(path, "values nested too deep", "a TOML file as a person writes it") from None
     except FileNotFoundError:
         raise SettingsError(path, "no such file", "a TOML file", "Check the path.") from None
-    except IsADirectoryError:
-        raise SettingsError(path, "is a folder", "a TOML file") from None
     except UnicodeDecodeError as error:
         raise SettingsError(path, f"not UTF-8 text ({error.reason})", "a TOML file") from None
     except tomllib.TOMLDecodeError as error:
         raise SettingsError(path, f"not valid TOML: {error}") from None
+
+
+def _longest_key(text: str) -> int:
+    """Parts of the longest dotted key in TOML; a text with as many words between dots counts, too."""
+    longest = parts = 0
+    before = ""
+    for match in _TOKEN.finditer(text):
+        token = match[0]
+        if token != ".":
+            parts = parts + 1 if before == "." else 1
+            longest = max(longest, parts)
+        before = token
+    return longest
 
 
 def load_settings(path: Path, cls: type[T]) -> T:

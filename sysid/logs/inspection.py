@@ -110,14 +110,16 @@ def inspect_file(path: Path, reader: str | None = None, dbc: Path | None = None)
     size = path.stat().st_size
     try:
         budget = ReadOptions(dbc=dbc).budget_of(path, "a log file", None)
-        return confined(lambda report: _inspected(path, size, chosen, dbc), path, budget, _SUMMARIES)
+        return confined(lambda report: inspect_here(path, chosen, dbc), path, budget, _SUMMARIES)
     except InputError as error:
         return FileSummary(path, chosen.name, size, refusal=str(error))
     except PermissionError:
         return FileSummary(path, chosen.name, size, refusal=f"{path}: may not be read (permission denied)")
 
 
-def _inspected(path: Path, size: int, chosen: LogReader, dbc: Path | None) -> FileSummary:
+def inspect_here(path: Path, chosen: LogReader, dbc: Path | None = None) -> FileSummary:
+    """:func:`inspect_file` by the reader ``chosen`` in this process: what a library does to it, a file can do to this one."""
+    size = path.stat().st_size
     stated: dict[str, str] = {}
     try:
         stated = _unstated(path, chosen)

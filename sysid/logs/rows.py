@@ -13,10 +13,9 @@ import numpy.typing as npt
 
 from sysid.errors import InputError
 from sysid.logs.layout import MAX_ELEMENTS, NAME_FIELDS, Bytes
+from sysid.logs.limits import MAX_DEPTH
 from sysid.logs.pieces import STAMP_FIELDS, Pieces
 
-#: Objects inside of objects; deeper ones are not signals but traps.
-MAX_DEPTH = 32
 #: Messages whose numbers are Python objects at the same time.
 _BATCH = 4096
 #: Values of one JSON message, and bytes of one protobuf message: as objects they take many times that.
