@@ -138,10 +138,11 @@ def _confine(budget: Budget) -> None:
     nowhere = os.open(os.devnull, os.O_RDWR)
     for stream in (0, 1, 2):
         os.dup2(nowhere, stream)
+    os.environ["ARROW_DEFAULT_MEMORY_POOL"] = "system"  # others reserve a gigabyte of address space at once
     if "pyarrow" in sys.modules:
         import pyarrow as pa
 
-        pa.set_memory_pool(pa.system_memory_pool())  # others reserve a gigabyte of address space at once
+        pa.set_memory_pool(pa.system_memory_pool())
     taken = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
     faulthandler.disable()  # what a crash is called is said by the parent
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
