@@ -36,8 +36,8 @@ T = TypeVar("T")
 
 #: Address space beyond the budget: room that threads and allocators reserve without using it.
 _RESERVED = 256 * 2**20
-#: Who waits longer than so many times the processor's seconds waits for something that does not come.
-_WAITING = 4.0
+#: Who waits longer than so many times the processor's seconds waits for something that does not come; a busy machine is slow.
+_WAITING = 40.0
 #: A message: its kind (progress, result, error) and the length of its text.
 _HEAD = struct.Struct("<cQ")
 _DIE_WITH_PARENT = 1  # PR_SET_PDEATHSIG
