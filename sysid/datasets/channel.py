@@ -75,7 +75,12 @@ def convert(stream: Stream, mapping: SignalMap, signal: str, machine: Machine) -
     raw = stream.columns[mapping.field]
     if len(raw) and not np.isfinite(raw).any():
         raise InputError(where, f"field {mapping.field!r} holds no number", "measured values", "Correct the recipe's field.")
-    return mapping.sign * mapping.scale * (raw - mapping.zero) / mapping.span * factor + mapping.offset, unit
+    values = raw - mapping.zero  # the one array that is made: a signal may take a large part of the memory
+    values *= mapping.sign * mapping.scale
+    values /= mapping.span
+    values *= factor
+    values += mapping.offset
+    return values, unit
 
 
 def _unit(unit: str | None, signal: str, machine: Machine, where: str) -> tuple[float, str]:
@@ -108,6 +113,8 @@ def in_order(stamps: npt.NDArray[np.int64], where: str) -> tuple[npt.NDArray[np.
         InputError: too many steps back in time, or one too large, to be late messages; the clock was set back.
     """
     steps = np.diff(stamps)
+    if not len(steps) or steps.min() > 0:
+        return np.arange(len(stamps)), 0
     back = np.flatnonzero(steps < 0)
     if len(back) > max(1.0, MAX_BACKWARD_SHARE * len(stamps)) or (len(back) and steps.min() < -MAX_BACKWARD_S * 1e9):
         row = int(back[0]) + 2

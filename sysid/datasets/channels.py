@@ -22,7 +22,9 @@ from sysid.datasets.frames.rigid import POSE_FIELDS, mean_pose
 from sysid.datasets.recipe import SignalMap, StreamMap
 from sysid.errors import InputError, SettingsError, nearest
 from sysid.logs import ReadOptions, Stream, reader_for, reader_named
+from sysid.logs.confined import read_confined
 from sysid.machine import Machine
+from sysid.progress import Progress, part, silent
 
 #: (recording, glob of the recipe's entry) → body → its mount on its link.
 Mounts = Mapping[tuple[str, str], Mapping[str, npt.NDArray[np.float64]]]
@@ -65,8 +67,8 @@ def survey_mounts(found: Sequence[RecordingFiles], machine: Machine) -> Mounts:
     return mounts
 
 
-def read_channels(files: RecordingFiles, machine: Machine, mounts: Mounts) -> Reading:
-    """All mapped signals of a recording.
+def read_channels(files: RecordingFiles, machine: Machine, mounts: Mounts, progress: Progress = silent) -> Reading:
+    """All mapped signals of a recording. ``progress``: called with the share of its bytes that have been read.
 
     Raises:
         InputError: a file that cannot be read, a field or topic that is not there, a wrong unit, stamps that go back.
@@ -74,8 +76,11 @@ def read_channels(files: RecordingFiles, machine: Machine, mounts: Mounts) -> Re
     channels: list[Channel] = []
     losses: dict[str, tuple[str, ...]] = {}
     flags: list[Dropped] = []
-    for path, mapping in files.streams:
-        streams = read_streams(path, mapping)
+    shares = _shares(files)
+    for (path, mapping), (begin, end) in zip(files.streams, shares, strict=True):
+        own = part(progress, begin, end)
+        streams = read_streams(path, mapping, progress=own)
+        own(1.0, f"reading {path.name}")
         said = (*losses.get(path.name, ()), *(loss for stream in streams for loss in stream.losses))
         losses[path.name] = tuple(dict.fromkeys(said))
         if mapping is None:
@@ -119,13 +124,26 @@ def _captured(
     return channels, dropped
 
 
-def read_streams(path: Path, mapping: StreamMap | None, seconds: float | None = None) -> tuple[Stream, ...]:
+def _shares(files: RecordingFiles) -> list[tuple[float, float]]:
+    """Where each file's stretch of the recording's bytes begins and ends, 0 to 1."""
+    sizes = [max(1, path.stat().st_size) for path, _ in files.streams]
+    ends = np.cumsum([0, *sizes]) / sum(sizes) if sizes else np.zeros(1)
+    return list(pairwise(ends.tolist()))
+
+
+def read_streams(
+    path: Path, mapping: StreamMap | None, seconds: float | None = None, progress: Progress = silent
+) -> tuple[Stream, ...]:
     """The streams of a file that its mapping names, and the rigid bodies that it makes of markers; all without a mapping.
 
     ``seconds``: what comes later after the first stamp is not needed.
     """
+
+    def report(share: float) -> None:
+        progress(share, f"reading {path.name}")
+
     if mapping is None:
-        return reader_for(path).read(path, ReadOptions())
+        return read_confined(reader_for(path), path, ReadOptions(progress=report))
     reader = reader_named(mapping.reader, path) if mapping.reader is not None else reader_for(path)
     wanted = {signal.topic for signal in mapping.signals.values() if signal.topic is not None}
     tracked = {*mapping.bodies, *(point.body or point.marker or "" for point in mapping.points.values())}
@@ -141,6 +159,7 @@ def read_streams(path: Path, mapping: StreamMap | None, seconds: float | None = 
     options = ReadOptions(
         streams=frozenset(wanted) if wanted else None,
         fields={topic: frozenset(own) for topic, own in fields.items()} if fields else None,
+        columns=frozenset(signal.field for signal in mapping.signals.values()) if mapping.signals else None,
         seconds=seconds,
         time=mapping.time,
         time_unit=mapping.time_unit,
@@ -148,8 +167,9 @@ def read_streams(path: Path, mapping: StreamMap | None, seconds: float | None = 
         length_unit=mapping.length_unit,
         rotation=mapping.rotation,
         dbc=Path(mapping.dbc) if mapping.dbc is not None else None,
+        progress=report,
     )
-    streams = with_stamps_carried_on(reader.read(path, options), mapping.clock, mapping.domain == "machine")
+    streams = with_stamps_carried_on(read_confined(reader, path, options), mapping.clock, mapping.domain == "machine")
     return with_marker_sets(streams, mapping)
 
 
@@ -188,8 +208,8 @@ def _channel(
         signal=signal,
         source=path.name,
         domain=mapping.domain,
-        stamps=stream.stamps[clock][order],
-        values=values[order],
+        stamps=stream.stamps[clock][order] if repaired else stream.stamps[clock],  # of all signals of a stream in one place
+        values=values[order] if repaired else values,
         unit=unit,
         primary=primary,
         interpolation=mapping.interpolation,
@@ -248,6 +268,8 @@ def joined(channels: Sequence[Channel], where: object) -> dict[str, list[Channel
 
 def concatenate(parts: Sequence[Channel]) -> Channel:
     """Consecutive parts of one signal as one channel."""
+    if len(parts) == 1:
+        return parts[0]
     return replace(
         parts[0],
         stamps=np.concatenate([part.stamps for part in parts]),

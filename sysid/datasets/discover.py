@@ -12,6 +12,7 @@ from sysid.config import inside
 from sysid.datasets.recipe import Recipe, Recordings, StreamMap
 from sysid.datasets.recording import Kind
 from sysid.errors import InputError, SettingsError, nearest
+from sysid.logs.limits import check_file
 from sysid.logs.readers import is_log, reader_for
 from sysid.names import check_file_name
 
@@ -120,6 +121,8 @@ def _in_path(path: Path, recipe: Recipe | None) -> list[RecordingFiles]:
         home = path.resolve().parent  # who names a link means the file
         streams = _matched([path], home, recipe)
         return [RecordingFiles(path.stem, _kind(path.stem, recordings, path), home, streams)]
+    if not path.is_dir():
+        check_file(path, "a log file or a folder of recordings")  # a pipe or a device
     folders = sorted(entry for entry in path.iterdir() if entry.is_dir() and not entry.name.startswith("."))
     result = []
     for folder in folders:

@@ -7,6 +7,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+import numpy.typing as npt
 import pandas as pd
 
 from sysid.datasets.channel import Channel
@@ -27,10 +29,12 @@ from sysid.datasets.versions.store import Store
 from sysid.errors import InputError
 from sysid.machine import Machine
 from sysid.names import check_dataset_name
-from sysid.progress import Progress, silent
+from sysid.progress import Progress, part, silent
 
 #: A recording with more rows on the grid than this is a mistake in its stamps (a day at 1 kHz has 86 million).
 MAX_ROWS = 10**8
+#: Where reading and resampling begin and end, and storing begins, as shares of the time that a large log on one clock takes.
+_READ, _RESAMPLED, _STORED = (0.02, 0.3), (0.38, 0.42), 0.8
 
 
 def ingest(
@@ -88,7 +92,7 @@ def _ingest(
     settings = rules if rules is not None else Recipe(schema=1)
     parts, roles = split(walked.recordings, settings.splits, plan.where)
     dataset = walked.dataset(title, digest, description, parts, roles, sources)
-    report(0.95, "storing")
+    report(_STORED, "storing")
     saved = store.save(dataset, walked.channels, walked.made)
     report(1.0, f"stored {saved.reference}")
     return saved
@@ -157,19 +161,23 @@ def walk(
     """
     settings = plan.rules if plan.rules is not None else Recipe(schema=1)
     readings: dict[str, Reading] = {}
-    for number, files in enumerate(found):
-        report(0.05 + 0.35 * number / len(found), f"reading {files.name}")
-        readings[files.name] = read_channels(files, plan.machine, mounts)
+    sizes = [sum(size for size, _ in files.written.values()) for files in found]
+    before = 0
+    for size, files in zip(sizes, found, strict=True):
+        begin, end = (_READ[0] + (_READ[1] - _READ[0]) * done / max(1, sum(sizes)) for done in (before, before + size))
+        report(begin, f"reading {files.name}")
+        readings[files.name] = read_channels(files, plan.machine, mounts, part(report, begin, end))
         files.check_unchanged()
+        before += size
     clocked = tuple(Clocked(files.name, files.kind, readings[files.name].channels) for files in found)
-    report(0.4, "aligning clocks")
+    report(_READ[1], "aligning clocks")
     alignment = aligned(clocked, skews)
     clocks, clocked = alignment.records, _placed(clocked, alignment, settings.splits)
     recordings = []
     for number, recording in enumerate(clocked):
-        report(0.8 + 0.1 * number / len(found), f"resampling {recording.name}")
+        report(_RESAMPLED[0] + (_RESAMPLED[1] - _RESAMPLED[0]) * number / len(found), f"resampling {recording.name}")
         recordings.append(_recording(recording, by_source(clocks, recording.name), plan.machine, settings))
-    report(0.9, "judging what was recorded")
+    report(_RESAMPLED[1], "judging what was recorded")
     made = Made(
         INGEST_VERSION, plan.rules.text if plan.rules is not None else "", settings_of(plan), shared_mounts(found, mounts)
     )
@@ -204,13 +212,16 @@ def _recording(recording: Clocked, records: Mapping[str, Sequence[ClockRecord]],
     where = f"recording {recording.name}"
     signals = {name: concatenate(parts) for name, parts in joined(recording.channels, where).items()}
     signals = {name: signals[name] for name in machine.signals if name in signals}
-    times = {name: machine_times(channel, start, records.get(channel.source)) for name, channel in signals.items()}
+
+    def times_of(channel: Channel) -> npt.NDArray[np.float64]:
+        return machine_times(channel, start, records.get(channel.source))
+
     if recording.kind == "poses":
         sensors = [c for c in recording.machine if not c.signal.endswith(".command")]
         measured = {c.signal: (machine_times(c, start, None), c.values) for c in sensors}  # noqa: PD011
         phases = still_phases(measured, rules.still, where)
         slack = {name: max(map(_slack, records[c.source])) for name, c in signals.items() if c.source in records}
-        values = {n: (times[n], c.values) for n, c in signals.items() if not n.endswith(".command")}  # noqa: PD011
+        values = {n: (times_of(c), c.values) for n, c in signals.items() if not n.endswith(".command")}  # noqa: PD011
         return Recording(
             recording.name,
             pose_table(phases, values, slack, machine.noise, rules.still.tolerance),
@@ -226,8 +237,8 @@ def _recording(recording: Clocked, records: Mapping[str, Sequence[ClockRecord]],
     at = grid(start, end, machine.rate_hz)
     columns = {"time": at}
     for name, channel in signals.items():
-        columns[name] = resample(channel, times[name], at, machine.rate_hz, rules.hold_s)
-    return Recording(recording.name, pd.DataFrame(columns), machine.rate_hz, "motion", start)
+        columns[name] = resample(channel, times_of(channel), at, machine.rate_hz, rules.hold_s)
+    return Recording(recording.name, pd.DataFrame(columns, copy=False), machine.rate_hz, "motion", start)
 
 
 def _streams(recordings: Sequence[Clocked], tables: Sequence[Recording]) -> dict[str, tuple[str, ...]]:

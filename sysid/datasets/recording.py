@@ -50,8 +50,8 @@ class Recording:
 
     @functools.cached_property
     def _arrays(self) -> dict[str, npt.NDArray[np.float64]]:
-        """Columns as plain arrays: a fit asks for them thousands of times."""
-        arrays = {str(column): np.array(self.table[column], dtype=np.float64) for column in self.table.columns}
+        """Columns as plain arrays without a copy: a fit asks for them thousands of times."""
+        arrays = {str(column): self.table[column].to_numpy(dtype=np.float64).view() for column in self.table.columns}
         for values in arrays.values():
             values.setflags(write=False)
         return arrays

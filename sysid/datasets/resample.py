@@ -18,6 +18,8 @@ LATE_SHARE = 0.05
 FAST_RATIO = 1.3
 #: The source is first brought onto a grid this many times finer than its own: what interpolation adds lies where the filter is.
 OVERSAMPLING = 2
+#: Grid instants that are interpolated together: a long recording is several times as large while it is.
+_PIECE = 2**16
 #: By how much what the grid cannot show is suppressed [dB], and how long the filter takes to settle [grid periods]: after that
 #: less than 1e-6 of the energy of its answer is left.
 STOP_DB, SETTLE_PERIODS = 60.0, 16
@@ -43,10 +45,12 @@ def hold(times: Array, values: Array, at: Array, period: float, hold_s: float) -
     result = np.full(len(at), np.nan)
     if not len(times):
         return result
-    index = np.searchsorted(times, at + LATE_SHARE * period, side="right") - 1
-    found = index >= 0
-    found[found] = at[found] - times[index[found]] <= hold_s
-    result[found] = values[index[found]]
+    for begin in range(0, len(at), _PIECE):
+        some, part = at[begin : begin + _PIECE], result[begin : begin + _PIECE]
+        index = np.searchsorted(times, some + LATE_SHARE * period, side="right") - 1
+        found = index >= 0
+        found[found] = some[found] - times[index[found]] <= hold_s
+        part[found] = values[index[found]]
     return result
 
 
@@ -66,6 +70,16 @@ def interpolate(times: Array, values: Array, at: Array, max_gap_s: float, cubic:
     result = np.full(len(at), np.nan)
     if len(times) < 2:
         return result
+    gradients = slopes(times, values, max_gap_s) if cubic and len(times) > 2 else None
+    for begin in range(0, len(at), _PIECE):
+        piece = slice(begin, begin + _PIECE)
+        result[piece] = _between(times, values, gradients, at[piece], max_gap_s)
+    return result
+
+
+def _between(times: Array, values: Array, gradients: Array | None, at: Array, max_gap_s: float) -> Array:
+    """:func:`interpolate` without missing values; ``gradients``: slope at each sample for a cubic."""
+    result = np.full(len(at), np.nan)
     right = np.clip(np.searchsorted(times, at, side="right"), 1, len(times) - 1)
     left = right - 1
     step = times[right] - times[left]
@@ -74,8 +88,7 @@ def interpolate(times: Array, values: Array, at: Array, max_gap_s: float, cubic:
     inside = (at >= times[0] - slack) & (at <= times[-1] + slack)
     bridged = inside & (step <= max_gap_s + slack)
     s = np.clip((at - times[left]) / step, 0.0, 1.0)
-    if cubic and len(times) > 2:
-        gradients = slopes(times, values, max_gap_s)
+    if gradients is not None:
         h00, h10 = (1 + 2 * s) * (1 - s) ** 2, s * (1 - s) ** 2
         h01, h11 = s**2 * (3 - 2 * s), s**2 * (s - 1)
         between = h00 * values[left] + h10 * step * gradients[left] + h01 * values[right] + h11 * step * gradients[right]

@@ -12,7 +12,7 @@ import zlib
 from pathlib import Path
 
 from sysid.errors import InputError
-from sysid.logs.limits import MAX_CHUNK, too_large
+from sysid.logs.limits import Budget
 
 #: Headers of an object (signature, header size and version, size, type) and of a container (method, unpacked size).
 _OBJECT, _CONTAINER = struct.Struct("<4sHHLL"), struct.Struct("<H6xL4x")
@@ -21,7 +21,7 @@ _CONTAINER_TYPE, _ZLIB = 10, 2
 _SMALLEST, _LARGEST = 32, 16 * 2**20
 
 
-def most_frames(path: Path) -> int:
+def most_frames(path: Path, budget: Budget) -> int:
     """More frames than this are not in the file.
 
     Raises:
@@ -40,23 +40,24 @@ def most_frames(path: Path) -> int:
             file.read(size % 4)
             if signature != b"LOBJ" or kind != _CONTAINER_TYPE or len(body) < _CONTAINER.size:
                 continue
-            data = _unpacked(path, body)
+            data = _unpacked(path, body, budget)
             total += len(data)
+            budget.check_unpacked(path, total)
             rest = _without_objects(path, rest + data)
     return total // _SMALLEST
 
 
-def _unpacked(path: Path, body: bytes) -> bytes:
+def _unpacked(path: Path, body: bytes, budget: Budget) -> bytes:
     method, _ = _CONTAINER.unpack_from(body)
     packed = body[_CONTAINER.size :]
     if method != _ZLIB:
         return packed
     unpacker = zlib.decompressobj()
     try:
-        data = unpacker.decompress(packed, MAX_CHUNK + 1)
+        data = unpacker.decompress(packed, budget.chunk + 1)
     except zlib.error:
         return b""  # what cannot be unpacked is reported where the frames are read
-    reason = too_large(len(packed), len(data))
+    reason = budget.too_large(len(packed), len(data))
     if reason:
         raise InputError(path, f"a container that {reason}", "a log", "The file is damaged or made to do harm.")
     return data

@@ -33,7 +33,7 @@ class C3dReader:
     clocks: tuple[str, ...] = ("capture",)
 
     def read(self, path: Path, options: ReadOptions) -> tuple[Stream, ...]:
-        trial = read_c3d(path)
+        trial = read_c3d(path, options.budget_of(path, "a C3D file"))
         outputs = _model_outputs(trial)
         names = _names(trial.texts("POINT:LABELS"), trial.points.shape[1], "point")
         available = [*names, ANALOG] if trial.analog.size else names

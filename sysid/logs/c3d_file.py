@@ -21,7 +21,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sysid.errors import InputError
-from sysid.logs.limits import MAX_CELLS, check_whole
+from sysid.logs.limits import Budget
 
 Array = npt.NDArray[np.float64]
 
@@ -82,13 +82,12 @@ class _Coding:
         return np.asarray(np.ascontiguousarray(halves).view("<f4").ravel() / 4.0, dtype=np.float32)
 
 
-def read_c3d(path: Path) -> C3dFile:
+def read_c3d(path: Path, budget: Budget) -> C3dFile:
     """Read a whole file.
 
     Raises:
         InputError: no C3D file, sizes that do not fit the file, no frames.
     """
-    check_whole(path, "a C3D file")
     data = path.read_bytes()
     if len(data) < 2 * BLOCK or data[1] != 0x50:
         raise InputError(path, f"second byte {data[1:2].hex() or 'missing'}", "50 as in a C3D file of two blocks or more")
@@ -103,7 +102,7 @@ def read_c3d(path: Path) -> C3dFile:
     coding = _Coding(">" if processor == _MIPS else "<", processor == _DEC)
     end = min(section + max(data[section + 2], 1) * BLOCK, len(data))
     parameters = dict(_parameters(path, data[section:end], coding))
-    return _frames(path, data, coding, parameters)
+    return _frames(path, data, coding, parameters, budget)
 
 
 def _parameters(path: Path, data: bytes, coding: _Coding) -> Iterator[tuple[str, Any]]:
@@ -167,7 +166,7 @@ def _text(data: bytes) -> str:
         return data.decode("latin-1").strip(" \0")
 
 
-def _frames(path: Path, data: bytes, coding: _Coding, parameters: Mapping[str, Any]) -> C3dFile:
+def _frames(path: Path, data: bytes, coding: _Coding, parameters: Mapping[str, Any], budget: Budget) -> C3dFile:
     words = coding.integers(data[:24], "u2").astype(int)
     points, analog_words, first, last = (int(word) for word in words[1:5])
     samples = int(words[9])
@@ -195,8 +194,8 @@ def _frames(path: Path, data: bytes, coding: _Coding, parameters: Mapping[str, A
     count = min(stated, available)
     if count < 1:
         raise InputError(path, f"frames {first + 1} to {last}", "at least one frame", "Export the trial again.")
-    if count * (3 * points + analog_words) > MAX_CELLS:
-        raise InputError(path, f"{count} frames of {points} points", f"at most {MAX_CELLS} numbers", "Export it in parts.")
+    budget.check_topics(path, points, "points")
+    budget.check_numbers(path, count * (3 * points + analog_words))
     body = data[begin : begin + count * frame]
     table = (coding.floats(body) if scale < 0.0 else coding.integers(body)).reshape(count, -1)
     seen = table[:, : 4 * points].reshape(count, points, 4)

@@ -35,7 +35,7 @@ class CanReader:
     clocks: tuple[str, ...] = ("log",)
 
     def read(self, path: Path, options: ReadOptions) -> tuple[Stream, ...]:
-        return frame_streams(path, read_frames(path), options)
+        return frame_streams(path, read_frames(path, options.budget_of(path, "a CAN log")), options)
 
 
 def frame_streams(path: Path, log: FrameLog, options: ReadOptions) -> tuple[Stream, ...]:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import io
 import re
+from array import array
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -18,7 +19,7 @@ import numpy.typing as npt
 from sysid.errors import InputError
 from sysid.logs.blf_file import most_frames
 from sysid.logs.cut_off import cut_blf
-from sysid.logs.limits import check_whole
+from sysid.logs.limits import Budget
 from sysid.logs.table import CUT_ROW, to_ns
 
 if TYPE_CHECKING:
@@ -56,18 +57,21 @@ class FrameLog:
 
 @dataclass
 class _Collected:
-    seconds: list[float] = field(default_factory=list)
-    payloads: list[bytes] = field(default_factory=list)
+    seconds: array[float] = field(default_factory=lambda: array("d"))
+    lengths: array[int] = field(default_factory=lambda: array("L"))
+    payloads: bytearray = field(default_factory=bytearray)
 
-    def frames(self, start_ns: int, where: str) -> Frames:
-        lengths = np.fromiter(map(len, self.payloads), np.int64, len(self.payloads))
+    def frames(self, start_ns: int, where: str, budget: Budget) -> Frames:
+        lengths = np.array(self.lengths, dtype=np.int64)
         width = int(lengths.max(initial=0))
-        data = np.frombuffer(b"".join(payload.ljust(width, b"\0") for payload in self.payloads), np.uint8)
+        budget.check_numbers(where, len(lengths) * width)
+        data = np.zeros((len(lengths), width), np.uint8)
+        data[np.arange(width) < lengths[:, None]] = np.frombuffer(self.payloads, np.uint8)
         stamps = to_ns(np.array(self.seconds), 1.0, where) + start_ns
-        return Frames(stamps, data.reshape(len(self.payloads), width), lengths)
+        return Frames(stamps, data, lengths)
 
 
-def read_frames(path: Path) -> FrameLog:
+def read_frames(path: Path, budget: Budget) -> FrameLog:
     """All data frames of a BLF, ASC, TRC (PEAK) or candump file. A damaged file gives what comes before the damage.
 
     Raises:
@@ -76,14 +80,13 @@ def read_frames(path: Path) -> FrameLog:
     suffix = path.suffix.lower()
     if suffix not in _OPENERS:
         raise InputError(path, f"suffix {path.suffix!r}", f"a CAN log with one of {', '.join(sorted(_OPENERS))}")
-    check_whole(path, "a CAN log")
-    return _OPENERS[suffix](path)
+    return _OPENERS[suffix](path, budget)
 
 
-def _read_blf(path: Path) -> FrameLog:
+def _read_blf(path: Path, budget: Budget) -> FrameLog:
     from can import BLFReader
 
-    limit = most_frames(path)
+    limit = most_frames(path, budget)
     with _opened(path, BLFReader) as reader:
         # Stamps count from the start of the measurement: added as an integer, they keep their nanoseconds.
         start_ns = round(reader.start_timestamp * 1e3) * 1_000_000
@@ -91,12 +94,12 @@ def _read_blf(path: Path) -> FrameLog:
             remedy = "The file is damaged."
             raise InputError(path, f"a start {reader.start_timestamp:.3g} s from 1970", "a date of this century", remedy)
         reader.start_timestamp = 0.0
-        log = _collect(path, reader, start_ns, limit)
+        log = _collect(path, reader, budget, start_ns, limit)
         log.losses += cut_blf(path)
         return log
 
 
-def _read_asc(path: Path) -> FrameLog:
+def _read_asc(path: Path, budget: Budget) -> FrameLog:
     from can import ASCReader
 
     with path.open(encoding="utf-8", errors="replace") as file:
@@ -108,13 +111,13 @@ def _read_asc(path: Path) -> FrameLog:
                 )
     # The file's date has no time zone, so stamps are counted from the start of the measurement.
     with _opened(path, ASCReader, text=True) as reader:
-        log = _collect(path, reader)
+        log = _collect(path, reader, budget)
         if not log.frames and not log.errors and not log.remotes and reader.date is None:
             raise InputError(path, "neither a date line nor a frame", "a Vector ASC log")
         return log
 
 
-def _read_trc(path: Path) -> FrameLog:
+def _read_trc(path: Path, budget: Budget) -> FrameLog:
     from can import TRCReader
 
     with path.open("rb") as file:
@@ -122,17 +125,17 @@ def _read_trc(path: Path) -> FrameLog:
     if not head.startswith(b";"):
         raise InputError(path, f"starts with {head[:16].decode('latin-1')!r}", "';' as in a PEAK trace", "Is it a marker file?")
     with _opened(path, TRCReader, text=True) as reader:
-        return _collect(path, reader)
+        return _collect(path, reader, budget)
 
 
-def _read_candump(path: Path) -> FrameLog:
+def _read_candump(path: Path, budget: Budget) -> FrameLog:
     from can import CanutilsLogReader
 
     with _opened(path, CanutilsLogReader, text=True) as reader:
-        return _collect(path, reader)
+        return _collect(path, reader, budget)
 
 
-_OPENERS: dict[str, Callable[[Path], FrameLog]] = {
+_OPENERS: dict[str, Callable[[Path, Budget], FrameLog]] = {
     ".blf": _read_blf,
     ".asc": _read_asc,
     ".trc": _read_trc,
@@ -169,7 +172,7 @@ def _opened(path: Path, reader: Callable[..., Any], text: bool = False) -> Any:
         raise InputError(path, _words(error), f"a {path.suffix[1:].upper()} log") from None
 
 
-def _collect(path: Path, messages: Iterable[Message], start_ns: int = 0, limit: int | None = None) -> FrameLog:
+def _collect(path: Path, messages: Iterable[Message], budget: Budget, start_ns: int = 0, limit: int | None = None) -> FrameLog:
     """Group ``messages``; more than ``limit`` of them cannot be in a file of that size."""
     groups: dict[Address, _Collected] = {}
     log = FrameLog()
@@ -186,6 +189,7 @@ def _collect(path: Path, messages: Iterable[Message], start_ns: int = 0, limit: 
         if message is None:
             break
         count += 1
+        budget.check_rows(path, count)
         if limit is not None and count > limit:
             raise InputError(path, f"more than {limit} frames", "no more than fit into the file", "The file is damaged.")
         if message.is_error_frame:
@@ -197,12 +201,14 @@ def _collect(path: Path, messages: Iterable[Message], start_ns: int = 0, limit: 
             address = (str(message.channel), identifier, message.is_extended_id or identifier > _LARGEST_STANDARD)
             group = groups.get(address)
             if group is None:
+                budget.check_topics(path, len(groups) + 1, "identifiers")
                 group = groups[address] = _Collected()
             group.seconds.append(message.timestamp)
-            group.payloads.append(bytes(message.data))
+            group.lengths.append(len(message.data))
+            group.payloads += message.data
     if isinstance(file := getattr(messages, "file", None), _WholeLines) and file.cut:
         log.losses.append(f"{path.name}: {CUT_ROW}")
-    log.frames = {address: group.frames(start_ns, str(path)) for address, group in groups.items()}
+    log.frames = {address: group.frames(start_ns, str(path), budget) for address, group in groups.items()}
     return log
 
 

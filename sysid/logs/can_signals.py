@@ -16,12 +16,14 @@ import numpy.typing as npt
 
 from sysid.errors import InputError
 from sysid.logs.can_frames import Frames
-from sysid.logs.limits import check_whole
+from sysid.logs.limits import check_file
 
 if TYPE_CHECKING:
     from cantools.database.can import Database, Message, Signal
 
 Array = npt.NDArray[np.float64]
+#: The largest databases have some megabytes; their parser takes a hundred times as much.
+_MAX_DATABASE = 16 * 2**20
 _FLOATS: dict[int, tuple[type[np.unsignedinteger], type[np.floating]]] = {
     16: (np.uint16, np.float16),
     32: (np.uint32, np.float32),
@@ -39,7 +41,7 @@ def load_database(path: Path) -> Database:
     from cantools.database.can import Database
     from cantools.database.errors import Error
 
-    check_whole(path, "a CAN database (DBC)", limit=64 * 2**20)
+    check_file(path, "a CAN database (DBC)", limit=_MAX_DATABASE)
     try:
         database = cantools.database.load_file(path, database_format="dbc", encoding="cp1252", strict=False)
     except (Error, ValueError, KeyError, IndexError, TypeError, AttributeError) as error:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from itertools import islice
 from pathlib import Path
 
@@ -13,7 +13,7 @@ import numpy.typing as npt
 import pandas as pd
 
 from sysid.errors import InputError, nearest
-from sysid.logs.reader import ReadOptions
+from sysid.logs.reader import ALL, ReadOptions
 from sysid.logs.table import CUT_ROW, without_line_end
 from sysid.units import si_factor
 
@@ -49,6 +49,7 @@ def number_rows(
     ragged: bool = False,
     stop: tuple[int, float] | None = None,
     columns: Sequence[int] | None = None,
+    options: ReadOptions = ALL,
 ) -> tuple[Array, tuple[str, ...]]:
     """Rows of numbers from physical line ``first`` (0 is the first line) on: (n, width), NaN in empty cells, and what was lost.
 
@@ -58,19 +59,24 @@ def number_rows(
         ragged: rows may be longer than the head; what lies beyond is reported as lost.
         stop: column of the result, and by how much it rises until the rest of the file may be left unread.
         columns: those of the file that the result has, in rising order; all of them where none are given.
+        options: what the file is read with.
 
     Raises:
-        InputError: a row that is longer than the head, where that is not expected.
+        InputError: a row that is longer than the head, where that is not expected; more numbers than are read.
     """
+    budget = options.budget_of(path, "a text export")
     cells = width + 1  # one more than the head has: it is empty in every row that fits
     if ragged:
         cells = max(cells, *(line.count(separator) + 1 for line in islice(text_lines(path, "text"), first, None)), 0)
+    budget.check_columns(path, cells - 1, "cells in a row")
     wanted = list(range(width) if columns is None else columns)
     losses: list[str] = []
-    parts: list[Array] = []
+    expected = _line_count(path) if count is None else count
+    budget.check_numbers(path, expected * len(wanted))
+    numbers = np.empty((expected, len(wanted)))  # rows that are not there take no memory
     rows = too_long = 0
     stopped = False
-    for piece in _pieces(path, first, separator, cells, count):
+    for piece in _pieces(path, first, separator, cells, count, options.progress):
         longer = np.flatnonzero(piece[list(range(width, cells))].notna().any(axis=1).to_numpy())
         if len(longer) and not ragged:
             where = f"{path}: row {rows + int(longer[0]) + 1} below the head"
@@ -80,29 +86,40 @@ def number_rows(
         table = piece[wanted]
         if not all(pd.api.types.is_numeric_dtype(kind) for kind in table.dtypes):
             table = table.apply(pd.to_numeric, errors="coerce")
-        parts.append(table.to_numpy(dtype=np.float64))
+        numbers[rows : rows + len(table)] = table.to_numpy(dtype=np.float64)
         rows += len(table)
-        stopped = stop is not None and parts[-1][-1, stop[0]] - parts[0][0, stop[0]] > stop[1]
+        stopped = stop is not None and numbers[rows - 1, stop[0]] - numbers[0, stop[0]] > stop[1]
         if stopped:
             break
     if too_long:
         losses.append(f"{path.name}: {too_long} rows are longer than the head; what has no name has been left out")
-    numbers = np.concatenate(parts) if parts else np.zeros((0, len(wanted)))
+    numbers = numbers[:rows]
     if whole and len(numbers) and not stopped and without_line_end(path):
         numbers = numbers[:-1]
         losses.append(f"{path.name}: {CUT_ROW}")
     return numbers, tuple(losses)
 
 
-def _pieces(path: Path, first: int, separator: str, cells: int, count: int | None) -> Iterator[pd.DataFrame]:
+def _line_count(path: Path) -> int:
+    """Lines of a text file; a line end within quotes counts, too."""
+    with path.open("rb") as file:
+        pieces = iter(lambda: file.read(2**20), b"")
+        return 1 + sum(piece.count(b"\n") + piece.count(b"\r") - piece.count(b"\r\n") for piece in pieces)
+
+
+def _pieces(
+    path: Path, first: int, separator: str, cells: int, count: int | None, progress: Callable[[float], None]
+) -> Iterator[pd.DataFrame]:
     """The rows, some thousands at a time: text takes several times the memory of its numbers."""
+    size = path.stat().st_size
     try:
-        with pd.read_csv(
-            path, sep=separator, header=None, skiprows=first, names=list(range(cells)), index_col=False,
+        with path.open("rb") as file, pd.read_csv(
+            file, sep=separator, header=None, skiprows=first, names=list(range(cells)), index_col=False,
             encoding="utf-8-sig", skip_blank_lines=count is None, low_memory=False, nrows=count,
             chunksize=max(1, _CELLS // cells),
         ) as pieces:  # fmt: skip
             while (piece := _next(pieces)) is not None and len(piece):
+                progress(min(1.0, file.tell() / size))
                 yield piece
     except pd.errors.EmptyDataError:
         return

@@ -33,18 +33,20 @@ class ColumnDecoder:
         wanted: fields to read besides the stamps; None for all.
         preview: read all fields of the first so many messages, and only the stamps of those after them.
         packed: as ROS 1 writes them.
+        cells: of the topic's table while nothing says which fields are wanted.
     """
 
     definition: Definition
     wanted: frozenset[str] | None = None
     preview: int | None = None
     packed: bool = False
+    cells: int = 2**28
     pieces: Pieces = field(init=False)
     reason: str = ""
     _layouts: dict[int, list[Layout]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        self.pieces = Pieces(self.wanted)
+        self.pieces = Pieces(self.wanted, self.cells)
         if self.wanted is not None:
             self.wanted |= self.definition.stamp_fields()
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import csv as csv_module
 import warnings
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -17,14 +17,17 @@ import pandas as pd
 
 from sysid.errors import InputError
 from sysid.logs.growing import Growing
-from sysid.logs.limits import MAX_CELLS, check_whole
-from sysid.logs.reader import ReadOptions
+from sysid.logs.limits import MAX_LINE, Budget
+from sysid.logs.reader import ALL, ReadOptions
 from sysid.logs.stream import Stream
-from sysid.logs.table import CUT_ROW, Columns, table_stream, without_line_end
+from sysid.logs.table import CUT_ROW, Columns, is_wanted, table_stream, without_line_end
 from sysid.units import split_header
 
-#: Cells that are parsed at a time.
-_CELLS = 2**20
+#: Cells that are parsed at a time, and lists.
+_CELLS, _LISTS = 2**20, 2**14
+
+
+_WHAT = "a CSV file with one header row"
 
 
 @dataclass(frozen=True)
@@ -36,32 +39,37 @@ class CsvReader:
     clocks: tuple[str, ...] = ("time",)
 
     def read(self, path: Path, options: ReadOptions) -> tuple[Stream, ...]:
-        columns, losses = self.columns(path)
-        return (table_stream(path, columns, options, losses),)
+        columns, losses = self.columns(path, options)
+        known = () if options.columns is None else _header(path, options.budget_of(path, _WHAT, None))[0]
+        return (table_stream(path, columns, options, losses, known=known),)
 
-    def columns(self, path: Path) -> tuple[Columns, tuple[str, ...]]:
-        """Header → numbers, in the order of the file, and what was lost."""
-        check_whole(path, "a CSV file with one header row")
-        headers, separator, skipped = _header(path)
-        cells = [_Cells() for _ in headers]
+    def columns(self, path: Path, options: ReadOptions = ALL) -> tuple[Columns, tuple[str, ...]]:
+        """Header → numbers of the columns that are wanted, in the order of the file, and what was lost."""
+        budget = options.budget_of(path, _WHAT, None)
+        headers, separator, skipped = _header(path, budget)
+        wanted = [i for i, header in enumerate(headers) if _is_read(header, options)]
+        cells = {i: _Cells(f"{path}: {headers[i]}", budget) for i in wanted}
         rows = 0
         losses = [f"{path.name}: {CUT_ROW}"] if without_line_end(path) else []
-        for table in _pieces(path, headers, separator, skipped):
+        for table in _pieces(path, len(headers), separator, skipped, options.progress):
             longer = np.flatnonzero(table[len(headers)].notna().to_numpy())
             if len(longer):
                 where, expected = f"{path}: row {rows + int(longer[0]) + 1} below the header", "as many cells as the header has"
                 raise InputError(where, f"more than {len(headers)} cells", expected, "Repair the row.")
-            for index, column in enumerate(cells):
+            for index, column in cells.items():
                 column.take(table[index])
             rows += len(table)
         columns: list[tuple[str, npt.NDArray[np.float64]]] = []
         if not rows:
             losses = []
-        for header, column in zip(headers, cells, strict=True):
+        for index, column in cells.items():
+            header = headers[index]
             if column.are_lists:
-                elements, lost = _elements(path, header, column.strings(rows))
-                columns += elements
-                losses += lost
+                name, unit = split_header(header)
+                suffix = "" if unit is None else f" [{unit}]"
+                columns += [(f"{name}[{i}]{suffix}", element.whole(rows)) for i, element in enumerate(column.elements)]
+                for element, count in sorted(column.damaged.items()):
+                    losses.append(f"{path.name}: column {name}[{element}]: {count} elements are not numbers")
                 continue
             numbers = column.numbers.whole(rows)
             if column.text and np.isnan(numbers).all():
@@ -72,18 +80,31 @@ class CsvReader:
         return columns, tuple(losses)
 
 
+def _is_read(header: str, options: ReadOptions) -> bool:
+    """Whether a column is wanted, by itself or one of the elements of its lists (``positions[2]``)."""
+    if is_wanted(header, options):
+        return True
+    name = split_header(header)[0]
+    return any(wanted.startswith(f"{name}[") for wanted in options.columns or ())
+
+
 @dataclass
 class _Cells:
     """One column as it is read. ``text``: cells that are no numbers, ``listed`` of them in pieces of nothing but lists."""
 
+    where: str
+    budget: Budget
     numbers: Growing = field(default_factory=lambda: Growing(np.nan))
     text: int = 0
     listed: int = 0
-    lists: list[pd.Series] = field(default_factory=list)
     filled: int = 0
+    rows: int = 0
+    #: Of lists: the values of each element, and element → how many of them are no numbers.
+    elements: list[Growing] = field(default_factory=list)
+    damaged: dict[int, int] = field(default_factory=dict)
 
     def take(self, cells: pd.Series) -> None:
-        """The next rows; their index is their place in the file."""
+        """The next rows."""
         filled = cells.notna().to_numpy()
         numbers = pd.to_numeric(cells, errors="coerce").to_numpy(dtype=np.float64)
         self.numbers.extend(numbers)
@@ -91,31 +112,48 @@ class _Cells:
         self.text += text
         self.filled += int(np.count_nonzero(filled))
         if text and _are_lists(cells):
-            self.lists.append(cells)
             self.listed += text
+            for begin in range(0, len(cells), _LISTS):
+                self._take_lists(cells.iloc[begin : begin + _LISTS], self.rows + begin)
+        elif text:
+            self.elements, self.damaged = [], {}  # what is text in one row is no column of lists
+        self.rows += len(cells)
 
     @property
     def are_lists(self) -> bool:
         """Whether every cell that is not empty is a list in brackets."""
         return 0 < self.listed == self.filled
 
-    def strings(self, rows: int) -> pd.Series:
-        """All cells of a column of lists."""
-        column: pd.Series = pd.concat(self.lists).reindex(range(rows))
-        return column
+    def _take_lists(self, column: pd.Series, first: int) -> None:
+        """The elements of lists; a shorter list leaves its last ones missing."""
+        cells = column.astype("str").where(column.notna(), "[]").str.strip().str[1:-1]
+        width = int(cells.str.count(",").max()) + 1
+        self.budget.check_columns(self.where, width, "elements of a list")
+        self.budget.check_numbers(self.where, width * (first + len(cells)))
+        parts = cells.str.split(",", expand=True)
+        self.elements += [Growing(np.nan) for _ in range(width - len(self.elements))]
+        for element in range(width):
+            text = parts[element].str.strip().replace("", None)
+            numbers = pd.to_numeric(text, errors="coerce").to_numpy(dtype=np.float64)
+            bad = int(np.count_nonzero(np.isnan(numbers) & text.notna().to_numpy() & (text.str.lower() != "nan").to_numpy()))
+            if bad:
+                self.damaged[element] = self.damaged.get(element, 0) + bad
+            self.elements[element].put(slice(first, first + len(numbers)), numbers)
 
 
-def _pieces(path: Path, headers: list[str], separator: str, skipped: int) -> Iterator[pd.DataFrame]:
+def _pieces(path: Path, width: int, separator: str, skipped: int, progress: Callable[[float], None]) -> Iterator[pd.DataFrame]:
     """The rows, some thousands at a time, numbered from 0 on; without a last one that is cut."""
     before: pd.DataFrame | None = None
+    size = path.stat().st_size
     try:
         # One column more than the header has: it is empty in every row that fits.
-        with pd.read_csv(
-            path, sep=separator, skiprows=skipped, header=None, names=list(range(len(headers) + 1)), index_col=False,
+        with path.open("rb") as file, pd.read_csv(
+            file, sep=separator, skiprows=skipped, header=None, names=list(range(width + 1)), index_col=False,
             skipinitialspace=True, na_values=["", "NaN", "nan", "None"], encoding="utf-8-sig", low_memory=False,
-            chunksize=max(1, _CELLS // (len(headers) + 1)),
+            chunksize=max(1, _CELLS // (width + 1)),
         ) as pieces:  # fmt: skip
             while (piece := _next(pieces)) is not None:
+                progress(min(1.0, file.tell() / size))
                 if before is not None:
                     yield before
                 before = piece
@@ -141,36 +179,18 @@ def _are_lists(column: pd.Series) -> bool:
     return len(cells) > 0 and bool((cells.str.startswith("[") & cells.str.endswith("]")).all())
 
 
-def _elements(path: Path, header: str, column: pd.Series) -> tuple[Columns, list[str]]:
-    """One column for each element of the lists; a shorter list leaves its last ones missing."""
-    cells = column.astype("str").where(column.notna(), "[]").str.strip().str[1:-1]
-    width = int(cells.str.count(",").max()) + 1
-    if width * len(cells) > MAX_CELLS:
-        raise InputError(
-            f"{path}: {header}", f"lists of {width} elements", f"at most {MAX_CELLS} numbers", "Export it in parts."
-        )
-    name, unit = split_header(header)
-    parts = cells.str.split(",", expand=True)
-    columns, losses = [], []
-    for element in range(width):
-        text = parts[element].str.strip().replace("", None)
-        numbers = pd.to_numeric(text, errors="coerce").to_numpy(dtype=np.float64)
-        bad = int(np.count_nonzero(np.isnan(numbers) & text.notna().to_numpy() & (text.str.lower() != "nan").to_numpy()))
-        if bad:
-            losses.append(f"{path.name}: column {name}[{element}]: {bad} elements are not numbers")
-        columns.append((f"{name}[{element}]" if unit is None else f"{name}[{element}] [{unit}]", numbers))
-    return columns, losses
-
-
-def _header(path: Path) -> tuple[list[str], str, int]:
+def _header(path: Path, budget: Budget) -> tuple[list[str], str, int]:
     """The header cells, the separator, and how many physical lines come before the first row of data."""
     try:
         with path.open(encoding="utf-8-sig", newline="") as file:
-            for number, line in enumerate(file, start=1):
+            for number, line in enumerate(iter(lambda: file.readline(MAX_LINE), ""), start=1):
+                if len(line) == MAX_LINE:
+                    raise InputError(path, f"a line of more than {MAX_LINE} letters", "one header row", "Is it a CSV file?")
                 if line.strip() and not line.lstrip().startswith("#"):
                     separator = max((",", ";", "\t"), key=line.count)
+                    budget.check_columns(path, line.count(separator) + 1)
                     cells = next(csv_module.reader([line], delimiter=separator, skipinitialspace=True))
                     return [cell.strip() or f"column {i + 1}" for i, cell in enumerate(cells)], separator, number
     except UnicodeDecodeError as error:
         raise InputError(path, f"not UTF-8 text ({error.reason})", "a CSV file in UTF-8") from None
-    raise InputError(path, "no header row", "a CSV file with one header row", "Export the log again.")
+    raise InputError(path, "no header row", _WHAT, "Export the log again.")

@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sysid.errors import InputError
+from sysid.logs.confined import confined
 from sysid.logs.motive import unstated
 from sysid.logs.pieces import STAMP_FIELDS
 from sysid.logs.reader import LogReader, ReadOptions
@@ -90,6 +91,10 @@ class FileSummary:
     refusal: str = ""
 
 
+#: What comes back from the process in which a file is read.
+_SUMMARIES = (FileSummary, StreamSummary, FieldSummary, ClockSummary)
+
+
 def inspect_file(path: Path, reader: str | None = None, dbc: Path | None = None) -> FileSummary:
     """Read a file as far as is needed to say what is in it; a file that cannot be read is described by its refusal.
 
@@ -99,9 +104,21 @@ def inspect_file(path: Path, reader: str | None = None, dbc: Path | None = None)
         InputError: no such file, or no reader for its suffix.
         SettingsError: no reader is called ``reader``.
     """
-    if not path.is_file():
+    if not path.exists():
         raise InputError(path, "no such file", "a log file", "Check the path.")
     chosen = reader_named(reader, path) if reader is not None else reader_for(path)
+    size = path.stat().st_size
+    try:
+        budget = ReadOptions(dbc=dbc).budget_of(path, "a log file", None)
+        return confined(lambda report: inspect_here(path, chosen, dbc), path, budget, _SUMMARIES)
+    except InputError as error:
+        return FileSummary(path, chosen.name, size, refusal=str(error))
+    except PermissionError:
+        return FileSummary(path, chosen.name, size, refusal=f"{path}: may not be read (permission denied)")
+
+
+def inspect_here(path: Path, chosen: LogReader, dbc: Path | None = None) -> FileSummary:
+    """:func:`inspect_file` by the reader ``chosen`` in this process: what a library does to it, a file can do to this one."""
     size = path.stat().st_size
     stated: dict[str, str] = {}
     try:

@@ -15,13 +15,15 @@ import numpy as np
 import numpy.typing as npt
 
 from sysid.errors import InputError
-from sysid.logs.limits import MAX_CELLS, check_whole
+from sysid.logs.limits import Budget
 from sysid.logs.reader import ReadOptions
 from sysid.logs.stream import Stream
 from sysid.logs.table import table_stream
 
 #: Longer arrays within a record are data of another kind (images, clouds).
 MAX_ELEMENTS = 512
+#: What precedes a value → memory of the objects that follow it [B].
+_OBJECT_BYTES = {b",": 72, b"[": 72, b"{": 256}
 
 
 @dataclass(frozen=True)
@@ -33,20 +35,27 @@ class JsonReader:
     clocks: tuple[str, ...] = ("time",)
 
     def read(self, path: Path, options: ReadOptions) -> tuple[Stream, ...]:
+        budget = options.budget_of(path, "a JSON file")
         lists = {
             name: records
-            for name, records in _lists(path, _document(path)).items()
+            for name, records in _lists(path, _document(path, budget)).items()
             if options.streams is None or name in options.streams
         }
         if not lists:
             raise InputError(path, "no list of records", "a list of objects with numbers, by itself or under a key")
-        return tuple(_stream(path, name, records, options) for name, records in lists.items())
+        budget.check_topics(path, len(lists), "lists of records")
+        return tuple(_stream(path, name, records, options, budget) for name, records in lists.items())
 
 
-def _document(path: Path) -> Any:
-    check_whole(path, "a JSON file")
+def _document(path: Path, budget: Budget) -> Any:
+    data = path.read_bytes()
+    # Brackets and commas in texts count, too: an upper bound of the values, known before one of them takes memory.
+    needed = len(data) + sum(size * data.count(mark) for mark, size in _OBJECT_BYTES.items())
+    if needed > budget.memory:
+        found, expected = f"values that take {needed / 2**20:.0f} MiB", f"at most {budget.memory / 2**20:.0f} MiB"
+        raise InputError(path, found, expected, "Export it in parts.")
     try:
-        return json_module.loads(path.read_bytes())
+        return json_module.loads(data)
     except (ValueError, RecursionError) as error:  # damaged text, unknown encoding, nested without end
         reason = " ".join(str(error).split())
         raise InputError(path, f"not readable as JSON ({reason})", "a JSON file with a list of records") from None
@@ -62,29 +71,27 @@ def _lists(path: Path, document: Any) -> dict[str, list[dict[str, Any]]]:
     }
 
 
-def _stream(path: Path, name: str, records: list[dict[str, Any]], options: ReadOptions) -> Stream:
+def _stream(path: Path, name: str, records: list[dict[str, Any]], options: ReadOptions, budget: Budget) -> Stream:
     columns: dict[str, npt.NDArray[np.float64]] = {}
     for row, record in enumerate(records):
-        for field, value in _numbers(record):
+        for field, value in _numbers(record, budget.depth):
             if field not in columns:
-                if (len(columns) + 1) * len(records) > MAX_CELLS:
-                    raise InputError(
-                        f"{path}: {name}", "too many fields", f"at most {MAX_CELLS} numbers", "Export it in parts."
-                    )
+                budget.check_columns(f"{path}: {name}", len(columns) + 1, "fields")
+                budget.check_numbers(f"{path}: {name}", (len(columns) + 1) * len(records))
                 columns[field] = np.full(len(records), np.nan)
             columns[field][row] = value
     table = table_stream(path, list(columns.items()), options, units_in_headers=False)
     return Stream(name, path, table.stamps, table.columns, table.units, table.losses)
 
 
-def _numbers(record: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, float]]:
+def _numbers(record: Mapping[str, Any], depth: int, prefix: str = "") -> Iterator[tuple[str, float]]:
     """Every number of a record with its path; null is a missing value, text is no field."""
     for key, value in record.items():
         name = f"{prefix}{key}"
         if isinstance(value, bool | int | float):
             yield name, _float(value)
-        elif isinstance(value, Mapping):
-            yield from _numbers(value, f"{name}.")
+        elif isinstance(value, Mapping) and depth > 1:
+            yield from _numbers(value, depth - 1, f"{name}.")
         elif isinstance(value, list) and len(value) <= MAX_ELEMENTS:
             for index, element in enumerate(value):
                 if isinstance(element, bool | int | float):

@@ -1,55 +1,164 @@
-"""How much a log file may ask for. A damaged or hostile file must not fill the memory, so every size it states is checked."""
+"""What reading one log file may take.
+
+A damaged or hostile file must not fill the memory or take hours, so every size that it states is checked before it is believed.
+"""
 
 from __future__ import annotations
 
+import os
+import stat
+from dataclasses import dataclass
 from pathlib import Path
 
 from sysid.errors import InputError
 
-#: A chunk of a log larger than this when unpacked is left out.
-MAX_CHUNK = 512 * 2**20
+#: Memory for a small file; a larger one may take so many times its size, but no more than the machine has.
+FREE_MEMORY, MEMORY_RATIO = 512 * 2**20, 64
+#: Processor time for a small file [s], and for each further byte.
+FREE_SECONDS, SECONDS_A_BYTE = 15.0, 20e-6
+#: What one chunk, container or variable may unpack to: of a small file, as a multiple of the file, and at most.
+FREE_CHUNK, CHUNK_RATIO, MAX_CHUNK = 64 * 2**20, 100, 512 * 2**20
 #: Packed data that grow by more than this beyond :data:`FREE` are a bomb, not a log.
 MAX_RATIO, FREE = 1000, 16 * 2**20
 #: Text exports and tables are read whole.
 MAX_TEXT = 4 * 2**30
-#: Numbers in a table that is read whole.
-MAX_CELLS = 2**29
+#: Columns of a table or fields of a topic; topics, bodies, markers or messages of a file; objects inside of objects.
+MAX_COLUMNS, MAX_TOPICS, MAX_DEPTH = 16_384, 4096, 32
+#: The header line of a table.
+MAX_LINE = 4 * 2**20
+
+_KINDS = {
+    stat.S_IFIFO: "a named pipe",
+    stat.S_IFCHR: "a device",
+    stat.S_IFBLK: "a device",
+    stat.S_IFSOCK: "a socket",
+    stat.S_IFDIR: "a folder",
+}
 
 
-def check_whole(path: Path, what: str, limit: int = MAX_TEXT) -> None:
-    """Raise where ``path`` is missing, empty, or too large to be read whole.
+@dataclass(frozen=True)
+class Budget:
+    """What reading one file may take.
+
+    Args:
+        memory: held at once beside the interpreter and its libraries [B].
+        seconds: of the processor.
+        chunk: what one chunk, container or variable may unpack to [B].
+        unpacked: what all of them may unpack to together [B].
+        rows: samples of one stream.
+        columns: of a table; fields of a topic.
+        topics: topics, bodies, markers or messages of the file.
+        depth: objects inside of objects.
+    """
+
+    memory: int
+    seconds: float
+    chunk: int
+    unpacked: int
+    rows: int
+    columns: int = MAX_COLUMNS
+    topics: int = MAX_TOPICS
+    depth: int = MAX_DEPTH
+
+    @classmethod
+    def of(cls, size: int) -> Budget:
+        """For a file of ``size`` bytes."""
+        unpacked = max(FREE_MEMORY, MEMORY_RATIO * size)
+        memory = min(unpacked, max(FREE_MEMORY, _machine_memory()))
+        chunk = min(max(FREE_CHUNK, CHUNK_RATIO * size), MAX_CHUNK)
+        return cls(memory, FREE_SECONDS + SECONDS_A_BYTE * size, chunk, unpacked, memory // 16)
+
+    @property
+    def numbers(self) -> int:
+        """Numbers of 8 bytes that may be kept: they take half of the memory, working on them the other half."""
+        return self.memory // 16
+
+    def check_columns(self, where: object, count: int, what: str = "columns") -> None:
+        """Raise where a table has more columns than are read."""
+        self._check(where, count, self.columns, what, "Export fewer columns.")
+
+    def check_topics(self, where: object, count: int, what: str = "topics") -> None:
+        """Raise where a file has more topics, bodies, markers or messages than are read."""
+        self._check(where, count, self.topics, what, "Name those that are needed in the recipe, or export fewer.")
+
+    def check_rows(self, where: object, count: int) -> None:
+        """Raise where a stream has more samples than are read."""
+        self._check(where, count, self.rows, "rows", "Export it in parts.")
+
+    def check_numbers(self, where: object, count: int) -> None:
+        """Raise where more numbers would be kept than there is memory for."""
+        remedy = "Name fewer signals in the recipe, or export it in parts."
+        self._check(where, count, self.numbers, "numbers", remedy)
+
+    def check_unpacked(self, where: object, total: int) -> None:
+        """Raise where a file has unpacked to more than it may altogether."""
+        if total > self.unpacked:
+            found = f"data that unpack to more than {self.unpacked / 2**20:.0f} MiB"
+            expected = f"at most {FREE_MEMORY / 2**20:.0f} MiB or {MEMORY_RATIO} times the size of the file"
+            raise InputError(where, found, expected, "The file is damaged or made to do harm.")
+
+    def too_large(self, packed: int, unpacked: int, at_once: bool = True) -> str:
+        """Why ``packed`` bytes may not be unpacked to ``unpacked`` bytes; empty where they may.
+
+        ``at_once``: as one chunk.
+        """
+        if at_once and unpacked > MAX_CHUNK:
+            return f"unpacks to {unpacked / 2**20:.0f} MiB, more than {MAX_CHUNK / 2**20:.0f} MiB"
+        if unpacked > max(FREE, packed * MAX_RATIO):
+            return f"{packed} bytes unpack to {unpacked}, more than {MAX_RATIO} times as many"
+        if at_once and unpacked > self.chunk:
+            return f"unpacks to {unpacked / 2**20:.0f} MiB, more than {self.chunk / 2**20:.0f} MiB"
+        return ""
+
+    def exceeded(self, where: object, seconds: bool) -> InputError:
+        """The error of a reader that took all of the memory, or of the ``seconds``."""
+        found = f"takes more than {self.seconds:.0f} s" if seconds else f"takes more than {self.memory / 2**20:.0f} MiB to read"
+        expected = "what a log of its size takes"
+        return InputError(
+            where, found, expected, "The file is damaged or made to do harm; if it is neither, export it in parts."
+        )
+
+    @staticmethod
+    def _check(where: object, count: int, limit: int, what: str, remedy: str) -> None:
+        if count > limit:
+            raise InputError(where, f"{count} {what}", f"at most {limit} {what}", remedy)
+
+
+def _machine_memory() -> int:
+    """Bytes of memory that the machine has."""
+    return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+
+
+def check_file(path: Path, what: str, limit: int | None = None) -> int:
+    """The size of the file ``path`` [B].
 
     Raises:
-        InputError: no such file, no bytes, more than ``limit`` bytes.
+        InputError: missing, a pipe, a device or a folder, without bytes, or more than ``limit`` bytes.
     """
-    if not path.is_file():
-        raise InputError(path, "no such file", what, "Check the path.")
-    size = path.stat().st_size
-    if size == 0:
+    try:
+        status = path.stat()
+    except (FileNotFoundError, NotADirectoryError):
+        raise InputError(path, "no such file", what, "Check the path.") from None
+    except OSError as error:  # a name that is too long, a link to itself
+        raise InputError(path, str(error.strerror or "cannot be opened").lower(), what, "Check the path.") from None
+    if not stat.S_ISREG(status.st_mode):
+        found = _KINDS.get(stat.S_IFMT(status.st_mode), "no file")
+        raise InputError(path, found, what, "Copy the log into a file.")
+    if status.st_size == 0:
         raise InputError(path, "the file is empty", what, "Export the log again.")
-    if size > limit:
-        raise InputError(path, f"{size / 2**30:.1f} GiB", f"at most {limit / 2**30:g} GiB for {what}", "Export it in parts.")
+    if limit is not None and status.st_size > limit:
+        found, expected = f"{status.st_size / 2**30:.1f} GiB", f"at most {limit / 2**30:g} GiB for {what}"
+        raise InputError(path, found, expected, "Export it in parts.")
+    return status.st_size
 
 
-def too_large(packed: int, unpacked: int, limit: bool = True) -> str:
-    """Why ``packed`` bytes may not be unpacked to ``unpacked`` bytes; empty where they may.
-
-    ``limit``: at once, as one chunk.
-    """
-    if limit and unpacked > MAX_CHUNK:
-        return f"unpacks to {unpacked / 2**20:.0f} MiB, more than {MAX_CHUNK / 2**20:.0f} MiB"
-    if unpacked > max(FREE, packed * MAX_RATIO):
-        return f"{packed} bytes unpack to {unpacked}, more than {MAX_RATIO} times as many"
-    return ""
-
-
-def unpack(packed: bytes | memoryview, compression: str, size: int, cut_off: bool = False) -> bytes:
+def unpack(packed: bytes | memoryview, compression: str, size: int, budget: Budget, cut_off: bool = False) -> bytes:
     """The ``size`` bytes that were compressed with zstd or lz4 (frames); fewer where the data are cut off.
 
     Raises:
         ValueError: the data are damaged, or larger than they say, or larger than allowed.
     """
-    reason = too_large(len(packed), size)
+    reason = budget.too_large(len(packed), size)
     if reason:
         raise ValueError(reason)
     if compression == "zstd":

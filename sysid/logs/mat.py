@@ -5,6 +5,7 @@ Fields of structures are reached by dots (``log.position``), columns of a matrix
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -13,11 +14,13 @@ import numpy as np
 import numpy.typing as npt
 
 from sysid.errors import InputError
-from sysid.logs.limits import check_whole
-from sysid.logs.mat_file import MatError, read_arrays
-from sysid.logs.reader import ReadOptions
+from sysid.logs.limits import Budget
+from sysid.logs.mat_file import MatError, Variable, find_variables, read_variables
+from sysid.logs.reader import ALL, ReadOptions
 from sysid.logs.stream import Stream
-from sysid.logs.table import TIME_NAMES, Columns, table_stream
+from sysid.logs.table import TIME_NAMES, Columns, is_wanted, table_stream
+
+_WHAT = "a MATLAB file"
 
 
 @dataclass(frozen=True)
@@ -29,54 +32,95 @@ class MatReader:
     clocks: tuple[str, ...] = ("time",)
 
     def read(self, path: Path, options: ReadOptions) -> tuple[Stream, ...]:
-        columns = list(_columns(self._arrays(path), options).items())
-        return (table_stream(path, columns, options, units_in_headers=False),)
+        budget = options.budget_of(path, _WHAT, None)
+        variables = _variables(path, budget)
+        chosen = _chosen(variables, options)
+        columns = _columns(path, chosen, _rows(chosen, options), budget, options)
+        known = () if options.columns is None else tuple(variables)
+        return (table_stream(path, columns, options, units_in_headers=False, known=known),)
 
-    def columns(self, path: Path) -> tuple[Columns, tuple[str, ...]]:
+    def columns(self, path: Path, options: ReadOptions = ALL) -> tuple[Columns, tuple[str, ...]]:
         """Variable → numbers: the vectors of the length that most have, and what is left out for another length."""
-        vectors = {name: array for name, array in self._arrays(path).items() if array.ndim == 1}
-        lengths = [len(array) for array in vectors.values()]
-        usual = max(lengths, key=lambda length: (lengths.count(length), length), default=0)
-        others = [name for name, array in vectors.items() if len(array) != usual]
+        budget = options.budget_of(path, _WHAT, None)
+        vectors = {name: variable for name, variable in _variables(path, budget).items() if len(variable.shape) == 1}
+        usual = _usual_length(vectors)
+        others = [name for name, variable in vectors.items() if variable.count != usual]
         losses = (f"{path.name}: of another length: {', '.join(others)}",) if others else ()
-        return [(name, array.astype(np.float64)) for name, array in vectors.items() if len(array) == usual], losses
-
-    def _arrays(self, path: Path) -> dict[str, npt.NDArray[Any]]:
-        """Every numeric array of the file by its path.
-
-        Raises:
-            InputError: not a MATLAB file of these versions, or variables that unpack to more than is read.
-        """
-        check_whole(path, "a MATLAB file")
-        with path.open("rb") as file:
-            head = file.read(128)
-        if head.startswith((b"\x89HDF", b"MATLAB 7.3")):
-            remedy = "Save it again with `save(..., '-v7')`."
-            raise InputError(path, "a MATLAB file of version 7.3 (HDF5)", "version 7 or older", remedy)
-        try:
-            return read_arrays(path)
-        except MatError as error:
-            raise InputError(path, f"not readable as a MATLAB file ({error})", "a .mat file of version 4 to 7") from None
+        same = {name: variable for name, variable in vectors.items() if variable.count == usual}
+        return [(name, array.astype(np.float64, copy=False)) for name, array in _read(path, same, budget).items()], losses
 
 
-def _columns(arrays: dict[str, npt.NDArray[Any]], options: ReadOptions) -> dict[str, npt.NDArray[np.float64]]:
-    """The vectors that are as long as the time vector; matrices with that many rows give one column each."""
-    vectors = {name: array for name, array in arrays.items() if array.ndim == 1}
+def _variables(path: Path, budget: Budget) -> dict[str, Variable]:
+    """Every numeric variable of the file by its path.
+
+    Raises:
+        InputError: not a MATLAB file of these versions, or variables that unpack to more than is read.
+    """
+    with path.open("rb") as file:
+        head = file.read(128)
+    if head.startswith((b"\x89HDF", b"MATLAB 7.3")):
+        remedy = "Save it again with `save(..., '-v7')`."
+        raise InputError(path, "a MATLAB file of version 7.3 (HDF5)", "version 7 or older", remedy)
+    try:
+        return find_variables(path, budget)
+    except MatError as error:
+        raise _unreadable(path, error) from None
+
+
+def _read(path: Path, variables: Mapping[str, Variable], budget: Budget) -> dict[str, npt.NDArray[Any]]:
+    budget.check_numbers(path, sum(variable.count for variable in variables.values()))
+    try:
+        return read_variables(path, variables)
+    except MatError as error:
+        raise _unreadable(path, error) from None
+
+
+def _unreadable(path: Path, error: MatError) -> InputError:
+    return InputError(path, f"not readable as a MATLAB file ({error})", "a .mat file of version 4 to 7")
+
+
+def _chosen(variables: Mapping[str, Variable], options: ReadOptions) -> dict[str, Variable]:
+    """The variables that are wanted, by themselves or one of their columns (``q[2]``), and those that may be the time."""
+    if options.columns is None:
+        return dict(variables)
+    names = {*options.columns, *(name.rpartition("[")[0] for name in options.columns)}
+    wanted = {name: variable for name, variable in variables.items() if name in names or is_wanted(name, options, False)}
+    if options.rate_hz is not None and options.time is None:  # all of them say how many rows there are
+        return {**variables, **wanted}
+    return wanted
+
+
+def _rows(variables: Mapping[str, Variable], options: ReadOptions) -> int | None:
+    """How many rows the table has; None where no time vector says it."""
+    vectors = {name: variable for name, variable in variables.items() if len(variable.shape) == 1}
     if options.rate_hz is not None and options.time is None:
-        lengths = [len(array) for array in vectors.values()]
-        return _of_length(arrays, max(lengths, key=lambda n: (lengths.count(n), n), default=0))
+        return _usual_length(vectors)
     time = options.time if options.time is not None else next((name for name in TIME_NAMES if name in vectors), None)
-    if time is None or time not in vectors:
-        return {name: array.astype(np.float64) for name, array in vectors.items()}  # table_stream says what is missing
-    return _of_length(arrays, len(vectors[time]))
+    return vectors[time].count if time in vectors else None
 
 
-def _of_length(arrays: dict[str, npt.NDArray[Any]], rows: int) -> dict[str, npt.NDArray[np.float64]]:
-    """Vectors of ``rows`` elements, and the columns of matrices with so many rows."""
-    vectors = {name: array for name, array in arrays.items() if array.ndim == 1}
-    columns = {name: array.astype(np.float64) for name, array in vectors.items() if len(array) == rows}
-    for name, array in arrays.items():
-        if array.ndim == 2 and rows in array.shape:
-            table = array if array.shape[0] == rows else array.T
-            columns |= {f"{name}[{i}]": table[:, i].astype(np.float64) for i in range(table.shape[1])}
+def _usual_length(vectors: Mapping[str, Variable]) -> int:
+    lengths = [variable.count for variable in vectors.values()]
+    return max(lengths, key=lambda length: (lengths.count(length), length), default=0)
+
+
+def _columns(
+    path: Path, variables: Mapping[str, Variable], rows: int | None, budget: Budget, options: ReadOptions
+) -> list[tuple[str, npt.NDArray[np.float64]]]:
+    """The vectors that are as long as the time vector; matrices with that many rows give one column each."""
+    if rows is None:  # table_stream says that the time is missing, and what there is
+        return [(name, np.zeros(0)) for name, variable in variables.items() if len(variable.shape) == 1]
+    vectors = {name: v for name, v in variables.items() if v.shape == (rows,)}
+    matrices = {name: v for name, v in variables.items() if len(v.shape) == 2 and rows in v.shape}
+    if options.columns is not None:
+        wanted = {name.rpartition("[")[0] for name in options.columns}
+        vectors = {name: v for name, v in vectors.items() if is_wanted(name, options, False)}
+        matrices = {name: v for name, v in matrices.items() if name in wanted}
+    columns = [(name, array.astype(np.float64, copy=False)) for name, array in _read(path, vectors, budget).items()]
+    for name, variable in matrices.items():
+        array = _read(path, {name: variable}, budget)[name]
+        table = array if array.shape[0] == rows else array.T
+        budget.check_columns(f"{path}: {name}", table.shape[1])
+        elements = [(f"{name}[{i}]", table[:, i]) for i in range(table.shape[1])]
+        columns += [(label, values.astype(np.float64)) for label, values in elements if is_wanted(label, options, False)]
     return columns

@@ -1,25 +1,26 @@
 """The numeric variables of a MATLAB file of version 4 to 7 (``-v4``, ``-v6``, ``-v7``), and those in its structures.
 
-Written here because the common reader trusts the sizes that a damaged file states and ends the process with it. Texts, cells,
-sparse matrices, objects, arrays of structures and imaginary parts are passed over: they are no signals.
+Written here because the common reader trusts the sizes that a damaged file states and ends the process with it, and because
+the numbers of a variable are read when they are asked for alone. Texts, cells, sparse matrices, objects, arrays of structures
+and imaginary parts are passed over: they are no signals.
 Source: MathWorks, "MAT-File Format", level 5 and level 4.
 """
 
 from __future__ import annotations
 
+import io
 import math
-import os
 import struct
 import zlib
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, BinaryIO, Literal
+from typing import Any, Protocol
 
 import numpy as np
 import numpy.typing as npt
 
-from sysid.logs.limits import FREE, MAX_RATIO, MAX_TEXT
+from sysid.logs.limits import FREE, MAX_RATIO, Budget
 
 #: Storage types of numbers → NumPy code without byte order.
 _NUMBERS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8", 12: "i8", 13: "u8"}
@@ -27,6 +28,8 @@ _MATRIX, _PACKED = 14, 15
 #: Array classes: structure, and the numeric ones.
 _STRUCTURE, _NUMERIC = 2, range(6, 16)
 _MAX_DEPTH = 16
+#: Sizes, flags, names: longer ones are damage. Bytes that are unpacked at a time.
+_MAX_HEAD, _PIECE = 2**20, 2**20
 
 
 class MatError(ValueError):
@@ -34,44 +37,87 @@ class MatError(ValueError):
 
 
 @dataclass(frozen=True)
-class _Element:
-    kind: int
+class Variable:
+    """Where the numbers of a variable are.
+
+    Args:
+        shape: without dimensions of one, the first index running fastest.
+        kind: type the numbers are stored in.
+        source: where the top-level variable begins in the file, and how many bytes it has; ``packed`` with zlib.
+        start: of the numbers, in bytes from there, once unpacked.
+    """
+
+    shape: tuple[int, ...]
+    kind: np.dtype[Any]
+    source: tuple[int, int]
+    packed: bool
     start: int
-    size: int
+
+    @property
+    def count(self) -> int:
+        return math.prod(self.shape)
 
 
-def read_arrays(path: Path) -> dict[str, npt.NDArray[Any]]:
-    """Variable, or ``structure.field`` → numbers without dimensions of one, in the types the file has.
+def find_variables(path: Path, budget: Budget) -> dict[str, Variable]:
+    """Variable, or ``structure.field`` → where its numbers are.
 
     Raises:
         MatError: the file is damaged or unpacks to more than is read.
     """
-    found: dict[str, npt.NDArray[Any]] = {}
+    size = path.stat().st_size
     with path.open("rb") as file:
         head = file.read(128)
         if head[126:128] not in (b"IM", b"MI"):
             file.seek(0)
-            return dict(_version_4(file))
-        order: Literal["<", ">"] = "<" if head[126:128] == b"IM" else ">"
-        left = min(MAX_TEXT, max(FREE, path.stat().st_size * MAX_RATIO))
-        for kind, body in _top_level(file, order):
-            data = _unpacked(body, left) if kind == _PACKED else body
-            left -= len(data)
-            inner = _Reader(data, order)
-            if kind == _PACKED:
-                element = inner.element(0, len(data))
+            return dict(_version_4(file, size))
+        found: dict[str, Variable] = {}
+        order = "<" if head[126:128] == b"IM" else ">"
+        left = min(budget.unpacked, max(FREE, size * MAX_RATIO))
+        while tag := file.read(8):
+            if len(tag) < 8:
+                raise MatError("the file is cut off")
+            kind, extent = struct.unpack(f"{order}II", tag)
+            start = file.tell()
+            if size - start < extent:
+                raise MatError(f"the file is cut off: {size - start} of {extent} bytes of a variable")
+            if kind in (_PACKED, _MATRIX):
+                bytes_: _Bytes = _Unpacked(file, start, extent, left) if kind == _PACKED else _Plain(file, start, extent)
+                walk = _Walk(bytes_, order, (start, extent), kind == _PACKED, found)
+                element = walk.element(2**32 + 8) if kind == _PACKED else _Element(kind, 0, extent)
                 if element.kind == _MATRIX:
-                    inner.matrix(element, "", found, 0)
-            elif kind == _MATRIX:
-                inner.matrix(_Element(kind, 0, len(data)), "", found, 0)
+                    walk.matrix(element, "", 0)
+                left -= bytes_.position if kind == _PACKED else 0
+                budget.check_columns(path, len(found), "variables")
+            file.seek(start + extent)
     return found
+
+
+def read_variables(path: Path, variables: Mapping[str, Variable]) -> dict[str, npt.NDArray[Any]]:
+    """The numbers of ``variables`` in the types that the file has; each packed variable is unpacked once.
+
+    Raises:
+        MatError: the file is damaged.
+    """
+    found: dict[str, npt.NDArray[Any]] = {}
+    source: tuple[int, int] | None = None
+    with path.open("rb") as file:
+        for name, variable in sorted(variables.items(), key=lambda item: (item[1].source, item[1].start)):
+            if variable.source != source:
+                source = variable.source
+                limit = 2**62  # what lies before has been unpacked once, within the limit
+                bytes_: _Bytes = _Unpacked(file, *source, limit) if variable.packed else _Plain(file, *source)
+            array = np.empty(variable.count, variable.kind)
+            bytes_.skip(variable.start - bytes_.position)
+            bytes_.fill(array.data.cast("B") if len(array) else memoryview(b""))
+            found[name] = array.reshape(variable.shape, order="F")
+    return {name: found[name] for name in variables}
 
 
 #: Version 4: the hundreds, tens and ones of the type say how numbers are stored, and whether they are numbers.
 _STORED_4 = ("f8", "f4", "i4", "i2", "u2", "u1")
 
 
-def _version_4(file: BinaryIO) -> Iterator[tuple[str, npt.NDArray[Any]]]:
+def _version_4(file: io.BufferedReader, size: int) -> Iterator[tuple[str, Variable]]:
     """Matrices one after the other: type, rows, columns, complex, length of the name; name; numbers."""
     while head := file.read(20):
         for order in "<>":
@@ -81,123 +127,216 @@ def _version_4(file: BinaryIO) -> Iterator[tuple[str, npt.NDArray[Any]]]:
         else:
             raise MatError("no variable of a MATLAB file of version 4 or 5")
         code = np.dtype(order + _STORED_4[kind % 100 // 10])
-        size = rows * columns * code.itemsize
+        extent = rows * columns * code.itemsize
         name = file.read(length).split(b"\0")[0].decode("latin-1")
-        if size > MAX_TEXT:
-            raise MatError(f"{name}: {rows} × {columns} numbers")
-        data = _read(file, size, repr(name))
-        if is_complex:
-            file.seek(size, 1)
-        array = np.frombuffer(data, code).reshape((rows, columns), order="F").squeeze()
-        if kind % 10 == 0 and array.ndim:
-            yield name, array
+        start = file.tell()
+        if size - start < extent:
+            raise MatError(f"the file is cut off: {max(size - start, 0)} of {extent} bytes of {name!r}")
+        file.seek(start + extent * (2 if is_complex else 1))
+        shape = tuple(extent for extent in (rows, columns) if extent != 1)
+        if kind % 10 == 0 and shape:
+            yield name, Variable(shape, code, (start, extent), False, 0)
 
 
-def _top_level(file: BinaryIO, order: str) -> Iterator[tuple[int, bytes]]:
-    while tag := file.read(8):
-        if len(tag) < 8:
+class _Bytes(Protocol):
+    """The bytes of a top-level variable, one after the other."""
+
+    @property
+    def position(self) -> int: ...
+
+    def skip(self, count: int) -> None: ...
+
+    def fill(self, view: memoryview) -> None: ...
+
+
+@dataclass
+class _Plain:
+    """As they stand in the file."""
+
+    file: io.BufferedReader
+    start: int
+    size: int
+    position: int = 0
+
+    def skip(self, count: int) -> None:
+        self.position += count
+        if self.position > self.size:
+            raise MatError("an element is cut off")
+
+    def fill(self, view: memoryview) -> None:
+        self.file.seek(self.start + self.position)
+        self.skip(len(view))
+        if self.file.readinto(view) != len(view):
             raise MatError("the file is cut off")
-        kind, size = struct.unpack(f"{order}II", tag)
-        yield kind, _read(file, size, "a variable")
 
 
-def _read(file: BinaryIO, size: int, what: str) -> bytes:
-    """``size`` bytes, asked for only where the file has them."""
-    left = os.fstat(file.fileno()).st_size - file.tell()
-    if left < size:
-        raise MatError(f"the file is cut off: {max(left, 0)} of {size} bytes of {what}")
-    return file.read(size)
+@dataclass
+class _Unpacked:
+    """Unpacked while they are read; no more than ``limit`` of them."""
 
+    file: io.BufferedReader
+    start: int
+    size: int
+    limit: int
+    position: int = 0
+    _taken: int = 0
+    _unpacker: Any = field(default_factory=zlib.decompressobj)
+    _waiting: bytes = b""
 
-def _unpacked(packed: bytes, limit: int) -> bytes:
-    unpacker = zlib.decompressobj()
-    try:
-        data = unpacker.decompress(packed, max(limit, 1) + 1)
-    except zlib.error as error:
-        raise MatError(f"a packed variable is damaged ({error})") from None
-    if len(data) > limit:
-        raise MatError(f"variables that unpack to more than {limit / 2**20:.0f} MiB, {MAX_RATIO} times the file")
-    return data
+    def skip(self, count: int) -> None:
+        while count > 0:
+            count -= len(self._next(count))
+
+    def fill(self, view: memoryview) -> None:
+        while len(view):
+            piece = self._next(len(view))
+            view[: len(piece)] = piece
+            view = view[len(piece) :]
+
+    def _next(self, count: int) -> bytes:
+        """One to ``count`` bytes."""
+        while True:
+            if not self._waiting and self._taken < self.size:
+                self.file.seek(self.start + self._taken)
+                self._waiting = self.file.read(min(_PIECE, self.size - self._taken))
+                self._taken += len(self._waiting)
+            ended = not self._waiting
+            try:
+                piece: bytes = self._unpacker.decompress(self._waiting, min(count, _PIECE))
+            except zlib.error as error:
+                raise MatError(f"a packed variable is damaged ({error})") from None
+            self._waiting = self._unpacker.unconsumed_tail
+            self.position += len(piece)
+            if self.position > self.limit:
+                raise MatError(f"variables that unpack to more than {self.limit / 2**20:.0f} MiB")
+            if piece:
+                return piece
+            if ended or self._unpacker.eof:
+                raise MatError("an element is cut off")
 
 
 @dataclass(frozen=True)
-class _Reader:
-    data: bytes
-    order: str
+class _Element:
+    """``small``: size and data share the tag, of which these are the bytes."""
 
-    def element(self, at: int, end: int) -> _Element:
-        """The element at ``at``; it has to end before ``end``."""
-        if at + 8 > end:
+    kind: int
+    start: int
+    size: int
+    small: bytes | None = None
+
+    @property
+    def end(self) -> int:
+        return self.start + self.size
+
+
+@dataclass
+class _Walk:
+    """Walks through the elements of a top-level variable; numbers are passed over and noted in ``found``."""
+
+    bytes_: _Bytes
+    order: str
+    source: tuple[int, int]
+    packed: bool
+    found: dict[str, Variable]
+
+    def element(self, end: int) -> _Element:
+        """The tag of the element here; the element has to end before ``end``."""
+        if self.bytes_.position + 8 > end:
             raise MatError("an element is cut off")
-        kind, size = struct.unpack_from(f"{self.order}II", self.data, at)
-        if kind >> 16:  # a small element: size and data share the tag
-            size, kind, start = kind >> 16, kind & 0xFFFF, at + 4
+        tag = bytearray(8)
+        self.bytes_.fill(memoryview(tag))
+        kind, size = struct.unpack(f"{self.order}II", tag)
+        start = self.bytes_.position
+        if kind >> 16:
+            size, kind = kind >> 16, kind & 0xFFFF
             if size > 4:
                 raise MatError(f"a small element of {size} bytes")
-        else:
-            start = at + 8
+            return _Element(kind, start - 4, size, bytes(tag[4 : 4 + size]))
         if start + size > end:
             raise MatError(f"an element of {size} bytes where {end - start} are left")
         return _Element(kind, start, size)
 
-    def elements(self, start: int, end: int) -> Iterator[_Element]:
-        at = start
-        while at + 8 <= end:
-            element = self.element(at, end)
-            yield element
-            small = element.start == at + 4
-            at = at + 8 if small else element.start + element.size + (-element.size % 8 if element.kind != _PACKED else 0)
+    def head(self, element: _Element) -> bytes:
+        """The bytes of a short element: sizes, flags, a name."""
+        if element.small is not None:
+            return element.small
+        if element.size > _MAX_HEAD:
+            raise MatError(f"a head of {element.size} bytes")
+        data = bytearray(element.size)
+        self.bytes_.fill(memoryview(data))
+        return bytes(data)
 
-    def numbers(self, element: _Element) -> npt.NDArray[Any]:
+    def leave(self, element: _Element, end: int) -> None:
+        """Go to where the next element begins."""
+        if element.small is None:
+            self.bytes_.skip(min(element.end + -element.size % 8, end) - self.bytes_.position)
+
+    def integers(self, element: _Element) -> list[int]:
         code = _NUMBERS.get(element.kind)
-        if code is None:
-            raise MatError(f"numbers of type {element.kind}")
-        kind = np.dtype(self.order + code)
-        return np.frombuffer(self.data, kind, element.size // kind.itemsize, element.start)
-
-    def integers(self, element: _Element) -> npt.NDArray[Any]:
-        values = self.numbers(element)
-        if values.dtype.kind not in "iu":
+        if code is None or code[0] not in "iu":
             raise MatError(f"a size or flag of type {element.kind}")
-        return values
+        kind = np.dtype(self.order + code)
+        data = self.head(element)
+        return [int(value) for value in np.frombuffer(data, kind, len(data) // kind.itemsize)]
 
-    def matrix(self, element: _Element, prefix: str, into: dict[str, npt.NDArray[Any]], depth: int) -> None:
-        """Put the numbers of a variable, and of what it contains, into ``into``."""
+    def matrix(self, element: _Element, prefix: str, depth: int) -> None:
+        """Note where the numbers of a variable are, and of what it contains."""
         if depth > _MAX_DEPTH:
             raise MatError(f"structures more than {_MAX_DEPTH} levels deep")
         if element.size == 0:
             return  # an empty matrix
-        parts = self.elements(element.start, element.start + element.size)
-        flags, sizes, title = (next(parts, None) for _ in range(3))
-        if flags is None or sizes is None or title is None or flags.size < 8:
+        end = element.end
+        flags = self._part(end)
+        if flags is None or flags.size < 8:
             raise MatError("a variable without flags, size and name")
-        array_class = int(self.integers(flags)[0]) & 0xFF
-        shape = tuple(int(size) for size in self.integers(sizes))
-        text = self.data[title.start : title.start + title.size].decode("latin-1")
-        name = prefix or text
+        array_class = self.integers(flags)[0] & 0xFF
+        self.leave(flags, end)
+        sizes = self._part(end)
+        if sizes is None:
+            raise MatError("a variable without flags, size and name")
+        shape = tuple(self.integers(sizes))
+        self.leave(sizes, end)
+        title = self._part(end)
+        if title is None:
+            raise MatError("a variable without flags, size and name")
+        name = self.head(title).decode("latin-1")
+        self.leave(title, end)
         if array_class in _NUMERIC:
-            self.numeric(name, shape, next(parts, None), into)
+            self.numeric(prefix or name, shape, self._part(end))
         elif array_class == _STRUCTURE and all(size == 1 for size in shape):
-            self.structure(name, parts, into, depth)
+            self.structure(prefix or name, end, depth)
 
-    def numeric(self, name: str, shape: tuple[int, ...], element: _Element | None, into: dict[str, npt.NDArray[Any]]) -> None:
-        values = self.numbers(element) if element is not None else np.zeros(0)
-        if min(shape, default=0) < 0 or len(values) != math.prod(shape):
-            raise MatError(f"{name}: {len(values)} numbers for a size of {' × '.join(map(str, shape))}")
-        array = values.reshape(shape, order="F").squeeze()
-        if array.ndim:
-            into[name] = array
+    def _part(self, end: int) -> _Element | None:
+        return self.element(end) if self.bytes_.position + 8 <= end else None
 
-    def structure(self, name: str, parts: Iterator[_Element], into: dict[str, npt.NDArray[Any]], depth: int) -> None:
-        length, names = next(parts, None), next(parts, None)
-        if length is None or names is None:
+    def numeric(self, name: str, shape: tuple[int, ...], element: _Element | None) -> None:
+        code = "f8" if element is None else _NUMBERS.get(element.kind)
+        if code is None:
+            raise MatError(f"numbers of type {element.kind if element is not None else 0}")
+        kind = np.dtype(self.order + code)
+        count = 0 if element is None else element.size // kind.itemsize
+        if min(shape, default=0) < 0 or count != math.prod(shape):
+            raise MatError(f"{name}: {count} numbers for a size of {' × '.join(map(str, shape))}")
+        squeezed = tuple(size for size in shape if size != 1)
+        if squeezed:
+            self.found[name] = Variable(squeezed, kind, self.source, self.packed, element.start if element is not None else 0)
+
+    def structure(self, name: str, end: int, depth: int) -> None:
+        length = self._part(end)
+        widths = self.integers(length) if length is not None else []
+        if length is None or not widths or not 0 < widths[0] <= 1024:
             raise MatError(f"{name}: a structure without names of fields")
-        widths = self.integers(length)
-        if not len(widths) or not 0 < int(widths[0]) <= 1024:
+        self.leave(length, end)
+        names = self._part(end)
+        if names is None:
             raise MatError(f"{name}: a structure without names of fields")
-        width = int(widths[0])
-        raw = self.data[names.start : names.start + names.size]
-        fields = [raw[at : at + width].split(b"\0")[0].decode("latin-1") for at in range(0, len(raw) - width + 1, width)]
-        for field, value in zip(fields, parts, strict=False):
+        raw, width = self.head(names), widths[0]
+        self.leave(names, end)
+        for at in range(0, len(raw) - width + 1, width):
+            value = self._part(end)
+            if value is None:
+                return
             if value.kind == _MATRIX:
-                self.matrix(value, f"{name}.{field}", into, depth + 1)
+                field_name = raw[at : at + width].split(b"\0")[0].decode("latin-1")
+                self.matrix(value, f"{name}.{field_name}", depth + 1)
+            self.leave(value, end)

@@ -9,11 +9,11 @@ import numpy as np
 
 from sysid.errors import InputError
 from sysid.logs.layout import Bytes
+from sysid.logs.limits import Budget
 from sysid.logs.mcap_file import CHANNEL, HEAD, MESSAGE_HEAD, RECORD, SCHEMA, STATISTICS, Block, McapFile
 from sysid.logs.reader import ReadOptions
 from sysid.logs.stream import Stream
-from sysid.logs.table import check_not_empty
-from sysid.logs.topics import Topic, finished, make_decoder
+from sysid.logs.topics import Topic, check_held, finished, make_decoder
 
 _COUNT = np.dtype([("channel", "<u2"), ("messages", "<u8")])
 
@@ -27,13 +27,14 @@ class McapReader:
     clocks: tuple[str, ...] = ("header", "log", "publish")
 
     def read(self, path: Path, options: ReadOptions) -> tuple[Stream, ...]:
-        check_not_empty(path, "an MCAP file")
-        file = McapFile(path)
-        log = _Log(path, options, file.losses)
+        budget = options.budget_of(path, "an MCAP file", None)
+        file = McapFile(path, budget)
+        log = _Log(path, options, budget, file.losses)
         for block in file.blocks():
             for opcode, body in block.definitions:
                 log.define(opcode, body)
             log.take(block)
+            options.progress(min(1.0, file.position / file.size))
         return finished(log.topics.values(), log.names.values(), options, path, file.losses)
 
 
@@ -43,6 +44,7 @@ class _Log:
 
     path: Path
     options: ReadOptions
+    budget: Budget
     losses: list[str]
     schemas: dict[int, tuple[str, str, bytes]] = field(default_factory=dict)
     names: dict[int, str] = field(default_factory=dict)
@@ -70,8 +72,9 @@ class _Log:
         key = (topic, kind, encoding)
         if key not in self.topics:
             where = f"{self.path}: {topic}"
+            self.budget.check_topics(self.path, len(self.topics) + 1)
             try:
-                decoder = make_decoder(topic, kind, encoding, schema_encoding, text, self.options, where)
+                decoder = make_decoder(topic, kind, encoding, schema_encoding, text, self.options, where, self.budget)
             except InputError as error:
                 if self.options.streams is not None:
                     raise
@@ -105,6 +108,7 @@ class _Log:
             topic.publish.extend(heads["publish"][own].astype(np.int64))
             sizes = heads["length"][own].astype(np.int64) - MESSAGE_HEAD
             topic.decoder.add(data, block.starts[own] + RECORD + MESSAGE_HEAD, sizes)
+        check_held(self.path, self.topics.values(), self.budget)
 
 
 @dataclass

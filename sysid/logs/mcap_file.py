@@ -19,7 +19,7 @@ import numpy.typing as npt
 
 from sysid.errors import InputError
 from sysid.logs.layout import Bytes
-from sysid.logs.limits import MAX_CHUNK, unpack
+from sysid.logs.limits import Budget, unpack
 
 MAGIC = b"\x89MCAP0\r\n"
 FOOTER, SCHEMA, CHANNEL, MESSAGE, CHUNK, MESSAGE_INDEX, DATA_END = 0x02, 0x03, 0x04, 0x05, 0x06, 0x07, 0x0F
@@ -68,11 +68,14 @@ class McapFile:
     """Walks a file once; what could not be read stands in ``losses``, in words."""
 
     path: Path
+    budget: Budget
     losses: list[str] = field(default_factory=list)
+    position: int = 0
+    size: int = 1
 
     def blocks(self) -> Iterator[Block]:
         """The summary's definitions first (they repeat those whose chunk is damaged), then the data section in order."""
-        size = self.path.stat().st_size
+        self.size = size = self.path.stat().st_size
         with self.path.open("rb") as file:
             magic = file.read(len(MAGIC))
             if magic != MAGIC:
@@ -80,22 +83,32 @@ class McapFile:
                 raise InputError(self.path, f"starts with {magic.hex()}", "the magic bytes of an MCAP file", remedy)
             yield Block(tuple(_summary(file, size)), _NOTHING, _NO_STARTS)
             file.seek(len(MAGIC))
-            yield from self._unpacked(_data_section(file, size))
+            yield from self._unpacked(_data_section(file, size, self.budget.chunk))
 
     def _unpacked(self, items: Iterator[_Chunk | Block | str]) -> Iterator[Block]:
         """The blocks of ``items`` in order; the next chunks are unpacked in other threads while one is being used."""
         waiting: deque[tuple[Future[Block | str] | Block | str, int]] = deque()
-        held = 0
+        held = unpacked = 0
         with ThreadPoolExecutor(_THREADS) as pool:
             for item in items:
-                size = _stated_size(item.body) if isinstance(item, _Chunk) else 0
-                waiting.append((pool.submit(_unpack, item) if isinstance(item, _Chunk) else item, size))
+                size = self._stated_size(item.body) if isinstance(item, _Chunk) else 0
+                self.position += (
+                    len(item.body) if isinstance(item, _Chunk) else len(item.data) if isinstance(item, Block) else 0
+                )
+                waiting.append((pool.submit(_unpack, item, self.budget) if isinstance(item, _Chunk) else item, size))
                 held += size
+                unpacked += size - len(item.body) if isinstance(item, _Chunk) else 0
+                self.budget.check_unpacked(self.path, unpacked)
                 while waiting and (held > _AHEAD or len(waiting) > 2 * _THREADS):
                     held -= waiting[0][1]
                     yield from self._taken(waiting.popleft()[0])
             while waiting:
                 yield from self._taken(waiting.popleft()[0])
+
+    def _stated_size(self, body: bytes) -> int:
+        """Bytes of a chunk, unpacked and packed."""
+        unpacked = int.from_bytes(body[16:24], "little") if len(body) >= 40 else 0
+        return len(body) + min(unpacked, self.budget.chunk)
 
     def _taken(self, item: Future[Block | str] | Block | str) -> Iterator[Block]:
         found = item.result() if isinstance(item, Future) else item
@@ -105,7 +118,7 @@ class McapFile:
             yield found
 
 
-def _data_section(file: BinaryIO, size: int) -> Iterator[_Chunk | Block | str]:
+def _data_section(file: BinaryIO, size: int, largest: int) -> Iterator[_Chunk | Block | str]:
     """Chunks, the records outside of chunks, and what is lost, in the order of the file."""
     position = len(MAGIC)
     loose = bytearray()
@@ -129,13 +142,13 @@ def _data_section(file: BinaryIO, size: int) -> Iterator[_Chunk | Block | str]:
         if len(head) < RECORD or start + length > size:
             yield f"the file is cut off at byte {size}; what lies before has been read"
             if opcode == CHUNK:
-                yield _Chunk(file.read(min(size - start, MAX_CHUNK)), cut_off=True)
+                yield _Chunk(file.read(min(size - start, largest)), cut_off=True)
             return
-        if opcode == CHUNK and length <= MAX_CHUNK:
+        if opcode == CHUNK and length <= largest:
             chunk = file.read(length)
         elif opcode == MESSAGE_INDEX and chunk is not None and length <= _MAX_DEFINITION:
             index.append(file.read(length))
-        elif opcode in (SCHEMA, CHANNEL, MESSAGE) and length <= (MAX_CHUNK if opcode == MESSAGE else _MAX_DEFINITION):
+        elif opcode in (SCHEMA, CHANNEL, MESSAGE) and length <= (largest if opcode == MESSAGE else _MAX_DEFINITION):
             loose += head
             loose += file.read(length)
         else:
@@ -145,12 +158,7 @@ def _data_section(file: BinaryIO, size: int) -> Iterator[_Chunk | Block | str]:
         position = start + length
 
 
-def _stated_size(body: bytes) -> int:
-    """Bytes of a chunk, unpacked and packed."""
-    return len(body) + (min(int.from_bytes(body[16:24], "little"), MAX_CHUNK) if len(body) >= 40 else 0)
-
-
-def _unpack(chunk: _Chunk) -> Block | str:
+def _unpack(chunk: _Chunk, budget: Budget) -> Block | str:
     """The records of a chunk, or why there are none."""
     body = chunk.body
     if len(body) < 40:
@@ -159,7 +167,7 @@ def _unpack(chunk: _Chunk) -> Block | str:
     compression = body[32 : 32 + name_length].decode("ascii", errors="replace")
     packed = memoryview(body)[32 + name_length + 8 :]
     try:
-        records = unpack(packed, compression, size, chunk.cut_off) if compression else packed
+        records = unpack(packed, compression, size, budget, chunk.cut_off) if compression else packed
     except ValueError as error:
         return f"a chunk of {size} bytes cannot be unpacked ({error})"
     if checksum and not chunk.cut_off and zlib.crc32(records) != checksum:

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import BinaryIO
 
 from sysid.errors import InputError
-from sysid.logs.limits import too_large
+from sysid.logs.limits import Budget
 
 #: Where the header's links to the chains stand: data groups, histories, hierarchies, attachments, events.
 _CHAINS = {88: "DG", 96: "FH", 104: "CH", 112: "AT", 120: "EV"}
@@ -29,7 +29,7 @@ _PACKED = struct.Struct("<2sBxLQQ")
 _PIECE = 2**20
 
 
-def check_blocks(path: Path) -> None:
+def check_blocks(path: Path, budget: Budget) -> None:
     """Raise where a chain of blocks has no end, or a packed block is larger than it says or than allowed.
 
     Raises:
@@ -39,9 +39,10 @@ def check_blocks(path: Path) -> None:
         packed = unpacked = 0
         for at in _blocks(path, file):
             if _read(file, at, 4) == b"##DZ":
-                sizes = _packed_block(path, file, at)
+                sizes = _packed_block(path, file, at, budget)
                 packed, unpacked = packed + sizes[0], unpacked + sizes[1]
-        reason = too_large(packed, unpacked, limit=False)
+                budget.check_unpacked(path, unpacked)
+        reason = budget.too_large(packed, unpacked, at_once=False)
         if reason:
             raise InputError(path, f"packed data: {reason}", "a log", "The file is damaged or made to do harm.")
 
@@ -75,13 +76,13 @@ def _blocks(path: Path, file: BinaryIO) -> Iterator[int]:
                 yield data
 
 
-def _packed_block(path: Path, file: BinaryIO, at: int) -> tuple[int, int]:
+def _packed_block(path: Path, file: BinaryIO, at: int, budget: Budget) -> tuple[int, int]:
     """Bytes of a packed block, and of what it unpacks to."""
     head = _read(file, at + _NEXT, _PACKED.size)
     if len(head) < _PACKED.size:
         return 0, 0
     _, _, _, stated, size = _PACKED.unpack(head)
-    reason = too_large(size, stated)
+    reason = budget.too_large(size, stated)
     unpacker, left, total = zlib.decompressobj(), min(size, path.stat().st_size), 0
     while not reason and left > 0 and (piece := file.read(min(left, _PIECE))):
         left -= len(piece)

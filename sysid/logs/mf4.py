@@ -16,7 +16,7 @@ import numpy.typing as npt
 from sysid.errors import InputError, nearest
 from sysid.logs.can import frame_streams
 from sysid.logs.can_frames import Address, FrameLog, Frames
-from sysid.logs.limits import MAX_CELLS, check_whole
+from sysid.logs.limits import Budget
 from sysid.logs.mdf_links import check_blocks
 from sysid.logs.reader import ReadOptions
 from sysid.logs.stream import Stream
@@ -36,16 +36,16 @@ class Mf4Reader:
     clocks: tuple[str, ...] = ("log",)
 
     def read(self, path: Path, options: ReadOptions) -> tuple[Stream, ...]:
-        check_whole(path, "an MDF 4 file")
+        budget = options.budget_of(path, "an MDF 4 file", None)
         with path.open("rb") as file:
             head = file.read(8)
             if head not in (b"MDF     ", b"UnFinMF "):
                 raise InputError(path, f"starts with {head!r}", "'MDF     ' as in an MDF file")
             file.seek(0)
-            check_blocks(path)
+            check_blocks(path, budget)
             mdf = _open(path, file)
             try:
-                return _streams(path, mdf, options)
+                return _streams(path, mdf, options, budget)
             except InputError:
                 raise
             except Exception as error:  # as when it is opened
@@ -81,8 +81,9 @@ def _unreadable(path: Path, error: Exception) -> InputError:
     return InputError(path, f"not readable as MDF 4 ({type(error).__name__}: {error})", "an MDF 4 file")
 
 
-def _streams(path: Path, mdf: Any, options: ReadOptions) -> tuple[Stream, ...]:
+def _streams(path: Path, mdf: Any, options: ReadOptions, budget: Budget) -> tuple[Stream, ...]:
     start_ns = int(mdf.header.abs_time)
+    budget.check_topics(path, len(mdf.groups), "channel groups")
     names: dict[str, int] = {}
     buses: list[int] = []
     for index, group in enumerate(mdf.groups):
@@ -105,8 +106,7 @@ def _streams(path: Path, mdf: Any, options: ReadOptions) -> tuple[Stream, ...]:
             raise InputError(path, f"no channel group {wanted!r}", nearest(wanted, names), "Correct `topic` in the recipe.")
     chosen = {name: index for name, index in names.items() if options.streams is None or name in options.streams}
     cells = sum(int(mdf.groups[i].channel_group.cycles_nr) * len(mdf.groups[i].channels) for i in chosen.values())
-    if cells > MAX_CELLS:
-        raise InputError(path, f"{cells} samples in the groups asked for", f"at most {MAX_CELLS}", "Name fewer in the recipe.")
+    budget.check_numbers(path, cells)
     streams = [_group_stream(path, mdf, name, index, start_ns) for name, index in chosen.items()]
     found = [stream for stream in streams if stream is not None]
     if not found:

@@ -20,7 +20,6 @@ import numpy as np
 from sysid.errors import InputError
 from sysid.logs.capture import Array, check_streams, euler_order, from_euler, length_factor, number_rows, quaternion_columns
 from sysid.logs.cut_off import missing_frames
-from sysid.logs.limits import check_whole
 from sysid.logs.motive_records import RECORD_TYPES, read_records
 from sysid.logs.reader import ReadOptions
 from sysid.logs.stream import Stream
@@ -66,21 +65,22 @@ class MotiveReader:
     clocks: tuple[str, ...] = ("capture",)
 
     def read(self, path: Path, options: ReadOptions) -> tuple[Stream, ...]:
-        check_whole(path, "a Motive CSV export")
+        budget = options.budget_of(path, "a Motive CSV export")
         if _first_cell(path).lower() in RECORD_TYPES:
-            return read_records(path, options)
+            return read_records(path, options, budget)
         head = _head(path)
         factor = length_factor(path, head.stated.get("Length Units", ""), options)
         space = head.stated.get("Coordinate Space", "Global")
         if space not in ("Global", ""):
             raise InputError(path, f"coordinate space {space!r}", "'Global'", "Export again with world coordinates.")
         names = list(dict.fromkeys(column.name for column in head.columns))
+        budget.check_topics(path, len(names), "rigid bodies and markers")
         check_streams(path, options, names, "rigid body or marker")
         chosen = [column for column in head.columns if options.streams is None or column.name in options.streams]
         used = sorted({head.time, *(column.index for column in chosen)})
         time = used.index(head.time)
         stop = (time, options.seconds) if options.seconds is not None else None
-        table, losses = number_rows(path, head.width, head.lines, ",", stop=stop, columns=used)
+        table, losses = number_rows(path, head.width, head.lines, ",", stop=stop, columns=used, options=options)
         losses = (*losses, *head.unread)
         if options.seconds is None:
             losses += missing_frames(path, head.stated.get(EXPORTED, ""), len(table))

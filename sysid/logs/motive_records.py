@@ -17,6 +17,7 @@ import numpy as np
 from sysid.errors import InputError
 from sysid.logs.capture import Array, check_streams, length_factor, quaternion_columns
 from sysid.logs.cut_off import missing_frames
+from sysid.logs.limits import Budget
 from sysid.logs.reader import ReadOptions
 from sysid.logs.stream import Stream
 from sysid.logs.table import to_ns
@@ -36,7 +37,7 @@ class _Take:
     markers: dict[str, list[tuple[int, list[float]]]] = field(default_factory=dict)
 
 
-def read_records(path: Path, options: ReadOptions) -> tuple[Stream, ...]:
+def read_records(path: Path, options: ReadOptions, budget: Budget) -> tuple[Stream, ...]:
     """All streams of an export of version 1.1.
 
     Raises:
@@ -50,6 +51,7 @@ def read_records(path: Path, options: ReadOptions) -> tuple[Stream, ...]:
             for number, row in enumerate(csv.reader(file), start=1):
                 try:
                     _record(path, row, take)
+                    budget.check_topics(path, len(take.bodies) + len(take.markers), "rigid bodies and markers")
                 except (ValueError, IndexError):
                     losses.append(f"{path.name}: line {number} is cut or damaged and has been left out")
     except (UnicodeDecodeError, csv.Error) as error:
@@ -58,6 +60,8 @@ def read_records(path: Path, options: ReadOptions) -> tuple[Stream, ...]:
         raise InputError(path, "no frames", "at least one frame", "Export the take again.")
     check_streams(path, options, [*take.bodies, *take.markers], "rigid body or marker")
     losses += missing_frames(path, take.stated, len(take.seconds))
+    names = [name for name in (*take.bodies, *take.markers) if options.streams is None or name in options.streams]
+    budget.check_numbers(path, 7 * len(names) * len(take.seconds))
     stamps = {"capture": to_ns(np.array(take.seconds), 1.0, f"{path}: Time")}
     makers: list[tuple[str, dict[str, list[tuple[int, list[float]]]], Callable[[Array], dict[str, Array]]]] = [
         ("Rigid Body", take.bodies, lambda table: {**_position(table, factor), **quaternion_columns(table[:, 3:7])}),

@@ -1,7 +1,7 @@
 """Values of one topic as they come, put into columns at once.
 
 Messages go as soon as their values have been cut out, so that a log larger than the memory can be read; of a topic without
-wanted fields (``wanted = None``) everything is kept up to :data:`MAX_CELLS`.
+wanted fields (``wanted = None``) everything is kept up to ``cells``.
 """
 
 from __future__ import annotations
@@ -17,8 +17,6 @@ from sysid.logs.growing import Growing, Rows, Values
 
 #: Fields of one topic; names that change from message to message would otherwise fill the memory.
 MAX_FIELDS = 4096
-#: Cells of one topic's table (2 GiB) while nothing says which fields are wanted.
-MAX_CELLS = 2**28
 
 #: Where the stamp of a message stands: (seconds, nanoseconds).
 STAMP_FIELDS = tuple(
@@ -31,9 +29,15 @@ _STAMPS = frozenset(path for pair in STAMP_FIELDS for path in pair)
 
 @dataclass
 class Pieces:
-    """Columns that grow. ``wanted``: fields to keep besides the stamps, None for all."""
+    """Columns that grow.
+
+    Args:
+        wanted: fields to keep besides the stamps; None for all.
+        cells: of the topic's table while nothing says which fields are wanted.
+    """
 
     wanted: frozenset[str] | None = None
+    cells: int = 2**28
     total: int = 0
     bad: array[int] = field(default_factory=lambda: array("q"))
     fields: dict[str, None] = field(default_factory=dict)
@@ -113,7 +117,13 @@ class Pieces:
 
     def _room(self) -> int:
         """Columns that a table of so many messages may have."""
-        return max(1, MAX_CELLS // max(1, self.total))
+        return max(1, self.cells // max(1, self.total))
+
+    @property
+    def held(self) -> int:
+        """Values that have been kept, each column once."""
+        columns = {id(column): column.found for column in (*self._columns.values(), *self._stamps.values())}
+        return sum(columns.values())
 
     def know(self, path: str) -> None:
         """A field that the file has, whether wanted or not."""

@@ -24,7 +24,6 @@ from sysid.logs.capture import (
     text_lines,
     unique_names,
 )
-from sysid.logs.limits import check_whole
 from sysid.logs.reader import ReadOptions
 from sysid.logs.stream import Stream
 from sysid.logs.table import to_ns
@@ -43,19 +42,20 @@ class QualisysReader:
     clocks: tuple[str, ...] = ("capture",)
 
     def read(self, path: Path, options: ReadOptions) -> tuple[Stream, ...]:
-        check_whole(path, _WHAT)
+        budget = options.budget_of(path, _WHAT)
         head, width, first = _head(path)
         kind = next(iter(head.get("DATA_INCLUDED", [])), "")
         if kind not in _NAMES:
             raise InputError(path, f"DATA_INCLUDED {kind!r}", "'3D' or '6D'", "Export again with the header on.")
         names = unique_names([name for name in head.get(_NAMES[kind], []) if name])
+        budget.check_topics(path, len(names), "markers and bodies")
         check_streams(path, options, names, "marker or body")
         cells = _CELLS[kind]
         before = width - cells * len(names)
         if not names or before not in (0, 1, 2):
             expected = f"{cells} for each of {len(names)} names, frame and time"
             raise InputError(f"{path}: line {first + 1}", f"{width} columns", expected, "Export it again.")
-        table, losses = number_rows(path, width, first, "\t")
+        table, losses = number_rows(path, width, first, "\t", options=options)
         if not len(table):
             raise InputError(path, "a header but no frames", "at least one frame", "Export it again.")
         stamps = {"capture": to_ns(_seconds(path, table, before, head), 1.0, f"{path}: time")}

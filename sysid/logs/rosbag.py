@@ -6,24 +6,27 @@ The ``rosbags`` library takes the containers apart; the messages go through the 
 from __future__ import annotations
 
 import bz2
+import contextlib
 import struct
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
+from urllib.parse import quote
 
 import numpy as np
 
 from sysid.errors import InputError
-from sysid.logs.limits import FREE, MAX_CHUNK, MAX_RATIO, unpack
+from sysid.logs.limits import FREE, MAX_RATIO, Budget, unpack
 from sysid.logs.reader import ReadOptions
 from sysid.logs.stream import Stream
-from sysid.logs.table import check_not_empty
-from sysid.logs.topics import Topic, check_topics, finished, make_decoder
+from sysid.logs.topics import Topic, check_held, check_topics, finished, make_decoder
 
 _ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 #: Messages of a topic are handed on in batches of this size, and all of them when so much is held together.
 _BATCH, _HELD = 4 * 2**20, 32 * 2**20
+#: What the library asks an sqlite file for.
+_TABLES = ("topics", "messages", "schema", "message_definitions", "metadata")
 
 
 @dataclass(frozen=True)
@@ -39,13 +42,13 @@ class Ros1Reader:
         from rosbags.rosbag1 import Reader, ReaderError
         from rosbags.rosbag1.reader import decompressors
 
-        check_not_empty(path, "a ROS 1 bag")
+        budget = options.budget_of(path, "a ROS 1 bag", None)
         with path.open("rb") as file:
             magic = file.readline(64)
         if not magic.startswith(b"#ROSBAG V2.0"):
             found = f"starts with {magic[:13]!r}"
             raise InputError(path, found, "'#ROSBAG V2.0'", "Older bags: convert them with `rosbag fix`.")
-        bag = _Bag(path, options, "ros1", "ros1msg")
+        bag = _Bag(path, options, budget, "ros1", "ros1msg")
         reader = Reader(path)
         # The library checks a bag by assertions and by what its own parsing runs into: all of it means a damaged bag. It asks
         # for as many bytes as a length word says before it looks whether the file has them (4 GiB at most).
@@ -62,7 +65,7 @@ class Ros1Reader:
             unpackers = {decompressors["bz2"]: bz2.BZ2Decompressor, decompressors["lz4"]: LZ4FrameDecompressor}
             for position, chunk in reader.chunks.items():
                 if chunk.decompressor in unpackers:
-                    reader.chunks[position] = chunk._replace(decompressor=_limited(unpackers[chunk.decompressor]))
+                    reader.chunks[position] = chunk._replace(decompressor=_limited(unpackers[chunk.decompressor], budget))
             connections = bag.define(reader.connections, lambda connection: connection.msgdef.data)
             bag.take((c, stamp, data) for c, stamp, data in reader.messages(connections) if connections)
         except damage as error:
@@ -84,20 +87,23 @@ class Rosbag2Reader:
         import apsw
         from rosbags.rosbag2 import Reader, ReaderError
 
-        check_not_empty(path, "a rosbag2 file")
+        budget = options.budget_of(path, "a rosbag2 file", None)
         if path.suffix.lower() == ".zstd":
             raise InputError(path, "a file compressed as a whole", "the file itself", f"Unpack it: `zstd -d {path.name}`.")
         _check_pages(path)
-        bag = _Bag(path, options, "cdr", "ros2msg")
+        bag = _Bag(path, options, budget, "cdr", "ros2msg")
+        damage = (ReaderError, apsw.Error, ValueError, KeyError, TypeError, AttributeError, RecursionError)
         try:
             reader = Reader(path)
-            reader.open()
-        except (ReaderError, apsw.Error, ValueError, KeyError, TypeError, AttributeError) as error:
+            with _limited_rows(budget):
+                _check_tables(path)
+                reader.open()
+        except damage as error:
             raise InputError(path, f"not readable as rosbag2 ({_short(error)})", "an sqlite file that rosbag2 wrote") from None
         try:
             connections = bag.define(reader.connections, _ros2_definition)
             bag.take(_stored(reader.messages(connections), bag) if connections else ())
-        except (ReaderError, apsw.Error, ValueError, KeyError, TypeError) as error:
+        except damage as error:
             bag.lose(f"damaged ({_short(error)}); what lies before has been read")
         finally:
             reader.close()
@@ -110,6 +116,7 @@ class _Bag:
 
     path: Path
     options: ReadOptions
+    budget: Budget
     encoding: str
     schema_encoding: str
     losses: list[str] = field(default_factory=list)
@@ -130,6 +137,7 @@ class _Bag:
             if self.options.streams is not None and topic not in self.options.streams:
                 continue
             where = f"{self.path}: {topic}"
+            self.budget.check_topics(self.path, len(self.topics) + 1)
             try:
                 if (topic, kind) not in self.topics:
                     text = definition(connection)
@@ -139,7 +147,9 @@ class _Bag:
                     if not text:
                         expected = "a definition in the file, or a message type of ROS 2 itself"
                         raise InputError(where, f"messages of type {kind!r} without definition", expected)
-                    decoder = make_decoder(topic, kind, self.encoding, encoding, text.encode(), self.options, where)
+                    decoder = make_decoder(
+                        topic, kind, self.encoding, encoding, text.encode(), self.options, where, self.budget
+                    )
                     self.topics[topic, kind] = Topic(topic, kind, decoder)
             except InputError as error:
                 if self.options.streams is not None:
@@ -162,6 +172,7 @@ class _Bag:
                     for batch in batches.values():
                         batch.flush()
                     held = 0
+                    check_held(self.path, self.topics.values(), self.budget)
         finally:
             for batch in batches.values():
                 batch.flush()
@@ -197,17 +208,23 @@ class _Batch:
         self.stamps, self.messages, self.size = [], [], 0
 
 
-def _limited(maker: Any) -> Any:
+def _limited(maker: Any, budget: Budget) -> Any:
     """A decompressor that stops at the limit of a chunk."""
 
+    total = 0
+
     def decompress(packed: bytes) -> bytes:
-        most = min(MAX_CHUNK, max(FREE, MAX_RATIO * len(packed)))
+        nonlocal total
+        most = min(budget.chunk, max(FREE, MAX_RATIO * len(packed)))
         try:
             data: bytes = maker().decompress(packed, max_length=most + 1)
         except RuntimeError as error:  # what the lz4 library raises for damage
             raise ValueError(str(error)) from None
         if len(data) > most:
             raise ValueError(f"a chunk unpacks to more than {most / 2**20:.0f} MiB")
+        total += len(data)
+        if total > budget.unpacked:
+            raise ValueError(f"chunks that unpack to more than {budget.unpacked / 2**20:.0f} MiB")
         return data
 
     return decompress
@@ -229,25 +246,63 @@ def _check_pages(path: Path) -> None:
         raise InputError(path, f"the file is cut off: {there} of {size} bytes", "a whole sqlite file", remedy)
 
 
+@contextlib.contextmanager
+def _limited_rows(budget: Budget) -> Iterator[None]:
+    """Databases that are opened in the meantime give no value that is longer than a chunk may be."""
+    import apsw
+
+    def limit(database: apsw.Connection) -> None:
+        database.limit(apsw.SQLITE_LIMIT_LENGTH, budget.chunk)
+
+    apsw.connection_hooks.append(limit)
+    try:
+        yield
+    finally:
+        apsw.connection_hooks.remove(limit)
+
+
+def _check_tables(path: Path) -> None:
+    """Raise where the tables of a bag are not stored but made while they are read: views, virtual tables, generated columns.
+
+    Raises:
+        InputError: a table that is not stored.
+        apsw.Error: no sqlite file.
+    """
+    import apsw
+
+    database = apsw.Connection(f"file:{quote(str(path))}?immutable=1", apsw.SQLITE_OPEN_READONLY | apsw.SQLITE_OPEN_URI)
+    with contextlib.closing(database):
+        for name in _TABLES:
+            kinds = [
+                kind for (kind,) in database.execute("SELECT type FROM pragma_table_list WHERE name = ? COLLATE NOCASE", [name])
+            ]
+            hidden = [row[1] for row in database.execute("SELECT * FROM pragma_table_xinfo(?)", [name]) if row[6]]
+            found = "" if set(kinds) <= {"table"} else f"a {kinds[0]}" if kinds != ["virtual"] else "a virtual table"
+            found = found or (f"a generated column {hidden[0]!r}" if hidden else "")
+            if found:
+                where = f"{path}: table {name!r}"
+                raise InputError(where, found, "rows that rosbag2 has stored", "The file is damaged or made to do harm.")
+
+
 def _stored(rows: Iterable[tuple[Any, Any, Any]], bag: _Bag) -> Iterator[tuple[Any, int, bytes]]:
     """Messages as they were written; rows whose cells are of another type (sqlite takes any) are left out and counted."""
     others = 0
     for connection, stamp, data in rows:
         if isinstance(stamp, int) and isinstance(data, bytes):
-            yield connection, stamp, _unpacked(data)
+            yield connection, stamp, _unpacked(data, bag.budget)
         else:
             others += 1
     if others:
         bag.lose(f"{others} rows without a stamp and a message have been left out")
 
 
-def _unpacked(data: bytes) -> bytes:
+def _unpacked(data: bytes, budget: Budget) -> bytes:
     """A message, unpacked where the bag compresses each by itself (CDR never starts with these bytes)."""
     if not data.startswith(_ZSTD_MAGIC):
         return data
     import zstandard
 
-    return unpack(data, "zstd", zstandard.frame_content_size(data))
+    return unpack(data, "zstd", zstandard.frame_content_size(data), budget)
 
 
 def _ros2_definition(connection: Any) -> str:

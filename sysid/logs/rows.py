@@ -13,12 +13,13 @@ import numpy.typing as npt
 
 from sysid.errors import InputError
 from sysid.logs.layout import MAX_ELEMENTS, NAME_FIELDS, Bytes
+from sysid.logs.limits import MAX_DEPTH
 from sysid.logs.pieces import STAMP_FIELDS, Pieces
 
-#: Objects inside of objects; deeper ones are not signals but traps.
-MAX_DEPTH = 32
 #: Messages whose numbers are Python objects at the same time.
 _BATCH = 4096
+#: Values of one JSON message, and bytes of one protobuf message: as objects they take many times that.
+_MAX_VALUES, _MAX_MESSAGE = 2**20, 16 * 2**20
 
 #: The bytes of a message → nested dictionaries, lists, numbers; raises ValueError for a message that cannot be read.
 Parse = Callable[[bytes], Any]
@@ -31,11 +32,12 @@ class RowDecoder:
     parse: Parse
     wanted: frozenset[str] | None = None
     preview: int | None = None
+    cells: int = 2**28
     pieces: Pieces = field(init=False)
     reason: str = ""
 
     def __post_init__(self) -> None:
-        self.pieces = Pieces(self.wanted)
+        self.pieces = Pieces(self.wanted, self.cells)
 
     def add(self, buffer: Bytes, starts: npt.NDArray[np.int64], sizes: npt.NDArray[np.int64]) -> None:
         """Take messages ``buffer[start : start + size]``."""
@@ -111,8 +113,10 @@ def parse_json(data: bytes) -> Any:
     """One JSON message.
 
     Raises:
-        ValueError: no JSON, or no object.
+        ValueError: no JSON, no object, or one of too many values.
     """
+    if data.count(b",") + data.count(b"[") + data.count(b"{") > _MAX_VALUES:
+        raise ValueError(f"JSON of more than {_MAX_VALUES} values")
     value = json.loads(data)
     if not isinstance(value, dict):
         raise ValueError(f"JSON of type {type(value).__name__} instead of an object")
@@ -142,6 +146,8 @@ def protobuf_parser(name: str, schema: bytes, where: object) -> Parse:
         ) from None
 
     def parse(data: bytes) -> Any:
+        if len(data) > _MAX_MESSAGE:
+            raise ValueError(f"a protobuf message of more than {_MAX_MESSAGE // 2**20} MiB")
         message = kind()
         try:
             message.ParseFromString(data)

@@ -21,6 +21,9 @@ TIME_NAMES = ("time", "t", "Time", "timestamp")
 Columns: TypeAlias = Sequence[tuple[str, npt.NDArray[np.float64]]]
 
 
+#: Stamps that are converted at a time.
+_PIECE = 2**18
+
 #: What stands with a text log whose last row may be cut: it would give another number, not a missing one.
 CUT_ROW = "the last row has no line end and may be cut: left out"
 
@@ -34,12 +37,14 @@ def without_line_end(path: Path) -> bool:
         return file.read(1) not in (b"\n", b"\r")
 
 
-def check_not_empty(path: Path, what: str) -> None:
-    """Raise where ``path`` is missing or has no bytes."""
-    if not path.is_file():
-        raise InputError(path, "no such file", what, "Check the path.")
-    if path.stat().st_size == 0:
-        raise InputError(path, "the file is empty", what, "Export the log again.")
+def is_wanted(header: str, options: ReadOptions, units_in_headers: bool = True) -> bool:
+    """Whether a column is to be read: it is asked for, or may be the time."""
+    if options.columns is None:
+        return True
+    name = split_header(header)[0] if units_in_headers else header
+    if name in options.columns or name == options.time:
+        return True
+    return options.time is None and options.rate_hz is None and name in TIME_NAMES
 
 
 def table_stream(
@@ -48,14 +53,18 @@ def table_stream(
     options: ReadOptions,
     losses: tuple[str, ...] = (),
     units_in_headers: bool = True,
+    known: Sequence[str] = (),
 ) -> Stream:
     """The stream of a plain table of (header, values); headers may carry units (``boom.cylinder [mm]``).
+
+    ``known``: all headers, where only the wanted columns were read.
 
     Raises:
         InputError: no time column, no rows, a time column with missing values, two columns of one name.
     """
     values: dict[str, npt.NDArray[np.float64]] = {}
     units: dict[str, str] = {}
+    fields = tuple(split_header(header)[0] if units_in_headers else header for header in known)
     for header, column in columns:
         name, unit = split_header(header) if units_in_headers else (header, None)
         if name in values:
@@ -67,14 +76,14 @@ def table_stream(
         rows = max((len(column) for column in values.values()), default=0)
         stamps = np.rint(np.arange(rows) * (1e9 / options.rate_hz)).astype(np.int64)
     else:
-        time = _time_name(path, tuple(values), options)
+        time = _time_name(path, tuple(values), options, fields)
         factor, si = si_factor(units.pop(time, options.time_unit), path)
         if si != "s":
             raise InputError(f"{path}: {time}", f"a unit of [{si}]", "a unit of time such as s, ms or ns")
         stamps = to_ns(values.pop(time), factor, f"{path}: {time}")
     if not len(stamps):
         raise InputError(path, "a header but no rows", "at least one row of numbers", "Export the log again.")
-    return Stream(path.stem, path, {"time": stamps}, values, units, losses)
+    return Stream(path.stem, path, {"time": stamps}, values, units, losses, fields)
 
 
 def guess_time(columns: Columns) -> tuple[str, str] | None:
@@ -109,22 +118,25 @@ def to_ns(seconds: npt.NDArray[np.float64], factor: float, where: str) -> npt.ND
     if not np.all(np.isfinite(seconds)):
         bad = int(np.flatnonzero(~np.isfinite(seconds))[0])
         raise InputError(where, f"no time in row {bad + 1}", "a number in every row", "Remove the row or repair the export.")
-    whole = np.floor(seconds)
     scale = factor * 1e9
-    largest = float(np.max(np.abs(seconds), initial=0.0)) * scale
+    largest = max(float(np.max(seconds, initial=0.0)), -float(np.min(seconds, initial=0.0))) * scale
     if largest > 9.2e18:  # 292 years
         expected = "times that fit into 64 bits of nanoseconds"
         raise InputError(where, f"a time of {largest * 1e-9:.3g} s", expected, "State the right unit of the time column.")
-    units = whole.astype(np.int64) * int(scale) if scale == int(scale) else np.rint(whole * scale).astype(np.int64)
-    return np.asarray(units + np.rint((seconds - whole) * scale).astype(np.int64))
+    stamps = np.empty(len(seconds), np.int64)
+    for begin in range(0, len(seconds), _PIECE):
+        piece = seconds[begin : begin + _PIECE]
+        whole = np.floor(piece)
+        units = whole.astype(np.int64) * int(scale) if scale == int(scale) else np.rint(whole * scale).astype(np.int64)
+        stamps[begin : begin + _PIECE] = units + np.rint((piece - whole) * scale).astype(np.int64)
+    return stamps
 
 
-def _time_name(path: Path, names: tuple[str, ...], options: ReadOptions) -> str:
+def _time_name(path: Path, names: tuple[str, ...], options: ReadOptions, known: tuple[str, ...]) -> str:
     if options.time is not None:
         if options.time not in names:
-            raise InputError(
-                path, f"no time column {options.time!r}", nearest(options.time, names), "Correct `time` in the recipe."
-            )
+            found, expected = f"no time column {options.time!r}", nearest(options.time, known or names)
+            raise InputError(path, found, expected, "Correct `time` in the recipe.")
         return options.time
     for name in TIME_NAMES:
         if name in names:
@@ -132,6 +144,6 @@ def _time_name(path: Path, names: tuple[str, ...], options: ReadOptions) -> str:
     raise InputError(
         path,
         "no time column",
-        f"a column named {TIME_NAMES[0]!r}; found {', '.join(names) or 'none'}",
+        f"a column named {TIME_NAMES[0]!r}; found {', '.join(known or names) or 'none'}",
         'Name the column in the recipe: `time = "<column>"`, or the rate of evenly spaced rows: `rate_hz = …`.',
     )

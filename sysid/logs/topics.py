@@ -14,6 +14,7 @@ from sysid.errors import InputError, nearest
 from sysid.logs.cdr import ColumnDecoder
 from sysid.logs.growing import Growing
 from sysid.logs.layout import Bytes
+from sysid.logs.limits import Budget
 from sysid.logs.pieces import Pieces
 from sysid.logs.reader import ReadOptions
 from sysid.logs.rosmsg import parse_definition, parse_idl
@@ -22,6 +23,7 @@ from sysid.logs.stream import Stream
 
 #: With ``preview`` the values of so many messages a topic are read, and only the stamps of those after them.
 PREVIEW = 20_000
+_MAX_SCHEMA = 2**20
 
 
 class Decoder(Protocol):
@@ -39,29 +41,40 @@ class Decoder(Protocol):
 
 
 def make_decoder(
-    topic: str, kind: str, message_encoding: str, schema_encoding: str, schema: bytes, options: ReadOptions, where: str
+    topic: str,
+    kind: str,
+    message_encoding: str,
+    schema_encoding: str,
+    schema: bytes,
+    options: ReadOptions,
+    where: str,
+    budget: Budget,
 ) -> Decoder:
     """A decoder for messages of type ``kind``.
 
     Raises:
-        InputError: an encoding that is not supported, or a schema that cannot be read.
+        InputError: an encoding that is not supported, or a schema that is too long or cannot be read.
     """
+    if len(schema) > _MAX_SCHEMA:
+        expected = f"at most {_MAX_SCHEMA // 2**20} MiB"
+        raise InputError(where, f"a schema of {len(schema) / 2**20:.0f} MiB", expected, "The file is damaged.")
+    cells = budget.numbers
     wanted = None if options.fields is None else frozenset(options.fields.get(topic, ()))
     preview = PREVIEW if options.preview else None
     match message_encoding, schema_encoding:
         case "ros1", "ros1msg":
             text = schema.decode("utf-8", errors="replace")
-            return ColumnDecoder(parse_definition(kind, text, where), wanted, preview, packed=True)
+            return ColumnDecoder(parse_definition(kind, text, where), wanted, preview, packed=True, cells=cells)
         case "cdr", "ros2msg":
             text = schema.decode("utf-8", errors="replace")
-            return ColumnDecoder(parse_definition(kind, text, where), wanted, preview)
+            return ColumnDecoder(parse_definition(kind, text, where), wanted, preview, cells=cells)
         case "cdr", "ros2idl" | "omgidl":
             text = schema.decode("utf-8", errors="replace")
-            return ColumnDecoder(parse_idl(kind, text, where), wanted, preview)
+            return ColumnDecoder(parse_idl(kind, text, where), wanted, preview, cells=cells)
         case "json", "jsonschema" | "":
-            return RowDecoder(parse_json, wanted, preview)
+            return RowDecoder(parse_json, wanted, preview, cells)
         case "protobuf", "protobuf":
-            return RowDecoder(protobuf_parser(kind, schema, where), wanted, preview)
+            return RowDecoder(protobuf_parser(kind, schema, where), wanted, preview, cells)
     raise InputError(
         where,
         f"messages in {message_encoding!r} with a schema in {schema_encoding!r}",
@@ -78,6 +91,11 @@ class Topic:
     decoder: Decoder
     log: Growing = field(default_factory=lambda: Growing(0, np.dtype(np.int64)))
     publish: Growing = field(default_factory=lambda: Growing(0, np.dtype(np.int64)))
+
+    @property
+    def held(self) -> int:
+        """Stamps and values that have been kept."""
+        return self.log.found + self.publish.found + self.decoder.pieces.held
 
     def expect(self, count: int) -> None:
         """The file says that it has so many more messages of this topic."""
@@ -109,6 +127,13 @@ class Topic:
         if pieces.crowded:
             losses.append(f"{path.name}: {self.name}: has too many fields to read them all; {len(columns)} have been read")
         return Stream(self.name, path, stamps, columns, {}, tuple(losses), tuple(pieces.fields), self.kind)
+
+
+def check_held(path: Path, topics: Iterable[Topic], budget: Budget) -> None:
+    """Raise where messages have given more numbers than may be kept."""
+    for topic in topics:
+        budget.check_rows(f"{path}: {topic.name}", topic.decoder.pieces.total)
+    budget.check_numbers(path, sum(topic.held for topic in topics))
 
 
 def finished(

@@ -15,7 +15,6 @@ import numpy as np
 
 from sysid.errors import InputError
 from sysid.logs.capture import check_streams, length_factor, number_rows, text_lines, unique_names
-from sysid.logs.limits import check_whole
 from sysid.logs.reader import ReadOptions
 from sysid.logs.stream import Stream
 from sysid.logs.table import to_ns
@@ -32,7 +31,7 @@ class TrcReader:
     clocks: tuple[str, ...] = ("capture",)
 
     def read(self, path: Path, options: ReadOptions) -> tuple[Stream, ...]:
-        check_whole(path, _WHAT)
+        budget = options.budget_of(path, _WHAT)
         head = list(islice(text_lines(path, _WHAT), 5))
         if not head or not head[0].startswith("PathFileType"):
             raise InputError(path, f"first line {head[0][:40] if head else ''!r}", "'PathFileType' as a TRC file begins")
@@ -45,8 +44,9 @@ class TrcReader:
         markers = unique_names([name for name in rows[3][2:] if name])
         if not markers:
             raise InputError(path, "no names of markers", "names over the columns", "Export it again.")
+        budget.check_topics(path, len(markers), "markers")
         check_streams(path, options, markers, "marker")
-        table, losses = number_rows(path, 2 + 3 * len(markers), 5, separator, ragged=True)
+        table, losses = number_rows(path, 2 + 3 * len(markers), 5, separator, ragged=True, options=options)
         table = table[~np.isnan(table[:, 1])]
         if not len(table):
             raise InputError(path, "a header but no frames", "at least one frame", "Export it again.")

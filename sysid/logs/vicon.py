@@ -18,7 +18,6 @@ import numpy as np
 from sysid.errors import InputError
 from sysid.logs.capture import Array, check_streams, number_rows, text_lines
 from sysid.logs.cut_off import uneven_sections
-from sysid.logs.limits import check_whole
 from sysid.logs.reader import ReadOptions
 from sysid.logs.stream import Stream
 from sysid.logs.table import to_ns
@@ -27,6 +26,8 @@ from sysid.units import si_factor
 _WHAT = "a Vicon Nexus text export"
 #: Sections that hold samples; others (events) are passed over.
 SECTIONS = ("Trajectories", "Segments", "Joints", "Model Outputs", "Devices")
+#: Sections of a file: each is looked for from its beginning.
+_MAX_SECTIONS = 64
 _POSITION = {"X": "x", "Y": "y", "Z": "z", "TX": "x", "TY": "y", "TZ": "z"}
 
 
@@ -54,11 +55,14 @@ class ViconReader:
     clocks: tuple[str, ...] = ("capture",)
 
     def read(self, path: Path, options: ReadOptions) -> tuple[Stream, ...]:
-        check_whole(path, _WHAT)
+        budget = options.budget_of(path, _WHAT)
         found: list[tuple[str, Stream]] = []
         last_frames: list[tuple[str, float]] = []
-        for section in _sections(path):
-            for stream in _streams(path, section, last_frames):
+        for number, section in enumerate(_sections(path)):
+            if number == _MAX_SECTIONS:
+                raise InputError(path, f"more than {number} sections", "one for each kind", "Export the trial again.")
+            for stream in _streams(path, section, options, last_frames):
+                budget.check_topics(path, len(found) + 1, "markers, segments and devices")
                 twice = any(other.name == stream.name for _, other in found)
                 name = f"{stream.name} ({section.kind})" if twice else stream.name
                 found.append((name, stream))
@@ -106,10 +110,10 @@ def _sections(path: Path) -> Iterator[_Section]:
         yield _Section(kind, rate, rows[1], rows[2], rows[3], separator, number + 5, count, last)
 
 
-def _streams(path: Path, section: _Section, last_frames: list[tuple[str, float]]) -> Iterator[Stream]:
+def _streams(path: Path, section: _Section, options: ReadOptions, last_frames: list[tuple[str, float]]) -> Iterator[Stream]:
     """The streams of a section; its last frame goes into ``last_frames``."""
     last = max(i for i, name in enumerate(section.columns) if name)
-    table, losses = number_rows(path, last + 1, section.first, section.separator, section.count, whole=section.last)
+    table, losses = number_rows(path, last + 1, section.first, section.separator, section.count, section.last, options=options)
     frames = table[:, 0]
     damaged = ~np.isfinite(frames)
     if damaged.any():

@@ -37,7 +37,7 @@ def read_file(path: Path, reader: str, options: Any) -> None:
     """Read and inspect; every stream is as long as its stamps."""
     from sysid.errors import InputError
     from sysid.logs import reader_named
-    from sysid.logs.inspection import inspect_file
+    from sysid.logs.inspection import inspect_here
 
     try:
         streams, refusal = reader_named(reader, path).read(path, options), path.name
@@ -46,7 +46,7 @@ def read_file(path: Path, reader: str, options: Any) -> None:
     assert path.name in refusal, f"the message does not name the file: {refusal}"
     for stream in streams:
         assert all(len(values) == len(stream) for values in (*stream.columns.values(), *stream.stamps.values()))
-    inspect_file(path, reader)
+    inspect_here(path, reader_named(reader, path))  # not in a process of its own: what it reaches is seen here
 
 
 def read_message(data: bytes) -> None:
@@ -81,7 +81,7 @@ def fuzz(reader: str, corpus: Path, seconds: int) -> None:
         return
     with atheris.instrument_imports(include=["sysid.logs"]):
         from sysid.logs import ReadOptions
-        from sysid.logs.inspection import inspect_file  # noqa: F401
+        from sysid.logs.inspection import inspect_here  # noqa: F401
     from small_logs import LOGS, STATED
 
     names = [name for name, (kind, _) in LOGS.items() if kind == reader]

@@ -18,7 +18,7 @@ from test_mcap_reader import state, write_states
 from sysid.errors import InputError
 from sysid.logs import ReadOptions
 from sysid.logs.layout import learn_layout
-from sysid.logs.limits import unpack
+from sysid.logs.limits import Budget, unpack
 from sysid.logs.mcap import McapReader
 from sysid.logs.mcap_file import CHUNK, MAGIC
 from sysid.logs.rosmsg import parse_definition, parse_idl
@@ -200,7 +200,7 @@ def test_deep_json_does_not_exhaust_the_stack() -> None:
 @settings(max_examples=100, deadline=None)
 @given(st.sampled_from(["zstd", "lz4"]), st.binary(max_size=60), st.integers(0, 2**64 - 1), st.booleans())
 def test_any_packed_bytes_are_unpacked_or_refused(compression: str, packed: bytes, size: int, cut_off: bool) -> None:
-    records, refusal = attempt(ValueError, lambda: unpack(packed, compression, size, cut_off))
+    records, refusal = attempt(ValueError, lambda: unpack(packed, compression, size, Budget.of(len(packed)), cut_off))
     assert refusal if records is None else len(records) <= size
 
 

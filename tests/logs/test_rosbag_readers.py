@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sqlite3
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +20,7 @@ from rosbags.typesys import Stores, get_typestore
 
 from sysid.errors import InputError
 from sysid.logs import ReadOptions, Stream
+from sysid.logs.limits import Budget
 from sysid.logs.rosbag import Ros1Reader, Rosbag2Reader
 
 JOINTS = "sensor_msgs/msg/JointState"
@@ -161,8 +163,7 @@ def test_what_is_no_bag_is_named(tmp_path: Path, shared_data: Path) -> None:
         read(shared_data / "mcap_bags/tf_example.db3", streams=frozenset({"/tff"}))
 
 
-def test_a_bag_that_unpacks_without_end_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("sysid.logs.rosbag.MAX_CHUNK", 1000)
+def test_a_bag_that_unpacks_without_end_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "log.bag"
     store = get_typestore(Stores.ROS1_NOETIC)
     writer = Writer1(path)
@@ -171,8 +172,14 @@ def test_a_bag_that_unpacks_without_end_is_refused(tmp_path: Path, monkeypatch: 
         connection = writer.add_connection("/joints", JOINTS, typestore=store)
         for index, state in enumerate(joint_states(store, 100)):
             writer.write(connection, index, store.serialize_ros1(state, JOINTS))
-    with pytest.raises(InputError, match=r"damaged \(a chunk unpacks to more than 0 MiB\)"):
-        read(path)
+    allowed = Budget.of(path.stat().st_size)
+    for budget, said in (
+        (replace(allowed, chunk=1000), "a chunk unpacks to more than 0 MiB"),
+        (replace(allowed, unpacked=1000), "chunks that unpack to more than 0 MiB"),
+    ):
+        options = ReadOptions(budget=budget)
+        with pytest.raises(InputError, match=rf"damaged \({said}"):
+            Ros1Reader().read(path, options)
 
 
 @settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +15,7 @@ from scipy.io import savemat
 from sysid.errors import InputError, SettingsError
 from sysid.logs import ReadOptions, Stream, reader_for, reader_named
 from sysid.logs.csv import CsvReader
+from sysid.logs.limits import Budget
 from sysid.logs.table import CUT_ROW, to_ns
 
 
@@ -119,21 +121,17 @@ def test_a_row_longer_than_the_header_is_named(tmp_path: Path) -> None:
         read(path)
 
 
-def test_tables_that_unpack_without_measure_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    bomb = tmp_path / "a.mat"
-    savemat(bomb, {"t": np.zeros(4_000_000)}, do_compression=True)
-    assert bomb.stat().st_size < 100_000
-    monkeypatch.setattr("sysid.logs.mat_file.MAX_RATIO", 100)
-    with pytest.raises(
-        InputError,
-        match=r"a\.mat: not readable as a MATLAB file \(variables that unpack to more than 16 MiB, 100 times the file",
-    ):
-        read(bomb)
-    wide = tmp_path / "a.parquet"
-    pd.DataFrame({"time": np.zeros(10_000), "x": np.zeros(10_000)}).to_parquet(wide)
-    monkeypatch.setattr("sysid.logs.parquet.MAX_CELLS", 10_000)
-    with pytest.raises(InputError, match=r"a\.parquet: 20000 cells; expected at most 10000"):
-        read(wide)
+def test_tables_of_more_numbers_than_are_read_are_refused(tmp_path: Path) -> None:
+    small = ReadOptions(budget=replace(Budget.of(1), memory=160_000))  # 10 000 numbers
+    table = pd.DataFrame({"time": np.arange(6000.0), "x": np.zeros(6000)})
+    savemat(tmp_path / "a.mat", {name: table[name].to_numpy() for name in table}, do_compression=True)
+    table.to_parquet(tmp_path / "a.parquet")
+    for name in ("a.mat", "a.parquet"):
+        path = tmp_path / name
+        with pytest.raises(InputError, match=rf"{name}: 12000 numbers; expected at most 10000 numbers. Name fewer signals"):
+            reader_for(path).read(path, small)
+        (stream,) = reader_for(path).read(path, replace(small, columns=frozenset({"x"}), rate_hz=1.0))
+        assert (len(stream), list(stream.columns), stream.fields) == (6000, ["x"], ("time", "x"))
 
 
 def test_lists_in_cells_become_columns(tmp_path: Path) -> None:
@@ -147,12 +145,14 @@ def test_lists_in_cells_become_columns(tmp_path: Path) -> None:
     assert stream.losses == ("a.csv: column positions[1]: 1 elements are not numbers",)
 
 
-def test_lists_that_unpack_without_measure_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_lists_that_unpack_without_measure_are_refused(tmp_path: Path) -> None:
     path = tmp_path / "a.csv"
     path.write_text("time,q\n" + '0,"[1]"\n' * 99 + '1,"[' + "," * 99 + ']"\n')
-    monkeypatch.setattr("sysid.logs.csv.MAX_CELLS", 9999)
-    with pytest.raises(InputError, match=r"a\.csv: q: lists of 100 elements; expected at most 9999 numbers"):
-        read(path)
+    small = replace(Budget.of(1), memory=9999 * 16)
+    with pytest.raises(InputError, match=r"a\.csv: q: 10000 numbers; expected at most 9999 numbers"):
+        CsvReader().read(path, ReadOptions(budget=small))
+    with pytest.raises(InputError, match=r"a\.csv: q: 100 elements of a list; expected at most 99 elements of a list"):
+        CsvReader().read(path, ReadOptions(budget=replace(small, columns=99)))
 
 
 def test_rows_without_stamps_are_spaced_by_the_stated_rate(tmp_path: Path) -> None:

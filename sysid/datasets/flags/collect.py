@@ -63,7 +63,12 @@ def flag_rows(
         return []
     records = by_source(clocks, recording.name)
     start = recording.start_ns
-    timed = [(channel, machine_times(channel, start, records.get(channel.source))) for channel in recording.channels]
+    times: dict[tuple[int, str], Array] = {}  # signals of one stream share their stamps
+    for channel in recording.channels:
+        key = (id(channel.stamps), channel.source)
+        if key not in times:
+            times[key] = machine_times(channel, start, records.get(channel.source))
+    timed = [(channel, times[id(channel.stamps), channel.source]) for channel in recording.channels]
     found = find_flags(timed, machine, hold_s)
     return [{"recording": recording.name, "source": source, **asdict(flag)} for source, flag in found]
 

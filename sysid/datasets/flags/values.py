@@ -31,6 +31,8 @@ COUNT_SLACK, COUNTED = 0.05, 0.95
 GAP_PERIODS = 3.0
 #: A jump and one back by nearly as much (within this share) belong together when less than this time lies between [s].
 BACK_SHARE, BACK_S = 0.3, 20.0
+#: Samples that are looked at together: a long recording is several times as large while it is.
+_PIECE = 2**16
 
 
 def noise_scale(values: Array) -> float:
@@ -51,9 +53,11 @@ def sensor_step(values: Array) -> float:
     if len(changes) < 3:
         return 0.0
     step = float(changes.min())
-    counts = changes / step
-    whole = np.abs(counts - np.round(counts)) < COUNT_SLACK
-    return step if whole.mean() > COUNTED else 0.0
+    whole = 0
+    for begin in range(0, len(changes), _PIECE):
+        counts = changes[begin : begin + _PIECE] / step
+        whole += int(np.count_nonzero(np.abs(counts - np.round(counts)) < COUNT_SLACK))
+    return step if whole / len(changes) > COUNTED else 0.0
 
 
 def outliers(signal: str, times: Array, values: Array, unit: str = "1") -> list[Flag]:
@@ -78,7 +82,8 @@ def outliers(signal: str, times: Array, values: Array, unit: str = "1") -> list[
     # The line between the ends is at most a third as steep as the spike is high (SPIKE_RATIO): the step into it is larger.
     begins = np.flatnonzero(steps > (1.0 - 1.0 / SPIKE_RATIO) * floor)
     taken = np.zeros(len(values), dtype=bool)
-    for length in range(1, SPIKE_SAMPLES + 1):
+    pieces = [begins[first : first + _PIECE] for first in range(0, len(begins), _PIECE)]
+    for length, begins in ((length, piece) for length in range(1, SPIKE_SAMPLES + 1) for piece in pieces):
         before = begins[(begins >= AROUND) & (begins < len(steps) - AROUND - length)]
         after = before + length + 1
         whole = times[after] - times[before] <= GAP_PERIODS * (length + 1) * period
@@ -131,8 +136,10 @@ def jumps(signal: str, times: Array, values: Array, unit: str = "1") -> list[Fla
     size[spans > GAP_PERIODS * period] = 0.0
     far = np.flatnonzero(np.abs(size) > floor)
     far = far[(far >= AROUND) & (far < len(size) - AROUND)]
-    around = far[:, None] + np.concatenate([np.arange(-AROUND, 0), np.arange(1, AROUND + 1)])
-    far = far[np.abs(size[far]) > JUMP_RATIO * np.abs(size[around]).max(axis=1)]
+    sides = np.concatenate([np.arange(-AROUND, 0), np.arange(1, AROUND + 1)])
+    pieces = [far[first : first + _PIECE] for first in range(0, len(far), _PIECE)]
+    alone = [np.abs(size[part]) > JUMP_RATIO * np.abs(size[part[:, None] + sides]).max(axis=1) for part in pieces]
+    far = far[np.concatenate(alone)] if alone else far
     found: list[Flag] = []
     number = 0
     while number < len(far):

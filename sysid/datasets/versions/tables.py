@@ -84,12 +84,12 @@ def write_channels(files: Files, folder: str, channels: Mapping[str, Sequence[Ch
 
     def batches() -> Iterator[pa.RecordBatch]:
         for recording, parts in channels.items():
-            for c in parts:
-                count = len(c.stamps)
-                words = [_repeated(text, count) for text in (recording, c.source, c.domain, c.signal, c.unit)]
-                primary = pa.array(np.full(count, c.primary))
-                values = pa.array(c.values, from_pandas=True)
-                yield pa.record_batch([*words, primary, pa.array(c.stamps), values], schema=schema)
+            for c, rows in ((part, slice(i, i + ROWS)) for part in parts for i in range(0, max(1, len(part.stamps)), ROWS)):
+                stamps, values = c.stamps[rows], c.values[rows]  # noqa: PD011
+                words = [_repeated(text, len(stamps)) for text in (recording, c.source, c.domain, c.signal, c.unit)]
+                primary = pa.array(np.full(len(stamps), c.primary))
+                numbers = pa.array(values, from_pandas=True)
+                yield pa.record_batch([*words, primary, pa.array(stamps), numbers], schema=schema)
 
     clocks = {(name, c.source, c.domain): None for name, parts in channels.items() for c in parts}
     return {

@@ -1,0 +1,281 @@
+"""A file is read in a process of its own, with limits on its address space and its processor time.
+
+The libraries that take log files apart can be led astray by a file that was damaged or made to do harm: they ask for memory
+without end, never return, or crash. In a process of their own that is an error of the file and of nothing else. What was read
+comes back through a pipe: values as JSON, arrays as they are; nothing in it can run code.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import ctypes
+import faulthandler
+import json
+import os
+import resource
+import select
+import signal
+import struct
+import sys
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, fields, is_dataclass, replace
+from pathlib import Path
+from typing import Any, NoReturn, TypeVar
+
+import numpy as np
+import numpy.typing as npt
+
+from sysid import errors
+from sysid.errors import InputError, SysidError
+from sysid.logs.limits import Budget
+from sysid.logs.reader import LogReader, ReadOptions
+from sysid.logs.stream import Stream
+
+T = TypeVar("T")
+
+#: Address space beyond the budget: room that threads and allocators reserve without using it.
+_RESERVED = 256 * 2**20
+#: Who waits longer than so many times the processor's seconds waits for something that does not come; a busy machine is slow.
+_WAITING = 40.0
+#: A message: its kind (progress, result, error) and the length of its text.
+_HEAD = struct.Struct("<cQ")
+_DIE_WITH_PARENT = 1  # PR_SET_PDEATHSIG
+_DAMAGED = "The file is damaged or made to do harm."
+
+
+def read_confined(reader: LogReader, path: Path, options: ReadOptions, what: str = "a log file") -> tuple[Stream, ...]:
+    """``reader.read(path, options)`` in a process of its own.
+
+    Raises:
+        InputError: as of the reader; it took more than its budget, or crashed.
+    """
+    budget = options.budget_of(path, what, None)
+    return confined(lambda report: reader.read(path, _reporting(options, report)), path, budget, (Stream,), options.progress)
+
+
+def _reporting(options: ReadOptions, report: Callable[[float], None]) -> ReadOptions:
+    return replace(options, progress=report)
+
+
+def confined(
+    work: Callable[[Callable[[float], None]], T],
+    where: object,
+    budget: Budget,
+    kinds: Sequence[type],
+    progress: Callable[[float], None] = lambda share: None,
+) -> T:
+    """What ``work`` returns: text, numbers, arrays, paths, and dataclasses of ``kinds``, nested in tuples and dictionaries.
+
+    Args:
+        work: called in the other process with a function that takes the share done.
+        where: what an exceeded budget and a crash are blamed on.
+        progress: called here with the share done.
+
+    Raises:
+        SysidError, OSError: as ``work`` raises them.
+        InputError: the budget is exceeded, ``work`` raises anything else, or the process crashes.
+    """
+    outlet, inlet = os.pipe()
+    child = os.fork()
+    if child == 0:
+        os.close(outlet)
+        _work(work, inlet, budget, kinds)
+    os.close(inlet)
+    status: int | None = None
+    try:
+        answer = _Answer(outlet, _WAITING * budget.seconds)
+        while True:
+            kind, text = answer.message()
+            if kind == b"P":
+                progress(float(json.loads(text)))
+            elif kind == b"R":
+                value: T = answer.value(json.loads(text), {kind.__name__: kind for kind in kinds})
+                return value
+            else:
+                raise _raised(json.loads(text), where, budget)
+    except EOFError:
+        _, status = os.waitpid(child, 0)
+        raise _ended(status, where, budget) from None
+    except TimeoutError:
+        raise budget.exceeded(where, seconds=True) from None
+    finally:
+        os.close(outlet)
+        if status is None:
+            os.kill(child, signal.SIGKILL)
+            os.waitpid(child, 0)
+
+
+def _work(work: Callable[[Callable[[float], None]], Any], inlet: int, budget: Budget, kinds: Sequence[type]) -> NoReturn:
+    """The other process: it ends here."""
+    with contextlib.suppress(BaseException):
+        _confine(budget)
+        try:
+            description = _Description(tuple(kinds))
+            value = description.of(work(lambda share: _send(inlet, b"P", share)))
+            arrays = description.arrays
+            _send(inlet, b"R", [value, [[array.dtype.str, len(array), array.flags.writeable] for array in arrays]])
+            for array in arrays:
+                if len(array):
+                    _write(inlet, np.ascontiguousarray(array).data.cast("B"))
+        except SysidError as error:
+            _send(inlet, b"E", [type(error).__name__, error.where, error.found, error.expected, error.remedy])
+        except MemoryError:
+            _send(inlet, b"E", ["MemoryError"])
+        except OSError as error:
+            filename = None if error.filename is None else str(error.filename)
+            _send(inlet, b"E", ["OSError", error.errno, error.strerror, filename])
+        except Exception as error:
+            _send(inlet, b"E", ["Exception", f"{type(error).__name__}: {error}"])
+    os._exit(0)
+
+
+def _confine(budget: Budget) -> None:
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        signal.signal(number, signal.SIG_IGN if number == signal.SIGINT else signal.SIG_DFL)  # the parent ends it
+    with contextlib.suppress(OSError, AttributeError):
+        ctypes.CDLL(None).prctl(_DIE_WITH_PARENT, int(signal.SIGKILL))
+    nowhere = os.open(os.devnull, os.O_RDWR)
+    for stream in (0, 1, 2):
+        os.dup2(nowhere, stream)
+    os.environ["ARROW_DEFAULT_MEMORY_POOL"] = "system"  # others reserve a gigabyte of address space at once
+    if "pyarrow" in sys.modules:
+        import pyarrow as pa
+
+        pa.set_memory_pool(pa.system_memory_pool())
+    taken = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
+    faulthandler.disable()  # what a crash is called is said by the parent
+    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+    seconds = max(1, round(budget.seconds))
+    for what, soft, limit in (
+        (resource.RLIMIT_AS, taken + budget.memory + _RESERVED, taken + budget.memory + _RESERVED),
+        (resource.RLIMIT_CPU, seconds, seconds + 5),  # SIGXCPU at the first, SIGKILL at the second
+    ):
+        hard = resource.getrlimit(what)[1]
+        most = limit if hard == resource.RLIM_INFINITY else min(limit, hard)
+        resource.setrlimit(what, (min(soft, most), most))
+
+
+def _send(inlet: int, kind: bytes, value: Any) -> None:
+    text = json.dumps(value).encode()
+    _write(inlet, memoryview(_HEAD.pack(kind, len(text)) + text))
+
+
+def _write(inlet: int, data: memoryview) -> None:
+    while len(data):
+        data = data[os.write(inlet, data[: 2**20]) :]
+
+
+@dataclass
+class _Description:
+    """Values in the types of JSON. An array stands there by its place in ``arrays``, which has the same one once."""
+
+    kinds: tuple[type, ...]
+    arrays: list[npt.NDArray[Any]] = field(default_factory=list)
+    places: dict[int, int] = field(default_factory=dict)
+
+    def of(self, value: Any) -> Any:
+        if isinstance(value, np.ndarray):
+            if id(value) not in self.places:
+                self.places[id(value)] = len(self.arrays)
+                self.arrays.append(value)
+            return {"array": self.places[id(value)]}
+        if is_dataclass(value) and isinstance(value, self.kinds):
+            return {"kind": type(value).__name__, "of": {f.name: self.of(getattr(value, f.name)) for f in fields(value)}}
+        if isinstance(value, Mapping):
+            return {"pairs": [[self.of(key), self.of(item)] for key, item in value.items()]}
+        if isinstance(value, tuple | list):
+            return {"items": [self.of(item) for item in value]}
+        if isinstance(value, Path):
+            return {"path": str(value)}
+        return value.item() if isinstance(value, np.generic) else value
+
+
+def _value(described: Any, arrays: Sequence[npt.NDArray[Any]], kinds: Mapping[str, type]) -> Any:
+    """What :class:`_Description` has described; lists come back as tuples."""
+
+    def inner(item: Any) -> Any:
+        return _value(item, arrays, kinds)
+
+    match described:
+        case {"array": place}:
+            return arrays[place]
+        case {"kind": name, "of": dict(members)}:
+            return kinds[name](**{key: inner(item) for key, item in members.items()})
+        case {"pairs": list(pairs)}:
+            return {inner(key): inner(item) for key, item in pairs}
+        case {"items": list(items)}:
+            return tuple(map(inner, items))
+        case {"path": str(path)}:
+            return Path(path)
+    return described
+
+
+@dataclass
+class _Answer:
+    """What comes through the pipe, for which ``seconds`` may be waited altogether."""
+
+    pipe: int
+    seconds: float
+
+    def message(self) -> tuple[bytes, bytes]:
+        """Kind and text of the next message.
+
+        Raises:
+            EOFError: the process has ended.
+            TimeoutError: nothing came in time.
+        """
+        kind, length = _HEAD.unpack(self._bytes(_HEAD.size))
+        return kind, self._bytes(length)
+
+    def value(self, result: Any, kinds: Mapping[str, type]) -> Any:
+        """The value of a result, whose arrays come behind it."""
+        described, listed = result
+        arrays = []
+        for code, count, writeable in listed:
+            array = np.empty(count, np.dtype(code))
+            self._fill(array.data.cast("B") if count else memoryview(b""))
+            array.setflags(write=writeable)
+            arrays.append(array)
+        return _value(described, arrays, kinds)
+
+    def _bytes(self, count: int) -> bytes:
+        buffer = bytearray(count)
+        self._fill(memoryview(buffer))
+        return bytes(buffer)
+
+    def _fill(self, view: memoryview) -> None:
+        waiting = select.poll()
+        waiting.register(self.pipe, select.POLLIN)
+        while len(view):
+            before = time.monotonic()
+            if self.seconds <= 0.0 or not waiting.poll(1e3 * self.seconds):
+                raise TimeoutError
+            self.seconds -= time.monotonic() - before
+            count = os.readv(self.pipe, [view])
+            if not count:
+                raise EOFError
+            view = view[count:]
+
+
+def _raised(told: Sequence[Any], where: object, budget: Budget) -> Exception:
+    """The error that the other process raised."""
+    name, *rest = told
+    if name == "MemoryError":
+        return budget.exceeded(where, seconds=False)
+    if name == "OSError":
+        return OSError(*rest)
+    kind = getattr(errors, name, None)
+    if isinstance(kind, type) and issubclass(kind, SysidError):
+        return kind(*rest)
+    return InputError(where, f"cannot be read ({rest[0]})", "a log of its format", _DAMAGED)
+
+
+def _ended(status: int, where: object, budget: Budget) -> InputError:
+    """Why the other process ended without an answer."""
+    number = os.WTERMSIG(status) if os.WIFSIGNALED(status) else 0
+    if number == signal.SIGXCPU:
+        return budget.exceeded(where, seconds=True)
+    if number in (signal.SIGKILL, 0):
+        return budget.exceeded(where, seconds=False)
+    return InputError(where, f"the reader crashed (signal {number})", "a log of its format", _DAMAGED)
