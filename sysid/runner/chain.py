@@ -117,7 +117,7 @@ class Chain:
     def give_up(self) -> None:
         """The policy is not asked any more; where it is still running it is ended."""
         if self.thread is not None:
-            self.thread.give_up()
+            self.thread.cancel()
 
     def solve(self, joints: Array, target: Array) -> Array:
         """Setpoints (A,) of inverse kinematics, nearest to the last ones that it gave, at first to ``joints``."""

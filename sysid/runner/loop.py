@@ -185,11 +185,11 @@ class Loop:
             if outside := self.supervisor.beyond(seen):
                 self.conduct.note(f"{outside}: only ways back inside are open")
         decision = self._decide(seen, verdicts, now)
+        dropped = False
         if decision.enabled and (expired := self._expired(now)) is not None:
             verdicts.append(expired)
-            self.conduct.fault(expired.text, now)
-            decision.enabled = False
-        if self.mode.writes and not self._send(decision.commands, decision.enabled):
+            dropped = self._drop(decision, expired, now)
+        if self.mode.writes and not dropped and not self._send(decision.commands, decision.enabled):
             self.conduct.fault(f"commands cannot be sent: {self._line}", now)
             decision.enabled = False
         moved = decision.commands if decision.enabled else self._zero
@@ -250,6 +250,21 @@ class Loop:
         then = self.transport.now_ns()
         gap = 0 if self._moved_ns is None else then - self._moved_ns
         return self.supervisor.expired((then - now) / SECOND, gap / SECOND)
+
+    def _drop(self, decision: Decision, expired: Verdict, now: int) -> bool:
+        """What becomes of a turn that is too old; whether nothing at all is sent: the machine goes on with what it has.
+
+        That lasts until the next turn, ``checks.expired.gap_s`` at the most, and is less of a jolt than neutral valves are.
+        """
+        if expired.reaction == "fault":
+            self.conduct.fault(expired.text, now)
+        still = expired.reaction != "fault" and self._moved_ns is not None
+        decision.enabled = still
+        decision.commands = self._sent.copy() if still else self._zero
+        decision.source = "dropped"
+        self.supervisor.dropped(decision.commands)
+        self.chain.took(decision.commands)
+        return still
 
     def _send(self, commands: Array, enabled: bool) -> bool:
         begin = self.transport.now_ns()

@@ -8,6 +8,7 @@ to be sent when it goes on (:class:`sysid.runner.checks.settings.Expired`).
 
 from __future__ import annotations
 
+import contextlib
 import ctypes
 import threading
 from collections.abc import Callable
@@ -88,13 +89,15 @@ class PolicyThread:
         self._questions.put((self._asked, observations.copy()))
         answer = self._wait(until_ns, now_ns)
         if isinstance(answer, PolicyError):
+            if answer.late:
+                self.cancel()  # at once: Python code that computes takes turns with the loop, which needs the rest of this one
             raise answer
         if isinstance(answer, BaseException):
             raise PolicyError(f"the policy fails: {described(answer)}")
         return answer
 
-    def give_up(self) -> None:
-        """Nobody asks any more: Python code that is still running is ended."""
+    def cancel(self) -> None:
+        """Nobody waits for the answer any more: Python code that is still at it is ended."""
         thread = self._thread
         if self._answered < self._asked and thread is not None and thread.ident is not None and thread.is_alive():
             ctypes.pythonapi.PyThreadState_SetAsyncExc(ctypes.c_ulong(thread.ident), ctypes.py_object(SystemExit))
@@ -114,12 +117,16 @@ class PolicyThread:
 
     def _work(self) -> None:
         while True:
-            number, observations = self._questions.get()
-            answer: Array | BaseException
-            try:
-                answer = self._checked(self.policy.act(observations))
-            except BaseException as error:  # even what ends a program ends no run
-                answer = error
+            with contextlib.suppress(BaseException):  # cancelled between two questions
+                self._answer(*self._questions.get())
+
+    def _answer(self, number: int, observations: Array) -> None:
+        answer: Array | BaseException = PolicyError("the policy was cancelled")
+        try:
+            answer = self._checked(self.policy.act(observations))
+        except BaseException as error:  # even what ends a program ends no run
+            answer = error
+        finally:
             self._answers.put((number, answer))
 
     def _checked(self, answer: object) -> Array:

@@ -141,8 +141,12 @@ class Supervisor:
             return Verdict("expired", "machine", rule.reaction, gap_s, rule.gap_s, text)
         if age_s > rule.age_s:
             text = f"a command came from readings that were {1e3 * age_s:.0f} ms old by then: it was not sent"
-            return Verdict("expired", "machine", rule.reaction, age_s, rule.age_s, text)
+            return Verdict("expired", "machine", "hold", age_s, rule.age_s, text)
         return None
+
+    def dropped(self, sent: Array) -> None:
+        """The commands of this turn were not sent: the machine goes on with ``sent`` (A,)."""
+        self.barrier.sent = sent.copy()
 
     def _verdicts(self, broken: Sequence[Broken]) -> list[Verdict]:
         verdicts = []

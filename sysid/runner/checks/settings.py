@@ -110,8 +110,9 @@ class Overrun:
 
 @dataclass(frozen=True)
 class Expired:
-    """A command is ready only ``age_s`` after the readings that it comes from were taken, or ``gap_s`` after the last command
-    that let the valves move: it is never sent, the valves go neutral instead."""
+    """A command is ready only ``age_s`` after the readings that it comes from were taken: it is dropped, and the next turn has
+    the word. ``gap_s`` after the last command that let the valves move none is sent any more: the machine's watchdog may have
+    closed them, and nothing opens them again before a person has looked. ``reaction`` is what follows from the latter."""
 
     __pydantic_config__ = STRICT
     reaction: Reaction = "fault"
@@ -128,7 +129,7 @@ class PolicyAnswer:
     __pydantic_config__ = STRICT
     reaction: Reaction = "hold"
     share: float = 0.2
-    late_turns: int = 5
+    late_turns: int = 3
 
 
 @dataclass(frozen=True)
@@ -267,7 +268,7 @@ BOUNDS: dict[str, Bounds] = {
     "expired.age_s": Bounds(0.06, "a machine that checks the stamp of a command takes none that answers older readings"),
     "expired.gap_s": Bounds(0.09, f"{_WATCHED}, within a cycle of 10 ms; a later command would open them again"),
     "policy.share": Bounds(1.0, "no setpoint can jump by more than the whole range"),
-    "policy.late_turns": Bounds(50, "a policy that is late for half a second controls nothing"),
+    "policy.late_turns": Bounds(10, "ten turns without the policy are what the machine waits for commands"),
     "restless.share": Bounds(0.5, "half of full speed with neutral valves is a valve that is open"),
     "restless.after_s": Bounds(2.0, "valves close in a tenth of a second"),
 }
