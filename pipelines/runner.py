@@ -18,7 +18,7 @@ import tempfile
 import threading
 import time
 import tty
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -28,7 +28,7 @@ import numpy as np
 import numpy.typing as npt
 
 from committed import markdown, provenance, write_result, write_tables
-from runner_flight import LINE, LOOP, POLICY, TURNS
+from runner_flight import LINE, LOOP, POLICY, SECOND, TURNS
 from sysid.bench.live import read_truth
 from sysid.logs.mcap import McapReader
 from sysid.logs.reader import ReadOptions
@@ -122,7 +122,6 @@ OUTSIDE = {
     "runner paused 300 ms": Outside(pause=0.3),
     "runner paused 2 s, dead-man released": Outside(("dead_man 0",), pause=2.0),
     "terminal stopped for 2 s (Ctrl-S)": Outside(terminal="stop"),
-    "terminal not read for 2 s": Outside(terminal="leave"),
     "terminal closed": Outside(terminal="close"),
     "standard error closed": Outside(terminal="close error"),
     "SIGINT (Ctrl-C)": Outside(signals=(signal.SIGINT,)),
@@ -145,7 +144,6 @@ ENDS: dict[str, tuple[str, ...]] = {
     "kill -9 of the runner": ("machine's own time-out",),
     **dict.fromkeys(POLICY, ("goes on",)),
     "terminal stopped for 2 s (Ctrl-S)": ("goes on",),
-    "terminal not read for 2 s": ("goes on",),
     "a second runner on the line": ("goes on",),
     LOOP: ("fault",),
     "line cannot be read": ("fault",),
@@ -158,7 +156,9 @@ REFUSED: dict[str, dict[str, str]] = {
     "one message for two axes": {"twice": "yes"},
 }
 #: Log faults are noticed at the next sync: tried at so many moments of its second, and the worst is kept.
-PHASES = 5
+PHASES = 3
+#: Of a run that was over before its fault came, which is flown again at the most so often.
+EARLY, ATTEMPTS = "ended before the fault", 3
 STOPS = ("stopped", "fault")
 
 
@@ -195,14 +195,12 @@ class Screen:
         os.close(self.error)
 
     def suffer(self, what: str) -> None:
-        """``stop``: Ctrl-S for 2 s; ``leave``: nobody reads for 2 s; ``close``, ``close error``: it, or stderr, is gone."""
-        if what in ("stop", "leave"):
+        """``stop``: Ctrl-S for 2 s, and nobody reads; ``close``, ``close error``: it, or standard error, is gone."""
+        if what == "stop":
             self._reads.clear()
-            if what == "stop":
-                os.write(self.master, b"\x13")
+            os.write(self.master, b"\x13")
             time.sleep(2.0)
-            if what == "stop":
-                os.write(self.master, b"\x11")
+            os.write(self.master, b"\x11")
             self._reads.set()
         elif what == "close error":
             os.close(self._read)
@@ -253,32 +251,37 @@ def fly(
         recipe = folder / "runner.toml"
         text = RECIPE.format(**values)
         recipe.write_text(text.replace("VALVE_3", "VALVE_2") if "twice" in change else text, "utf-8")
-        others: list[subprocess.Popen[bytes]] = []
-
-        def begin_second() -> None:
-            second = folder / "second" / "runner.toml"
-            second.parent.mkdir()
-            second.write_text(recipe.read_text("utf-8"), "utf-8")
-            others.append(subprocess.Popen(_program(second, options), stdout=subprocess.DEVNULL, env=_environment()))
-
-        with machine(folder, seconds + 120.0) as stand_in:
+        with machine(folder, seconds + 120.0) as stand_in, ExitStack() as stack:
+            second = stack.enter_context(_second(recipe, options)) if outside.second else None
             words = _program(recipe, options, fault, str(turns))
             screen = Screen(piped=outside.terminal == "close error")
             ends = {"stdin": screen.slave, "stderr": screen.error, "stdout": subprocess.PIPE}
             with subprocess.Popen(words, text=True, env=_environment(), **ends) as runner:
                 screen.begun()
-                lines, fault_ns = _listen(runner, stand_in, screen, folder, outside, begin_second)
+                lines, fault_ns = _listen(runner, stand_in, screen, folder, outside, second)
             screen.close()
             if fault:
                 time.sleep(0.5)
-            for process in others:
-                process.wait(60.0)
             truth = read_truth(folder / "truth.bin")
             return Flown(lines, _said(folder), truth, _cycles(folder), fault_ns, _said(folder / "second"))
 
 
 def _program(recipe: Path, options: argparse.Namespace, *more: str) -> list[str]:
     return [sys.executable, str(ROOT / "pipelines/runner_flight.py"), str(recipe), str(options.workspace), *more]
+
+
+@contextmanager
+def _second(recipe: Path, options: argparse.Namespace) -> Iterator[subprocess.Popen[str]]:
+    """Another runner with the same recipe, in a folder of its own, that waits for a line before it opens its line."""
+    second = recipe.parent / "second" / "runner.toml"
+    second.parent.mkdir()
+    second.write_text(recipe.read_text("utf-8"), "utf-8")
+    words = _program(second, options, SECOND)
+    with subprocess.Popen(words, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True, env=_environment()) as process:
+        try:
+            yield process
+        finally:
+            process.kill()
 
 
 def _said(folder: Path) -> dict[str, Any]:
@@ -293,7 +296,7 @@ def _listen(
     screen: Screen,
     folder: Path,
     outside: Outside,
-    second: Callable[[], None],
+    second: subprocess.Popen[str] | None,
 ) -> tuple[list[tuple[str, int, str]], int]:
     """What the runner says until it ends, and when the fault came."""
     assert runner.stdout is not None
@@ -319,8 +322,8 @@ def _listen(
                 time.sleep(0.05)
             if outside.terminal:
                 threading.Thread(target=screen.suffer, args=(outside.terminal,)).start()
-            if outside.second:
-                second()
+            if second is not None:
+                second.communicate("open\n")
     return lines, fault_ns
 
 
@@ -401,7 +404,7 @@ def judged(name: str, flown: Flown) -> dict[str, Any]:
         return {"fault": name, **row, "ok": moved < 1e-6 and name in REFUSED}
     if not t0:
         return {
-            "fault": name, "reaction_ms": 0.0, "peak_motion_m": 0.0, "state": "ended before the fault", "noticed": "",
+            "fault": name, "reaction_ms": 0.0, "peak_motion_m": 0.0, "state": EARLY, "noticed": "",
             "why": flown.outcome.get("why", ""), "ok": False,
         }  # fmt: skip
     after = (at >= t0) & (at <= t0 + AFTER * 1e9)
@@ -460,9 +463,12 @@ def measured(options: argparse.Namespace, name: str, policy: str) -> dict[str, A
     """What a fault makes of a run; of log faults the worst of several moments."""
     rows = []
     for phase in range(PHASES if name == "disk full" else 1):
-        seconds = 30.0 if OUTSIDE.get(name, Outside()).second else 13.0
         turns = TURNS + phase * 100 // PHASES
-        rows.append(judged(name, fly(options, options.paths[0], policy, seconds, name, turns, **REFUSED.get(name, {}))))
+        for _ in range(ATTEMPTS):  # what other work on this computer ends before the fault comes has tried nothing
+            row = judged(name, fly(options, options.paths[0], policy, 11.0, name, turns, **REFUSED.get(name, {})))
+            if row["state"] != EARLY:
+                break
+        rows.append(row)
     worst = max(rows, key=lambda row: (not row["ok"], row.get("neutral_ms") or 0.0))
     return worst if len(rows) == 1 else {**worst, "all_neutral_ms": [row.get("neutral_ms") for row in rows]}
 
@@ -496,18 +502,20 @@ def main(options: argparse.Namespace) -> None:
     result: dict[str, Any] = provenance(COMMAND, 0, ("python-can", "cantools", "mcap"))
     result["plant"], result["forward"] = options.plant, options.forward
     policies = ["ik-lookahead", *options.policy]
+    before = json.loads(options.out.read_text("utf-8")) if options.keep_runs or options.only else {}
     if options.keep_runs:
-        before = json.loads(options.out.read_text("utf-8"))
         kept = {key: before[key] for key in TIMED if key in before}
         result |= {"runs_measured": {key: before[key] for key in ("date", "machine", "versions")}} | kept
     else:
         result |= timed(options, policies)
     names = [*OUTSIDE, *LINE, LOOP, *POLICY, "disk full", *REFUSED] if options.faults else []
-    result["faults"] = []
+    rows = {row["fault"]: row for row in before["faults"]} if options.only else {}
+    result["faults"] = list(rows.values())
     for name in [name for name in names if not options.only or name in options.only]:
-        row = measured(options, name, policies[-1])
-        result["faults"].append(row)
-        print(json.dumps(row), flush=True)
+        rows[name] = measured(options, name, policies[-1])
+        print(json.dumps(rows[name]), flush=True)
+        result["faults"] = [rows[name] for name in names if name in rows]
+        write_result(options.out, result)
     write_result(options.out, result)
     if options.out == ROOT / "reports" / "runner" / "result.json":
         pipeline = COMMAND.partition(" ")[2]
@@ -557,7 +565,7 @@ def _options(arguments: Sequence[str] | None = None) -> argparse.Namespace:
     parser.add_argument("--minutes", type=float, default=10.0, help="of each run that is timed")
     parser.add_argument("--no-faults", dest="faults", action="store_false")
     parser.add_argument("--keep-runs", action="store_true", help="measure the faults alone; the runs stay as in --out")
-    parser.add_argument("--only", nargs="+", default=[], help="of all faults these alone")
+    parser.add_argument("--only", nargs="+", default=[], help="of all faults these alone; the others stay as in --out")
     parser.add_argument("--out", type=Path, default=ROOT / "reports" / "runner" / "result.json")
     chosen = parser.parse_args(arguments)
     chosen.workspace = chosen.workspace.resolve()
