@@ -224,9 +224,8 @@ def _tell(out: Printer, assembly: Assembly, outcome: Outcome, ranges: Ranges) ->
     if ranges.rmse is not None:
         rmse, worst = (" / ".join(f"{1e3 * value:.2f}" for value in values) for values in (ranges.rmse, ranges.worst))
         far = {norm: f"{1e3 * value:.2f}" for norm, value in ranges.distance.items()}
-        out.line(f"tracking error of {_tracked(assembly)}, over {ranges.tracked} turns, by the machine's own sensors (with "
-                 f"their noise and bias): distance mean {far['mean']}, RMSE {far['rmse']}, max {far['max']} mm; "
-                 f"x / y / z: RMSE {rmse}, max {worst} mm")  # fmt: skip
+        out.line(f"tracking error of {_tracked(assembly)}, over {ranges.tracked} turns: distance mean {far['mean']}, "
+                 f"RMSE {far['rmse']}, max {far['max']} mm; x / y / z: RMSE {rmse}, max {worst} mm")  # fmt: skip
     late, spent = outcome.lateness, outcome.latency
     out.line(f"{outcome.turns} turns, {outcome.missed} deadlines missed; lateness p50 {late.percentile(0.5):.0f}, "
              f"p99 {late.percentile(0.99):.0f}, max {late.largest_us:.0f} µs; a turn took p50 {spent.percentile(0.5):.0f}, "
@@ -239,10 +238,11 @@ def _tell(out: Printer, assembly: Assembly, outcome: Outcome, ranges: Ranges) ->
 
 
 def _tracked(assembly: Assembly) -> str:
-    """What was followed, by what, and through what."""
-    recipe = assembly.recipe
+    """What was followed, by what, through what, and who says where the end effector was."""
+    recipe, forward = assembly.recipe, next(item.reference for item in assembly.loaded.versions if item.kind == "forward")
     path = assembly.course.path.name if assembly.course is not None else "its target"
-    return f"{path} ({recipe.versions.policy}, through {recipe.transport['kind']})"
+    setting = f"{path} by {recipe.versions.policy} through {recipe.transport['kind']}"
+    return f"{setting}, as the machine's sensors and {forward} see it (their own errors included)"
 
 
 def _figures(assembly: Assembly, outcome: Outcome, ranges: Ranges) -> dict[str, Any]:
@@ -261,7 +261,7 @@ def _figures(assembly: Assembly, outcome: Outcome, ranges: Ranges) -> dict[str, 
         "notes": outcome.notes,
         "joints": {"low": ranges.joints[0], "high": ranges.joints[1]} if ranges.moving else None,
         "ee": {"low": ranges.ee[0], "high": ranges.ee[1]} if ranges.moving else None,
-        "error_of": f"{_tracked(assembly)}, by the machine's own sensors" if ranges.rmse is not None else None,
+        "error_of": _tracked(assembly) if ranges.rmse is not None else None,
         "distance_mm": {norm: 1e3 * value for norm, value in ranges.distance.items()} or None,
         "rmse_mm": 1e3 * ranges.rmse if ranges.rmse is not None else None,
         "max_mm": 1e3 * ranges.worst if ranges.rmse is not None else None,

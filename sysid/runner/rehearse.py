@@ -21,8 +21,8 @@ Array = npt.NDArray[np.float64]
 class Ranges:
     """A recorder that keeps nothing but how far everything went while the machine moved, and how well it followed.
 
-    The tracking error is the end effector by the machine's own sensors, with their noise and bias, less its target when they
-    measured; nobody but an outside measurement knows the true one.
+    The tracking error is the end effector as the machine's sensors and the forward model see it, with the errors of both, less
+    its target when they measured. The true one is known to an outside measurement alone.
 
     Args:
         axes: how many.
