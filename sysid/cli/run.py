@@ -103,6 +103,8 @@ def run(
             ended = loop.outcome
             flight.remark("end", {"ended": ended.ended, "state": ended.state, "why": ended.why, "error": ended.error})
             unwritten = _closed(flight)
+    if console.lost:
+        outcome.notes.append(f"{console.lost} lines found no room at the terminal")
     figures = _figures(assembly, outcome, ranges)
     failed: Exception | None = None
     try:
@@ -153,7 +155,9 @@ def _show(log: Path) -> None:
     import subprocess
 
     command = [sys.executable, "-m", "sysid.cli", "view", str(log)]
-    subprocess.Popen(command, start_new_session=True, preexec_fn=lambda: os.nice(10))  # noqa: PLW1509
+    process = subprocess.Popen(command, start_new_session=True)
+    with contextlib.suppress(OSError):
+        os.setpriority(os.PRIO_PROCESS, process.pid, 10)
 
 
 def _closed(flight: FlightLog) -> StorageError | None:

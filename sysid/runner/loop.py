@@ -97,6 +97,8 @@ class Loop:
     def run(self, watch: Callable[[Cycle], None] | None = None) -> Outcome:
         """Open the transport, turn until the task is done, somebody says so, or a fault ends it, and let go, valves neutral.
 
+        Whatever fails on the way, an interrupt included, is how the run ended and not an exception: see the outcome.
+
         Args:
             watch: shown every turn, for live views and tests.
 

@@ -11,7 +11,7 @@ import numpy.typing as npt
 from sysid.runner.assemble import Assembly
 from sysid.runner.clock import SECOND
 from sysid.runner.cycle import Cycle
-from sysid.runner.operator import Unattended
+from sysid.runner.operator import Interruptible, Unattended
 from sysid.runner.outcome import Outcome
 from sysid.runner.simulated import SimulatedTransport
 
@@ -112,5 +112,6 @@ def rehearse(assembly: Assembly, seconds: float = 60.0) -> Rehearsal:
     machine = SimulatedTransport(assembly.loaded.plant, assembly.middle)
     ranges = Ranges(len(assembly.machine.axes), round(SECOND * assembly.dt))
     plain = replace(assembly, recipe=replace(recipe, loop=loop_settings))
-    outcome = plain.loop(machine, ranges, Unattended(machine)).run()
+    with Interruptible(Unattended(machine)) as operator:
+        outcome = plain.loop(machine, ranges, operator).run()
     return Rehearsal(outcome, ranges, machine.now_ns() / 1e9)
