@@ -60,13 +60,19 @@ class PolicyThread:
         self.policy, self._axes = policy, axes
         self._questions: SimpleQueue[tuple[int, Array]] = SimpleQueue()
         self._answers: SimpleQueue[tuple[int, Array | BaseException]] = SimpleQueue()
-        self._asked = self._answered = 0
+        self._asked = 0
+        #: The question that the thread is at; 0: none. An exception may end an answer anywhere: this is right again after it.
+        self._at = 0
         self._thread: threading.Thread | None = None
 
     @property
     def native_id(self) -> int | None:
         """Of the thread, for the operating system; None while there is none."""
-        return self._thread.native_id if self._thread is not None and self._thread.is_alive() else None
+        return self._thread.native_id if self._thread is not None else None
+
+    @property
+    def _busy(self) -> bool:
+        return self._at != 0 or not self._questions.empty()
 
     def ask(self, observations: Array, until_ns: int, now_ns: Callable[[], int]) -> Array:
         """Setpoints (A,) for observations (1, O), by ``until_ns`` on the clock ``now_ns``.
@@ -74,16 +80,10 @@ class PolicyThread:
         Raises:
             PolicyError: none by then, none of this shape, or what the policy raised.
         """
-        while self._answered < self._asked:  # of turns that are over
-            try:
-                self._answered, _ = self._answers.get_nowait()
-            except Empty:
-                break
-        if self._thread is None or not self._thread.is_alive():
-            self._answered = self._asked
+        if self._thread is None:
             self._thread = threading.Thread(target=self._work, name="policy", daemon=True)
             self._thread.start()
-        if self._answered < self._asked:
+        if self._busy:
             raise PolicyError("the policy is still at an earlier turn", late=True)
         self._asked += 1
         self._questions.put((self._asked, observations.copy()))
@@ -99,35 +99,37 @@ class PolicyThread:
     def cancel(self) -> None:
         """Nobody waits for the answer any more: Python code that is still at it is ended."""
         thread = self._thread
-        if self._answered < self._asked and thread is not None and thread.ident is not None and thread.is_alive():
+        if self._at and thread is not None and thread.ident is not None:
             ctypes.pythonapi.PyThreadState_SetAsyncExc(ctypes.c_ulong(thread.ident), ctypes.py_object(SystemExit))
 
     def _wait(self, until_ns: int, now_ns: Callable[[], int]) -> Array | BaseException:
-        begin = now_ns()
-        left = (until_ns - begin) / SECOND
-        for seconds in (left, SIMULATED_S):
+        begin, waits = now_ns(), 0
+        while waits < 2:
+            left = (until_ns - now_ns()) / SECOND if waits == 0 else SIMULATED_S
             try:
-                self._answered, answer = self._answers.get(timeout=max(seconds, 0.0))
+                number, answer = self._answers.get(timeout=max(left, 0.0))
             except Empty:
-                if now_ns() != begin:  # time passes by itself
-                    break
+                waits += 1 if now_ns() == begin else 2  # time passes by itself, or stands still while somebody computes
             else:
-                return answer
+                if number == self._asked:  # not one of a turn that is over
+                    return answer
         return PolicyError("the policy does not answer within its turn", late=True)
 
     def _work(self) -> None:
         while True:
-            with contextlib.suppress(BaseException):  # cancelled between two questions
-                self._answer(*self._questions.get())
+            with contextlib.suppress(BaseException):  # cancelled outside of the policy's own code
+                self._at = 0
+                number, observations = self._questions.get()
+                self._at = number
+                self._answer(number, observations)
 
     def _answer(self, number: int, observations: Array) -> None:
-        answer: Array | BaseException = PolicyError("the policy was cancelled")
+        answer: Array | BaseException
         try:
             answer = self._checked(self.policy.act(observations))
         except BaseException as error:  # even what ends a program ends no run
             answer = error
-        finally:
-            self._answers.put((number, answer))
+        self._answers.put((number, answer))
 
     def _checked(self, answer: object) -> Array:
         if not isinstance(answer, np.ndarray):

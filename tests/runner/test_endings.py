@@ -19,6 +19,7 @@ from sysid.runner.faults import FaultyTransport, Injection
 from sysid.runner.modes.hold import Hold
 from sysid.runner.modes.mode import Goal, Mode
 from sysid.runner.operator import Interruptible, Unattended
+from sysid.runner.policy_thread import PolicyError, PolicyThread
 
 Array = npt.NDArray[np.float64]
 AXES = ("slew", "boom", "stick", "telescope")
@@ -167,6 +168,37 @@ def test_a_policy_that_is_late_once_is_asked_again(monkeypatch: pytest.MonkeyPat
     sources = [cycle.source for cycle in made.cycles if cycle.state == "running"]
     assert sources.count("fallback") == 1
     assert sources[-2] == "sweep"
+
+
+def test_a_policy_that_is_cancelled_at_any_moment_answers_again() -> None:
+    """Late by a hair, a hundred times: the exception comes before, in and after its answer."""
+
+    class Slow:
+        def act(self, observations: Array) -> Array:
+            end = time.monotonic() + 1e-3
+            while time.monotonic() < end:
+                pass
+            return observations[:, :4]
+
+    thread = PolicyThread(Slow(), 4)
+    answers = late = 0
+    for k in range(100):
+        try:
+            thread.ask(np.full((1, 5), float(k)), time.monotonic_ns() + 1_000_000, time.monotonic_ns)
+        except PolicyError as error:
+            late += error.late
+    for k in range(200):
+        try:
+            answer = thread.ask(np.full((1, 5), float(k)), time.monotonic_ns() + 200_000_000, time.monotonic_ns)
+        except PolicyError:
+            time.sleep(0.01)
+            continue
+        answers += 1
+        assert np.array_equal(answer, np.full(4, float(k))), "of this question and no earlier one"
+        if answers == 3:
+            break
+    assert late
+    assert answers == 3
 
 
 @pytest.mark.parametrize("error", [RuntimeError("no way on"), MemoryError(), KeyboardInterrupt(), SystemExit(1)])
