@@ -19,11 +19,13 @@ import numpy.typing as npt
 
 from sysid.errors import InputError, SettingsError
 from sysid.runner.bus import ON, BusSettings, Heard, MachineBus, names
+from sysid.runner.channel_lock import lock_channel
 from sysid.runner.clock import SECOND, MonotonicClock
 from sysid.runner.transport import NOBODY, MachineInputs, Reading
 
 if TYPE_CHECKING:
     from can import BusABC, Message
+    from filelock import BaseFileLock
 
 Array = npt.NDArray[np.float64]
 
@@ -74,6 +76,7 @@ class CanTransport(MonotonicClock):
         _stays_here(settings, where)
         self.machine = MachineBus(settings, where)
         self._bus = bus
+        self._lock: BaseFileLock | None = None
         self._readings: dict[str, Reading] = {}
         self._counts = dict.fromkeys(self.machine.signals, 0)
         self._status: Heard | None = None
@@ -102,9 +105,11 @@ class CanTransport(MonotonicClock):
         from can import CanError
 
         if self._bus is None:
+            self._lock = lock_channel(self.settings.interface, self.settings.channel, self.where)
             try:
                 self._bus = _open(self.settings)
             except (CanError, OSError, ValueError) as error:
+                self._lock.release()
                 place = f"{self.where}: {self.settings.interface} {self.settings.channel}"
                 raise InputError(place, f"cannot be opened ({error})", "a CAN adapter at this computer") from None
         self._listen()
@@ -262,6 +267,8 @@ class CanTransport(MonotonicClock):
             # An adapter that is gone cannot be closed any better.
             self._fault = self._fault or f"bus: {error}"
         self._bus = None
+        if self._lock is not None:
+            self._lock.release()
 
 
 class MachineClock:

@@ -80,6 +80,11 @@ class BusOff:
 
 
 @dataclass(frozen=True)
+class ReadFails:
+    """Reading the line is an error; commands would still arrive."""
+
+
+@dataclass(frozen=True)
 class WritesLost:
     """Commands do not arrive, and nobody says so."""
 
@@ -116,8 +121,8 @@ class MachineSays:
 
 
 Fault = (
-    Dropped | Frozen | Delayed | NotANumber | Jumped | Scaled | Unplugged | BusOff | WritesLost | Paused | ClockJumped
-    | DeadManReleased | EmergencyPressed | MachineSays
+    Dropped | Frozen | Delayed | NotANumber | Jumped | Scaled | Unplugged | BusOff | ReadFails | WritesLost | Paused
+    | ClockJumped | DeadManReleased | EmergencyPressed | MachineSays
 )  # fmt: skip
 
 
@@ -189,6 +194,8 @@ class FaultyTransport:
             if k not in self._kept:
                 self._kept[k] = dict(readings)
             self._change(readings, fault, self._kept[k])
+            if isinstance(fault, ReadFails):
+                raise OSError("the adapter does not read")
             if isinstance(fault, BusOff) and not fault.silent:
                 inputs = replace(inputs, fault="bus off")
             elif isinstance(fault, MachineSays):

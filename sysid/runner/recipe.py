@@ -152,6 +152,8 @@ def parse_runner(values: dict[str, Any], where: object) -> RunnerRecipe:
     check_checks(recipe.checks, where)
     if not isinstance(recipe.transport.get("kind"), str):
         raise SettingsError(f"{where}: transport", "no kind", 'kind = "simulated", or another one')
+    for key, meaning in (("valves", "one message for each axis"), ("signals", "one value of the database for each signal")):
+        _check_distinct(recipe.transport.get(key), f"{where}: transport.{key}", meaning)
     loop, collect, track = recipe.loop, recipe.collect, recipe.track
     for key, found, low, high in (
         ("loop.settle_s", loop.settle_s, 0.05, 60.0),
@@ -176,3 +178,11 @@ def parse_runner(values: dict[str, Any], where: object) -> RunnerRecipe:
         if wanted and not getattr(recipe, name).file:
             raise SettingsError(f"{where}: {name}.file", "is missing", "the file to play")
     return recipe
+
+
+def _check_distinct(entries: object, where: str, expected: str) -> None:
+    """Refuse two keys with one value: a machine would move, or be seen, twice by the same frame."""
+    owners: dict[str, str] = {}
+    for name, value in entries.items() if isinstance(entries, dict) else ():
+        if (owner := owners.setdefault(str(value), str(name))) != name:
+            raise SettingsError(f"{where}.{name}", f"{value!r}, which is that of {owner}", expected)
