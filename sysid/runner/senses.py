@@ -44,7 +44,7 @@ class Sensor:
     count: int = -1
     age_s: float = math.inf
     usual_ns: int | None = None
-    first_ns: int = 0
+    first_ns: int | None = None
     ahead_s: float = 0.0
     finite: bool = True
     jump: float = 0.0
@@ -111,9 +111,12 @@ class Senses:
         self._last_ns = -1
 
     def reset(self) -> None:
-        """Forget what was learned: after a fault, and before the first turn."""
+        """Forget what was learned: after a fault, and before the first turn.
+
+        Not the smallest delay so far: one that has grown would else be the usual one after each reset.
+        """
         for sensor in self.sensors:
-            sensor.good, sensor.count, sensor.usual_ns, sensor.still_since = math.nan, -1, None, 0.0
+            sensor.good, sensor.count, sensor.first_ns, sensor.still_since = math.nan, -1, None, 0.0
         for reckoning in self.reckonings:
             reckoning.reset(math.nan)
 
@@ -159,7 +162,9 @@ class Senses:
             return
         lag = reading.received_ns - reading.measured_ns
         if sensor.usual_ns is None:
-            sensor.usual_ns, sensor.first_ns = lag, now_ns
+            sensor.usual_ns = lag
+        if sensor.first_ns is None:
+            sensor.first_ns = now_ns
         sensor.ahead_s = (sensor.usual_ns - lag) / SECOND
         if now_ns - sensor.first_ns < LEARN_S * SECOND:
             sensor.usual_ns = min(sensor.usual_ns, lag)
