@@ -81,6 +81,8 @@ class SlcanBus(slcanBus):
 
     def _write(self, string: str) -> None:
         with error_check("Could not write to serial device"):
-            if self.serialPortOrig.out_waiting > WAITING:
-                raise CanOperationError("the adapter takes no frames")
+            waiting = self.serialPortOrig.out_waiting
+        if waiting > WAITING:
+            raise CanOperationError("the adapter takes no frames")
+        with error_check("Could not write to serial device"):
             self.serialPortOrig.write(string.encode() + self.LINE_TERMINATOR)
