@@ -107,7 +107,8 @@ def test_answers_between_frames_end_no_reading(adapter: Adapter, bus: SlcanBus) 
 
 @pytest.mark.parametrize(
     ("line", "identifier", "data"),
-    [(b"t7FF0", 0x7FF, b""), (b"T1FFFFFFF2aBcD", 0x1FFFFFFF, b"\xab\xcd"), (b"x000000011FF", 1, b"\xff"), (b"t00110A1234", 1, b"\x0a")],
+    [(b"t7FF0", 0x7FF, b""), (b"T1FFFFFFF2aBcD", 0x1FFFFFFF, b"\xab\xcd"),
+     (b"x000000011FF", 1, b"\xff"), (b"t00110A1234", 1, b"\x0a")],
 )  # fmt: skip
 def test_lines_that_are_frames(line: bytes, identifier: int, data: bytes) -> None:
     """The last one has the adapter's own stamp."""
