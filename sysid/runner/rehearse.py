@@ -75,5 +75,6 @@ def rehearse(assembly: Assembly, seconds: float = 60.0) -> Rehearsal:
     machine = SimulatedTransport(assembly.loaded.plant, assembly.middle)
     ranges = Ranges(len(assembly.machine.axes))
     plain = replace(assembly, recipe=replace(recipe, loop=loop_settings))
-    outcome = plain.loop(machine, ranges, Unattended(machine)).run()
+    loop = plain.loop(machine, ranges, Unattended(machine))
+    outcome = loop.run(getattr(loop.mode, "watch", None))
     return Rehearsal(outcome, ranges, machine.now_ns() / 1e9)

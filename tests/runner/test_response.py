@@ -1,4 +1,4 @@
-"""How late a machine answers commands, by its motion: found without stamps, and not where only gain, dead-band or play are wrong."""
+"""How late a machine answers commands, by its motion: without stamps, and not where only gain, dead-band or play are wrong."""
 
 from __future__ import annotations
 

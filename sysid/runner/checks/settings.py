@@ -229,7 +229,8 @@ CHECKS: tuple[str, ...] = tuple(item.name for item in fields(CheckSettings) if i
 #: No recipe may ask for less.
 MILDEST: dict[str, Reaction] = {
     "stale": "hold", "not_finite": "hold", "jump": "hold", "frozen": "stop", "clock": "hold", "contradiction": "stop",
-    "motion": "hold", "delay": "stop", "domain": "clamp", "following": "hold", "overrun": "stop", "policy": "hold", "position": "clamp",
+    "motion": "hold", "delay": "stop", "domain": "clamp", "following": "hold", "overrun": "stop", "policy": "hold",
+    "position": "clamp",
     "speed": "clamp", "acceleration": "clamp", "jerk": "clamp", "command": "clamp", "fence": "clamp", "dead_man": "stop",
     "emergency": "fault", "machine": "stop", "line": "fault", "restless": "fault", "recording": "clamp",
 }  # fmt: skip
