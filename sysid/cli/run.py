@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from sysid.errors import StorageError
     from sysid.runner.assemble import Assembly
     from sysid.runner.flight_log import FlightLog
+    from sysid.runner.modes.commission import Commission
     from sysid.runner.outcome import Outcome
     from sysid.runner.rehearse import Ranges
 
@@ -24,6 +25,7 @@ if TYPE_CHECKING:
 @click.command()
 @click.argument("recipe", type=click.Path(path_type=Path), metavar="RUNNER.toml")
 @click.option("--dry-run", is_flag=True, help="Check everything, and rehearse on the simulated machine; nothing is opened.")
+@click.option("--commission", is_flag=True, help="First motion of a machine: one axis at a time, compared with the plant.")
 @click.option("--unattended", is_flag=True, help="Arm and hold the dead-man switch by program; on stand-in machines alone.")
 @click.option("--seconds", type=click.FloatRange(0.1), default=None, help="End the run after so long at the latest.")
 @click.option("--view", is_flag=True, help="Show the run in Rerun while it goes on, a second behind.")
@@ -34,6 +36,7 @@ def run(
     ctx: click.Context,
     recipe: Path,
     dry_run: bool,
+    commission: bool,
     unattended: bool,
     seconds: float | None,
     view: bool,
@@ -51,7 +54,9 @@ def run(
     from sysid.errors import SettingsError, SysidError
     from sysid.runner.assemble import assemble
     from sysid.runner.clock import SECOND
+    from sysid.runner.commissioning import keep_record, require_commissioned
     from sysid.runner.flight_log import FlightLog, provenance
+    from sysid.runner.modes.commission import Commission
     from sysid.runner.operator import Interruptible, Operator, Unattended
     from sysid.runner.recipe import load_runner
     from sysid.runner.rehearse import Ranges, rehearse
@@ -62,6 +67,8 @@ def run(
 
     _keep_descriptors()
     settings = load_runner(recipe)
+    if commission:
+        settings = replace(settings, mode="commission")
     if seconds is not None:
         settings = replace(settings, loop=replace(settings.loop, seconds=seconds))
     registry = open_workspace(ctx.obj).models
@@ -77,6 +84,8 @@ def run(
         return
     line = connect(assembly, registry)
     transport = line.transport
+    for text in line.remarks:
+        printer.line(f"  note: {text}")
     program = unattended or settings.transport["kind"] == "simulated"
     if program and not (line.stand_in and isinstance(transport, Settable)):
         raise SettingsError("--unattended", "a machine that can hurt somebody", "a person at it: run without --unattended")
@@ -91,6 +100,9 @@ def run(
     kind: Any = "poses" if settings.mode == "collect" else "motion"
     with contextlib.closing(console), Interruptible(operator) as person, through(console):
         loop = assembly.loop(transport, pair, person)
+        mode = loop.mode
+        if line.wired and mode.moves and not isinstance(mode, Commission):
+            printer.line(f"  {require_commissioned(assembly, recipe)}")
         flight = FlightLog(
             folder, assembly.machine_file, transport.axes, transport.signals, words, kind=kind, clock_ns=transport.now_ns()
         )
@@ -98,7 +110,7 @@ def run(
         try:
             if view:
                 _show(flight.path)
-            outcome = loop.run()
+            outcome = loop.run(mode.watch if isinstance(mode, Commission) else None)
         finally:
             ended = loop.outcome
             flight.remark("end", {"ended": ended.ended, "state": ended.state, "why": ended.why, "error": ended.error})
@@ -107,7 +119,10 @@ def run(
         outcome.notes.append(f"{console.lost} lines found no room at the terminal")
     figures = _figures(assembly, outcome, ranges)
     failed: Exception | None = None
+    kept: Path | None = None
     try:
+        if isinstance(mode, Commission):
+            kept = keep_record(assembly, mode, recipe, str(flight.path))
         with _whoever_reads(json_file == "-"):
             record = {"schema": 1, "dry_run": False, "log": str(flight.path), "lost_cycles": flight.lost}
             write_json(json_file, record | figures)
@@ -115,10 +130,12 @@ def run(
         failed = error
     with _whoever_reads():
         _tell(printer, assembly, outcome, ranges)
+        if isinstance(mode, Commission) and kept is not None:
+            _commissioned(printer, mode, kept)
         printer.line(f"{flight.path}   (a recording: sysid ingest {folder} --recipe {folder / 'recipe.toml'})")
     if missing := unwritten or failed:
         raise missing
-    if outcome.ended == "fault":
+    if outcome.ended == "fault" or (isinstance(mode, Commission) and not mode.passed):
         ctx.exit(1)
 
 
@@ -148,6 +165,22 @@ def _whoever_reads(said: bool = True) -> Iterator[None]:
                 continue
             with contextlib.suppress(OSError, ValueError):
                 os.dup2(nowhere, stream.fileno())
+
+
+def _commissioned(out: Printer, mode: Commission, record: Path) -> None:
+    """What a commissioning found."""
+    rows = [
+        (f"{item.axis} {'+' if item.direction > 0 else '−'}", f"{item.command:.2f}", f"{1e3 * item.tip:.1f} mm",
+         f"{item.gain:.2f}", f"{item.dead_band:+.2f}", f"{1e3 * item.delay:.0f} ms", item.wrong or "as planned")
+        for item in mode.strokes
+    ]  # fmt: skip
+    out.table(("stroke", "command", "boom tip", "gain / plant", "dead-band", "delay", ""), rows, right=range(1, 6))
+    for signal, (what, off) in mode.zeros.items():
+        out.line(f"  zero of {signal}: {1e3 * off:.1f} mm at the boom tip, by {what}")
+    for signal in mode.driven:
+        if signal not in mode.zeros:
+            out.line(f"  zero of {signal}: NOT SEEN by anything; accepted by the recipe")
+    out.line(f"{record}   ({'commissioned' if mode.passed else 'NOT commissioned'})")
 
 
 def _show(log: Path) -> None:

@@ -18,7 +18,7 @@ from sysid.runner.states import States
 from sysid.runner.supervisor import at_least, sternest
 
 #: Where one of these stopped the machine, it is not simply ready again: a person has to look, and reset it.
-LATCHING = ("stale", "not_finite", "jump", "frozen", "clock", "contradiction", "motion", "following", "expired")
+LATCHING = ("stale", "not_finite", "jump", "frozen", "clock", "contradiction", "motion", "delay", "following", "expired")
 
 
 class Conduct:

@@ -11,8 +11,9 @@ from sysid.errors import SettingsError, nearest
 from sysid.runner.checks.settings import CheckSettings, check_checks
 from sysid.runner.limits import LimitSettings
 from sysid.runner.loop_settings import LoopSettings
+from sysid.runner.modes.commission import CommissionSettings
 
-ModeName = Literal["track", "hold", "collect", "experiment", "replay", "shadow", "teleop"]
+ModeName = Literal["track", "hold", "collect", "experiment", "replay", "shadow", "teleop", "commission"]
 MODES: tuple[ModeName, ...] = get_args(ModeName)
 #: Instead of a policy: bounded inverse kinematics, and the same with targets ahead by the machine's dead time.
 KINEMATIC = ("ik", "ik-lookahead")
@@ -129,6 +130,7 @@ class RunnerRecipe:
     experiment: FileSettings = field(default_factory=FileSettings)
     replay: FileSettings = field(default_factory=FileSettings)
     shadow: ShadowSettings = field(default_factory=ShadowSettings)
+    commission: CommissionSettings = field(default_factory=CommissionSettings)
     limits: LimitSettings = field(default_factory=LimitSettings)
     checks: CheckSettings = field(default_factory=CheckSettings)
     loop: LoopSettings = field(default_factory=LoopSettings)
@@ -169,6 +171,9 @@ def parse_runner(values: dict[str, Any], where: object) -> RunnerRecipe:
         ("track.ease_s", track.ease_s, 0.1, 60.0),
         ("track.live_port", track.live_port, 1024, 65535),
         ("track.live_speed", track.live_speed, 1e-4, 10.0),
+        ("commission.speed", recipe.commission.speed, 0.002, 0.05),
+        ("commission.travel", recipe.commission.travel, 0.002, 0.012),
+        ("commission.zero", recipe.commission.zero, 0.001, 0.05),
         ("versions.lookahead", recipe.versions.lookahead, 0.0, 5.0),
     ):
         if found is not None and not low <= found <= high:

@@ -113,5 +113,6 @@ def rehearse(assembly: Assembly, seconds: float = 60.0) -> Rehearsal:
     ranges = Ranges(len(assembly.machine.axes), round(SECOND * assembly.dt))
     plain = replace(assembly, recipe=replace(recipe, loop=loop_settings))
     with Interruptible(Unattended(machine)) as operator:
-        outcome = plain.loop(machine, ranges, operator).run()
+        loop = plain.loop(machine, ranges, operator)
+        outcome = loop.run(getattr(loop.mode, "watch", None))
     return Rehearsal(outcome, ranges, machine.now_ns() / 1e9)

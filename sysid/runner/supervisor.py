@@ -10,6 +10,7 @@ import numpy.typing as npt
 
 from sysid.machine import TabulatedLinkage
 from sysid.runner.barrier import Barrier, Broken, outside
+from sysid.runner.checks.delay import judge_delay
 from sysid.runner.checks.machine import judge_machine
 from sysid.runner.checks.motion import MotionChecks
 from sysid.runner.checks.sensors import judge_sensors
@@ -73,6 +74,8 @@ class Supervisor:
         found = judge_machine(seen, self.checks)
         found += judge_sensors(seen, self.checks, moving)
         found += self._motion.judge(seen, moving, drive_setpoints)
+        if moving and self.checks.on("delay"):
+            found += judge_delay(seen, self.checks, self.axes)
         return found
 
     def patience(self, verdicts: Sequence[Verdict]) -> list[Verdict]:

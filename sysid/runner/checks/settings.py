@@ -80,6 +80,15 @@ class Motion:
 
 
 @dataclass(frozen=True)
+class Delay:
+    """The machine answers commands ``after_s`` later than its plant, by its motion and whatever its stamps say."""
+
+    __pydantic_config__ = STRICT
+    reaction: Reaction = "stop"
+    after_s: float = 0.08
+
+
+@dataclass(frozen=True)
 class DomainLeft:
     """A network is asked beyond its data for ``for_s``, and the way does not lead back."""
 
@@ -201,6 +210,7 @@ class CheckSettings:
     clock: Clock = field(default_factory=Clock)
     contradiction: Contradiction = field(default_factory=Contradiction)
     motion: Motion = field(default_factory=Motion)
+    delay: Delay = field(default_factory=Delay)
     domain: DomainLeft = field(default_factory=DomainLeft)
     following: Following = field(default_factory=Following)
     overrun: Overrun = field(default_factory=Overrun)
@@ -234,9 +244,10 @@ CHECKS: tuple[str, ...] = tuple(item.name for item in fields(CheckSettings) if i
 #: No recipe may ask for less.
 MILDEST: dict[str, Reaction] = {
     "stale": "hold", "not_finite": "hold", "jump": "hold", "frozen": "stop", "clock": "hold", "contradiction": "stop",
-    "motion": "hold", "domain": "clamp", "following": "hold", "overrun": "stop", "expired": "fault", "policy": "hold",
-    "position": "clamp", "speed": "clamp", "acceleration": "clamp", "jerk": "clamp", "command": "clamp", "fence": "clamp",
-    "dead_man": "stop", "emergency": "fault", "machine": "stop", "line": "fault", "restless": "fault", "recording": "clamp",
+    "motion": "hold", "delay": "stop", "domain": "clamp", "following": "hold", "overrun": "stop", "expired": "fault",
+    "policy": "hold", "position": "clamp", "speed": "clamp", "acceleration": "clamp", "jerk": "clamp", "command": "clamp",
+    "fence": "clamp", "dead_man": "stop", "emergency": "fault", "machine": "stop", "line": "fault", "restless": "fault",
+    "recording": "clamp",
 }  # fmt: skip
 #: What the machine's own watchdog waits for commands [s] (docs/can.md): the measure of everything that may be late.
 WATCHDOG_S = 0.1
@@ -273,7 +284,7 @@ BOUNDS: dict[str, Bounds] = {
     "restless.after_s": Bounds(2.0, "valves close in a tenth of a second"),
 }
 #: May be left out, one by one.
-OPTIONAL: tuple[str, ...] = ("clock", "contradiction", "motion", "domain", "following", "jerk")
+OPTIONAL: tuple[str, ...] = ("clock", "contradiction", "motion", "delay", "domain", "following", "jerk")
 
 
 def check_checks(settings: CheckSettings, where: object) -> CheckSettings:
