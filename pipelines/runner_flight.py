@@ -172,15 +172,15 @@ class Watch:
 
     def __init__(self, flight: Flight, transport: FaultyTransport, policy: Unruly | None, told: Callable[[str], None]) -> None:
         self.flight, self.transport, self.policy, self._told = flight, transport, policy, told
-        self._state, self._checks, self._tracked, self._loose = "", set[str](), 0, False
+        self._state, self._checks, self._tracked, self._loose = "", set[tuple[str, str]](), 0, False
 
     def __call__(self, cycle: Cycle) -> None:
         if cycle.state != self._state:
             self._state = cycle.state
             say("state", cycle.at_ns, cycle.state)
         for verdict in cycle.verdicts:
-            if verdict.check not in self._checks:
-                self._checks.add(verdict.check)
+            if (verdict.check, verdict.reaction) not in self._checks:
+                self._checks.add((verdict.check, verdict.reaction))
                 say("verdict", cycle.at_ns, f"{verdict.check} {verdict.reaction} {verdict.text}")
         self._tracked += bool(np.isfinite(cycle.target).all())
         if self._loose and self.flight.fault in CHATTER:
