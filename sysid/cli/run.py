@@ -171,7 +171,8 @@ def _commissioned(out: Printer, mode: Commission, record: Path) -> None:
     """What a commissioning found."""
     rows = [
         (f"{item.axis} {'+' if item.direction > 0 else '−'}", f"{item.command:.2f}", f"{1e3 * item.tip:.1f} mm",
-         f"{item.gain:.2f}", f"{item.dead_band:+.2f}", f"{1e3 * item.delay:.0f} ms", item.wrong or "as planned")
+         *((f"{item.gain:.2f}", f"{item.dead_band:+.2f}", f"{1e3 * item.delay:.0f} ms") if item.judged else ("", "", "")),
+         item.wrong or "as planned")
         for item in mode.strokes
     ]  # fmt: skip
     out.table(("stroke", "command", "boom tip", "gain / plant", "dead-band", "delay", ""), rows, right=range(1, 6))

@@ -2,10 +2,10 @@
 
 For each axis, the last :data:`WINDOW_S` of what is measured is compared with ``y(t) = c + g·x(t − τ)``, x the travel by the
 commands sent through the plant's valve after its dead time. τ is delay beyond that dead time, of commands and readings
-together; it needs no stamp. It may have come within the window: τ = 0 until :data:`SINCE_S` ago. What a plant need not know is
-left open: where the axis stands (c), its gain (g within :data:`GAINS`) and how far its dead-band is from the plant's
-(:data:`BANDS`). An axis answers late if no τ up to half of what is accepted explains what is measured, by :data:`LEAST_S` at top
-speed, and a τ of at least what is accepted leaves a third of that error or less, :data:`TIMES` times in a row.
+together; it needs no stamp. It may have come within the window: τ = 0 until :data:`SINCE_S` ago. What a plant need not know
+is left open: where the axis stands (c), its gain (g within :data:`GAINS`), and how far its dead-band is from the plant's
+(:data:`BANDS`). An axis answers late if no τ up to half of what is accepted explains what is measured, by :data:`LEAST_S` at
+top speed, and a τ of at least what is accepted leaves a third of that error or less, :data:`TIMES` times in a row.
 """
 
 from __future__ import annotations

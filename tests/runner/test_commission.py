@@ -1,22 +1,29 @@
-"""The first motion of a machine: what it finds of wiring, signs, scales and zeros, and how slowly. On the sample crane in process."""
+"""The first motion of a machine: what it finds of wiring, signs, scales and zeros, how slowly, and its record."""
 
 from __future__ import annotations
 
+import json
 import re
+from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
-from runner_case import DT, MIDDLE, PLANT, Case, case, true_crane
+from runner_case import DT, MIDDLE, PLANT, Case, Quick, case, true_crane
 
 from sysid.control import tune
+from sysid.errors import SettingsError
 from sysid.machine import KnownEffect
 from sysid.plant import Plant
 from sysid.runner import faults as f
 from sysid.runner.chain import Chain
+from sysid.runner.commissioning import keep_record, record_path, require_commissioned
 from sysid.runner.faults import Fault, Injection
 from sysid.runner.limits import Limits
-from sysid.runner.modes.commission import Commission, CommissionSettings
+from sysid.runner.modes.commission import ORDER, Commission, CommissionSettings, Stroke
+from sysid.runner.modes.hold import Hold
+from sysid.runner.recipe import parse_runner
 from sysid.runner.valves import valves
 
 VALVES = valves(tune(PLANT), DT)
@@ -66,6 +73,7 @@ def off(seed: int, most: float = 0.08) -> Plant:
     return plant
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "true", [PLANT, true_crane(1), off(2), off(3)], ids=["as planned", "other gains", "dead-bands", "more"]
 )
@@ -141,3 +149,87 @@ def test_without_its_turns_it_moves_nothing() -> None:
     made.loop.warm_up(MIDDLE)
     made.loop.run()
     assert "nothing was shown to it" in made.loop.outcome.why
+
+
+RECIPE: dict[str, Any] = {
+    "schema": 1, "name": "a", "machine": "machine.toml", "mode": "hold",
+    "versions": {"plant": "crane", "forward": "crane-forward"},
+    "transport": {"kind": "can", "database": "machine.dbc"},
+}  # fmt: skip
+
+
+def assembly(folder: Path, plant: str = "p1", **change: Any) -> Any:
+    """What a record needs of one."""
+    return SimpleNamespace(
+        recipe=parse_runner(RECIPE | change, "test"), folder=folder, machine_file=folder / "machine.toml",
+        machine=PLANT.machine, loaded=SimpleNamespace(versions=(SimpleNamespace(digest=plant),)),
+    )  # fmt: skip
+
+
+@pytest.fixture
+def kept(tmp_path: Path) -> Path:
+    """A recipe whose machine was commissioned."""
+    (tmp_path / "machine.toml").write_text("name")
+    (tmp_path / "machine.dbc").write_bytes(b"dbc")
+    task = Commission(PLANT.machine, VALVES, LINKAGES, case(lambda limits, chain: Hold(DT)).limits, Quick(PLANT).predict, DT,
+                      CommissionSettings())  # fmt: skip
+    stroke = Stroke("slew", 1, 0.2, {"slew": 0.01}, 0.01, True, 1.0, 0.0, 0.0, "")
+    task.strokes = [stroke] * (len(ORDER) * len(AXES))
+    assert task.passed
+    keep_record(assembly(tmp_path), task, tmp_path / "runner.toml", "flight.mcap")
+    return tmp_path / "runner.toml"
+
+
+def test_a_machine_is_moved_after_its_commissioning(kept: Path) -> None:
+    assert require_commissioned(assembly(kept.parent), kept) == "commissioned as it is"
+    record = json.loads(record_path(kept).read_text("utf-8"))
+    assert record["passed"] is True
+    assert sorted(record["digests"]) == ["database", "machine", "plant", "recipe"]
+    assert len(record["strokes"]) == 24
+    assert sorted(path.name for path in kept.parent.iterdir()) == ["machine.dbc", "machine.toml", "runner.commissioned.json"]
+
+
+def test_task_and_log_may_change(kept: Path) -> None:
+    assert require_commissioned(assembly(kept.parent, mode="track", log={"folder": "x"}, loop={"seconds": 5.0}), kept)
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [({"plant": "p2"}, "plant"), ({"limits": {"margin": 0.1}}, "recipe"), ({"checks": {"patience_s": 0.2}}, "recipe"),
+     ({"transport": {"kind": "can", "database": "machine.dbc", "signals": {"a": "b"}}}, "recipe")],
+)  # fmt: skip
+def test_it_is_asked_for_again_when_something_changes(kept: Path, change: dict[str, Any], said: str) -> None:
+    with pytest.raises(SettingsError, match=f"changed since it was commissioned: {said}.*--commission"):
+        require_commissioned(assembly(kept.parent, **change), kept)
+
+
+@pytest.mark.parametrize(("name", "said"), [("machine.dbc", "database"), ("machine.toml", "machine")])
+def test_a_file_that_changes_asks_for_it_again(kept: Path, name: str, said: str) -> None:
+    (kept.parent / name).write_bytes(b"other")
+    with pytest.raises(SettingsError, match=f"changed since it was commissioned: {said}"):
+        require_commissioned(assembly(kept.parent), kept)
+
+
+@pytest.mark.parametrize("text", ["", "{}", "[]", "3", '{"digests": 3, "passed": true, "schema": 1}', "\x00"])
+def test_a_record_that_is_none(kept: Path, text: str) -> None:
+    record_path(kept).write_text(text, "utf-8")
+    with pytest.raises(SettingsError, match="is no record of a commissioning"):
+        require_commissioned(assembly(kept.parent), kept)
+
+
+def test_a_commissioning_that_did_not_pass_is_none(kept: Path) -> None:
+    record = json.loads(record_path(kept).read_text("utf-8"))
+    record_path(kept).write_text(json.dumps(record | {"passed": False, "wrong": "boom goes the wrong way"}), "utf-8")
+    with pytest.raises(SettingsError, match="did not pass: boom goes the wrong way"):
+        require_commissioned(assembly(kept.parent), kept)
+
+
+def test_it_may_be_waived_with_a_reason(kept: Path) -> None:
+    record_path(kept).unlink()
+    with pytest.raises(SettingsError, match="it was never commissioned"):
+        require_commissioned(assembly(kept.parent), kept)
+    reason = "the stand-in machine of the demo"
+    said = require_commissioned(assembly(kept.parent, commission={"waived": reason}), kept)
+    assert said == f"NOT commissioned (it was never commissioned): {reason}"
+    with pytest.raises(SettingsError, match="one sentence that says why"):
+        require_commissioned(assembly(kept.parent, commission={"waived": "yes"}), kept)

@@ -1,13 +1,13 @@
 """The first motion of a machine: one axis at a time, slowly and a little way to and fro, each stroke compared with the plant.
 
 A stroke is a valve command that rises slowly from zero until the machine has moved by a few millimetres at the boom tip, and
-then is zero. It is so slow that whatever the command is wired to keeps :attr:`CommissionSettings.speed`. What was measured is
-then compared with the motion that the plant makes of the commands sent: the same axis has to have moved, to the same side, by the
-same gain and as soon. The dead-band is left open: it shows, and is reported. The first thing that does not fit ends the run.
+then is zero. It is so slow that whatever the command is wired to keeps ``speed`` of the recipe. What was measured is compared
+with the motion that the plant makes of the commands sent: the same axis has to have moved, to the same side, by the same gain
+and as soon. The dead-band is left open: it shows, and is reported. The first thing that does not fit ends the run.
 
-The zero of a sensor does not show in motion. It is compared with what else says where the axis stands: the joint's own sensor, the
-measured end effector, or a reference pose that somebody has put the machine in. Where nothing does, that is said and has to be
-accepted in the recipe.
+The zero of a sensor does not show in motion. It is compared with what else says where the axis stands: the joint's own sensor,
+the measured end effector, or a reference pose that somebody has put the machine in. Where nothing does, that is said and has to
+be accepted in the recipe.
 """
 
 from __future__ import annotations
@@ -50,6 +50,8 @@ BEGINS = 8
 OTHERS = 0.3
 #: True gain over the plant's that passes, and delay beyond the plant's dead time [s].
 GAIN, DELAY_S = (0.6, 1.5), 0.1
+#: A reading that went less than this share of a stroke says less of the gain: this passes then.
+SHORT, GAIN_SHORT = 0.7, (0.3, 3.0)
 #: What is looked for: dead-bands beside the plant's [command], delays [s].
 BANDS, DELAYS = np.arange(-0.20, 0.201, 0.01), np.arange(0.0, 0.401, 0.04)
 
@@ -83,8 +85,9 @@ class Stroke:
     Args:
         axis: that was commanded; ``direction``: the sign of its command.
         command: the greatest one. moved: axis → how far its reading went [m or rad].
-        tip: how far the boom tip went by it [m]. gain: measured over the plant's.
-        dead_band: beyond the plant's [command]. delay: beyond the plant's dead time [s].
+        tip: how far the boom tip went by it [m].
+        judged: play was taken up before it, so that gain and delay can be told.
+        gain: measured over the plant's. dead_band: beyond the plant's [command]. delay: beyond the plant's dead time [s].
         wrong: what does not fit, "" where all does.
     """
 
@@ -93,6 +96,7 @@ class Stroke:
     command: float
     moved: dict[str, float]
     tip: float
+    judged: bool
     gain: float
     dead_band: float
     delay: float
@@ -229,6 +233,7 @@ class Commission:
         stays = abs(went[i]) <= error[i]
         strange = abs(went[other]) > error[other] and at_tip[other] > OTHERS * at_tip[i]
         tight = bool(self.strokes) and (self.strokes[-1].axis, self.strokes[-1].direction) == (axis, sign)
+        low, high = GAIN if at_tip[i] >= SHORT * self.settings.travel else GAIN_SHORT
         wrong = ""
         if strange:
             wrong = f"the command of {axis} moves the reading of {self.axes[other]}: valves or sensors are swapped"
@@ -240,15 +245,15 @@ class Commission:
             )
         elif sign * went[i] < 0.0:
             wrong = f"{axis} goes the wrong way at a {'positive' if sign > 0 else 'negative'} command: a sign is turned"
-        elif tight and not GAIN[0] <= gain <= GAIN[1]:
+        elif tight and not low <= gain <= high:
             wrong = f"{axis} moves {gain:.2f} times as fast as its plant: the scale of its sensor, or another valve"
         elif tight and delay > DELAY_S:
             wrong = f"{axis} answers {1e3 * delay:.0f} ms later than its plant: the line is late"
         moved = {name: float(value) for name, value in zip(self.axes, went, strict=True)}
-        return Stroke(axis, sign, top, moved, float(at_tip[i]), gain, band, delay, wrong)
+        return Stroke(axis, sign, top, moved, float(at_tip[i]), tight, gain, band, delay, wrong)
 
     def _fit(self, i: int, sign: int, went: Array, sent: Array) -> tuple[float, float, float]:
-        """Gain over the plant's, dead-band and delay beside the plant's, of what was measured (n,) and sent (n,): least squares."""
+        """Gain over the plant's, dead-band and delay beside the plant's, of what was measured and sent, (n,) each."""
         valve = self.valves[i]
         top, own = (valve.up, valve.positive) if sign > 0 else (valve.down, valve.negative)
         bands = BANDS[own + BANDS >= -1e-9]
