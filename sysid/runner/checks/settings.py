@@ -271,7 +271,7 @@ BOUNDS: dict[str, Bounds] = {
     "contradiction.share": Bounds(0.2, "two sensors of one axis that differ by a fifth of its range do not measure the same"),
     "contradiction.for_s": Bounds(0.5, "the machine moves by a wrong sensor for so long"),
     "motion.seconds": Bounds(1.0, "the fastest axis of the demo's crane crosses 40 % of its range in 1 s, unseen"),
-    "delay.after_s": Bounds(0.3, "at a quarter of a second a crane is 100 mm off its path (docs/guide/runner.md)"),
+    "delay.after_s": Bounds(0.2, "a line that is 0.2 s late takes a crane 67 mm off its path (docs/guide/runner.md)"),
     "domain.for_s": Bounds(2.0, "networks are not to be believed outside of their data"),
     "following.seconds": Bounds(1.0, "a setpoint that is 1 s at full speed ahead is not followed"),
     "following.for_s": Bounds(1.0, "the setpoint runs away for so long"),
