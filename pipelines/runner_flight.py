@@ -1,8 +1,9 @@
 """One run of the runner on the stand-in machine, as a process that can be paused and killed; `pipelines/runner.py` starts it.
 
-    python pipelines/runner_flight.py RUNNER.toml WORKSPACE [FAULT]
+    python pipelines/runner_flight.py RUNNER.toml WORKSPACE [FAULT [TURNS]]
 
 Lines on standard output say, on the monotonic clock, when something changed: ``track``, ``fault``, ``state`` and ``verdict``.
+Standard input and error are its terminal, as they are to `sysid run`.
 """
 
 from __future__ import annotations
@@ -10,17 +11,21 @@ from __future__ import annotations
 import json
 import resource
 import sys
+import threading
+from collections.abc import Callable, Sequence
+from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from sysid.errors import StorageError, SysidError
 from sysid.registry import Registry
 from sysid.runner.assemble import assemble
 from sysid.runner.chain import Chain
-from sysid.runner.cycle import Cycle
+from sysid.runner.cycle import Cycle, State
 from sysid.runner.faults import (
     BusOff,
     ClockJumped,
@@ -30,19 +35,26 @@ from sysid.runner.faults import (
     Injection,
     Jumped,
     NotANumber,
+    ReadFails,
     Scaled,
 )
 from sysid.runner.flight_log import FlightLog, provenance
-from sysid.runner.operator import Unattended
+from sysid.runner.operator import Interruptible, Unattended
+from sysid.runner.policy_thread import PolicyThread
 from sysid.runner.recipe import load_runner
+from sysid.runner.terminal import Console, Terminal, through
 from sysid.runner.transports import connect
 
+Array = npt.NDArray[np.float64]
+
 #: Faults come so many turns after tracking began.
-TURNS = 300
+TURNS = 150
 SENSOR = "boom.cylinder"
+#: What the commands drive.
+DRIVEN = ("slew.joint", "boom.cylinder", "stick.cylinder", "telescope.joint")
 #: Between the runner and the bus.
 LINE = {
-    "frozen sensor": Frozen(SENSOR),
+    **{f"frozen {signal}": Frozen(signal) for signal in DRIVEN},
     "delayed by 50 ms": Delayed(0.05),
     "delayed by 200 ms": Delayed(0.2),
     "delayed by 200 ms, unstamped": Delayed(0.2, stamped=False),
@@ -50,10 +62,44 @@ LINE = {
     "jump of 10 mm": Jumped(SENSOR, 0.01),
     "scale error of 20 %": Scaled(SENSOR, 1.2),
     "bus off": BusOff(),
+    "line cannot be read": ReadFails(),
     "clock jump of 1 s": ClockJumped(1.0),
 }
-#: Of the policy itself: what it sets.
-POLICY = {"policy emits NaN": float("nan"), "policy emits extremes": 1e3}
+
+
+def _raises(error: Exception) -> Callable[[Array], Any]:
+    def act(answer: Array) -> Any:
+        raise error
+
+    return act
+
+
+def _never(answer: Array) -> Any:
+    while True:
+        pass
+
+
+def _waits(answer: Array) -> Any:
+    threading.Event().wait(3600.0)
+
+
+#: Of the policy itself: what it makes of its answer.
+POLICY: dict[str, Callable[[Array], Any]] = {
+    "policy emits NaN": lambda answer: np.full_like(answer, np.nan),
+    "policy emits extremes": lambda answer: np.full_like(answer, 1e3),
+    "policy raises RuntimeError": _raises(RuntimeError("device lost")),
+    "policy raises MemoryError": _raises(MemoryError()),
+    "policy answers None": lambda answer: None,
+    "policy answers in another shape": lambda answer: answer[:, :2],
+    "policy computes for ever": _never,
+    "policy waits for ever": _waits,
+}
+#: So much is told in every turn while the terminal is tried.
+CHATTER = {"terminal stopped for 2 s (Ctrl-S)", "terminal closed", "standard error closed"}
+#: In the runner itself.
+LOOP = "exception in the loop"
+#: Another runner on the line: it opens it when it is told to, by a line on its standard input.
+SECOND = "second"
 
 
 @dataclass(frozen=True)
@@ -62,52 +108,101 @@ class Flight:
 
     Args:
         recipe: of the runner; log and outcome go into its folder.
-        fault: of ``LINE`` or ``POLICY``, ``disk full``, or "" where it comes from outside.
+        fault: of ``LINE`` or ``POLICY``, ``LOOP``, ``disk full``, or another one where it comes from outside.
+        turns: it comes so many after tracking began.
     """
 
     recipe: Path
     workspace: Path
     fault: str = ""
+    turns: int = TURNS
+
+
+class Attended:
+    """Arms by program, and has a terminal besides."""
+
+    stays = False
+
+    def __init__(self, program: Unattended, terminal: Terminal) -> None:
+        self.program, self.terminal = program, terminal
+
+    def words(self, state: State, now_ns: int) -> Sequence[str]:
+        return [*self.program.words(state, now_ns), *self.terminal.words(state, now_ns)]
+
+    def told(self, text: str) -> None:
+        self.terminal.told(text)
+
+
+class Unruly:
+    """A policy, or inverse kinematics in its place, whose answers are right until they are not.
+
+    Args:
+        chain: whose policy it is.
+        wrong: what is made of an answer.
+    """
+
+    def __init__(self, chain: Chain, wrong: Callable[[Array], Any]) -> None:
+        self._chain, self._wrong, self.loose = chain, wrong, False
+        self._policy = chain.policy
+        self._last: Array | None = None
+        axes = len(chain.axes)
+        self.inputs, self.outputs = chain.view.names, chain.view.names[:axes]
+        self._target = slice(axes + 3, axes + 6)
+
+    def act(self, observations: Array) -> Array:
+        if self._policy is not None:
+            answer = self._policy.act(observations)
+        else:
+            begin = observations[:, : len(self._chain.axes)] if self._last is None else self._last
+            answer, _ = self._chain.inverse.solve(observations[:, self._target], begin)
+            self._last = answer
+        found: Array = self._wrong(answer.copy()) if self.loose else answer.copy()
+        return found
 
 
 def say(word: str, ns: int, text: str = "") -> None:
-    sys.stdout.write(f"{word} {ns} {text}\n")
-    sys.stdout.flush()
+    out = sys.__stdout__
+    assert out is not None
+    out.write(f"{word} {ns} {text}\n")
+    out.flush()
 
 
 class Watch:
     """Says what changes, and lets the fault loose."""
 
-    def __init__(self, flight: Flight, transport: FaultyTransport, chain: Chain) -> None:
-        self.flight, self.transport, self.chain = flight, transport, chain
-        self._state, self._checks, self._tracked, self._loose = "", set[str](), 0, False
+    def __init__(self, flight: Flight, transport: FaultyTransport, policy: Unruly | None, told: Callable[[str], None]) -> None:
+        self.flight, self.transport, self.policy, self._told = flight, transport, policy, told
+        self._state, self._checks, self._tracked, self._loose = "", set[tuple[str, str]](), 0, False
 
     def __call__(self, cycle: Cycle) -> None:
         if cycle.state != self._state:
             self._state = cycle.state
             say("state", cycle.at_ns, cycle.state)
         for verdict in cycle.verdicts:
-            if verdict.check not in self._checks:
-                self._checks.add(verdict.check)
+            if (verdict.check, verdict.reaction) not in self._checks:
+                self._checks.add((verdict.check, verdict.reaction))
                 say("verdict", cycle.at_ns, f"{verdict.check} {verdict.reaction} {verdict.text}")
         self._tracked += bool(np.isfinite(cycle.target).all())
-        if self._tracked == TURNS and not self._loose:
+        if self._loose and self.flight.fault in CHATTER:
+            self._told(200 * "told ")
+        if self._tracked == self.flight.turns and not self._loose:
             self._loose = True
             self._checks.clear()
             now = self.transport.now_ns()
             say("track", now)
             if self.flight.fault:
-                self._let_loose()
                 say("fault", now, self.flight.fault)
+                self._let_loose()
 
     def _let_loose(self) -> None:
         fault = self.flight.fault
         if fault in LINE:
             self.transport.plan = (Injection(LINE[fault], 0.0),)
             self.transport.start()
-        elif fault in POLICY:
-            wrong = np.full(len(self.chain.axes), POLICY[fault])
-            self.chain.ask = lambda joints, ee, target: wrong.copy()  # type: ignore[method-assign]
+        elif self.policy is not None:
+            self.policy.loose = True
+        elif fault == LOOP:
+            raise RuntimeError("no way on")
         elif fault == "disk full":
             (log,) = (self.flight.recipe.parent / "logs").glob("*/flight.mcap")
             resource.setrlimit(resource.RLIMIT_FSIZE, (log.stat().st_size + 1000, resource.RLIM_INFINITY))
@@ -120,13 +215,22 @@ def fly(flight: Flight) -> dict[str, Any]:
     transport = FaultyTransport(connect(assembly, registry).transport, ())
     versions = {version.kind: version.reference for version in assembly.loaded.versions}
     words = provenance({"machine": assembly.machine_file, "recipe": flight.recipe}, versions)
+    if flight.fault == SECOND:
+        sys.stdin.readline()
     log = FlightLog(folder / "logs", assembly.machine_file, transport.axes, transport.signals, words)
-    loop = assembly.loop(transport, log, Unattended(transport))
-    outcome = loop.run(Watch(flight, transport, loop.chain))
-    try:
-        log.close()
-    except StorageError as error:
-        outcome.notes.append(str(error))
+    console = Console()
+    operator = Attended(Unattended(transport), Terminal(console))
+    with closing(console), Interruptible(operator) as person, through(console):
+        loop = assembly.loop(transport, log, person)
+        policy = None
+        if flight.fault in POLICY:
+            policy = Unruly(loop.chain, POLICY[flight.fault])
+            loop.chain.policy, loop.chain.thread = policy, PolicyThread(policy, len(loop.chain.axes))
+        outcome = loop.run(Watch(flight, transport, policy, operator.told))
+        try:
+            log.close()
+        except StorageError as error:
+            outcome.notes.append(str(error))
     return {
         "ended": outcome.ended,
         "state": outcome.state,
@@ -140,9 +244,9 @@ def fly(flight: Flight) -> dict[str, Any]:
     }
 
 
-def main(recipe: Path, workspace: Path, fault: str) -> int:
+def main(recipe: Path, workspace: Path, fault: str, turns: int) -> int:
     try:
-        outcome = fly(Flight(recipe, workspace, fault))
+        outcome = fly(Flight(recipe, workspace, fault, turns))
     except SysidError as error:
         outcome = {"ended": "refused", "state": "refused", "why": str(error)}
     (recipe.parent / "outcome.json").write_text(json.dumps(outcome, indent=1) + "\n", "utf-8")
@@ -150,4 +254,5 @@ def main(recipe: Path, workspace: Path, fault: str) -> int:
 
 
 if __name__ == "__main__":
-    raise SystemExit(main(Path(sys.argv[1]), Path(sys.argv[2]), sys.argv[3] if len(sys.argv) > 3 else ""))
+    given = dict(enumerate(sys.argv))
+    raise SystemExit(main(Path(sys.argv[1]), Path(sys.argv[2]), given.get(3, ""), int(given.get(4, TURNS))))

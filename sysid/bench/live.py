@@ -190,7 +190,8 @@ class LiveProcess:
         for step in range(machine.steps):
             now = end_ns - self.cycle_ns + step * self._step_ns
             while self._events and self._events[0][0] <= now:
-                self._take(*self._events.pop(0))
+                came_ns, frame = self._events.pop(0)
+                self._take(came_ns, frame, machine.seconds + (came_ns - end_ns + self.cycle_ns) * 1e-9)
             # The emergency stop takes the pilot pressure away, whoever commands what.
             commands[step] = watchdog.passed(now) * (not switches.emergency_stop)
         machine.advance(commands)
@@ -200,15 +201,18 @@ class LiveProcess:
             "emergency_stop": float(switches.emergency_stop),
             "fault": float(watchdog.fault),
             "time": machine.seconds % _CLOCK_TURN,
+            "echo": float(max(watchdog.counter, 0)),
         }
         frames = self.bus.frames(machine.readings(), self._cycle, status)
         people = (switches.dead_man, switches.emergency_stop, watchdog.fault, watchdog.counter, self._counter_ns)
         row = np.concatenate([[end_ns], machine.truth, watchdog.asked, commands[-1], [watchdog.enabled], people])
         return [sent for frame in frames if (sent := switches.through(self.bus.name(frame), frame)) is not None], row
 
-    def _take(self, came_ns: int, frame: Frame) -> None:
+    def _take(self, came_ns: int, frame: Frame, seconds: float) -> None:
+        """A frame that came at ``came_ns``, ``seconds`` by the machine's own clock."""
         if (valve := self.bus.valve(frame)) is not None:
-            self.watchdog.command(*valve, came_ns)
+            age = self.bus.age(frame, seconds % _CLOCK_TURN)
+            self.watchdog.command(*valve, came_ns, round(min(age, 1e3) * 1e9))
         elif (status := self.bus.status(frame)) is not None:
             if status[0] != self.watchdog.counter:
                 self._counter_ns = came_ns

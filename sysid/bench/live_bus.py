@@ -5,6 +5,7 @@ Source of the lines: Lawicel, CANUSB manual, "ASCII commands".
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -107,6 +108,22 @@ class LiveBus:
         return Frame(
             message.frame_id, message.is_extended_frame, bytes(message.encode(coded, scaling=False, padding=True, strict=False))
         )
+
+    def age(self, frame: Frame, seconds: float) -> float:
+        """How long before ``seconds`` of the machine's clock it was what a valve command answers [s]; negative: it is to come.
+
+        Zero where the database gives commands no stamp, infinite where a command does not say.
+        """
+        message = self._described[frame.identifier]
+        stamp = next((signal for signal in message.signals if signal.name == "stamp"), None)
+        if stamp is None:
+            return 0.0
+        raw, scale = _raw(message, frame)["stamp"], float(stamp.scale)
+        turn = round(float(stamp.maximum or 0.0) / scale) + 1
+        if raw >= turn:
+            return math.inf
+        age = (seconds / scale - raw) % turn
+        return (age - turn if age > 0.5 * turn else age) * scale
 
     def valve(self, frame: Frame) -> tuple[int, float, bool] | None:
         """Axis, command in [-1, 1], and whether its sender is fit, of a valve command; None for other frames."""

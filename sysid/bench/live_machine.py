@@ -18,6 +18,10 @@ Array = npt.NDArray[np.float64]
 
 #: Commands older than this are none [ns]: valves go neutral by themselves.
 TIME_OUT_NS = 100_000_000
+#: What is to be begun this long after the time of the machine that it answers is not begun at all [ns].
+LATE_NS = 60_000_000
+#: A stamp may be ahead of the machine by this: rounding [ns].
+AHEAD_NS = 5_000_000
 #: Noise of what is set up for commissioning alone: inclinometers [rad], the tracked prism [m].
 INCLINOMETER_NOISE, TRACKER_NOISE = 2e-4, 1e-4
 #: Flow fluctuates over so many seconds before it repeats.
@@ -29,7 +33,9 @@ class Watchdog:
     """What the machine's side makes of the commands that reach it; times are of its own clock [ns].
 
     Every valve needs a command of its own, and somebody who says that he is fit to give them, at least every ``TIME_OUT_NS``.
-    A counter that stands still says nothing. ``fault``: 0 none, 1 commands stopped, 2 the sender calls himself unfit.
+    A counter that stands still says nothing. Where commands say which time of the machine they answer, one that comes too late
+    is none, and the others are forgotten ``TIME_OUT_NS`` after that time. ``fault``: 0 none, 1 commands stopped, 2 the sender
+    calls himself unfit, 3 commands came late.
     """
 
     asked: Array = field(default_factory=lambda: np.zeros(len(AXES)))
@@ -39,10 +45,16 @@ class Watchdog:
     counter: int = -1
     alive_ns: int = -TIME_OUT_NS
     fault: int = 0
+    late_ns: int = -TIME_OUT_NS
+    #: Commands that came too late.
+    refused: int = 0
 
-    def command(self, axis: int, value: float, fit: bool, now_ns: int) -> None:
-        """A valve command of ``axis`` came."""
-        self.asked[axis], self.fit[axis], self.came_ns[axis] = value, fit, now_ns
+    def command(self, axis: int, value: float, fit: bool, now_ns: int, age_ns: int = 0) -> None:
+        """A valve command of ``axis`` came that answers what the machine was ``age_ns`` ago; one that is unfit has no age."""
+        if fit and not -AHEAD_NS <= age_ns <= LATE_NS:
+            self.late_ns, self.refused = now_ns, self.refused + 1
+            return
+        self.asked[axis], self.fit[axis], self.came_ns[axis] = value, fit, now_ns - max(0, age_ns)
 
     def alive(self, counter: int, enabled: bool, now_ns: int) -> None:
         """The status of whoever commands came."""
@@ -57,7 +69,7 @@ class Watchdog:
             self.fault = 0 if self.fit.all() or not self.enabled else 2
             return np.zeros(len(AXES))
         if now_ns - min(*self.came_ns, self.alive_ns) > TIME_OUT_NS:
-            self.fault = 1
+            self.fault = 3 if now_ns - self.late_ns <= TIME_OUT_NS else 1
             return np.zeros(len(AXES))
         self.fault = 0
         return self.asked.copy()

@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
+import os
+import sys
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -13,6 +17,7 @@ if TYPE_CHECKING:
     from sysid.errors import StorageError
     from sysid.runner.assemble import Assembly
     from sysid.runner.flight_log import FlightLog
+    from sysid.runner.modes.commission import Commission
     from sysid.runner.outcome import Outcome
     from sysid.runner.rehearse import Ranges
 
@@ -20,6 +25,7 @@ if TYPE_CHECKING:
 @click.command()
 @click.argument("recipe", type=click.Path(path_type=Path), metavar="RUNNER.toml")
 @click.option("--dry-run", is_flag=True, help="Check everything, and rehearse on the simulated machine; nothing is opened.")
+@click.option("--commission", is_flag=True, help="First motion of a machine: one axis at a time, compared with the plant.")
 @click.option("--unattended", is_flag=True, help="Arm and hold the dead-man switch by program; on stand-in machines alone.")
 @click.option("--seconds", type=click.FloatRange(0.1), default=None, help="End the run after so long at the latest.")
 @click.option("--view", is_flag=True, help="Show the run in Rerun while it goes on, a second behind.")
@@ -30,6 +36,7 @@ def run(
     ctx: click.Context,
     recipe: Path,
     dry_run: bool,
+    commission: bool,
     unattended: bool,
     seconds: float | None,
     view: bool,
@@ -38,28 +45,37 @@ def run(
 ) -> None:
     """Run a recipe on its machine: track, hold, collect, replay, watch.
 
-    At the terminal: arm (then hold the dead-man switch to start), stop, reset (after a fault), quit; Ctrl-C stops and quits.
+    At the terminal: arm (then hold the dead-man switch to start), stop, reset (after a fault), quit, abort. Ctrl-C, any signal
+    that ends a process, and a terminal that closes stop within the limits and quit; a second signal aborts: neutral at once.
     Exit status 1 where the run ended in a fault.
     """
     from dataclasses import replace
 
-    from sysid.errors import SettingsError
+    from sysid.errors import SettingsError, SysidError
     from sysid.runner.assemble import assemble
+    from sysid.runner.clock import SECOND
+    from sysid.runner.commissioning import keep_record, require_commissioned
     from sysid.runner.flight_log import FlightLog, provenance
-    from sysid.runner.operator import Interruptible, Operator, Terminal, Unattended
+    from sysid.runner.modes.commission import Commission
+    from sysid.runner.operator import Interruptible, Operator, Unattended
     from sysid.runner.recipe import load_runner
     from sysid.runner.rehearse import Ranges, rehearse
+    from sysid.runner.terminal import Console, Terminal, through
     from sysid.runner.transport import Settable
     from sysid.runner.transports import connect
     from sysid.workspace import open_workspace
 
+    _keep_descriptors()
     settings = load_runner(recipe)
+    if commission:
+        settings = replace(settings, mode="commission")
     if seconds is not None:
         settings = replace(settings, loop=replace(settings.loop, seconds=seconds))
     registry = open_workspace(ctx.obj).models
     assembly = assemble(settings, registry, recipe)
     printer = Printer(json_file)
-    _introduce(printer, assembly)
+    with _whoever_reads():
+        _introduce(printer, assembly)
     if dry_run:
         rehearsal = rehearse(assembly, seconds or 60.0)
         printer.line(f"Dry run of {rehearsal.seconds:.0f} s on the simulated machine; nothing was opened or sent.")
@@ -68,19 +84,25 @@ def run(
         return
     line = connect(assembly, registry)
     transport = line.transport
+    for text in line.remarks:
+        printer.line(f"  note: {text}")
     program = unattended or settings.transport["kind"] == "simulated"
     if program and not (line.stand_in and isinstance(transport, Settable)):
         raise SettingsError("--unattended", "a machine that can hurt somebody", "a person at it: run without --unattended")
-    operator: Operator = Unattended(transport) if program and isinstance(transport, Settable) else Terminal()
-    ranges = Ranges(len(assembly.machine.axes))
-    with Interruptible(operator) as person:
-        pair = Both(ranges)
+    ranges = Ranges(len(assembly.machine.axes), round(SECOND * assembly.dt))
+    pair = Both(ranges)
+    console = Console()
+    operator: Operator = Unattended(transport) if program and isinstance(transport, Settable) else Terminal(console)
+    files = {"recipe": recipe, "machine": assembly.machine_file}
+    versions = {version.reference: version.digest for version in assembly.loaded.versions}
+    words = provenance(files, versions) | {"run": {"name": settings.name, "mode": settings.mode}}
+    folder = log or Path(settings.log.folder)
+    kind: Any = "poses" if settings.mode == "collect" else "motion"
+    with contextlib.closing(console), Interruptible(operator) as person, through(console):
         loop = assembly.loop(transport, pair, person)
-        files = {"recipe": recipe, "machine": assembly.machine_file}
-        versions = {version.reference: version.digest for version in assembly.loaded.versions}
-        words = provenance(files, versions) | {"run": {"name": settings.name, "mode": settings.mode}}
-        folder = log or Path(settings.log.folder)
-        kind: Any = "poses" if settings.mode == "collect" else "motion"
+        mode = loop.mode
+        if line.wired and mode.moves and not isinstance(mode, Commission):
+            printer.line(f"  {require_commissioned(assembly, recipe)}")
         flight = FlightLog(
             folder, assembly.machine_file, transport.axes, transport.signals, words, kind=kind, clock_ns=transport.now_ns()
         )
@@ -88,28 +110,90 @@ def run(
         try:
             if view:
                 _show(flight.path)
-            outcome = loop.run()
+            outcome = loop.run(mode.watch if isinstance(mode, Commission) else None)
         finally:
+            ended = loop.outcome
+            flight.remark("end", {"ended": ended.ended, "state": ended.state, "why": ended.why, "error": ended.error})
             unwritten = _closed(flight)
-    _tell(printer, assembly, outcome, ranges)
-    printer.line(f"{flight.path}   (a recording: sysid ingest {folder} --recipe {folder / 'recipe.toml'})")
+    if console.lost:
+        outcome.notes.append(f"{console.lost} lines found no room at the terminal")
     figures = _figures(assembly, outcome, ranges)
-    write_json(json_file, {"schema": 1, "dry_run": False, "log": str(flight.path), "lost_cycles": flight.lost, **figures})
-    if unwritten is not None:
-        raise unwritten
-    if outcome.ended == "fault":
+    failed: Exception | None = None
+    kept: Path | None = None
+    try:
+        if isinstance(mode, Commission):
+            kept = keep_record(assembly, mode, recipe, str(flight.path))
+        with _whoever_reads(json_file == "-"):
+            record = {"schema": 1, "dry_run": False, "log": str(flight.path), "lost_cycles": flight.lost}
+            write_json(json_file, record | figures)
+    except (OSError, SysidError) as error:  # told after how the run ended, as what is missing of the log
+        failed = error
+    with _whoever_reads():
+        _tell(printer, assembly, outcome, ranges)
+        if isinstance(mode, Commission) and kept is not None:
+            _commissioned(printer, mode, kept)
+        printer.line(f"{flight.path}   (a recording: sysid ingest {folder} --recipe {folder / 'recipe.toml'})")
+    if missing := unwritten or failed:
+        raise missing
+    if outcome.ended == "fault" or (isinstance(mode, Commission) and not mode.passed):
         ctx.exit(1)
+
+
+def _keep_descriptors() -> None:
+    """Let standard input, output and error that were closed lead nowhere: else a line gets their number, and is printed to."""
+    while (descriptor := os.open(os.devnull, os.O_RDWR)) <= 2:
+        os.set_inheritable(descriptor, True)
+    os.close(descriptor)
+    for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
+        if getattr(sys, name) is None:
+            setattr(sys, name, open(os.devnull, mode, encoding="utf-8"))  # noqa: SIM115 - as long as the process
+
+
+@contextlib.contextmanager
+def _whoever_reads(said: bool = True) -> Iterator[None]:
+    """Print inside; a reader that is gone changes neither the run nor its exit status. ``said`` false: errors are errors."""
+    try:
+        yield
+        sys.stdout.flush()
+    except (OSError, SystemExit):  # the latter is how the console library ends where a pipe is broken
+        if not said:
+            raise
+        nowhere = os.open(os.devnull, os.O_WRONLY)
+        for stream in (sys.stdout, sys.stderr):
+            with contextlib.suppress(OSError, ValueError):
+                stream.flush()
+                continue
+            with contextlib.suppress(OSError, ValueError):
+                os.dup2(nowhere, stream.fileno())
+
+
+def _commissioned(out: Printer, mode: Commission, record: Path) -> None:
+    """What a commissioning found."""
+    rows = [
+        (f"{item.axis} {'+' if item.direction > 0 else '−'}", f"{item.command:.2f}", f"{1e3 * item.tip:.1f} mm",
+         *((f"{item.gain:.2f}", f"{item.dead_band:+.2f}", f"{1e3 * item.delay:.0f} ms") if item.judged else ("", "", "")),
+         item.wrong or "as planned")
+        for item in mode.strokes
+    ]  # fmt: skip
+    out.table(("stroke", "command", "boom tip", "gain / plant", "dead-band", "delay", ""), rows, right=range(1, 6))
+    for signal, (what, off) in mode.zeros.items():
+        out.line(f"  zero of {signal}: {1e3 * off:.1f} mm at the boom tip, by {what}")
+    for signal in mode.driven:
+        if signal not in mode.zeros:
+            out.line(f"  zero of {signal}: NOT SEEN by anything; accepted by the recipe")
+    out.line(f"{record}   ({'commissioned' if mode.passed else 'NOT commissioned'})")
 
 
 def _show(log: Path) -> None:
     """A viewer that follows the log: a process of its own, behind the loop, that a Ctrl-C of the runner does not end."""
-    import os
     import subprocess
 
     from sysid.children import child_environment, python_command
 
     command = python_command("-m", "sysid.cli", "view", "--", str(log))
-    subprocess.Popen(command, env=child_environment(), start_new_session=True, preexec_fn=lambda: os.nice(10))  # noqa: PLW1509
+    process = subprocess.Popen(command, env=child_environment(), start_new_session=True)
+    with contextlib.suppress(OSError):
+        os.setpriority(os.PRIO_PROCESS, process.pid, 10)
 
 
 def _closed(flight: FlightLog) -> StorageError | None:
@@ -178,8 +262,10 @@ def _tell(out: Printer, assembly: Assembly, outcome: Outcome, ranges: Ranges) ->
         out.line(f"end effector: {ends} m; {ranges.moving} turns in motion: "
                  + ", ".join(f"{phase} {count}" for phase, count in ranges.phases.items()))  # fmt: skip
     if ranges.rmse is not None:
-        rmse, worst = (", ".join(f"{1e3 * value:.2f}" for value in values) for values in (ranges.rmse, ranges.worst))
-        out.line(f"end effector against target: RMSE {rmse} mm, at most {worst} mm (by its own sensors)")
+        rmse, worst = (" / ".join(f"{1e3 * value:.2f}" for value in values) for values in (ranges.rmse, ranges.worst))
+        far = {norm: f"{1e3 * value:.2f}" for norm, value in ranges.distance.items()}
+        out.line(f"tracking error of {_tracked(assembly)}, over {ranges.tracked} turns: distance mean {far['mean']}, "
+                 f"RMSE {far['rmse']}, max {far['max']} mm; x / y / z: RMSE {rmse}, max {worst} mm")  # fmt: skip
     late, spent = outcome.lateness, outcome.latency
     out.line(f"{outcome.turns} turns, {outcome.missed} deadlines missed; lateness p50 {late.percentile(0.5):.0f}, "
              f"p99 {late.percentile(0.99):.0f}, max {late.largest_us:.0f} µs; a turn took p50 {spent.percentile(0.5):.0f}, "
@@ -189,6 +275,14 @@ def _tell(out: Printer, assembly: Assembly, outcome: Outcome, ranges: Ranges) ->
     for text in outcome.notes:
         out.line(f"  {text}")
     out.line(f"ended: {outcome.ended}; state {outcome.state}" + (f": {outcome.why}" if outcome.why else ""))
+
+
+def _tracked(assembly: Assembly) -> str:
+    """What was followed, by what, through what, and who says where the end effector was."""
+    recipe, forward = assembly.recipe, next(item.reference for item in assembly.loaded.versions if item.kind == "forward")
+    path = assembly.course.path.name if assembly.course is not None else "its target"
+    setting = f"{path} by {recipe.versions.policy} through {recipe.transport['kind']}"
+    return f"{setting}, as the machine's sensors and {forward} see it (their own errors included)"
 
 
 def _figures(assembly: Assembly, outcome: Outcome, ranges: Ranges) -> dict[str, Any]:
@@ -207,6 +301,8 @@ def _figures(assembly: Assembly, outcome: Outcome, ranges: Ranges) -> dict[str, 
         "notes": outcome.notes,
         "joints": {"low": ranges.joints[0], "high": ranges.joints[1]} if ranges.moving else None,
         "ee": {"low": ranges.ee[0], "high": ranges.ee[1]} if ranges.moving else None,
+        "error_of": _tracked(assembly) if ranges.rmse is not None else None,
+        "distance_mm": {norm: 1e3 * value for norm, value in ranges.distance.items()} or None,
         "rmse_mm": 1e3 * ranges.rmse if ranges.rmse is not None else None,
         "max_mm": 1e3 * ranges.worst if ranges.rmse is not None else None,
     }

@@ -24,6 +24,7 @@ from sysid.runner.domain import Domains
 from sysid.runner.limits import Limits, limits_of
 from sysid.runner.loop import Loop
 from sysid.runner.modes.collect import Collect, Ways
+from sysid.runner.modes.commission import Commission
 from sysid.runner.modes.hold import Hold, Shadow, Teleop
 from sysid.runner.modes.mode import Mode
 from sysid.runner.modes.replay import of_experiment, of_file
@@ -105,6 +106,8 @@ class Assembly:
             return TrackPath(
                 self.course.path, self.course.start, limits, dt, ahead=chain.ahead, ease_s=track.ease_s, laps=track.laps
             )
+        if name == "commission":
+            return Commission(self.machine, self.valves, barrier.linkages, limits, chain.tip, dt, recipe.commission)
         if name == "hold":
             return Hold(dt, recipe.hold.seconds)
         if name == "collect":

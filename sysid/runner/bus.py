@@ -27,6 +27,11 @@ FAIL_SAFE_BLOCK, FAIL_SAFE_ERROR = 0, 2
 FULL = 250
 #: An alive counter.
 COUNTER = "counter"
+#: In the machine's status: its time, and the newest alive counter of the runner that it has heard.
+TIME, ECHO = "time", "echo"
+#: In a valve command: the machine's own time that it answers, counted from 0 to the signal's maximum and from 0 again. All ones
+#: mean that it is not known.
+STAMP = "stamp"
 #: J1939 two-bit states: everything but these two counts as not known.
 OFF, ON = 0, 1
 
@@ -39,7 +44,8 @@ class BusSettings:
         database: DBC file of the machine, relative to the recipe.
         signals: canonical signal → ``MESSAGE.signal`` of the database.
         valves: axis → its valve command message, in the order of the machine's axes.
-        status: message with ``dead_man``, ``emergency_stop``, optionally ``fault`` and ``time`` (of the machine's clock, s).
+        status: message with ``dead_man``, ``emergency_stop``, optionally ``fault``, ``time`` (of the machine's clock, s) and
+            ``echo`` (the newest alive counter that the machine has heard).
         alive: message with ``counter`` and ``enabled`` that says that the runner lives.
         bitrate: [bit/s]. max_load: share of it that may be used, by frames of the longest.
     """
@@ -88,6 +94,9 @@ class MachineBus:
     #: Messages that have to come, by identifier and whether it is an extended one.
     expected: dict[tuple[int, bool], Message] = field(init=False)
     known: frozenset[tuple[int, bool]] = field(init=False)
+    #: The machine says which command it has heard; its valve commands say which of its times they answer.
+    echoes: bool = field(init=False)
+    stamps: bool = field(init=False)
 
     def __post_init__(self) -> None:
         settings = self.settings
@@ -107,7 +116,10 @@ class MachineBus:
         wanted = (self._status, *(self._messages[name] for name in self._sources))
         self.expected = {(message.frame_id, message.is_extended_frame): message for message in wanted}
         self._counted: dict[str, int] = {}
-        self._alive_count = 0
+        self.sent_count = 0
+        said = [signal.name for signal in self._status.signals]
+        self.echoes = ECHO in said
+        self.stamps = TIME in said and all(STAMP in [signal.name for signal in valve.signals] for valve in self._valves)
         self.load = bus_load(database, settings.bitrate)
         if not self.load <= settings.max_load:
             raise SettingsError(
@@ -147,14 +159,19 @@ class MachineBus:
         """What a frame says; None for messages that nobody asked for.
 
         Raises:
-            ValueError: it is not as long as the database says.
+            ValueError: it is not as long as the database says, or cannot be decoded.
         """
+        from cantools.database.errors import DecodeError
+
         message = self.expected.get((identifier, extended))
         if message is None:
             return None
         if len(data) != message.length:
             raise ValueError(f"{message.name} has {len(data)} bytes where the database says {message.length}")
-        said = message.decode(data, decode_choices=False)
+        try:
+            said = message.decode(data, decode_choices=False)
+        except DecodeError as error:
+            raise ValueError(f"{message.name} cannot be decoded ({error})") from None
         assert isinstance(said, dict)
         fresh, lost = self._count(message, said)
         if message is self._status:
@@ -183,10 +200,13 @@ class MachineBus:
                 return f"{heard.message}.{own.name} = {value:g} is outside of [{low:g}, {high:g}]"
         return ""
 
-    def say(self, commands: Sequence[float], enabled: bool) -> list[tuple[int, bytes]]:
+    def say(self, commands: Sequence[float], enabled: bool, answered: float | None = None) -> list[tuple[int, bytes]]:
         """Frames (29-bit identifier, data) of a set of commands in [-1, 1], the status of the runner last.
 
         Not enabled, or with a command that is no number: no flow, blocked, and fail-safe bits that say that nobody commands.
+
+        Args:
+            answered: the machine's own time that this set answers [s]; None: not known.
         """
         enabled = enabled and all(math.isfinite(command) for command in commands)
         out = []
@@ -195,11 +215,24 @@ class MachineBus:
             state = BLOCKED if flow == 0 else EXTEND if command > 0.0 else RETRACT
             safe = FAIL_SAFE_BLOCK if enabled else FAIL_SAFE_ERROR
             coded = {"flow": flow, "state": state, "fail_safe": safe}
-            out.append((message.frame_id, bytes(message.encode(coded, scaling=False, padding=True))))
-        self._alive_count = (self._alive_count + 1) % (1 << self._alive.get_signal_by_name(COUNTER).length)
-        coded = {COUNTER: self._alive_count, "enabled": ON if enabled else OFF}
+            if self.stamps:
+                coded[STAMP] = _stamp(message.get_signal_by_name(STAMP), answered)
+            # Not known is beyond the signal's maximum.
+            out.append((message.frame_id, bytes(message.encode(coded, scaling=False, padding=True, strict=False))))
+        self.sent_count = (self.sent_count + 1) % (1 << self._alive.get_signal_by_name(COUNTER).length)
+        coded = {COUNTER: self.sent_count, "enabled": ON if enabled else OFF}
         out.append((self._alive.frame_id, bytes(self._alive.encode(coded, scaling=False, padding=True))))
         return out
+
+
+def _stamp(signal: Signal, seconds: float | None) -> int:
+    """``seconds`` as the signal counts them, cut off and not rounded: a stamp is never ahead of its clock."""
+    unknown = (1 << signal.length) - 1
+    if seconds is None or not math.isfinite(seconds):
+        return unknown
+    scale = float(signal.scale)
+    turn = unknown if signal.maximum is None else min(unknown, round(float(signal.maximum) / scale) + 1)
+    return math.floor(seconds / scale + 1e-6) % turn
 
 
 def _number(value: object) -> float:

@@ -18,12 +18,15 @@ import numpy as np
 import numpy.typing as npt
 
 from sysid.errors import InputError, SettingsError
-from sysid.runner.bus import ON, BusSettings, Heard, MachineBus, names
+from sysid.runner.bus import ECHO, ON, TIME, BusSettings, Heard, MachineBus, names
+from sysid.runner.channel_lock import lock_channel
 from sysid.runner.clock import SECOND, MonotonicClock
+from sysid.runner.line_delay import MachineClock, RoundTrip
 from sysid.runner.transport import NOBODY, MachineInputs, Reading
 
 if TYPE_CHECKING:
     from can import BusABC, Message
+    from filelock import BaseFileLock
 
 Array = npt.NDArray[np.float64]
 
@@ -74,16 +77,20 @@ class CanTransport(MonotonicClock):
         _stays_here(settings, where)
         self.machine = MachineBus(settings, where)
         self._bus = bus
+        self._lock: BaseFileLock | None = None
         self._readings: dict[str, Reading] = {}
         self._counts = dict.fromkeys(self.machine.signals, 0)
         self._status: Heard | None = None
         self._status_ns = 0
-        self._clock = MachineClock()
-        self._fault = ""
+        self._clock, self._answers = MachineClock(), RoundTrip()
+        self._read_ns = 0
+        #: What ended the reading, and what ended the sending: a line that brings nothing may still take the fail-safe bits.
+        self._fault, self._deaf = "", ""
         self._commanded = False
-        #: Frames that alive counters say were lost, and frames that no database entry explains.
-        self.lost = 0
+        #: Frames that alive counters say were lost, those that are not as the database says, and those that it does not know.
+        self.lost = self.malformed = 0
         self.strange: set[tuple[int, bool]] = set()
+        self._garbled = ""
 
     @property
     def signals(self) -> tuple[str, ...]:
@@ -92,6 +99,16 @@ class CanTransport(MonotonicClock):
     @property
     def axes(self) -> tuple[str, ...]:
         return self.machine.axes
+
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """What this machine's side cannot check, a sentence each."""
+        found, settings = [], self.settings
+        if not self.machine.echoes:
+            found.append(f"{settings.status} has no {ECHO}: a line that is late without stamps shows only in the motion")
+        if not self.machine.stamps:
+            found.append("the valve commands have no stamp: the machine executes late what was held up on the way")
+        return tuple(found)
 
     def open(self) -> None:
         """Open the adapter and listen.
@@ -102,9 +119,11 @@ class CanTransport(MonotonicClock):
         from can import CanError
 
         if self._bus is None:
+            self._lock = lock_channel(self.settings.interface, self.settings.channel, self.where)
             try:
                 self._bus = _open(self.settings)
             except (CanError, OSError, ValueError) as error:
+                self._lock.release()
                 place = f"{self.where}: {self.settings.interface} {self.settings.channel}"
                 raise InputError(place, f"cannot be opened ({error})", "a CAN adapter at this computer") from None
         self._listen()
@@ -119,9 +138,11 @@ class CanTransport(MonotonicClock):
                 heard[item.message] = heard.get(item.message, 0) + item.fresh
                 if (text := self.machine.implausible(item)) and text not in wrong:
                     wrong.append(text)
-            if self._fault:
+            if self._fault or self._garbled:
                 break
             time.sleep(0.002)
+        if self._garbled:
+            wrong.insert(0, self._garbled)
         for message in self.machine.expected.values():
             due = self.settings.listen * 1e3 / (message.cycle_time or 1e3 * self.settings.listen)
             # The first frame counts as fresh whatever its counter.
@@ -141,14 +162,15 @@ class CanTransport(MonotonicClock):
             )
 
     def read(self) -> tuple[Mapping[str, Reading], MachineInputs]:
-        for _ in self._take():
-            pass
+        self._take()
+        self._read_ns = time.monotonic_ns()
         return dict(self._readings), self._inputs()
 
     def _take(self) -> list[Heard]:
-        """Take what has come; errors of the line become the fault that :meth:`read` reports until the bus is opened anew."""
-        from can import CanError
+        """Take what has come; errors of the line become the fault that :meth:`read` reports until the bus is opened anew.
 
+        Whatever an adapter's driver raises is such an error: it may not end a run without a ramp.
+        """
         heard: list[Heard] = []
         if self._bus is None or self._fault:
             return heard
@@ -159,8 +181,8 @@ class CanTransport(MonotonicClock):
                     break
                 if (item := self._frame(frame)) is not None:
                     heard.append(item)
-        except (CanError, OSError, ValueError) as error:
-            self._fault = f"bus: {error}"
+        except Exception as error:
+            self._fault = f"bus: {str(error) or type(error).__name__}"
         return heard
 
     def _frame(self, frame: Message) -> Heard | None:
@@ -173,7 +195,12 @@ class CanTransport(MonotonicClock):
         if identity not in self.machine.known:
             self.strange.add(identity)
             return None
-        item = self.machine.hear(*identity, bytes(frame.data))
+        try:
+            item = self.machine.hear(*identity, bytes(frame.data))
+        except ValueError as error:  # what it would have said does not come, and ages
+            self.malformed += 1
+            self._garbled = f"{error}"
+            return None
         if item is None:
             return None
         self.lost += item.lost
@@ -181,7 +208,9 @@ class CanTransport(MonotonicClock):
             return item
         if item.message == self.settings.status:
             self._status, self._status_ns = item, now
-            self._clock.tick(item.values.get("time"), now)
+            self._clock.tick(item.values.get(TIME), now)
+            if self.machine.echoes:
+                self._answers.heard(int(item.values[ECHO]), now)
             return item
         measured = self._clock.measured(now)
         for signal, value in item.values.items():
@@ -197,7 +226,7 @@ class CanTransport(MonotonicClock):
         # Two bits each: off, on, error, not available. Whatever is not clear counts as the safe one.
         dead_man = int(said["dead_man"]) == ON and not late
         pressed = int(said["emergency_stop"]) != 0
-        text = "no status of the machine" if late else ""
+        text = "no status of the machine" if late else self._answers.late(time.monotonic_ns())
         if not text and (code := int(said.get("fault", 0.0))):
             text = self._fault_text(code)
         return MachineInputs(dead_man, pressed, text)
@@ -209,17 +238,22 @@ class CanTransport(MonotonicClock):
         return f"machine: {choices.get(code, code)}"
 
     def write(self, commands: Array, enabled: bool) -> None:
-        from can import CanError, Message
+        from can import Message
 
-        if self._bus is None or self._fault:
-            raise OSError(self._fault or "the bus is not open")
+        if self._bus is None or self._deaf:
+            raise OSError(self._deaf or "the bus is not open")
         self._commanded = True
+        # They answer what was read in this turn: a turn that was held up since says so to the machine.
+        answered = self._clock.now(self._read_ns)
         try:
-            for identifier, data in self.machine.say([float(command) for command in commands], enabled):
+            for identifier, data in self.machine.say([float(command) for command in commands], enabled, answered):
                 self._bus.send(Message(arbitration_id=identifier, is_extended_id=True, data=data), timeout=_SEND)
-        except (CanError, OSError, ValueError) as error:
-            self._fault = f"bus: {error}"
-            raise OSError(self._fault) from error
+        except Exception as error:  # see _take
+            self._deaf = f"bus: {str(error) or type(error).__name__}"
+            self._fault = self._fault or self._deaf
+            raise OSError(self._deaf) from error
+        if self.machine.echoes:
+            self._answers.sent(self.machine.sent_count, time.monotonic_ns())
 
     def set_inputs(self, dead_man: bool | None = None, emergency_stop: bool | None = None) -> None:
         """Of a stand-in machine.
@@ -247,52 +281,20 @@ class CanTransport(MonotonicClock):
 
         Where the machine does not hear it, its own time-out does.
         """
-        from can import CanError
-
         if self._bus is None:
             return
         try:
-            if self._commanded and not self._fault:
+            if self._commanded and not self._deaf:
                 self.write(np.zeros(len(self.axes)), enabled=False)
         except OSError as error:
             self._fault = str(error)
         try:
             self._bus.shutdown()
-        except (CanError, OSError) as error:
-            # An adapter that is gone cannot be closed any better.
-            self._fault = self._fault or f"bus: {error}"
+        except Exception as error:  # an adapter that is gone cannot be closed any better
+            self._fault = self._fault or f"bus: {str(error) or type(error).__name__}"
         self._bus = None
-
-
-class MachineClock:
-    """The machine's clock seen from here: the earliest arrival says best when a stamp was.
-
-    The machine states its time in the status frame that begins a cycle; values after it were measured then. Both clocks run
-    nearly alike, so ``arrival − stamp`` is the offset plus a delay; its minimum over the last ``window`` stamps is kept.
-    """
-
-    def __init__(self, window: int = 200) -> None:
-        self._window = window
-        self._differences: list[int] = []
-        self._stamp: int | None = None
-        self._came = 0
-
-    def tick(self, seconds: float | None, came_ns: int) -> None:
-        """A status came with the machine's time in it; None: it says none."""
-        self._came = came_ns
-        self._stamp = None if seconds is None else round(seconds * SECOND)
-        if self._stamp is not None:
-            if self._differences and abs(came_ns - self._stamp - self._differences[-1]) > SECOND:
-                self._differences.clear()  # it was set, or has wrapped around
-            self._differences.append(came_ns - self._stamp)
-            del self._differences[: -self._window]
-
-    def measured(self, came_ns: int) -> int:
-        """When a value that came at ``came_ns`` was measured, on this computer's clock; when it came where nothing says."""
-        # A status that was lost would stamp the values of its cycle with the cycle before.
-        if self._stamp is None or came_ns - self._came > SECOND // 200:
-            return came_ns
-        return self._stamp + min(self._differences)
+        if self._lock is not None:
+            self._lock.release()
 
 
 def _open(settings: CanSettings) -> BusABC:
@@ -300,8 +302,11 @@ def _open(settings: CanSettings) -> BusABC:
 
     options: dict[str, Any] = dict(settings.options)
     if settings.interface == "slcan":
+        from sysid.runner.slcan import SlcanBus
+
         # The waits that some serial boards need after opening are an option; reading never waits.
         options = {"sleep_after_open": 0.0, "timeout": 0.0} | options
+        return SlcanBus(settings.channel, bitrate=settings.bitrate, **options)
     if settings.interface != "socketcan":
         options["bitrate"] = settings.bitrate
     return Bus(interface=settings.interface, channel=settings.channel, **options)

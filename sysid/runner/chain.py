@@ -6,7 +6,7 @@ and :class:`sysid.control.CylinderController`; only the supervisor stands betwee
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Protocol
 
 import numpy as np
@@ -19,14 +19,9 @@ from sysid.plant import Plant
 from sysid.rl.environment import Parts
 from sysid.rl.inverse import Inverse
 from sysid.rl.observation import DrivenObservation
+from sysid.runner.policy_thread import PolicyThread, Setter
 
 Array = npt.NDArray[np.float64]
-
-
-class Setter(Protocol):
-    """Anything that answers observations (1, O) with joint setpoints (1, A)."""
-
-    def act(self, observations: Array) -> Array: ...
 
 
 class Policy(Setter, Protocol):
@@ -70,9 +65,12 @@ class Chain:
         history = _history(policy.inputs if policy is not None else (), len(self.axes))
         self.view = DrivenObservation(self.axes, history, plant.machine.rate_hz)
         self._width = self.view.width
+        #: Asks the policy; None where there is none.
+        self.thread: PolicyThread | None = None
         if policy is not None:
             self._check(policy)
             self._width = len(policy.inputs)
+            self.thread = PolicyThread(policy, len(self.axes))
         self._joints: Array | None = None
         self._solved: Array | None = None
         hang = plant.effect("gripper_sway", "tool")
@@ -102,12 +100,24 @@ class Chain:
         self.view.moved(now, before, self._below, self._below)
         self._joints = now.copy()
 
-    def ask(self, joints: Array, ee: Array, target: Array) -> Array:
-        """Setpoints (A,) of the policy, or of inverse kinematics where there is none, for a target (3,)."""
-        if self.policy is None:
+    def ask(self, joints: Array, ee: Array, target: Array, until_ns: int, now_ns: Callable[[], int]) -> Array:
+        """Setpoints (A,) of the policy, or of inverse kinematics where there is none, for a target (3,).
+
+        Args:
+            until_ns: when the policy has to have answered, on the clock ``now_ns``.
+
+        Raises:
+            PolicyError: it has not, or not with setpoints.
+        """
+        if self.thread is None:
             return self.solve(joints, target)
         seen = self.view.seen(joints[None], ee[None], target[None], self._below)
-        return np.array(self.policy.act(np.ascontiguousarray(seen[:, : self._width]))[0], dtype=np.float64)
+        return self.thread.ask(seen[:, : self._width], until_ns, now_ns)
+
+    def give_up(self) -> None:
+        """The policy is not asked any more; where it is still running it is ended."""
+        if self.thread is not None:
+            self.thread.cancel()
 
     def solve(self, joints: Array, target: Array) -> Array:
         """Setpoints (A,) of inverse kinematics, nearest to the last ones that it gave, at first to ``joints``."""

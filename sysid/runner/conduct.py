@@ -18,7 +18,7 @@ from sysid.runner.states import States
 from sysid.runner.supervisor import at_least, sternest
 
 #: Where one of these stopped the machine, it is not simply ready again: a person has to look, and reset it.
-LATCHING = ("stale", "not_finite", "jump", "frozen", "clock", "contradiction", "motion", "following")
+LATCHING = ("stale", "not_finite", "jump", "frozen", "clock", "contradiction", "motion", "delay", "following", "expired")
 
 
 class Conduct:
@@ -57,10 +57,14 @@ class Conduct:
     def listen(self, verdicts: Sequence[Verdict], now: int) -> bool:
         """Take what the operator says; whether that was a reset."""
         reset = False
-        for word in self.operator.words(self.states.state, now):
-            if word == "quit":
+        for said in self.operator.words(self.states.state, now):
+            word, _, reason = (part.strip() for part in said.partition(":"))
+            if word in ("quit", "abort"):
                 self._leave("quit")
-                self._tell(self.states.on("stop", now, "the operator quits"))
+                if word == "abort":
+                    self.fault(reason or "the operator aborts", now)
+                elif not self._tell(self.states.on("stop", now, reason or "the operator quits")):
+                    self.note(reason or "the operator quits")
             elif word not in WORDS:
                 self.operator.told(f"{word!r} is none of {', '.join(WORDS)}")
             elif word == "reset" and at_least(verdicts, "fault"):
@@ -150,10 +154,16 @@ class Conduct:
             self._leave("time")
             self._tell(self.states.on("stop", now, f"{settings.seconds:g} s are over"))
         if self._leaving and not self.states.moving:
-            if self.states.state == "fault":
-                self.outcome.ended = "fault"
-            return True
+            if self.states.state != "fault":
+                return True
+            self.outcome.ended = "fault"
+            return waited_s >= settings.rest_s  # see above
         return False
+
+    def broken(self, why: str, now: int) -> None:
+        """The runner itself failed: the run is over."""
+        self._leaving, self.outcome.ended = True, "fault"
+        self.fault(why, now)
 
     def note(self, text: str) -> None:
         """For the operator, and kept."""
@@ -171,6 +181,7 @@ class Conduct:
         if not self._leaving:
             self._leaving, self.outcome.ended = True, ended
 
-    def _tell(self, changed: bool) -> None:
+    def _tell(self, changed: bool) -> bool:
         if changed:
             self.note(f"{self.states.state}" + (f": {self.states.why}" if self.states.why else ""))
+        return changed

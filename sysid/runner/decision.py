@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
 
-from sysid.errors import InputError
 from sysid.runner.chain import Chain
 from sysid.runner.cycle import Verdict
 from sysid.runner.modes.mode import Goal, Mode
 from sysid.runner.operator import Operator
+from sysid.runner.policy_thread import PolicyError, described
 from sysid.runner.senses import Seen, Senses
 from sysid.runner.supervisor import Supervisor
 
@@ -46,6 +47,7 @@ class Decider:
     Args:
         chain, senses, supervisor, mode, operator: of the run.
         fallback: what sets where the policy is not trusted.
+        now_ns: clock of the turns.
     """
 
     def __init__(
@@ -56,12 +58,13 @@ class Decider:
         mode: Mode,
         operator: Operator,
         fallback: Literal["ik", "hold"],
+        now_ns: Callable[[], int],
     ) -> None:
         self.chain, self.senses, self.supervisor, self.mode = chain, senses, supervisor, mode
-        self.operator, self.fallback = operator, fallback
+        self.operator, self.fallback, self._now_ns = operator, fallback, now_ns
         #: Of the turn before, (A,) of what the commands drive; None where there are none.
         self.drive_setpoints: Array | None = None
-        self._k, self._distrusted = 0, False
+        self._k, self._distrusted, self._late = 0, False, 0
         self._held_at: Array | None = None
 
     def begin(self, seen: Seen) -> None:
@@ -69,10 +72,14 @@ class Decider:
         self.supervisor.begin(seen.joints)
         self.chain.rest(seen.drive, seen.joints)
         self.mode.begin(seen.joints, seen.ee)
-        self._k, self._distrusted, self._held_at, self.drive_setpoints = 0, False, None, None
+        self._k, self._distrusted, self._late, self._held_at, self.drive_setpoints = 0, False, 0, None, None
 
-    def think(self, seen: Seen, verdicts: list[Verdict]) -> Decision:
-        """A turn of the task; what the supervisor finds in it is added to ``verdicts``."""
+    def think(self, seen: Seen, verdicts: list[Verdict], until_ns: int) -> Decision:
+        """A turn of the task; what the supervisor finds in it is added to ``verdicts``.
+
+        Args:
+            until_ns: when a policy has to have answered.
+        """
         decision = nothing(len(self.chain.axes))
         goal = self.mode.goal(self._k, seen.joints, seen.ee)
         if goal.stop:
@@ -86,7 +93,7 @@ class Decider:
             self.supervisor.limiter.reset(seen.joints)
             self.chain.controller.reset(seen.drive)
         else:
-            decision.asked, decision.source = self._ask(goal, seen, held, verdicts)
+            decision.asked, decision.source = self._ask(goal, seen, held, verdicts, until_ns)
             decision.setpoints, broken = self.supervisor.setpoints(decision.asked)
             verdicts += [] if held else broken  # standing still at once is nobody's wish: it is how a hold begins
             drive_setpoints, decision.commands_asked = self.chain.commands(decision.setpoints, seen.drive)
@@ -107,7 +114,7 @@ class Decider:
             decision.enabled = True
         return decision
 
-    def _ask(self, goal: Goal, seen: Seen, held: bool, verdicts: list[Verdict]) -> tuple[Array, str]:
+    def _ask(self, goal: Goal, seen: Seen, held: bool, verdicts: list[Verdict], until_ns: int) -> tuple[Array, str]:
         """Joint setpoints (A,), and whose they are."""
         here = self.supervisor.limiter.position
         if held:
@@ -117,22 +124,43 @@ class Decider:
         if goal.joints is not None:
             self.chain.solve_from(goal.joints)
             return goal.joints, goal.phase
-        error, asked = "", here
         if not self._distrusted:
-            try:
-                asked = self.chain.ask(seen.joints, seen.ee, goal.aim)
-            except (ArithmeticError, ValueError, InputError) as problem:
-                error = f"the policy fails: {problem}"
-            wrong = self.supervisor.policy(asked, error)
+            asked, wrong = self._policy(goal, seen, until_ns)
             if wrong is None:
                 return asked, goal.phase
             verdicts.append(wrong)
-            self._distrusted = True
-            self.chain.solve_from(here)
-            self.operator.told(f"{wrong.text}: {'inverse kinematics goes on' if self.fallback == 'ik' else 'it holds'}")
         if self.fallback == "hold" or self.chain.policy is None:
             return self._hold(here)
-        return self.chain.solve(seen.joints, goal.aim), "fallback"
+        try:
+            return self.chain.solve(seen.joints, goal.aim), "fallback"
+        except Exception as problem:
+            verdicts.append(self.supervisor.no_answer(f"inverse kinematics fails: {described(problem)}"))
+            return self._hold(here)
+
+    def _policy(self, goal: Goal, seen: Seen, until_ns: int) -> tuple[Array, Verdict | None]:
+        """What the policy asks for, and what is wrong with it.
+
+        One that is late is asked again in the next turn, until it was late in too many turns in a row; one that fails is not.
+        """
+        error, late, here = "", False, self.supervisor.limiter.position
+        asked = here
+        try:
+            asked = self.chain.ask(seen.joints, seen.ee, goal.aim, until_ns, self._now_ns)
+        except PolicyError as problem:
+            error, late = str(problem), problem.late
+        except Exception as problem:  # of inverse kinematics, or of what the policy is shown
+            error = f"no setpoints: {described(problem)}"
+        self._late = self._late + 1 if late else 0
+        if late and self._late < self.supervisor.checks.policy.late_turns:
+            self.chain.solve_from(here)
+            return here, self.supervisor.no_answer(error, "clamp")
+        wrong = self.supervisor.policy(asked, error)
+        if wrong is not None:
+            self._distrusted = True
+            self.chain.give_up()
+            self.chain.solve_from(here)
+            self.operator.told(f"{wrong.text}: {'inverse kinematics goes on' if self.fallback == 'ik' else 'it holds'}")
+        return asked, wrong
 
     def _hold(self, here: Array) -> tuple[Array, str]:
         """Where the hold began: a setpoint that went along with the limiter would keep the speed that it had."""

@@ -59,10 +59,34 @@ class Jumped:
 
 @dataclass(frozen=True)
 class Scaled:
-    """A sensor reads ``factor`` times what it should."""
+    """A sensor reads ``factor`` times what it should, from ``zero`` on [m or rad]."""
 
     signal: str
     factor: float
+    zero: float = 0.0
+
+
+@dataclass(frozen=True)
+class Swapped:
+    """The cables of two sensors are swapped."""
+
+    one: str
+    other: str
+
+
+@dataclass(frozen=True)
+class ValvesSwapped:
+    """The cables of the valves of two axes, by number, are swapped."""
+
+    one: int
+    other: int
+
+
+@dataclass(frozen=True)
+class ValveTurned:
+    """The valve of an axis, by number, is wired the other way round."""
+
+    axis: int
 
 
 @dataclass(frozen=True)
@@ -77,6 +101,11 @@ class BusOff:
     """Nothing comes and nothing goes; ``silent``: nobody says so."""
 
     silent: bool = False
+
+
+@dataclass(frozen=True)
+class ReadFails:
+    """Reading the line is an error; commands would still arrive."""
 
 
 @dataclass(frozen=True)
@@ -116,8 +145,8 @@ class MachineSays:
 
 
 Fault = (
-    Dropped | Frozen | Delayed | NotANumber | Jumped | Scaled | Unplugged | BusOff | WritesLost | Paused | ClockJumped
-    | DeadManReleased | EmergencyPressed | MachineSays
+    Dropped | Frozen | Delayed | NotANumber | Jumped | Scaled | Unplugged | BusOff | ReadFails | WritesLost | Paused
+    | ClockJumped | Swapped | ValvesSwapped | ValveTurned | DeadManReleased | EmergencyPressed | MachineSays
 )  # fmt: skip
 
 
@@ -189,6 +218,8 @@ class FaultyTransport:
             if k not in self._kept:
                 self._kept[k] = dict(readings)
             self._change(readings, fault, self._kept[k])
+            if isinstance(fault, ReadFails):
+                raise OSError("the adapter does not read")
             if isinstance(fault, BusOff) and not fault.silent:
                 inputs = replace(inputs, fault="bus off")
             elif isinstance(fault, MachineSays):
@@ -207,6 +238,8 @@ class FaultyTransport:
                 return
             if isinstance(fault, BusOff):
                 raise OSError("bus off")
+        for _, fault in self._now():
+            commands = _wired(fault, commands)
         self.transport.write(commands, enabled)
 
     def _now(self) -> list[tuple[int, Fault]]:
@@ -223,6 +256,9 @@ class FaultyTransport:
             by = round(fault.seconds * SECOND)
             for signal, reading in readings.items():
                 readings[signal] = replace(reading, measured_ns=reading.measured_ns + by)
+        elif isinstance(fault, Swapped):
+            if fault.one in readings and fault.other in readings:
+                readings[fault.one], readings[fault.other] = readings[fault.other], readings[fault.one]
         elif isinstance(fault, Unplugged):
             readings.pop(fault.signal, None)
         elif isinstance(fault, Frozen | NotANumber | Jumped | Scaled) and fault.signal in readings:
@@ -243,4 +279,14 @@ def _changed(fault: Frozen | NotANumber | Jumped | Scaled, value: float, kept: R
         return kept[fault.signal].value if fault.signal in kept else value
     if isinstance(fault, Jumped):
         return value + fault.by
-    return value * fault.factor if isinstance(fault, Scaled) else float("nan")
+    return fault.zero + (value - fault.zero) * fault.factor if isinstance(fault, Scaled) else float("nan")
+
+
+def _wired(fault: Fault, commands: Array) -> Array:
+    """``commands`` (A,) as they reach the valves."""
+    found = commands.copy()
+    if isinstance(fault, ValvesSwapped):
+        found[[fault.one, fault.other]] = commands[[fault.other, fault.one]]
+    elif isinstance(fault, ValveTurned):
+        found[fault.axis] = -commands[fault.axis]
+    return found

@@ -38,6 +38,8 @@ from sysid.runner.mcap_pieces import PieceWriter
 SYNC_EVERY, WAITING = 1.0, 3000
 #: Room that has to be left on the disk [bytes]: some minutes of a run, and a little for whoever has to make room.
 RESERVE = 64 * 2**20
+#: Longest that the end of a log waits for a disk that does not answer [s].
+CLOSE_S = 10.0
 #: Real-time priority of the thread, where it is permitted.
 PRIORITY = 5
 Kind = Literal["motion", "poses"]
@@ -84,6 +86,7 @@ class FlightLog:
         beside(root, machine, axes, signals)
         self._speaker = Speaker(axes, now - (time.monotonic_ns() if clock_ns is None else clock_ns))
         self._queue: SimpleQueue[Cycle | None] = SimpleQueue()
+        self._last: list[tuple[str, dict[str, str]]] = []
         self._fault = ""
         self._broken = False
         #: Cycles that found no place in the queue, and those that were written.
@@ -109,6 +112,10 @@ class FlightLog:
             return
         self._queue.put(cycle)
 
+    def remark(self, group: str, values: Mapping[str, str]) -> None:
+        """Words about the run that are known only when it is over: written at the end, before :meth:`close` returns."""
+        self._last.append((group, dict(values)))
+
     @property
     def fault(self) -> str:
         """What keeps it from recording; "" while it records."""
@@ -122,7 +129,10 @@ class FlightLog:
         """
         if self._thread.is_alive():
             self._queue.put(None)
-            self._thread.join()
+            self._thread.join(CLOSE_S)
+            if self._thread.is_alive():
+                found = f"the disk does not answer for {CLOSE_S:g} s"
+                raise StorageError(str(self.path), found, "a disk that writes", f"{self.written} cycles are written.")
             if not (self.written or self._broken):
                 self.path.unlink(missing_ok=True)
                 self.folder.rmdir()
@@ -166,6 +176,8 @@ class FlightLog:
         try:
             if self.lost:
                 self._writer.metadata("lost", {"cycles": str(self.lost)})
+            for group, values in self._last:
+                self._writer.metadata(group, values)
             self._writer.finish()
         except OSError as error:
             self._broken = True

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
+import traceback
 from collections.abc import Callable, Mapping
-from contextlib import closing
+from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
@@ -18,7 +20,8 @@ from sysid.runner.loop_settings import LoopSettings
 from sysid.runner.modes.mode import Mode
 from sysid.runner.operator import Operator
 from sysid.runner.outcome import Outcome
-from sysid.runner.realtime import on_time
+from sysid.runner.policy_thread import WARM_UP_S, PolicyError, described
+from sysid.runner.realtime import on_time, raise_thread
 from sysid.runner.senses import Seen, Senses
 from sysid.runner.states import States
 from sysid.runner.supervisor import Supervisor
@@ -28,6 +31,8 @@ Array = npt.NDArray[np.float64]
 
 #: Of checks on motion that the runner did not ask for, nothing can be said.
 _OWN_MOTION = ("restless", "following", "motion", "frozen")
+#: A policy has this share of a turn, from its beginning on, to answer: what comes after it takes the rest.
+POLICY_SHARE = 0.6
 
 
 class Loop:
@@ -58,12 +63,14 @@ class Loop:
         self.period_ns = round(SECOND * self.dt)
         self.states, self.outcome = States(), Outcome()
         self.conduct = Conduct(self.states, mode, operator, self.settings, self.dt, self.outcome)
-        self.decider = Decider(chain, senses, supervisor, mode, operator, self.settings.fallback)
+        self.decider = Decider(chain, senses, supervisor, mode, operator, self.settings.fallback, transport.now_ns)
         self._zero = np.zeros(len(chain.axes))
         self._sent = self._zero
         self._readings: Mapping[str, Reading] = {}
         self._missed = 0
         self._line = ""
+        #: When the last command that lets the valves move went out; None where the last one was neutral.
+        self._moved_ns: int | None = None
 
     def warm_up(self, joints: Array) -> None:
         """Compile and load what the first turns would else wait for; nothing is read or sent."""
@@ -76,7 +83,8 @@ class Loop:
         seen = self.senses.see({}, NOBODY, 0)
         seen.ee = ee
         self.chain.moved(joints, self._zero)
-        self.chain.ask(joints, ee, ee)
+        with contextlib.suppress(PolicyError):  # found out again where it counts, and the fallback goes on
+            self.chain.ask(joints, ee, ee, self.transport.now_ns() + round(WARM_UP_S * SECOND), self.transport.now_ns)
         self.chain.solve(joints, ee)
         setpoints, _ = self.supervisor.setpoints(joints + 1e-3)
         _, commands = self.chain.commands(setpoints, drive)
@@ -89,6 +97,8 @@ class Loop:
     def run(self, watch: Callable[[Cycle], None] | None = None) -> Outcome:
         """Open the transport, turn until the task is done, somebody says so, or a fault ends it, and let go, valves neutral.
 
+        Whatever fails on the way, an interrupt included, is how the run ended and not an exception: see the outcome.
+
         Args:
             watch: shown every turn, for live views and tests.
 
@@ -96,32 +106,68 @@ class Loop:
             InputError, SettingsError: the transport cannot be opened.
         """
         settings, outcome = self.settings, self.outcome
-        with on_time(settings.priority, settings.lock_memory) as refused, closing(self.transport):
-            outcome.notes += refused
+        with on_time(settings.priority, settings.lock_memory) as refused:
             for text in refused:
-                self.operator.told(text)
-            self.transport.open()  # last: to lock the memory takes seconds, in which a line that nobody reads would overflow
-            begin = due = self.transport.now_ns() + self.period_ns
-            self.states.entered_ns = begin
+                self.conduct.note(text)
+            if self.chain.thread is not None:
+                raise_thread(self.chain.thread.native_id, settings.priority)
             try:
-                while True:
-                    self.transport.wait_until(due)
-                    cycle = self._one(due)
-                    if watch is not None:
-                        watch(cycle)
-                    if self.conduct.over(cycle.at_ns - begin, self.transport.now_ns()):
-                        break
-                    due += self.period_ns
-                    late = self.transport.now_ns() - due
-                    self._missed = self._missed + 1 if late > 0 else 0
-                    skipped = max(0, late) // self.period_ns  # turns that are past are left out, never made up for
-                    outcome.missed += skipped + (late > 0)
-                    due += skipped * self.period_ns
+                # Last: to lock the memory takes seconds, in which a line that nobody reads would overflow.
+                self.transport.open()
+                rest_s = 0.0
+                try:
+                    self._turns(watch)
+                except BaseException as error:  # whatever it is, valves go neutral, and the run is told and recorded to its end
+                    rest_s = settings.rest_s
+                    self._failed(error)
+                finally:
+                    if self.mode.writes:
+                        self._neutral(rest_s)
             finally:
-                if self.mode.writes:
-                    self._send(self._zero, False)
+                self.chain.give_up()
+                try:
+                    self.transport.close()
+                except Exception as error:  # a line that is gone cannot be closed any better
+                    outcome.notes.append(f"the line was not closed: {described(error)}")
         outcome.state, outcome.why = self.states.state, self.states.why
         return outcome
+
+    def _turns(self, watch: Callable[[Cycle], None] | None) -> None:
+        begin = due = self.transport.now_ns() + self.period_ns
+        self.states.entered_ns = begin
+        while True:
+            self.transport.wait_until(due)
+            cycle = self._one(due)
+            if watch is not None:
+                watch(cycle)
+            if self.conduct.over(cycle.at_ns - begin, self.transport.now_ns()):
+                return
+            due += self.period_ns
+            late = self.transport.now_ns() - due
+            self._missed = self._missed + 1 if late > 0 else 0
+            skipped = max(0, late) // self.period_ns  # turns that are past are left out, never made up for
+            self.outcome.missed += skipped + (late > 0)
+            due += skipped * self.period_ns
+
+    def _failed(self, error: BaseException) -> None:
+        """The runner itself failed; it says where on one line, and keeps the rest for whoever mends it."""
+        self.outcome.error = "".join(traceback.format_exception(error))
+        frames = traceback.extract_tb(error.__traceback__)
+        place = f" ({Path(frames[-1].filename).name}, line {frames[-1].lineno})" if frames else ""
+        what = "interrupted" if isinstance(error, KeyboardInterrupt) else f"the runner failed: {described(error)}"
+        self.conduct.broken(what + place, self.transport.now_ns())
+
+    def _neutral(self, seconds: float) -> None:
+        """Say that nobody commands, for ``seconds`` so that it is heard; where it is not, the machine's own time-out closes."""
+        due = self.transport.now_ns()
+        for _ in range(1 + round(seconds / self.dt)):
+            self._send(self._zero, False)
+            due += self.period_ns
+            if seconds:
+                try:
+                    self.transport.wait_until(due)
+                except Exception:  # a clock that fails: what is left is to close the line
+                    return
 
     def _one(self, due: int) -> Cycle:
         now = self.transport.now_ns()
@@ -141,7 +187,11 @@ class Loop:
             if outside := self.supervisor.beyond(seen):
                 self.conduct.note(f"{outside}: only ways back inside are open")
         decision = self._decide(seen, verdicts, now)
-        if self.mode.writes and not self._send(decision.commands, decision.enabled):
+        dropped = False
+        if decision.enabled and (expired := self._expired(now)) is not None:
+            verdicts.append(expired)
+            dropped = self._drop(decision, expired, now)
+        if self.mode.writes and not dropped and not self._send(decision.commands, decision.enabled):
             self.conduct.fault(f"commands cannot be sent: {self._line}", now)
             decision.enabled = False
         moved = decision.commands if decision.enabled else self._zero
@@ -163,9 +213,9 @@ class Loop:
     def _see(self, now: int, late_ns: int) -> Seen:
         try:
             self._readings, inputs = self.transport.read()
-        except OSError as error:
+        except Exception as error:  # a driver may raise anything; the fail-safe bits are sent all the same
             self._readings = {}
-            seen = self.senses.nothing(now, str(error))
+            seen = self.senses.nothing(now, described(error))
         else:
             seen = self.senses.see(self._readings, inputs, now, late_ns / SECOND, self._missed)
         if self._line and not seen.line:
@@ -179,7 +229,7 @@ class Loop:
     def _decide(self, seen: Seen, verdicts: list[Verdict], now: int) -> Decision:
         decision = nothing(len(self._zero))
         if self.states.state == "running" or (self.conduct.thinking and np.isfinite(seen.joints).all()):
-            decision = self.decider.think(seen, verdicts)
+            decision = self.decider.think(seen, verdicts, now + round(POLICY_SHARE * self.period_ns))
             if decision.ended is not None:
                 self.conduct.end(decision.ended, now)
                 if self.states.state == "stopping":
@@ -197,10 +247,34 @@ class Loop:
         self.conduct.slowing(not decision.enabled, seen, now)
         return decision
 
+    def _expired(self, now: int) -> Verdict | None:
+        """Why this turn, which began at ``now``, is too old to open valves: the last thing that is asked before it is sent."""
+        then = self.transport.now_ns()
+        gap = 0 if self._moved_ns is None else then - self._moved_ns
+        return self.supervisor.expired((then - now) / SECOND, gap / SECOND)
+
+    def _drop(self, decision: Decision, expired: Verdict, now: int) -> bool:
+        """What becomes of a turn that is too old; whether nothing at all is sent: the machine goes on with what it has.
+
+        That lasts until the next turn, ``checks.expired.gap_s`` at the most, and is less of a jolt than neutral valves are.
+        """
+        if expired.reaction == "fault":
+            self.conduct.fault(expired.text, now)
+        still = expired.reaction != "fault" and self._moved_ns is not None
+        decision.enabled = still
+        decision.commands = self._sent.copy() if still else self._zero
+        decision.source = "dropped"
+        self.supervisor.dropped(decision.commands)
+        self.chain.took(decision.commands)
+        return still
+
     def _send(self, commands: Array, enabled: bool) -> bool:
+        begin = self.transport.now_ns()
         try:
             self.transport.write(commands, enabled)
-        except OSError as error:
-            self._line = str(error) or type(error).__name__
+        except Exception as error:  # see _see
+            self._line = described(error)
+            self._moved_ns = None if not enabled else self._moved_ns
             return False
+        self._moved_ns = begin if enabled else None
         return True

@@ -2,55 +2,36 @@
 
 from __future__ import annotations
 
-import os
-import select
+import contextlib
 import signal
-import sys
 from collections.abc import Sequence
-from typing import Protocol
+from types import FrameType
+from typing import Any, Protocol
 
 from sysid.runner.cycle import State
 from sysid.runner.transport import Settable
 
-#: What may be said.
-WORDS = ("arm", "disarm", "stop", "reset", "quit")
+#: What may be said: ``quit`` stops within the limits and ends the run, ``abort`` ends it with neutral valves at once.
+WORDS = ("arm", "disarm", "stop", "reset", "quit", "abort")
+#: Signals that end a run as ``quit`` does; nobody ends, or suspends, a process that moves a machine in any other way.
+SIGNALS = ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT", "SIGTSTP", "SIGXCPU", "SIGUSR1", "SIGUSR2", "SIGALRM")
+#: Of a terminal whose foreground another process has: reading it is an error then, and does not suspend this process.
+IGNORED = ("SIGTTIN", "SIGTTOU", "SIGPIPE", "SIGXFSZ")
 
 
 class Operator(Protocol):
-    """Asked in every turn; never blocks."""
+    """Asked in every turn; nothing here may wait for a person, a terminal or a file."""
 
     #: Stays after a stop or a fault, for somebody to arm or reset; else the run is over then.
     stays: bool
 
     def words(self, state: State, now_ns: int) -> Sequence[str]:
-        """What was said since the last turn."""
+        """What was said since the last turn, of :data:`WORDS`; a reason may stand behind a colon."""
         ...
 
     def told(self, text: str) -> None:
         """One line for whoever stands there."""
         ...
-
-
-class Terminal:
-    """Lines of standard input."""
-
-    stays = True
-
-    def __init__(self) -> None:
-        self._half = ""
-
-    def words(self, state: State, now_ns: int) -> Sequence[str]:
-        if not select.select([sys.stdin], [], [], 0.0)[0]:
-            return ()
-        fresh = os.read(sys.stdin.fileno(), 4096).decode("utf-8", "replace")
-        if not fresh:
-            return ("quit",)  # whoever could stop it is gone
-        *lines, self._half = (self._half + fresh).split("\n")
-        return [line.strip().lower() for line in lines if line.strip()]
-
-    def told(self, text: str) -> None:
-        sys.stderr.write(text + "\n")
-        sys.stderr.flush()
 
 
 class Unattended:
@@ -89,7 +70,9 @@ class Unattended:
 
 
 class Interruptible:
-    """An operator, and Ctrl-C: the first one stops within the limits and ends the run, the second one ends it at once.
+    """An operator, and the signals that end a process: the first one is ``quit``, the second one ``abort``.
+
+    A third one raises KeyboardInterrupt wherever the program is, for a loop that does not go on. A context manager.
 
     Args:
         operator: who else is asked.
@@ -97,29 +80,39 @@ class Interruptible:
 
     def __init__(self, operator: Operator) -> None:
         self.operator, self.stays = operator, operator.stays
-        self._interrupted, self._said = False, False
+        self._came: list[str] = []
+        self._said = 0
+        self._before: dict[int, Any] = {}
 
     def words(self, state: State, now_ns: int) -> Sequence[str]:
         said = list(self.operator.words(state, now_ns))
-        if self._interrupted and not self._said:
-            self._said = True
-            said.append("quit")
+        for name in self._came[self._said :]:
+            said.append(f"{'quit' if self._said == 0 else 'abort'}: {name}")
+            self._said += 1
         return said
 
     def told(self, text: str) -> None:
         self.operator.told(text)
 
     def __enter__(self) -> Interruptible:
-        self._before = signal.signal(signal.SIGINT, self._on)
+        # Signals that this system does not have, or lets nobody handle, are left as they are.
+        for names, handler in ((SIGNALS, self._on), (IGNORED, signal.SIG_IGN)):
+            for name in names:
+                number = getattr(signal, name, None)
+                if number is not None:
+                    with contextlib.suppress(OSError, ValueError):
+                        self._before[number] = signal.signal(number, handler)
         return self
 
     def __exit__(self, *error: object) -> None:
-        signal.signal(signal.SIGINT, self._before)
+        for number, handler in self._before.items():
+            signal.signal(number, signal.SIG_DFL if handler is None else handler)
+        self._before.clear()
 
-    def _on(self, number: int, frame: object) -> None:
-        if self._interrupted:
+    def _on(self, number: int, frame: FrameType | None) -> None:
+        self._came.append(signal.Signals(number).name)
+        if len(self._came) > 2:
             raise KeyboardInterrupt
-        self._interrupted = True
 
 
 class Nobody:

@@ -21,6 +21,7 @@ class Outcome:
         lateness, latency: of all turns.
         verdicts: check → turns in which it objected.
         notes: what the operating system refused, and what the operator was told.
+        error: where the runner itself failed, for whoever mends it; "" where it did not.
     """
 
     ended: Ended = "time"
@@ -32,3 +33,4 @@ class Outcome:
     latency: Histogram = field(default_factory=Histogram)
     verdicts: Counter[str] = field(default_factory=Counter)
     notes: list[str] = field(default_factory=list)
+    error: str = ""

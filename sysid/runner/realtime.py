@@ -6,14 +6,19 @@ import contextlib
 import ctypes
 import gc
 import os
+import sys
 from collections.abc import Iterator
 
 _CURRENT, _FUTURE = 1, 2
+#: Another thread of the interpreter gives it back to the loop within this [s].
+_SWITCH = 0.0005
 
 
 @contextlib.contextmanager
 def on_time(priority: int, lock: bool) -> Iterator[tuple[str, ...]]:
     """Real-time priority (SCHED_FIFO), locked memory and no garbage collection inside the context; all given back after it.
+
+    Other threads of this process hold the interpreter for half a millisecond at the most while the loop waits for it.
 
     Args:
         priority: 1 … 99; 0: none is asked for.
@@ -29,9 +34,12 @@ def on_time(priority: int, lock: bool) -> Iterator[tuple[str, ...]]:
     gc.collect()
     gc.freeze()
     gc.disable()
+    switch = sys.getswitchinterval()
+    sys.setswitchinterval(_SWITCH)
     try:
         yield tuple(refused)
     finally:
+        sys.setswitchinterval(switch)
         gc.unfreeze()
         if collecting:
             gc.enable()
@@ -63,3 +71,10 @@ def _locked(refused: list[str]) -> bool:
         refused.append(f"locked memory was refused ({reason}): a page fault can delay the loop; allow memlock")
         return False
     return True
+
+
+def raise_thread(native_id: int | None, priority: int) -> None:
+    """Give a thread that the loop waits for real-time priority as well, just below the loop's; where that is permitted."""
+    if native_id is not None and priority > 1 and hasattr(os, "sched_setscheduler"):
+        with contextlib.suppress(OSError):
+            os.sched_setscheduler(native_id, os.SCHED_FIFO, os.sched_param(priority - 1))

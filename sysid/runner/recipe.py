@@ -11,8 +11,9 @@ from sysid.errors import SettingsError, nearest
 from sysid.runner.checks.settings import CheckSettings, check_checks
 from sysid.runner.limits import LimitSettings
 from sysid.runner.loop_settings import LoopSettings
+from sysid.runner.modes.commission import CommissionSettings
 
-ModeName = Literal["track", "hold", "collect", "experiment", "replay", "shadow", "teleop"]
+ModeName = Literal["track", "hold", "collect", "experiment", "replay", "shadow", "teleop", "commission"]
 MODES: tuple[ModeName, ...] = get_args(ModeName)
 #: Instead of a policy: bounded inverse kinematics, and the same with targets ahead by the machine's dead time.
 KINEMATIC = ("ik", "ik-lookahead")
@@ -129,6 +130,7 @@ class RunnerRecipe:
     experiment: FileSettings = field(default_factory=FileSettings)
     replay: FileSettings = field(default_factory=FileSettings)
     shadow: ShadowSettings = field(default_factory=ShadowSettings)
+    commission: CommissionSettings = field(default_factory=CommissionSettings)
     limits: LimitSettings = field(default_factory=LimitSettings)
     checks: CheckSettings = field(default_factory=CheckSettings)
     loop: LoopSettings = field(default_factory=LoopSettings)
@@ -152,6 +154,8 @@ def parse_runner(values: dict[str, Any], where: object) -> RunnerRecipe:
     check_checks(recipe.checks, where)
     if not isinstance(recipe.transport.get("kind"), str):
         raise SettingsError(f"{where}: transport", "no kind", 'kind = "simulated", or another one')
+    for key, meaning in (("valves", "one message for each axis"), ("signals", "one value of the database for each signal")):
+        _check_distinct(recipe.transport.get(key), f"{where}: transport.{key}", meaning)
     loop, collect, track = recipe.loop, recipe.collect, recipe.track
     for key, found, low, high in (
         ("loop.settle_s", loop.settle_s, 0.05, 60.0),
@@ -167,6 +171,9 @@ def parse_runner(values: dict[str, Any], where: object) -> RunnerRecipe:
         ("track.ease_s", track.ease_s, 0.1, 60.0),
         ("track.live_port", track.live_port, 1024, 65535),
         ("track.live_speed", track.live_speed, 1e-4, 10.0),
+        ("commission.speed", recipe.commission.speed, 0.002, 0.05),
+        ("commission.travel", recipe.commission.travel, 0.002, 0.012),
+        ("commission.zero", recipe.commission.zero, 0.001, 0.05),
         ("versions.lookahead", recipe.versions.lookahead, 0.0, 5.0),
     ):
         if found is not None and not low <= found <= high:
@@ -176,3 +183,11 @@ def parse_runner(values: dict[str, Any], where: object) -> RunnerRecipe:
         if wanted and not getattr(recipe, name).file:
             raise SettingsError(f"{where}: {name}.file", "is missing", "the file to play")
     return recipe
+
+
+def _check_distinct(entries: object, where: str, expected: str) -> None:
+    """Refuse two keys with one value: a machine would move, or be seen, twice by the same frame."""
+    owners: dict[str, str] = {}
+    for name, value in entries.items() if isinstance(entries, dict) else ():
+        if (owner := owners.setdefault(str(value), str(name))) != name:
+            raise SettingsError(f"{where}.{name}", f"{value!r}, which is that of {owner}", expected)

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from collections import deque
 from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
 
 from sysid.runner.assemble import Assembly
+from sysid.runner.clock import SECOND
 from sysid.runner.cycle import Cycle
-from sysid.runner.operator import Unattended
+from sysid.runner.operator import Interruptible, Unattended
 from sysid.runner.outcome import Outcome
 from sysid.runner.simulated import SimulatedTransport
 
@@ -17,22 +19,34 @@ Array = npt.NDArray[np.float64]
 
 
 class Ranges:
-    """A recorder that keeps nothing but how far everything went while the machine moved, and how well it followed."""
+    """A recorder that keeps nothing but how far everything went while the machine moved, and how well it followed.
+
+    The tracking error is the end effector as the machine's sensors and the forward model see it, with the errors of both, less
+    its target when they measured. The true one is known to an outside measurement alone.
+
+    Args:
+        axes: how many.
+        period_ns: of a turn: a target is for its end.
+    """
 
     fault = ""
 
-    def __init__(self, axes: int) -> None:
+    def __init__(self, axes: int, period_ns: int) -> None:
         self.joints = np.full((2, axes), [[np.inf], [-np.inf]])
         self.ee = np.full((2, 3), [[np.inf], [-np.inf]])
         self.commands = np.zeros(axes)
         self.moving = 0
         self.phases: dict[str, int] = {}
-        self._target = np.full(3, np.nan)
-        self._squares, self._worst, self._count = np.zeros(3), np.zeros(3), 0
+        self._period_ns = period_ns
+        self._targets: deque[tuple[int, Array]] = deque(maxlen=64)
+        #: Turns in which the tracking error is known.
+        self.tracked = 0
+        self._squares, self._worst = np.zeros(3), np.zeros(3)
+        self._far, self._farthest = 0.0, 0.0
 
     def record(self, cycle: Cycle) -> None:
         if not cycle.enabled:
-            self._target = np.full(3, np.nan)
+            self._targets.clear()
             return
         self.moving += 1
         for bounds, values in ((self.joints, cycle.joints), (self.ee, cycle.ee)):
@@ -41,22 +55,45 @@ class Ranges:
         np.fmax(self.commands, np.abs(cycle.commands), out=self.commands)
         phase = cycle.source.split()[0]
         self.phases[phase] = self.phases.get(phase, 0) + 1
-        if np.isfinite(self._target).all():  # the target of a turn is for the next one
-            error = cycle.ee - self._target
+        if (target := self._target(cycle)) is not None:
+            error = cycle.ee - target
+            far = float(np.linalg.norm(error))
             self._squares += error**2
             np.fmax(self._worst, np.abs(error), out=self._worst)
-            self._count += 1
-        self._target = cycle.target
+            self._far, self._farthest = self._far + far, max(self._farthest, far)
+            self.tracked += 1
+        if np.isfinite(cycle.target).all():
+            self._targets.append((cycle.at_ns + self._period_ns, cycle.target))
+        else:
+            self._targets.clear()
+
+    def _target(self, cycle: Cycle) -> Array | None:
+        """Where the end effector should have been when it was measured, (3,); None where no target is known for then."""
+        if not cycle.readings or not np.isfinite(cycle.ee).all():
+            return None
+        measured = float(np.median([reading.measured_ns for reading in cycle.readings.values()]))
+        times = [at for at, _ in self._targets]
+        if not times or not times[0] <= measured <= times[-1]:
+            return None
+        return np.array([np.interp(measured, times, column) for column in np.array([at for _, at in self._targets]).T])
 
     @property
     def rmse(self) -> Array | None:
-        """End effector against target per coordinate, (3,) [m]; None where nothing was tracked."""
-        return np.sqrt(self._squares / self._count) if self._count else None
+        """RMSE of the tracking error per coordinate, (3,) [m]; None where nothing was tracked."""
+        return np.sqrt(self._squares / self.tracked) if self.tracked else None
 
     @property
     def worst(self) -> Array:
-        """(3,) [m]."""
+        """Greatest tracking error per coordinate, (3,) [m]."""
         return self._worst.copy()
+
+    @property
+    def distance(self) -> dict[str, float]:
+        """Mean, RMSE and maximum of the Euclidean norm of the tracking error [m]; nothing where nothing was tracked."""
+        if not self.tracked:
+            return {}
+        rmse = float(np.sqrt(self._squares.sum() / self.tracked))
+        return {"mean": self._far / self.tracked, "rmse": rmse, "max": self._farthest}
 
 
 @dataclass(frozen=True)
@@ -73,7 +110,9 @@ def rehearse(assembly: Assembly, seconds: float = 60.0) -> Rehearsal:
     recipe = assembly.recipe
     loop_settings = replace(recipe.loop, seconds=min(seconds, recipe.loop.seconds or seconds), priority=0, lock_memory=False)
     machine = SimulatedTransport(assembly.loaded.plant, assembly.middle)
-    ranges = Ranges(len(assembly.machine.axes))
+    ranges = Ranges(len(assembly.machine.axes), round(SECOND * assembly.dt))
     plain = replace(assembly, recipe=replace(recipe, loop=loop_settings))
-    outcome = plain.loop(machine, ranges, Unattended(machine)).run()
+    with Interruptible(Unattended(machine)) as operator:
+        loop = plain.loop(machine, ranges, operator)
+        outcome = loop.run(getattr(loop.mode, "watch", None))
     return Rehearsal(outcome, ranges, machine.now_ns() / 1e9)

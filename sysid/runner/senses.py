@@ -12,6 +12,7 @@ import numpy.typing as npt
 from sysid.plant import Plant
 from sysid.runner.checks.settings import CheckSettings
 from sysid.runner.clock import SECOND
+from sysid.runner.response import Late, Response
 from sysid.runner.transport import NOBODY, MachineInputs, Reading
 from sysid.runner.valves import Reckoning, Valve
 from sysid.signals import axis_signal
@@ -44,7 +45,7 @@ class Sensor:
     count: int = -1
     age_s: float = math.inf
     usual_ns: int | None = None
-    first_ns: int = 0
+    first_ns: int | None = None
     ahead_s: float = 0.0
     finite: bool = True
     jump: float = 0.0
@@ -53,6 +54,7 @@ class Sensor:
     still_since: float = 0.0
     repeats: int = 0
     sound: bool = False
+    fresh: bool = False
 
 
 @dataclass(slots=True)
@@ -64,7 +66,7 @@ class Seen:
         drive, joints: as believed, (A,); ``measured``: whether a sound sensor says so, (A,).
         reckoned: by the commands, (A,), of what is driven.
         ee: as believed, (3,).
-        running_s: since the valves were let go.
+        late: axes that answer commands later than their plant.
     """
 
     now_ns: int
@@ -79,6 +81,7 @@ class Seen:
     ee: Array = field(default_factory=lambda: np.full(3, np.nan))
     line: str = ""
     recording: str = ""
+    late: tuple[Late, ...] = ()
 
 
 class Senses:
@@ -108,17 +111,22 @@ class Senses:
                 self.extra.append(Sensor(signal, i, False, reach, valves[i].fastest * steep))
         self.sensors = [*self.driven, *self.extra]
         self.reckonings = [Reckoning(valve, dt, LEAN_S) for valve in valves]
-        self._last_ns = -1
+        self.response = Response(valves, dt, settings.delay.after_s)
 
     def reset(self) -> None:
-        """Forget what was learned: after a fault, and before the first turn."""
+        """Forget what was learned: after a fault, and before the first turn.
+
+        Not the smallest delay so far: one that has grown would else be the usual one after each reset.
+        """
         for sensor in self.sensors:
-            sensor.good, sensor.count, sensor.usual_ns, sensor.still_since = math.nan, -1, None, 0.0
+            sensor.good, sensor.count, sensor.first_ns, sensor.still_since = math.nan, -1, None, 0.0
         for reckoning in self.reckonings:
             reckoning.reset(math.nan)
+        self.response.reset()
 
     def step(self, commands: Array) -> None:
         """The step with ``commands`` (A,) is over; neutral ones are zero."""
+        self.response.step(commands)
         for sensor, reckoning, command in zip(self.driven, self.reckonings, commands, strict=True):
             before = reckoning.position
             reckoning.step(float(command))
@@ -142,9 +150,12 @@ class Senses:
                 drive[i] = reckoning.position
             linkage = self.linkages[i]
             joints[i] = drive[i] if linkage is None else _joint(linkage, drive[i])
+        fresh = np.array([sensor.value if sensor.sound and sensor.fresh else math.nan for sensor in self.driven])
+        self.response.look(fresh)
         return Seen(
             now_ns, lateness_s, missed, inputs, self.sensors, drive, np.array([sensor.sound for sensor in self.driven]),
             np.array([item.position for item in self.reckonings]), joints,
+            late=self.response.late,
         )  # fmt: skip
 
     def nothing(self, now_ns: int, line: str) -> Seen:
@@ -155,16 +166,19 @@ class Senses:
 
     def _look(self, sensor: Sensor, reading: Reading | None, now_ns: int) -> None:
         if reading is None:
-            sensor.age_s, sensor.sound, sensor.finite, sensor.jump = math.inf, False, True, 0.0
+            sensor.age_s, sensor.sound, sensor.finite, sensor.jump, sensor.fresh = math.inf, False, True, 0.0, False
             return
         lag = reading.received_ns - reading.measured_ns
         if sensor.usual_ns is None:
-            sensor.usual_ns, sensor.first_ns = lag, now_ns
+            sensor.usual_ns = lag
+        if sensor.first_ns is None:
+            sensor.first_ns = now_ns
         sensor.ahead_s = (sensor.usual_ns - lag) / SECOND
         if now_ns - sensor.first_ns < LEARN_S * SECOND:
             sensor.usual_ns = min(sensor.usual_ns, lag)
         sensor.age_s = (now_ns - reading.received_ns + max(0, lag - sensor.usual_ns)) / SECOND
-        fresh, sensor.count = reading.count != sensor.count, reading.count
+        sensor.fresh = fresh = reading.count != sensor.count
+        sensor.count = reading.count
         value = reading.value
         sensor.finite = math.isfinite(value)
         if fresh and value != sensor.value:

@@ -10,6 +10,7 @@ import numpy.typing as npt
 
 from sysid.machine import TabulatedLinkage
 from sysid.runner.barrier import Barrier, Broken, outside
+from sysid.runner.checks.delay import judge_delay
 from sysid.runner.checks.machine import judge_machine
 from sysid.runner.checks.motion import MotionChecks
 from sysid.runner.checks.sensors import judge_sensors
@@ -73,6 +74,8 @@ class Supervisor:
         found = judge_machine(seen, self.checks)
         found += judge_sensors(seen, self.checks, moving)
         found += self._motion.judge(seen, moving, drive_setpoints)
+        if moving and self.checks.on("delay"):
+            found += judge_delay(seen, self.checks, self.axes)
         return found
 
     def patience(self, verdicts: Sequence[Verdict]) -> list[Verdict]:
@@ -116,14 +119,37 @@ class Supervisor:
         """What is wrong with an answer of the policy (A,); ``error``: that it gave none."""
         rule = self.checks.policy
         if error or not np.isfinite(asked).all():
-            text = error or "the policy answers with what is no number"
-            return Verdict("policy", "machine", rule.reaction, math.nan, math.nan, text)
+            return self.no_answer(error or "the policy answers with what is no number")
         share = np.abs(asked - self.limiter.position) / (self.limits.hard_high - self.limits.hard_low)
         worst = int(np.argmax(share))
         if share[worst] > rule.share:
             text = f"the policy asks {self.axes[worst]} to jump by {100.0 * share[worst]:.0f} % of its range"
             return Verdict("policy", self.axes[worst], rule.reaction, float(share[worst]), rule.share, text)
         return None
+
+    def no_answer(self, text: str, reaction: Reaction | None = None) -> Verdict:
+        """Nobody gives setpoints in this turn; ``reaction``: another one than that of ``checks.policy``."""
+        return Verdict("policy", "machine", reaction or self.checks.policy.reaction, math.nan, math.nan, text)
+
+    def expired(self, age_s: float, gap_s: float) -> Verdict | None:
+        """Why a command may not be sent any more.
+
+        Args:
+            age_s: since the readings that it comes from.
+            gap_s: since the last command that let the valves move; 0 where they are neutral.
+        """
+        rule = self.checks.expired
+        if gap_s > rule.gap_s:
+            text = f"no command went out for {1e3 * gap_s:.0f} ms, after which a machine closes its valves: they stay closed"
+            return Verdict("expired", "machine", rule.reaction, gap_s, rule.gap_s, text)
+        if age_s > rule.age_s:
+            text = f"a command came from readings that were {1e3 * age_s:.0f} ms old by then: it was not sent"
+            return Verdict("expired", "machine", "hold", age_s, rule.age_s, text)
+        return None
+
+    def dropped(self, sent: Array) -> None:
+        """The commands of this turn were not sent: the machine goes on with ``sent`` (A,)."""
+        self.barrier.sent = sent.copy()
 
     def _verdicts(self, broken: Sequence[Broken]) -> list[Verdict]:
         verdicts = []

@@ -20,10 +20,17 @@ from sysid.runner.transport import Transport
 
 @dataclass(frozen=True)
 class Line:
-    """A transport, and whether nobody can be hurt at its other end: a simulated or stand-in machine with switches of ours."""
+    """A transport, and whether nobody can be hurt at its other end: a simulated or stand-in machine with switches of ours.
+
+    Args:
+        wired: there is a bus between, on which something may be swapped, turned round or out of scale.
+        remarks: what the machine's side cannot check, a sentence each.
+    """
 
     transport: Transport
     stand_in: bool
+    wired: bool = True
+    remarks: tuple[str, ...] = ()
 
 
 Build = Callable[[dict[str, Any], Assembly, Registry], Line]
@@ -81,7 +88,7 @@ def simulated(values: dict[str, Any], assembly: Assembly, registry: Registry) ->
     joints = np.array(settings.joints) if settings.joints else assembly.middle
     if joints.shape != (len(plant.machine.axes),):
         raise SettingsError("transport.joints", f"{len(joints)} values", f"{len(plant.machine.axes)}")
-    return Line(SimulatedTransport(plant, joints, noise=settings.noise, seed=settings.seed), stand_in=True)
+    return Line(SimulatedTransport(plant, joints, noise=settings.noise, seed=settings.seed), stand_in=True, wired=False)
 
 
 def can(values: dict[str, Any], assembly: Assembly, registry: Registry) -> Line:
@@ -99,7 +106,8 @@ def can(values: dict[str, Any], assembly: Assembly, registry: Registry) -> Line:
         control=assembly.folder / settings.control if settings.control is not None else None,
         valves={axis: settings.valves[axis] for axis in axes},
     )
-    return Line(CanTransport(settings, where), stand_in=settings.control is not None)
+    transport = CanTransport(settings, where)
+    return Line(transport, stand_in=settings.control is not None, remarks=transport.remarks)
 
 
 def slcan(values: dict[str, Any], assembly: Assembly, registry: Registry) -> Line:

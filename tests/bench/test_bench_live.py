@@ -178,7 +178,7 @@ def test_what_the_machine_says_is_limited_and_counted(bus: LiveBus) -> None:
     readings = dict.fromkeys(names.split(), 1e6)
     seen: dict[str, list[int]] = {}
     for cycle in range(4):
-        for frame in bus.frames(readings, cycle, {"dead_man": 1, "emergency_stop": 0, "fault": 0, "time": 1.5}):
+        for frame in bus.frames(readings, cycle, {"dead_man": 1, "emergency_stop": 0, "fault": 0, "time": 1.5, "echo": 7}):
             said = described.decode_message(frame.identifier, frame.data, decode_choices=False)
             seen.setdefault(bus.name(frame), []).append(said["counter"])
             if bus.name(frame) == "DRAW_WIRES":

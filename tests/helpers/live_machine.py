@@ -25,6 +25,14 @@ SIGNALS = {
 VALVES = {axis: f"AUX_VALVE_{k}_COMMAND" for k, axis in enumerate(("slew", "boom", "stick", "telescope"))}
 
 
+def old_database(folder: Path) -> Path:
+    """The demo's database as it was before commands had a stamp and the status an echo."""
+    lines = DATABASE.read_text("utf-8").splitlines(keepends=True)
+    path = folder / "old.dbc"
+    path.write_text("".join(line for line in lines if " stamp " not in line and " echo " not in line), "utf-8")
+    return path
+
+
 @dataclass
 class Live:
     """A machine that runs."""

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cache
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -61,10 +63,32 @@ class Traced(SimulatedTransport):
     def _sense(self) -> None:
         super()._sense()
         if not hasattr(self, "joints"):
-            self.joints, self.ends, self.drives = [], [], []
+            self.joints, self.ends, self.drives, self.opened = [], [], [], []
+        # Whether a valve was open in the step.
+        self.opened.append(bool(not self.neutral and self._commands.any()))
         self.joints.append(self.truth.joints[0])
         self.ends.append(self.truth.ee[0])
         self.drives.append(self.truth.drive[0])
+
+
+class RealTime(Traced):
+    """The same by the system's clock: a loop that is held up is late."""
+
+    def __init__(self, *given: Any, **named: Any) -> None:
+        self._origin_ns = time.monotonic_ns()
+        super().__init__(*given, **named)
+
+    def now_ns(self) -> int:
+        return time.monotonic_ns() - self._origin_ns
+
+    def wait_until(self, ns: int) -> None:
+        while (left := ns - self.now_ns()) > 0:
+            time.sleep(left / 1e9)
+        super().wait_until(self.now_ns())
+
+    def write(self, commands: Array, enabled: bool) -> None:
+        super().wait_until(self.now_ns())
+        super().write(commands, enabled)
 
 
 class Memory:
@@ -80,6 +104,15 @@ class Memory:
     @property
     def fault(self) -> str:
         return "disk full" if self._fails_at is not None and len(self.cycles) >= self._fails_at else ""
+
+
+def reopened(opened: Sequence[bool]) -> int:
+    """Steps in which a valve was open after all were shut again for the first time, for three steps or more."""
+    begun = list(opened).index(True)
+    for k in range(begun, len(opened) - 2):
+        if not any(opened[k : k + 3]):
+            return sum(opened[k:])
+    return 0
 
 
 @dataclass
@@ -137,10 +170,11 @@ def case(
     operator: Callable[[FaultyTransport], Operator] = Unattended,
     noise: bool = True,
     seed: int = 0,
+    kind: type[Traced] = Traced,
     **settings: object,
 ) -> Case:
     """A loop that is ready to run; the plan's times count from the first turn."""
-    machine = Traced(true, start, noise=noise, seed=seed)
+    machine = kind(true, start, noise=noise, seed=seed)
     transport = FaultyTransport(machine, tuple(plan))
     ahead = response_time(PLANT) if lookahead is None else lookahead
     chain = Chain(PLANT, Quick(PLANT), inverse(), policy=policy, lookahead=round(ahead, 2))

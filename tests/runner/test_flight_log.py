@@ -179,3 +179,25 @@ def test_provenance(tmp_path: Path) -> None:
     assert words["sha256"]["recipe"] == "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad"
     assert words["versions"] == {"policy": "autolog@3"}
     assert {"sysid", "python", "numpy"} <= set(words["software"])
+
+
+def test_how_a_run_ended_stands_in_the_log(tmp_path: Path) -> None:
+    with FlightLog(tmp_path, MACHINE, AXES, SIGNALS, WORDS, clock_ns=0) as log:
+        log.record(cycle(0))
+        log.remark("end", {"ended": "quit", "why": "SIGTERM"})
+    with log.path.open("rb") as file:
+        found = {item.name: item.metadata for item in make_reader(file).iter_metadata()}
+    assert found == {**WORDS, "end": {"ended": "quit", "why": "SIGTERM"}}
+
+
+def test_a_disk_that_never_answers_does_not_keep_a_run_from_ending(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("sysid.runner.flight_log.CLOSE_S", 0.05)
+    log = FlightLog(tmp_path, MACHINE, AXES, SIGNALS, WORDS, clock_ns=0)
+    gate = threading.Event()
+    sync = log._writer.sync
+    monkeypatch.setattr(log._writer, "sync", lambda: (gate.wait(20.0), sync()))
+    log.record(cycle(0))
+    with pytest.raises(StorageError, match="the disk does not answer for"):
+        log.close()
+    gate.set()
+    log._thread.join()

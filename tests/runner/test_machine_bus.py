@@ -10,16 +10,14 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from live_machine import DATABASE, SIGNALS, VALVES
+from live_machine import DATABASE, SIGNALS, VALVES, old_database
 
 from sysid.errors import SettingsError
 from sysid.runner.bus import BusSettings, MachineBus, bus_load, frame_bits
-from sysid.runner.can import MachineClock
 
 SETTINGS = BusSettings(DATABASE, SIGNALS, VALVES)
 BUS = MachineBus(SETTINGS, "runner.toml")
 DESCRIBED = cantools.database.load_file(DATABASE)
-MS = 1_000_000
 
 
 @given(st.lists(st.floats(-1.0, 1.0), min_size=4, max_size=4))
@@ -31,7 +29,7 @@ def test_commands_arrive_to_half_a_step(commands: list[float]) -> None:
         assert sign * said["flow"] / 100.0 == pytest.approx(command, abs=0.002 + 1e-12)
         assert said["fail_safe"] == 0
         assert data[1] == 255, "reserved bits are ones"
-        assert data[3:] == b"\xff" * 5
+        assert data[3:] == b"\xff" * 5, "no time of the machine is known"
 
 
 @given(st.lists(st.floats(), min_size=4, max_size=4), st.booleans())
@@ -102,17 +100,15 @@ def test_a_valve_command_needs_its_pgn(tmp_path: Path) -> None:
         MachineBus(dataclasses.replace(SETTINGS, database=path), "runner.toml")
 
 
-def test_stamps_of_the_machine_come_to_this_clock() -> None:
-    clock = MachineClock()
-    rng = np.random.default_rng(0)
-    errors = []
-    for k in range(600):
-        true = 5_000_000_000 + k * 10 * MS
-        came = true + 300_000 + int(rng.exponential(2 * MS))
-        clock.tick(k * 0.01, came)
-        errors.append(clock.measured(came + 100_000) - true)
-    assert max(errors[200:]) < 400_000, "the earliest arrival, whatever the others took"
-    assert min(errors) >= 300_000
-    assert clock.measured(came + 20 * MS) == came + 20 * MS, "of a cycle whose status was lost"
-    clock.tick(1e4, came + 10 * MS)
-    assert clock.measured(came + 10 * MS) == came + 10 * MS, "a clock that was set begins anew"
+@pytest.mark.parametrize(("seconds", "raw"), [(0.0, 0), (12.3459, 12345), (63.9999, 63999), (64.0, 0), (429496.0, 56000)])
+def test_a_command_says_which_time_of_the_machine_it_answers(seconds: float, raw: int) -> None:
+    for _, data in BUS.say([0.5] * 4, True, seconds)[:-1]:
+        assert int.from_bytes(data[3:5], "little") == raw
+        assert data[5:] == b"\xff" * 3
+
+
+def test_a_database_without_stamp_and_echo_is_one_all_the_same(tmp_path: Path) -> None:
+    bus = MachineBus(dataclasses.replace(SETTINGS, database=old_database(tmp_path)), "runner.toml")
+    assert (bus.stamps, bus.echoes) == (False, False)
+    assert (BUS.stamps, BUS.echoes) == (True, True)
+    assert [data[3:] for _, data in bus.say([0.5] * 4, True, 3.0)[:-1]] == [b"\xff" * 5] * 4

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import tomllib
+from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +21,7 @@ from sysid.networks import to_files
 from sysid.networks.trust import Trust
 from sysid.registry import CHAMPION, Registry
 from sysid.rl.reach import joint_limits
-from sysid.runner.checks.settings import CHECKS, MILDEST
+from sysid.runner.checks.settings import BOUNDS, CHECKS, MILDEST, CheckSettings
 from sysid.runner.flight_log import FlightLog
 from sysid.runner.recipe import load_runner, parse_runner
 from sysid.workspace import open_workspace
@@ -55,6 +56,9 @@ def test_the_shipped_recipe_is_read_and_says_the_defaults() -> None:
         ({"checks": {"dead_man": {"reaction": "hold"}}}, r"checks.dead_man.reaction: 'hold'; expected 'stop' or 'fault'"),
         ({"checks": {"stale": {"reaction": "off"}}}, "checks.stale.reaction = 'off'"),
         ({"checks": {"stale": {"after_s": float("inf")}}}, "checks.stale.after_s = inf; expected a finite number"),
+        ({"checks": {"stale": {"after_s": 1e6}}}, "checks.stale.after_s: 1e.06; expected above 0, at most 0.1: the"),
+        ({"checks": {"expired": {"gap_s": 0.2}}}, "checks.expired.gap_s: 0.2; .*a later command would open them again"),
+        ({"checks": {"expired": {"reaction": "stop"}}}, r"checks.expired.reaction: 'stop'; expected 'fault'"),
         ({"checks": {"patience_s": 60.0}}, "checks.patience_s: 60 s; expected above 0, at most 1 s"),
         ({"checks": {"without": {"stale": "it is always late here, we know"}}}, "checks.without.stale: cannot be left out"),
         ({"checks": {"without": {"domain": "no"}}}, "the reason 'no'; expected one sentence that says why"),
@@ -66,6 +70,31 @@ def test_the_shipped_recipe_is_read_and_says_the_defaults() -> None:
 def test_what_is_wrong_is_refused(changes: dict[str, Any], message: str) -> None:
     with pytest.raises(SettingsError, match=message):
         parse_runner(values(**changes), "runner.toml")
+
+
+def test_every_threshold_has_a_bound_with_its_reason() -> None:
+    thresholds = {f"{name}.{item.name}" for name in CHECKS for item in fields(getattr(CheckSettings(), name))}
+    assert {key for key in thresholds if not key.endswith(".reaction")} == set(BOUNDS)
+    for key, bounds in BOUNDS.items():
+        check, _, name = key.partition(".")
+        for value in (1e6, 1.01 * bounds.most, float("nan"), 0.0, -1.0):
+            given: Any = round(value) if name in ("turns", "late_turns") and value == value else value
+            if given == bounds.most:
+                continue
+            with pytest.raises(SettingsError, match=rf"checks.{key}"):
+                parse_runner(values(checks={check: {name: given}}), "runner.toml")
+        with pytest.raises(SettingsError) as caught:
+            parse_runner(values(checks={check: {name: 1_000_000}}), "runner.toml")
+        assert bounds.why in str(caught.value)
+
+
+def test_one_message_for_two_axes_is_refused_when_the_recipe_is_read() -> None:
+    transport = {"kind": "can", "valves": {"slew": "VALVE_0", "boom": "VALVE_1", "stick": "VALVE_1"}}
+    with pytest.raises(SettingsError, match=r"transport.valves.stick: 'VALVE_1', which is that of boom; expected one message"):
+        parse_runner(values(transport=transport), "runner.toml")
+    transport = {"kind": "can", "signals": {"boom.cylinder": "WIRES.boom", "stick.cylinder": "WIRES.boom"}}
+    with pytest.raises(SettingsError, match=r"transport.signals.stick.cylinder: 'WIRES.boom', which is that of boom.cylinder"):
+        parse_runner(values(transport=transport), "runner.toml")
 
 
 @pytest.fixture(scope="module")

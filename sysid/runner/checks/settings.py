@@ -80,6 +80,15 @@ class Motion:
 
 
 @dataclass(frozen=True)
+class Delay:
+    """The machine answers commands ``after_s`` later than its plant, by its motion and whatever its stamps say."""
+
+    __pydantic_config__ = STRICT
+    reaction: Reaction = "stop"
+    after_s: float = 0.08
+
+
+@dataclass(frozen=True)
 class DomainLeft:
     """A network is asked beyond its data for ``for_s``, and the way does not lead back."""
 
@@ -109,13 +118,27 @@ class Overrun:
 
 
 @dataclass(frozen=True)
+class Expired:
+    """A command is ready only ``age_s`` after the readings that it comes from were taken: it is dropped, and the next turn has
+    the word. ``gap_s`` after the last command that let the valves move none is sent any more: the machine's watchdog may have
+    closed them, and nothing opens them again before a person has looked. ``reaction`` is what follows from the latter."""
+
+    __pydantic_config__ = STRICT
+    reaction: Reaction = "fault"
+    age_s: float = 0.05
+    gap_s: float = 0.08
+
+
+@dataclass(frozen=True)
 class PolicyAnswer:
-    """The policy fails, answers with what is no number, or jumps by ``share`` of a joint's range within a turn; ``hold`` means
-    that the fallback takes over for the rest of the run."""
+    """The policy fails, answers with what are no setpoints, jumps by ``share`` of a joint's range within a turn, or is late in
+    ``late_turns`` turns in a row; ``hold`` means that the fallback takes over for the rest of the run. In a single turn that it
+    is late the fallback stands in."""
 
     __pydantic_config__ = STRICT
     reaction: Reaction = "hold"
     share: float = 0.2
+    late_turns: int = 3
 
 
 @dataclass(frozen=True)
@@ -187,9 +210,11 @@ class CheckSettings:
     clock: Clock = field(default_factory=Clock)
     contradiction: Contradiction = field(default_factory=Contradiction)
     motion: Motion = field(default_factory=Motion)
+    delay: Delay = field(default_factory=Delay)
     domain: DomainLeft = field(default_factory=DomainLeft)
     following: Following = field(default_factory=Following)
     overrun: Overrun = field(default_factory=Overrun)
+    expired: Expired = field(default_factory=Expired)
     policy: PolicyAnswer = field(default_factory=PolicyAnswer)
     position: Bound = field(default_factory=Bound)
     speed: Bound = field(default_factory=Bound)
@@ -219,20 +244,56 @@ CHECKS: tuple[str, ...] = tuple(item.name for item in fields(CheckSettings) if i
 #: No recipe may ask for less.
 MILDEST: dict[str, Reaction] = {
     "stale": "hold", "not_finite": "hold", "jump": "hold", "frozen": "stop", "clock": "hold", "contradiction": "stop",
-    "motion": "hold", "domain": "clamp", "following": "hold", "overrun": "stop", "policy": "hold", "position": "clamp",
-    "speed": "clamp", "acceleration": "clamp", "jerk": "clamp", "command": "clamp", "fence": "clamp", "dead_man": "stop",
-    "emergency": "fault", "machine": "stop", "line": "fault", "restless": "fault", "recording": "clamp",
+    "motion": "hold", "delay": "stop", "domain": "clamp", "following": "hold", "overrun": "stop", "expired": "fault",
+    "policy": "hold", "position": "clamp", "speed": "clamp", "acceleration": "clamp", "jerk": "clamp", "command": "clamp",
+    "fence": "clamp", "dead_man": "stop", "emergency": "fault", "machine": "stop", "line": "fault", "restless": "fault",
+    "recording": "clamp",
 }  # fmt: skip
+#: What the machine's own watchdog waits for commands [s] (docs/can.md): the measure of everything that may be late.
+WATCHDOG_S = 0.1
+
+
+@dataclass(frozen=True)
+class Bounds:
+    """Of a threshold: above 0 and at most ``most``, in the unit of its key; ``why`` no check means anything beyond."""
+
+    most: float
+    why: str
+
+
+_WATCHED = "the machine closes its valves by itself after 0.1 s without commands"
+#: Every threshold of every check.
+BOUNDS: dict[str, Bounds] = {
+    "stale.after_s": Bounds(WATCHDOG_S, _WATCHED),
+    "jump.share": Bounds(0.1, "the fastest axis of the demo's crane takes a quarter of a second for so much of its range"),
+    "frozen.share": Bounds(0.05, "an axis whose sensor stands still moves unseen for so much of its range"),
+    "clock.jump_s": Bounds(0.5, "readings pass for newer than they are by as much"),
+    "contradiction.share": Bounds(0.2, "two sensors of one axis that differ by a fifth of its range do not measure the same"),
+    "contradiction.for_s": Bounds(0.5, "the machine moves by a wrong sensor for so long"),
+    "motion.seconds": Bounds(1.0, "the fastest axis of the demo's crane crosses 40 % of its range in 1 s, unseen"),
+    "delay.after_s": Bounds(0.2, "a line that is 0.2 s late takes a crane 67 mm off its path (docs/guide/runner.md)"),
+    "domain.for_s": Bounds(2.0, "networks are not to be believed outside of their data"),
+    "following.seconds": Bounds(1.0, "a setpoint that is 1 s at full speed ahead is not followed"),
+    "following.for_s": Bounds(1.0, "the setpoint runs away for so long"),
+    "overrun.late_s": Bounds(WATCHDOG_S, _WATCHED),
+    "overrun.turns": Bounds(10, "ten turns of 10 ms are what the machine waits for commands"),
+    "expired.age_s": Bounds(0.06, "a machine that checks the stamp of a command takes none that answers older readings"),
+    "expired.gap_s": Bounds(0.09, f"{_WATCHED}, within a cycle of 10 ms; a later command would open them again"),
+    "policy.share": Bounds(1.0, "no setpoint can jump by more than the whole range"),
+    "policy.late_turns": Bounds(10, "ten turns without the policy are what the machine waits for commands"),
+    "restless.share": Bounds(0.5, "half of full speed with neutral valves is a valve that is open"),
+    "restless.after_s": Bounds(2.0, "valves close in a tenth of a second"),
+}
 #: May be left out, one by one.
-OPTIONAL: tuple[str, ...] = ("clock", "contradiction", "motion", "domain", "following", "jerk")
+OPTIONAL: tuple[str, ...] = ("clock", "contradiction", "motion", "delay", "domain", "following", "jerk")
 
 
 def check_checks(settings: CheckSettings, where: object) -> CheckSettings:
     """``settings`` unless they ask for less than is allowed.
 
     Raises:
-        SettingsError: a reaction that is too mild, a check left out that must not be, or without a reason; a threshold that is
-            not positive.
+        SettingsError: a reaction that is too mild, a check left out that must not be, or without a reason; a threshold outside
+            of its :data:`BOUNDS`.
     """
     for name in CHECKS:
         rule = getattr(settings, name)
@@ -240,9 +301,8 @@ def check_checks(settings: CheckSettings, where: object) -> CheckSettings:
             expected = " or ".join(repr(item) for item in REACTIONS[REACTIONS.index(MILDEST[name]) :])
             raise SettingsError(f"{where}: checks.{name}.reaction", repr(rule.reaction), expected)
         for item in fields(rule):
-            value = getattr(rule, item.name)
-            if item.name != "reaction" and not 0.0 < value < float("inf"):
-                raise SettingsError(f"{where}: checks.{name}.{item.name}", f"{value}", "a positive number")
+            if item.name != "reaction":
+                _check_threshold(f"{name}.{item.name}", getattr(rule, item.name), where)
     if not 0.0 < settings.patience_s <= 1.0:
         raise SettingsError(f"{where}: checks.patience_s", f"{settings.patience_s:g} s", "above 0, at most 1 s")
     for name, reason in settings.without.items():
@@ -253,3 +313,9 @@ def check_checks(settings: CheckSettings, where: object) -> CheckSettings:
         if len(reason.strip()) < SHORTEST_REASON:
             raise SettingsError(f"{where}: checks.without.{name}", f"the reason {reason!r}", "one sentence that says why")
     return settings
+
+
+def _check_threshold(key: str, value: float, where: object) -> None:
+    bounds = BOUNDS[key]
+    if not 0.0 < value <= bounds.most:
+        raise SettingsError(f"{where}: checks.{key}", f"{value:g}", f"above 0, at most {bounds.most:g}: {bounds.why}")

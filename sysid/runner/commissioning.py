@@ -1,0 +1,104 @@
+"""The record of a commissioning: kept beside the recipe, and asked for again when recipe, database, machine or plant change."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+from dataclasses import asdict
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+from sysid.errors import SettingsError
+from sysid.runner.assemble import Assembly
+from sysid.runner.checks.settings import SHORTEST_REASON
+from sysid.runner.modes.commission import Commission
+
+#: Parts of a recipe that bear on what is wired to what, and on how far and fast it may go. Its task, log and loop do not.
+PARTS = ("machine", "transport", "limits", "checks", "commission")
+
+
+def record_path(recipe: Path) -> Path:
+    """Where the record of ``recipe`` stands."""
+    return recipe.with_name(f"{recipe.stem}.commissioned.json")
+
+
+def digests(assembly: Assembly) -> dict[str, str]:
+    """SHA-256 of everything that a commissioning holds for."""
+    recipe = asdict(assembly.recipe)
+    chosen = {name: recipe[name] for name in PARTS}
+    chosen["plant"] = recipe["versions"]["plant"]
+    machine = assembly.machine_file.read_bytes() + (assembly.machine.urdf_text or "").encode()
+    found = {
+        "recipe": _digest(json.dumps(chosen, sort_keys=True, default=str).encode()),
+        "machine": _digest(machine),
+        "plant": assembly.loaded.versions[0].digest,
+    }
+    database = assembly.recipe.transport.get("database")
+    if isinstance(database, str):
+        found["database"] = _digest((assembly.folder / database).read_bytes())
+    return found
+
+
+def keep_record(assembly: Assembly, mode: Commission, recipe: Path, log: str) -> Path:
+    """Write what a commissioning found, whether or not it passed; in one piece or not at all.
+
+    Returns:
+        The file.
+    """
+    path = record_path(recipe)
+    record = {
+        "schema": 1, "recipe": recipe.name, "machine": assembly.machine.name, "passed": mode.passed,
+        "date": datetime.now(UTC).isoformat(timespec="seconds"), "log": log, "digests": digests(assembly), **mode.figures(),
+    }  # fmt: skip
+    new = path.with_name(f".{path.name}.new")
+    with new.open("w", encoding="utf-8") as file:
+        json.dump(record, file, indent=1, ensure_ascii=False)
+        file.write("\n")
+        file.flush()
+        os.fsync(file.fileno())
+    new.replace(path)
+    return path
+
+
+def require_commissioned(assembly: Assembly, recipe: Path) -> str:
+    """What is to be said of the commissioning of a machine that is about to be moved.
+
+    Raises:
+        SettingsError: there is no record, it did not pass, or something has changed since, and the recipe does not waive it.
+    """
+    waived = assembly.recipe.commission.waived.strip()
+    missing = _missing(assembly, record_path(recipe))
+    if not missing:
+        return "commissioned as it is"
+    if waived and len(waived) < SHORTEST_REASON:
+        raise SettingsError(f"{recipe}: commission.waived", f"the reason {waived!r}", "one sentence that says why")
+    if waived:
+        return f"NOT commissioned ({missing}): {waived}"
+    raise SettingsError(
+        f"{recipe}: commissioning",
+        missing,
+        "a machine whose wiring, signs, scales and zeros have been looked at one axis at a time",
+        f'First: sysid run {recipe} --commission. To run without it: [commission] waived = "why".',
+    )
+
+
+def _missing(assembly: Assembly, path: Path) -> str:
+    """Why the record does not hold; "" where it does."""
+    try:
+        record: Any = json.loads(path.read_text("utf-8"))
+        known, passed = dict(record["digests"]), record["passed"] is True and record["schema"] == 1
+    except FileNotFoundError:
+        return "it was never commissioned"
+    except (OSError, ValueError, KeyError, TypeError):
+        return f"{path} is no record of a commissioning"
+    if not passed:
+        return f"its commissioning did not pass: {record.get('wrong') or 'it was not finished'}"
+    now = digests(assembly)
+    changed = [name for name in sorted({*now, *known}) if now.get(name) != known.get(name)]
+    return f"changed since it was commissioned: {', '.join(changed)}" if changed else ""
+
+
+def _digest(data: bytes) -> str:
+    return hashlib.sha256(data).hexdigest()

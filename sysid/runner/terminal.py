@@ -1,0 +1,136 @@
+"""The terminal as the runner uses it: threads read and write, so that one that is stopped, slow or closed holds up nothing.
+
+A terminal stops taking output for as long as somebody likes (Ctrl-S, a frozen ssh). The loop hands a line over and goes on;
+lines for which there is no room any more are counted. A terminal that is gone (end of file, an error) ends the run.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import os
+import select
+import threading
+from collections.abc import Iterator, Sequence
+from queue import Empty, SimpleQueue
+
+from sysid.runner.cycle import State
+
+#: So many lines wait for a terminal that takes none.
+WAITING = 2000
+#: Longest that a run which is over waits for its last lines to be taken [s].
+FLUSH_S = 1.0
+#: A line that is typed is cut off here [characters].
+LONGEST = 256
+
+
+class Console:
+    """Writes to a file descriptor by a thread; :meth:`say` never waits.
+
+    Args:
+        descriptor: of the terminal, pipe or file; standard error by default.
+    """
+
+    def __init__(self, descriptor: int = 2) -> None:
+        self._descriptor = descriptor
+        self._queue: SimpleQueue[str | None] = SimpleQueue()
+        #: What ended the writing; "" while it goes on. ``lost``: lines that found no room.
+        self.gone, self.lost = "", 0
+        self._thread = threading.Thread(target=self._write, name="console", daemon=True)
+        self._thread.start()
+
+    def say(self, text: str) -> None:
+        """Hand ``text`` over as it is."""
+        if self.gone or self._queue.qsize() >= WAITING:
+            self.lost += 1
+        else:
+            self._queue.put(text)
+
+    def close(self) -> None:
+        """Wait a moment until everything is written; a terminal that takes nothing is left alone. May be called again."""
+        self._queue.put(None)
+        self._thread.join(FLUSH_S)
+
+    def _write(self) -> None:
+        while (text := self._queue.get()) is not None:
+            data = text.encode("utf-8", "replace")
+            while data:
+                try:
+                    data = data[os.write(self._descriptor, data) :]
+                except BlockingIOError:  # a shell has set it so
+                    select.select([], [self._descriptor], [], 1.0)
+                except OSError as error:
+                    self.gone = error.strerror or str(error)
+                    return
+
+
+class _Stream(io.TextIOBase):
+    """What libraries print and warn, by way of a console."""
+
+    def __init__(self, console: Console) -> None:
+        self._console = console
+
+    def writable(self) -> bool:
+        return True
+
+    def write(self, text: str) -> int:
+        self._console.say(text)
+        return len(text)
+
+
+@contextlib.contextmanager
+def through(console: Console) -> Iterator[None]:
+    """Inside, ``sys.stdout`` and ``sys.stderr`` are ``console``: a warning of some library waits for no terminal either."""
+    stream = _Stream(console)
+    with contextlib.redirect_stdout(stream), contextlib.redirect_stderr(stream):
+        yield
+
+
+class Terminal:
+    """An operator at a terminal: typed lines in, lines out.
+
+    Args:
+        console: takes what is told.
+        descriptor: that is read, standard input by default.
+    """
+
+    stays = True
+
+    def __init__(self, console: Console, descriptor: int = 0) -> None:
+        self.console, self._descriptor = console, descriptor
+        self._typed: SimpleQueue[str] = SimpleQueue()
+        self._left = False
+        threading.Thread(target=self._read, name="terminal", daemon=True).start()
+
+    def words(self, state: State, now_ns: int) -> Sequence[str]:
+        said: list[str] = []
+        with contextlib.suppress(Empty):
+            while len(said) < 16:
+                said.append(self._typed.get_nowait())
+        if self.console.gone and not self._left:
+            self._left = True
+            said.append(f"quit: the terminal is closed ({self.console.gone})")
+        return said
+
+    def told(self, text: str) -> None:
+        self.console.say(text + "\n")
+
+    def _read(self) -> None:
+        half, why = "", "end of file"
+        while True:
+            try:
+                fresh = os.read(self._descriptor, 4096).decode("utf-8", "replace")
+            except BlockingIOError:  # a shell has set it so
+                select.select([self._descriptor], [], [], 1.0)
+                continue
+            except OSError as error:
+                why, fresh = error.strerror or str(error), ""
+            if not fresh:
+                break
+            *lines, half = (half + fresh).split("\n")
+            half = half[-LONGEST:]
+            for line in lines:
+                if (word := line.strip().lower()) and self._typed.qsize() < WAITING:
+                    self._typed.put(word[:LONGEST])
+        # Whoever could stop it is gone.
+        self._typed.put(f"quit: the terminal is closed ({why})")

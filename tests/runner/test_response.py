@@ -1,0 +1,87 @@
+"""How late a machine answers commands, by its motion: without stamps, and not where only gain, dead-band or play are wrong."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from runner_case import DT, MIDDLE, PLANT, case, true_crane
+from test_loop import AT, tracking
+
+from sysid.control import tune
+from sysid.machine import KnownEffect
+from sysid.plant import Plant
+from sysid.runner import faults as f
+from sysid.runner.faults import Injection
+from sysid.runner.response import Response
+from sysid.runner.valves import valves
+
+VALVES = valves(tune(PLANT), DT)
+LATE = f.Delayed(0.2, stamped=False)
+
+
+def answers(late: int, gain: float = 1.0, band: float = 0.0, seconds: float = 6.0) -> list[float]:
+    """Seconds of delay found each turn, 0 where none is, on axes that go to and fro and answer ``late`` turns late."""
+    response, rng = Response(VALVES, DT, 0.08), np.random.default_rng(0)
+    drive, past, found = np.zeros(4), [np.zeros(4)] * 100, []
+    for k in range(round(seconds / DT)):
+        command = 0.5 * np.sin(2.0 * np.pi * k * DT / 3.0) * np.ones(4)
+        response.look(drive + 1e-4 * np.array([5.0, 0.2, 0.2, 0.2]) * rng.standard_normal(4))
+        found.append(max((item.seconds for item in response.late), default=0.0))
+        response.step(command)
+        past = [*past[1:], command]
+        for i, valve in enumerate(VALVES):
+            u = past[-1 - valve.late - late][i]
+            drive[i] += gain * valve.speed(float(np.sign(u) * max(0.0, abs(u) - band))) * DT
+    return found
+
+
+@pytest.mark.parametrize("late", [12, 20, 32])
+def test_a_late_answer_is_found_and_measured(late: int) -> None:
+    found = answers(late)
+    first = next(k for k, value in enumerate(found) if value)
+    assert first * DT < (1.3 if late >= 20 else 4.0)
+    assert np.median([value for value in found if value]) == pytest.approx(late * DT, abs=0.041)
+
+
+@pytest.mark.parametrize("late", [0, 2, 4])
+@pytest.mark.parametrize(("gain", "band"), [(1.0, 0.0), (0.75, 0.0), (1.3, 0.0), (1.0, 0.1), (0.85, 0.06)])
+def test_gain_and_dead_band_are_no_delay(late: int, gain: float, band: float) -> None:
+    assert not any(answers(late, gain, band))
+
+
+def test_readings_that_do_not_come_are_no_delay() -> None:
+    response = Response(VALVES, DT, 0.08)
+    for k in range(200):
+        response.look(np.full(4, np.nan if k % 3 else 0.0))
+        response.step(np.full(4, 0.5))
+    assert response.late == ()
+
+
+@pytest.mark.parametrize("true", [PLANT, true_crane(1)], ids=["as planned", "other gains and play"])
+@pytest.mark.parametrize("begin", [0.0, AT])
+def test_a_whole_line_that_is_late_without_stamps_stops_the_machine(true: Plant, begin: float) -> None:
+    """It went on, up to 140 mm off its path."""
+    made = case(tracking, true=true, plan=(Injection(LATE, begin),))
+    made.loop.warm_up(MIDDLE)
+    made.loop.run()
+    ends = np.array(made.machine.ends)
+    speed = np.linalg.norm(np.diff(ends, axis=0), axis=1) / DT
+    moving = max(int(np.argmax(speed > 0.005)), round(begin / DT))
+    assert made.loop.outcome.ended == "fault"
+    assert "later than its plant: the line is late" in made.loop.outcome.why
+    assert (made.verdicts()["delay"] - moving) * DT < 1.1
+    off = [np.linalg.norm(ends[k.number + 1] - k.target) for k in made.cycles if k.enabled and np.isfinite(k.target).all()]
+    assert max(off) < 0.075
+
+
+def test_a_machine_that_is_not_as_planned_is_not_late() -> None:
+    rng = np.random.default_rng(5)
+    plant = true_crane(5)
+    for axis, valve in zip(plant.machine.axis_names, VALVES, strict=True):
+        bands = {name: max(0.0, getattr(valve, name) + float(rng.uniform(-0.06, 0.06))) for name in ("positive", "negative")}
+        plant = plant.with_effect(KnownEffect("valve_deadband", axis, bands))
+    made = case(tracking, true=plant)
+    made.loop.warm_up(MIDDLE)
+    made.loop.run()
+    assert made.loop.outcome.ended == "done"
+    assert "delay" not in made.verdicts()
