@@ -219,7 +219,7 @@ class Workspace:
 
     def keep_gap(self, dataset: Dataset, result: GapResult) -> Path:
         """File the answer of the gap workflow; the newest one of a dataset version is kept."""
-        return save_gap(self.root.output(f"{_results(dataset)}/gap"), result)
+        return save_gap(self.root.path(f"{_results(dataset)}/gap"), result)
 
     def gap(self, dataset: Dataset) -> GapResult | None:
         """The newest answer of the gap workflow on this dataset version."""
