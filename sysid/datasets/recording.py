@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Iterable, Mapping
+from collections.abc import Hashable, Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
@@ -47,6 +47,11 @@ class Recording:
         """The signal as float64 (n,), read-only; all NaN where the recording does not have it."""
         found = self._arrays.get(signal)
         return found if found is not None else np.full(len(self.table), np.nan)
+
+    @functools.cached_property
+    def derived(self) -> dict[Hashable, Any]:
+        """What others have worked out from this recording alone, by keys of theirs: kept for as long as it is."""
+        return {}
 
     @functools.cached_property
     def _arrays(self) -> dict[str, npt.NDArray[np.float64]]:

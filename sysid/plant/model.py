@@ -49,8 +49,6 @@ class Model:
     streams: layout.Streams = field(default_factory=dict)
     residuals: tuple[Residual, ...] = ()
     nets: Nets | None = None
-    _commands: dict[tuple[int, str], tuple[Recording, Array, Segments]] = field(default_factory=dict, repr=False, compare=False)
-    _loads: dict[int, tuple[Recording, Array]] = field(default_factory=dict, repr=False, compare=False)
 
     @property
     def axes(self) -> int:
@@ -192,11 +190,10 @@ class Model:
 
     def held(self, recording: Recording, axis: str) -> tuple[Array, Segments]:
         """:func:`held` of a command, remembered: a fit asks for it thousands of times."""
-        known = self._commands.get((id(recording), axis))
-        if known is None or known[0] is not recording:
-            known = (recording, *held(recording.values(axis_signal(axis, "command")), recording.rate_hz))
-            self._commands[id(recording), axis] = known
-        return known[1], known[2]
+        known: tuple[Array, Segments] | None = recording.derived.get(("held", axis))
+        if known is None:
+            known = recording.derived["held", axis] = held(recording.values(axis_signal(axis, "command")), recording.rate_hz)
+        return known
 
     def window(self, recording: Recording) -> int:
         """Samples of :data:`START_WINDOW`."""
@@ -213,10 +210,9 @@ class Model:
         if seconds < math.inf:
             stretches = [self.stretches(recording, name, seconds) for name in self.machine.axis_names]
             return np.ascontiguousarray(gravity_load(self.machine, recording, np.unique(np.vstack(stretches), axis=0)).T)
-        known = self._loads.get(id(recording))
-        if known is None or known[0] is not recording:
-            known = (recording, np.ascontiguousarray(gravity_load(self.machine, recording).T))
-            self._loads[id(recording)] = known
+        known: tuple[Machine, Array] | None = recording.derived.get("load")
+        if known is None or known[0] is not self.machine:
+            known = recording.derived["load"] = (self.machine, np.ascontiguousarray(gravity_load(self.machine, recording).T))
         return known[1]
 
     @property

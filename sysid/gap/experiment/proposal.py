@@ -194,7 +194,7 @@ class Planner:
         key = motion.name, axes, seconds
         if key not in self._excitations:
             excitation = design_excitation(
-                self._uncached(self.model.theta), self.feasible_sets, motion, axes, seconds, self.rate_hz, self.case.seed
+                self._model(self.model.theta), self.feasible_sets, motion, axes, seconds, self.rate_hz, self.case.seed
             )
             if excitation is not None and not all(
                 self._inside(self._simulate(excitation, theta, None)) for theta in (self.model.theta, *self._thetas)
@@ -238,7 +238,7 @@ class Planner:
 
     def _problem(self, hypothesis: OpenHypothesis, recording: Recording) -> Problem:
         """The stage of the hypothesis for a simulated recording."""
-        stage, model = hypothesis.stage.problem, self._uncached(self.model.theta)
+        stage, model = hypothesis.stage.problem, self._model(self.model.theta)
         if stage.stage == "force":
             return force_problem(model, self.machine.axis(stage.target), [recording], 0.0)
         if stage.stage in ("command", "joint"):
@@ -247,7 +247,7 @@ class Planner:
         return tip_problem(model) if stage.stage == "end_effector" else tool_problem(model)
 
     def _simulate(self, excitation: ExcitationSignal, theta: Array, measured: frozenset[str] | None) -> Recording:
-        model = self._uncached(theta)
+        model = self._model(theta)
         start = start_of(self.feasible_sets, excitation, self.plant.linkages)
         return simulate_recording(model, commands_of(model, self.feasible_sets, excitation), start, self.rate_hz, measured)
 
@@ -258,11 +258,11 @@ class Planner:
         """Whether the demanded flow is within the pump limit; not required where the hypothesis concerns the pump."""
         if any(candidate.effect.name == "pump_flow_limit" for candidate in hypothesis.candidates):
             return True
-        share = self._uncached(model.theta).share(model.theta[None], recording)
+        share = self._model(model.theta).share(model.theta[None], recording)
         return float(share.min()) >= 1.0
 
-    def _uncached(self, theta: Array) -> Model:
-        """A model with an empty cache: simulated recordings are used only once."""
+    def _model(self, theta: Array) -> Model:
+        """The plant at other values, without its networks."""
         return Model(self.model.machine, theta, self.model.rig, self.model.linked, self.model.streams)
 
     # -- result ----------------------------------------------------------------------------------------------------
@@ -300,7 +300,7 @@ class Planner:
             start=start_of(self.feasible_sets, excitation, self.plant.linkages),
             limits=self.limits,
             predicted=reached,
-            commands=commands_of(self._uncached(self.model.theta), self.feasible_sets, excitation),
+            commands=commands_of(self._model(self.model.theta), self.feasible_sets, excitation),
             purposes=purposes,
             provenance=provenance,
         )

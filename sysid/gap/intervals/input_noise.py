@@ -55,14 +55,18 @@ def input_noise(
         return None
     inputs = {s: level for s, level in noise.items() if s not in problem.signals and split_signal(s)[1] != "command"}
     smooth = [smoothed(recording, inputs) for recording in criterion.data.recordings]
-    rng = np.random.default_rng([seed, 7])
-    copies = [[_noisy(recording, inputs, rng) for recording in smooth] for _ in range(DRAWS)]
+
+    def copies(draw: int) -> list[Recording]:
+        """The same in every round; made anew, since all of them together take twelve times the memory of the recordings."""
+        rng = np.random.default_rng([seed, 7, draw])
+        return [_noisy(recording, inputs, rng) for recording in smooth]
+
     shift, steps, errors = np.zeros(len(values)), np.zeros((DRAWS, len(values))), np.empty(0)
     true = values
     for _ in range(ROUNDS):
         made = criterion.predicted(true, smooth)
         lanes = np.clip(true + shift, criterion.low, criterion.high)
-        errors = np.stack([criterion.between(made, criterion.predicted(lanes, copy)) for copy in copies])
+        errors = np.stack([criterion.between(made, criterion.predicted(lanes, copy)) for copy in map(copies, range(DRAWS))])
         steps = -((criterion.weights(errors) * errors) @ curvature.slopes) @ curvature.inverse
         shift = shift + steps.mean(axis=0)
         true = np.clip(values - shift, criterion.low, criterion.high)
