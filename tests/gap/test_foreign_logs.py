@@ -55,7 +55,7 @@ def rubbed(friction: Callable[[float, float], float], seconds: float, seed: int,
 # -- nothing hidden ---------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("seed", [3, 4])
+@pytest.mark.parametrize("seed", [3, pytest.param(4, marks=pytest.mark.slow)])
 def test_a_random_disturbance_is_no_gap(seed: int) -> None:
     """Two percent of the speed, at random: nothing is missing in the plant, and nothing is reported as unnamed."""
     plant = nominal()
