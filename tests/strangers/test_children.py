@@ -7,6 +7,7 @@ import os
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -70,7 +71,13 @@ def test_the_viewer_of_a_run_is_such_a_child(monkeypatch: pytest.MonkeyPatch) ->
     from sysid.cli.run import _show
 
     started: list[tuple[list[str], dict[str, str]]] = []
-    monkeypatch.setattr(subprocess, "Popen", lambda command, env, **_: started.append((command, env)))
+
+    def start(command: list[str], env: dict[str, str], **_: object) -> SimpleNamespace:
+        started.append((command, env))
+        return SimpleNamespace(pid=os.getpid())
+
+    monkeypatch.setattr(subprocess, "Popen", start)
+    monkeypatch.setattr(os, "setpriority", lambda *_: None)
     _show(Path("-odd.mcap"))
     ((command, environment),) = started
     assert command[:3] == [sys.executable, "-P", "-m"]
