@@ -29,12 +29,6 @@ def written_whole(path: Path) -> Iterator[Path]:
         half.unlink(missing_ok=True)
 
 
-def write_through(path: Path, content: bytes) -> None:
-    """Write a file and wait until it is on the disk."""
-    path.write_bytes(content)
-    on_disk(path)
-
-
 def on_disk(path: Path) -> None:
     """Wait until a file's content, or the names in a folder, are on the disk.
 

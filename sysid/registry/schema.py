@@ -16,7 +16,7 @@ from contextlib import closing, suppress
 from pathlib import Path
 
 from sysid.errors import StoreError
-from sysid.files import on_disk, write_through, written_whole
+from sysid.files import on_disk, written_whole
 from sysid.registry.client import SQLITE, open_client, quieten
 
 #: What the statements of :mod:`sysid.registry.tables` need; MLflow has had them since the end of 2023.
@@ -59,7 +59,7 @@ def install(database: Path, content: bytes) -> None:
     """Put ``content`` where the registry is to be, whole or not at all; only for the holder of the registry's lock."""
     clear_drafts(database)
     with written_whole(database) as half:
-        write_through(half, content)
+        half.write_bytes(content)
     on_disk(database.parent)
 
 

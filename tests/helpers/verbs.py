@@ -9,8 +9,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-import numpy as np
-import pandas as pd
+from one_axis_logs import MACHINE, record
 from registry_verbs import FILES, PASSED, broken, promote, register, registered, repair
 from stored import small_dataset
 
@@ -22,16 +21,6 @@ from sysid.reports.archive import load_gap
 from sysid.workspace import Workspace
 
 State = tuple[object, ...]
-MACHINE = """schema = 1
-name = "demo"
-rate_hz = 50.0
-[[axes]]
-name = "a"
-actuation = "velocity"
-drives = "cylinder"
-gain = 0.05
-stroke = [0.0, 0.5]
-"""
 
 
 @dataclass(frozen=True)
@@ -82,12 +71,7 @@ def models(registry: Registry) -> State:
 
 def logs(folder: Path, *seeds: int) -> None:
     for seed in seeds:
-        rng, time = np.random.default_rng(seed), np.arange(300) / 50.0
-        table = pd.DataFrame(
-            {"time": time, "a.command": rng.uniform(-1, 1, 300), "a.cylinder [mm]": 200 + 50 * np.sin(time + seed)}
-        )
-        (folder / f"r{seed}").mkdir(parents=True)
-        table.to_csv(folder / f"r{seed}" / "log.csv", index=False)
+        record(folder / f"r{seed}", seed)
     (folder / "machine.toml").write_text(MACHINE)
 
 
