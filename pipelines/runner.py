@@ -1,9 +1,10 @@
 """The runner on the stand-in machine, over slcan, each in a process of its own: `python pipelines/runner.py` after `make demo`.
 
 Helix and circle are followed by inverse kinematics and, with `--policy`, by a policy, alone on the computer and beside three
-busy processes; then every fault is let loose while the machine moves. What the machine did is read from its own file. Writes
-`reports/runner/result.json` and the tables of `docs/can.md`. `--keep-runs` measures the faults alone, and leaves the runs that
-are timed as they are in the result, with where and when they were measured.
+busy processes; then every fault is let loose while the machine moves, and the machine is commissioned with every fault of its
+wiring. What the machine did is read from its own file. Writes `reports/runner/result.json` and the tables of `docs/can.md` and
+of two pages of the guide. `--keep-runs` measures the faults alone, and leaves the runs that are timed as they are in the
+result, with where and when they were measured.
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ import numpy as np
 import numpy.typing as npt
 
 from committed import markdown, provenance, write_result, write_tables
-from runner_flight import LINE, LOOP, POLICY, SECOND, TURNS
+from runner_flight import DRIVEN, LINE, LOOP, POLICY, RIGHT, SECOND, TURNS, wiring
 from sysid.bench.live import read_truth
 from sysid.logs.mcap import McapReader
 from sysid.logs.reader import ReadOptions
@@ -41,7 +42,7 @@ DATABASE = ROOT / "rl/autolog/machine.dbc"
 RECIPE = """schema = 1
 name = "stand-in"
 machine = "{root}/datasets/autolog/machine.toml"
-mode = "track"
+mode = "{mode}"
 [versions]
 plant = "{plant}"
 forward = "{forward}"
@@ -73,6 +74,8 @@ stick = "AUX_VALVE_2_COMMAND"
 telescope = "AUX_VALVE_3_COMMAND"
 {more}"""
 FENCE = np.array([[0.45, 1.45], [-0.5, 0.5], [0.0, 0.85]])
+#: What a commissioning takes at the most [s]; how far the boom tip may go in it [m], and how fast over so long [m/s, s].
+COMMISSION_S, FAR, FAST, OVER_S = 150.0, 0.02, 0.05, 0.05
 #: Motion after a fault is looked at for so long [s].
 AFTER = 4.0
 
@@ -243,15 +246,17 @@ def fly(
         values = {
             "root": ROOT, "plant": options.plant, "forward": options.forward, "policy": policy, "path": path,
             "unpromoted": json.dumps(options.unpromoted), "laps": int(seconds / 5.0) + 5, "seconds": seconds,
-            "folder": folder, "database": DATABASE, "more": "", **change,
+            "folder": folder, "database": DATABASE, "mode": "track", "more": "", **change,
         }  # fmt: skip
         if "wrong" in change:
             (folder / "wrong.dbc").write_text(DATABASE.read_text("utf-8").replace("BO_ 423 ", "BO_ 424 "), "utf-8")
             values["database"] = folder / "wrong.dbc"
         recipe = folder / "runner.toml"
-        text = RECIPE.format(**values)
-        recipe.write_text(text.replace("VALVE_3", "VALVE_2") if "twice" in change else text, "utf-8")
         with machine(folder, seconds + 120.0) as stand_in, ExitStack() as stack:
+            if values["mode"] == "commission":
+                values["more"] = f"[commission.reference]\n{_stands(folder / 'truth.bin')}"
+            text = RECIPE.format(**values)
+            recipe.write_text(text.replace("VALVE_3", "VALVE_2") if "twice" in change else text, "utf-8")
             second = stack.enter_context(_second(recipe, options)) if outside.second else None
             words = _program(recipe, options, fault, str(turns))
             screen = Screen(piped=outside.terminal == "close error")
@@ -268,6 +273,15 @@ def fly(
 
 def _program(recipe: Path, options: argparse.Namespace, *more: str) -> list[str]:
     return [sys.executable, str(ROOT / "pipelines/runner_flight.py"), str(recipe), str(options.workspace), *more]
+
+
+def _stands(truth: Path) -> str:
+    """Where the machine is parked, as lines of a recipe."""
+    until = time.monotonic() + 5.0
+    while not len(read_truth(truth)["at_ns"]) and time.monotonic() < until:
+        time.sleep(0.01)
+    row = {name: float(values[0]) for name, values in read_truth(truth).items()}
+    return "".join(f'"{signal}" = {row[signal.replace(".cylinder", ".drive")]!r}\n' for signal in DRIVEN)
 
 
 @contextmanager
@@ -453,6 +467,27 @@ def judged(name: str, flown: Flown) -> dict[str, Any]:
     }
 
 
+def commissioned(options: argparse.Namespace, name: str) -> dict[str, Any]:
+    """What a commissioning makes of a fault that is there from the beginning."""
+    return found_in(name, fly(options, options.paths[0], "ik-lookahead", COMMISSION_S, name, mode="commission"))
+
+
+def found_in(name: str, flown: Flown) -> dict[str, Any]:
+    """What came of a commissioning: found or not, after how long, and how the boom tip moved until then."""
+    at, places = flown.truth["at_ns"], _places(flown.truth)
+    lag = max(1, round(OVER_S * 1e9 / float(np.median(np.diff(at)))))
+    far = float(np.linalg.norm(places - places[0], axis=1).max())
+    fast = float(np.linalg.norm(places[lag:] - places[:-lag], axis=1).max()) / OVER_S
+    passed = flown.outcome.get("ended") == "done"
+    why = flown.outcome.get("why", "it did not begin")
+    began = bool(flown.fault_ns) and flown.outcome.get("ended", "refused") != "refused"
+    opened = np.stack([flown.truth[f"{axis}.passed"] for axis in ("slew", "boom", "stick", "telescope")], axis=1).any(axis=1)
+    last = float(at[np.flatnonzero(opened)[-1]] - flown.fault_ns) * 1e-9 if opened.any() else 0.0
+    ok = began and passed == (name == RIGHT) and far <= FAR and fast <= FAST
+    row = {"fault": name, "found": not passed, "moved_for_s": last, "tip_m": far, "tip_speed": fast}
+    return {**row, "why": why, "ok": ok}
+
+
 def _reopened(opened: npt.NDArray[np.bool_]) -> int:
     """Cycles of the machine with an open valve after all were neutral for three cycles in a row."""
     shut = np.flatnonzero(np.convolve(~opened, np.ones(3), "valid") == 3)
@@ -516,12 +551,20 @@ def main(options: argparse.Namespace) -> None:
         print(json.dumps(rows[name]), flush=True)
         result["faults"] = [rows[name] for name in names if name in rows]
         write_result(options.out, result)
+    known = {row["fault"]: row for row in before.get("commissioning", [])} if options.only else {}
+    for name in wiring(dict.fromkeys(DRIVEN, 0.0)) if options.faults else ():
+        if not options.only or name in options.only:
+            known[name] = commissioned(options, name)
+            print(json.dumps(known[name]), flush=True)
+        result["commissioning"] = list(known.values())
+        write_result(options.out, result)
     write_result(options.out, result)
     if options.out == ROOT / "reports" / "runner" / "result.json":
         pipeline = COMMAND.partition(" ")[2]
         write_tables(ROOT / "docs" / "can.md", runs_table(result), pipeline)
         write_tables(ROOT / "docs" / "guide" / "runner.md", faults_table(result), pipeline)
-    wrong = [row["fault"] for row in result["faults"] if not row["ok"]]
+        write_tables(ROOT / "docs" / "guide" / "commissioning.md", commissioning_table(result), pipeline)
+    wrong = [row["fault"] for row in (*result["faults"], *result.get("commissioning", ())) if not row["ok"]]
     print(f"{options.out}; not as they should be: {', '.join(wrong) or 'none'}")
 
 
@@ -552,6 +595,16 @@ def faults_table(result: dict[str, Any]) -> str:
     ]  # fmt: skip
     head = ["fault", "noticed after", "valves neutral after", "open again, cycles", "peak motion", "ends as", "as it should"]
     return markdown(head, faults)
+
+
+def commissioning_table(result: dict[str, Any]) -> str:
+    rows = [
+        [row["fault"], "yes" if row["found"] else "no", f"{row['moved_for_s']:.1f} s", f"{1e3 * row['tip_m']:.1f} mm",
+         f"{row['tip_speed']:.3f} m/s", "yes" if row["ok"] else "**no**"]
+        for row in result.get("commissioning", ())
+    ]  # fmt: skip
+    head = ["wiring", "refused", "valves neutral after", "farthest from the beginning", "fastest", "as it should"]
+    return markdown(head, rows)
 
 
 def _options(arguments: Sequence[str] | None = None) -> argparse.Namespace:

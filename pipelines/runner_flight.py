@@ -2,8 +2,9 @@
 
     python pipelines/runner_flight.py RUNNER.toml WORKSPACE [FAULT [TURNS]]
 
-Lines on standard output say, on the monotonic clock, when something changed: ``track``, ``fault``, ``state`` and ``verdict``.
-Standard input and error are its terminal, as they are to `sysid run`.
+A recipe in mode ``commission`` has its fault, one of :func:`wiring`, from the beginning. Lines on standard output say, on the
+monotonic clock, when something changed: ``track``, ``fault``, ``state`` and ``verdict``. Standard input and error are its
+terminal, as they are to `sysid run`.
 """
 
 from __future__ import annotations
@@ -12,9 +13,10 @@ import json
 import resource
 import sys
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass
+from itertools import combinations
 from pathlib import Path
 from typing import Any
 
@@ -30,6 +32,7 @@ from sysid.runner.faults import (
     BusOff,
     ClockJumped,
     Delayed,
+    Fault,
     FaultyTransport,
     Frozen,
     Injection,
@@ -37,8 +40,12 @@ from sysid.runner.faults import (
     NotANumber,
     ReadFails,
     Scaled,
+    Swapped,
+    ValvesSwapped,
+    ValveTurned,
 )
 from sysid.runner.flight_log import FlightLog, provenance
+from sysid.runner.modes.commission import Commission
 from sysid.runner.operator import Interruptible, Unattended
 from sysid.runner.policy_thread import PolicyThread
 from sysid.runner.recipe import load_runner
@@ -65,6 +72,28 @@ LINE = {
     "line cannot be read": ReadFails(),
     "clock jump of 1 s": ClockJumped(1.0),
 }
+
+
+#: A machine without a wiring fault.
+RIGHT = "wired right"
+
+
+def wiring(stands: Mapping[str, float]) -> dict[str, Fault | None]:
+    """Wiring that is wrong from the beginning, and none that is; ``stands``: driven signal → where it is [m or rad]."""
+    pairs = list(combinations(range(len(DRIVEN)), 2))
+    names = [signal.partition(".")[0] for signal in DRIVEN]
+    found: dict[str, Fault | None] = {RIGHT: None}
+    found |= {f"valves of {names[a]} and {names[b]} swapped": ValvesSwapped(a, b) for a, b in pairs}
+    found |= {f"sensors of {names[a]} and {names[b]} swapped": Swapped(DRIVEN[a], DRIVEN[b]) for a, b in pairs}
+    for axis, (name, signal) in enumerate(zip(names, DRIVEN, strict=True)):
+        found[f"valve of {name} turned"] = ValveTurned(axis)
+        found[f"sensor of {name} turned"] = Scaled(signal, -1.0, stands[signal])
+        found[f"sensor of {name} × 2"] = Scaled(signal, 2.0, stands[signal])
+        found[f"sensor of {name} ÷ 10"] = Scaled(signal, 0.1, stands[signal])
+        found[f"zero of {name} {'20 mrad' if signal.endswith('.joint') and name == 'slew' else '20 mm'} off"] = Jumped(
+            signal, 0.02
+        )
+    return found
 
 
 def _raises(error: Exception) -> Callable[[Array], Any]:
@@ -108,7 +137,8 @@ class Flight:
 
     Args:
         recipe: of the runner; log and outcome go into its folder.
-        fault: of ``LINE`` or ``POLICY``, ``LOOP``, ``disk full``, or another one where it comes from outside.
+        fault: of ``LINE`` or ``POLICY``, ``LOOP``, ``disk full``, or another one where it comes from outside; of
+            :func:`wiring` in a commissioning.
         turns: it comes so many after tracking began.
     """
 
@@ -208,11 +238,26 @@ class Watch:
             resource.setrlimit(resource.RLIMIT_FSIZE, (log.stat().st_size + 1000, resource.RLIM_INFINITY))
 
 
+class Commissioned:
+    """Says when a commissioning begins, and shows it the loop."""
+
+    def __init__(self, mode: Commission) -> None:
+        self._mode, self._begun = mode, False
+
+    def __call__(self, cycle: Cycle) -> None:
+        if not self._begun:
+            self._begun = True
+            say("fault", cycle.at_ns)
+        self._mode.watch(cycle)
+
+
 def fly(flight: Flight) -> dict[str, Any]:
     folder = flight.recipe.parent
     registry = Registry(flight.workspace)
     assembly = assemble(load_runner(flight.recipe), registry, flight.recipe)
-    transport = FaultyTransport(connect(assembly, registry).transport, ())
+    wrong = wiring(assembly.recipe.commission.reference)[flight.fault] if assembly.recipe.mode == "commission" else None
+    plan = (Injection(wrong, 0.0),) if wrong is not None else ()
+    transport = FaultyTransport(connect(assembly, registry).transport, plan)
     versions = {version.kind: version.reference for version in assembly.loaded.versions}
     words = provenance({"machine": assembly.machine_file, "recipe": flight.recipe}, versions)
     if flight.fault == SECOND:
@@ -226,7 +271,10 @@ def fly(flight: Flight) -> dict[str, Any]:
         if flight.fault in POLICY:
             policy = Unruly(loop.chain, POLICY[flight.fault])
             loop.chain.policy, loop.chain.thread = policy, PolicyThread(policy, len(loop.chain.axes))
-        outcome = loop.run(Watch(flight, transport, policy, operator.told))
+        watch: Callable[[Cycle], None] = Watch(flight, transport, policy, operator.told)
+        if isinstance(loop.mode, Commission):
+            watch = Commissioned(loop.mode)
+        outcome = loop.run(watch)
         try:
             log.close()
         except StorageError as error:

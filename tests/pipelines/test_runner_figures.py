@@ -81,3 +81,23 @@ def test_a_run_that_ended_before_its_fault_proves_nothing(runner: Any) -> None:
     early.fault_ns = 0
     row = runner.judged("NaN", early)
     assert (row["state"], row["ok"]) == ("ended before the fault", False)
+
+
+@pytest.mark.parametrize(
+    ("run", "name", "ok"),
+    [
+        ({"stops_after": 0.25, "speed": 0.01}, "valve of boom turned", True),
+        ({"stops_after": 0.25, "speed": 0.01, "outcome": {"ended": "done"}}, "valve of boom turned", False),
+        ({"stops_after": 0.25, "speed": 0.01, "outcome": {"ended": "done"}}, "wired right", True),
+        ({"stops_after": 0.25, "speed": 0.01}, "wired right", False),
+        ({"stops_after": 0.25, "speed": 0.06}, "valve of boom turned", False),
+        ({"stops_after": 1.25, "speed": 0.01}, "valve of boom turned", False),
+        ({"stops_after": 0.25, "speed": 0.01, "outcome": {"ended": "refused"}}, "valve of boom turned", False),
+    ],
+)
+def test_a_commissioning_finds_slowly_what_is_wrong_and_nothing_else(
+    runner: Any, run: dict[str, Any], name: str, *, ok: bool
+) -> None:
+    row = runner.found_in(name, flown(runner, **run))
+    assert row["ok"] is ok
+    assert row["moved_for_s"] == pytest.approx(run["stops_after"], abs=0.02)
