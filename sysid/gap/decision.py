@@ -104,6 +104,7 @@ class Decision:
         survivors: models that predict as well as the best, likeliest first.
         rivals: the smallest sets that explain the output, that of ``model`` first.
         exact: whether the formulas are right up to a random disturbance.
+        adds_up: whether they are wrong and their errors add up, so that values are those of least squares over the free run.
     """
 
     model: ModelFit
@@ -113,6 +114,7 @@ class Decision:
     survivors: tuple[ModelFit, ...]
     rivals: tuple[ModelFit, ...]
     exact: bool
+    adds_up: bool
 
     def without_names(self, lacks: str) -> Decision:
         """The same model, whose names and ties lack something."""
@@ -202,14 +204,15 @@ def decide(
     if not integrates:
         likely = list({f.labels: f for f in (_simplest(f, models) for f in likely)}.values())
     exact = _exact(likely[0], models, needed, free)
-    if exact or not integrates:
+    adds_up = integrates and not exact
+    if not adds_up:
         rivals, model = likely, likely[0]
     else:
         rivals = _nearest(models, unsure, free, own_evidence)
         model = _whole(rivals[0].with_values(free.least_squares(rivals[0])), survivors, unsure)
     nothing = next((f.left for f in models if not f.candidates), np.inf)
     # What the whitened likelihood knows of a value says nothing where it is wrong of what adds up.
-    tested = (model, *rivals) if exact or not integrates else tuple(free.least_squares(f) for f in rivals)
+    tested = (model, *rivals) if not adds_up else tuple(free.least_squares(f) for f in rivals)
     lacking = {c.key: _lacks(c, tested, nameable, rope) for c in model.candidates}
     tying = {
         c.key: _partners(c, model, rivals)
@@ -232,7 +235,7 @@ def decide(
         elif tying.get(candidate.key):
             tied.append((candidate, *tying[candidate.key]))
         near.append(NearMiss(candidate, model.values_of(candidate), model.deviations_of(candidate), lacks))
-    predicts = exact or not integrates or any(rivals[0] is f for f in survivors)
+    predicts = not adds_up or any(rivals[0] is f for f in survivors)
     seen = {c.key for c in model.candidates}
     for other in (*rivals, *survivors):
         for candidate in other.candidates:
@@ -240,7 +243,7 @@ def decide(
                 seen.add(candidate.key)
                 values, deviations = other.values_of(candidate), other.deviations_of(candidate)
                 near.append(NearMiss(candidate, values, deviations, WITHOUT if predicts else LITTLE))
-    return Decision(model, tuple(named), tuple(tied), tuple(near), tuple(survivors), tuple(rivals), exact)
+    return Decision(model, tuple(named), tuple(tied), tuple(near), tuple(survivors), tuple(rivals), exact, adds_up)
 
 
 # -- the whitened likelihood: where formulas are right, and where nothing adds up ------------------------------------------

@@ -71,11 +71,27 @@ def judge(case: Case, stages: Sequence[Stage]) -> Outcome:
 def _holding(case: Case, searched: Stage) -> Stage:
     """The stage with its intervals; with its named effects alone, where these hold on held-out recordings and all do not."""
     stage = _known(case, searched)
-    alone = searched.found.names_alone
-    if alone is None or _better(stage):
+    names = searched.found.names_alone
+    holds = _better(stage)
+    if names is None or (holds and not _adds_up(searched.found)):
         return stage
-    without = _known(case, replace(searched, finding=alone))
-    return without if _better(without) else stage
+    alone = _known(case, replace(searched, finding=names))
+    if not holds and _better(alone):
+        return alone
+    return _as_certain(stage, alone) if _adds_up(searched.found) else stage
+
+
+def _as_certain(stage: Stage, alone: Stage) -> Stage:
+    """The stage, its names as certain as they are alone: what is adjusted beside them repairs the formulas."""
+    finding, names = stage.found, alone.found
+    assert finding.limits is not None
+    assert names.limits is not None
+    limits = finding.limits.copy()
+    for kept in finding.named:
+        here, there = finding.fit.rows_of(kept.candidate), names.fit.rows_of(kept.candidate)
+        limits[here, 0] = np.minimum(names.limits[there, 0], finding.fit.values[here])
+        limits[here, 1] = np.maximum(names.limits[there, 1], finding.fit.values[here])
+    return replace(stage, finding=replace(finding, limits=limits))
 
 
 def _paying(stage: Stage) -> Stage:
@@ -107,20 +123,12 @@ def _known(case: Case, stage: Stage) -> Stage:
     limits = np.column_stack([np.minimum(limits[:, 0], known.limits[:, 0]), np.maximum(limits[:, 1], known.limits[:, 1])])
     before, after = (spread_of(seen.residuals(f.theta[None])) for f in (finding.fit, known.fit))
     fit = known.fit if EXPLAINED * after < before else finding.fit
-    if finding.names_alone is not None and _summed(finding):
-        # What is adjusted beside a name repairs the formulas; it does not make the name less certain.
-        alone = _known(case, replace(stage, finding=finding.names_alone)).found
-        assert alone.limits is not None
-        for kept in finding.named:
-            here, there = fit.rows_of(kept.candidate), alone.fit.rows_of(kept.candidate)
-            limits[here, 0] = np.minimum(alone.limits[there, 0], fit.values[here])
-            limits[here, 1] = np.maximum(alone.limits[there, 1], fit.values[here])
     return replace(stage, finding=replace(finding, fit=fit, limits=limits))
 
 
-def _summed(finding: StageResult) -> bool:
+def _adds_up(finding: StageResult) -> bool:
     """Whether the formulas of a stage are wrong and their errors add up."""
-    return finding.stage_fit is not None and finding.problem.integrates and not finding.stage_fit.decision.exact
+    return finding.stage_fit is not None and finding.stage_fit.decision.adds_up
 
 
 def _without_name(stage: Stage, refused: Mapping[str, str], outcome: Outcome) -> None:
@@ -277,11 +285,11 @@ def _limits(finding: StageResult) -> Array:
     assert fitted is not None
     model, alone = fitted.decision.model, fitted.least_squares
     limits = _interval(model)
-    summed = _summed(finding)
+    adds_up = _adds_up(finding)
     for candidate in alone.candidates:
         if candidate.label in model.labels:
             here, there = model.rows_of(candidate), _interval(alone)[alone.rows_of(candidate)]
-            kept = np.repeat(model.values[here, None], 2, axis=1) if summed else limits[here]
+            kept = np.repeat(model.values[here, None], 2, axis=1) if adds_up else limits[here]
             limits[here, 0], limits[here, 1] = np.minimum(kept[:, 0], there[:, 0]), np.maximum(kept[:, 1], there[:, 1])
     low = np.array([u.bounds[0] for u in model.unknowns])
     high = np.array([u.bounds[1] for u in model.unknowns])

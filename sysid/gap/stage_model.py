@@ -149,8 +149,7 @@ def _fitted(proposals: Proposals, decision: Decision, free: LeastSquares) -> Sta
 
 def _valued(model: ModelFit, decision: Decision, free: LeastSquares) -> ModelFit:
     """A model with the values that the decision goes by."""
-    inexact = free.proposals.likelihood.rows.problem.integrates and not decision.exact
-    return model.with_values(free.least_squares(model)) if inexact else model
+    return model.with_values(free.least_squares(model)) if decision.adds_up else model
 
 
 def _settled(
