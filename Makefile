@@ -11,8 +11,11 @@ WORKSPACE ?= workspace
 demo: $(READY)
 	$(BIN)/sysid --workspace $(WORKSPACE) demo
 
+# Whole files side by side; then, alone, the tests that ask for an answer within milliseconds.
+JOBS ?= $(shell nproc)
 test: $(READY)
-	$(BIN)/python -m pytest
+	$(BIN)/python -m pytest -n $(JOBS) --dist loadfile -m "not slow and not realtime"
+	$(BIN)/python -m pytest -m "realtime and not slow"
 
 # The default options leave the slow tests out; the later -m wins. Properties are tried on new examples here.
 test-slow: $(READY)

@@ -159,8 +159,8 @@ class ModelVersions:
         for dataset in self.place.root.entries("results"):
             try:
                 values = parse_json(self.place.root.read(f"results/{dataset}/gap/{RESULT}"))
-                roles = (("questioned it", values.get("plant_before")), ("made it", values.get("plant_after")))
-            except (OSError, ValueError, AttributeError, StoreError):
+                roles = (("questioned it", values["plant"]["before"]), ("made it", values["plant"]["after"]))
+            except (OSError, ValueError, KeyError, TypeError, StoreError):
                 continue  # damaged, or a link: `sysid gap` says so where it is read for what is in it
             found += [Use("gap result", dataset, how) for how, plant in roles if plant == version.reference]
         return tuple(found)

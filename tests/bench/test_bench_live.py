@@ -22,6 +22,8 @@ from sysid.bench.recipe_file import load_recipe
 from sysid.bench.run import simulate
 from sysid.errors import InputError
 
+pytestmark = pytest.mark.realtime
+
 ROOT = Path(__file__).parents[2]
 DATABASE = ROOT / "rl/autolog/machine.dbc"
 RECIPE = ROOT / "datasets/autolog/bench.toml"

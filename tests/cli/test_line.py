@@ -137,6 +137,12 @@ def test_gap_names_what_is_hidden(answered: Path) -> None:
     assert result["plant"] == {"before": "lift@1", "after": "lift@2"}
 
 
+def test_lineage_shows_the_gap_result_that_a_plant_was_in(answered: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for version, role in (("lift@1", "questioned it"), ("lift@2", "made it")):
+        assert run("--workspace", answered / "ws", "models", "lineage", version) == 0
+        assert f"used by   gap result on lift@1: {role}" in capsys.readouterr().out
+
+
 def test_validate_repeats_the_report_of_the_fit(answered: Path) -> None:
     fitted = json.loads((answered / "f.json").read_text())
     assert fitted["model"] == "lift-actuator@1"

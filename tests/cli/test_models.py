@@ -64,7 +64,7 @@ def template(tmp_path_factory: pytest.TempPathFactory) -> Path:
     place.models.register("crane", "plant", {"plant.json": b"{}"}, lineage)
     folder = place.results(own) / "gap"
     folder.mkdir(parents=True)
-    (folder / "result.json").write_text('{"plant_before": "crane@1", "plant_after": "crane@1"}')
+    (folder / "result.json").write_text('{"plant": {"before": "crane@1", "after": "crane@1"}}')
     return place.folder
 
 

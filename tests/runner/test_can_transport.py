@@ -14,6 +14,8 @@ from live_machine import DATABASE, SIGNALS, Live, live_machine
 from sysid.errors import InputError, SettingsError
 from sysid.runner.can import CanTransport
 
+pytestmark = pytest.mark.realtime
+
 BOOM = np.array([0.0, 0.5, 0.0, 0.0])
 
 

@@ -21,6 +21,8 @@ from sysid.runner.modes.mode import Goal, Mode
 from sysid.runner.operator import Interruptible, Unattended
 from sysid.runner.policy_thread import PolicyError, PolicyThread
 
+pytestmark = pytest.mark.realtime
+
 Array = npt.NDArray[np.float64]
 AXES = ("slew", "boom", "stick", "telescope")
 #: When the machine is in full motion [s].

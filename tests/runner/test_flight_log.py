@@ -27,6 +27,8 @@ from sysid.logs.reader import ReadOptions
 from sysid.runner.cycle import Verdict
 from sysid.runner.flight_log import WAITING, FlightLog, provenance
 
+pytestmark = pytest.mark.realtime
+
 WORDS = {"versions": {"policy": "autolog@1"}, "sha256": {"recipe": "0" * 64}}
 
 

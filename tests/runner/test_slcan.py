@@ -19,6 +19,8 @@ from sysid.bench.live_bus import Frame, LiveBus
 from sysid.runner.can import CanSettings, CanTransport
 from sysid.runner.slcan import WAITING, SlcanBus, parse_line
 
+pytestmark = pytest.mark.realtime
+
 GOOD = b"t12A3010203\r"
 STATUS = {"dead_man": 1.0, "emergency_stop": 0.0, "fault": 0.0, "echo": 0.0}
 READINGS = {"slew.joint": 0.1, "boom.cylinder": 0.05, "stick.cylinder": 0.06, "telescope.joint": 0.1}

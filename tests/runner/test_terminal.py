@@ -18,6 +18,8 @@ from test_endings import Sweep
 from sysid.runner.cycle import Cycle
 from sysid.runner.terminal import WAITING, Console, Terminal, through
 
+pytestmark = pytest.mark.realtime
+
 #: Longer than any terminal's buffer.
 LINE = 4000 * "x"
 
