@@ -78,16 +78,16 @@ def _holding(case: Case, searched: Stage) -> Stage:
     alone = _known(case, replace(searched, finding=names))
     if not holds and _better(alone):
         return alone
-    return _as_certain(stage, alone) if _adds_up(searched.found) else stage
+    return as_certain_as_alone(stage, alone) if _adds_up(searched.found) else stage
 
 
-def _as_certain(stage: Stage, alone: Stage) -> Stage:
+def as_certain_as_alone(stage: Stage, alone: Stage) -> Stage:
     """The stage, its names as certain as they are alone: what is adjusted beside them repairs the formulas."""
     finding, names = stage.found, alone.found
     assert finding.limits is not None
     assert names.limits is not None
     limits = finding.limits.copy()
-    for kept in finding.named:
+    for kept in names.named:  # an effect that ties with others is not among them
         here, there = finding.fit.rows_of(kept.candidate), names.fit.rows_of(kept.candidate)
         limits[here, 0] = np.minimum(names.limits[there, 0], finding.fit.values[here])
         limits[here, 1] = np.maximum(names.limits[there, 1], finding.fit.values[here])

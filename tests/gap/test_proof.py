@@ -3,12 +3,19 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
 
+import numpy as np
 import pytest
 from plant_data import ROLES, arm_inputs, dataset_of, measured, nominal, slide
 
 from sysid.datasets.recording import Dataset
 from sysid.gap import GapResult, find_gap
+from sysid.gap.case import Stage
+from sysid.gap.fit import Fit
+from sysid.gap.proof import as_certain_as_alone
+from sysid.gap.stage_result import StageResult
 from sysid.machine import KnownEffect
 
 
@@ -103,3 +110,19 @@ def test_the_damping_of_a_swing_is_given() -> None:
     (effect,) = found.effects
     assert effect.undetermined == ()
     assert effect.parameters["damping_ratio"] == pytest.approx(0.04, rel=0.25)
+
+
+def test_a_name_beside_a_tie_and_an_adjusted_value_is_as_certain_as_it_is_alone() -> None:
+    """Warm oil is named, a leak ties with a dead-band: the names alone have the oil, not the leak."""
+    leak, oil, lag = (SimpleNamespace(label=label, unknowns=(0,)) for label in ("leak", "oil", "lag"))
+
+    def stage(candidates: list[Any], values: list[float], limits: list[list[float]]) -> Stage:
+        fit = Fit(tuple(candidates), (), np.array(values), np.empty(0), (), 0.0, True)
+        named = tuple(SimpleNamespace(candidate=c) for c in candidates if c is not lag)
+        result = StageResult(None, named, (), fit, 2.0, 1.0, limits=np.array(limits))  # type: ignore[arg-type]
+        return Stage(None, None, np.ones(1), np.empty(0), result)  # type: ignore[arg-type]
+
+    whole = stage([leak, lag, oil], [1.0, 2.0, 3.0], [[0.0, 2.0], [1.0, 3.0], [1.0, 9.0]])
+    found = as_certain_as_alone(whole, stage([oil], [3.2], [[3.1, 3.3]]))
+    assert found.found.limits is not None
+    assert found.found.limits.tolist() == [[0.0, 2.0], [1.0, 3.0], [3.0, 3.3]]
