@@ -95,15 +95,22 @@ def as_certain_as_alone(stage: Stage, alone: Stage) -> Stage:
 
 
 def _paying(stage: Stage) -> Stage:
-    """The stage without names where formulas are wrong and held-out recordings show no more than a part of them."""
+    """The stage; where formulas are wrong, without names that held-out recordings show and that are not worth their price."""
     finding, fitted = stage.found, stage.found.stage_fit
-    if not finding.named or fitted is None or fitted.decision.exact or not _shown(stage, stage.theta):
+    if not finding.named or fitted is None or fitted.decision.exact:
         return stage
-    if pays(held_out_score(stage, stage.theta), held_out_score(stage, finding.fit.theta)):
+    after = held_out_score(stage, finding.fit.theta)
+    lost = []
+    for kept in finding.named:
+        less = fitted.dropped[kept.candidate.label].theta
+        if _shown(stage, less) and not pays(held_out_score(stage, less), after):
+            lost.append(kept)
+    if not lost:
         return stage
-    adjusted = (*finding.adjusted, *(kept.candidate for kept in finding.named))
-    unsure = replace(fitted, decision=fitted.decision.without_names(LOST))
-    return replace(stage, finding=replace(finding, named=(), adjusted=adjusted, stage_fit=unsure))
+    named = tuple(kept for kept in finding.named if kept not in lost)
+    adjusted = (*finding.adjusted, *(kept.candidate for kept in lost))
+    unsure = replace(fitted, decision=fitted.decision.without_names([kept.candidate.label for kept in lost], LOST))
+    return replace(stage, finding=replace(finding, named=named, adjusted=adjusted, stage_fit=unsure))
 
 
 def _known(case: Case, stage: Stage) -> Stage:

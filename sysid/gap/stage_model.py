@@ -121,7 +121,9 @@ def fit_stage(
 
     def decided() -> Decision:
         models = {f.labels: f for f in (*proposals.near(), *rivals)}
-        return decide(tuple(models.values()), nameable, rope, shared, own_of, needed, problem.integrates, free)
+        return decide(
+            tuple(models.values()), nameable, rope, shared, own_of, needed, problem.integrates, free, proposals.without
+        )
 
     decision = decided()
     for _ in range(4):  # every survivor without each of its effects, until nothing new survives

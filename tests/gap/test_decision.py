@@ -305,16 +305,27 @@ def test_where_nothing_adds_up_effects_are_worth_the_price_of_one(without: float
         assert found.near_misses[0].lacks == "what it takes of the error away is little beside what stays"
 
 
+def test_where_nothing_adds_up_each_effect_is_worth_its_price_beside_the_others() -> None:
+    """A play takes 11 floors down to 2; a scale and an offset of its sensors, to 1.8, repair the form of the play."""
+    one, two = model(BAND, LAG, worse=0.02, evidence=-20.0, left=2.05), model(BAND, GAIN, worse=0.02, evidence=-20.0, left=2.1)
+    rest = model(LAG, GAIN, worse=4.0, left=10.0)
+    found = decide([model(worse=4.0, left=11.0), one, two, rest, model(BAND, LAG, GAIN, left=1.8)], ALL, integrates=False)
+    assert found.named == (BAND,)
+    assert {n.lacks for n in found.near_misses} == {"what it takes of the error away is little beside what stays"}
+
+
 def test_what_brings_an_output_to_its_noise_floor_needs_no_price() -> None:
     """With the lag nothing is left to explain; without it the discrepancy hides a third of a noise floor."""
-    models = [model(worse=4.0, left=9.0), model(BAND, left=1.35), model(BAND, LAG, left=1.0)]
+    alone = model(LAG, worse=4.0, left=8.0)
+    models = [model(worse=4.0, left=9.0), model(BAND, left=1.35), alone, model(BAND, LAG, left=1.0)]
     assert set(decide(models, ALL, integrates=False).named) == {BAND, LAG}
 
 
 @pytest.mark.parametrize(("left", "named"), [(22.0, {BAND}), (24.0, {BAND, LAG})])
 def test_the_discrepancy_does_not_do_the_work_of_an_effect_that_is_worth_its_price(left: float, named: set[Candidate]) -> None:
     """Without the lag the model predicts as well, and leaves 22 or 24 noise floors instead of ten: 23² is five times 10²."""
-    models = [model(worse=4.0, left=90.0), model(BAND, left=left), model(BAND, LAG, left=10.3)]
+    alone = model(LAG, worse=4.0, left=80.0)
+    models = [model(worse=4.0, left=90.0), model(BAND, left=left), alone, model(BAND, LAG, left=10.3)]
     assert set(decide(models, ALL, integrates=False).named) == named
 
 
@@ -327,7 +338,7 @@ def test_what_is_named_is_worth_its_price_on_held_out_recordings(before: float, 
 
 
 def test_names_that_are_not_worth_their_price_become_near_misses() -> None:
-    found = decide([NOTHING, model(BAND), model(BAND, LAG)], ALL).without_names("something")
+    found = decide([NOTHING, model(BAND), model(BAND, LAG)], ALL).without_names([BAND.label], "something")
     assert found.named == ()
     assert found.model.candidates == (BAND,)
     assert found.near_misses[0].lacks == "something"
