@@ -21,15 +21,17 @@ Given models of one stage (sets of effects) under shared variances:
    meant that leave no more than another by ``STANDARD_ERRORS`` of the difference between blocks, and of which no other is
    likelier by more than twice ``BLOCK_NATS`` at the values with which each leaves least. These values go into the plant where
    no survivor with further effects leaves less.
-   *Where they are wrong and nothing adds up*, the minimal survivors; not those that lack effects which are worth their price,
-   because the discrepancy does their work. Of the chosen one an effect is named that is worth its price beside the others.
+   *Where they are wrong and nothing adds up*, the minimal survivors, if what is certain of them is worth the price of so many
+   effects; not those that lack effects which are worth theirs, because the discrepancy does their work. Not certain is an
+   effect without which the others leave hardly more, a tenth at the most.
    Where nothing adds up, right or wrong, a simpler model within a survivor that also reaches the noise floor replaces it.
 5. *Named*: in all of these sets, and the 95 % interval of some parameter lies outside the region of practical equivalence
    around its known value. Where nothing adds up, that interval contains what the discrepancy could do in the effect's place.
    Where errors add up, an effect that is confused with a larger one of its axis has no name: it may be what the formula of
    the larger one lacks.
 6. *Ambiguous*: in some of them; what takes its place in the others are its partners.
-7. Where formulas are wrong, each name has to be worth its price on held-out recordings too, where these show it (:func:`pays`).
+7. Where formulas are wrong, what is named has to be worth the price of an effect on held-out recordings too (:func:`pays`);
+   where errors add up, each name beside the others.
 
 =================== ======= ============================================================================================
 number              value   derivation
@@ -214,6 +216,7 @@ def decide(
     else:
         rivals = _nearest(models, unsure, free, own_evidence)
         model = _whole(rivals[0].with_values(free.least_squares(rivals[0])), survivors, unsure)
+    nothing = next((f.left for f in models if not f.candidates), np.inf)
     # What the whitened likelihood knows of a value says nothing where it is wrong of what adds up.
     tested = (model, *rivals) if not adds_up else tuple(free.least_squares(f) for f in rivals)
     lacking = {c.key: _lacks(c, tested, nameable, rope) for c in model.candidates}
@@ -223,12 +226,18 @@ def decide(
         if lacking[c.key] == REPLACED and not _within_rope(c, model, rope)
     }
     smallest = {c.key for c in rivals[0].candidates}
-    known = {f.labels: f for f in models}
-    less = without or (lambda f, c: known[f.labels - {c.label}])
+    if not exact and not integrates:
+        known = {f.labels: f for f in models}
+        less = without or (lambda f, c: known[f.labels - {c.label}])
+        for c in model.candidates:
+            if not lacking[c.key] and less(model, c).left <= EXPLAINED * max(model.left, 1.0):
+                lacking[c.key] = LITTLE
+    certain = sum(not lacks for lacks in lacking.values())
+    worth = exact or integrates or pays(nothing, model.left, max(certain, 1))
     named, near, tied = [], [], []
     for candidate in model.candidates:
         lacks = lacking[candidate.key]
-        if candidate.key not in smallest or not (exact or integrates or pays(less(model, candidate).left, model.left)):
+        if not worth or candidate.key not in smallest:
             lacks = LITTLE
         elif not lacks and integrates and _repairs(candidate, rivals[0], free):
             lacks = REPAIRS
@@ -339,9 +348,9 @@ def _likelier(better: ModelFit, other: ModelFit, free: FreeRun, own_evidence: Ca
     return evidence[0] > evidence[1] + 2.0 * BLOCK_NATS
 
 
-def pays(before: float, after: float) -> bool:
-    """Whether an effect is worth its price; root mean squares of the output without and with it, in noise floors."""
-    return after <= EXPLAINED or _divided(before, after)
+def pays(before: float, after: float, effects: int = 1) -> bool:
+    """Whether effects are worth their price; root mean squares of the output without and with them, in noise floors."""
+    return after <= EXPLAINED or _divided(before, after, effects)
 
 
 def _divided(before: float, after: float, effects: int = 1) -> bool:

@@ -102,7 +102,7 @@ def _paying(stage: Stage) -> Stage:
     after = held_out_score(stage, finding.fit.theta)
     lost = []
     for kept in finding.named:
-        less = fitted.dropped[kept.candidate.label].theta
+        less = fitted.dropped[kept.candidate.label].theta if fitted.decision.adds_up else stage.theta
         if _shown(stage, less) and not pays(held_out_score(stage, less), after):
             lost.append(kept)
     if not lost:

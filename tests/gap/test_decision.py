@@ -305,9 +305,9 @@ def test_where_nothing_adds_up_effects_are_worth_the_price_of_one(without: float
         assert found.near_misses[0].lacks == "what it takes of the error away is little beside what stays"
 
 
-def test_where_nothing_adds_up_each_effect_is_worth_its_price_beside_the_others() -> None:
+def test_without_what_is_certain_the_others_leave_more_than_a_tenth_more() -> None:
     """A play takes 11 floors down to 2; a scale and an offset of its sensors, to 1.8, repair the form of the play."""
-    one, two = model(BAND, LAG, worse=0.02, evidence=-20.0, left=2.05), model(BAND, GAIN, worse=0.02, evidence=-20.0, left=2.1)
+    one, two = model(BAND, LAG, worse=0.02, evidence=-20.0, left=1.92), model(BAND, GAIN, worse=0.02, evidence=-20.0, left=1.95)
     rest = model(LAG, GAIN, worse=4.0, left=10.0)
     found = decide([model(worse=4.0, left=11.0), one, two, rest, model(BAND, LAG, GAIN, left=1.8)], ALL, integrates=False)
     assert found.named == (BAND,)
