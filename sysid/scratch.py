@@ -303,7 +303,7 @@ def chosen(values: Values, mask: npt.NDArray[np.bool_]) -> Values:
 
 
 def leave() -> None:
-    """Take mapped arrays out of the process: page cache is then all that they are. Between two signals, not within one."""
+    """Take mapped arrays out of the process: page cache is then all that they are. What is used again is mapped again."""
     scratch = _current.get()
     if scratch is not None:
         scratch.leave()
