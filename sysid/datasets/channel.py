@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from dataclasses import dataclass
 from typing import Literal
 
@@ -10,10 +11,12 @@ import numpy.typing as npt
 
 from sysid.datasets.clocks.set_clocks import set_back_rows
 from sysid.datasets.flags.flag import Flag
+from sysid.datasets.in_pieces import median_step
 from sysid.datasets.recipe import SignalMap
 from sysid.errors import InputError, nearest
 from sysid.logs import Stream
 from sysid.machine import Machine
+from sysid.scratch import computed
 from sysid.units import si_factor
 
 
@@ -48,10 +51,10 @@ class Channel:
         """Which clock the stamps are on: every file of another device has a clock of its own."""
         return "machine" if self.domain == "machine" else f"{self.domain}:{self.source}"
 
-    @property
+    @functools.cached_property
     def period_s(self) -> float:
         """Median time between two samples [s]; NaN with fewer than two."""
-        return float(np.median(np.diff(self.stamps))) * 1e-9 if len(self.stamps) > 1 else float("nan")
+        return median_step(self.stamps) * 1e-9 if len(self.stamps) > 1 else float("nan")
 
 
 def convert(stream: Stream, mapping: SignalMap, signal: str, machine: Machine) -> tuple[npt.NDArray[np.float64], str]:
@@ -75,12 +78,16 @@ def convert(stream: Stream, mapping: SignalMap, signal: str, machine: Machine) -
     raw = stream.columns[mapping.field]
     if len(raw) and not np.isfinite(raw).any():
         raise InputError(where, f"field {mapping.field!r} holds no number", "measured values", "Correct the recipe's field.")
-    values = raw - mapping.zero  # the one array that is made: a signal may take a large part of the memory
-    values *= mapping.sign * mapping.scale
-    values /= mapping.span
-    values *= factor
-    values += mapping.offset
-    return values, unit
+
+    def piece(first: int, last: int) -> npt.NDArray[np.float64]:
+        values = raw[first:last] - mapping.zero
+        values *= mapping.sign * mapping.scale
+        values /= mapping.span
+        values *= factor
+        values += mapping.offset
+        return values
+
+    return computed(len(raw), piece), unit
 
 
 def _unit(unit: str | None, signal: str, machine: Machine, where: str) -> tuple[float, str]:
@@ -97,7 +104,8 @@ def _unit(unit: str | None, signal: str, machine: Machine, where: str) -> tuple[
 
 def seconds(stamps: npt.NDArray[np.int64], origin_ns: int) -> npt.NDArray[np.float64]:
     """Stamps as seconds since ``origin_ns``."""
-    return np.asarray((stamps - origin_ns) * 1e-9, dtype=np.float64)
+    times: npt.NDArray[np.float64] = computed(len(stamps), lambda first, last: (stamps[first:last] - origin_ns) * 1e-9)
+    return times
 
 
 #: A log whose stamps step back more often than this is not repaired by sorting.
@@ -112,9 +120,9 @@ def in_order(stamps: npt.NDArray[np.int64], where: str) -> tuple[npt.NDArray[np.
     Raises:
         InputError: too many steps back in time, or one too large, to be late messages; the clock was set back.
     """
+    if np.all(stamps[1:] > stamps[:-1]):
+        return computed(len(stamps), np.arange, np.intp), 0
     steps = np.diff(stamps)
-    if not len(steps) or steps.min() > 0:
-        return np.arange(len(stamps)), 0
     back = np.flatnonzero(steps < 0)
     if len(back) > max(1.0, MAX_BACKWARD_SHARE * len(stamps)) or (len(back) and steps.min() < -MAX_BACKWARD_S * 1e9):
         row = int(back[0]) + 2

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
+from sysid import scratch
 from sysid.datasets.channel import Channel, convert, in_order
 from sysid.datasets.clocks.set_clocks import with_stamps_carried_on
 from sysid.datasets.discover import RecordingFiles
@@ -91,6 +92,7 @@ def read_channels(files: RecordingFiles, machine: Machine, mounts: Mounts, progr
             seen, dropped = _captured(path, streams, mapping, machine, mounts.get((files.name, mapping.files), {}))
             channels += seen
             flags += dropped
+        scratch.leave()
     if any(mapping is None for _, mapping in files.streams):
         channels = _one_clock(channels)
     return Reading(tuple(channels), losses, tuple(flags))
@@ -179,6 +181,7 @@ def _mapped(path: Path, streams: Sequence[Stream], mapping: StreamMap, machine: 
         stream = _stream_of(path, streams, entry, signal)
         primary = entry.primary and signal not in mapping.secondary
         channels.append(_channel(path, stream, signal, entry, mapping, machine, primary))
+        scratch.leave()
     return channels
 
 
@@ -233,6 +236,7 @@ def _canonical(path: Path, streams: Sequence[Stream], machine: Machine) -> list[
                 )
             mapping = StreamMap(files=path.name, domain=path.stem)
             channels.append(_channel(path, stream, column, SignalMap(field=column), mapping, machine, primary=True))
+            scratch.leave()
     return channels
 
 
@@ -270,9 +274,10 @@ def concatenate(parts: Sequence[Channel]) -> Channel:
     """Consecutive parts of one signal as one channel."""
     if len(parts) == 1:
         return parts[0]
+    rows = sum(len(part.stamps) for part in parts)
     return replace(
         parts[0],
-        stamps=np.concatenate([part.stamps for part in parts]),
-        values=np.concatenate([part.values for part in parts]),
+        stamps=np.concatenate([part.stamps for part in parts], out=scratch.empty(rows, np.int64)),
+        values=np.concatenate([part.values for part in parts], out=scratch.empty(rows)),
         repaired=sum(part.repaired for part in parts),
     )

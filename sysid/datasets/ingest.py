@@ -24,17 +24,20 @@ from sysid.datasets.recipe import Recipe, Splits
 from sysid.datasets.recording import ClockRecord, Dataset, Recording, Role, Source
 from sysid.datasets.resample import grid, resample
 from sysid.datasets.splits import split
+from sysid.datasets.versions.files import scratch_folder
 from sysid.datasets.versions.manifest import Made, digest_of
 from sysid.datasets.versions.store import Store
 from sysid.errors import InputError
 from sysid.machine import Machine
 from sysid.names import check_dataset_name
 from sysid.progress import Progress, part, silent
+from sysid.scratch import leave, scratch_in
 
 #: A recording with more rows on the grid than this is a mistake in its stamps (a day at 1 kHz has 86 million).
 MAX_ROWS = 10**8
-#: Where reading and resampling begin and end, and storing begins, as shares of the time that a large log on one clock takes.
-_READ, _RESAMPLED, _STORED = (0.02, 0.3), (0.38, 0.42), 0.8
+#: Where each step begins and ends, as shares of the time that a large log on one clock takes: between those of text, which
+#: takes longer to read, and of numbers.
+_READ, _RESAMPLED, _FLAGGED, DESCRIBED, STORED = (0.01, 0.12), (0.12, 0.29), (0.29, 0.49), (0.49, 0.64), (0.64, 1.0)
 
 
 def ingest(
@@ -58,10 +61,12 @@ def ingest(
     Raises:
         InputError: a log that cannot be used as it is.
         SettingsError: a mistake in ``machine.toml`` or in the recipe.
+        StorageError: no room on the disk of the workspace, for the version or for scratch files.
     """
     from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]
 
-    with threadpool_limits(limits=1):  # thousands of small systems: threads cost ten times what they save
+    # One thread: of thousands of small systems threads cost ten times what they save.
+    with threadpool_limits(limits=1), scratch_in(scratch_folder(workspace)):
         return _ingest(paths, workspace, machine, recipe, name, progress or silent)
 
 
@@ -91,9 +96,8 @@ def _ingest(
     walked = walk(found, plan, survey_mounts(found, description), report)
     settings = rules if rules is not None else Recipe(schema=1)
     parts, roles = split(walked.recordings, settings.splits, plan.where)
-    dataset = walked.dataset(title, digest, description, parts, roles, sources)
-    report(_STORED, "storing")
-    saved = store.save(dataset, walked.channels, walked.made)
+    dataset = walked.dataset(title, digest, description, parts, roles, sources, part(report, *DESCRIBED))
+    saved = store.save(dataset, walked.channels, walked.made, part(report, *STORED))
     report(1.0, f"stored {saved.reference}")
     return saved
 
@@ -122,6 +126,7 @@ class Walked:
         parts: Sequence[Recording],
         roles: Mapping[str, Role],
         sources: Sequence[Source],
+        progress: Progress = silent,
     ) -> Dataset:
         """The version to be stored, with recordings ``parts`` in ``roles``."""
         units = _units(self.channels)
@@ -138,7 +143,7 @@ class Walked:
             sources=tuple(replace(source, losses=losses.get(source.path, ())) for source in sources),
             clocks=self.clocks,
             quality={
-                **describe(parts, self.readings, self.clocks, machine),
+                **describe(parts, self.readings, self.clocks, machine, progress),
                 "flags": list(self.flags),
                 "notes": list(self.notes),
             },
@@ -175,13 +180,15 @@ def walk(
     clocks, clocked = alignment.records, _placed(clocked, alignment, settings.splits)
     recordings = []
     for number, recording in enumerate(clocked):
-        report(_RESAMPLED[0] + (_RESAMPLED[1] - _RESAMPLED[0]) * number / len(found), f"resampling {recording.name}")
-        recordings.append(_recording(recording, by_source(clocks, recording.name), plan.machine, settings))
-    report(_RESAMPLED[1], "judging what was recorded")
+        own = _share(report, _RESAMPLED, number, len(clocked))
+        recordings.append(_recording(recording, by_source(clocks, recording.name), plan.machine, settings, own))
     made = Made(
         INGEST_VERSION, plan.rules.text if plan.rules is not None else "", settings_of(plan), shared_mounts(found, mounts)
     )
-    flags = [row for recording in clocked for row in flag_rows(recording, clocks, plan.machine, settings.hold_s)]
+    flags = []
+    for number, recording in enumerate(clocked):
+        own = _share(report, _FLAGGED, number, len(clocked))
+        flags += flag_rows(recording, clocks, plan.machine, settings.hold_s, own)
     notes = (*offset_notes(settings.streams, mounts, plan.machine), *unmatched(found, plan.rules), *_left_out(alignment))
     readings = {recording.name: readings[recording.name] for recording in clocked}
     return Walked(readings, clocked, clocks, tuple(recordings), made, tuple(flags), tuple(notes))
@@ -206,7 +213,14 @@ def _left_out(alignment: Alignment) -> list[str]:
     return [f"left out: {error}" for error in alignment.refused.values()]
 
 
-def _recording(recording: Clocked, records: Mapping[str, Sequence[ClockRecord]], machine: Machine, rules: Recipe) -> Recording:
+def _share(report: Progress, step: tuple[float, float], number: int, count: int) -> Progress:
+    """A listener for one of ``count`` recordings in a step."""
+    return part(part(report, *step), number / count, (number + 1) / count)
+
+
+def _recording(
+    recording: Clocked, records: Mapping[str, Sequence[ClockRecord]], machine: Machine, rules: Recipe, report: Progress
+) -> Recording:
     """The aligned table of one recording."""
     start = recording.start_ns
     where = f"recording {recording.name}"
@@ -216,6 +230,7 @@ def _recording(recording: Clocked, records: Mapping[str, Sequence[ClockRecord]],
     def times_of(channel: Channel) -> npt.NDArray[np.float64]:
         return machine_times(channel, start, records.get(channel.source))
 
+    report(0.0, f"resampling {recording.name}")
     if recording.kind == "poses":
         sensors = [c for c in recording.machine if not c.signal.endswith(".command")]
         measured = {c.signal: (machine_times(c, start, None), c.values) for c in sensors}  # noqa: PD011
@@ -236,8 +251,10 @@ def _recording(recording: Clocked, records: Mapping[str, Sequence[ClockRecord]],
         raise InputError(where, found, expected, "Choose another clock or time unit in the recipe, or cut the log.")
     at = grid(start, end, machine.rate_hz)
     columns = {"time": at}
-    for name, channel in signals.items():
+    for number, (name, channel) in enumerate(signals.items()):
+        report(number / len(signals), f"resampling {recording.name}: {name}")
         columns[name] = resample(channel, times_of(channel), at, machine.rate_hz, rules.hold_s)
+        leave()
     return Recording(recording.name, pd.DataFrame(columns, copy=False), machine.rate_hz, "motion", start)
 
 

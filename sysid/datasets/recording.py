@@ -13,6 +13,7 @@ import pandas as pd
 
 from sysid.errors import InputError, StoreError, nearest
 from sysid.machine import Machine
+from sysid.scratch import filled
 
 Role = Literal["fit", "select", "held_out"]
 Kind = Literal["motion", "poses"]
@@ -46,7 +47,7 @@ class Recording:
     def values(self, signal: str) -> npt.NDArray[np.float64]:
         """The signal as float64 (n,), read-only; all NaN where the recording does not have it."""
         found = self._arrays.get(signal)
-        return found if found is not None else np.full(len(self.table), np.nan)
+        return found if found is not None else filled(len(self.table), np.nan)
 
     @functools.cached_property
     def derived(self) -> dict[Hashable, Any]:

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 import numpy.typing as npt
 
 from sysid.datasets.channel import Channel
+from sysid.datasets.in_pieces import copied, pieces, stretches
+from sysid.scratch import PIECE, chosen, computed, filled, leave
 
 Array = npt.NDArray[np.float64]
 
@@ -18,8 +22,6 @@ LATE_SHARE = 0.05
 FAST_RATIO = 1.3
 #: The source is first brought onto a grid this many times finer than its own: what interpolation adds lies where the filter is.
 OVERSAMPLING = 2
-#: Grid instants that are interpolated together: a long recording is several times as large while it is.
-_PIECE = 2**16
 #: By how much what the grid cannot show is suppressed [dB], and how long the filter takes to settle [grid periods]: after that
 #: less than 1e-6 of the energy of its answer is left.
 STOP_DB, SETTLE_PERIODS = 60.0, 16
@@ -28,7 +30,8 @@ STOP_DB, SETTLE_PERIODS = 60.0, 16
 def grid(start_ns: int, end_ns: int, rate_hz: float) -> Array:
     """Times ``k/rate_hz`` [s] from 0 to the last one that does not pass ``end_ns``."""
     count = int(np.floor((end_ns - start_ns) * 1e-9 * rate_hz + LATE_SHARE)) + 1
-    return np.arange(max(count, 0)) / rate_hz
+    times: Array = computed(max(count, 0), lambda first, last: np.arange(first, last) / rate_hz)
+    return times
 
 
 def hold(times: Array, values: Array, at: Array, period: float, hold_s: float) -> Array:
@@ -41,12 +44,12 @@ def hold(times: Array, values: Array, at: Array, period: float, hold_s: float) -
         period: grid period [s]; a value that comes up to :data:`LATE_SHARE` of it late still counts.
     """
     known = ~np.isnan(values)
-    times, values = times[known], values[known]
-    result = np.full(len(at), np.nan)
+    times, values = chosen(times, known), chosen(values, known)
+    result: Array = filled(len(at), np.nan)
     if not len(times):
         return result
-    for begin in range(0, len(at), _PIECE):
-        some, part = at[begin : begin + _PIECE], result[begin : begin + _PIECE]
+    for begin in range(0, len(at), PIECE):
+        some, part = at[begin : begin + PIECE], result[begin : begin + PIECE]
         index = np.searchsorted(times, some + LATE_SHARE * period, side="right") - 1
         found = index >= 0
         found[found] = some[found] - times[index[found]] <= hold_s
@@ -65,15 +68,19 @@ def interpolate(times: Array, values: Array, at: Array, max_gap_s: float, cubic:
         values: (n,), NaN where missing.
         at: (m,) [s].
     """
+    return _interpolated(times, values, len(at), lambda first, last: at[first:last], max_gap_s, cubic)
+
+
+def _interpolated(
+    times: Array, values: Array, count: int, instants: Callable[[int, int], Array], max_gap_s: float, cubic: bool
+) -> Array:
+    """:func:`interpolate` at ``count`` instants, some thousand of which ``instants`` gives at a time."""
     known = ~np.isnan(values)
-    times, values = times[known], values[known]
-    result = np.full(len(at), np.nan)
+    times, values = chosen(times, known), chosen(values, known)
     if len(times) < 2:
-        return result
+        return filled(count, np.nan)
     gradients = slopes(times, values, max_gap_s) if cubic and len(times) > 2 else None
-    for begin in range(0, len(at), _PIECE):
-        piece = slice(begin, begin + _PIECE)
-        result[piece] = _between(times, values, gradients, at[piece], max_gap_s)
+    result: Array = computed(count, lambda a, b: _between(times, values, gradients, instants(a, b), max_gap_s))
     return result
 
 
@@ -103,6 +110,16 @@ def _between(times: Array, values: Array, gradients: Array | None, at: Array, ma
 
 def slopes(times: Array, values: Array, max_gap_s: float) -> Array:
     """Slope at each sample from the parabola through it and its neighbours; one-sided beside a gap."""
+
+    def piece(first: int, last: int) -> Array:
+        begin, end = max(first - 1, 0), min(last + 1, len(times))  # a slope takes one sample on each side
+        return _slopes(times[begin:end], values[begin:end], max_gap_s)[first - begin : last - begin]
+
+    result: Array = computed(len(times), piece)
+    return result
+
+
+def _slopes(times: Array, values: Array, max_gap_s: float) -> Array:
     steps = np.diff(times)
     secants = np.diff(values) / steps
     result = np.empty(len(times))
@@ -122,10 +139,10 @@ def low_pass(times: Array, values: Array, cut_hz: float, max_gap_s: float) -> Ar
 
     Stretches are filtered on their own samples, taken as even: a jitter of the stamps is small against a source period.
     """
-    from scipy.signal import butter, sosfiltfilt
+    from scipy.signal import butter
 
     known = np.flatnonzero(~np.isnan(values))
-    result = values.copy()
+    result: Array = copied(values)
     if len(known) < 2:
         return result
     breaks = np.flatnonzero(np.diff(times[known]) > max_gap_s) + 1
@@ -137,8 +154,32 @@ def low_pass(times: Array, values: Array, cut_hz: float, max_gap_s: float) -> Ar
             sections = butter(4, cut_hz, fs=rate, output="sos")
             # Both ends are continued for as long as the filter remembers.
             padding = min(len(stretch) - 1, max(15, int(3.0 * rate / cut_hz)))
-            result[stretch] = sosfiltfilt(sections, values[stretch], padlen=padding)
+            filtered = copied(values[stretch])
+            _both_ways(sections, filtered, padding)
+            result[stretch] = filtered
     return result
+
+
+def _both_ways(sections: Array, values: Array, padding: int) -> None:
+    """``scipy.signal.sosfiltfilt(sections, values, padlen=padding)`` in the place of ``values``, in pieces."""
+    from scipy.signal import sosfilt, sosfilt_zi
+
+    before = 2.0 * values[0] - values[padding:0:-1]
+    after = 2.0 * values[-1] - values[-2 : -(padding + 2) : -1]
+    parts = [values[first:last] for first, last in pieces(len(values))]
+    settled = sosfilt_zi(sections)
+    first = before[0] if padding else values[0]
+    _, state = sosfilt(sections, before, zi=settled * first) if padding else (before, settled * first)
+    for part in parts:
+        part[:], state = sosfilt(sections, part, zi=state)
+    if padding:
+        after, state = sosfilt(sections, after, zi=state)
+        _, state = sosfilt(sections, after[::-1], zi=settled * after[-1])
+    else:
+        state = settled * values[-1]
+    for part in reversed(parts):
+        backwards, state = sosfilt(sections, part[::-1], zi=state)
+        part[:] = backwards[::-1]
 
 
 def band_limited(values: Array, factor: int) -> Array:
@@ -150,16 +191,19 @@ def band_limited(values: Array, factor: int) -> Array:
     Args:
         factor: at least 2.
     """
-    from scipy.signal import cheby2, sosfiltfilt
-
-    result = values.copy()
-    sections = cheby2(6, STOP_DB / 2.0, 1.0 / factor, output="sos")
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], ~np.isnan(values), [False]]).astype(np.int8)))
-    for first, last in zip(edges[::2], edges[1::2], strict=True):
-        if last - first > 1:
-            pad = min(SETTLE_PERIODS * factor, int(last - first) - 1)
-            result[first:last] = sosfiltfilt(sections, values[first:last], padlen=pad)
+    result: Array = copied(values)
+    _limit_band(result, factor)
     return result
+
+
+def _limit_band(values: Array, factor: int) -> None:
+    """:func:`band_limited` in the place of ``values``."""
+    from scipy.signal import cheby2
+
+    sections = cheby2(6, STOP_DB / 2.0, 1.0 / factor, output="sos")
+    for first, last in zip(*stretches(~np.isnan(values)), strict=True):
+        if last - first > 1:
+            _both_ways(sections, values[first:last], min(SETTLE_PERIODS * factor, int(last - first) - 1))
 
 
 def anti_aliased(times: Array, values: Array, at: Array, rate_hz: float, factor: int, max_gap_s: float) -> Array:
@@ -171,14 +215,19 @@ def anti_aliased(times: Array, values: Array, at: Array, rate_hz: float, factor:
     fine_hz = factor * rate_hz
     first = int(np.ceil((times[0] - at[0]) * fine_hz - LATE_SHARE))
     last = int(np.floor((times[-1] - at[0]) * fine_hz + LATE_SHARE))
-    result = np.full(len(at), np.nan)
+    result: Array = filled(len(at), np.nan)
     if last < first:
         return result
-    fine = interpolate(times, values, at[0] + np.arange(first, last + 1) / fine_hz, max_gap_s, cubic=True)
-    filtered = band_limited(fine, factor)
-    index = factor * np.arange(len(at)) - first
-    inside = (index >= 0) & (index < len(filtered))
-    result[inside] = filtered[index[inside]]
+
+    def instants(begin: int, end: int) -> Array:
+        return np.asarray(at[0] + np.arange(first + begin, first + end) / fine_hz)
+
+    fine = _interpolated(times, values, last + 1 - first, instants, max_gap_s, cubic=True)
+    leave()
+    _limit_band(fine, factor)
+    begin, end = max(-(-first // factor), 0), min(last // factor + 1, len(at))
+    if begin < end:
+        result[begin:end] = fine[begin * factor - first : (end - 1) * factor - first + 1 : factor]
     return result
 
 
@@ -194,7 +243,7 @@ def resample(channel: Channel, times: Array, at: Array, rate_hz: float, hold_s: 
     that the grid cannot show where the source is faster.
     """
     if not len(times):
-        return np.full(len(at), np.nan)
+        return filled(len(at), np.nan)
     if channel.signal.endswith(".command"):
         return hold(times, channel.values, at, 1.0 / rate_hz, hold_s)
     limit = gap_limit(channel)

@@ -10,9 +10,11 @@ from fnmatch import fnmatchcase
 import numpy as np
 import numpy.typing as npt
 
+from sysid.datasets.in_pieces import copied, deviation, known, pieces, stretches
 from sysid.datasets.recipe import Splits
 from sysid.datasets.recording import Recording, Role
 from sysid.errors import InputError, SettingsError, nearest
+from sysid.scratch import computed, filled
 
 ROLES: tuple[Role, ...] = ("fit", "select", "held_out")
 #: Blocks shorter than this are not cut [s].
@@ -157,7 +159,7 @@ def cut(recording: Recording, blocks: Sequence[Block], guard_s: float, where: ob
         first = start if number == 1 else start + guard - guard // 2
         last = end if number == len(blocks) else end - guard // 2
         table = recording.table.iloc[first:last].reset_index(drop=True)
-        table["time"] = np.arange(len(table)) / recording.rate_hz
+        table["time"] = computed(len(table), lambda a, b: np.arange(a, b) / recording.rate_hz)
         table.attrs = dict(recording.table.attrs)
         start_ns = recording.start_ns + round(first / recording.rate_hz * 1e9)
         parts.append((Recording(f"{recording.name}#{number}", table, recording.rate_hz, recording.kind, start_ns), block.role))
@@ -167,15 +169,32 @@ def cut(recording: Recording, blocks: Sequence[Block], guard_s: float, where: ob
 def _motion(recording: Recording) -> npt.NDArray[np.float64]:
     """How much the measured signals change around each row, each relative to its spread; large beside gaps, (rows,)."""
     width = max(int(0.25 * recording.rate_hz), 1)
-    motion = np.zeros(len(recording))
+    rows = len(recording)
+    motion: npt.NDArray[np.float64] = filled(rows, 0.0)
     for signal in recording.signals:
         values = recording.values(signal)
-        known = ~np.isnan(values)
-        spread = float(np.std(values[known])) if known.any() else 0.0
+        there = known(values)
+        spread = deviation(there) if len(there) else 0.0
         if spread == 0.0 or signal.endswith(".command"):
             continue
-        filled = np.interp(np.arange(len(values)), np.flatnonzero(known), values[known])
-        padded = np.pad(filled, width, mode="edge")
-        motion += np.abs(padded[2 * width :] - padded[: -2 * width]) / spread
+        bridged = _bridged(values)
+        for first, last in pieces(rows):
+            after = bridged[np.minimum(np.arange(first + width, last + width), rows - 1)]
+            before = bridged[np.maximum(np.arange(first - width, last - width), 0)]
+            motion[first:last] += np.abs(after - before) / spread
     # Between equally quiet rows the middle of the search window is as good as any; the first one is taken.
     return motion
+
+
+def _bridged(values: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    """A signal (n,) with what is missing on the line between its neighbours; itself where nothing is missing."""
+    missing = np.isnan(values)
+    first, last = stretches(missing)
+    if not len(first):
+        return values
+    ends = np.concatenate([first - 1, last])
+    ends = np.unique(ends[(ends >= 0) & (ends < len(values))])
+    rows = np.flatnonzero(missing)
+    result: npt.NDArray[np.float64] = copied(values)
+    result[rows] = np.interp(rows, ends, values[ends])
+    return result

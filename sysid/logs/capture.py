@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 import pandas as pd
 
+from sysid import scratch
 from sysid.errors import InputError, nearest
 from sysid.logs.reader import ALL, ReadOptions
 from sysid.logs.table import CUT_ROW, without_line_end
@@ -73,7 +74,7 @@ def number_rows(
     losses: list[str] = []
     expected = _line_count(path) if count is None else count
     budget.check_numbers(path, expected * len(wanted))
-    numbers = np.empty((expected, len(wanted)))  # rows that are not there take no memory
+    numbers = scratch.empty(expected * len(wanted)).reshape(expected, len(wanted))  # rows that are not there take no memory
     rows = too_long = 0
     stopped = False
     for piece in _pieces(path, first, separator, cells, count, options.progress):

@@ -2,7 +2,8 @@
 
 The libraries that take log files apart can be led astray by a file that was damaged or made to do harm: they ask for memory
 without end, never return, or crash. In a process of their own that is an error of the file and of nothing else. What was read
-comes back through a pipe: values as JSON, arrays as they are; nothing in it can run code.
+comes back through a pipe: values as JSON, arrays as they are; nothing in it can run code. Where the caller has scratch files
+(:mod:`sysid.scratch`) large arrays come back in one that the process has written, and are not copied.
 """
 
 from __future__ import annotations
@@ -26,11 +27,12 @@ from typing import Any, NoReturn, TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from sysid import errors
+from sysid import errors, scratch
 from sysid.errors import InputError, SysidError
 from sysid.logs.limits import Budget
 from sysid.logs.reader import LogReader, ReadOptions
 from sysid.logs.stream import Stream
+from sysid.scratch import Scratch, Segment
 
 T = TypeVar("T")
 
@@ -76,15 +78,19 @@ def confined(
         SysidError, OSError: as ``work`` raises them.
         InputError: the budget is exceeded, ``work`` raises anything else, or the process crashes.
     """
+    own = scratch.current()
+    shared = Scratch(own.folder) if own is not None else None
+    file = shared.file if shared is not None else None  # opened here: it is how the arrays come back
     outlet, inlet = os.pipe()
-    child = os.fork()
-    if child == 0:
-        os.close(outlet)
-        _work(work, inlet, budget, kinds)
+    with own.unshared() if own is not None else contextlib.nullcontext():
+        child = os.fork()
+        if child == 0:
+            os.close(outlet)
+            _work(work, inlet, budget, kinds, shared)
     os.close(inlet)
     status: int | None = None
     try:
-        answer = _Answer(outlet, _WAITING * budget.seconds)
+        answer = _Answer(outlet, _WAITING * budget.seconds, None if file is None else file.fileno())
         while True:
             kind, text = answer.message()
             if kind == b"P":
@@ -101,22 +107,29 @@ def confined(
         raise budget.exceeded(where, seconds=True) from None
     finally:
         os.close(outlet)
+        if shared is not None:
+            shared.close()
         if status is None:
             os.kill(child, signal.SIGKILL)
             os.waitpid(child, 0)
 
 
-def _work(work: Callable[[Callable[[float], None]], Any], inlet: int, budget: Budget, kinds: Sequence[type]) -> NoReturn:
-    """The other process: it ends here."""
+def _work(
+    work: Callable[[Callable[[float], None]], Any], inlet: int, budget: Budget, kinds: Sequence[type], shared: Scratch | None
+) -> NoReturn:
+    """The other process: it ends here. Its large arrays lie in the file of ``shared``."""
     with contextlib.suppress(BaseException):
         _confine(budget)
         try:
             description = _Description(tuple(kinds))
-            value = description.of(work(lambda share: _send(inlet, b"P", share)))
+            with contextlib.nullcontext() if shared is None else scratch.used(shared):
+                value = description.of(work(lambda share: _send(inlet, b"P", share)))
             arrays = description.arrays
-            _send(inlet, b"R", [value, [[array.dtype.str, len(array), array.flags.writeable] for array in arrays]])
-            for array in arrays:
-                if len(array):
+            places = [None if shared is None else shared.place(array) for array in arrays]
+            heads = [[array.dtype.str, len(array), array.flags.writeable] for array in arrays]
+            _send(inlet, b"R", [value, [[*head, place] for head, place in zip(heads, places, strict=True)]])
+            for array, place in zip(arrays, places, strict=True):
+                if len(array) and place is None:
                     _write(inlet, np.ascontiguousarray(array).data.cast("B"))
         except SysidError as error:
             _send(inlet, b"E", [type(error).__name__, error.where, error.found, error.expected, error.remedy])
@@ -213,10 +226,11 @@ def _value(described: Any, arrays: Sequence[npt.NDArray[Any]], kinds: Mapping[st
 
 @dataclass
 class _Answer:
-    """What comes through the pipe, for which ``seconds`` may be waited altogether."""
+    """What comes through the pipe, for which ``seconds`` may be waited altogether, and in the scratch ``file``."""
 
     pipe: int
     seconds: float
+    file: int | None = None
 
     def message(self) -> tuple[bytes, bytes]:
         """Kind and text of the next message.
@@ -229,15 +243,28 @@ class _Answer:
         return kind, self._bytes(length)
 
     def value(self, result: Any, kinds: Mapping[str, type]) -> Any:
-        """The value of a result, whose arrays come behind it."""
+        """The value of a result, whose arrays come behind it or lie in the file."""
         described, listed = result
         arrays = []
-        for code, count, writeable in listed:
-            array = np.empty(count, np.dtype(code))
-            self._fill(array.data.cast("B") if count else memoryview(b""))
+        segment: Segment | None = None
+        for code, count, writeable, place in listed:
+            if place is None:
+                array = scratch.empty(count, np.dtype(code))
+                self._fill(array.data.cast("B") if count else memoryview(b""))
+            else:
+                segment = self._mapped() if segment is None else segment
+                array = segment.array(place, count, code)  # NumPy refuses one that reaches beyond the file
             array.setflags(write=writeable)
             arrays.append(array)
         return _value(described, arrays, kinds)
+
+    def _mapped(self) -> Segment:
+        own = scratch.current()
+        if own is None or self.file is None:
+            raise ValueError("an array in a scratch file that there is not")
+        segment = Segment(self.file, 0, os.fstat(self.file).st_size)
+        own.adopt(segment)
+        return segment
 
     def _bytes(self, count: int) -> bytes:
         buffer = bytearray(count)

@@ -15,6 +15,7 @@ import numpy as np
 import numpy.typing as npt
 import pandas as pd
 
+from sysid import scratch
 from sysid.errors import InputError
 from sysid.logs.growing import Growing
 from sysid.logs.limits import MAX_LINE, Budget
@@ -28,6 +29,8 @@ _CELLS, _LISTS = 2**20, 2**14
 
 
 _WHAT = "a CSV file with one header row"
+#: Places and bytes that the number of rows is estimated from, and by how much more are expected.
+_PLACES, _SAMPLE, _MARGIN = 8, 2**17, 1.02
 
 
 @dataclass(frozen=True)
@@ -48,7 +51,8 @@ class CsvReader:
         budget = options.budget_of(path, _WHAT, None)
         headers, separator, skipped = _header(path, budget)
         wanted = [i for i, header in enumerate(headers) if _is_read(header, options)]
-        cells = {i: _Cells(f"{path}: {headers[i]}", budget) for i in wanted}
+        likely = min(_expected_rows(path), budget.rows)
+        cells = {i: _Cells(f"{path}: {headers[i]}", budget, Growing(np.nan, expected=likely)) for i in wanted}
         rows = 0
         losses = [f"{path.name}: {CUT_ROW}"] if without_line_end(path) else []
         for table in _pieces(path, len(headers), separator, skipped, options.progress):
@@ -59,6 +63,7 @@ class CsvReader:
             for index, column in cells.items():
                 column.take(table[index])
             rows += len(table)
+            scratch.leave()
         columns: list[tuple[str, npt.NDArray[np.float64]]] = []
         if not rows:
             losses = []
@@ -94,7 +99,7 @@ class _Cells:
 
     where: str
     budget: Budget
-    numbers: Growing = field(default_factory=lambda: Growing(np.nan))
+    numbers: Growing
     text: int = 0
     listed: int = 0
     filled: int = 0
@@ -139,6 +144,18 @@ class _Cells:
             if bad:
                 self.damaged[element] = self.damaged.get(element, 0) + bad
             self.elements[element].put(slice(first, first + len(numbers)), numbers)
+
+
+def _expected_rows(path: Path) -> int:
+    """About how many rows there are, from the line ends in some places of the file."""
+    size = path.stat().st_size
+    lines = read = 0
+    with path.open("rb") as file:
+        for place in np.linspace(0, max(0, size - _SAMPLE), _PLACES).astype(int).tolist():
+            file.seek(place)
+            sample = file.read(_SAMPLE)
+            lines, read = lines + sample.count(b"\n"), read + len(sample)
+    return int(_MARGIN * size * lines / max(1, read)) + 1
 
 
 def _pieces(path: Path, width: int, separator: str, skipped: int, progress: Callable[[float], None]) -> Iterator[pd.DataFrame]:

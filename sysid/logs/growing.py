@@ -8,6 +8,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from sysid import scratch
+
 _FIRST = 1024
 
 Rows = npt.NDArray[np.intp]
@@ -40,7 +42,8 @@ class Growing:
 
     def __copy__(self) -> Growing:
         twin = Growing(self.fill, self.kind, self.found, self._end)
-        twin._room = self._room[: self._end].copy()
+        twin._room = scratch.empty(self._end, self.kind)
+        twin._room[:] = self._room[: self._end]
         return twin
 
     def put(self, rows: Rows | slice, values: Values) -> None:
@@ -68,7 +71,7 @@ class Growing:
     def _reach(self, end: int, filled: int | None = None) -> None:
         """Have rows up to ``end``, without values up to ``filled``; the caller writes the rest."""
         if end > len(self._room):
-            room = np.empty(max(_FIRST, 2 * len(self._room), end, self.expected), self.kind)
+            room = scratch.empty(max(_FIRST, 2 * len(self._room), end, self.expected), self.kind)
             room[: self._end] = self._room[: self._end]
             self._room = room
         if end > self._end:
@@ -77,4 +80,6 @@ class Growing:
 
     def _widen(self, kind: np.dtype[Any]) -> None:
         self.kind = np.promote_types(self.kind, kind).newbyteorder("=") if self.found else kind.newbyteorder("=")
-        self._room = self._room.astype(self.kind)
+        room = scratch.empty(len(self._room), self.kind)
+        room[: self._end] = self._room[: self._end]
+        self._room = room

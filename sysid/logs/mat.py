@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from sysid import scratch
 from sysid.errors import InputError
 from sysid.logs.limits import Budget
 from sysid.logs.mat_file import MatError, Variable, find_variables, read_variables
@@ -47,7 +48,7 @@ class MatReader:
         others = [name for name, variable in vectors.items() if variable.count != usual]
         losses = (f"{path.name}: of another length: {', '.join(others)}",) if others else ()
         same = {name: variable for name, variable in vectors.items() if variable.count == usual}
-        return [(name, array.astype(np.float64, copy=False)) for name, array in _read(path, same, budget).items()], losses
+        return [(name, _as_floats(array)) for name, array in _read(path, same, budget).items()], losses
 
 
 def _variables(path: Path, budget: Budget) -> dict[str, Variable]:
@@ -116,11 +117,18 @@ def _columns(
         wanted = {name.rpartition("[")[0] for name in options.columns}
         vectors = {name: v for name, v in vectors.items() if is_wanted(name, options, False)}
         matrices = {name: v for name, v in matrices.items() if name in wanted}
-    columns = [(name, array.astype(np.float64, copy=False)) for name, array in _read(path, vectors, budget).items()]
+    columns = [(name, _as_floats(array)) for name, array in _read(path, vectors, budget).items()]
     for name, variable in matrices.items():
         array = _read(path, {name: variable}, budget)[name]
         table = array if array.shape[0] == rows else array.T
         budget.check_columns(f"{path}: {name}", table.shape[1])
         elements = [(f"{name}[{i}]", table[:, i]) for i in range(table.shape[1])]
-        columns += [(label, values.astype(np.float64)) for label, values in elements if is_wanted(label, options, False)]
+        columns += [(label, _as_floats(values, copy=True)) for label, values in elements if is_wanted(label, options, False)]
     return columns
+
+
+def _as_floats(values: npt.NDArray[Any], copy: bool = False) -> npt.NDArray[np.float64]:
+    if values.dtype == np.float64 and not copy:
+        return values
+    floats: npt.NDArray[np.float64] = scratch.computed(len(values), lambda first, last: values[first:last])
+    return floats

@@ -20,6 +20,7 @@ from typing import Any, Protocol
 import numpy as np
 import numpy.typing as npt
 
+from sysid import scratch
 from sysid.logs.limits import FREE, MAX_RATIO, Budget
 
 #: Storage types of numbers → NumPy code without byte order.
@@ -106,9 +107,10 @@ def read_variables(path: Path, variables: Mapping[str, Variable]) -> dict[str, n
                 source = variable.source
                 limit = 2**62  # what lies before has been unpacked once, within the limit
                 bytes_: _Bytes = _Unpacked(file, *source, limit) if variable.packed else _Plain(file, *source)
-            array = np.empty(variable.count, variable.kind)
+            array = scratch.empty(variable.count, variable.kind)
             bytes_.skip(variable.start - bytes_.position)
             bytes_.fill(array.data.cast("B") if len(array) else memoryview(b""))
+            scratch.leave()
             found[name] = array.reshape(variable.shape, order="F")
     return {name: found[name] for name in variables}
 

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from sysid import scratch
 from sysid.errors import InputError
 from sysid.logs.reader import ALL, ReadOptions
 from sysid.logs.stream import Stream
@@ -58,7 +59,7 @@ def _numbers(file: Any, name: str, rows: int) -> npt.NDArray[np.float64]:
     """One column, row group by row group."""
     import pyarrow as pa
 
-    numbers, done = np.empty(rows), 0
+    numbers, done = scratch.empty(rows), 0
     for group in range(file.metadata.num_row_groups):
         table = file.read_row_group(group, [name])
         values = table.column(name).cast(pa.float64()).to_numpy()

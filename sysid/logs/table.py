@@ -9,6 +9,7 @@ from typing import TypeAlias
 import numpy as np
 import numpy.typing as npt
 
+from sysid import scratch
 from sysid.errors import InputError, nearest
 from sysid.logs.reader import ReadOptions
 from sysid.logs.stream import Stream
@@ -74,7 +75,8 @@ def table_stream(
             units[name] = unit
     if options.rate_hz is not None and options.time is None:
         rows = max((len(column) for column in values.values()), default=0)
-        stamps = np.rint(np.arange(rows) * (1e9 / options.rate_hz)).astype(np.int64)
+        step = 1e9 / options.rate_hz
+        stamps = scratch.computed(rows, lambda a, b: np.rint(np.arange(a, b) * step).astype(np.int64), np.int64)
     else:
         time = _time_name(path, tuple(values), options, fields)
         factor, si = si_factor(units.pop(time, options.time_unit), path)
@@ -123,7 +125,7 @@ def to_ns(seconds: npt.NDArray[np.float64], factor: float, where: str) -> npt.ND
     if largest > 9.2e18:  # 292 years
         expected = "times that fit into 64 bits of nanoseconds"
         raise InputError(where, f"a time of {largest * 1e-9:.3g} s", expected, "State the right unit of the time column.")
-    stamps = np.empty(len(seconds), np.int64)
+    stamps: npt.NDArray[np.int64] = scratch.empty(len(seconds), np.int64)
     for begin in range(0, len(seconds), _PIECE):
         piece = seconds[begin : begin + _PIECE]
         whole = np.floor(piece)

@@ -16,7 +16,7 @@ PACKAGE = ROOT / "sysid"
 #: From the ground floor up. A part may import itself and what stands on a lower floor, never a neighbour or a higher one.
 FLOORS: tuple[tuple[str, ...], ...] = (
     ("errors", "foreign", "parse", "children"),
-    ("units", "signals", "progress", "files", "compiled", "pictures", "names", "numbers"),
+    ("units", "signals", "progress", "scratch", "files", "compiled", "pictures", "names", "numbers"),
     ("config", "root"),
     ("logs", "machine"),
     ("datasets",),

@@ -8,7 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from sysid.datasets.in_pieces import median_step
 from sysid.datasets.resample import interpolate
+from sysid.scratch import chosen
 
 Array = npt.NDArray[np.float64]
 
@@ -134,13 +136,13 @@ def _liveliest(rates: Sequence[Array], count: int) -> tuple[int, int]:
 
 def noise_of(values: Array) -> float:
     """Standard deviation of the noise of a signal (n,), from the differences of neighbours; a smooth motion leaves none."""
-    known = values[~np.isnan(values)][:NOISE_SAMPLES]
-    return float(np.median(np.abs(np.diff(known, n=2)))) / 1.65 if len(known) > 2 else 0.0
+    there = chosen(values, ~np.isnan(values))[:NOISE_SAMPLES]
+    return float(np.median(np.abs(np.diff(there, n=2)))) / 1.65 if len(there) > 2 else 0.0
 
 
 def _on_grid(times: Array, values: Array, start: float, count: int) -> Array:
     """Values on the coarse grid, NaN where nothing was measured."""
-    period = float(np.median(np.diff(times)))
+    period = median_step(times)
     return interpolate(times, values, start + np.arange(count) / _HZ, max(3.5 * period, 0.2))
 
 

@@ -8,7 +8,9 @@ import numpy as np
 import numpy.typing as npt
 
 from sysid.datasets.clocks.coarse import Pair, noise_of
+from sysid.datasets.in_pieces import known, median_step
 from sysid.datasets.resample import low_pass
+from sysid.scratch import chosen
 
 Array = npt.NDArray[np.float64]
 
@@ -25,11 +27,11 @@ def moves(pair: Pair) -> bool:
 
 def _moving(values: Array) -> bool:
     """Whether a signal moves by much more than its noise (differences of neighbours) and its quantum."""
-    known = values[~np.isnan(values)]
-    if len(known) < 50:
+    there = known(values)
+    if len(there) < 50:
         return False
-    noise = noise_of(known)
-    thinned = known[:: max(1, len(known) // ENOUGH)]
+    noise = noise_of(there)
+    thinned = there[:: max(1, len(there) // ENOUGH)]
     steps = np.diff(np.unique(thinned))
     quantum = float(steps.min()) if len(steps) else 0.0
     spread = float(np.quantile(thinned, 0.99) - np.quantile(thinned, 0.01))
@@ -43,13 +45,13 @@ def smoothed(pair: Pair) -> Pair:
     prefer such lags.
     """
     x, noise = without_noise(pair.x_times, pair.x, pair.x_gap_s)
-    known = ~np.isnan(pair.y)
-    return replace(pair, x=x, noise=noise, y_times=pair.y_times[known], y=pair.y[known])
+    there = ~np.isnan(pair.y)
+    return replace(pair, x=x, noise=noise, y_times=chosen(pair.y_times, there), y=chosen(pair.y, there))
 
 
 def without_noise(times: Array, values: Array, gap_s: float) -> tuple[Array, float]:
     """A signal (n,) without what lies above the band of its motion, and the standard deviation of the noise left in it."""
-    rate = 1.0 / float(np.median(np.diff(times)))
+    rate = 1.0 / median_step(times)
     cut = min(0.2 * rate, motion_band(values, rate))
     return low_pass(times, values, cut, gap_s), noise_of(values) * float(np.sqrt(2.0 * cut / rate))
 
@@ -62,13 +64,13 @@ def range_of(values: Array) -> float:
 
 def motion_band(values: Array, rate: float) -> float:
     """Frequency [Hz] above which a signal (n,) at ``rate`` is hardly more than its noise."""
-    known = values[~np.isnan(values)]
-    length = min(len(known), round(BAND_S * rate))
-    count = len(known) // length if length else 0
+    there = known(values)
+    length = min(len(there), round(BAND_S * rate))
+    count = len(there) // length if length else 0
     if count < 1 or length < 64:
         return rate
     window = np.hanning(length)
-    sections = known[: count * length].reshape(count, length)
+    sections = there[: count * length].reshape(count, length)
     power = np.mean(np.abs(np.fft.rfft((sections - sections.mean(axis=1, keepdims=True)) * window, axis=1)) ** 2, axis=0)
     frequencies = np.fft.rfftfreq(length, 1.0 / rate)
     # Smoothed over so many lines that noise alone never comes near the ratio.

@@ -12,6 +12,7 @@ from sysid.datasets.clocks.backlash import directions
 from sysid.datasets.clocks.coarse import Pair
 from sysid.datasets.clocks.motion_band import range_of, without_noise
 from sysid.datasets.resample import slopes
+from sysid.scratch import chosen
 
 Array = npt.NDArray[np.float64]
 
@@ -53,7 +54,7 @@ class Prepared:
 def prepared(pair: Pair) -> Prepared:
     """Samples that are known, and the slopes of the smooth curve through those of ``x``."""
     known = ~np.isnan(pair.x)
-    times, values = pair.x_times[known], pair.x[known]
+    times, values = chosen(pair.x_times, known), chosen(pair.x, known)
     rates = slopes(times, values, pair.x_gap_s)
     direction, settled, y_settled = (
         _taken_up(pair, values, rates) if pair.backlash > 0.0 else (np.empty(0), *2 * (np.empty(0, bool),))

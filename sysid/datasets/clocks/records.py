@@ -19,8 +19,10 @@ from sysid.datasets.clocks.alignment import Estimate, Pair, conditional, pairs_o
 from sysid.datasets.clocks.bursts import match_bursts
 from sysid.datasets.clocks.resets import Piece, pieces
 from sysid.datasets.clocks.skews import KnownSkew, Skew, alone, known_skews, pooled, quantile
+from sysid.datasets.in_pieces import pieces as sample_pieces
 from sysid.datasets.recording import ClockRecord, Kind
 from sysid.errors import AlignmentError, InputError
+from sysid.scratch import empty
 
 Array = npt.NDArray[np.float64]
 
@@ -138,14 +140,17 @@ def machine_times(channel: Channel, start_ns: int, records: Sequence[ClockRecord
     own = [records] if isinstance(records, ClockRecord) else sorted(records, key=lambda record: record.stream_start_ns)
     rows = np.searchsorted(channel.stamps, [record.stream_start_ns for record in own[1:]])
     edges = [0, *rows.tolist(), len(channel.stamps)]
-    parts = [
-        seconds(channel.stamps[first:last], record.stream_start_ns) * (1.0 + 1e-6 * record.skew_ppm) + record.offset_s
-        for record, (first, last) in zip(own, pairwise(edges), strict=True)
-    ]
-    times = np.concatenate(parts)
-    if len(own) > 1 and np.any(np.diff(times) <= 0.0):
+    times: Array = empty(len(channel.stamps))
+    for record, (first, last) in zip(own, pairwise(edges), strict=True):
+        part = times[first:last]
+        part[:] = seconds(channel.stamps[first:last], record.stream_start_ns)
+        part *= 1.0 + 1e-6 * record.skew_ppm
+        part += record.offset_s
+    if len(own) > 1 and np.any(times[1:] <= times[:-1]):
         # What a clock repeats after it was set back lies behind what it had shown: a nanosecond each keeps the order.
-        times = np.maximum.accumulate(times) + 1e-9 * np.arange(len(times))
+        np.maximum.accumulate(times, out=times)
+        for first, last in sample_pieces(len(times)):
+            times[first:last] += 1e-9 * np.arange(first, last)
     return times
 
 

@@ -109,7 +109,7 @@ def with_stamps_carried_on(streams: Sequence[Stream], clock: str | None, machine
 
 def _seldom_back(stamps: Stamps) -> bool:
     """Whether stamps go back at all, and not so often that they are in no order."""
-    back = int(np.count_nonzero(np.diff(stamps) < 0)) if len(stamps) > 2 else 0
+    back = int(np.count_nonzero(stamps[1:] < stamps[:-1])) if len(stamps) > 2 else 0
     return 0 < back <= max(2.0, MAX_BACK_SHARE * len(stamps))
 
 

@@ -14,10 +14,13 @@ from sysid.datasets.flags.flag import KINDS, Array, Flag, Mask
 from sysid.datasets.flags.stamps import dropouts, jitter
 from sysid.datasets.flags.standing import Witness, saturation, stuck
 from sysid.datasets.flags.values import jumps, outliers
+from sysid.datasets.in_pieces import copied, known, masked, median, median_step, pieces
 from sysid.datasets.recipe import Recipe
 from sysid.datasets.recording import ClockRecord
 from sysid.datasets.resample import gap_limit, hold
 from sysid.machine import Machine
+from sysid.progress import Progress, silent
+from sysid.scratch import computed, leave
 from sysid.signals import split_signal
 
 #: A channel and its stamps on the time axis of the recording [s].
@@ -29,31 +32,36 @@ IDLE, DRIVEN = 0.02, 0.3
 MOVING_SHARE, MOVING_S = 0.05, 0.5
 
 
-def find_flags(timed: Sequence[Timed], machine: Machine, hold_s: float) -> list[tuple[str, Flag]]:
+def find_flags(timed: Sequence[Timed], machine: Machine, hold_s: float, progress: Progress = silent) -> list[tuple[str, Flag]]:
     """(source, flag) of all channels of one motion recording, by signal and time.
 
     Args:
         timed: primary and secondary channels, with their stamps on the recording's time axis [s].
         machine: which axis a signal belongs to, and where it ends.
         hold_s: how long a command counts.
+        progress: called with the share of the samples that have been looked at.
     """
     timed = [(channel, at) for channel, at in timed if len(at)]
     commands = [(channel, at) for channel, at in timed if channel.signal.endswith(".command")]
     found: list[tuple[str, Flag]] = []
+    done, total = 0, sum(len(at) for _, at in timed)
     for channel, at in timed:
-        own = np.asarray(seconds(channel.stamps, int(channel.stamps[0])))
-        flags = [
-            replace(flag, from_s=float(np.interp(flag.from_s, own, at)), to_s=float(np.interp(flag.to_s, own, at)))
-            for flag in channel.flags
-        ]
+        progress(done / total, f"checking {channel.signal}")
+        done += len(at)
+        flags = _on_axis(channel, at) if channel.flags else []
         swaps = [flag for flag in flags if flag.kind == "marker_swap"]
         flags += [flag for flag in _of(channel, at, commands, machine, hold_s) if not _is_swap(flag, swaps, channel.period_s)]
         found += [(channel.source, flag) for flag in flags]
+        leave()
     return sorted(found, key=lambda item: (item[1].signal, item[0], KINDS.index(item[1].kind), item[1].from_s))
 
 
 def flag_rows(
-    recording: Clocked, clocks: Sequence[ClockRecord], machine: Machine, hold_s: float = Recipe.hold_s
+    recording: Clocked,
+    clocks: Sequence[ClockRecord],
+    machine: Machine,
+    hold_s: float = Recipe.hold_s,
+    progress: Progress = silent,
 ) -> list[dict[str, Any]]:
     """Flags of one recording as JSON has them, see "What is flagged" in ``docs/recipes.md``.
 
@@ -69,8 +77,17 @@ def flag_rows(
         if key not in times:
             times[key] = machine_times(channel, start, records.get(channel.source))
     timed = [(channel, times[id(channel.stamps), channel.source]) for channel in recording.channels]
-    found = find_flags(timed, machine, hold_s)
+    found = find_flags(timed, machine, hold_s, progress)
     return [{"recording": recording.name, "source": source, **asdict(flag)} for source, flag in found]
+
+
+def _on_axis(channel: Channel, at: Array) -> list[Flag]:
+    """What was noticed while a channel was read, on the time axis of the recording."""
+    own = seconds(channel.stamps, int(channel.stamps[0]))
+    return [
+        replace(flag, from_s=float(np.interp(flag.from_s, own, at)), to_s=float(np.interp(flag.to_s, own, at)))
+        for flag in channel.flags
+    ]
 
 
 def _is_swap(flag: Flag, swaps: Sequence[Flag], period: float) -> bool:
@@ -117,15 +134,14 @@ def _witness(signal: str, at: Array, commands: Sequence[Timed], machine: Machine
     """When what moves ``signal`` is commanded: its own axis, for a point any axis."""
     owner, _ = split_signal(signal)
     commanded, driven = np.zeros(len(at), dtype=bool), np.zeros(len(at), dtype=bool)
-    period = float(np.median(np.diff(at))) if len(at) > 1 else 0.0
+    period = median_step(at) if len(at) > 1 else 0.0
     for axis in machine.axes:
         own = [item for item in commands if item[0].signal == f"{axis.name}.command"]
         if not own or (owner in machine.axis_names and owner != axis.name):
             continue
-        command = np.full(len(at), np.nan)
-        for channel, sent in own:
-            part = hold(sent, channel.values, at, 0.0, hold_s)
-            command = np.where(np.isnan(part), command, part)
+        command, *others = (hold(sent, channel.values, at, 0.0, hold_s) for channel, sent in own)
+        for part in others:
+            np.copyto(command, part, where=~np.isnan(part))
         more = _moving(command, period) if axis.actuation == "position" else _beyond(command, DRIVEN)
         commanded |= more if axis.actuation == "position" else _beyond(command, IDLE)
         if axis.actuation != "force":  # a force may hold without moving
@@ -134,14 +150,19 @@ def _witness(signal: str, at: Array, commands: Sequence[Timed], machine: Machine
 
 
 def _beyond(command: Array, share: float) -> Mask:
-    size = np.nan_to_num(np.abs(command))
-    return np.asarray(size > share * float(size.max(initial=0.0)))
+    def size(first: int, last: int) -> Array:
+        return np.nan_to_num(np.abs(command[first:last]))
+
+    least = share * max((float(size(first, last).max()) for first, last in pieces(len(command))), default=0.0)
+    return masked(len(command), lambda first, last: size(first, last) > least)
 
 
 def _moving(command: Array, period: float) -> Mask:
-    known = np.nan_to_num(command, nan=float(np.nanmedian(command)) if np.isfinite(command).any() else 0.0)
+    usual = median(copied(known(command))) if np.isfinite(command).any() else 0.0
+    sent = computed(len(command), lambda first, last: np.nan_to_num(command[first:last], nan=usual))
     width = max(round(MOVING_S / period), 1) if period > 0.0 else 1
-    moved = np.zeros(len(known), dtype=bool)
-    if len(known) > width:
-        moved[width:] = np.abs(known[width:] - known[:-width]) > MOVING_SHARE * float(np.ptp(known))
+    moved = np.zeros(len(sent), dtype=bool)
+    if len(sent) > width:
+        least = MOVING_SHARE * float(np.ptp(sent))
+        moved[width:] = masked(len(sent) - width, lambda a, b: np.abs(sent[a + width : b + width] - sent[a:b]) > least)
     return moved

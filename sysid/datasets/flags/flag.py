@@ -8,6 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from sysid.datasets.in_pieces import stretches
+
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
 
@@ -49,8 +51,7 @@ def thinned(flags: Sequence[Flag]) -> list[Flag]:
 
 def runs(mask: Mask) -> list[tuple[int, int]]:
     """Stretches of True as (first, last + 1)."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], mask, [False]]).astype(np.int8)))
-    return [(int(a), int(b)) for a, b in zip(edges[::2], edges[1::2], strict=True)]
+    return [(int(a), int(b)) for a, b in zip(*stretches(mask), strict=True)]
 
 
 def shown(value: float, unit: str) -> str:

@@ -6,6 +6,8 @@ import numpy as np
 import numpy.typing as npt
 
 from sysid.datasets.flags.flag import Array, Flag, thinned
+from sysid.datasets.in_pieces import copied, counted, differences, median
+from sysid.scratch import chosen
 
 #: Stamps are uneven where nine intervals in ten spread over more than this share of the median one. Below it the instant a
 #: sample was taken at is known to a quarter of a period.
@@ -23,13 +25,14 @@ def dropouts(signal: str, times: Array, values: Array, limit_s: float) -> list[F
         values: (n,), NaN where missing.
         limit_s: the longest gap that is bridged, or for which a command is held [s].
     """
-    times = times[np.isfinite(values)]
-    steps = np.diff(times)
+    times = chosen(times, np.isfinite(values))
+    steps = differences(times)
     if not len(steps):
         return []
-    period = float(np.median(steps))
     found = []
-    for index in np.flatnonzero(steps > limit_s + 1e-9):
+    long = np.flatnonzero(steps > limit_s + 1e-9)
+    period = median(copied(steps)) if len(long) else 0.0
+    for index in long:
         lost = max(round(float(steps[index]) / period) - 1, 1)
         text = f"nothing for {steps[index]:.3f} s"
         found.append(Flag(signal, "dropout", float(times[index]), float(times[index + 1]), lost, text))
@@ -38,15 +41,15 @@ def dropouts(signal: str, times: Array, values: Array, limit_s: float) -> list[F
 
 def jitter(signal: str, times: Array) -> list[Flag]:
     """Uneven stamps, as one flag over all of ``times`` (n,) [s]; gaps are left out."""
-    steps = np.diff(times)
+    steps = differences(times)
     if len(steps) < MIN_INTERVALS:
         return []
-    period = float(np.median(steps))
-    regular = steps[steps < 3.0 * period]
-    low, high = (float(quantile) for quantile in np.quantile(regular, [0.05, 0.95]))
+    period = median(steps)
+    regular = chosen(steps, steps < 3.0 * period)
+    low, high = (float(quantile) for quantile in np.quantile(regular, [0.05, 0.95], overwrite_input=True))
     if high - low <= JITTER_SHARE * period:
         return []
-    off = int(np.count_nonzero(np.abs(regular - period) > 0.5 * JITTER_SHARE * period))
+    off = counted(len(regular), lambda a, b: np.abs(regular[a:b] - period) > 0.5 * JITTER_SHARE * period)
     spread = f"nine intervals in ten lie between {1e3 * low:.2f} and {1e3 * high:.2f} ms, the median is {1e3 * period:.2f}"
     text = f"uneven stamps: {spread}"
     return [Flag(signal, "jitter", float(times[0]), float(times[-1]), off, text)]

@@ -12,6 +12,8 @@ import numpy as np
 
 from sysid.datasets.flags.flag import Array, Flag, Mask, shown, thinned
 from sysid.datasets.flags.values import sensor_step
+from sysid.datasets.in_pieces import counted, stretches
+from sysid.scratch import chosen
 
 #: A noisy sensor that repeats its value this often, and this long, is stuck [samples, s]; ten equal values of a sensor that
 #: repeats one value in five by chance happen once in 10⁷.
@@ -85,10 +87,10 @@ def saturation(
     Arguments as for :func:`stuck`; ``ends`` are those of the axis. A sensor that counts in steps stands still at an end stop as
     well: it is only flagged where the end of the axis is known, lies elsewhere, and the axis is commanded.
     """
-    known = np.isfinite(values)
-    if not known.any():
+    finite = chosen(values, np.isfinite(values))
+    if not len(finite):
         return []
-    low, high = float(values[known].min()), float(values[known].max())
+    low, high = float(finite.min()), float(finite.max())
     if low == high:
         return []
     repeats = repeats_by_nature(values, witness)
@@ -113,25 +115,24 @@ def saturation(
 
 def repeats_by_nature(values: Array, witness: Witness) -> bool:
     """Whether equal neighbours mean nothing: the sensor counts in steps, or shows no noise where nothing is commanded."""
-    known = np.isfinite(values)
-    if sensor_step(values[known]) > 0.0:
+    finite = np.isfinite(values)
+    if sensor_step(chosen(values, finite)) > 0.0:
         return True
-    both = known[1:] & known[:-1]
+    both = finite[1:] & finite[:-1]
     at_rest = both & ~witness.commanded[1:]
     looked_at = at_rest if np.count_nonzero(at_rest) >= 2 * STUCK_SAMPLES else both
-    equal = np.diff(values)[looked_at] == 0.0
-    return bool(len(equal) and equal.mean() > REPEATS)
+    equal = counted(len(both), lambda a, b: (values[a + 1 : b + 1] == values[a:b]) & looked_at[a:b])
+    looked = int(np.count_nonzero(looked_at))
+    return looked > 0 and equal / looked > REPEATS
 
 
 def _equal_runs(values: Array) -> list[tuple[int, int]]:
     """Stretches (first, last + 1) of at least :data:`STUCK_SAMPLES` equal values."""
-    change = np.flatnonzero(np.concatenate([[True], values[1:] != values[:-1], [True]]))
-    lengths = np.diff(change)
-    long = np.flatnonzero(lengths >= STUCK_SAMPLES)
-    return [(int(change[k]), int(change[k + 1])) for k in long]
+    first, last = stretches(values[1:] == values[:-1])
+    long = np.flatnonzero(last - first >= STUCK_SAMPLES - 1)
+    return [(int(first[k]), int(last[k]) + 1) for k in long]
 
 
 def _longest(times: Array, mask: Mask) -> float:
     """The longest time without a break in ``mask`` [s]."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], mask, [False]]).astype(np.int8)))
-    return max((float(times[b - 1] - times[a]) for a, b in zip(edges[::2], edges[1::2], strict=True)), default=0.0)
+    return max((float(times[b - 1] - times[a]) for a, b in zip(*stretches(mask), strict=True)), default=0.0)

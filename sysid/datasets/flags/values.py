@@ -9,6 +9,8 @@ from __future__ import annotations
 import numpy as np
 
 from sysid.datasets.flags.flag import Array, Flag, shown, thinned
+from sysid.datasets.in_pieces import absolute, differences, masked, median, median_step, pieces
+from sysid.scratch import chosen, computed
 
 #: A spike is at most this many samples long; what lasts longer are two jumps.
 SPIKE_SAMPLES = 5
@@ -31,16 +33,16 @@ COUNT_SLACK, COUNTED = 0.05, 0.95
 GAP_PERIODS = 3.0
 #: A jump and one back by nearly as much (within this share) belong together when less than this time lies between [s].
 BACK_SHARE, BACK_S = 0.3, 20.0
-#: Samples that are looked at together: a long recording is several times as large while it is.
-_PIECE = 2**16
+#: Candidates that are looked at together: each with the steps around it.
+_TOGETHER = 2**16
 
 
 def noise_scale(values: Array) -> float:
     """Standard deviation of the noise about the line between two neighbours, by the median; 0 where most samples repeat."""
     if len(values) < 3:
         return 0.0
-    middle = values[1:-1] - 0.5 * (values[:-2] + values[2:])
-    return float(1.4826 * np.median(np.abs(middle)) / np.sqrt(1.5))
+    middle = computed(len(values) - 2, lambda a, b: values[a + 1 : b + 1] - 0.5 * (values[a:b] + values[a + 2 : b + 2]))
+    return float(1.4826 * median(absolute(middle)) / np.sqrt(1.5))
 
 
 def sensor_step(values: Array) -> float:
@@ -48,14 +50,14 @@ def sensor_step(values: Array) -> float:
 
     The smallest change, where (almost) all changes are whole multiples of it: of changes with noise one in ten is by chance.
     """
-    changes = np.abs(np.diff(values))
-    changes = changes[changes > 1e-9 * float(np.ptp(values))] if len(values) else changes
+    changes = absolute(differences(values))
+    changes = chosen(changes, changes > 1e-9 * float(np.ptp(values))) if len(values) else changes
     if len(changes) < 3:
         return 0.0
     step = float(changes.min())
     whole = 0
-    for begin in range(0, len(changes), _PIECE):
-        counts = changes[begin : begin + _PIECE] / step
+    for first, last in pieces(len(changes)):
+        counts = changes[first:last] / step
         whole += int(np.count_nonzero(np.abs(counts - np.round(counts)) < COUNT_SLACK))
     return step if whole / len(changes) > COUNTED else 0.0
 
@@ -70,20 +72,20 @@ def outliers(signal: str, times: Array, values: Array, unit: str = "1") -> list[
         unit: of the values, for the text.
     """
     known = ~np.isnan(values)
-    times, values = times[known], values[known]
+    times, values = chosen(times, known), chosen(values, known)
     found: list[Flag] = []
     if len(times) < 2 * AROUND + SPIKE_SAMPLES + 2:
         return found
     floor = max(SPIKE_NOISE * noise_scale(values), STEPS_OF_SENSOR * sensor_step(values))
     if floor <= 0.0:
         floor = 1e-9 * float(np.ptp(values))
-    period = float(np.median(np.diff(times)))
-    steps = np.abs(np.diff(values))
+    period = median_step(times)
+    steps = absolute(differences(values))
     # The line between the ends is at most a third as steep as the spike is high (SPIKE_RATIO): the step into it is larger.
     begins = np.flatnonzero(steps > (1.0 - 1.0 / SPIKE_RATIO) * floor)
     taken = np.zeros(len(values), dtype=bool)
-    pieces = [begins[first : first + _PIECE] for first in range(0, len(begins), _PIECE)]
-    for length, begins in ((length, piece) for length in range(1, SPIKE_SAMPLES + 1) for piece in pieces):
+    parts = [begins[first : first + _TOGETHER] for first in range(0, len(begins), _TOGETHER)]
+    for length, begins in ((length, part) for length in range(1, SPIKE_SAMPLES + 1) for part in parts):
         before = begins[(begins >= AROUND) & (begins < len(steps) - AROUND - length)]
         after = before + length + 1
         whole = times[after] - times[before] <= GAP_PERIODS * (length + 1) * period
@@ -125,20 +127,25 @@ def jumps(signal: str, times: Array, values: Array, unit: str = "1") -> list[Fla
     Arguments as for :func:`outliers`. A jump and the one back are one flag.
     """
     known = ~np.isnan(values)
-    times, values = times[known], values[known]
+    times, values = chosen(times, known), chosen(values, known)
     if len(times) < 2 * AROUND + 2:
         return []
     floor = max(JUMP_NOISE * noise_scale(values), STEPS_OF_SENSOR * sensor_step(values), 1e-9 * float(np.ptp(values)))
-    spans = np.diff(times)
-    period = float(np.median(spans))
-    # A message that came late moves further: by its rate it is as usual.
-    size = np.diff(values) * (period / np.maximum(spans, period))
-    size[spans > GAP_PERIODS * period] = 0.0
-    far = np.flatnonzero(np.abs(size) > floor)
+    period = median_step(times)
+
+    def rates(first: int, last: int) -> Array:
+        spans = np.diff(times[first : last + 1])
+        # A message that came late moves further: by its rate it is as usual.
+        size = np.diff(values[first : last + 1]) * (period / np.maximum(spans, period))
+        size[spans > GAP_PERIODS * period] = 0.0
+        return size
+
+    size = computed(len(values) - 1, rates)
+    far = np.flatnonzero(masked(len(size), lambda first, last: np.abs(size[first:last]) > floor))
     far = far[(far >= AROUND) & (far < len(size) - AROUND)]
     sides = np.concatenate([np.arange(-AROUND, 0), np.arange(1, AROUND + 1)])
-    pieces = [far[first : first + _PIECE] for first in range(0, len(far), _PIECE)]
-    alone = [np.abs(size[part]) > JUMP_RATIO * np.abs(size[part[:, None] + sides]).max(axis=1) for part in pieces]
+    parts = [far[first : first + _TOGETHER] for first in range(0, len(far), _TOGETHER)]
+    alone = [np.abs(size[part]) > JUMP_RATIO * np.abs(size[part[:, None] + sides]).max(axis=1) for part in parts]
     far = far[np.concatenate(alone)] if alone else far
     found: list[Flag] = []
     number = 0

@@ -15,18 +15,29 @@ from sysid.datasets.quality.streams import cross_checks, key_of, stream_figures
 from sysid.datasets.quality.use import Scale, level_of, scales_of, use_of
 from sysid.datasets.recording import ClockRecord, Recording
 from sysid.machine import Machine
+from sysid.progress import Progress, part, silent
+from sysid.scratch import chosen, leave
 from sysid.signals import axis_signal
 
 #: Bins over the range of a signal, for coverage.
 BINS = 20
+#: Share of the time that the streams take, the rest is for the tables.
+_STREAMS = 0.5
 
 
 def describe(
-    recordings: Sequence[Recording], readings: Mapping[str, Reading], clocks: Sequence[ClockRecord], machine: Machine
+    recordings: Sequence[Recording],
+    readings: Mapping[str, Reading],
+    clocks: Sequence[ClockRecord],
+    machine: Machine,
+    progress: Progress = silent,
 ) -> dict[str, Any]:
     """Quality of each recording and of what it was made from, as JSON-able values.
 
     What the recordings are good for together is no part of it: :func:`sysid.datasets.quality.evidence_of`.
+
+    Args:
+        progress: called with the share done.
 
     Returns:
         ``recordings``: name → ``signals`` (signal → missing share, range, coverage, noise, longest gap), ``axes`` (axis →
@@ -36,9 +47,16 @@ def describe(
         recording → flagged frames.
     """
     still = {recording.name for recording in recordings if recording.kind == "poses"}
-    streams = {name: {key_of(c): stream_figures(c) for c in reading.channels} for name, reading in readings.items()}
+    streams = _streams(readings, part(progress, 0.0, _STREAMS))
     scales = scales_of(recordings, machine)
-    result = {recording.name: _recording(recording, machine, scales) for recording in recordings}
+    result: dict[str, Any] = {}
+    done, total = 0, max(1, sum(map(len, recordings)))
+    for recording in recordings:
+        own = part(
+            progress, _STREAMS + (1.0 - _STREAMS) * done / total, _STREAMS + (1.0 - _STREAMS) * (done + len(recording)) / total
+        )
+        result[recording.name] = _recording(recording, machine, scales, own)
+        done += len(recording)
     for name, numbers in result.items():
         uncut = name if name in readings else name.rpartition("#")[0]
         for channel in readings[uncut].channels:
@@ -62,7 +80,19 @@ def describe(
     }
 
 
-def _recording(recording: Recording, machine: Machine, scales: Mapping[str, Scale]) -> dict[str, Any]:
+def _streams(readings: Mapping[str, Reading], progress: Progress) -> dict[str, dict[str, Any]]:
+    channels = [(name, channel) for name, reading in readings.items() for channel in reading.channels]
+    streams: dict[str, dict[str, Any]] = {name: {} for name in readings}
+    done, total = 0, max(1, sum(len(channel.stamps) for _, channel in channels))
+    for name, channel in channels:
+        progress(done / total, f"describing {channel.signal}")
+        streams[name][key_of(channel)] = stream_figures(channel)
+        done += len(channel.stamps)
+        leave()
+    return streams
+
+
+def _recording(recording: Recording, machine: Machine, scales: Mapping[str, Scale], progress: Progress) -> dict[str, Any]:
     flags: list[str] = []
     signals = {signal: _signal(recording, signal) for signal in recording.signals}
     result: dict[str, Any] = {"seconds": len(recording) / recording.rate_hz, "signals": signals, "flags": flags}
@@ -74,7 +104,9 @@ def _recording(recording: Recording, machine: Machine, scales: Mapping[str, Scal
         return result | {"poses": len(recording)}
     result["axes"] = {}
     active = []
-    for axis in machine.axes:
+    for number, axis in enumerate(machine.axes):
+        progress(number / len(machine.axes), f"describing {axis.name}")
+        leave()
         command = recording.values(axis_signal(axis.name, "command"))
         if np.isnan(command).all():
             continue
@@ -82,7 +114,7 @@ def _recording(recording: Recording, machine: Machine, scales: Mapping[str, Scal
         active.append(level_of(command) != 0)
         flags += axis_remarks(recording, axis.name, axis.driven, active[-1], axis.range)
     if active:
-        together = np.sum(active, axis=0)
+        together = np.asarray(np.sum(active, axis=0, dtype=np.uint16))
         result["several_axes"] = float(np.mean(together[together > 0] > 1)) if np.any(together > 0) else 0.0
     return result
 
@@ -92,7 +124,7 @@ def _signal(recording: Recording, signal: str) -> dict[str, Any]:
     known = ~np.isnan(values)
     if not known.any():
         return {"missing": 1.0}
-    inside = values[known]
+    inside = chosen(values, known)
     low, high = float(inside.min()), float(inside.max())
     rounded = high - low <= 1e-12 * max(abs(low), abs(high))  # interpolation alone
     counts = np.histogram(inside, bins=BINS, range=(low, low + max(1.0, abs(low)) if rounded else high))[0]

@@ -7,6 +7,9 @@ import math
 import numpy as np
 import numpy.typing as npt
 
+from sysid.datasets.in_pieces import absolute, copied, differences, known, median
+from sysid.scratch import chosen, computed
+
 Array = npt.NDArray[np.float64]
 
 #: Samples of a sensor this far apart are independent [s]: of any sensor above 17 Hz.
@@ -19,6 +22,8 @@ DUST, SMALLEST = 1e-9, 1e-3
 DEGREES, FALLS = (3, 5, 7), 3.0
 #: Orders of difference that scatter is told from where no degree follows the motion, and that bounds it.
 FINEST, BOUND = 8, 4
+#: Windows that are fitted together.
+_WINDOWS = 2**14
 
 
 def noise_of(values: Array, rate_hz: float) -> float:
@@ -37,8 +42,8 @@ def noise_of(values: Array, rate_hz: float) -> float:
 
 def is_still(values: Array) -> bool:
     """Whether a signal (n,) varies by rounding of floating-point numbers alone, or not at all."""
-    known = values[~np.isnan(values)]
-    return not len(known) or float(np.ptp(known)) <= DUST * max(float(np.max(np.abs(known))), SMALLEST)
+    there = known(values)
+    return not len(there) or float(np.ptp(there)) <= DUST * max(float(there.max()), -float(there.min()), SMALLEST)
 
 
 def white_noise(values: Array, rate_hz: float) -> float:
@@ -63,9 +68,13 @@ def _scatter(windows: Array, degree: int) -> float:
     """Median standard deviation of windows (m, width) about polynomials."""
     width = windows.shape[1]
     basis = np.linalg.qr(np.vander(np.linspace(-1.0, 1.0, width), degree + 1))[0]
-    centred = windows - windows.mean(axis=1, keepdims=True)
-    residual = centred - centred @ basis @ basis.T
-    return float(np.sqrt(np.median(np.sum(residual**2, axis=1)) / (width - degree - 1)))
+    sums = []
+    for first in range(0, len(windows), _WINDOWS):
+        some = windows[first : first + _WINDOWS]
+        centred = some - some.mean(axis=1, keepdims=True)
+        residual = centred - centred @ basis @ basis.T
+        sums.append(np.sum(residual**2, axis=1))
+    return float(np.sqrt(np.median(np.concatenate(sums)) / (width - degree - 1)))
 
 
 def noise_bound(values: Array) -> float:
@@ -82,11 +91,10 @@ def difference_scatter(values: Array, order: int) -> float:
     A difference of order k passes white noise with a gain of one and a motion of frequency f with one of about sin(πf/rate)^k
     (Gasser, Sroka and Jennen-Steinmetz, Biometrika 73 (1986) 625: residual variance from differences).
     """
-    differences = np.diff(values, n=order)
-    differences = np.abs(differences[~np.isnan(differences)])
-    if len(differences) < 3:
+    sizes = known(absolute(differences(values, order)))
+    if len(sizes) < 3:
         return float("nan")
-    return 1.4826 * float(np.median(differences)) / math.sqrt(math.comb(2 * order, order))
+    return 1.4826 * median(sizes) / math.sqrt(math.comb(2 * order, order))
 
 
 def _windows(values: Array, rate_hz: float) -> Array:
@@ -94,7 +102,8 @@ def _windows(values: Array, rate_hz: float) -> Array:
     width = max(round(0.2 * rate_hz), 10)
     count = len(values) // width
     windows = values[: count * width].reshape(count, width)
-    return windows[~np.isnan(windows).any(axis=1)]
+    whole = ~np.isnan(windows).any(axis=1)
+    return chosen(windows.reshape(-1), np.repeat(whole, width)).reshape(-1, width)
 
 
 def unsteadiness(values: Array, rate_hz: float) -> float:
@@ -104,22 +113,28 @@ def unsteadiness(values: Array, rate_hz: float) -> float:
     between the samples of a slow sensor a table is smooth, whatever its noise. Quick motion counts in part; zero where there
     are too few rows to tell.
     """
-    known = values[~np.isnan(values)]
+    there = known(values)
     lag = max(round(LAG_S * rate_hz), 1)
-    if len(known) <= 2 * lag:
+    if len(there) <= 2 * lag:
         return 0.0
-    second = np.abs(known[2 * lag :] - 2.0 * known[lag:-lag] + known[: -2 * lag])
+
+    def second(first: int, last: int) -> Array:
+        return np.abs(there[first + 2 * lag : last + 2 * lag] - 2.0 * there[first + lag : last + lag] + there[first:last])
+
     # Of a normal variable half the values lie within 0.6745 standard deviations; a second difference has those of six samples.
-    scatter = float(np.median(second)) / (0.6745 * math.sqrt(6.0))
-    fine = noise_of(known, rate_hz)
+    scatter = median(computed(len(there) - 2 * lag, second)) / (0.6745 * math.sqrt(6.0))
+    fine = noise_of(there, rate_hz)
     return scatter if math.isnan(fine) else max(scatter, fine)
 
 
 def _step(values: Array) -> float:
     """The sensor's quantum; 0 where its values do not repeat."""
-    known = values[~np.isnan(values)]
-    levels = np.unique(known)
-    if len(levels) < 2 or len(levels) > len(known) / 4:
+    ordered = copied(known(values))
+    ordered.sort()
+    new = np.ones(len(ordered), dtype=bool)
+    new[1:] = ordered[1:] != ordered[:-1]
+    levels = np.count_nonzero(new)
+    if levels < 2 or levels > len(ordered) / 4:
         return 0.0
-    gaps = np.diff(levels)
-    return float(gaps[gaps > 1e-6 * (levels[-1] - levels[0])].min())
+    gaps = differences(chosen(ordered, new))
+    return float(chosen(gaps, gaps > 1e-6 * (ordered[-1] - ordered[0])).min())

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
+from sysid.datasets.in_pieces import known, stretches
 from sysid.datasets.recording import Recording
 
 #: A sensor that gives the very same value for this long while its axis is commanded may be stuck [s].
@@ -15,12 +16,12 @@ def axis_remarks(
     recording: Recording, axis: str, driven: str, moving: npt.NDArray[np.bool_], ends: tuple[float, float]
 ) -> list[str]:
     values = recording.values(driven)
-    known = ~np.isnan(values)
-    if not known.any():
+    there = known(values)
+    if not len(there):
         return []
     flags = []
     frozen = np.zeros(len(values), dtype=bool)
-    frozen[1:] = (np.diff(values) == 0.0) & moving[1:] & moving[:-1]
+    frozen[1:] = (values[1:] == values[:-1]) & moving[1:] & moving[:-1]
     stuck = longest_run(frozen) / recording.rate_hz
     if stuck > STUCK_S:
         flags.append(
@@ -28,7 +29,7 @@ def axis_remarks(
         )
     if np.isfinite(ends).all():
         margin = 1e-3 * (ends[1] - ends[0])
-        beyond = (values[known] < ends[0] - margin) | (values[known] > ends[1] + margin)
+        beyond = (there < ends[0] - margin) | (there > ends[1] + margin)
         if beyond.any():
             flags.append(
                 f"{driven}: {100 * beyond.mean():.1f} % of the samples lie outside [{ends[0]:g}, {ends[1]:g}]: offset or unit?"
@@ -38,5 +39,5 @@ def axis_remarks(
 
 def longest_run(mask: npt.NDArray[np.bool_]) -> int:
     """Length of the longest stretch of True."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], mask, [False]]).astype(np.int8)))
-    return int((edges[1::2] - edges[::2]).max(initial=0))
+    first, last = stretches(mask)
+    return int((last - first).max(initial=0))

@@ -11,8 +11,10 @@ import numpy.typing as npt
 from sysid.datasets.channel import Channel
 from sysid.datasets.channels import Reading
 from sysid.datasets.clocks.records import Clocked, machine_times
+from sysid.datasets.in_pieces import absolute, copied, deviation, mean_square, median
 from sysid.datasets.quality.noise import noise_of
 from sysid.datasets.recording import ClockRecord
+from sysid.scratch import chosen, computed
 
 Array = npt.NDArray[np.float64]
 
@@ -22,13 +24,13 @@ def key_of(channel: Channel) -> str:
 
 
 def stream_figures(channel: Channel) -> dict[str, Any]:
-    steps = np.diff(channel.stamps) * 1e-9
-    period = float(np.median(steps)) if len(steps) else float("nan")
-    regular = steps[steps < 2.0 * period]
+    steps = computed(max(len(channel.stamps) - 1, 0), lambda a, b: np.diff(channel.stamps[a : b + 1]) * 1e-9)
+    period = median(copied(steps)) if len(steps) else float("nan")
+    regular = chosen(steps, steps < 2.0 * period)
     return {
         "samples": len(channel.stamps),
         "rate_hz": 1.0 / period if period > 0 else None,
-        "jitter_s": float(np.std(regular)) if len(regular) else None,
+        "jitter_s": deviation(regular) if len(regular) else None,
         "longest_gap_s": float(steps.max()) if len(steps) else None,
         "missing": float(np.isnan(channel.values).mean()),
         "repaired_rows": channel.repaired,
@@ -48,17 +50,23 @@ def cross_checks(name: str, reading: Reading, clocks: Mapping[str, Sequence[Cloc
             continue
         times, values = _on_machine(name, channel, reading, clocks)
         at, reference = _on_machine(name, other, reading, clocks)
-        known = ~np.isnan(reference)
-        inside = (times >= at[known][0]) & (times <= at[known][-1]) & ~np.isnan(values)
-        difference = values[inside] - np.interp(times[inside], at[known], reference[known])
+        there = ~np.isnan(reference)
+        at, reference = chosen(at, there), chosen(reference, there)
+        inside = (times >= at[0]) & (times <= at[-1]) & ~np.isnan(values)
+        difference = _differences(chosen(times, inside), chosen(values, inside), at, reference)
         if len(difference):
             checks[key_of(channel)] = {
                 "against": key_of(other),
-                "bias": float(np.median(difference)),
-                "rms": float(np.sqrt(np.mean(difference**2))),
-                "p99": float(np.quantile(np.abs(difference), 0.99)),
+                "bias": median(copied(difference)),
+                "rms": float(np.sqrt(mean_square(difference))),
+                "p99": float(np.quantile(absolute(difference), 0.99, overwrite_input=True)),
             }
     return checks
+
+
+def _differences(times: Array, values: Array, at: Array, reference: Array) -> Array:
+    result: Array = computed(len(times), lambda a, b: values[a:b] - np.interp(times[a:b], at, reference))
+    return result
 
 
 def _on_machine(

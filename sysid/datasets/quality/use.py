@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from sysid.datasets.in_pieces import absolute, copied, counted, known, pieces
 from sysid.datasets.quality.noise import unsteadiness
 from sysid.datasets.recording import Recording
 from sysid.machine import Axis, Machine
+from sysid.scratch import chosen, computed, empty, filled
 from sysid.signals import axis_signal
 
 Array = npt.NDArray[np.float64]
@@ -76,14 +78,18 @@ def scales_of(recordings: Sequence[Recording], machine: Machine) -> dict[str, Sc
     """Axis → what is large for it in these recordings; an axis without commands is left out."""
     found, recordings = {}, [recording for recording in recordings if recording.kind == "motion"]
     for axis in machine.axes:
-        parts = [r.values(axis_signal(axis.name, "command")) for r in recordings]
-        commands = np.concatenate([part[~np.isnan(part)] for part in parts]) if parts else np.empty(0)
-        if not len(commands):
+        commands = [known(r.values(axis_signal(axis.name, "command"))) for r in recordings]
+        largest = [max(float(command.max()), -float(command.min())) for command in commands if len(command)]
+        if not largest:
             continue
-        full = 1.0 if axis.actuation == "velocity" else float(np.max(np.abs(commands))) or 1.0
-        speeds = np.concatenate([np.abs(speed_of(r.values(moved_signal(r, axis)), r.rate_hz)) for r in recordings])
-        speeds = speeds[~np.isnan(speeds)]
-        found[axis.name] = Scale(full, float(np.quantile(speeds, 0.99)) if len(speeds) else 0.0)
+        full = 1.0 if axis.actuation == "velocity" else max(largest) or 1.0
+        speeds: Array = empty(sum(map(len, recordings)))
+        done = 0
+        for recording in recordings:
+            own = known(absolute(speed_of(recording.values(moved_signal(recording, axis)), recording.rate_hz)))
+            speeds[done : done + len(own)] = own
+            done += len(own)
+        found[axis.name] = Scale(full, float(np.quantile(speeds[:done], 0.99, overwrite_input=True)) if done else 0.0)
     return found
 
 
@@ -91,29 +97,34 @@ def use_of(recording: Recording, axis: Axis, scale: Scale) -> AxisUse:
     """How the axis was used in one recording of motion."""
     command = recording.values(axis_signal(axis.name, "command"))
     level = level_of(command)
-    given = np.nan_to_num(command[level != 0]) / scale.full
-    seconds = np.histogram(np.clip(given, -1.0, 1.0), bins=CELLS, range=(-1.0, 1.0))[0] / recording.rate_hz
+    counts = np.zeros(CELLS, dtype=np.intp)
+    for first, last in pieces(len(command)):
+        given = np.nan_to_num(command[first:last][level[first:last] != 0]) / scale.full
+        counts += np.histogram(np.clip(given, -1.0, 1.0), bins=CELLS, range=(-1.0, 1.0))[0]
+    seconds = counts / recording.rate_hz
     moved = recording.values(moved_signal(recording, axis))
     speed = speed_of(moved, recording.rate_hz)
     least = max(SLOW[0] * scale.top_speed, _unrest(moved, recording.rate_hz))
-    slow = (np.abs(speed) > least) & (np.abs(speed) < SLOW[1] * scale.top_speed)
-    small = [(side * command > SMALL[0] * scale.full) & (side * command < SMALL[1] * scale.full) for side in (1.0, -1.0)]
 
-    def lasting(mask: npt.NDArray[np.bool_]) -> float:
-        return float(np.sum(mask)) / recording.rate_hz
+    def lasting(values: Array, side: float, above: float = 0.0, below: float = np.inf) -> float:
+        there = counted(len(values), lambda a, b: (side * values[a:b] > above) & (side * values[a:b] < below))
+        return there / recording.rate_hz
+
+    small, slow = (SMALL[0] * scale.full, SMALL[1] * scale.full), (least, SLOW[1] * scale.top_speed)
+    idle = counted(len(level), lambda a, b: (level[a:b] == 0.0) & ~np.isnan(command[a:b]))
 
     return AxisUse(
         full=scale.full,
         seconds=tuple(map(float, seconds)),
-        idle_s=lasting((level == 0) & ~np.isnan(command)),
-        positive_s=lasting(level > 0),
-        negative_s=lasting(level < 0),
-        small_positive_s=lasting(small[0]),
-        small_negative_s=lasting(small[1]),
+        idle_s=idle / recording.rate_hz,
+        positive_s=lasting(level, 1.0),
+        negative_s=lasting(level, -1.0),
+        small_positive_s=lasting(command, 1.0, *small),
+        small_negative_s=lasting(command, -1.0, *small),
         command_changes=command_changes(command),
         reversals=reversals(moved, recording.rate_hz),
-        slow_positive_s=lasting(slow & (speed > 0)),
-        slow_negative_s=lasting(slow & (speed < 0)),
+        slow_positive_s=lasting(speed, 1.0, *slow),
+        slow_negative_s=lasting(speed, -1.0, *slow),
     )
 
 
@@ -149,18 +160,26 @@ def moved_signal(recording: Recording, axis: Axis) -> str:
 
 def level_of(command: Array) -> Array:
     """The command as −1, 0, +1, with what is below :data:`IDLE` of its large values as 0 (a spike is none of them)."""
-    u = np.nan_to_num(command)
-    given = np.abs(u[u != 0.0])
-    return np.where(np.abs(u) > IDLE * np.percentile(given, 95), np.sign(u), 0.0) if len(given) else np.zeros(len(u))
+    sizes = computed(len(command), lambda a, b: np.abs(np.nan_to_num(command[a:b])))
+    given = chosen(sizes, sizes != 0.0)
+    least = IDLE * np.percentile(given, 95, overwrite_input=True) if len(given) else np.inf
+
+    def level(first: int, last: int) -> Array:
+        u = np.nan_to_num(command[first:last])
+        return np.where(np.abs(u) > least, np.sign(u), 0.0)
+
+    result: Array = computed(len(command), level)
+    return result
 
 
 def command_changes(command: Array) -> int:
     """Starts, stops and reversals, or the turning points of a command that never comes to rest."""
-    u = np.nan_to_num(command)
+    u = computed(len(command), lambda a, b: np.nan_to_num(command[a:b]))
     if not len(u):
         return 0
-    turns = turning_points(u, 0.2 * float(np.ptp(np.percentile(u, (2.5, 97.5)))))
-    return max(int(np.sum(np.diff(level_of(command)) != 0)), turns)
+    turns = turning_points(u, 0.2 * float(np.ptp(np.percentile(copied(u), (2.5, 97.5), overwrite_input=True))))
+    level = level_of(command)
+    return max(int(np.count_nonzero(level[1:] != level[:-1])), turns)
 
 
 def reversals(values: Array, rate_hz: float | None) -> int:
@@ -169,11 +188,11 @@ def reversals(values: Array, rate_hz: float | None) -> int:
     Args:
         rate_hz: None for static poses: their rows are no motion from which noise could be told.
     """
-    known = values[~np.isnan(values)]
-    if not len(known):
+    there = known(values)
+    if not len(there):
         return 0
-    noise = 0.0 if rate_hz is None else unsteadiness(known, rate_hz)
-    return turning_points(known, max(TURN * float(np.ptp(known)), TURN_NOISE * noise))
+    noise = 0.0 if rate_hz is None else unsteadiness(there, rate_hz)
+    return turning_points(there, max(TURN * float(np.ptp(there)), TURN_NOISE * noise))
 
 
 def turning_points(values: Array, least: float) -> int:
@@ -195,20 +214,24 @@ def turning_points(values: Array, least: float) -> int:
     return count
 
 
-def _corners(values: Array) -> list[float]:
+def _corners(values: Array) -> Iterator[float]:
     """The ends of all stretches in which the signal only rises or only falls: nothing between them can be a turn."""
-    changed = values[np.concatenate([[True], np.diff(values) != 0.0])]
-    up = np.diff(changed) > 0.0
-    ends: list[float] = changed[1:][np.concatenate([up[1:] != up[:-1], [True]])].tolist() if len(up) else []
-    return ends
+    before = values[:0]  # the last two different values: which way the signal goes
+    for first, last in pieces(len(values)):
+        some = np.concatenate([before, values[first:last]])
+        changed = some[np.concatenate([[True], np.diff(some) != 0.0])]
+        up = np.diff(changed) > 0.0
+        yield from changed[1:-1][up[1:] != up[:-1]].tolist()
+        before = changed[-2:]
+    yield from before[1:].tolist()
 
 
 def speed_of(values: Array, rate_hz: float) -> Array:
     """Slope over :data:`SLOPE_S` around each sample [unit/s], NaN at the ends and across gaps, (n,)."""
     half = max(round(0.5 * SLOPE_S * rate_hz), 1)
-    speed = np.full(len(values), np.nan)
-    if len(values) > 2 * half:
-        speed[half:-half] = (values[2 * half :] - values[: -2 * half]) * rate_hz / (2 * half)
+    speed: Array = filled(len(values), np.nan)
+    for a, b in pieces(len(values) - 2 * half):
+        speed[half + a : half + b] = (values[2 * half + a : 2 * half + b] - values[a:b]) * rate_hz / (2 * half)
     return speed
 
 

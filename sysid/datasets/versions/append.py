@@ -15,17 +15,19 @@ import numpy as np
 from sysid.datasets.channels import Mounts, survey_mounts
 from sysid.datasets.clocks.records import known_skews
 from sysid.datasets.discover import RecordingFiles, discover
-from sysid.datasets.ingest import walk
+from sysid.datasets.ingest import DESCRIBED, STORED, walk
 from sysid.datasets.plan import content_of, plan_of, sources_of
 from sysid.datasets.recipe import Splits, stored_recipe
 from sysid.datasets.recording import Dataset, Recording, Role, Source
 from sysid.datasets.splits import split
-from sysid.datasets.versions.files import OvertakenError
+from sysid.datasets.versions.files import OvertakenError, scratch_folder
 from sysid.datasets.versions.manifest import Manifest, clock_from, digest_of
 from sysid.datasets.versions.store import Store
 from sysid.errors import InputError, SettingsError, nearest
 from sysid.machine import Machine, machine_from_files
 from sysid.progress import Progress, silent
+from sysid.progress import part as stretch
+from sysid.scratch import scratch_in
 
 #: Of new recordings where neither the caller nor the recipe gives one: what proves a model stays what it was.
 DEFAULT_ROLE: Role = "fit"
@@ -71,7 +73,7 @@ def append(
     if role is not None and role not in get_args(Role):
         raise SettingsError("role", repr(role), nearest(role, get_args(Role)))
     report = progress or silent
-    with threadpool_limits(limits=1):
+    with threadpool_limits(limits=1), scratch_in(scratch_folder(workspace)):
         while True:
             try:
                 return _append(paths, Store(workspace), to, machine, recipe, role, report)
@@ -109,14 +111,13 @@ def _append(
     walked = walk(found, plan, _mounts(found, plan.machine, base), report, skews)
     settings = plan.rules.splits if plan.rules is not None else Splits()
     parts, roles = split(walked.recordings, _roles(walked.recordings, settings, role), plan.where)
-    addition = walked.dataset(name, digest, plan.machine, parts, roles, sources)
+    addition = walked.dataset(name, digest, plan.machine, parts, roles, sources, stretch(report, *DESCRIBED))
     for signal, unit in addition.units.items():
         if base["units"].get(signal, unit) != unit:
             expected = f"[{base['units'][signal]}] as in {reference}"
             raise InputError(f"{plan.where}: {signal}", f"[{unit}]", expected, "Correct the unit in the recipe.")
     addition = replace(addition, quality=joined_quality(base["quality"], addition.quality))
-    report(0.95, "storing")
-    saved = store.append(reference, addition, walked.channels, walked.made, newest="@" not in to)
+    saved = store.append(reference, addition, walked.channels, walked.made, "@" not in to, stretch(report, *STORED))
     report(1.0, f"stored {saved.reference}")
     return saved
 

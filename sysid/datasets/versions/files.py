@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import os
 import re
+import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -84,6 +85,11 @@ class Files(Protocol):
     def lock(self, folder: str) -> Any:
         """A context that one writer at a time can enter."""
         ...
+
+
+def scratch_folder(workspace: str | Path) -> Path:
+    """Where scratch files lie while something is made for ``workspace``: beside it where it is local, on the same disk."""
+    return Path(tempfile.gettempdir()) if "://" in str(workspace) else Path(workspace)
 
 
 def open_files(workspace: str | Path) -> Files:

@@ -43,6 +43,8 @@ from sysid.datasets.versions.tables import PartTables, is_there, read_table, wri
 from sysid.errors import SettingsError, StoreError, nearest
 from sysid.foreign import shown
 from sysid.names import check_dataset_name
+from sysid.progress import Progress, silent
+from sysid.progress import part as stretch
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -188,22 +190,31 @@ class Store:
                     return self.load(f"{name}@{version}")
         return None
 
-    def save(self, dataset: Dataset, channels: Mapping[str, Sequence[Channel]], made: Made) -> Dataset:
+    def save(
+        self, dataset: Dataset, channels: Mapping[str, Sequence[Channel]], made: Made, progress: Progress = silent
+    ) -> Dataset:
         """Store ``dataset`` as the next version of its name; the same digest again returns the version that is there.
 
         Args:
             dataset: its ``version`` is ignored.
             channels: recording (before it was cut into blocks) → its raw channels.
             made: what the tables came from, kept with the version.
+            progress: called with the share that is written.
 
         Raises:
             StorageError: the disk is full, or may not be written; nothing of the version is visible then.
         """
-        version = self._store(dataset, channels, made, lambda number, part: new_manifest(dataset, number, part))
+        version = self._store(dataset, channels, made, progress, lambda number, own: new_manifest(dataset, number, own))
         return version if isinstance(version, Dataset) else dataclasses.replace(dataset, version=version)
 
     def append(
-        self, base: str, addition: Dataset, channels: Mapping[str, Sequence[Channel]], made: Made, newest: bool = False
+        self,
+        base: str,
+        addition: Dataset,
+        channels: Mapping[str, Sequence[Channel]],
+        made: Made,
+        newest: bool = False,
+        progress: Progress = silent,
     ) -> Dataset:
         """Store the version ``base`` with the recordings of ``addition`` behind its own; no file of ``base`` is touched.
 
@@ -213,6 +224,7 @@ class Store:
                 the quality of all recordings.
             channels: of the new recordings.
             newest: ``base`` was meant as the newest version, so that nothing may have come after it.
+            progress: called with the share that is written.
 
         Raises:
             OvertakenError: ``base`` is the newest no more where it has to be.
@@ -220,17 +232,17 @@ class Store:
             StorageError: the disk is full, or may not be written; nothing of the version is visible then.
         """
 
-        def build(number: int, part: Manifest) -> Manifest:
+        def build(number: int, own: Manifest) -> Manifest:
             manifest = self._whole(base)
             last = self.versions(addition.name)[-1]
             if newest and last != manifest["version"]:
                 found = f"{addition.name}@{last} was stored in the meantime"
                 remedy = "Run the command again: it adds to that one."
                 raise OvertakenError(f"dataset {addition.name}", found, f"{base} to be the newest version", remedy)
-            return appended(manifest, addition, number, part)
+            return appended(manifest, addition, number, own)
 
         self.manifest(base)  # before anything is written
-        version = self._store(addition, channels, made, build)
+        version = self._store(addition, channels, made, progress, build)
         return version if isinstance(version, Dataset) else self.load(f"{addition.name}@{version}")
 
     def resplit(self, reference: str, splits: Mapping[str, Role]) -> Dataset:
@@ -260,6 +272,7 @@ class Store:
         dataset: Dataset,
         channels: Mapping[str, Sequence[Channel]],
         made: Made,
+        progress: Progress,
         build: Callable[[int, Manifest], Manifest],
     ) -> Dataset | int:
         """Tables into a folder of their own, then the manifest that ``build(number, part)`` gives: its number, or the version
@@ -276,11 +289,13 @@ class Store:
                         self.files.remove(f"datasets/{name}/data/{folder}")
             folder = f"datasets/{name}/data/{dataset.digest[:16]}-{uuid.uuid4().hex[:8]}"
             try:
-                samples = write_samples(self.files, f"{folder}/samples", dataset)
-                raw = write_channels(self.files, f"{folder}/channels", channels)
+                cells = sum(recording.table.size for recording in dataset.recordings)
+                half = cells / max(1, cells + 2 * sum(len(c.stamps) for own in channels.values() for c in own))
+                samples = write_samples(self.files, f"{folder}/samples", dataset, stretch(progress, 0.0, half))
+                raw = write_channels(self.files, f"{folder}/channels", channels, stretch(progress, half, 1.0))
                 self.files.settle(folder)
-                part = new_part(folder, samples, raw, made)
-                return self._publish(name, dataset.digest, lambda number: build(number, part))
+                written = new_part(folder, samples, raw, made)
+                return self._publish(name, dataset.digest, lambda number: build(number, written))
             except BaseException:
                 with contextlib.suppress(OSError):
                     if folder.rpartition("/")[2] in self.leftovers(name):  # else it was published before it was interrupted

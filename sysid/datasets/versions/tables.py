@@ -17,6 +17,8 @@ from sysid.datasets.channel import Channel
 from sysid.datasets.recording import Dataset
 from sysid.datasets.versions.files import Files
 from sysid.errors import StoreError
+from sysid.progress import Progress
+from sysid.scratch import leave
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -35,7 +37,7 @@ class PartTables:
     channels: str
 
 
-def write_samples(files: Files, folder: str, dataset: Dataset) -> dict[str, Any]:
+def write_samples(files: Files, folder: str, dataset: Dataset, progress: Progress) -> dict[str, Any]:
     """``recording, row, stamp_ns, time`` and one column a signal; the entry of the manifest."""
     import pyarrow as pa
 
@@ -47,12 +49,16 @@ def write_samples(files: Files, folder: str, dataset: Dataset) -> dict[str, Any]
     fields += [pa.field(name, kind, metadata=_unit(dataset.units.get(name))) for name, kind in types.items()]
     schema = pa.schema(fields)
 
+    total = max(1, sum(map(len, dataset.recordings)))
+
     def batches() -> Iterator[pa.RecordBatch]:
+        done = 0
         for recording in dataset.recordings:
             for first in range(0, len(recording), ROWS):
-                yield _sample_batch(
-                    recording.name, recording.start_ns, recording.table.iloc[first : first + ROWS], schema, first
-                )
+                progress(done / total, f"storing {recording.name}")
+                table = recording.table.iloc[first : first + ROWS]
+                yield _sample_batch(recording.name, recording.start_ns, table, schema, first)
+                done += len(table)
 
     return _write(files, folder, schema, batches())
 
@@ -70,7 +76,7 @@ def _sample_batch(name: str, start_ns: int, table: pd.DataFrame, schema: pa.Sche
     return pa.record_batch(columns, schema=schema)
 
 
-def write_channels(files: Files, folder: str, channels: Mapping[str, Sequence[Channel]]) -> dict[str, Any]:
+def write_channels(files: Files, folder: str, channels: Mapping[str, Sequence[Channel]], progress: Progress) -> dict[str, Any]:
     """``recording, source, domain, signal, unit, primary, stamp_ns, value``; the entry of the manifest, with the clocks.
 
     Args:
@@ -82,10 +88,15 @@ def write_channels(files: Files, folder: str, channels: Mapping[str, Sequence[Ch
     numbers = [pa.field("primary", pa.bool_()), pa.field("stamp_ns", pa.int64()), pa.field("value", pa.float64())]
     schema = pa.schema([*texts, *numbers])
 
+    total = max(1, sum(len(c.stamps) for parts in channels.values() for c in parts))
+
     def batches() -> Iterator[pa.RecordBatch]:
+        done = 0
         for recording, parts in channels.items():
             for c, rows in ((part, slice(i, i + ROWS)) for part in parts for i in range(0, max(1, len(part.stamps)), ROWS)):
+                progress(done / total, f"storing {recording}: {c.signal}")
                 stamps, values = c.stamps[rows], c.values[rows]  # noqa: PD011
+                done += len(stamps)
                 words = [_repeated(text, len(stamps)) for text in (recording, c.source, c.domain, c.signal, c.unit)]
                 primary = pa.array(np.full(len(stamps), c.primary))
                 numbers = pa.array(values, from_pandas=True)
@@ -122,6 +133,7 @@ def _write(files: Files, folder: str, schema: pa.Schema, batches: Iterable[pa.Re
         ) as writer:
             for batch in batches:
                 writer.write_batch(batch)
+                leave()
         sink.flush()
     convert_to_deltalake(files.uri(folder), mode="error")
     size, digest = files.address(f"{folder}/{FILE}")

@@ -1,0 +1,88 @@
+"""Figures of a long signal, worked out some thousand samples at a time: what lies between takes no memory beside the signal.
+
+Every figure is, bit for bit, that of the NumPy expression it stands for.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from sysid.scratch import PIECE, chosen, computed
+
+Array = npt.NDArray[np.float64]
+Values = npt.NDArray[Any]
+Mask = npt.NDArray[np.bool_]
+Rows = npt.NDArray[np.intp]
+
+
+def pieces(count: int) -> Iterator[tuple[int, int]]:
+    """(first, last + 1) of each piece of ``count`` samples."""
+    return ((first, min(first + PIECE, count)) for first in range(0, count, PIECE))
+
+
+def copied(values: Values) -> Values:
+    """A copy (n,)."""
+    return computed(len(values), lambda first, last: values[first:last], values.dtype)
+
+
+def differences(values: Values, order: int = 1) -> Values:
+    """``np.diff(values, order)`` of a signal (n,)."""
+    count = max(len(values) - order, 0)
+    return computed(count, lambda first, last: np.diff(values[first : last + order], order), values.dtype)
+
+
+def known(values: Array) -> Array:
+    """A signal (n,) without its missing values; itself where none is missing."""
+    return chosen(values, ~np.isnan(values))
+
+
+def masked(count: int, piece: Callable[[int, int], Mask]) -> Mask:
+    """A mask (count,); ``piece`` gives it from the first to the last + 1 of some samples."""
+    mask: Mask = computed(count, piece, np.bool_)
+    return mask
+
+
+def counted(count: int, piece: Callable[[int, int], Mask]) -> int:
+    """How many of ``count`` samples a mask chooses that ``piece`` gives as for :func:`masked`."""
+    return sum(int(np.count_nonzero(piece(first, last))) for first, last in pieces(count))
+
+
+def median(values: Values) -> float:
+    """Median of (n,), whose order is lost: a copy of what is needed later is given."""
+    return float(np.median(values, overwrite_input=True))
+
+
+def median_step(values: Values) -> float:
+    """``np.median(np.diff(values))`` of at least two stamps or times (n,)."""
+    return median(differences(values))
+
+
+def mean_square(values: Array) -> float:
+    """``np.mean(values**2)``."""
+    return float(computed(len(values), lambda first, last: values[first:last] ** 2).sum() / len(values))
+
+
+def deviation(values: Array) -> float:
+    """``np.std(values)``."""
+    mean = values.sum() / len(values)
+    away = computed(len(values), lambda first, last: values[first:last] - mean)
+    np.multiply(away, away, out=away)
+    return float(np.sqrt(away.sum() / len(values)))
+
+
+def stretches(mask: Mask) -> tuple[Rows, Rows]:
+    """First and last + 1 of each stretch of True of a mask (n,)."""
+    if not len(mask):
+        return np.empty(0, np.intp), np.empty(0, np.intp)
+    edges = np.flatnonzero(mask[1:] != mask[:-1]) + 1
+    ends = np.concatenate([np.arange(int(mask[0])), edges, np.full(int(mask[-1]), len(mask))])
+    return ends[::2], ends[1::2]
+
+
+def absolute(values: Array) -> Array:
+    """``np.abs(values)``, in the place of ``values``."""
+    return np.abs(values, out=values)
