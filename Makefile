@@ -15,7 +15,7 @@ demo: $(READY)
 JOBS ?= $(shell nproc)
 test: $(READY)
 	$(BIN)/python -m pytest -n $(JOBS) --dist loadfile -m "not slow and not realtime"
-	$(BIN)/python -m pytest -m "realtime and not slow"
+	$(BIN)/python -m pytest -m "realtime and not slow" tests/bench tests/runner
 
 # The default options leave the slow tests out; the later -m wins. Properties are tried on new examples here.
 test-slow: $(READY)

@@ -490,6 +490,8 @@ def found_in(name: str, flown: Flown) -> dict[str, Any]:
 
 def _reopened(opened: npt.NDArray[np.bool_]) -> int:
     """Cycles of the machine with an open valve after all were neutral for three cycles in a row."""
+    if len(opened) < 3:  # the machine is gone
+        return 0
     shut = np.flatnonzero(np.convolve(~opened, np.ones(3), "valid") == 3)
     return int(opened[shut[0] :].sum()) if len(shut) else 0
 

@@ -83,6 +83,14 @@ def test_a_run_that_ended_before_its_fault_proves_nothing(runner: Any) -> None:
     assert (row["state"], row["ok"]) == ("ended before the fault", False)
 
 
+def test_a_machine_that_was_killed_leaves_no_motion_after(runner: Any) -> None:
+    run = flown(runner, 0.25, outcome={"ended": "stopped", "state": "fault"})
+    run.truth = {name: values[:100] for name, values in run.truth.items()}
+    row = runner.judged("kill -9 of the machine", run)
+    assert row["ok"]
+    assert row["neutral_ms"] is None
+
+
 @pytest.mark.parametrize(
     ("run", "name", "ok"),
     [
