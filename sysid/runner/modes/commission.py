@@ -33,7 +33,7 @@ Array = npt.NDArray[np.float64]
 #: them gains are judged.
 ORDER = (1, -1, -1, 1, 1, -1)
 #: A command that rises takes so long from the beginning of motion to the speed of the recipe, on the fastest axis [s].
-RISE_S = 0.6
+RISE_S = 1.0
 #: Before each stroke, and after it, the machine rests [s]; readings of the last part of it say where it stands.
 REST_S, STAND_S = 0.7, 0.3
 #: Nothing moves up to this much beyond the plant's dead-band: the stroke ends [command].
