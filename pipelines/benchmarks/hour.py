@@ -23,7 +23,14 @@ OFFSET, SKEW_PPM, WIRE_NOISE, CAPTURE_NOISE = 2.345, 40.0, 2e-5, 5e-4
 #: Alignment and resampling of the hour have to be done within [s].
 INGEST_LIMIT = 5.0
 
-_STAGES = {"reading": "read", "aligning": "align", "resampling": "resample", "judging": "judge", "storing": "store"}
+_STAGES = {
+    "reading": "read",
+    "aligning": "align",
+    "resampling": "resample",
+    "checking": "check",
+    "describing": "check",
+    "storing": "store",
+}
 _JOINTS = {"slew": 0.8, "boom": 0.35, "stick": 0.5, "telescope": 0.05}
 _RECIPE = """schema = 1
 machine = "machine.toml"

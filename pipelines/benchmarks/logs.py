@@ -101,7 +101,7 @@ def ingest_rows(repeats: int = 3) -> list[dict[str, Any]]:
     stages = [stage_seconds() for _ in range(repeats)]
     taken = [stage["align"] + stage["resample"] for stage in stages]
     others = ", ".join(
-        f"{name} {sorted(stage[name] for stage in stages)[repeats // 2]:.1f} s" for name in ("read", "judge", "store")
+        f"{name} {sorted(stage[name] for stage in stages)[repeats // 2]:.1f} s" for name in ("read", "check", "store")
     )
     about = "clocks aligned and channels resampled of an hour, four axes, 100 Hz beside 120 Hz at +40 ppm"
     note = f"{about}; apart from that: {others}"

@@ -61,7 +61,7 @@ def test_bags_with_images_are_bags(benchmarks: dict[str, ModuleType], tmp_path: 
 def test_the_hour_is_ingested_and_aligned(benchmarks: dict[str, ModuleType], tmp_path: Path) -> None:
     hour = benchmarks["hour"]
     dataset, stages = hour.ingested(hour.write_hour(tmp_path, 40.0), tmp_path / "workspace")
-    assert set(stages) == {"read", "align", "resample", "judge", "store"}
+    assert set(stages) == {"read", "align", "resample", "check", "store"}
     (record,) = dataset.clocks
     assert record.applied
     assert abs(record.offset_s) < 2e-3
