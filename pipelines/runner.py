@@ -29,7 +29,7 @@ import numpy as np
 import numpy.typing as npt
 
 from committed import markdown, provenance, write_result, write_tables
-from runner_flight import DRIVEN, LINE, LOOP, POLICY, RIGHT, SECOND, TURNS, wiring
+from runner_flight import AXES, DRIVEN, LINE, LOOP, POLICY, RIGHT, SECOND, TURNS, wiring
 from sysid.bench.live import read_truth
 from sysid.logs.mcap import McapReader
 from sysid.logs.reader import ReadOptions
@@ -278,9 +278,9 @@ def _program(recipe: Path, options: argparse.Namespace, *more: str) -> list[str]
 def _stands(truth: Path) -> str:
     """Where the machine is parked, as lines of a recipe."""
     until = time.monotonic() + 5.0
-    while not len(read_truth(truth)["at_ns"]) and time.monotonic() < until:
+    while not len((rows := read_truth(truth))["at_ns"]) and time.monotonic() < until:
         time.sleep(0.01)
-    row = {name: float(values[0]) for name, values in read_truth(truth).items()}
+    row = {name: float(values[0]) for name, values in rows.items()}
     return "".join(f'"{signal}" = {row[signal.replace(".cylinder", ".drive")]!r}\n' for signal in DRIVEN)
 
 
@@ -356,6 +356,11 @@ def _places(truth: dict[str, Array]) -> Array:
     return np.stack([truth[f"ee.{letter}"] for letter in "xyz"], axis=1)
 
 
+def _opened(truth: dict[str, Array]) -> npt.NDArray[np.bool_]:
+    """Whether the watchdog lets a command through to any valve, (n,)."""
+    return np.stack([truth[f"{axis}.passed"] for axis in AXES], axis=1).any(axis=1)
+
+
 def _begun(flown: Flown) -> Array:
     """When each turn began, on the monotonic clock [ns]; the log is dated, the first line says when the first turn began."""
     begun = flown.cycles["due_ns"] + flown.cycles["lateness_ns"]
@@ -422,10 +427,10 @@ def judged(name: str, flown: Flown) -> dict[str, Any]:
             "why": flown.outcome.get("why", ""), "ok": False,
         }  # fmt: skip
     after = (at >= t0) & (at <= t0 + AFTER * 1e9)
-    passed = np.stack([truth[f"{axis}.passed"] for axis in ("slew", "boom", "stick", "telescope")], axis=1)
-    moving = np.flatnonzero(after & passed.any(axis=1))
+    opened = _opened(truth)
+    moving = np.flatnonzero(after & opened)
     neutral = float((at[moving[-1]] - t0) * 1e-6) if len(moving) and moving[-1] + 30 < len(at) else 0.0
-    again = _reopened(passed[at >= t0].any(axis=1))
+    again = _reopened(opened[at >= t0])
     # A clamp is everyday: setpoints of a policy that sees noise are held within their acceleration in every other turn.
     verdicts = [
         (ns, text) for word, ns, text in flown.lines if word == "verdict" and ns >= t0 and text.split(" ")[1] != "clamp"
@@ -481,7 +486,7 @@ def found_in(name: str, flown: Flown) -> dict[str, Any]:
     passed = flown.outcome.get("ended") == "done"
     why = flown.outcome.get("why", "it did not begin")
     began = bool(flown.fault_ns) and flown.outcome.get("ended", "refused") != "refused"
-    opened = np.stack([flown.truth[f"{axis}.passed"] for axis in ("slew", "boom", "stick", "telescope")], axis=1).any(axis=1)
+    opened = _opened(flown.truth)
     last = float(at[np.flatnonzero(opened)[-1]] - flown.fault_ns) * 1e-9 if opened.any() else 0.0
     ok = began and passed == (name == RIGHT) and far <= FAR and fast <= FAST
     row = {"fault": name, "found": not passed, "moved_for_s": last, "tip_m": far, "tip_speed": fast}

@@ -59,6 +59,7 @@ TURNS = 150
 SENSOR = "boom.cylinder"
 #: What the commands drive.
 DRIVEN = ("slew.joint", "boom.cylinder", "stick.cylinder", "telescope.joint")
+AXES = tuple(signal.partition(".")[0] for signal in DRIVEN)
 #: Between the runner and the bus.
 LINE = {
     **{f"frozen {signal}": Frozen(signal) for signal in DRIVEN},
@@ -81,18 +82,15 @@ RIGHT = "wired right"
 def wiring(stands: Mapping[str, float]) -> dict[str, Fault | None]:
     """Wiring that is wrong from the beginning, and none that is; ``stands``: driven signal → where it is [m or rad]."""
     pairs = list(combinations(range(len(DRIVEN)), 2))
-    names = [signal.partition(".")[0] for signal in DRIVEN]
     found: dict[str, Fault | None] = {RIGHT: None}
-    found |= {f"valves of {names[a]} and {names[b]} swapped": ValvesSwapped(a, b) for a, b in pairs}
-    found |= {f"sensors of {names[a]} and {names[b]} swapped": Swapped(DRIVEN[a], DRIVEN[b]) for a, b in pairs}
-    for axis, (name, signal) in enumerate(zip(names, DRIVEN, strict=True)):
+    found |= {f"valves of {AXES[a]} and {AXES[b]} swapped": ValvesSwapped(a, b) for a, b in pairs}
+    found |= {f"sensors of {AXES[a]} and {AXES[b]} swapped": Swapped(DRIVEN[a], DRIVEN[b]) for a, b in pairs}
+    for axis, (name, signal) in enumerate(zip(AXES, DRIVEN, strict=True)):
         found[f"valve of {name} turned"] = ValveTurned(axis)
         found[f"sensor of {name} turned"] = Scaled(signal, -1.0, stands[signal])
         found[f"sensor of {name} × 2"] = Scaled(signal, 2.0, stands[signal])
         found[f"sensor of {name} ÷ 10"] = Scaled(signal, 0.1, stands[signal])
-        found[f"zero of {name} {'20 mrad' if signal.endswith('.joint') and name == 'slew' else '20 mm'} off"] = Jumped(
-            signal, 0.02
-        )
+        found[f"zero of {name} {'20 mrad' if name == 'slew' else '20 mm'} off"] = Jumped(signal, 0.02)
     return found
 
 

@@ -34,7 +34,7 @@ FREE, SMALLEST = 32 * 2**20, 2**16
 SEGMENT = 64 * 2**20
 #: Bytes of arrays that are gone whose room is kept for the next ones: new pages cost more than the work on them.
 IDLE = 512 * 2**20
-#: Rows that :func:`computed` works on at a time.
+#: Values that are worked on at a time.
 PIECE = 2**16
 #: Sizes in files are multiples of this, a multiple of the page size.
 _ROUND = 2**16
@@ -276,6 +276,11 @@ def filled(count: int, value: float, kind: npt.DTypeLike = np.float64) -> Values
     return values
 
 
+def pieces(count: int) -> Iterator[tuple[int, int]]:
+    """(first, last + 1) of each piece of ``count`` values."""
+    return ((first, min(first + PIECE, count)) for first in range(0, count, PIECE))
+
+
 def computed(count: int, piece: Callable[[int, int], Values], kind: npt.DTypeLike = np.float64) -> Values:
     """An array (count,) that is computed some thousand values at a time, so that nothing between takes memory.
 
@@ -283,8 +288,7 @@ def computed(count: int, piece: Callable[[int, int], Values], kind: npt.DTypeLik
         piece: (first, last + 1) → the values of these places.
     """
     values = empty(count, kind)
-    for first in range(0, count, PIECE):
-        last = min(first + PIECE, count)
+    for first, last in pieces(count):
         values[first:last] = piece(first, last)
     return values
 
@@ -295,8 +299,8 @@ def chosen(values: Values, mask: npt.NDArray[np.bool_]) -> Values:
     if count == len(values):
         return values
     result, done = empty(count, values.dtype), 0
-    for first in range(0, len(values), PIECE):
-        some = values[first : first + PIECE][mask[first : first + PIECE]]
+    for first, last in pieces(len(values)):
+        some = values[first:last][mask[first:last]]
         result[done : done + len(some)] = some
         done += len(some)
     return result

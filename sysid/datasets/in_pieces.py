@@ -5,23 +5,18 @@ Every figure is, bit for bit, that of the NumPy expression it stands for.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from sysid.scratch import PIECE, chosen, computed
+from sysid.scratch import chosen, computed, pieces
 
 Array = npt.NDArray[np.float64]
 Values = npt.NDArray[Any]
 Mask = npt.NDArray[np.bool_]
 Rows = npt.NDArray[np.intp]
-
-
-def pieces(count: int) -> Iterator[tuple[int, int]]:
-    """(first, last + 1) of each piece of ``count`` samples."""
-    return ((first, min(first + PIECE, count)) for first in range(0, count, PIECE))
 
 
 def copied(values: Values) -> Values:

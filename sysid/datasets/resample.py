@@ -8,8 +8,8 @@ import numpy as np
 import numpy.typing as npt
 
 from sysid.datasets.channel import Channel
-from sysid.datasets.in_pieces import copied, pieces, stretches
-from sysid.scratch import PIECE, chosen, computed, filled, leave
+from sysid.datasets.in_pieces import copied, stretches
+from sysid.scratch import PIECE, chosen, computed, filled, leave, pieces
 
 Array = npt.NDArray[np.float64]
 

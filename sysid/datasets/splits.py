@@ -10,11 +10,11 @@ from fnmatch import fnmatchcase
 import numpy as np
 import numpy.typing as npt
 
-from sysid.datasets.in_pieces import copied, deviation, known, pieces, stretches
+from sysid.datasets.in_pieces import copied, deviation, known, stretches
 from sysid.datasets.recipe import Splits
 from sysid.datasets.recording import Recording, Role
 from sysid.errors import InputError, SettingsError, nearest
-from sysid.scratch import computed, filled
+from sysid.scratch import computed, filled, pieces
 
 ROLES: tuple[Role, ...] = ("fit", "select", "held_out")
 #: Blocks shorter than this are not cut [s].

@@ -19,10 +19,10 @@ from sysid.datasets.clocks.alignment import Estimate, Pair, conditional, pairs_o
 from sysid.datasets.clocks.bursts import match_bursts
 from sysid.datasets.clocks.resets import Piece, pieces
 from sysid.datasets.clocks.skews import KnownSkew, Skew, alone, known_skews, pooled, quantile
-from sysid.datasets.in_pieces import pieces as sample_pieces
 from sysid.datasets.recording import ClockRecord, Kind
 from sysid.errors import AlignmentError, InputError
 from sysid.scratch import empty
+from sysid.scratch import pieces as sample_pieces
 
 Array = npt.NDArray[np.float64]
 

@@ -14,13 +14,13 @@ from sysid.datasets.flags.flag import KINDS, Array, Flag, Mask
 from sysid.datasets.flags.stamps import dropouts, jitter
 from sysid.datasets.flags.standing import Witness, saturation, stuck
 from sysid.datasets.flags.values import jumps, outliers
-from sysid.datasets.in_pieces import copied, known, masked, median, median_step, pieces
+from sysid.datasets.in_pieces import copied, known, masked, median, median_step
 from sysid.datasets.recipe import Recipe
 from sysid.datasets.recording import ClockRecord
 from sysid.datasets.resample import gap_limit, hold
 from sysid.machine import Machine
 from sysid.progress import Progress, silent
-from sysid.scratch import computed, leave
+from sysid.scratch import computed, leave, pieces
 from sysid.signals import split_signal
 
 #: A channel and its stamps on the time axis of the recording [s].

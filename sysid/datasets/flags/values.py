@@ -9,8 +9,8 @@ from __future__ import annotations
 import numpy as np
 
 from sysid.datasets.flags.flag import Array, Flag, shown, thinned
-from sysid.datasets.in_pieces import absolute, differences, masked, median, median_step, pieces
-from sysid.scratch import chosen, computed
+from sysid.datasets.in_pieces import absolute, differences, masked, median, median_step
+from sysid.scratch import chosen, computed, pieces
 
 #: A spike is at most this many samples long; what lasts longer are two jumps.
 SPIKE_SAMPLES = 5

@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from sysid.datasets.in_pieces import absolute, copied, counted, known, pieces
+from sysid.datasets.in_pieces import absolute, copied, counted, known
 from sysid.datasets.quality.noise import unsteadiness
 from sysid.datasets.recording import Recording
 from sysid.machine import Axis, Machine
-from sysid.scratch import chosen, computed, empty, filled
+from sysid.scratch import chosen, computed, empty, filled, pieces
 from sysid.signals import axis_signal
 
 Array = npt.NDArray[np.float64]
