@@ -7,6 +7,9 @@ from sysid.effects.effect import Effect, Form, Need, Parameter, Slot
 
 EFFECT = Effect(
     name="asymmetric_gain",
+    title="Unequal speeds",
+    sentences=("The {target} moves {ratio} times as fast in the negative direction as in the positive one.",),
+    part="valve",
     stage="command",
     target="axis",
     slots=(Slot("ratio", 1.0),),
@@ -14,9 +17,13 @@ EFFECT = Effect(
     equation="v = ratio·x for x < 0, x otherwise",
     source="Jelali & Kroll, Hydraulic Servo-systems, 2003, §4.2; area ratios 1.46–1.64 (machine facts)",
     excited_by="motion in both directions",
-    confused_with=("load_dependent_flow", "valve_deadband", "gain_error"),
+    confused_with={
+        "valve_deadband": "a ratio of speeds grows with the command; unequal dead-bands shift by a constant",
+        "gain_error": "one direction alone, or both alike",
+    },
     need=Need("motion_both_ways", 3, "Record {axis} at 30, 60 and 100 % in both directions, 5 s each."),
     actuations=("velocity",),
+    surrogate_test=0.9,
 )
 
 

@@ -9,6 +9,9 @@ from sysid.effects.effect import Effect, Form, Need, Parameter, Slot
 
 EFFECT = Effect(
     name="backlash",
+    title="Backlash",
+    sentences=("The {target} has a play of {width}: at each reversal its drive moves and the joint waits.",),
+    part="joint",
     stage="joint",
     target="axis",
     slots=(Slot("width"),),
@@ -16,7 +19,13 @@ EFFECT = Effect(
     equation="y = min(max(y, x − width/2), x + width/2)",
     source="Nordin & Gutman, Automatica 38 (2002); pins 0.05–0.3°, slewing rack 0.2–0.8° (machine facts)",
     excited_by="reversals of the axis, slow ones above all",
-    confused_with=("valve_deadband", "stiction", "valve_hysteresis"),
+    confused_with={
+        "valve_deadband": "the cylinder moves and the joint waits a fixed distance; a dead-band stops both",
+        "stiction": "play costs a distance at each reversal; stiction costs a command at each start",
+        "valve_hysteresis": "play of positions shows at the joint alone; play of commands at the speed of the drive",
+    },
+    example={"width": 0.1},
+    rate_independent=True,
     need=Need("reversals", 8, "Record 20 slow reversals of {axis}, with at least 5 % of its range between them."),
     actuations=("velocity", "position", "force"),
     memory=lambda dt: 1,

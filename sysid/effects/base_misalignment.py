@@ -9,6 +9,9 @@ _R = ("rotation_x", "rotation_y", "rotation_z")
 
 EFFECT = Effect(
     name="base_misalignment",
+    title="Base misalignment",
+    sentences=("The machine's base and the measuring frame are not where the survey says.",),
+    part="base",
     stage="end_effector",
     target="base",
     slots=tuple(Slot(name) for name in (*_T, *_R)),
@@ -23,6 +26,10 @@ EFFECT = Effect(
     equation="x_measured = R(rotation)·x_model + translation",
     source="Hollerbach & Wampler, The calibration index, IJRR 15 (1996)",
     excited_by="poses spread over the work space",
-    confused_with=("joint_offset", "link_length_error"),
+    confused_with={
+        "joint_offset": "the error is sinusoidal in slew; that of an offset is tangential and grows with reach",
+        "link_length_error": "the error is fixed in space; that of a length follows the link",
+    },
+    example={"translation": [0.05, 0.0, 0.04], "rotation": [0.0, 0.06, 0.0]},
     need=Need("joint_coverage", 10, "Record poses over the whole work space."),
 )

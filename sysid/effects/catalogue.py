@@ -86,6 +86,12 @@ def effect_named(name: str, where: object = "effect") -> Effect:
     return BY_NAME[name]
 
 
+def confusions(effect: Effect) -> dict[str, str]:
+    """Effects that look like this one → what separates the two, whichever of the two files says it."""
+    said_there = {e.name: e.confused_with[effect.name] for e in CATALOGUE if effect.name in e.confused_with}
+    return {**effect.confused_with, **said_there}
+
+
 def form_for(effect: Effect, parameters: frozenset[str], where: object) -> Form:
     """The form of ``effect`` that has exactly these parameters.
 

@@ -7,6 +7,9 @@ from sysid.effects.effect import Effect, Form, Need, Parameter, Slot
 
 EFFECT = Effect(
     name="clock_skew",
+    title="Clock skew",
+    sentences=("The clock of {target} runs at a different rate ({skew} ppm).",),
+    part="clock",
     stage="sensor",
     target="stream",
     slots=(Slot("skew"),),
@@ -14,7 +17,11 @@ EFFECT = Effect(
     equation="t_machine = t_stream·(1 + 10⁻⁶·skew), t from the start of the recording",
     source="definition; 10–200 ppm between unsynchronised clocks (machine facts)",
     excited_by="minutes of motion that both clocks see",
-    confused_with=("clock_offset", "input_delay"),
+    confused_with={
+        "input_delay": "grows over the recording; a delay stays",
+    },
+    example={"skew": -5000.0},
+    exempt=("causal", "finite", "time_invariant", "memoryless"),
     need=Need("longest_any_motion", 60, "Record motion that both devices see for five minutes or more in one piece."),
 )
 

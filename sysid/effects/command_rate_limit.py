@@ -12,6 +12,9 @@ ABSENT = 1e4
 
 EFFECT = Effect(
     name="command_rate_limit",
+    title="Command rate limit",
+    sentences=("The command of the {target} changes by at most {rate} a second.",),
+    part="valve",
     stage="command",
     target="axis",
     slots=(Slot("rate", ABSENT),),
@@ -19,10 +22,14 @@ EFFECT = Effect(
     equation="|dy/dt| ≤ rate",
     source="data sheets of proportional valve amplifiers (ramp time)",
     excited_by="large sudden changes of the command",
-    confused_with=("first_order_lag", "flow_saturation"),
+    confused_with={
+        "flow_saturation": "a plateau of acceleration; saturation is a plateau of speed",
+    },
+    example={"rate": 2.0},
     need=Need("command_changes", 10, "Record 10 sudden full commands of {axis}."),
     actuations=("velocity", "position"),
     memory=lambda dt: 2,
+    surrogate_test=6.0,
 )
 
 

@@ -9,6 +9,12 @@ _BOUNDS, _FORCE = (0.0, 1e6), "N or N·m"
 
 EFFECT = Effect(
     name="coulomb_friction",
+    title="Dry friction",
+    sentences=(
+        "Dry friction of {force} acts against the motion of the {target}.",
+        "Dry friction of {positive} (forwards) and {negative} (backwards) acts against the motion of the {target}.",
+    ),
+    part="cylinder",
     stage="force",
     target="axis",
     slots=(Slot("positive"), Slot("negative")),
@@ -42,7 +48,7 @@ EFFECT = Effect(
     equation="f = F·sign(v); at rest any force up to F",
     source="Armstrong-Hélouvry, Dupont, Canudas de Wit, Automatica 30 (1994)",
     excited_by="motion in both directions with slow changes of sign",
-    confused_with=("stribeck_friction", "load_bias", "viscous_friction"),
+    example={"force": 1.5},
     need=Need("force_both_ways", 1, "Record {axis} moving slowly in both directions, with several stops, 20 s."),
     actuations=("force",),
 )

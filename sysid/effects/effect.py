@@ -1,14 +1,17 @@
-"""What an effect is: a name from the contract, its parameters, what shows it, and the slots it occupies in a compiled plant."""
+"""What an effect is: a name from the contract, its words, its parameters, what shows it, its slots in a compiled plant."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 from typing import Literal
 
 Stage = Literal["command", "force", "joint", "end_effector", "tool", "sensor"]
 TargetKind = Literal["axis", "machine", "base", "tool", "signal", "stream"]
 Actuation = Literal["velocity", "position", "force"]
+Part = Literal["valve", "cylinder", "joint", "link", "base", "tool", "pump", "sensor", "clock"]
+#: What :func:`sysid.testing.check_effect` asks of an effect unless it is exempt, since it cannot be so by its nature.
+Promise = Literal["causal", "finite", "time_invariant", "memoryless"]
 
 
 @dataclass(frozen=True)
@@ -84,6 +87,10 @@ class Effect:
 
     Args:
         name: the contract's name.
+        title: its name in reports and on the console.
+        sentences: templates over ``{target}`` and the parameters; a report uses the first one whose parameters are all known.
+        beside: another effect on the same target → the sentence where that one changes what this one's value means.
+        part: where on the machine it is; without hydraulics a drive is in the place of valve and cylinder.
         stage: where in the chain it acts.
         target: what an instance is attached to.
         slots: numbers read by the compiled step, neutral values included.
@@ -91,15 +98,25 @@ class Effect:
         equation: what it computes, in one line.
         source: paper, book or data sheet.
         excited_by: what a recording must contain to show it.
-        confused_with: effects that look alike; :mod:`sysid.effects.separators` says what separates them.
+        confused_with: effect that looks alike → what separates the two. Each pair is written once, in either file:
+            :func:`sysid.effects.catalogue.confusions` reads it from both sides.
         generalises: simpler effects that it contains as special cases: it has to predict clearly better than they do.
         need: the same as ``excited_by``, to be counted.
         actuations: the kinds of axis that can have it (empty: not an axis effect).
         memory: step time [s] → number of state values the step keeps.
         sides: admissible places where the contract leaves two open.
+        example: values that show well in the picture of its page; by default values from which a fit starts.
+        exempt: promises of the catalogue that it cannot keep: stamps may lie before the motion, oil tells the time.
+        rate_independent: it does not depend on how fast its input is run through.
+        fitted: whether a fit searches its values; those of a sensor's resolution are read off the readings.
+        surrogate_test: a surrogate model of a simulator consists of the effects that have this value: at it each of them, as an
+            input effect, tests the surrogate.
     """
 
     name: str
+    title: str
+    sentences: tuple[str, ...]
+    part: Part
     stage: Stage
     target: TargetKind
     slots: tuple[Slot, ...]
@@ -108,11 +125,17 @@ class Effect:
     source: str
     excited_by: str
     need: Need
-    confused_with: tuple[str, ...] = ()
+    beside: Mapping[str, str] = field(default_factory=dict)
+    confused_with: Mapping[str, str] = field(default_factory=dict)
     actuations: tuple[Actuation, ...] = ()
     memory: Callable[[float], int] = lambda dt: 0
     sides: tuple[Literal["drive", "structure"], ...] = ()
     generalises: tuple[str, ...] = ()
+    example: Mapping[str, float | list[float]] = field(default_factory=dict)
+    exempt: tuple[Promise, ...] = ()
+    rate_independent: bool = False
+    fitted: bool = True
+    surrogate_test: float | None = None
 
     def form_of(self, names: frozenset[str]) -> Form | None:
         """The form whose parameters are exactly ``names``."""

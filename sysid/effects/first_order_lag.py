@@ -11,6 +11,9 @@ from sysid.effects.effect import Effect, Form, Need, Parameter, Slot
 
 EFFECT = Effect(
     name="first_order_lag",
+    title="First-order lag",
+    sentences=("The {target} follows its command with a lag of {time_constant}.",),
+    part="valve",
     stage="command",
     target="axis",
     slots=(Slot("time_constant"),),
@@ -18,10 +21,16 @@ EFFECT = Effect(
     equation="T·ẋ = u − x, exact for a command held over the step",
     source="Merritt, Hydraulic Control Systems, 1967, ch. 7; 20–80 ms on small proportional valves (machine facts)",
     excited_by="starts, stops and reversals of the command",
-    confused_with=("input_delay", "valve_hysteresis", "command_rate_limit"),
+    confused_with={
+        "input_delay": "a delay has phase linear in frequency at flat gain; a lag smooths as well",
+        "valve_hysteresis": "the loop of a hysteresis has the same width at any rate; that of a lag grows",
+        "command_rate_limit": "a plateau of acceleration at large steps; a lag rises in proportion to the step",
+    },
+    example={"time_constant": 0.15},
     need=Need("command_changes", 10, "Record 20 sharp starts and stops of {axis}."),
     actuations=("velocity", "position"),
     memory=lambda dt: 3,
+    surrogate_test=0.05,
 )
 
 

@@ -10,6 +10,9 @@ ABSENT = 10.0
 
 EFFECT = Effect(
     name="flow_saturation",
+    title="Flow saturation",
+    sentences=("The {target} gets no faster beyond a command of {limit}.",),
+    part="valve",
     stage="command",
     target="axis",
     slots=(Slot("limit", ABSENT),),
@@ -19,9 +22,13 @@ EFFECT = Effect(
     equation="y = max(−limit, min(limit, u))",
     source="Merritt 1967, ch. 5",
     excited_by="large commands on one axis at a time",
-    confused_with=("pump_flow_limit", "command_rate_limit", "gain_curve"),
+    confused_with={
+        "gain_curve": "a corner and a plateau, or a smooth bend",
+    },
+    example={"limit": 0.5},
     need=Need("motion", 5, "Record {axis} alone at 60, 80 and 100 %, 5 s each."),
     actuations=("velocity",),
+    surrogate_test=0.8,
 )
 
 

@@ -9,6 +9,9 @@ from sysid.effects.effect import Effect, Form, Need, Parameter, Slot
 
 EFFECT = Effect(
     name="gain_curve",
+    title="Curved valve gain",
+    sentences=("The speed of the {target} follows its command to the power of {exponent}.",),
+    part="valve",
     stage="command",
     target="axis",
     slots=(Slot("exponent", 1.0),),
@@ -16,9 +19,13 @@ EFFECT = Effect(
     equation="y = sign(u)·|u|^exponent",
     source="Jelali & Kroll 2003, §3.2 (progressive spools)",
     excited_by="commands of many magnitudes on both sides",
-    confused_with=("valve_deadband", "flow_saturation", "gain_error"),
+    confused_with={
+        "valve_deadband": "at mid commands: an offset line, or a curve through the origin",
+    },
+    example={"exponent": 2.0},
     need=Need("small_commands", 2, "Record {axis} at 10, 20, 40, 70 and 100 % in both directions, 5 s each."),
     actuations=("velocity",),
+    surrogate_test=1.2,
 )
 
 

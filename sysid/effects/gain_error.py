@@ -7,6 +7,10 @@ from sysid.effects.effect import Effect, Form, Need, Parameter, Slot
 
 EFFECT = Effect(
     name="gain_error",
+    title="Wrong speed gain",
+    sentences=("The {target} moves at {ratio} times the speed that the simulation assumes.",),
+    beside={"valve_deadband": "Beyond its dead-band the {target} answers {ratio} times as steeply as the simulation assumes."},
+    part="valve",
     stage="command",
     target="axis",
     slots=(Slot("ratio", 1.0),),
@@ -14,9 +18,12 @@ EFFECT = Effect(
     equation="v = ratio · gain · x",
     source="definition",
     excited_by="any motion",
-    confused_with=("asymmetric_gain", "temperature_drift", "sensor_scale", "gain_curve"),
+    confused_with={
+        "gain_curve": "a gain changes all speeds by one ratio, a curve the low ones most",
+    },
     need=Need("motion", 5, "Record {axis} moving over half of its range, 20 s."),
     actuations=("velocity",),
+    surrogate_test=0.8,
 )
 
 

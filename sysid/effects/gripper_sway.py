@@ -15,6 +15,12 @@ MEMORY = 10
 
 EFFECT = Effect(
     name="gripper_sway",
+    title="Swinging tool",
+    sentences=(
+        "The tool swings on a pendulum of {length} (damping ratio {damping_ratio}); the simulation keeps it still.",
+        "The tool swings on a pendulum of {length}; the simulation keeps it still.",
+    ),
+    part="tool",
     stage="tool",
     target="tool",
     slots=(Slot("length"), Slot("damping_ratio")),
@@ -29,7 +35,10 @@ EFFECT = Effect(
     equation="L·θ̈ + 2ζω₀L·θ̇ + g·θ = −a in both horizontal directions, ω₀² = g/L; hangs straight down at rest",
     source="Goldstein, Classical Mechanics, §1.4; L 0.20–0.30 m, ζ 0.01–0.08 at 1:5 (machine facts)",
     excited_by="starts and stops of the boom tip, and seconds of rest after them",
-    confused_with=("oil_compressibility",),
+    confused_with={
+        "oil_compressibility": "0.9–1.3 Hz that goes on after the joints stop, or 5–13 Hz of the axis itself",
+    },
+    example={"length": 0.25, "damping_ratio": 0.05},
     need=Need("tip_stops", 5, "Move the boom tip briskly, stop, and let the tool swing for 5 s; ten times."),
     memory=lambda dt: MEMORY,
 )

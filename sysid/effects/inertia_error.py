@@ -6,6 +6,9 @@ from sysid.effects.effect import Effect, Form, Need, Parameter, Slot
 
 EFFECT = Effect(
     name="inertia_error",
+    title="Wrong inertia",
+    sentences=("The {target} is {ratio} times as heavy as the simulation assumes.",),
+    part="joint",
     stage="force",
     target="axis",
     slots=(Slot("ratio", 1.0),),
@@ -13,7 +16,9 @@ EFFECT = Effect(
     equation="M = ratio · inertia",
     source="definition",
     excited_by="acceleration that is large against friction",
-    confused_with=("viscous_friction",),
+    confused_with={
+        "viscous_friction": "force in phase with acceleration, or with speed",
+    },
     need=Need("force_changes", 6, "Record {axis} with quick starts and stops, 20 s."),
     actuations=("force",),
 )

@@ -19,6 +19,9 @@ def _memory(dt: float) -> int:
 
 EFFECT = Effect(
     name="input_delay",
+    title="Dead time",
+    sentences=("The {target} starts to react only {delay} after the command.",),
+    part="valve",
     stage="command",
     target="axis",
     slots=(Slot("delay"),),
@@ -26,10 +29,11 @@ EFFECT = Effect(
     equation="y(t) = u(t − delay), linear between samples",
     source="Ljung, System Identification, 2nd ed., §4.2",
     excited_by="command changes that are short against the recording",
-    confused_with=("first_order_lag", "clock_offset", "valve_hysteresis"),
+    example={"delay": 0.15},
     need=Need("command_changes", 10, "Record 20 sharp starts and stops of {axis}."),
     actuations=("velocity", "position"),
     memory=_memory,
+    surrogate_test=0.05,
 )
 
 

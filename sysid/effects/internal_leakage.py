@@ -7,6 +7,9 @@ from sysid.effects.effect import Effect, Form, Need, Parameter, Slot
 
 EFFECT = Effect(
     name="internal_leakage",
+    title="Internal leakage",
+    sentences=("With its valve closed the {target} creeps by {rate} a second.",),
+    part="cylinder",
     stage="command",
     target="axis",
     slots=(Slot("rate"),),
@@ -14,7 +17,10 @@ EFFECT = Effect(
     equation="v = speed − rate",
     source="Merritt 1967, §5.3; 0.01–0.2 mm/s (machine facts)",
     excited_by="rest under load for tens of seconds",
-    confused_with=("sensor_bias", "load_dependent_flow"),
+    confused_with={
+        "load_dependent_flow": "leakage acts at zero command; load-dependent flow needs flow",
+    },
+    example={"rate": 0.05},
     need=Need("rest", 10, "Leave {axis} at rest under load for 60 s."),
     actuations=("velocity",),
 )

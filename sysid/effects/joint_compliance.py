@@ -7,6 +7,9 @@ from sysid.effects.effect import Effect, Form, Need, Parameter, Slot
 
 EFFECT = Effect(
     name="joint_compliance",
+    title="Joint compliance",
+    sentences=("The {target} gives way under the weight that it carries ({compliance}).",),
+    part="joint",
     stage="joint",
     target="axis",
     slots=(Slot("compliance"),),
@@ -28,7 +31,12 @@ EFFECT = Effect(
     equation="q = q₀ − compliance·L, L the gravity moment about the joint, L > 0 where it opposes positive motion",
     source="Siciliano et al., Robotics, 2009, §6.6; 0.25° for 2e4 N·m/rad (machine facts)",
     excited_by="poses with the arm stretched out and drawn in",
-    confused_with=("joint_offset", "link_length_error", "backlash"),
+    confused_with={
+        "link_length_error": "sag follows the gravity moment, downwards; a length error follows the link",
+        "backlash": "play turns with the direction of motion; sag with the load, at rest too",
+    },
+    example={"compliance": 0.01},
+    exempt=("time_invariant", "memoryless"),
     need=Need("load_change", 20, "Record {axis} at the same angles with the arm stretched out and drawn in."),
     actuations=("velocity", "position", "force"),
     sides=("drive", "structure"),

@@ -6,6 +6,9 @@ from sysid.effects.effect import Effect, Form, Need, Parameter, Slot
 
 EFFECT = Effect(
     name="joint_offset",
+    title="Joint zero offset",
+    sentences=("The zero of the {target} joint is off by {offset}.",),
+    part="joint",
     stage="end_effector",
     target="axis",
     slots=(Slot("offset"),),
@@ -13,7 +16,10 @@ EFFECT = Effect(
     equation="q_true = q_measured + offset",
     source="Khalil & Dombre, Modeling, Identification and Control of Robots, 2002, ch. 11",
     excited_by="poses spread over the work space",
-    confused_with=("link_length_error", "base_misalignment", "joint_compliance"),
+    confused_with={
+        "joint_compliance": "sag changes with the gravity moment, not only with the angle",
+    },
+    example={"offset": 0.1},
     need=Need("joint_coverage", 10, "Record poses over the whole range of {axis}."),
     actuations=("velocity", "position", "force"),
 )

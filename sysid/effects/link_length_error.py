@@ -6,6 +6,9 @@ from sysid.effects.effect import Effect, Form, Need, Parameter, Slot
 
 EFFECT = Effect(
     name="link_length_error",
+    title="Link length error",
+    sentences=("The link moved by the {target} is {error} longer than described.",),
+    part="link",
     stage="end_effector",
     target="axis",
     slots=(Slot("error"),),
@@ -13,7 +16,10 @@ EFFECT = Effect(
     equation="the link that the axis moves is longer by error along the line to the next joint (or the tip)",
     source="Khalil & Dombre 2002, ch. 11",
     excited_by="poses spread over the work space",
-    confused_with=("joint_offset", "base_misalignment"),
+    confused_with={
+        "joint_offset": "tangential and growing with reach, or radial",
+    },
+    example={"error": 0.08},
     need=Need("joint_coverage", 10, "Record poses over the whole range of {axis}."),
     actuations=("velocity", "position", "force"),
 )

@@ -6,6 +6,9 @@ from sysid.effects.effect import Effect, Form, Need, Parameter, Slot
 
 EFFECT = Effect(
     name="load_bias",
+    title="Constant load",
+    sentences=("A constant load of {force} acts on the {target}.",),
+    part="joint",
     stage="force",
     target="axis",
     slots=(Slot("force"),),
@@ -17,7 +20,10 @@ EFFECT = Effect(
     equation="M·a = F − friction − force",
     source="Janot, Gautier, Brunot, Data set and reference models of EMPS, 2019",
     excited_by="motion in both directions",
-    confused_with=("coulomb_friction", "joint_offset"),
+    confused_with={
+        "coulomb_friction": "friction changes its sign with the motion, a load does not",
+        "joint_offset": "an offset moves the tip; a load moves the force",
+    },
     need=Need("force_both_ways", 1, "Record {axis} moving evenly in both directions, 20 s."),
     actuations=("force",),
 )

@@ -7,6 +7,9 @@ from sysid.effects.effect import Effect, Form, Need, Parameter, Slot
 
 EFFECT = Effect(
     name="load_dependent_flow",
+    title="Load-dependent flow",
+    sentences=("The load changes the speed of the {target}: slower against it, faster with it ({coefficient}).",),
+    part="valve",
     stage="command",
     target="axis",
     slots=(Slot("coefficient"),),
@@ -28,7 +31,12 @@ EFFECT = Effect(
     equation="v = x·(1 − coefficient·L·sign(x)), L > 0 where gravity opposes positive motion of the drive",
     source="Q = Cd·w·x·√(2Δp/ρ), Merritt 1967, ch. 5, linear in Δp; ×0.80–0.89 up, ×1.16–1.23 down (machine facts)",
     excited_by="motion both ways at several reaches",
-    confused_with=("asymmetric_gain", "internal_leakage", "temperature_drift"),
+    confused_with={
+        "asymmetric_gain": "speed ratio up/down over gravity moment: its value at no moment, its slope",
+        "temperature_drift": "follows the pose, or the time of the session: the same motion early and late",
+    },
+    example={"coefficient": 0.04},
+    exempt=("time_invariant", "memoryless"),
     need=Need("load_change", 20, "Record {axis} up and down with the arm stretched out and drawn in, 20 s each."),
     actuations=("velocity",),
 )

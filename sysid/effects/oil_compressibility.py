@@ -16,6 +16,9 @@ MEMORY = 8
 
 EFFECT = Effect(
     name="oil_compressibility",
+    title="Oil spring",
+    sentences=("The {target} rings at {frequency} on the compressed oil.",),
+    part="cylinder",
     stage="command",
     target="axis",
     slots=(Slot("frequency", ABSENT), Slot("damping_ratio", 0.1)),
@@ -30,7 +33,11 @@ EFFECT = Effect(
     equation="v̈ + 2ζω·v̇ + ω²·(v − u) = 0, ω = 2π·frequency, exact for a speed demand held over the step",
     source="hydraulic natural frequency, Merritt 1967, §6.2; 5–13 Hz at 1:5, ζ 0.05–0.2 (machine facts)",
     excited_by="sharp starts and stops, sampled at ten times the frequency",
-    confused_with=("gripper_sway", "first_order_lag", "input_delay"),
+    confused_with={
+        "first_order_lag": "a lag never overshoots; oil rings, and moves on after the command stops",
+        "input_delay": "a delay never overshoots; oil rings at its own frequency",
+    },
+    example={"frequency": 5.0, "damping_ratio": 0.1},
     need=Need("command_changes", 10, "Record 20 sharp starts and stops of {axis}, at 100 Hz or more."),
     actuations=("velocity",),
     memory=lambda dt: MEMORY,

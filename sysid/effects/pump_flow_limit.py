@@ -10,6 +10,9 @@ ABSENT = 100.0
 
 EFFECT = Effect(
     name="pump_flow_limit",
+    title="Pump flow limit",
+    sentences=("The pump feeds at most {limit} full-speed axes at once.",),
+    part="pump",
     stage="command",
     target="machine",
     slots=(Slot("limit", ABSENT),),
@@ -19,7 +22,11 @@ EFFECT = Effect(
     equation="all speeds · min(1, limit / Σ |speed|/gain)",
     source="flow balance of a pump at its displacement; 50–70 % of the summed demand (machine facts)",
     excited_by="several axes at large commands at the same time, and each alone",
-    confused_with=("flow_saturation", "gain_error"),
+    confused_with={
+        "flow_saturation": "the plateau is there when the axis moves alone; a pump's only when others move too",
+        "gain_error": "slower at all times, or only while other axes move",
+    },
+    example={"limit": 1.0},
     need=Need("together", 5, "Record pairs of axes at full command together, and each of them alone, 5 s each."),
 )
 

@@ -7,6 +7,9 @@ from sysid.effects.effect import Effect, Form, Need, Parameter, Slot
 
 EFFECT = Effect(
     name="sensor_bias",
+    title="Sensor bias",
+    sentences=("The sensor {target} reads {bias} too much.",),
+    part="sensor",
     stage="sensor",
     target="signal",
     slots=(Slot("bias"),),
@@ -14,7 +17,14 @@ EFFECT = Effect(
     equation="measured = true + bias",
     source="definition; Everett, Sensors for Mobile Robots, 1995, ch. 1",
     excited_by="comparison with a second sensor of the same motion",
-    confused_with=("joint_offset", "base_misalignment", "internal_leakage", "sensor_scale"),
+    confused_with={
+        "joint_offset": "a biased joint sensor also disagrees with the cylinder through the linkage; an offset with the "
+        "structure alone",
+        "base_misalignment": "a shift of a measured point cannot be told from one of the base: it is reported as the base's",
+        "internal_leakage": "leakage creeps as long as the axis rests; a bias is there at once",
+        "sensor_scale": "the same everywhere, or growing with the reading",
+    },
+    example={"bias": 0.05},
     need=Need("signal_travel", 10, "Record {axis} over its whole range together with the sensors before and behind it."),
 )
 

@@ -9,6 +9,9 @@ from sysid.effects.effect import Effect, Form, Need, Parameter, Slot
 
 EFFECT = Effect(
     name="sensor_quantisation",
+    title="Sensor resolution",
+    sentences=("The sensor {target} moves in steps of {step}.",),
+    part="sensor",
     stage="sensor",
     target="signal",
     slots=(Slot("step"),),
@@ -30,7 +33,12 @@ EFFECT = Effect(
     equation="measured = step·⌊true/step + ½⌋",
     source="Widrow & Kollár, Quantization Noise, 2008, ch. 1; 0.01 mm on draw wires (machine facts)",
     excited_by="slow motion, in which single steps show",
-    confused_with=("stiction", "backlash"),
+    confused_with={
+        "stiction": "the reading stands still while every other sensor moves on; stiction stops the motion itself",
+        "backlash": "steps at fixed readings, or a wait at each reversal",
+    },
+    example={"step": 0.05},
+    fitted=False,
     need=Need("signal_travel", 10, "Record {axis} creeping over several of its sensor's steps."),
 )
 

@@ -7,6 +7,9 @@ from sysid.effects.effect import Effect, Form, Need, Parameter, Slot
 
 EFFECT = Effect(
     name="sensor_scale",
+    title="Sensor scale",
+    sentences=("The sensor {target} reads {scale} times the true value.",),
+    part="sensor",
     stage="sensor",
     target="signal",
     slots=(Slot("scale", 1.0),),
@@ -14,7 +17,11 @@ EFFECT = Effect(
     equation="measured = scale·true",
     source="definition; draw-wire sensors 0.02–0.1 % of full scale (machine facts)",
     excited_by="motion over the range, compared with a second sensor of the same motion",
-    confused_with=("gain_error", "link_length_error", "sensor_bias"),
+    confused_with={
+        "gain_error": "a scaled sensor also disagrees with every other sensor of the same motion",
+        "link_length_error": "in proportion to a reading, or fixed along a link",
+    },
+    example={"scale": 1.1},
     need=Need("signal_travel", 10, "Record {axis} over its whole range together with the sensors before and behind it."),
 )
 

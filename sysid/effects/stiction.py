@@ -12,6 +12,12 @@ REST = 1e-4
 
 EFFECT = Effect(
     name="stiction",
+    title="Stiction",
+    sentences=(
+        "The {target} sticks until its command reaches {breakaway} and stops again at {release}.",
+        "The {target} sticks until its command reaches {breakaway}.",
+    ),
+    part="cylinder",
     stage="command",
     target="axis",
     slots=(Slot("breakaway"), Slot("release")),
@@ -43,7 +49,10 @@ EFFECT = Effect(
     equation=f"at rest until |x| > breakaway, then y = x until |x| < release ({REST:g} at the least)",
     source="Karnopp, J. Dyn. Syst. Meas. Control 107 (1985)",
     excited_by="slow starts from rest and slow stops on both sides",
-    confused_with=("valve_deadband", "backlash"),
+    confused_with={
+        "valve_deadband": "a dead-band starts and stops at one command; stiction starts higher than it stops, and jumps",
+    },
+    example={"breakaway": 0.35, "release": 0.12},
     need=Need("command_changes", 10, "Record 20 slow starts from rest and slow stops of {axis} on both sides."),
     actuations=("velocity",),
     memory=lambda dt: 1,

@@ -9,6 +9,9 @@ from sysid.effects.effect import Effect, Form, Need, Parameter, Slot
 
 EFFECT = Effect(
     name="stribeck_friction",
+    title="Stribeck friction",
+    sentences=("The friction of the {target} falls from {static_force} to {coulomb_force}.",),
+    part="cylinder",
     stage="force",
     target="axis",
     slots=(Slot("static_force"), Slot("coulomb_force"), Slot("stribeck_velocity", 0.01)),
@@ -34,7 +37,11 @@ EFFECT = Effect(
     equation="f = (coulomb_force + (static_force − coulomb_force)·e^(−(v/stribeck_velocity)²))·sign(v)",
     source="Armstrong-Hélouvry, Dupont, Canudas de Wit, Automatica 30 (1994), §2.1",
     excited_by="slow motion in both directions, with starts from rest",
-    confused_with=("coulomb_friction", "viscous_friction"),
+    confused_with={
+        "coulomb_friction": "the force is the same at every speed; Stribeck's falls as motion begins",
+        "viscous_friction": "a force that falls and then rises with speed, or only rises",
+    },
+    example={"static_force": 2.0, "coulomb_force": 0.8, "stribeck_velocity": 0.05},
     need=Need("force_both_ways", 1, "Record {axis} at four speeds from creeping to full in both directions, 10 s each."),
     actuations=("force",),
     generalises=("coulomb_friction",),

@@ -11,6 +11,9 @@ from sysid.effects.effect import Effect, Form, Need, Parameter, Slot
 
 EFFECT = Effect(
     name="temperature_drift",
+    title="Warm-up drift",
+    sentences=("As the oil warms up, the speed of the {target} drifts by {fraction}.",),
+    part="valve",
     stage="command",
     target="axis",
     slots=(Slot("fraction"), Slot("time_constant", 600.0)),
@@ -33,7 +36,11 @@ EFFECT = Effect(
     equation="v = gain·x·(1 + fraction·(1 − e^(−t/time_constant))), t from the start of the recording",
     source="viscosity of hydraulic oil over temperature: Jelali & Kroll 2003, §3.3; 5–20 % (machine facts)",
     excited_by="the same motion early and late in a recording of minutes",
-    confused_with=("gain_error", "load_dependent_flow"),
+    confused_with={
+        "gain_error": "constant over the session, or creeping: the same motion early and late",
+    },
+    example={"fraction": 0.3, "time_constant": 5.0},
+    exempt=("time_invariant",),
     need=Need("longest_motion", 60, "Record {axis} moving evenly to and fro for ten minutes from a cold start."),
     actuations=("velocity",),
     memory=lambda dt: 2,

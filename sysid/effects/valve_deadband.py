@@ -9,6 +9,11 @@ _STARTS = (0.03, 0.12, 0.25, 0.5)
 
 EFFECT = Effect(
     name="valve_deadband",
+    title="Valve dead-band",
+    sentences=(
+        "The {target} does not move until its command exceeds +{positive} in one direction or −{negative} in the other.",
+    ),
+    part="valve",
     stage="command",
     target="axis",
     slots=(Slot("positive"), Slot("negative")),
@@ -23,9 +28,10 @@ EFFECT = Effect(
     equation="y = u − positive above, u + negative below, 0 between; slope unchanged",
     source="Merritt 1967, §5.5; 11–22 % in PVG32 data, 43–67 % of half the span on a 1:14 excavator (machine facts)",
     excited_by="slow small commands on both sides of zero",
-    confused_with=("stiction", "gain_curve", "backlash"),
+    example={"positive": 0.25, "negative": 0.15},
     need=Need("small_commands", 2, "Record {axis} with slow commands from 0 to 30 % and back on both sides, 30 s."),
     actuations=("velocity",),
+    surrogate_test=0.04,
 )
 
 

@@ -9,6 +9,9 @@ from sysid.effects.effect import Effect, Form, Need, Parameter, Slot
 
 EFFECT = Effect(
     name="valve_hysteresis",
+    title="Spool hysteresis",
+    sentences=("The spool of the {target} lags its command by a play of {width}.",),
+    part="valve",
     stage="command",
     target="axis",
     slots=(Slot("width"),),
@@ -16,7 +19,11 @@ EFFECT = Effect(
     equation="y = min(max(y, u − width/2), u + width/2)",
     source="Jelali & Kroll 2003, §3.4; 1–6 % on proportional valves (machine facts)",
     excited_by="command reversals at any rate, small ones included",
-    confused_with=("first_order_lag", "input_delay", "backlash"),
+    confused_with={
+        "input_delay": "a delay is a time at any amplitude; a hysteresis loses a fixed part of the command",
+    },
+    example={"width": 0.15},
+    rate_independent=True,
     need=Need("command_changes", 10, "Record 20 slow reversals of the command of {axis} around three openings."),
     actuations=("velocity",),
     memory=lambda dt: 1,

@@ -9,6 +9,12 @@ _BOUNDS, _SLOPE = (0.0, 1e7), "N·s/m or N·m·s"
 
 EFFECT = Effect(
     name="viscous_friction",
+    title="Viscous friction",
+    sentences=(
+        "The {target} is braked by friction in proportion to its speed ({coefficient}).",
+        "The {target} is braked in proportion to its speed, by {positive} forwards and {negative} backwards.",
+    ),
+    part="cylinder",
     stage="force",
     target="axis",
     slots=(Slot("positive"), Slot("negative")),
@@ -37,7 +43,10 @@ EFFECT = Effect(
     equation="f = coefficient·v",
     source="Armstrong-Hélouvry et al., Automatica 30 (1994)",
     excited_by="motion at several speeds",
-    confused_with=("coulomb_friction", "stribeck_friction"),
+    confused_with={
+        "coulomb_friction": "constant over speed, or in proportion to it: two speeds tell",
+    },
+    example={"coefficient": 4.0},
     need=Need("force_both_ways", 1, "Record {axis} at three speeds in both directions, 20 s."),
     actuations=("force",),
 )

@@ -16,6 +16,7 @@ import numpy.typing as npt
 import pandas as pd
 
 from sysid.datasets.recording import Recording
+from sysid.effects import joint_offset, link_length_error, sensor_bias
 from sysid.gap.candidates import Candidate, Unknown
 from sysid.machine import Axis
 from sysid.plant import Model
@@ -28,7 +29,7 @@ POSES = 24
 #: Sine of the angle between what two aliases do, at most; they are asked for steps of this share of what is negligible.
 SAME, SHORT = 1e-5, 0.01
 #: The name that stays: a length before a telescope is that of the revolute axis that carries it (contract).
-ORDER = ("link_length_error", "joint_offset", "sensor_bias")
+ORDER = tuple(each.EFFECT.name for each in (link_length_error, joint_offset, sensor_bias))
 #: Range of an axis without limits [rad or m].
 UNLIMITED = (-1.0, 1.0)
 

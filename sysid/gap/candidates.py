@@ -18,8 +18,6 @@ Array = npt.NDArray[np.float64]
 
 #: A value that is measured in one over the typical load is sought up to this multiple of its largest start.
 REACH = 50.0
-#: Seen in the readings themselves (:mod:`sysid.gap.readings`), not fitted.
-READ_OFF = ("sensor_quantisation",)
 
 
 @dataclass(frozen=True)
@@ -132,7 +130,7 @@ def candidates_at(
     found = []
     scales = scales or Scales()
     for effect in CATALOGUE:
-        for target in targets if effect.name not in READ_OFF else ():
+        for target in targets if effect.fitted else ():
             if not _fits(effect, target, stage, plant) or not scales.offered(effect, target):
                 continue
             for side in _sides(effect, stage, target, plant.machine):

@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sysid.datasets.recording import Dataset, Recording, Role
+from sysid.effects import gain_error, input_delay
 from sysid.effects.effect import Stage
 from sysid.gap.drift import BIN
 from sysid.machine import Axis
@@ -76,7 +77,7 @@ def drive_problem(model: Model, axis: Axis, restart_every: float | None = None) 
         predict,
         lambda recording: recording.values(axis.driven)[:, None],
         _every_row,
-        nuisances=("gain_error", "input_delay") if moves else ("input_delay",),
+        nuisances=(gain_error.EFFECT.name, input_delay.EFFECT.name) if moves else (input_delay.EFFECT.name,),
         integrates=moves,
         short=drive_problem(model, axis, SHORT_RUN) if moves and restart_every is None else None,
     )

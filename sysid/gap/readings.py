@@ -15,11 +15,13 @@ import numpy.typing as npt
 
 from sysid.datasets.quality.noise import DUST, SMALLEST, is_still, noise_bound, white_noise
 from sysid.datasets.recording import Recording
+from sysid.effects import sensor_quantisation
 from sysid.gap.excitation import identifiable_targets
 from sysid.machine import KnownEffect
 from sysid.plant import Plant
 
 Array = npt.NDArray[np.float64]
+QUANTISATION = sensor_quantisation.EFFECT.name
 
 #: Share of readings at whole multiples of a step, and how close to them [steps].
 NEARLY_ALL, CLOSE = 0.95, 0.02
@@ -52,7 +54,7 @@ class Coarse:
     @property
     def effect(self) -> KnownEffect:
         """The effect as a plant takes it."""
-        return KnownEffect("sensor_quantisation", self.signal, {"step": self.step})
+        return KnownEffect(QUANTISATION, self.signal, {"step": self.step})
 
 
 def coarse_sensors(plant: Plant, recordings: Sequence[Recording], noise: Mapping[str, float]) -> tuple[Coarse, ...]:
@@ -66,7 +68,7 @@ def coarse_sensors(plant: Plant, recordings: Sequence[Recording], noise: Mapping
     for signal, said in noise.items():
         runs = [r for r in recordings if r.kind == "motion" and signal in r.signals]
         parts = [r.values(signal) for r in runs]
-        if not signal.endswith((".cylinder", ".joint")) or not parts or plant.effect("sensor_quantisation", signal) is not None:
+        if not signal.endswith((".cylinder", ".joint")) or not parts or plant.effect(QUANTISATION, signal) is not None:
             continue
         if not identifiable_targets((signal,), recordings, plant.machine):
             continue
@@ -108,7 +110,7 @@ def with_steps(plant: Plant, coarse: Sequence[Coarse], noise: Mapping[str, float
     """Noise of every signal with that of rounding, where it is the larger one; an estimate from data holds it already."""
     steps = {item.signal: item.step for item in coarse}
     for signal in noise:
-        known = plant.effect("sensor_quantisation", signal)
+        known = plant.effect(QUANTISATION, signal)
         if known is not None:
             steps[signal] = float(known.parameters["step"])  # type: ignore[arg-type]
     levels = dict(noise)

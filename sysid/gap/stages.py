@@ -12,6 +12,7 @@ import numpy.typing as npt
 from scipy.stats import norm
 from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]
 
+from sysid.effects import backlash, clock_offset, sensor_scale
 from sysid.gap.adapters.adapter import SimulatorAdapter
 from sysid.gap.candidates import Candidate
 from sysid.gap.case import Case, Stage, on_itself, stage_candidates
@@ -34,7 +35,7 @@ Array = npt.NDArray[np.float64]
 #: A play narrower than this many standard deviations of the noise of the signal that drives it acts as a filter of that noise.
 PLAY_OVER_NOISE = 4.0
 #: What a stage behind a drive says of the sensor that the drive is read by, and the stages that say it.
-SCALE, BEHIND = "sensor_scale", ("joint", "end_effector")
+SCALE, BEHIND = sensor_scale.EFFECT.name, ("joint", "end_effector")
 
 Forms = Literal["all", "simple"]
 
@@ -134,11 +135,11 @@ def _equivalence(case: Case, stage: str, offered: Sequence[Candidate]) -> dict[K
     """What is open about clocks and about plays that a noisy measurement drives: least half-widths of equivalence."""
     found: dict[Key, float] = {}
     for candidate in offered:
-        if candidate.effect.name == "clock_offset":
+        if candidate.effect is clock_offset.EFFECT:
             found[candidate.key] = open_offset(case.dataset, candidate.target)
-        elif candidate.effect.name == "backlash" and stage == "end_effector":
+        elif candidate.effect is backlash.EFFECT and stage == "end_effector":
             found[candidate.key] = PLAY_OVER_NOISE * case.noise.get(axis_signal(candidate.target, "joint"), 0.0)
-        elif candidate.effect.name == "backlash" and stage == "joint":
+        elif candidate.effect is backlash.EFFECT and stage == "joint":
             found[candidate.key] = PLAY_OVER_NOISE * _cylinder_noise(case, candidate.target)
     return found
 

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from sysid.effects import CATALOGUE, Effect, effect_named
+from sysid.effects import CATALOGUE, Effect, effect_named, input_delay
 from sysid.effects.effect import TargetKind
 from sysid.errors import SettingsError, nearest
 from sysid.plant.cache import CACHE_FOLDER
@@ -64,12 +64,12 @@ def _states() -> dict[str, int]:
     """Position and speed, then what each effect of an axis keeps; the ring of the delay, whose length varies, is last."""
     found, count = {"position": 0, "speed": 1}, 2
     for effect in CATALOGUE:
-        if effect.target == "axis" and effect.name != "input_delay":
+        if effect.target == "axis" and effect is not input_delay.EFFECT:
             for side in effect.sides or (None,):
                 if effect.memory(1.0):
                     found[_label(effect.name, side)] = count
                     count += effect.memory(1.0)
-    return {**found, "input_delay": count}
+    return {**found, input_delay.EFFECT.name: count}
 
 
 AT: Any = namedtuple("AT", _places())(**_places())
@@ -78,7 +78,7 @@ STATE: Any = namedtuple("STATE", _states())(**_states())
 
 def axis_memory(dt: float) -> int:
     """State values of one axis."""
-    return int(STATE.input_delay) + effect_named("input_delay").memory(dt)
+    return int(STATE.input_delay) + input_delay.EFFECT.memory(dt)
 
 
 def signals_of(axis_names: Sequence[str]) -> tuple[str, ...]:

@@ -5,34 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from sysid.effects import BY_NAME
 from sysid.gap.result import GapResult, Localised
 from sysid.machine import Machine
 from sysid.reports import words
 from sysid.signals import split_signal
 
-#: Effect → part of the machine, where it is not the valve.
-_PARTS = {
-    "internal_leakage": "cylinder",
-    "oil_compressibility": "cylinder",
-    "stiction": "cylinder",
-    "coulomb_friction": "cylinder",
-    "viscous_friction": "cylinder",
-    "stribeck_friction": "cylinder",
-    "inertia_error": "joint",
-    "load_bias": "joint",
-    "backlash": "joint",
-    "joint_compliance": "joint",
-    "joint_offset": "joint",
-    "link_length_error": "link",
-    "base_misalignment": "base",
-    "gripper_sway": "tool",
-    "pump_flow_limit": "pump",
-    "sensor_bias": "sensor",
-    "sensor_scale": "sensor",
-    "sensor_quantisation": "sensor",
-    "clock_offset": "clock",
-    "clock_skew": "clock",
-}
 #: Stage → part that it ends with, for what has no name.
 _OF_STAGE = {"command": "valve", "force": "cylinder", "joint": "joint", "end_effector": "link", "tool": "tool"}
 
@@ -56,7 +34,7 @@ class Mark:
 
 def part_of(effect: str, target: str, machine: Machine) -> str:
     """The part of the machine at which an effect sits; without hydraulics a drive in the place of valve and cylinder."""
-    part = _PARTS.get(effect, "valve")
+    part: str = BY_NAME[effect].part if effect in BY_NAME else "valve"
     if part in ("valve", "cylinder") and target in machine.axis_names:
         axis = machine.axis(target)
         if axis.actuation != "velocity" or (part == "cylinder" and axis.drives == "joint"):

@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sysid.control import AxisTuning, CylinderController, response_time
+from sysid.effects import gripper_sway
 from sysid.effects.gripper_sway import GRAVITY
 from sysid.errors import InputError, SettingsError, nearest
 from sysid.networks.forward import ForwardModel
@@ -261,7 +262,7 @@ class DrivenEnvironment(Copies):
         servo = np.array([item.servo for item in tuning], dtype=np.bool_)
         commands = np.where(servo, joints, sign)
         speeds = np.array([(high - low) for low, high in zip(reach.low, reach.high, strict=True)])
-        hang = self.plant.effect("gripper_sway", "tool")
+        hang = self.plant.effect(gripper_sway.EFFECT.name, "tool")
         length = float(np.atleast_1d(hang.parameters["length"])[0]) if hang is not None else 0.1
         sway, swing = 0.5 * length, 0.5 * math.sqrt(GRAVITY * length)
         below = np.array([sway, sway, 0.0 if sign > 0.0 else length])

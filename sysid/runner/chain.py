@@ -13,6 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sysid.control import AxisTuning, CylinderController
+from sysid.effects import gripper_sway
 from sysid.errors import SettingsError
 from sysid.networks.forward import ForwardModel
 from sysid.plant import Plant
@@ -73,7 +74,7 @@ class Chain:
             self.thread = PolicyThread(policy, len(self.axes))
         self._joints: Array | None = None
         self._solved: Array | None = None
-        hang = plant.effect("gripper_sway", "tool")
+        hang = plant.effect(gripper_sway.EFFECT.name, "tool")
         length = float(np.atleast_1d(hang.parameters["length"])[0]) if hang is not None else 0.0
         self._below = np.array([[0.0, 0.0, -length]])
 

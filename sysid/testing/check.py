@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import string
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
@@ -10,9 +11,9 @@ import numpy as np
 import numpy.typing as npt
 
 from sysid.datasets.recording import Recording
-from sysid.effects import Effect, Form, Parameter
+from sysid.effects import BY_NAME, Effect, Form, Parameter, input_delay
+from sysid.effects.catalogue import confusions
 from sysid.errors import SysidError, nearest
-from sysid.testing.names import CONTRACT_NAMES
 from sysid.testing.probe import RATE_HZ, Place, Run, Values, places_of, plant_run, probe_recording, with_inputs
 
 Array = npt.NDArray[np.float64]
@@ -26,18 +27,6 @@ UNITS = frozenset(
         *("N or N·m", "N·s/m or N·m·s", "rad/(N·m)", "1/(N·m)"),
     }
 )
-_CLOCKS = frozenset({"clock_offset", "clock_skew"})
-#: Their load is an input of its own, which the checks leave as it is.
-_LOADED = frozenset({"load_dependent_flow", "joint_compliance"})
-#: Promises that an effect cannot keep by its nature: stamps may lie before the motion, a clock or the oil may tell the time.
-_EXEMPT: dict[str, frozenset[str]] = {
-    "causal": _CLOCKS,
-    "finite": _CLOCKS,  # nothing is known before the first sample and after the last
-    "time_invariant": _CLOCKS | _LOADED | {"temperature_drift"},
-    "memoryless": _CLOCKS | _LOADED,
-}
-#: Effects that do not depend on how fast their input is run through.
-_RATE_INDEPENDENT = frozenset({"backlash", "valve_hysteresis"})
 
 
 class EffectError(SysidError):
@@ -80,7 +69,7 @@ def failures_of(effect: Effect, run: Run | None = None) -> tuple[Failure, ...]:
     for place in places_of(effect):
         subject = _Subject(effect, place, run or plant_run(effect, place))
         for promise, check in PROPERTIES.items():
-            figures = None if effect.name in _EXEMPT.get(promise, ()) else next(check(subject), None)
+            figures = None if promise in effect.exempt else next(check(subject), None)
             if figures is not None:
                 found.append(Failure(promise, str(place), figures))
     return tuple(found)
@@ -134,18 +123,21 @@ def _values(form: Form, value: Callable[[Parameter, tuple[str, ...]], float]) ->
 
 
 def _metadata(effect: Effect) -> Iterator[str]:
-    for key in ("name", "equation", "source", "excited_by"):
+    for key in ("name", "title", "equation", "source", "excited_by"):
         if not str(getattr(effect, key)).strip():
             yield f"{key} is empty"
     if not effect.slots or not effect.forms:
         yield f"{len(effect.slots)} slots and {len(effect.forms)} forms, at least one of each expected"
     if effect.target == "axis" and not effect.actuations:
         yield "an axis effect names no kind of actuation"
-    if not effect.confused_with:
+    for form in effect.forms:
+        if not any(_fields(sentence) <= {"target", *form.names} for sentence in effect.sentences):
+            yield f"no sentence has the parameters {{{', '.join(form.names)}}} alone"
+    if not confusions(effect):
         yield "confused_with is empty: every effect has a neighbour that it can be taken for"
     for other in effect.confused_with:
-        if other not in CONTRACT_NAMES or other == effect.name:
-            yield f"confused_with names {other!r}, expected {nearest(other, CONTRACT_NAMES - {effect.name})}"
+        if other not in BY_NAME or other == effect.name:
+            yield f"confused_with names {other!r}, expected {nearest(other, BY_NAME.keys() - {effect.name})}"
     slots = {slot.name for slot in effect.slots}
     for form in effect.forms:
         written = [slot for p in form.parameters for group in p.components for slot in group]
@@ -153,6 +145,10 @@ def _metadata(effect: Effect) -> Iterator[str]:
             yield f"form {{{', '.join(form.names)}}} writes the slots {sorted(written)}, expected each of {sorted(slots)} once"
         for parameter in form.parameters:
             yield from _parameter(parameter)
+
+
+def _fields(template: str) -> set[str]:
+    return {name for _, name, _, _ in string.Formatter().parse(template) if name}
 
 
 def _parameter(parameter: Parameter) -> Iterator[str]:
@@ -277,7 +273,7 @@ def _memoryless(subject: _Subject) -> Iterator[str]:
 
 def _rate_independent(subject: _Subject) -> Iterator[str]:
     """The same path run through three times more slowly gives the same outputs on it."""
-    if subject.effect.name not in _RATE_INDEPENDENT or (subject.place.stage == "drive" and subject.effect.stage == "joint"):
+    if not subject.effect.rate_independent or (subject.place.stage == "drive" and subject.effect.stage == "joint"):
         return
     slow = np.repeat(subject.inputs(_RICH), 3, axis=0)
     for form in subject.effect.forms:
@@ -292,7 +288,7 @@ def _rate_independent(subject: _Subject) -> Iterator[str]:
 
 def _shifts(subject: _Subject) -> Iterator[str]:
     """A delay of whole samples is a shift in time."""
-    if subject.effect.name != "input_delay":
+    if subject.effect.name != input_delay.EFFECT.name:
         return
     without = subject.run(None, _RICH)
     for samples in (1, 13):

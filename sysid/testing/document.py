@@ -10,8 +10,8 @@ import numpy.typing as npt
 import pandas as pd
 
 from sysid.datasets.recording import Recording
-from sysid.effects import BY_NAME, CATALOGUE, Effect, Form
-from sysid.effects.separators import separator
+from sysid.effects import CATALOGUE, Effect, Form
+from sysid.effects.catalogue import confusions
 from sysid.pictures import Line, svg
 from sysid.signals import point_signals
 from sysid.testing.check import typical_values
@@ -20,36 +20,6 @@ from sysid.testing.probe import RATE_HZ, Place, Values, places_of, plant_run, pr
 Array = npt.NDArray[np.float64]
 GREY, BLUE, ORANGE = "#9aa1a8", "#1f6fb4", "#d9822b"
 
-#: Values that show well in a picture, where the first start is too small or too large for it.
-_SHOWN: dict[str, dict[str, float | list[float]]] = {
-    "input_delay": {"delay": 0.15},
-    "valve_hysteresis": {"width": 0.15},
-    "valve_deadband": {"positive": 0.25, "negative": 0.15},
-    "first_order_lag": {"time_constant": 0.15},
-    "command_rate_limit": {"rate": 2.0},
-    "flow_saturation": {"limit": 0.5},
-    "gain_curve": {"exponent": 2.0},
-    "temperature_drift": {"fraction": 0.3, "time_constant": 5.0},
-    "load_dependent_flow": {"coefficient": 0.04},
-    "oil_compressibility": {"frequency": 5.0, "damping_ratio": 0.1},
-    "pump_flow_limit": {"limit": 1.0},
-    "internal_leakage": {"rate": 0.05},
-    "stiction": {"breakaway": 0.35, "release": 0.12},
-    "coulomb_friction": {"force": 1.5},
-    "viscous_friction": {"coefficient": 4.0},
-    "stribeck_friction": {"static_force": 2.0, "coulomb_force": 0.8, "stribeck_velocity": 0.05},
-    "joint_compliance": {"compliance": 0.01},
-    "backlash": {"width": 0.1},
-    "joint_offset": {"offset": 0.1},
-    "link_length_error": {"error": 0.08},
-    "base_misalignment": {"translation": [0.05, 0.0, 0.04], "rotation": [0.0, 0.06, 0.0]},
-    "gripper_sway": {"length": 0.25, "damping_ratio": 0.05},
-    "sensor_scale": {"scale": 1.1},
-    "sensor_bias": {"bias": 0.05},
-    "sensor_quantisation": {"step": 0.05},
-    "clock_offset": {"offset": -0.3},
-    "clock_skew": {"skew": -5000.0},
-}
 _STAGES = {
     "command": "command → speed of the drive",
     "force": "force → motion",
@@ -108,7 +78,7 @@ def _page(effect: Effect) -> str:
     about = _about(effect)
     lines = [
         _NOTICE,
-        f"# `{effect.name}`\n",
+        f"# `{effect.name}`: {effect.title}\n",
         f"{about}\n",
         f"![with and without the effect]({effect.name}.svg)\n",
         f"    {effect.equation}\n",
@@ -129,7 +99,7 @@ def _page(effect: Effect) -> str:
         forms = " or ".join("{" + ", ".join(f"`{name}`" for name in form.names) + "}" for form in effect.forms)
         lines.append(f"Written as {forms}, the first being the simplest.\n")
     lines += ["## What looks like it\n", "| effect | what separates them |", "| --- | --- |"]
-    lines += [f"| {_link(other)} | {separator(effect.name, other)} |" for other in effect.confused_with]
+    lines += [f"| {_link(other)} | {what} |" for other, what in confusions(effect).items()]
     return "\n".join([*lines, ""])
 
 
@@ -153,7 +123,7 @@ def _unit(unit: str) -> str:
 
 
 def _link(name: str) -> str:
-    return f"[`{name}`]({name}.md)" if name in BY_NAME else f"`{name}` (not in the catalogue yet)"
+    return f"[`{name}`]({name}.md)"
 
 
 # -- pictures -------------------------------------------------------------------------------------------------------
@@ -162,7 +132,7 @@ def _link(name: str) -> str:
 def _picture(effect: Effect) -> str:
     place = places_of(effect)[0]
     form = effect.forms[0]
-    values = _SHOWN.get(effect.name) or typical_values(effect, form)
+    values = dict(effect.example) or typical_values(effect, form)
     title = f"{effect.name} with {', '.join(f'{key} = {value}' for key, value in values.items())}"
     if effect.stage == "end_effector":
         return _tip_picture(effect, place, values, title)

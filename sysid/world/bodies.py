@@ -10,6 +10,7 @@ from xml.etree.ElementTree import Element, SubElement, tostring
 import numpy as np
 import numpy.typing as npt
 
+from sysid.effects import gripper_sway, link_length_error
 from sysid.effects.gripper_sway import GRAVITY
 from sysid.errors import SettingsError
 from sysid.machine import Kinematics
@@ -95,7 +96,7 @@ def build_bodies(plant: Plant, gripper: Gripper = "rigid") -> Bodies:
     if kinematics is None or machine.urdf_text is None:
         found = f"machine {machine.name} has no URDF"
         raise SettingsError("PyBullet world", found, "urdf and tip in machine.toml", "The compiled plant runs without one.")
-    sway = plant.effect("gripper_sway", "tool")
+    sway = plant.effect(gripper_sway.EFFECT.name, "tool")
     root: Element = fromstring(machine.urdf_text, forbid_dtd=True)
     if machine.tool is None and sway is not None:
         _add_tool(root, kinematics.tip)
@@ -221,7 +222,7 @@ def _stretch(root: Element, plant: Plant, kinematics: Kinematics) -> None:
     errors = {
         plant.machine.axis(item.target).joint: float(np.asarray(item.parameters["error"]))
         for item in plant.effects
-        if item.name == "link_length_error"
+        if item.name == link_length_error.EFFECT.name
     }
     stretch: list[Joint] = []
     after: str | None = None

@@ -14,7 +14,7 @@ from sysid.datasets.recording import Recording
 from sysid.effects import BY_NAME, CATALOGUE, Effect, Form, Need, Parameter, Slot, effect_named, form_for
 from sysid.errors import SettingsError
 from sysid.gap.excitation import COUNTS
-from sysid.testing import CONTRACT_NAMES, PROPERTIES, EffectError, Run, check_effect, failures_of, places_of, plant_run
+from sysid.testing import PROPERTIES, EffectError, Run, check_effect, failures_of, places_of, plant_run
 
 Array = npt.NDArray[np.float64]
 LAG, DEADBAND, PLAY = BY_NAME["first_order_lag"], BY_NAME["valve_deadband"], BY_NAME["backlash"]
@@ -35,9 +35,27 @@ def test_looked_at_in_every_place(effect: Effect) -> None:
         assert {kinds[p.target] for p in places} == set(effect.actuations)
 
 
-def test_names_are_the_contract_s() -> None:
-    assert set(BY_NAME) == CONTRACT_NAMES
+#: Names that have a fixed meaning: none is taken away or given to something else.
+CONTRACT_NAMES = {
+    *("input_delay", "first_order_lag", "valve_deadband", "valve_hysteresis", "gain_error", "asymmetric_gain"),
+    *("gain_curve", "flow_saturation", "command_rate_limit", "load_dependent_flow", "pump_flow_limit"),
+    *("internal_leakage", "temperature_drift", "stiction", "oil_compressibility"),
+    *("coulomb_friction", "viscous_friction", "stribeck_friction", "inertia_error", "load_bias"),
+    *("backlash", "joint_compliance", "joint_offset", "link_length_error", "base_misalignment", "gripper_sway"),
+    *("sensor_bias", "sensor_scale", "sensor_quantisation", "clock_offset", "clock_skew"),
+}
+
+
+def test_no_name_of_the_contract_is_missing() -> None:
+    assert set(BY_NAME) >= CONTRACT_NAMES
     assert len(BY_NAME) == len(CATALOGUE)
+
+
+@pytest.mark.parametrize("effect", CATALOGUE, ids=lambda effect: effect.name)
+def test_what_separates_two_effects_is_written_once(effect: Effect) -> None:
+    both = [other for other in effect.confused_with if effect.name in BY_NAME[other].confused_with]
+    assert not both
+    assert all(text.strip() for text in effect.confused_with.values())
 
 
 @pytest.mark.parametrize("effect", CATALOGUE, ids=lambda effect: effect.name)
@@ -76,10 +94,11 @@ def with_parameter(effect: Effect, **changes: object) -> Effect:
     ("effect", "message"),
     [
         (replace(LAG, source=" "), "metadata: source is empty"),
+        (replace(LAG, sentences=("It lags by {lag}.",)), "no sentence has the parameters {time_constant} alone"),
         (replace(LAG, excited_by=""), "metadata: excited_by is empty"),
-        (replace(LAG, confused_with=()), "confused_with is empty"),
-        (replace(LAG, confused_with=("input_dela",)), "confused_with names 'input_dela', expected 'input_delay'?"),
-        (replace(LAG, confused_with=("first_order_lag",)), "confused_with names 'first_order_lag'"),
+        (replace(LAG, name="own_lag", confused_with={}), "confused_with is empty"),
+        (replace(LAG, confused_with={"input_dela": "one"}), "confused_with names 'input_dela', expected 'input_delay'?"),
+        (replace(LAG, confused_with={"first_order_lag": "one"}), "confused_with names 'first_order_lag'"),
         (replace(LAG, actuations=()), "an axis effect names no kind of actuation"),
         (replace(LAG, forms=()), "1 slots and 0 forms"),
         (replace(LAG, slots=(Slot("time_constant"), Slot("spare"))), "writes the slots ['time_constant'], expected each of"),
@@ -211,6 +230,9 @@ def test_an_effect_of_one_s_own_is_checked_through_its_function() -> None:
     """An effect that the compiled plant does not have: quadratic droop of the speed."""
     droop = Effect(
         name="droop",
+        title="Speed droop",
+        sentences=("The {target} loses {amount} of its speed at full command.",),
+        part="valve",
         stage="command",
         target="axis",
         slots=(Slot("amount"),),
@@ -218,7 +240,7 @@ def test_an_effect_of_one_s_own_is_checked_through_its_function() -> None:
         equation="v = u·(1 − amount·|u|)",
         source="own measurement",
         excited_by="commands of many magnitudes",
-        confused_with=("flow_saturation",),
+        confused_with={"flow_saturation": "a bend from the beginning, or a corner"},
         need=Need("motion", 5, "Record {axis} at five openings."),
         actuations=("velocity",),
     )

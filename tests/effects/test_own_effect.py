@@ -14,10 +14,25 @@ import pytest
 ROOT = Path(__file__).parents[2]
 
 
-@pytest.mark.slow
-def test_page_as_it_stands(tmp_path: Path) -> None:
-    page = (ROOT / "docs" / "guide" / "own-effect.md").read_text("utf-8")
-    effect, line, check = re.findall(r"```python\n(.*?)```", page, flags=re.DOTALL)
+#: What the rest of the toolkit writes of an effect, from its file alone.
+WORDS = """
+from sysid.effects import effect_named
+from sysid.effects.catalogue import confusions
+from sysid.reports.words import effect_sentence, effect_title
+from sysid.testing.document import _page
+
+assert effect_title("command_offset") == "Valve null bias"
+assert effect_sentence("command_offset", "boom", {"offset": "0.05"}).startswith("A constant of 0.05 is added to every command")
+assert "command_offset" in confusions(effect_named("valve_deadband"))
+assert "shifts both edges" in _page(effect_named("valve_deadband"))
+assert "added to the command" in _page(effect_named("command_offset"))
+"""
+
+
+@pytest.fixture
+def package(tmp_path: Path) -> Path:
+    """A copy of the package with the effect: its file, its entry in the catalogue, its line in the chain."""
+    effect, line, _ = code_of_the_page()
     package = tmp_path / "sysid"
     shutil.copytree(ROOT / "sysid", package, ignore=shutil.ignore_patterns("__pycache__"))
     (package / "effects" / "command_offset.py").write_text(effect, "utf-8")
@@ -25,11 +40,29 @@ def test_page_as_it_stands(tmp_path: Path) -> None:
     insert(package / "effects" / "catalogue.py", "    valve_deadband.EFFECT,\n", "    command_offset.EFFECT,\n")
     insert(package / "plant" / "chain.py", "    command_rate_limit,\n", "    command_offset,\n")
     insert(package / "plant" / "chain.py", "    u = valve_deadband.step(", line)
-    environment = {**os.environ, "PYTHONPATH": str(tmp_path), "XDG_CACHE_HOME": str(tmp_path / "cache")}
-    run = subprocess.run(
-        [sys.executable, "-c", check], cwd=tmp_path, env=environment, capture_output=True, text=True, check=False
+    return tmp_path
+
+
+@pytest.mark.slow
+def test_page_as_it_is_written(package: Path) -> None:
+    run(package, code_of_the_page()[-1], {"XDG_CACHE_HOME": str(package / "cache")})
+
+
+def test_words_come_from_the_file_alone(package: Path) -> None:
+    run(package, WORDS, {"NUMBA_DISABLE_JIT": "1"})
+
+
+def code_of_the_page() -> list[str]:
+    page = (ROOT / "docs" / "guide" / "own-effect.md").read_text("utf-8")
+    return re.findall(r"```python\n(.*?)```", page, flags=re.DOTALL)
+
+
+def run(folder: Path, code: str, environment: dict[str, str]) -> None:
+    environment = {**os.environ, "PYTHONPATH": str(folder), **environment}
+    done = subprocess.run(
+        [sys.executable, "-c", code], cwd=folder, env=environment, capture_output=True, text=True, check=False
     )
-    assert run.returncode == 0, run.stderr
+    assert done.returncode == 0, done.stderr
 
 
 def insert(path: Path, before: str, text: str) -> None:

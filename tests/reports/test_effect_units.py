@@ -7,10 +7,8 @@ from dataclasses import replace
 import pytest
 
 from sysid.datasets.recording import Dataset
-from sysid.effects import CATALOGUE
 from sysid.machine import Axis
 from sysid.reports.effect_units import parameter_unit, remainder_unit, shown
-from sysid.reports.words import EFFECTS
 
 
 @pytest.mark.parametrize(
@@ -61,19 +59,3 @@ def test_what_is_left_over_has_the_unit_of_the_signal_that_its_stage_predicts(
 ) -> None:
     units = {**crane.units, "slew.command": "N·m"}
     assert remainder_unit(stage, target, crane.machine, units) == unit
-
-
-def test_every_effect_of_the_catalogue_has_words_for_each_of_its_forms() -> None:
-    for effect in CATALOGUE:
-        assert effect.name in EFFECTS
-        for form in effect.forms:
-            values = {"target": "boom", **dict.fromkeys(form.names, "1")}
-            assert any(_fits(sentence, values) for sentence in EFFECTS[effect.name].sentences), (effect.name, form.names)
-
-
-def _fits(sentence: str, values: dict[str, str]) -> bool:
-    try:
-        sentence.format(**values)
-    except KeyError:
-        return False
-    return True

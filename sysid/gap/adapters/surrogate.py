@@ -28,17 +28,6 @@ from sysid.plant.model import SETTLE_WINDOW, frozen, in_parallel
 
 Array = npt.NDArray[np.float64]
 
-#: Effects that a surrogate consists of, and the parameter value at which each, as an input effect, tests the surrogate.
-TEST_VALUES = {
-    "input_delay": 0.05,
-    "valve_deadband": 0.04,
-    "gain_curve": 1.2,
-    "flow_saturation": 0.8,
-    "command_rate_limit": 6.0,
-    "first_order_lag": 0.05,
-    "gain_error": 0.8,
-    "asymmetric_gain": 0.9,
-}
 #: A surrogate is rejected where its residual over short runs exceeds this share of the motion within them.
 MAX_SHORT_RUN_SHARE = 0.1
 #: It is accurate where its residual over whole recordings is below this multiple of the sensor noise.
@@ -74,7 +63,7 @@ def fit_surrogate(problem: Problem, plant: Plant, model: Model, runs: Sequence[R
     axis = model.machine.axis(problem.target)
     if not runs:
         return None
-    candidates = [c for c in candidates_at(plant, model.theta, "command", (axis.name,)) if c.effect.name in TEST_VALUES]
+    candidates = [c for c in candidates_at(plant, model.theta, "command", (axis.name,)) if c.effect.surrogate_test is not None]
     candidates = [c for c in candidates if c.form is c.effect.forms[0]]
     data = Data(replace(drive_problem(model, axis), nuisances=()), runs, np.array([sigma]))
     fitted = fit_candidates(data, model.theta, candidates, starting_values(candidates, (), 0)).theta
@@ -93,7 +82,7 @@ def fit_surrogate(problem: Problem, plant: Plant, model: Model, runs: Sequence[R
 def _test_effects(candidates: Sequence[Candidate], theta: Array) -> Array:
     """``theta`` with all test effects at the input at once, (1, N)."""
     unknowns = [u for c in candidates for u in c.unknowns]
-    return place(theta, unknowns, np.array([[TEST_VALUES[c.effect.name] for c in candidates for _ in c.unknowns]]))
+    return place(theta, unknowns, np.array([[c.effect.surrogate_test for c in candidates for _ in c.unknowns]]))
 
 
 def _within(recording: Recording, signal: str) -> Array:

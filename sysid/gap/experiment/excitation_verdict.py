@@ -13,8 +13,8 @@ from typing import Any, Literal
 import numpy as np
 
 from sysid.datasets.recording import Dataset, Recording
-from sysid.effects import CATALOGUE, Effect
-from sysid.gap.candidates import READ_OFF, Candidate
+from sysid.effects import CATALOGUE, Effect, sensor_quantisation
+from sysid.gap.candidates import Candidate
 from sysid.gap.case import Case, Stage, stage_candidates, stage_split
 from sysid.gap.excitation import advice, excitation_at, excitation_of
 from sysid.gap.problem import problems_of, split_of
@@ -167,7 +167,7 @@ def _counted(item: Excitation, effect: Effect, stage: str, side: str | None) -> 
 
 def _quantisation(signal: str, seen: Sequence[Recording], machine: Machine) -> ExcitationVerdict:
     """Sensor quantisation is not fitted: it is estimated from the readings (:mod:`sysid.gap.readings`)."""
-    effect = next(effect for effect in CATALOGUE if effect.name in READ_OFF)
+    effect = sensor_quantisation.EFFECT
     return _counted(excitation_at(effect, signal, seen, machine), effect, "sensor", None)
 
 

@@ -11,6 +11,7 @@ import numpy.typing as npt
 
 from sysid import __version__
 from sysid.datasets.recording import Recording
+from sysid.effects import pump_flow_limit
 from sysid.gap.case import Case
 from sysid.gap.data import Data
 from sysid.gap.excitation import excitation_of
@@ -256,7 +257,7 @@ class Planner:
 
     def _pump_sufficient(self, recording: Recording, model: PlausibleModel, hypothesis: OpenHypothesis) -> bool:
         """Whether the demanded flow is within the pump limit; not required where the hypothesis concerns the pump."""
-        if any(candidate.effect.name == "pump_flow_limit" for candidate in hypothesis.candidates):
+        if any(candidate.effect is pump_flow_limit.EFFECT for candidate in hypothesis.candidates):
             return True
         share = self._model(model.theta).share(model.theta[None], recording)
         return float(share.min()) >= 1.0
