@@ -21,8 +21,8 @@ from sysid.pictures import Line, svg
 from sysid.plant import plant_from_files
 from sysid.registry import Registry
 from sysid.rl.course import Course, lay_out
-from sysid.rl.environment import load_versions
 from sysid.rl.tracking import InversePolicy, Tracked, track, track_environment
+from sysid.rl.versions import load_versions
 
 ROOT = Path(__file__).resolve().parents[1]
 COMMAND = "python pipelines/control.py"

@@ -33,8 +33,8 @@ from sysid.machine import load_machine
 from sysid.networks import MotionNetwork, NetworkRecipe, fit_history, fit_motion, parse_recipe
 from sysid.networks.split import gather, segments
 from sysid.validate import ErrorMetrics, ValidationReport, validate_history, validate_motion
-from sysid.validate.along import ARX, PLANT, STATIC
 from sysid.validate.error_analysis import direction_profile, speeds
+from sysid.validate.free_runs import ARX, PLANT, STATIC
 
 Array = npt.NDArray[np.float64]
 ROOT = Path(__file__).resolve().parents[1]

@@ -12,10 +12,12 @@ from __future__ import annotations
 import os
 from typing import TYPE_CHECKING
 
+from sysid.release import __version__
+
 if TYPE_CHECKING:
     import pandas as pd
 
-__version__ = "0.1.0"
+__all__ = ["__version__", "load"]
 
 
 def load(reference: str, workspace: str | os.PathLike[str] | None = None) -> pd.DataFrame:

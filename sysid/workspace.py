@@ -17,7 +17,6 @@ from typing import Any
 
 import pandas as pd
 
-from sysid import __version__
 from sysid.datasets import Dataset, Store, Vacuumed, vacuum
 from sysid.datasets.clocks.residual import clock_residuals
 from sysid.errors import ExcitationError, SettingsError, StoreError
@@ -36,6 +35,7 @@ from sysid.networks import (
 from sysid.networks.policy import PolicyNetwork
 from sysid.plant import Plant, free_run, nominal_plant, plant_from_files
 from sysid.registry import CHAMPION, NETWORKS, Damaged, ModelVersion, Registry, made_from_dataset
+from sysid.release import __version__
 from sysid.reports import ReportInputs, VersionNote
 from sysid.reports.archive import load_gap, save_gap
 from sysid.rl.policy import load_policy

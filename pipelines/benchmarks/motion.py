@@ -12,10 +12,10 @@ from scipy.optimize import least_squares
 from benchmarks.crane import crane
 from benchmarks.rows import in_turns, row
 from sysid.plant import Plant, compile_plant
-from sysid.rl.environment import Task
 from sysid.rl.inverse import Chain, Inverse, chain_of_plant
 from sysid.rl.kinematic import KinematicEnvironment
 from sysid.rl.reach import joint_limits, tips
+from sysid.rl.task import Task
 from sysid.signals import axis_signal
 
 Array = npt.NDArray[np.float64]

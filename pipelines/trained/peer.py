@@ -13,9 +13,9 @@ from sysid.config import read_toml
 from sysid.progress import Progress
 from sysid.registry import Registry
 from sysid.rl.course import lay_out
-from sysid.rl.environment import load_versions
 from sysid.rl.kinematic import KinematicEnvironment
 from sysid.rl.recipe import parse_training
+from sysid.rl.versions import load_versions
 from trained.policies import kept
 from trained.runs import PAPER, RECIPES
 

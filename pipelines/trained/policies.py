@@ -25,12 +25,12 @@ from sysid.registry import Registry
 from sysid.rl.checkpoint import TrainingFiles
 from sysid.rl.course import Course, Shortened, lay_out
 from sysid.rl.ddpg import Trainer
-from sysid.rl.environment import load_versions
 from sysid.rl.inverse import chain_of_plant
 from sysid.rl.policy import Searching
 from sysid.rl.recipe import parse_training
 from sysid.rl.tracking import SETTLED_S, InversePolicy, Tracked
 from sysid.rl.training import environments, policy_of
+from sysid.rl.versions import load_versions
 from trained.runs import AHEAD, AT_RUN_TIME, DRIVEN, MISREAD, RECIPES, SCATTER, Run
 
 Array = npt.NDArray[np.float64]

@@ -12,10 +12,10 @@ from typing import NoReturn
 
 import click
 
-from sysid import __version__
 from sysid.children import safe_children
 from sysid.errors import StorageError, SysidError, nearest
 from sysid.foreign import visible
+from sysid.release import __version__
 
 
 @dataclass(frozen=True)

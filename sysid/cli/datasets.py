@@ -81,9 +81,9 @@ def diff_versions(workspace: str, before: str, after: str, json_file: str | None
     Raw files, recipe and machine, clocks, roles, signals and units, how far the tables differ, and figures of quality.
     """
     from sysid.cli.version_tables import show_diff
-    from sysid.datasets import Store
+    from sysid.datasets import Store, diff
 
-    found = Store(workspace).diff(before, after)
+    found = diff(Store(workspace), before, after)
     show_diff(Printer(json_file), found)
     write_json(json_file, found.to_json())
 

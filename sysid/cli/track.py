@@ -70,9 +70,9 @@ def track(
     from sysid.errors import SettingsError
     from sysid.names import check_file_name
     from sysid.rl.course import BASELINES, Course, Shortened, lay_out
-    from sysid.rl.environment import load_versions
     from sysid.rl.policy import Searching, load_policy
     from sysid.rl.record import keep
+    from sysid.rl.versions import load_versions
     from sysid.workspace import open_workspace
 
     place = open_workspace(workspace)

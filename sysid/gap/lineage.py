@@ -8,11 +8,11 @@ from collections.abc import Mapping
 from dataclasses import asdict
 from typing import Any
 
-from sysid import __version__
 from sysid.files import plain
 from sysid.gap.case import Case
 from sysid.gap.proof import Outcome
 from sysid.gap.result import Gap
+from sysid.release import __version__
 
 #: What the figures of the workflow depend on.
 SOFTWARE = ("numpy", "scipy", "numba", "pandas", "arch")

@@ -19,8 +19,8 @@ from collections.abc import Mapping, Sequence
 
 from sysid.errors import StoreError
 from sysid.gap.result import Gap, WorldGap
-from sysid.registry import Check, Decision, ModelVersion, Registry
-from sysid.registry.promotion import now_ms
+from sysid.registry import Check, ModelVersion, PromotionDecision, Registry
+from sysid.registry.decision import now_ms
 
 #: A gap has grown if it exceeds this many standard deviations of the noise floor.
 SURE = 3.0
@@ -105,7 +105,7 @@ def first_promotion(registry: Registry, version: str) -> ModelVersion:
     if until_now is None:
         try:
             judged = {"by": "sysid gap", "as": "questioned before any repair"}
-            first = Decision(True, "", (), judged=judged, decided_ms=now_ms())
+            first = PromotionDecision(True, "", (), judged=judged, decided_ms=now_ms())
             return registry.promote(version, instead_of=None, decision=first)
         except StoreError:
             until_now = registry.promoted(name)

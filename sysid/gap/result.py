@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import pandas as pd
 
-from sysid.registry.promotion import Check as Check
-from sysid.registry.promotion import Promotion as Promotion
+from sysid.registry.decision import Check as Check
+from sysid.registry.decision import Promotion as Promotion
 
 if TYPE_CHECKING:
     from sysid.gap.experiment.experiment import Experiment

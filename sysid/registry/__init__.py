@@ -1,7 +1,8 @@
 """Versions of networks, plants and policies with their lineage, in an MLflow model registry (loaded late)."""
 
+from sysid.registry.decision import Check, Promotion, PromotionDecision
 from sysid.registry.lineage import made_from, made_from_dataset, made_of
-from sysid.registry.promotion import Check, Decision, Promotion, decide
+from sysid.registry.promotion import decide
 from sysid.registry.registry import Damaged, Registry
 from sysid.registry.repair import Repaired
 from sysid.registry.version import CANDIDATE, CHAMPION, KINDS, NETWORKS, Kind, ModelVersion
@@ -13,10 +14,10 @@ __all__ = [
     "NETWORKS",
     "Check",
     "Damaged",
-    "Decision",
     "Kind",
     "ModelVersion",
     "Promotion",
+    "PromotionDecision",
     "Registry",
     "Repaired",
     "decide",

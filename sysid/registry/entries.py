@@ -11,7 +11,7 @@ from sysid.errors import SettingsError, StoreError
 from sysid.names import check_name
 from sysid.parse import parse_json
 from sysid.registry.artifacts import checked
-from sysid.registry.promotion import Decision
+from sysid.registry.decision import PromotionDecision
 from sysid.registry.seal import REMEDY, broken_model, broken_version
 from sysid.registry.stored import DECISION, DIGEST, LATEST_MS, MANIFEST, METRICS, StoredModel, StoredVersion
 from sysid.registry.version import CHAMPION, Kind, ModelVersion, check_files, sha256
@@ -85,7 +85,7 @@ def version_of(model: StoredModel, entry: StoredVersion) -> ModelVersion:
         found = f"not one of ours ({type(error).__name__}: {error})"
         raise StoreError(f"{where}: manifest", found, "what sysid registered", "Was it made by another program?") from None
     keys = sorted(key for key in entry.tags if key.startswith(f"{DECISION}."))
-    decisions = tuple(Decision.from_text(entry.tags[key], f"{where}: {key}") for key in keys)
+    decisions = tuple(PromotionDecision.from_text(entry.tags[key], f"{where}: {key}") for key in keys)
     metrics = _metrics(entry.tags.get(METRICS, "{}"), where)
     broken = broken_version(model, entry)
     if broken is not None:
@@ -109,7 +109,7 @@ def kind_of(model: StoredModel) -> str | None:
     return version_of(model, model.own[0]).kind if model.own else None
 
 
-def decision_key(decision: Decision) -> str:
+def decision_key(decision: PromotionDecision) -> str:
     """A tag of its own for every decision; in the order of time."""
     return f"{DECISION}.{decision.decided_ms:013d}-{sha256(decision.to_text().encode('utf-8'))[:6]}"
 

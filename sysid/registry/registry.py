@@ -20,8 +20,8 @@ from sysid.errors import SettingsError, StoreError, nearest
 from sysid.names import check_name
 from sysid.registry.artifacts import ArtifactStore, FolderArtifacts, RunArtifacts, checked
 from sysid.registry.client import SQLITE, written
+from sysid.registry.decision import PromotionDecision, now_ms
 from sysid.registry.entries import aliases_of, check_model, check_stored_name, decision_key, kind_of, version_of
-from sysid.registry.promotion import Decision, now_ms
 from sysid.registry.record import Record
 from sysid.registry.repair import Repaired, repair
 from sysid.registry.seal import sealed
@@ -181,7 +181,9 @@ class Registry:
         number = aliases_of(model).get(CHAMPION)
         return next((version_of(model, entry) for entry in model.own if entry.number == number), None)
 
-    def promote(self, reference: str, *, instead_of: ModelVersion | None, decision: Decision | None = None) -> ModelVersion:
+    def promote(
+        self, reference: str, *, instead_of: ModelVersion | None, decision: PromotionDecision | None = None
+    ) -> ModelVersion:
         """Let the name alone mean this version from now on; the others stay.
 
         Args:
@@ -193,7 +195,7 @@ class Registry:
         """
         return self.set_alias(reference, CHAMPION, instead_of=instead_of, decision=decision)
 
-    def record(self, reference: str, decision: Decision) -> ModelVersion:
+    def record(self, reference: str, decision: PromotionDecision) -> ModelVersion:
         """Keep a decision with a version; one that says what the last one said is not repeated."""
         name, _ = split_reference(reference)
         number = 0
@@ -214,7 +216,7 @@ class Registry:
         alias: str,
         *,
         instead_of: ModelVersion | Literal["any"] | None = "any",
-        decision: Decision | None = None,
+        decision: PromotionDecision | None = None,
     ) -> ModelVersion:
         """Let ``name@alias`` mean this version from now on. A champion is a candidate no longer.
 
@@ -319,7 +321,7 @@ def _surveyed(model: StoredModel, aliases: bool) -> builtins.list[ModelVersion |
     return found
 
 
-def _decided(version: ModelVersion, decision: Decision) -> dict[int, dict[str, str | None]]:
+def _decided(version: ModelVersion, decision: PromotionDecision) -> dict[int, dict[str, str | None]]:
     """The tag of a decision; nothing where the last one said the same."""
     if version.decisions and version.decisions[-1].same(decision):
         return {}

@@ -11,7 +11,7 @@ from typing import Any, Literal, get_args
 
 from sysid.errors import SettingsError, StoreError, nearest
 from sysid.names import check_name
-from sysid.registry.promotion import Decision
+from sysid.registry.decision import PromotionDecision
 
 Kind = Literal["actuator", "history", "motion", "forward", "plant", "policy"]
 #: Those that `sysid fit` makes.
@@ -63,7 +63,7 @@ class ModelVersion:
     aliases: tuple[str, ...] = ()
     created_ms: int = 0
     files: Mapping[str, bytes] = field(default_factory=dict, repr=False)
-    decisions: tuple[Decision, ...] = ()
+    decisions: tuple[PromotionDecision, ...] = ()
 
     @property
     def reference(self) -> str:

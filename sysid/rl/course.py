@@ -14,10 +14,10 @@ from sysid.control import AxisTuning, CylinderController, response_time, tune
 from sysid.errors import SettingsError, nearest
 from sysid.networks.forward import ForwardModel
 from sysid.plant import Plant
-from sysid.rl.environment import check_pair
 from sysid.rl.inverse import Chain, Inverse, chain_of_forward, chain_of_plant
 from sysid.rl.paths import CLIMB, TURNS, Path, centre_for, check_reach, circle, floor_of, helix, read_path
 from sysid.rl.reach import Reach, reach_of
+from sysid.rl.task import check_pair
 from sysid.rl.tracking import InversePolicy, Policy, Tracked, track, track_environment
 
 Array = npt.NDArray[np.float64]

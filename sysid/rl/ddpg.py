@@ -20,10 +20,11 @@ import numpy.typing as npt
 
 from sysid.errors import SettingsError
 from sysid.rl.agent import Agent, Space
-from sysid.rl.environment import Environment, Parts
+from sysid.rl.environment import Environment
 from sysid.rl.noise import OrnsteinUhlenbeck
 from sysid.rl.recipe import Recipe
 from sysid.rl.replay import Replay
+from sysid.rl.task import ObservationSlices
 
 Array = npt.NDArray[np.float64]
 
@@ -72,7 +73,7 @@ class Trainer:
         if judge.steps <= 2 * SETTLE:
             raise SettingsError("judge of a policy", f"episodes of {judge.steps} steps", f"more than {2 * SETTLE}")
         self.environment, self.judge, self.recipe = environment, judge, recipe
-        self.parts = Parts.of(environment.actions)
+        self.parts = ObservationSlices.of(environment.actions)
         rngs = Generators.of(recipe.seed)
         self._actions, self._batches = rngs.actions, rngs.batches
         self.agent = Agent(_space(environment, self.parts, recipe), recipe.networks, learning, rngs.weights, recipe.device)
@@ -262,7 +263,7 @@ class Trainer:
         return 0.5 * (1.0 + math.cos(math.pi * self.turn / self.recipe.turns))
 
 
-def _space(environment: Environment, parts: Parts, recipe: Recipe) -> Space:
+def _space(environment: Environment, parts: ObservationSlices, recipe: Recipe) -> Space:
     revolute = getattr(environment.forward, "revolute", None)
     if revolute is None and recipe.networks.critic_features == "sincos":
         found = "'sincos', and the forward model does not say which joints are angles"

@@ -20,10 +20,10 @@ from sysid.errors import InputError, SettingsError, nearest
 from sysid.networks.forward import ForwardModel
 from sysid.plant import Plant
 from sysid.plant.stepper import LaneState, Stepper
-from sysid.rl.copies import Copies
-from sysid.rl.environment import Flags, Task
 from sysid.rl.observation import DrivenObservation
 from sysid.rl.reach import Reach
+from sysid.rl.task import Flags, Task
+from sysid.rl.vector_environment import VectorEnvironment
 
 if TYPE_CHECKING:
     from sysid.rl.bullet import Worlds
@@ -33,7 +33,7 @@ Feedback = Literal["static", "plant"]
 Mover = Literal["compiled", "pybullet"]
 
 
-class DrivenEnvironment(Copies):
+class DrivenEnvironment(VectorEnvironment):
     """Observation: joints (A,), end effector (3,), target (3,), the last commands (H·A,), speeds of the joints (A,), tool
     relative to the tip (3,) and its speed there (3,). Action: joint setpoints (A,) in SI.
 

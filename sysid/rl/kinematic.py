@@ -11,15 +11,15 @@ import numpy.typing as npt
 from sysid.errors import InputError
 from sysid.networks.forward import ForwardModel
 from sysid.plant import Plant
-from sysid.rl.copies import Copies
-from sysid.rl.environment import Flags, Task
 from sysid.rl.motion import follow
 from sysid.rl.reach import Reach, tips
+from sysid.rl.task import Flags, Task
+from sysid.rl.vector_environment import VectorEnvironment
 
 Array = npt.NDArray[np.float64]
 
 
-class KinematicEnvironment(Copies):
+class KinematicEnvironment(VectorEnvironment):
     """Observation: joints (A,), end effector (3,), target (3,). Action: joint setpoints (A,) in SI, clipped to their limits.
 
     Args:

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
-from sysid.rl.environment import Parts
+from sysid.rl.task import ObservationSlices
 
 Array = npt.NDArray[np.float64]
 
@@ -27,7 +27,7 @@ class DrivenObservation:
 
     def __init__(self, axes: Sequence[str], history: int, rate_hz: float, size: int = 1) -> None:
         self.axes, self.history, self.rate_hz, self.size = tuple(axes), history, rate_hz, size
-        self.parts = Parts.of(len(self.axes))
+        self.parts = ObservationSlices.of(len(self.axes))
         #: The last commands, newest first, (n, H, A).
         self.commands = np.zeros((size, history, len(self.axes)))
         #: Speeds of the joints and of the tool below the tip, (n, A + 3).

@@ -9,7 +9,7 @@ from sysid.errors import StoreError
 from sysid.networks.forward import ForwardModel
 from sysid.networks.policy import PolicyNetwork, policy_from_files
 from sysid.registry import ModelVersion
-from sysid.rl.environment import Parts
+from sysid.rl.task import ObservationSlices
 
 Array = npt.NDArray[np.float64]
 
@@ -44,7 +44,7 @@ class Searching:
     ) -> None:
         self.policy, self.forward, self.candidates, self.sigma = policy, forward, candidates, sigma
         self._rng = np.random.default_rng(seed)
-        self._target = Parts.of(len(policy.outputs)).target
+        self._target = ObservationSlices.of(len(policy.outputs)).target
 
     @property
     def inputs(self) -> tuple[str, ...]:

@@ -13,7 +13,7 @@ from typing import Any, Literal
 from sysid.config import STRICT, parse_settings, read_toml
 from sysid.errors import SettingsError
 from sysid.names import check_name
-from sysid.rl.environment import Task
+from sysid.rl.task import Task
 
 
 @dataclass(frozen=True)

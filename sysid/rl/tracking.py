@@ -17,11 +17,12 @@ from sysid.errors import InputError, SettingsError
 from sysid.networks.forward import ForwardModel
 from sysid.plant import Plant
 from sysid.rl.driven import DrivenEnvironment
-from sysid.rl.environment import Environment, Parts, Task
+from sysid.rl.environment import Environment
+from sysid.rl.factory import make_environment
 from sysid.rl.inverse import Inverse
-from sysid.rl.kinematic import KinematicEnvironment
 from sysid.rl.paths import Path
 from sysid.rl.reach import Reach
+from sysid.rl.task import ObservationSlices, Task
 
 Array = npt.NDArray[np.float64]
 
@@ -45,8 +46,8 @@ class Remembering(Protocol):
 class InversePolicy:
     """Bounded least-squares inverse kinematics as a policy: the joints nearest to the last ones that reach the target."""
 
-    def __init__(self, inverse: Inverse, parts: Parts | None = None) -> None:
-        self.inverse, self.parts = inverse, parts or Parts.of(len(inverse.low))
+    def __init__(self, inverse: Inverse, parts: ObservationSlices | None = None) -> None:
+        self.inverse, self.parts = inverse, parts or ObservationSlices.of(len(inverse.low))
         self._last: Array | None = None
 
     def reset(self, observations: Array) -> None:
@@ -151,7 +152,7 @@ def track(
     if environment.rate_hz != path.rate_hz:
         raise SettingsError("tracking", f"a path at {path.rate_hz} Hz", f"{environment.rate_hz} Hz")
     ahead = round(lookahead * path.rate_hz)
-    parts = Parts.of(environment.actions)
+    parts = ObservationSlices.of(environment.actions)
     seen = environment.begin(start, path.at(ahead))
     if isinstance(policy, Remembering):
         policy.reset(seen)
@@ -185,6 +186,4 @@ def track_environment(
         full: the full path; ``settings`` are then those of :class:`sysid.rl.driven.DrivenEnvironment`.
     """
     task = Task(steps=len(path.points) + 1)
-    if full:
-        return DrivenEnvironment(plant, forward, task=task, reach=reach, **(settings or {}))
-    return KinematicEnvironment(plant, forward, task=task, reach=reach)
+    return make_environment(plant, forward, full=full, task=task, reach=reach, **(dict(settings or {}) if full else {}))

@@ -20,12 +20,13 @@ from sysid.progress import Progress, silent
 from sysid.registry import ModelVersion, Registry
 from sysid.rl.checkpoint import TrainingFiles, training_folder
 from sysid.rl.ddpg import SETTLE, Trainer
-from sysid.rl.driven import DrivenEnvironment
-from sysid.rl.environment import Environment, Task, load_versions
-from sysid.rl.kinematic import KinematicEnvironment
+from sysid.rl.environment import Environment
+from sysid.rl.factory import make_environment
 from sysid.rl.observers import Observer
 from sysid.rl.reach import Reach
 from sysid.rl.recipe import Recipe
+from sysid.rl.task import Task
+from sysid.rl.versions import load_versions
 
 #: The actor is judged on so many copies, with the same starts and targets whatever the seed.
 JUDGED, JUDGE_SEED = 512, 2**31
@@ -132,19 +133,8 @@ def environments(
     setting = recipe.setting
 
     def environment(size: int, seed: int, task: Task, repeat: int) -> Environment:
-        if not setting.full:
-            return KinematicEnvironment(plant, forward, size=size, seed=seed, task=task, reach=reach)
-        return DrivenEnvironment(
-            plant,
-            forward,
-            size=size,
-            seed=seed,
-            task=task,
-            reach=reach,
-            tuning=tuning,
-            repeat=repeat,
-            feedback=setting.feedback,
-        )
+        settings = {"tuning": tuning, "repeat": repeat, "feedback": setting.feedback} if setting.full else {}
+        return make_environment(plant, forward, full=setting.full, size=size, seed=seed, task=task, reach=reach, **settings)
 
     return (
         environment(setting.copies, recipe.seed, setting.task, setting.repeat),

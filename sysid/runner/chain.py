@@ -17,9 +17,9 @@ from sysid.effects import gripper_sway
 from sysid.errors import SettingsError
 from sysid.networks.forward import ForwardModel
 from sysid.plant import Plant
-from sysid.rl.environment import Parts
 from sysid.rl.inverse import Inverse
 from sysid.rl.observation import DrivenObservation
+from sysid.rl.task import ObservationSlices
 from sysid.runner.policy_thread import PolicyThread, Setter
 
 Array = npt.NDArray[np.float64]
@@ -146,7 +146,7 @@ class Chain:
         for own, wanted in zip(self.view.names, policy.inputs, strict=False):
             if own != wanted:
                 raise SettingsError(where, f"sees {wanted!r}", f"{own!r} in its place: it was trained for another machine")
-        if len(policy.inputs) > self.view.width or len(policy.inputs) < Parts.of(len(self.axes)).width:
+        if len(policy.inputs) > self.view.width or len(policy.inputs) < ObservationSlices.of(len(self.axes)).width:
             raise SettingsError(where, f"sees {len(policy.inputs)} numbers", f"{self.view.width}")
 
 

@@ -27,9 +27,9 @@ from queue import Empty, SimpleQueue
 from types import TracebackType
 from typing import Literal
 
-from sysid import __version__
 from sysid.errors import SettingsError, StorageError
 from sysid.files import write_durably
+from sysid.release import __version__
 from sysid.runner.cycle import Cycle
 from sysid.runner.flight_messages import COMMANDS, READINGS, Speaker
 from sysid.runner.mcap_pieces import PieceWriter

@@ -12,8 +12,8 @@ from sysid.networks.forward import ForwardModel
 from sysid.networks.policy import PolicyNetwork
 from sysid.plant import Plant, plant_from_files
 from sysid.registry import CHAMPION, ModelVersion, Registry, made_of
-from sysid.rl.environment import load_versions
 from sysid.rl.policy import load_policy
+from sysid.rl.versions import load_versions
 from sysid.runner.recipe import KINEMATIC, RunnerRecipe
 
 

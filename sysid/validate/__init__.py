@@ -8,7 +8,7 @@ from sysid.validate.metrics import ErrorMetrics, error_metrics
 from sysid.validate.report import OutputReport, Trace, ValidationReport
 from sysid.validate.validation import validate_actuator, validate_forward, validate_model  # first: `along` builds on it
 
-from sysid.validate.along import validate_history, validate_motion  # isort: skip
+from sysid.validate.free_runs import validate_history, validate_motion  # isort: skip
 
 __all__ = [
     "Coverage",

@@ -12,7 +12,7 @@ from typing import Any
 
 from sysid.networks import Model
 from sysid.networks.policy import PolicyNetwork
-from sysid.registry import NETWORKS, Decision, ModelVersion
+from sysid.registry import NETWORKS, ModelVersion, PromotionDecision
 from sysid.validate import ValidationReport
 from sysid.versions.card_block import Block, Card
 from sysid.versions.card_network import network_limits, network_ranges, what_network
@@ -75,7 +75,7 @@ def card_of(
     return Card(version.reference, f"{version.kind}{aliases}, made {made}, content {version.digest[:12]}", tuple(blocks))
 
 
-def decision_row(decision: Decision) -> tuple[str, str, str, str]:
+def decision_row(decision: PromotionDecision) -> tuple[str, str, str, str]:
     """When, what, by whom, and why, in words."""
     when = f"{datetime.fromtimestamp(decision.decided_ms / 1e3, UTC):%Y-%m-%d %H:%M}"
     instead = f" instead of {decision.instead_of}" if decision.promoted and decision.instead_of else ""

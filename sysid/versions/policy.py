@@ -17,7 +17,7 @@ from typing import Any, Literal, get_args
 from sysid.config import STRICT, load_settings
 from sysid.errors import InputError, SettingsError, nearest
 from sysid.registry import NETWORKS
-from sysid.registry.promotion import Check
+from sysid.registry.decision import Check
 from sysid.units import si_factor
 from sysid.validate import OutputReport, ValidationReport
 from sysid.versions.outputs import shown

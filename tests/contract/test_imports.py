@@ -15,7 +15,7 @@ PACKAGE = ROOT / "sysid"
 
 #: From the ground floor up. A part may import itself and what stands on a lower floor, never a neighbour or a higher one.
 FLOORS: tuple[tuple[str, ...], ...] = (
-    ("errors", "foreign", "parse", "children"),
+    ("release", "errors", "foreign", "parse", "children"),
     ("units", "signals", "progress", "scratch", "files", "compiled", "pictures", "names", "numbers"),
     ("config", "root"),
     ("logs", "machine"),
@@ -102,6 +102,43 @@ def test_imports_point_downwards(path: Path) -> None:
         if other != part and floor_of.get(other, len(FLOORS)) >= mine
     ]
     assert not wrong, f"{path.relative_to(ROOT)} imports upwards or sideways: {wrong}"
+
+
+def imported_modules(path: Path) -> Iterator[str]:
+    """Modules of sysid that a file imports, inside functions and for types alone too; of a package, what it takes from it."""
+    for node in ast.walk(ast.parse(path.read_text("utf-8"), str(path))):
+        if isinstance(node, ast.Import):
+            names = [alias.name for alias in node.names]
+        elif isinstance(node, ast.ImportFrom):
+            names = [f"{node.module}.{alias.name}" for alias in node.names]
+        else:
+            continue
+        for name in names:
+            while name and name not in MODULES:
+                name = name.rpartition(".")[0]
+            if name:
+                yield name
+
+
+def module_of(path: Path) -> str:
+    return ".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__")
+
+
+MODULES = {module_of(path): path for path in sources(PACKAGE)}
+
+
+def circles(imports: dict[str, set[str]]) -> list[list[str]]:
+    """Modules that reach themselves, and what needs them: those left when modules that import none of the rest are removed."""
+    left = dict(imports)
+    while free := [name for name, needed in left.items() if not needed & left.keys()]:
+        for name in free:
+            del left[name]
+    return [sorted(left)] if left else []
+
+
+def test_no_module_imports_itself_through_others() -> None:
+    assert circles({name: set(imported_modules(path)) - {name} for name, path in MODULES.items()}) == []
+    assert circles({"a": {"b"}, "b": {"c"}, "c": {"a"}, "d": {"a"}}) == [["a", "b", "c", "d"]]
 
 
 def test_the_checker_sees_an_upward_import(tmp_path: Path) -> None:

@@ -46,7 +46,7 @@ def store(tmp_path: Path) -> Store:
 
 
 def test_everything_that_differs_is_said(store: Store) -> None:
-    found = store.diff("demo@1", "demo@2")
+    found = diff(store, "demo@1", "demo@2")
     assert (found.before, found.after, found.same_content, found.empty) == ("demo@1", "demo@2", False, False)
     assert (found.recordings.added, found.recordings.removed) == (("new",), ("s1-r1",))
     assert found.sources.changed == ("s1-r0/log.csv",)
@@ -69,13 +69,13 @@ def test_everything_that_differs_is_said(store: Store) -> None:
 
 
 def test_a_version_is_like_itself(store: Store) -> None:
-    assert store.diff("demo@1", "demo@1").empty
+    assert diff(store, "demo@1", "demo@1").empty
     assert diff(store, "demo@2", "demo").same_content
 
 
 def test_versions_over_the_same_tables_differ_in_roles_alone(store: Store) -> None:
     store.resplit("demo@1", {"s1-r0": "held_out", "s1-r1": "fit"})
-    found = store.diff("demo@1", "demo@3")
+    found = diff(store, "demo@1", "demo@3")
     assert [change.what for change in found.splits] == ["s1-r0", "s1-r1"]
     assert replace(found, splits=()).empty
 
@@ -131,7 +131,7 @@ def test_a_manifest_of_the_first_schema_is_read(tmp_path: Path) -> None:
     store.append("demo@1", addition, more, MADE)
     assert [recording.name for recording in store.load("demo@2").recordings] == ["s1-r0", "s1-r1", "s2-r0"]
     assert set(store.channels("demo@2")["unit"].dropna()) == {"rad"}
-    assert store.diff("demo@1", "demo@2").tables == ()
+    assert diff(store, "demo@1", "demo@2").tables == ()
 
 
 @pytest.mark.parametrize(

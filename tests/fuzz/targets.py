@@ -107,10 +107,10 @@ def registry_row(data: bytes) -> None:
 
 
 def _registry_seeds() -> tuple[bytes, ...]:
-    from sysid.registry.promotion import Check, Decision
+    from sysid.registry.decision import Check, PromotionDecision
 
     manifest = json.dumps({"files": {"plant.json": "ab"}, "kind": "plant", "lineage": {"dataset": "demo@1"}})
-    decision = Decision(True, "", (Check("names", "passed", "one"),), judged={"by": "gap"}).to_text()
+    decision = PromotionDecision(True, "", (Check("names", "passed", "one"),), judged={"by": "gap"}).to_text()
     return (f'{manifest}\0{{"rmse": 1e-3}}\0{decision}'.encode(),)
 
 

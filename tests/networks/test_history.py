@@ -17,7 +17,7 @@ from sysid.networks.memory import Memory
 from sysid.networks.split import Segment
 from sysid.plant import nominal_plant
 from sysid.validate import validate_model
-from sysid.validate.along import STATIC
+from sysid.validate.free_runs import STATIC
 
 Array = NDArray[np.float64]
 

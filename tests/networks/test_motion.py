@@ -20,7 +20,7 @@ from sysid.networks.motion import free_run_rmse, motion_rows, window_for
 from sysid.networks.motion_inputs import Motion, Window, window_of
 from sysid.networks.rollout import Bounds, horizon_errors, whole_run
 from sysid.validate import validate_model
-from sysid.validate.along import ARX, PLANT, output_name
+from sysid.validate.free_runs import ARX, PLANT, output_name
 
 Array = NDArray[np.float64]
 MOTION = {

@@ -17,7 +17,7 @@ from typing import Any
 import pytest
 
 from sysid.errors import StorageError, StoreError
-from sysid.registry import Check, Decision, Registry, decide
+from sysid.registry import Check, PromotionDecision, Registry, decide
 
 FILES = {"plant.json": b"{}"}
 PASSED, FAILED = (
@@ -105,9 +105,9 @@ def test_a_decision_that_was_edited_is_refused(workspace: Path, text: str) -> No
 
 
 def test_a_decision_survives_as_text() -> None:
-    decision = Decision(True, "arm@1", (PASSED, FAILED), "r", "w", {"rules": {"margin": 0.05}}, 5)
-    assert Decision.from_text(decision.to_text(), "x") == decision
-    assert decision.same(Decision(True, "arm@1", (PASSED, FAILED), "r", "w", {"rules": {"margin": 0.05}}, 9))
+    decision = PromotionDecision(True, "arm@1", (PASSED, FAILED), "r", "w", {"rules": {"margin": 0.05}}, 5)
+    assert PromotionDecision.from_text(decision.to_text(), "x") == decision
+    assert decision.same(PromotionDecision(True, "arm@1", (PASSED, FAILED), "r", "w", {"rules": {"margin": 0.05}}, 9))
 
 
 def test_a_manifest_that_names_a_path_is_refused(workspace: Path) -> None:

@@ -14,10 +14,10 @@ from sysid.errors import SettingsError
 from sysid.networks.batch import unpack
 from sysid.rl.agent import Agent
 from sysid.rl.ddpg import Trainer
-from sysid.rl.environment import Task
 from sysid.rl.kinematic import KinematicEnvironment
 from sysid.rl.noise import OrnsteinUhlenbeck
 from sysid.rl.recipe import Recipe
+from sysid.rl.task import Task
 
 SEEN = ("turn", "now", "agent", "noise", "environment", "episodes", "evaluations", "actions", "batches")
 

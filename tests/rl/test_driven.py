@@ -11,7 +11,7 @@ from crane_model import Perfect, crane_plant
 from sysid.errors import InputError, SettingsError
 from sysid.machine import KnownEffect
 from sysid.rl.driven import DrivenEnvironment
-from sysid.rl.environment import Task
+from sysid.rl.task import Task
 
 PLANT = crane_plant(KnownEffect("gripper_sway", "tool", {"length": 0.22, "damping_ratio": 0.04}))
 FORWARD = Perfect(PLANT)

@@ -12,9 +12,9 @@ from gymnasium.vector import AutoresetMode
 
 from sysid.errors import SettingsError
 from sysid.rl.driven import DrivenEnvironment
-from sysid.rl.environment import Task
 from sysid.rl.gym import MachineEnv, MachineVectorEnv
 from sysid.rl.kinematic import KinematicEnvironment
+from sysid.rl.task import Task
 
 PLANT = crane_plant()
 FORWARD = Perfect(PLANT)

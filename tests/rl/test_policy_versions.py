@@ -13,8 +13,9 @@ from sysid.cli.app import app
 from sysid.errors import SettingsError, StoreError
 from sysid.registry import Registry
 from sysid.rl.driven import DrivenEnvironment
-from sysid.rl.environment import Task, from_versions
+from sysid.rl.factory import from_versions
 from sysid.rl.kinematic import KinematicEnvironment
+from sysid.rl.task import Task
 
 
 @pytest.fixture(scope="module")

@@ -14,10 +14,10 @@ from sysid.control import simple
 from sysid.errors import InputError, SettingsError
 from sysid.machine import KnownEffect
 from sysid.rl.course import Course, Shortened, lay_out
-from sysid.rl.environment import Task
 from sysid.rl.kinematic import KinematicEnvironment
 from sysid.rl.paths import Path, helix
 from sysid.rl.record import keep, pictures, table
+from sysid.rl.task import Task
 from sysid.rl.tracking import InversePolicy, track, track_environment
 
 Array = npt.NDArray[np.float64]

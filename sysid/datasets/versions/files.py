@@ -92,16 +92,6 @@ def scratch_folder(workspace: str | Path) -> Path:
     return Path(tempfile.gettempdir()) if "://" in str(workspace) else Path(workspace)
 
 
-def open_files(workspace: str | Path) -> Files:
-    """Files of a local workspace, or of an object store where ``workspace`` is a URL."""
-    from sysid.datasets.versions.local_files import LocalFiles
-    from sysid.datasets.versions.object_files import ObjectFiles
-
-    if "://" not in str(workspace):
-        return LocalFiles(Path(workspace))
-    return ObjectFiles(str(workspace).rstrip("/"))
-
-
 @contextmanager
 def explained(where: object, state: str) -> Iterator[None]:
     """What disks, object stores and Delta refuse, as a :class:`StorageError` that says how the store stands.

@@ -15,13 +15,13 @@ from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from typing import Any, Literal
 
-from sysid import __version__
 from sysid.datasets.recording import ClockRecord, Dataset
 from sysid.datasets.versions.manifest_shape import check_shape
 from sysid.errors import SettingsError, StoreError
 from sysid.files import plain
 from sysid.foreign import MOST_NAME, shown, visible
 from sysid.parse import parse_json
+from sysid.release import __version__
 
 Manifest = dict[str, Any]
 

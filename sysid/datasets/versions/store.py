@@ -27,7 +27,7 @@ import pandas as pd
 from sysid.datasets.channel import Channel
 from sysid.datasets.recording import Dataset, Role
 from sysid.datasets.versions.assemble import Entry, dataset_of, entry_of
-from sysid.datasets.versions.files import Files, OvertakenError, TakenError, explained, open_files
+from sysid.datasets.versions.files import Files, OvertakenError, TakenError, explained
 from sysid.datasets.versions.manifest import (
     Made,
     Manifest,
@@ -39,6 +39,7 @@ from sysid.datasets.versions.manifest import (
     split_digest,
     to_text,
 )
+from sysid.datasets.versions.open_files import open_files
 from sysid.datasets.versions.tables import PartTables, is_there, read_table, write_channels, write_samples
 from sysid.errors import SettingsError, StoreError, nearest
 from sysid.foreign import shown
@@ -49,7 +50,6 @@ from sysid.progress import part as stretch
 if TYPE_CHECKING:
     import pyarrow as pa
 
-    from sysid.datasets.versions.diff import DatasetDiff
 
 #: What a failed write leaves, for its message.
 _STATE = "no version was made, those that are there are whole"
@@ -129,12 +129,6 @@ class Store:
             )
             for number, part in enumerate(manifest["parts"])
         )
-
-    def diff(self, before: str, after: str) -> DatasetDiff:
-        """How version ``after`` differs from version ``before``: see :func:`sysid.datasets.versions.diff.diff`."""
-        from sysid.datasets.versions.diff import diff
-
-        return diff(self, before, after)
 
     def manifest(self, reference: str) -> Manifest:
         """What is written of a version, in the shape of the newest schema (``docs/guide/versions.md``).

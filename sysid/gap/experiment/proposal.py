@@ -9,7 +9,6 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import numpy.typing as npt
 
-from sysid import __version__
 from sysid.datasets.recording import Recording
 from sysid.effects import pump_flow_limit
 from sysid.gap.case import Case
@@ -29,6 +28,7 @@ from sysid.gap.experiment.motions import MOTIONS, Motion
 from sysid.gap.experiment.open_hypothesis import OpenHypothesis
 from sysid.gap.problem import Problem, drive_problem, force_problem, joint_problem, tip_problem, tool_problem
 from sysid.plant import Model, Plant, compile_plant
+from sysid.release import __version__
 
 Array = npt.NDArray[np.float64]
 

@@ -1,4 +1,4 @@
-"""Judge networks that run along a motion: actuators with history, and command → motion by its free runs."""
+"""Evaluate recurrent networks: actuators with history, and command → motion by its free runs."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ from sysid.signals import axis_signal
 from sysid.validate.baselines import linkage_geometry, simple_models
 from sysid.validate.error_analysis import direction_profile, profile, speeds, spikes
 from sysid.validate.metrics import error_metrics
+from sysid.validate.output_reports import TRACE_ROWS, EvaluatedOutput, axis_ends, output_report
 from sysid.validate.report import OutputReport, Trace, ValidationReport
-from sysid.validate.validation import TRACE_ROWS, JudgedMap, axis_ends, output_report
 
 Array = npt.NDArray[np.float64]
 
@@ -62,7 +62,7 @@ def validate_history(
                 values = part.recording.values(signals[source])[part.start : part.stop]
                 mine = rows.recording == part.recording.name
                 predicted.append(along(values, part.recording.rate_hz)[rows.row[mine] - part.start])
-            item = JudgedMap(
+            item = EvaluatedOutput(
                 predict=lambda x, still=still: still(x[:, 0]),  # type: ignore[misc]
                 simple=simple_models(fit.values[:, [source]], fit.values[:, target])
                 | {"linkage geometry": linkage_geometry(fit.values[:, 0], fit.values[:, 1], target == 1)}

@@ -10,14 +10,14 @@ import numpy.typing as npt
 from sysid.errors import InputError, SettingsError
 from sysid.networks.forward import ForwardModel
 from sysid.plant import Plant, compile_plant
-from sysid.rl.environment import Parts, Task, check_pair
 from sysid.rl.reach import Reach, reach_of, tips
+from sysid.rl.task import ObservationSlices, Task, check_pair
 
 Array = npt.NDArray[np.float64]
 Flags = npt.NDArray[np.bool_]
 
 
-class Copies(ABC):
+class VectorEnvironment(ABC):
     """``size`` copies of a plant, each with a task of its own; how they move is what environments differ in.
 
     Raises:
@@ -34,7 +34,7 @@ class Copies(ABC):
         self.reach = reach or reach_of(plant, forward)
         self.model = compile_plant(plant)
         self.rate_hz = plant.machine.rate_hz
-        self.parts = Parts.of(self.actions)
+        self.parts = ObservationSlices.of(self.actions)
         #: How far from where a copy stands its targets lie: 1, anywhere within reach; less, on the way there.
         self.spread = 1.0
         self._rng = np.random.default_rng(seed)

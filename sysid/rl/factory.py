@@ -1,0 +1,72 @@
+"""The one way to an environment: joints that follow at once, or the full path through controller, valves and plant."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from sysid.errors import SettingsError
+from sysid.networks.forward import ForwardModel
+from sysid.plant import Plant
+from sysid.registry import Registry
+from sysid.rl.driven import DrivenEnvironment
+from sysid.rl.environment import Environment
+from sysid.rl.kinematic import KinematicEnvironment
+from sysid.rl.reach import Reach
+from sysid.rl.task import Task
+from sysid.rl.versions import load_versions
+
+
+def make_environment(
+    plant: Plant,
+    forward: ForwardModel,
+    *,
+    full: bool = False,
+    size: int = 1,
+    seed: int = 0,
+    task: Task | None = None,
+    reach: Reach | None = None,
+    **settings: Any,
+) -> Environment:
+    """An environment of ``size`` copies.
+
+    Args:
+        full: joint setpoints pass actuator networks, cylinder controller, valves and plant; else joints follow at once.
+        reach: limits, starts and targets; else those of plant and forward model.
+        settings: of :class:`sysid.rl.driven.DrivenEnvironment` (``full`` only).
+
+    Raises:
+        SettingsError: plant and forward model do not fit each other, or settings that joints which follow at once do not have.
+    """
+    if full:
+        return DrivenEnvironment(plant, forward, size=size, seed=seed, task=task, reach=reach, **settings)
+    if settings:
+        found = f"settings {', '.join(sorted(settings))}"
+        raise SettingsError("environment", found, "none: they belong to the full path (full = true)")
+    return KinematicEnvironment(plant, forward, size=size, seed=seed, task=task, reach=reach)
+
+
+def from_versions(
+    registry: Registry,
+    plant: str,
+    forward: str,
+    *,
+    size: int = 1,
+    seed: int = 0,
+    task: Task | None = None,
+    full: bool = False,
+    **settings: Any,
+) -> Environment:
+    """The environment of a registered plant, judged by a registered forward model.
+
+    Args:
+        plant, forward: ``name``, ``name@3`` or ``name@champion``.
+        size: copies side by side.
+        full: joint setpoints pass actuator networks, cylinder controller, valves and plant; else joints follow at once.
+        settings: of :class:`sysid.rl.driven.DrivenEnvironment` (``full`` only).
+
+    Raises:
+        StoreError: no such version, or one of another kind.
+        SettingsError: the plant lacks a joint, or the forward model belongs to another machine.
+    """
+    machine, model = load_versions(registry, plant, forward)
+    return make_environment(machine, model, full=full, size=size, seed=seed, task=task, **settings)

@@ -1,0 +1,97 @@
+"""What is asked in an episode and where it stands in an observation; source: the paper's DDPG components."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from sysid.config import STRICT
+from sysid.errors import SettingsError
+from sysid.networks.forward import ForwardModel
+from sysid.plant import Plant
+from sysid.signals import axis_signal
+
+Array = npt.NDArray[np.float64]
+
+Flags = npt.NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class Task:
+    """What is asked in an episode.
+
+    Args:
+        steps: of an episode.
+        targets: how many targets an episode has, one after the other for equal times; the paper has one.
+        step_reward: for every step.
+        near_reward: the distance [m] at which the reward of being near is zero.
+        outside_reward: of a step in which any setpoint leaves its limits (below zero).
+    """
+
+    __pydantic_config__ = STRICT
+
+    steps: int = 1000
+    targets: int = 1
+    step_reward: float = 0.001
+    near_reward: float = 0.002
+    outside_reward: float = -0.0005
+
+    def __post_init__(self) -> None:
+        if not 1 <= self.targets <= self.steps:
+            raise SettingsError("task", f"{self.targets} targets in {self.steps} steps", "at least a step for each target")
+
+    @property
+    def hold(self) -> int:
+        """Steps for which a target stays."""
+        return -(-self.steps // self.targets)
+
+    def reward(self, ee: npt.ArrayLike, target: npt.ArrayLike, outside: npt.ArrayLike) -> Array:
+        """Rewards (n,) of end effectors and targets (n, 3) [m], ``outside`` (n,): whether a setpoint left its limits."""
+        away = np.linalg.norm(np.asarray(target, dtype=np.float64) - np.asarray(ee, dtype=np.float64), axis=-1)
+        return np.asarray(self.step_reward + self.near_reward - away + self.outside_reward * np.asarray(outside, dtype=float))
+
+
+@dataclass(frozen=True)
+class ObservationSlices:
+    """Where the parts of an observation stand, (first, last + 1); every environment begins with these three."""
+
+    joints: slice
+    ee: slice
+    target: slice
+
+    @staticmethod
+    def of(axes: int) -> ObservationSlices:
+        return ObservationSlices(slice(0, axes), slice(axes, axes + 3), slice(axes + 3, axes + 6))
+
+    def names(self, axes: Sequence[str]) -> tuple[str, ...]:
+        """What the columns are."""
+        points = (f"{what}.{axis}" for what in ("ee", "target") for axis in "xyz")
+        return (*(axis_signal(axis, "joint") for axis in axes), *points)
+
+    @property
+    def width(self) -> int:
+        """Of an observation that has nothing else."""
+        return int(self.target.stop)
+
+
+def check_pair(plant: Plant, forward: ForwardModel, name: str = "forward model") -> None:
+    """Refuse a plant that cannot be posed, and a forward model of other joints.
+
+    Raises:
+        SettingsError: naming the joint.
+    """
+    where = f"plant {plant.reference or plant.machine.name}"
+    own = tuple(axis_signal(axis, "joint") for axis in plant.machine.axis_names)
+    missing = [signal for signal in forward.joints if signal not in own]
+    if missing:
+        raise SettingsError(
+            where, f"has no joint {missing[0].removesuffix('.joint')!r}", f"the joints of {name}: {', '.join(forward.joints)}"
+        )
+    if forward.joints != own:
+        extra = ", ".join(signal for signal in own if signal not in forward.joints) or "in another order"
+        raise SettingsError(name, f"takes {', '.join(forward.joints)}", f"the joints of {where} ({extra})", "Fit it again.")
+    if plant.machine.kinematics() is None:
+        raise SettingsError(where, "its machine has no URDF", "kinematics: urdf = … and tip = … in machine.toml")
