@@ -17,10 +17,10 @@ import numpy as np
 
 from committed import provenance, write_result, write_tables
 from sysid.control import AxisTuning, simple, tune
-from sysid.pictures import Line, svg
+from sysid.pictures import PictureCurve, svg
 from sysid.plant import plant_from_files
 from sysid.registry import Registry
-from sysid.rl.course import Course, lay_out
+from sysid.rl.course import TrackingTask, lay_out
 from sysid.rl.tracking import InversePolicy, Tracked, track, track_environment
 from sysid.rl.versions import load_versions
 
@@ -29,7 +29,7 @@ COMMAND = "python pipelines/control.py"
 Tuning = tuple[AxisTuning, ...]
 
 
-def stages(course: Course, before: Tuning) -> list[tuple[str, Tuning, float]]:
+def stages(course: TrackingTask, before: Tuning) -> list[tuple[str, Tuning, float]]:
     """Name, tuning and look-ahead of each row, each with one thing more than the one above it."""
     full, plain = course.tuning, simple(course.plant)
     inverse = tuple(
@@ -51,7 +51,7 @@ def stages(course: Course, before: Tuning) -> list[tuple[str, Tuning, float]]:
     ]
 
 
-def follow(course: Course, name: str, tuning: Tuning, lookahead: float, noise: bool) -> Tracked:
+def follow(course: TrackingTask, name: str, tuning: Tuning, lookahead: float, noise: bool) -> Tracked:
     settings = {"tuning": tuning, "preview": lookahead, "noise": noise}
     place = track_environment(course.plant, course.forward, course.path, full=True, reach=course.reach, settings=settings)
     return track(place, InversePolicy(course.inverse), course.path, course.start, lookahead=lookahead, name=name)
@@ -106,20 +106,22 @@ def shown(values: Sequence[float]) -> str:
     return " / ".join(f"{value:.2f}" if value < 10.0 else f"{value:.0f}" for value in values)
 
 
-def pictures(course: Course, poor: Tracked, tuned: Tracked, ahead: Tracked) -> None:
+def pictures(course: TrackingTask, poor: Tracked, tuned: Tracked, ahead: Tracked) -> None:
     folder = ROOT / "docs" / "images"
     colours = {"by hand": "#c2410c", "tuned": "#0f766e", "look-ahead": "#4338ca"}
     runs = dict(zip(colours, (poor, tuned, ahead), strict=True))
-    target = Line("target", poor.target[:, 0], poor.target[:, 1], "#9ca3af", dashed=True)
-    lines = [target, *(Line(name, run.ee[:, 0], run.ee[:, 1], colours[name]) for name, run in list(runs.items())[:2])]
+    target = PictureCurve("target", poor.target[:, 0], poor.target[:, 1], "#9ca3af", dashed=True)
+    lines = [target, *(PictureCurve(name, run.ee[:, 0], run.ee[:, 1], colours[name]) for name, run in list(runs.items())[:2])]
     text = svg("helix from above, with a controller tuned by hand and from the plant", "x [m]", "y [m]", lines, equal=True)
     (folder / "control-path.svg").write_text(text, "utf-8")
-    curves = [Line(n, run.time, 1e3 * np.linalg.norm(run.error, axis=1), colours[n]) for n, run in list(runs.items())[1:]]
+    curves = [
+        PictureCurve(n, run.time, 1e3 * np.linalg.norm(run.error, axis=1), colours[n]) for n, run in list(runs.items())[1:]
+    ]
     text = svg("distance from the target over time", "time [s]", "distance [mm]", curves)
     (folder / "control-error.svg").write_text(text, "utf-8")
     boom = course.plant.machine.axis_names.index("boom") if "boom" in course.plant.machine.axis_names else 0
-    degrees = [Line("setpoint", tuned.time, np.degrees(tuned.actions[:, boom]), "#9ca3af", dashed=True)]
-    degrees += [Line(n, run.time, np.degrees(run.joints[:, boom]), colours[n]) for n, run in list(runs.items())[:2]]
+    degrees = [PictureCurve("setpoint", tuned.time, np.degrees(tuned.actions[:, boom]), "#9ca3af", dashed=True)]
+    degrees += [PictureCurve(n, run.time, np.degrees(run.joints[:, boom]), colours[n]) for n, run in list(runs.items())[:2]]
     text = svg("boom on the helix", "time [s]", "boom [°]", degrees)
     (folder / "control-boom.svg").write_text(text, "utf-8")
 

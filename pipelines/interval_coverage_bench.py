@@ -25,7 +25,7 @@ from agreement.rows import ROWS, Row
 from bench_agreement import RESULT as AGREEMENT
 from committed import write_tables
 from interval_coverage import NOISE, PAGE, SEED, STILL, Family, problem_of, sensed
-from sysid.bench.recipe import Recipe
+from sysid.bench.recipe import BenchRecipe
 from sysid.datasets import Recording
 from sysid.effects.effect import Stage
 from sysid.gap.candidates import Candidate, Scales, as_nuisance, candidates_at
@@ -78,11 +78,11 @@ def best_fit(row: Row) -> list[float]:
     raise KeyError(row.effect)
 
 
-def machines_of(row: Row) -> tuple[Recipe, Recipe]:
+def machines_of(row: Row) -> tuple[BenchRecipe, BenchRecipe]:
     return recipe_of(row.stand, dict(row.base)), recipe_of(row.stand, {**row.base, **row.feature})  # type: ignore[return-value]
 
 
-def taken(machine: Recipe, row: Row, seed: int, seconds: float, count: int) -> list[Recording]:
+def taken(machine: BenchRecipe, row: Row, seed: int, seconds: float, count: int) -> list[Recording]:
     programs = (*row.programs, "operator", "steps")
     if row.stand == "slide":
         seconds = 0.25 * seconds
@@ -117,7 +117,7 @@ def outcome(row: Row, repeats: int) -> list[Outcome]:
     family = Family(stage, KnownEffect(row.effect, row.target, guess, side))  # type: ignore[arg-type]
     plain, real = machines_of(row)
     names = STANDS[row.stand].baseline if stage in ("command", "force") else ()
-    before = nominal_plant(description(plain), streams=STREAMS if isinstance(plain, Recipe) else None)
+    before = nominal_plant(description(plain), streams=STREAMS if isinstance(plain, BenchRecipe) else None)
     for name in names:
         values = {key: float(value) for key, value in FIRST_GUESS[name].items()}  # type: ignore[arg-type]
         before = before.with_effect(KnownEffect(name, row.target, values))
@@ -149,7 +149,7 @@ def outcome(row: Row, repeats: int) -> list[Outcome]:
     return rows
 
 
-def disturbed(machine: Recipe, row: Row) -> Recipe:
+def disturbed(machine: BenchRecipe, row: Row) -> BenchRecipe:
     axis = machine.axes[row.target]
     return replace(
         machine, axes={**machine.axes, row.target: replace(axis, valve=replace(axis.valve, disturbance=DISTURBANCE))}

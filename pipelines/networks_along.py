@@ -23,7 +23,7 @@ import pandas as pd
 
 from committed import provenance, write_result, write_tables
 from hydraulic_actuator import HALF, LITERATURE, columns
-from sysid.bench import Recipe, RecordingSettings
+from sysid.bench import BenchRecipe, RecordingSettings
 from sysid.bench.case import overlaid
 from sysid.bench.machine import run_machine
 from sysid.bench.recipe import AXES
@@ -119,7 +119,7 @@ def cylinders(width: float) -> Dataset:
     """The shipped stand-in crane with another play of boom and stick, seen by its sensors at the controller's rate."""
     play = {name: {"backlash": width} for name in ("boom", "stick")}
     tables = overlaid(read_toml(DATASETS / "autolog" / "bench.toml"), {"axes": play, "recordings": []})
-    recipe = parse_settings(tables, Recipe, PIPELINE)
+    recipe = parse_settings(tables, BenchRecipe, PIPELINE)
     machine = load_machine(DATASETS / "autolog" / "machine.toml")
     recordings = []
     for number in range(RECORDINGS):

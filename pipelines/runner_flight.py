@@ -26,7 +26,7 @@ import numpy.typing as npt
 from sysid.errors import StorageError, SysidError
 from sysid.registry import Registry
 from sysid.runner.assemble import assemble
-from sysid.runner.chain import Chain
+from sysid.runner.chain import ControlChain
 from sysid.runner.cycle import Cycle, State
 from sysid.runner.faults import (
     BusOff,
@@ -169,7 +169,7 @@ class Unruly:
         wrong: what is made of an answer.
     """
 
-    def __init__(self, chain: Chain, wrong: Callable[[Array], Any]) -> None:
+    def __init__(self, chain: ControlChain, wrong: Callable[[Array], Any]) -> None:
         self._chain, self._wrong, self.loose = chain, wrong, False
         self._policy = chain.policy
         self._last: Array | None = None

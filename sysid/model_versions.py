@@ -17,11 +17,11 @@ from sysid.reports.archive import RESULT
 from sysid.validate import ValidationReport
 from sysid.versions import (
     Card,
-    Drift,
+    DriftReport,
     Exported,
     ModelDiff,
     ModelLineage,
-    Policy,
+    PromotionPolicy,
     card_of,
     diff_versions,
     drift_of,
@@ -46,7 +46,12 @@ class ModelVersions:
     place: Workspace
 
     def promote(
-        self, reference: str, policy: Policy | None = None, path: Path | None = None, word: str = "", dataset: str | None = None
+        self,
+        reference: str,
+        policy: PromotionPolicy | None = None,
+        path: Path | None = None,
+        word: str = "",
+        dataset: str | None = None,
     ) -> Promotion:
         """Let the name alone mean this version, if it passes; recorded with it either way.
 
@@ -71,7 +76,7 @@ class ModelVersions:
                 raise SettingsError(f"--policy {path}", f"{version.reference} is a {version.kind}", "a network", _PLANTS)
             checks = _trained(version, until_now) if version.kind == "policy" else _proven(version)
             return decide(self.place.models, version.reference, until_now, checks, {"by": "sysid models promote"}, word)
-        rules = policy or Policy()
+        rules = policy or PromotionPolicy()
         try:
             data = self._dataset(version, dataset)
             checks = self._judge(version, until_now, rules, data, path or "policy")
@@ -91,7 +96,7 @@ class ModelVersions:
         """How two versions differ."""
         return diff_versions(self.place.models.load(before), self.place.models.load(after))
 
-    def drift(self, reference: str, dataset: Dataset) -> Drift:
+    def drift(self, reference: str, dataset: Dataset) -> DriftReport:
         """Whether a network still fits the machine, by the recordings of ``dataset`` that are new to it.
 
         Raises:
@@ -129,7 +134,7 @@ class ModelVersions:
             return None
 
     def _judge(
-        self, version: ModelVersion, until_now: ModelVersion | None, policy: Policy, data: Dataset, where: object
+        self, version: ModelVersion, until_now: ModelVersion | None, policy: PromotionPolicy, data: Dataset, where: object
     ) -> tuple[Check, ...]:
         rival = None
         if until_now is not None and until_now.reference != version.reference:

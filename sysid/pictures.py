@@ -15,7 +15,7 @@ WIDTH, HEIGHT, LEFT, RIGHT, TOP, BOTTOM = 640, 240, 64, 12, 26, 36
 
 
 @dataclass(frozen=True)
-class Line:
+class PictureCurve:
     """One curve: ``x`` and ``y`` (n,), NaN breaks it."""
 
     label: str
@@ -25,7 +25,7 @@ class Line:
     dashed: bool = False
 
 
-def svg(title: str, x_label: str, y_label: str, lines: Sequence[Line], equal: bool = False) -> str:
+def svg(title: str, x_label: str, y_label: str, lines: Sequence[PictureCurve], equal: bool = False) -> str:
     """The picture as text; ``equal`` gives both axes the same scale."""
     x = np.concatenate([line.x for line in lines])
     y = np.concatenate([line.y for line in lines])

@@ -42,7 +42,7 @@ _ROUND = 2**16
 _UNABLE = (errno.EOPNOTSUPP, errno.EINVAL, errno.ENOSYS, errno.ENODEV)
 
 
-class Segment:
+class ScratchSegment:
     """A stretch of a scratch file in memory.
 
     Args:
@@ -90,9 +90,9 @@ class Idle:
     def __init__(self) -> None:
         self.total = 0
         self.closed = False
-        self._rooms: dict[int, list[tuple[Segment, int]]] = {}
+        self._rooms: dict[int, list[tuple[ScratchSegment, int]]] = {}
 
-    def keep(self, segment: Segment, offset: int, size: int) -> bool:
+    def keep(self, segment: ScratchSegment, offset: int, size: int) -> bool:
         """Whether the room is kept."""
         if self.closed or self.total + size > IDLE:
             return False
@@ -100,7 +100,7 @@ class Idle:
         self._rooms.setdefault(size, []).append((segment, offset))
         return True
 
-    def take(self, size: int) -> tuple[Segment, int] | None:
+    def take(self, size: int) -> tuple[ScratchSegment, int] | None:
         """A room of this size: its segment and where it lies in it."""
         rooms = self._rooms.get(size)
         if not rooms:
@@ -129,9 +129,9 @@ class Scratch:
         self._file: IO[bytes] | None = None
         self._end = 0
         self._held = 0
-        self._segment: Segment | None = None
+        self._segment: ScratchSegment | None = None
         self._idle = Idle()
-        self._segments: weakref.WeakSet[Segment] = weakref.WeakSet()
+        self._segments: weakref.WeakSet[ScratchSegment] = weakref.WeakSet()
 
     @property
     def file(self) -> IO[bytes] | None:
@@ -176,7 +176,7 @@ class Scratch:
                 return segment.start + address - segment.address
         return None
 
-    def adopt(self, segment: Segment) -> None:
+    def adopt(self, segment: ScratchSegment) -> None:
         """Treat a segment of another process's file as one of this scratch."""
         self._segments.add(segment)
 
@@ -214,7 +214,7 @@ class Scratch:
                 # Mappings grow with what there is already: each takes a descriptor.
                 length = _whole_pages(max(SEGMENT, size, self._end // 8)) if size < SEGMENT // 2 else size
                 os.ftruncate(file.fileno(), self._end + length)
-                segment = Segment(file.fileno(), self._end, length)
+                segment = ScratchSegment(file.fileno(), self._end, length)
                 self._end += length
                 self._segments.add(segment)
                 if size < SEGMENT // 2:

@@ -15,7 +15,7 @@ from sysid.bench.capture import frame_rotation
 from sysid.bench.case import overlaid
 from sysid.bench.joint_machines import description_of
 from sysid.bench.joint_recipe import ServoArm, Slide, Take
-from sysid.bench.recipe import AXES, Recipe, RecordingSettings
+from sysid.bench.recipe import AXES, BenchRecipe, RecordingSettings
 from sysid.bench.recipe_file import check_recipe
 from sysid.bench.run import simulate
 from sysid.bench.servo_arm import run_servo_arm
@@ -90,7 +90,7 @@ STANDS = {
 }
 
 
-def recipe_of(stand: str, features: Mapping[str, Any]) -> Recipe | ServoArm | Slide:
+def recipe_of(stand: str, features: Mapping[str, Any]) -> BenchRecipe | ServoArm | Slide:
     """The machine of a stand with its features switched on."""
     tables = dict(STANDS[stand].tables)
     kind = tables.get("kind")
@@ -100,7 +100,7 @@ def recipe_of(stand: str, features: Mapping[str, Any]) -> Recipe | ServoArm | Sl
         tables = with_value(tables, key.split("."), value)
     if kind is not None:
         return parse_settings(tables, ServoArm if kind == "servo_arm" else Slide, stand)
-    recipe = parse_settings(tables, Recipe, stand)
+    recipe = parse_settings(tables, BenchRecipe, stand)
     check_recipe(recipe, stand)
     return recipe
 
@@ -117,16 +117,16 @@ def with_value(tables: Any, path: Sequence[str], value: Any) -> Any:
     return without if value is None else {**without, first: value}
 
 
-def description(machine: Recipe | ServoArm | Slide) -> Machine:
+def description(machine: BenchRecipe | ServoArm | Slide) -> Machine:
     """What the owner wrote down: geometry, rated gains and masses."""
-    if not isinstance(machine, Recipe):
+    if not isinstance(machine, BenchRecipe):
         return machine_from_files(description_of(machine), machine.name)
     gains = {name: machine.axis(name).valve.gain for name in AXES}
     files = {"machine.toml": machine_toml(machine, gains, []), f"{machine.name}.urdf": urdf(machine)}
     return machine_from_files(files, machine.name)
 
 
-def record(machine: Recipe | ServoArm | Slide, program: str, seed: int, seconds: float) -> Recording:
+def record(machine: BenchRecipe | ServoArm | Slide, program: str, seed: int, seconds: float) -> Recording:
     """One recording without noise, on the grid of the controller."""
     take = Take(program, seed, seconds)
     if isinstance(machine, ServoArm):

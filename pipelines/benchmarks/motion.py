@@ -12,7 +12,7 @@ from scipy.optimize import least_squares
 from benchmarks.crane import crane
 from benchmarks.rows import in_turns, row
 from sysid.plant import Plant, compile_plant
-from sysid.rl.inverse import Chain, Inverse, chain_of_plant
+from sysid.rl.inverse import Inverse, KinematicChain, chain_of_plant
 from sysid.rl.kinematic import KinematicEnvironment
 from sysid.rl.reach import joint_limits, tips
 from sysid.rl.task import Task
@@ -88,7 +88,7 @@ def _environment(plant: Plant, copies: int) -> dict[str, Any]:
 
 def _inverse(plant: Plant) -> dict[str, Any]:
     chain, (low, high) = chain_of_plant(plant), joint_limits(plant)
-    assert isinstance(chain, Chain)
+    assert isinstance(chain, KinematicChain)
     rng = np.random.default_rng(0)
     joints = rng.uniform(low, high, (TARGETS, len(low)))
     targets = chain.predict(joints)

@@ -32,7 +32,7 @@ from sysid.networks import (
     Mlp,
     Normalisation,
     StructuredForward,
-    Trained,
+    TrainedMember,
     TrainingSettings,
     fit_chain,
     train,
@@ -130,13 +130,13 @@ def plain(members: Sequence[Member], batch: int, epochs: int) -> tuple[list[Arra
     return residuals, updates
 
 
-def ours(members: Sequence[Member], batch: int, epochs: int) -> tuple[Trained, ...]:
+def ours(members: Sequence[Member], batch: int, epochs: int) -> tuple[TrainedMember, ...]:
     """The same at once, with its own look at the held-out rows at the end."""
     settings = TrainingSettings(RATE, batch, epochs, patience=epochs, check_every=epochs, threads=2, device="cpu")
     return train(members, (1,), settings, 0)
 
 
-def left_by(members: Sequence[Member], trained: Sequence[Trained]) -> list[Array]:
+def left_by(members: Sequence[Member], trained: Sequence[TrainedMember]) -> list[Array]:
     """Residuals on the held-out rows."""
     return [one.mlp.predict(m.validation_inputs) - m.validation_outputs for one, m in zip(trained, members, strict=True)]
 

@@ -22,8 +22,8 @@ from sysid.bench.cylinder import drive_of, joint_of
 from sysid.bench.joint_machines import description_of
 from sysid.bench.joint_recipe import ServoArm, Slide
 from sysid.bench.machine import Truth, run_machine
-from sysid.bench.nominal import Chain, loads, predict
-from sysid.bench.recipe import AXES, Recipe, RecordingSettings
+from sysid.bench.nominal import CommandChain, loads, predict
+from sysid.bench.recipe import AXES, BenchRecipe, RecordingSettings
 from sysid.bench.sensors import through
 from sysid.bench.servo_arm import run_servo_arm
 from sysid.bench.slide import run_slide
@@ -92,7 +92,7 @@ def overlaid_lists(below: Tables, above: Tables) -> Tables:
     return merged
 
 
-def error_of(kind: Kind, visible: Tables, nominal: Chain | None) -> Callable[[Tables], tuple[float, float]]:
+def error_of(kind: Kind, visible: Tables, nominal: CommandChain | None) -> Callable[[Tables], tuple[float, float]]:
     """What :func:`limit_of` needs for a machine's family."""
     owner = parsed(visible, "visible")
     if isinstance(owner, ServoArm):
@@ -147,18 +147,18 @@ def _slide_error(owner: Slide) -> Callable[[Tables], tuple[float, float]]:
 # ---- Cranes -------------------------------------------------------------------------------------------------------------
 
 
-def _crane_error(kind: Kind, owner: Recipe, nominal: Chain, tables: Tables) -> tuple[float, float]:
+def _crane_error(kind: Kind, owner: BenchRecipe, nominal: CommandChain, tables: Tables) -> tuple[float, float]:
     real = parsed(tables, "hidden")
-    assert isinstance(real, Recipe)
+    assert isinstance(real, BenchRecipe)
     left = [stage_residual(kind, owner, nominal, real, _run(real, each)) for each in owner.recordings[:SEEN]]
     return _rms(left), stage_noise(kind, owner)
 
 
-def _run(recipe: Recipe, recording: RecordingSettings) -> Truth:
+def _run(recipe: BenchRecipe, recording: RecordingSettings) -> Truth:
     return run_machine(recipe, recording, np.random.default_rng([recipe.seed, recording.seed, 0]))
 
 
-def stage_noise(kind: Kind, owner: Recipe) -> float:
+def stage_noise(kind: Kind, owner: BenchRecipe) -> float:
     """Standard deviation of what the sensors add to the residual of a stage, [unit] or, of several axes, 1."""
     wire = float(np.hypot(owner.draw_wire.noise, owner.draw_wire.quantum / 12.0**0.5))
     if kind.stage == "command":
@@ -170,7 +170,7 @@ def stage_noise(kind: Kind, owner: Recipe) -> float:
     return PER_MARKER[place] * owner.capture.noise
 
 
-def stage_residual(kind: Kind, owner: Recipe, nominal: Chain, real: Recipe, truth: Truth) -> Array:
+def stage_residual(kind: Kind, owner: BenchRecipe, nominal: CommandChain, real: BenchRecipe, truth: Truth) -> Array:
     """Measured less predicted output of a stage, driven by what its sensors show of its input, without noise."""
     rows = slice(None, None, EVERY)
     if kind.stage == "command":
@@ -198,7 +198,7 @@ def stage_residual(kind: Kind, owner: Recipe, nominal: Chain, real: Recipe, trut
     return np.asarray(np.linalg.norm(truth.tool[rows] - truth.ee[rows], axis=1))
 
 
-def _seen(real: Recipe, truth: Truth, axis: str) -> Array:
+def _seen(real: BenchRecipe, truth: Truth, axis: str) -> Array:
     """What the sensor of a drive shows, without noise: its wire, or the camera's view of the column."""
     if axis == "slew":
         return np.asarray(truth.joint[:, 0])

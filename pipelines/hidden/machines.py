@@ -11,7 +11,7 @@ import numpy as np
 
 from sysid.bench.case import overlaid
 from sysid.bench.joint_recipe import ServoArm, Slide
-from sysid.bench.recipe import AXES, Recipe
+from sysid.bench.recipe import AXES, BenchRecipe
 from sysid.bench.recipe_file import check_recipe
 from sysid.config import parse_settings, read_toml
 
@@ -133,13 +133,13 @@ def recorded(tables: Tables, excitation: str, noise: float, disturbance: float, 
     return overlaid(tables, {"seed": seed, "recordings": takes, "axes": calm, **seen})
 
 
-def parsed(tables: Tables, where: str) -> Recipe | ServoArm | Slide:
+def parsed(tables: Tables, where: str) -> BenchRecipe | ServoArm | Slide:
     """The checked machine that tables describe."""
     kind = tables.get("kind")
     if kind == "servo_arm":
         return parse_settings(tables, ServoArm, where)
     if kind == "slide":
         return parse_settings(tables, Slide, where)
-    recipe = parse_settings(tables, Recipe, where)
+    recipe = parse_settings(tables, BenchRecipe, where)
     check_recipe(recipe, where)
     return recipe

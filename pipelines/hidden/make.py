@@ -21,11 +21,11 @@ from hidden.cases import CaseSpec, Hidden
 from hidden.kinds import BY_KEY, Kind
 from hidden.limits import Limit, error_of, limit_of, overlaid_lists
 from hidden.machines import Tables, parsed, recorded, visible_tables
-from sysid.bench.case import Case, write_case
+from sysid.bench.case import BenchCase, write_case
 from sysid.bench.joint_machines import write_joint_machine
 from sysid.bench.joint_recipe import ServoArm, Slide
-from sysid.bench.nominal import Chain, fit_nominal
-from sysid.bench.recipe import HiddenSettings, Recipe
+from sysid.bench.nominal import CommandChain, fit_nominal
+from sysid.bench.recipe import BenchRecipe, HiddenSettings
 from sysid.plant import nominal_plant
 
 #: What an engineer fits to a servo before anything else.
@@ -40,7 +40,7 @@ def make_case(spec: CaseSpec, work: Path, nominal_plants: Path | None = None) ->
     """
     visible = recorded(known_tables(spec), spec.excitation, spec.noise, spec.disturbance, spec.seed)
     owner = parsed(visible, spec.name)
-    nominal = kept_nominal(owner, nominal_plants or work / "nominal") if isinstance(owner, Recipe) else None
+    nominal = kept_nominal(owner, nominal_plants or work / "nominal") if isinstance(owner, BenchRecipe) else None
     hidden = []
     real_tables = visible
     for each in spec.hidden:
@@ -51,9 +51,9 @@ def make_case(spec: CaseSpec, work: Path, nominal_plants: Path | None = None) ->
         hidden.append(_described(each, kind, limit, magnitude))
     real = parsed(real_tables, spec.name)
     out = work / "cases" / spec.name
-    if isinstance(owner, Recipe) and isinstance(real, Recipe):
+    if isinstance(owner, BenchRecipe) and isinstance(real, BenchRecipe):
         named = [effect for each in spec.hidden for effect in BY_KEY[each.kind].named]
-        case = Case("crane", owner, real, tuple(HiddenSettings(name, target) for name, target in named))
+        case = BenchCase("crane", owner, real, tuple(HiddenSettings(name, target) for name, target in named))
         truth = write_case(case, out, nominal)
         (out / "truth" / "truth.json").unlink()
         (out / "truth").rmdir()
@@ -90,14 +90,14 @@ def _described(each: Hidden, kind: Kind, limit: Limit, magnitude: float) -> dict
     }
 
 
-def kept_nominal(owner: Recipe, folder: Path) -> Chain:
+def kept_nominal(owner: BenchRecipe, folder: Path) -> CommandChain:
     """The owner's fitted plant of a crane; it depends neither on recordings nor on noise and is fitted once for each."""
     machine = (owner.geometry, owner.axes, owner.masses, owner.supply, owner.oil, owner.gripper.length, owner.step)
     calm = repr(machine).replace(f"disturbance={_disturbance(owner)!r}", "")
     path = folder / f"{sha256(calm.encode()).hexdigest()[:16]}.json"
     if path.exists():
         kept = json.loads(path.read_text("utf-8"))
-        return Chain(np.array(kept["rows"]), np.array(kept["gains"]))
+        return CommandChain(np.array(kept["rows"]), np.array(kept["gains"]))
     chain = fit_nominal(owner)
     folder.mkdir(parents=True, exist_ok=True)
     beside = path.with_suffix(".part")
@@ -106,7 +106,7 @@ def kept_nominal(owner: Recipe, folder: Path) -> Chain:
     return chain
 
 
-def _disturbance(owner: Recipe) -> float:
+def _disturbance(owner: BenchRecipe) -> float:
     return owner.axis("slew").valve.disturbance
 
 

@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 from sysid.bench.crane import link_poses
 from sysid.bench.cylinder import drive_of, joint_of, position_of
-from sysid.bench.recipe import AXES, Recipe
+from sysid.bench.recipe import AXES, BenchRecipe
 from sysid.bench.recipe_file import load_recipe
 from sysid.bench.sensors import read_slew, read_wires
 from sysid.bench.site_files import urdf
@@ -48,7 +48,7 @@ class Poses:
 
 
 @cache
-def crane() -> Recipe:
+def crane() -> BenchRecipe:
     return load_recipe(ROOT / "datasets" / "autolog" / "bench.toml")
 
 

@@ -23,7 +23,7 @@ from sysid.plant import Plant
 from sysid.progress import Progress
 from sysid.registry import Registry
 from sysid.rl.checkpoint import TrainingFiles
-from sysid.rl.course import Course, Shortened, lay_out
+from sysid.rl.course import Shortened, TrackingTask, lay_out
 from sysid.rl.ddpg import Trainer
 from sysid.rl.inverse import chain_of_plant
 from sysid.rl.policy import Searching
@@ -127,7 +127,7 @@ def _trained(workspace: str, folder: Path, run: Run, progress: Progress) -> dict
     }
 
 
-def _course(plant: Plant, forward: ForwardModel, driven: str | None = None) -> Course:
+def _course(plant: Plant, forward: ForwardModel, driven: str | None = None) -> TrackingTask:
     """The helix where joints follow at once, or above a controller of :data:`DRIVEN`."""
     tuning = simple(plant) if driven == DRIVEN[0] else None
     return lay_out(plant, forward, "helix", full=driven is not None, tuning=tuning)
@@ -136,7 +136,7 @@ def _course(plant: Plant, forward: ForwardModel, driven: str | None = None) -> C
 class _Marks:
     """What the actor alone does on the helix at each evaluation, and the processor time of training until then."""
 
-    def __init__(self, path: Path, trainer: Trainer, course: Course) -> None:
+    def __init__(self, path: Path, trainer: Trainer, course: TrackingTask) -> None:
         self.path, self.trainer, self.course = path, trainer, course
         self.found: list[dict[str, Any]] = []
         now = trainer.turn * trainer.environment.size

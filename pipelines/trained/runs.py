@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from sysid.config import read_toml
-from sysid.rl.recipe import Recipe, parse_training
+from sysid.rl.recipe import TrainingRecipe, parse_training
 
 ROOT = Path(__file__).resolve().parents[2]
 RECIPES = ROOT / "rl" / "autolog"
@@ -77,7 +77,7 @@ class Run:
         words = "".join(letter if letter.isalnum() else "-" for letter in f"{self.part}-{self.arm}")
         return f"{words}-seed{self.seed}"
 
-    def recipe(self) -> Recipe:
+    def recipe(self) -> TrainingRecipe:
         values = read_toml(RECIPES / f"{self.base}.toml")
         for key, value in self.changes.items():
             values[key] = {**values.get(key, {}), **value} if isinstance(value, Mapping) else value

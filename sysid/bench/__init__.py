@@ -14,7 +14,7 @@ something: ``nominal`` fits what its owner would know, with the formulas of ``co
 ``python -m sysid.bench case CASE.toml OUT`` a sealed case.
 """
 
-from sysid.bench.recipe import AXES, Recipe, RecordingSettings
+from sysid.bench.recipe import AXES, BenchRecipe, RecordingSettings
 from sysid.bench.recipe_file import load_recipe
 from sysid.bench.run import MachineLog, Run, simulate
 from sysid.bench.truth import describe_effects, without_hidden
@@ -22,8 +22,8 @@ from sysid.bench.write import write, write_all
 
 __all__ = [
     "AXES",
+    "BenchRecipe",
     "MachineLog",
-    "Recipe",
     "RecordingSettings",
     "Run",
     "describe_effects",

@@ -18,7 +18,7 @@ import numpy.typing as npt
 from sysid.bench.capture_recipe import BodySettings
 from sysid.bench.crane import link_poses
 from sysid.bench.machine import Truth
-from sysid.bench.recipe import Recipe, RecordingSettings
+from sysid.bench.recipe import BenchRecipe, RecordingSettings
 from sysid.bench.stepping import zeros_of
 
 Array = npt.NDArray[np.float64]
@@ -43,7 +43,7 @@ class BodyTrack:
 
 
 @dataclass(frozen=True)
-class Clock:
+class CaptureClock:
     """``t_machine = t_capture·(1 + 1e-6·skew) + offset`` [s] of stamps, both from the start of the recording."""
 
     offset: float
@@ -70,14 +70,14 @@ class Capture:
     time: Array
     rate: float
     bodies: tuple[BodyTrack, ...]
-    clock: Clock
+    clock: CaptureClock
     dropouts: tuple[Dropout, ...]
 
 
-def capture(recipe: Recipe, recording: RecordingSettings, truth: Truth, rng: np.random.Generator) -> Capture:
+def capture(recipe: BenchRecipe, recording: RecordingSettings, truth: Truth, rng: np.random.Generator) -> Capture:
     """What the capture system exports of ``truth``: every frame by hand, only those of still phases from the routine."""
     settings = recipe.capture
-    clock = Clock(rng.uniform(*settings.offset), settings.skew)
+    clock = CaptureClock(rng.uniform(*settings.offset), settings.skew)
     rate = settings.pose_rate if recording.is_calibration else settings.rate
     span = (truth.time[-1] - clock.offset) / (1.0 + 1e-6 * clock.skew)
     frames = np.arange(math.floor(max(span, 0.0) * rate) + 1)
@@ -137,7 +137,7 @@ def turn_about(vector: tuple[float, float, float]) -> Array:
     return np.asarray(np.eye(3) + math.sin(angle) * cross + (1.0 - math.cos(angle)) * cross @ cross)
 
 
-def _in_capture_frame(recipe: Recipe, points: Array) -> Array:
+def _in_capture_frame(recipe: BenchRecipe, points: Array) -> Array:
     """Base frame → capture frame, (…, 3) [m]."""
     settings = recipe.capture
     if any(settings.tilt) or any(settings.shift):
@@ -145,7 +145,7 @@ def _in_capture_frame(recipe: Recipe, points: Array) -> Array:
     return np.asarray((points - np.array(settings.translation)) @ frame_rotation(settings.rpy))
 
 
-def _define(recipe: Recipe, body: BodySettings, created: dict[str, tuple[Array, Array]]) -> tuple[Array, Array]:
+def _define(recipe: BenchRecipe, body: BodySettings, created: dict[str, tuple[Array, Array]]) -> tuple[Array, Array]:
     """Marker places (m, 3) and pivot (3,) of a body in the capture frame at its creation."""
     rotation, origin = created[body.link]
     local = np.array(body.markers)
@@ -155,14 +155,16 @@ def _define(recipe: Recipe, body: BodySettings, created: dict[str, tuple[Array, 
     return placed[:-1], placed[-1]
 
 
-def _seen_markers(recipe: Recipe, body: BodySettings, poses: dict[str, tuple[Array, Array]], rng: np.random.Generator) -> Array:
+def _seen_markers(
+    recipe: BenchRecipe, body: BodySettings, poses: dict[str, tuple[Array, Array]], rng: np.random.Generator
+) -> Array:
     rotation, origin = poses[body.link]
     world = np.einsum("nij,mj->nmi", rotation, np.array(body.markers)) + origin[:, None, :]
     seen = _in_capture_frame(recipe, world)
     return np.asarray(seen + recipe.capture.noise * rng.standard_normal(seen.shape))
 
 
-def _draw_dropouts(recipe: Recipe, end: float, rng: np.random.Generator) -> tuple[Dropout, ...]:
+def _draw_dropouts(recipe: BenchRecipe, end: float, rng: np.random.Generator) -> tuple[Dropout, ...]:
     """Occlusions after the machine has left its parked pose, in the order of time."""
     settings = recipe.capture
     count = rng.poisson(settings.dropouts_per_minute * end / 60.0) if settings.bodies else 0

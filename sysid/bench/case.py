@@ -35,14 +35,14 @@ from sysid.bench.nominal import (
     BASIC,
     STEP_TESTS,
     STRIDE,
-    Chain,
+    CommandChain,
     fit_effects,
     fit_nominal,
     gravity_along,
     model_error,
     noise_free,
 )
-from sysid.bench.recipe import AXES, HiddenSettings, Recipe
+from sysid.bench.recipe import AXES, BenchRecipe, HiddenSettings
 from sysid.bench.recipe_file import check_recipe
 from sysid.bench.rigid_body import bodies_of
 from sysid.bench.run import simulate
@@ -68,16 +68,16 @@ class CaseSettings:
 
 
 @dataclass(frozen=True)
-class Case:
+class BenchCase:
     """The machine as its owner knows it, as it is, and the contract names of the difference."""
 
     name: str
-    visible: Recipe
-    real: Recipe
+    visible: BenchRecipe
+    real: BenchRecipe
     effects: tuple[HiddenSettings, ...]
 
 
-def load_case(path: Path) -> Case:
+def load_case(path: Path) -> BenchCase:
     """Read and check a case.
 
     Raises:
@@ -92,7 +92,7 @@ def load_case(path: Path) -> Case:
     real = overlaid(visible, settings.hidden)
     recipes = []
     for part, tables in (("visible", visible), ("hidden", real)):
-        recipe = parse_settings(tables, Recipe, f"{path}: {part}")
+        recipe = parse_settings(tables, BenchRecipe, f"{path}: {part}")
         check_recipe(recipe, f"{path}: {part}")
         recipes.append(recipe)
     for effect in settings.effects:
@@ -104,7 +104,7 @@ def load_case(path: Path) -> Case:
         targets = _TARGETS.get(effect.name, AXES)
         if effect.target not in targets:
             raise SettingsError(f"{path}: effects", f"{effect.name} of {effect.target!r}", nearest(effect.target, targets))
-    return Case(settings.name, recipes[0], recipes[1], settings.effects)
+    return BenchCase(settings.name, recipes[0], recipes[1], settings.effects)
 
 
 def overlaid(below: dict[str, Any], above: dict[str, Any]) -> dict[str, Any]:
@@ -116,7 +116,7 @@ def overlaid(below: dict[str, Any], above: dict[str, Any]) -> dict[str, Any]:
     return merged
 
 
-def write_case(case: Case, out: Path, nominal: Chain | None = None) -> dict[str, Any]:
+def write_case(case: BenchCase, out: Path, nominal: CommandChain | None = None) -> dict[str, Any]:
     """Write ``out/site`` (logs, machine, recipe) and ``out/truth/truth.json``; returns the truth.
 
     Args:
@@ -156,7 +156,7 @@ def write_case(case: Case, out: Path, nominal: Chain | None = None) -> dict[str,
     return truth
 
 
-def known_effects(visible: Recipe, nominal: Chain) -> list[dict[str, Any]]:
+def known_effects(visible: BenchRecipe, nominal: CommandChain) -> list[dict[str, Any]]:
     """What ``machine.toml`` of the site states: the fitted command stage, and play, swing and elasticity that are visible."""
     found: list[dict[str, Any]] = []
     for i, axis in enumerate(AXES):
@@ -177,7 +177,9 @@ def known_effects(visible: Recipe, nominal: Chain) -> list[dict[str, Any]]:
     return found
 
 
-def describe(case: Case, effect: HiddenSettings, nominal: Chain, repaired: Chain, runs: tuple[Truth, ...]) -> dict[str, Any]:
+def describe(
+    case: BenchCase, effect: HiddenSettings, nominal: CommandChain, repaired: CommandChain, runs: tuple[Truth, ...]
+) -> dict[str, Any]:
     """One hidden effect with the parameters that a repaired plant should have."""
     real, visible = case.real, case.visible
     if effect.name in _EXACT:
@@ -197,7 +199,7 @@ def describe(case: Case, effect: HiddenSettings, nominal: Chain, repaired: Chain
     return {"name": effect.name, "target": effect.target, "parameters": values, "exact": False}
 
 
-def _compliance(real: Recipe, visible: Recipe, axis: str, runs: tuple[Truth, ...]) -> float:
+def _compliance(real: BenchRecipe, visible: BenchRecipe, axis: str, runs: tuple[Truth, ...]) -> float:
     """Deflection per gravity moment that fits the joint best, from its drive through the linkage [rad/(N·m)]."""
     i = AXES.index(axis)
     bodies = bodies_of(visible.masses, visible.geometry.boom, visible.geometry.stick, visible.gripper.length)
@@ -211,8 +213,8 @@ def _compliance(real: Recipe, visible: Recipe, axis: str, runs: tuple[Truth, ...
     return above / below
 
 
-def _sensor(key: str, field: str) -> Callable[[Recipe, str], dict[str, Any]]:
-    def values(recipe: Recipe, target: str) -> dict[str, Any]:
+def _sensor(key: str, field: str) -> Callable[[BenchRecipe, str], dict[str, Any]]:
+    def values(recipe: BenchRecipe, target: str) -> dict[str, Any]:
         sensor = recipe.sensor(target)
         if sensor is None:
             raise SettingsError(f"case {recipe.name}", f"no sensor {target!r} that is off", "an entry in hidden.sensors")
@@ -221,7 +223,7 @@ def _sensor(key: str, field: str) -> Callable[[Recipe, str], dict[str, Any]]:
     return values
 
 
-_EXACT: dict[str, Callable[[Recipe, str], dict[str, Any]]] = {
+_EXACT: dict[str, Callable[[BenchRecipe, str], dict[str, Any]]] = {
     "backlash": lambda r, target: {"width": r.axis(target).backlash},
     "gripper_sway": lambda r, _: {"length": r.gripper.length, "damping_ratio": r.gripper.damping_ratio},
     "joint_offset": lambda r, target: {"offset": r.build.joint_offset.get(target, 0.0)},

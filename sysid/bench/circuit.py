@@ -24,10 +24,10 @@ from sysid.bench.cylinder import Drive, position_of
 from sysid.bench.hydraulic_recipe import HydraulicSettings, OilSettings, SupplySettings
 from sysid.bench.oil import orifice_flow
 from sysid.bench.recipe import AxisSettings
-from sysid.bench.rigid_body import Bodies, equations, solve3
+from sysid.bench.rigid_body import RigidBodies, equations, solve3
 from sysid.bench.seal import seal_step
 from sysid.bench.spool import PLAYS, edges, flow_force, spool_motion, with_friction
-from sysid.bench.valve import Valve, freed, metered
+from sysid.bench.valve import ValveNumbers, freed, metered
 
 Array = npt.NDArray[np.float64]
 
@@ -127,7 +127,9 @@ def lever(joint: float, position: float, drive: Drive) -> float:
 
 
 @compiled
-def at_rest(joint: Array, circuits: tuple[Circuit, ...], drives: tuple[Drive, ...], bodies: Bodies, parked: float) -> Array:
+def at_rest(
+    joint: Array, circuits: tuple[Circuit, ...], drives: tuple[Drive, ...], bodies: RigidBodies, parked: float
+) -> Array:
     """State (axes, AXIS_STATE) in which closed valves carry the booms at ``joint`` (axes,); other sides: ``parked`` [Pa]."""
     state = np.zeros((len(joint), AXIS_STATE))
     mass = np.empty((3, 3))
@@ -156,9 +158,9 @@ def advance(
     state: Array,
     line: Array,
     circuits: tuple[Circuit, ...],
-    valves: tuple[Valve, ...],
+    valves: tuple[ValveNumbers, ...],
     drives: tuple[Drive, ...],
-    bodies: Bodies,
+    bodies: RigidBodies,
     supply: Supply,
     stops: Array,
     pull: tuple[float, float],

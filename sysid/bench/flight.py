@@ -14,7 +14,7 @@ import numpy.typing as npt
 from sysid.bench.compiled import compiled
 from sysid.bench.cylinder import drive_of, position_of
 from sysid.bench.operator import COMMAND_STEP
-from sysid.bench.recipe import AXES, Recipe
+from sysid.bench.recipe import AXES, BenchRecipe
 
 Array = npt.NDArray[np.float64]
 
@@ -25,7 +25,7 @@ JUMP = 0.9
 QUIET = 0.02
 
 
-def draw_flight(recipe: Recipe, seconds: float, rng: np.random.Generator) -> Array:
+def draw_flight(recipe: BenchRecipe, seconds: float, rng: np.random.Generator) -> Array:
     """Wanted drive position of every axis in every controller cycle, and one beyond, (axes, cycles + 1) [m or rad]."""
     cycle = 1.0 / recipe.controller.rate
     cycles = round(seconds / cycle) + 1

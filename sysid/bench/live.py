@@ -26,7 +26,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from sysid.bench.live_bus import Frame, LiveBus, parse_line
+from sysid.bench.live_bus import CanFrame, LiveBus, parse_line
 from sysid.bench.live_machine import LiveMachine, Watchdog
 from sysid.bench.recipe import AXES
 from sysid.bench.recipe_file import load_recipe
@@ -94,7 +94,7 @@ class Switches:
             else:
                 raise ValueError(line)
 
-    def through(self, name: str, frame: Frame) -> Frame | None:
+    def through(self, name: str, frame: CanFrame) -> CanFrame | None:
         """``frame`` of message ``name`` as it reaches the line."""
         if name in self.unplugged:
             return None
@@ -104,11 +104,11 @@ class Switches:
         if name in self.stuck:
             held = self.stuck[name]
             self.stuck[name] = held = frame.data if held is None else held
-            return Frame(frame.identifier, frame.extended, held)
+            return CanFrame(frame.identifier, frame.extended, held)
         return frame
 
 
-class Line:
+class SerialLine:
     """The machine's end of a pseudo-terminal that speaks slcan; nothing is sent before the other end has opened the bus."""
 
     def __init__(self, link: Path) -> None:
@@ -123,7 +123,7 @@ class Line:
         self._rest = self._unsent = b""
         self.open = False
 
-    def receive(self) -> list[Frame]:
+    def receive(self) -> list[CanFrame]:
         """The frames that have come; whatever else is said is obeyed or, as adapters do, passed over."""
         with contextlib.suppress(BlockingIOError):
             self._rest += os.read(self.master, 65536)
@@ -138,7 +138,7 @@ class Line:
                 frames.append(frame)
         return frames
 
-    def send(self, frames: list[Frame]) -> None:
+    def send(self, frames: list[CanFrame]) -> None:
         """Whole frames, or none of them where nobody takes them: an adapter whose buffer is full loses what comes."""
         if not self.open:
             return
@@ -175,15 +175,15 @@ class LiveProcess:
         self.watchdog, self.switches = Watchdog(), Switches()
         self._step_ns = round(self.machine.step * 1e9)
         self.cycle_ns = self.machine.steps * self._step_ns
-        self._events: list[tuple[int, Frame]] = []
+        self._events: list[tuple[int, CanFrame]] = []
         self._counter_ns = 0
         self._cycle = 0
 
-    def heard(self, frames: list[Frame], now_ns: int) -> None:
+    def heard(self, frames: list[CanFrame], now_ns: int) -> None:
         """Frames came; they act from now on."""
         self._events += [(now_ns, frame) for frame in frames]
 
-    def cycle(self, end_ns: int) -> tuple[list[Frame], Array]:
+    def cycle(self, end_ns: int) -> tuple[list[CanFrame], Array]:
         """Live through the cycle that ends at ``end_ns``: frames to send, and the row of the truth."""
         machine, switches, watchdog = self.machine, self.switches, self.watchdog
         commands = np.empty((machine.steps, len(AXES)))
@@ -208,7 +208,7 @@ class LiveProcess:
         row = np.concatenate([[end_ns], machine.truth, watchdog.asked, commands[-1], [watchdog.enabled], people])
         return [sent for frame in frames if (sent := switches.through(self.bus.name(frame), frame)) is not None], row
 
-    def _take(self, came_ns: int, frame: Frame, seconds: float) -> None:
+    def _take(self, came_ns: int, frame: CanFrame, seconds: float) -> None:
         """A frame that came at ``came_ns``, ``seconds`` by the machine's own clock."""
         if (valve := self.bus.valve(frame)) is not None:
             age = self.bus.age(frame, seconds % _CLOCK_TURN)
@@ -233,7 +233,7 @@ def run_live(options: argparse.Namespace) -> None:
         os.mkfifo(options.control)
     # Open for writing as well, so that it does not end when a writer goes.
     control = os.open(options.control, os.O_RDWR | os.O_NONBLOCK)
-    line = Line(options.pty)
+    line = SerialLine(options.pty)
     said = b""
     with options.truth.open("wb", buffering=0) as truth:
         head = {"columns": COLUMNS, "machine": process.machine.recipe.name, "cycle_ns": process.cycle_ns}

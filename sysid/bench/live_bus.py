@@ -33,7 +33,7 @@ ON = 1
 
 
 @dataclass(frozen=True)
-class Frame:
+class CanFrame:
     """One CAN frame."""
 
     identifier: int
@@ -46,7 +46,7 @@ class Frame:
         return f"{head}{len(self.data)}{self.data.hex().upper()}\r".encode()
 
 
-def parse_line(line: bytes) -> Frame | None:
+def parse_line(line: bytes) -> CanFrame | None:
     """The data frame that a line without its end says; None for anything else, a damaged frame as well."""
     digits = {b"T": 8, b"t": 3}.get(line[:1])
     if digits is None or len(line) < 2 + digits:
@@ -56,7 +56,7 @@ def parse_line(line: bytes) -> Frame | None:
         data = bytes.fromhex(line[2 + digits : 2 + digits + 2 * length].decode("ascii"))
     except ValueError:
         return None
-    return Frame(identifier, digits == 8, data) if len(data) == length <= 8 else None
+    return CanFrame(identifier, digits == 8, data) if len(data) == length <= 8 else None
 
 
 class LiveBus:
@@ -83,7 +83,7 @@ class LiveBus:
         self._names = {message.frame_id: name for name, message in self._messages.items()}
         self._counters = dict.fromkeys(self._messages, 0)
 
-    def frames(self, readings: dict[str, float], cycle: int, status: dict[str, float]) -> list[Frame]:
+    def frames(self, readings: dict[str, float], cycle: int, status: dict[str, float]) -> list[CanFrame]:
         """What the machine sends in a cycle, its status first."""
         out = [self._encode("MACHINE_STATUS", status)]
         for name, signals in self._sent.items():
@@ -92,7 +92,7 @@ class LiveBus:
                 out.append(self._encode(name, {signal: readings[source] for signal, source in signals.items()}))
         return out
 
-    def _encode(self, name: str, values: dict[str, float]) -> Frame:
+    def _encode(self, name: str, values: dict[str, float]) -> CanFrame:
         message = self._messages[name]
         width = message.get_signal_by_name("counter").length
         self._counters[name] = (self._counters[name] + 1) % (1 << width)
@@ -105,11 +105,11 @@ class LiveBus:
                 raw = round((values[signal.name] - float(signal.offset)) / float(signal.scale))
                 coded[signal.name] = min(max(raw, low), (1 << bits) - 1)
         coded["counter"] = self._counters[name]
-        return Frame(
+        return CanFrame(
             message.frame_id, message.is_extended_frame, bytes(message.encode(coded, scaling=False, padding=True, strict=False))
         )
 
-    def age(self, frame: Frame, seconds: float) -> float:
+    def age(self, frame: CanFrame, seconds: float) -> float:
         """How long before ``seconds`` of the machine's clock it was what a valve command answers [s]; negative: it is to come.
 
         Zero where the database gives commands no stamp, infinite where a command does not say.
@@ -125,7 +125,7 @@ class LiveBus:
         age = (seconds / scale - raw) % turn
         return (age - turn if age > 0.5 * turn else age) * scale
 
-    def valve(self, frame: Frame) -> tuple[int, float, bool] | None:
+    def valve(self, frame: CanFrame) -> tuple[int, float, bool] | None:
         """Axis, command in [-1, 1], and whether its sender is fit, of a valve command; None for other frames."""
         axis = self._valves.get(frame.identifier)
         message = self._described.get(frame.identifier)
@@ -138,7 +138,7 @@ class LiveBus:
         sign = {EXTEND: 1.0, RETRACT: -1.0}.get(state, 0.0)
         return axis, sign * min(flow, 250) / 250.0, fit
 
-    def status(self, frame: Frame) -> tuple[int, bool] | None:
+    def status(self, frame: CanFrame) -> tuple[int, bool] | None:
         """Alive counter of whoever commands, and whether he does; None for other frames."""
         message = self._described.get(frame.identifier)
         if message is None or frame.identifier in self._valves or len(frame.data) != message.length:
@@ -154,12 +154,12 @@ class LiveBus:
         """
         return self._messages[name].frame_id
 
-    def name(self, frame: Frame) -> str:
+    def name(self, frame: CanFrame) -> str:
         """Message of a frame that the machine sends."""
         return self._names[frame.identifier]
 
 
-def _raw(message: Message, frame: Frame) -> dict[str, int]:
+def _raw(message: Message, frame: CanFrame) -> dict[str, int]:
     said = message.decode(frame.data, decode_choices=False, scaling=False)
     assert isinstance(said, dict)
     return {name: int(value) for name, value in said.items() if isinstance(value, int)}

@@ -8,10 +8,10 @@ import numpy as np
 import numpy.typing as npt
 
 from sysid.bench.compiled import compiled
-from sysid.bench.recipe import AXES, Recipe
+from sysid.bench.recipe import AXES, BenchRecipe
 from sysid.bench.run import WIRED
 from sysid.bench.sensors import read_slew, read_wires, through
-from sysid.bench.stepping import Built, Motion, advance_machine, built_of, parked
+from sysid.bench.stepping import Built, MachineState, advance_machine, built_of, parked
 from sysid.bench.valve import delayed, flow_fluctuation
 
 Array = npt.NDArray[np.float64]
@@ -78,7 +78,7 @@ class Watchdog:
 class LiveMachine:
     """The machine of ``recipe`` at rest, advanced a cycle of its controller at a time."""
 
-    def __init__(self, recipe: Recipe, seed: int = 0) -> None:
+    def __init__(self, recipe: BenchRecipe, seed: int = 0) -> None:
         self.recipe = recipe
         self._sensing, moving = (np.random.default_rng([recipe.seed, seed, part]) for part in range(2))
         self.step = recipe.step
@@ -86,7 +86,7 @@ class LiveMachine:
         self._built: Built = built_of(recipe)
         axes = [recipe.axis(name) for name in AXES]
         in_play = self._built.plays * moving.uniform(-0.5, 0.5, len(axes))
-        self._motion: Motion = parked(self._built, np.array([axis.park for axis in axes]), in_play)
+        self._motion: MachineState = parked(self._built, np.array([axis.park for axis in axes]), in_play)
         length = round(_FLUCTUATION / recipe.step)
         self._fluctuation = np.stack(
             [np.resize(flow_fluctuation(axis.valve, length, recipe.step, moving), length) for axis in axes]
@@ -132,7 +132,9 @@ class LiveMachine:
 
 
 @compiled
-def _advance(built: Built, motion: Motion, commands: Array, fluctuation: Array, done: int, steps: int, step: float) -> None:
+def _advance(
+    built: Built, motion: MachineState, commands: Array, fluctuation: Array, done: int, steps: int, step: float
+) -> None:
     """``steps`` steps; the last ``steps`` columns of ``commands`` are those of these steps."""
     n = len(motion.position)
     past = commands.shape[1] - steps

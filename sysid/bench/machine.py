@@ -17,8 +17,8 @@ from sysid.bench.flight import draw_flight, flight_command
 from sysid.bench.operator import stroke_command
 from sysid.bench.poses import approach_command, draw_targets
 from sysid.bench.programs import strokes_of
-from sysid.bench.recipe import AXES, Recipe, RecordingSettings
-from sysid.bench.stepping import Built, Motion, advance_machine, built_of, parked
+from sysid.bench.recipe import AXES, BenchRecipe, RecordingSettings
+from sysid.bench.stepping import Built, MachineState, advance_machine, built_of, parked
 from sysid.bench.valve import delayed, flow_fluctuation
 
 Array = npt.NDArray[np.float64]
@@ -57,7 +57,7 @@ class Truth:
         return np.stack([np.interp(times, self.time, column) for column in values.T], axis=1)
 
 
-def run_machine(recipe: Recipe, recording: RecordingSettings, rng: np.random.Generator) -> Truth:
+def run_machine(recipe: BenchRecipe, recording: RecordingSettings, rng: np.random.Generator) -> Truth:
     """Simulate one recording.
 
     By hand every step is kept; of the calibration routine, which takes an hour, one state per controller cycle.
@@ -106,7 +106,7 @@ def run_machine(recipe: Recipe, recording: RecordingSettings, rng: np.random.Gen
 @compiled
 def _loop(
     built: Built,
-    motion: Motion,
+    motion: MachineState,
     fluctuation: Array,
     strokes: Array,
     paths: Array,

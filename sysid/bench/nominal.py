@@ -14,8 +14,8 @@ from sysid.bench.compiled import compiled
 from sysid.bench.contract_chain import KEYS, PARAMETERS, neutral_row, share_pump, speeds, travel
 from sysid.bench.cylinder import drive_of, position_of
 from sysid.bench.machine import Truth, run_machine
-from sysid.bench.recipe import AXES, HiddenSettings, Recipe, RecordingSettings
-from sysid.bench.rigid_body import Bodies, bodies_of, equations
+from sysid.bench.recipe import AXES, BenchRecipe, HiddenSettings, RecordingSettings
+from sysid.bench.rigid_body import RigidBodies, bodies_of, equations
 
 Array = npt.NDArray[np.float64]
 
@@ -42,7 +42,7 @@ SPAN = 0.2
 
 
 @dataclass(frozen=True)
-class Chain:
+class CommandChain:
     """The command stage of all axes: ``rows`` (axes, parameters), ``gains`` (axes,) [m/s or rad/s], and the pump's limit."""
 
     rows: Array
@@ -53,14 +53,14 @@ class Chain:
         return float(self.rows[AXES.index(axis), KEYS.index((effect, parameter))])
 
 
-def noise_free(recipe: Recipe, recordings: Sequence[RecordingSettings]) -> tuple[Truth, ...]:
+def noise_free(recipe: BenchRecipe, recordings: Sequence[RecordingSettings]) -> tuple[Truth, ...]:
     """What really happens in ``recordings``; the flow disturbance is noise as well and left out."""
     axes = {name: replace(axis, valve=replace(axis.valve, disturbance=0.0)) for name, axis in recipe.axes.items()}
     calm = replace(recipe, axes=axes)
     return tuple(run_machine(calm, each, np.random.default_rng([recipe.seed, each.seed, 0])) for each in recordings)
 
 
-def loads(recipe: Recipe, truth: Truth) -> Array:
+def loads(recipe: BenchRecipe, truth: Truth) -> Array:
     """Gravity moment or force against positive motion of each drive at the joints of a run, (axes, n), from the drawing.
 
     The drawing knows the masses, and nothing of the springs that may carry them.
@@ -79,7 +79,7 @@ def loads(recipe: Recipe, truth: Truth) -> Array:
 
 
 @compiled
-def gravity_along(joints: Array, bodies: Bodies) -> Array:
+def gravity_along(joints: Array, bodies: RigidBodies) -> Array:
     """About boom, stick [N·m] and along the telescope [N] at every row of ``joints`` (n, 4), (n, 3)."""
     mass, bias, rest = np.empty((3, 3)), np.empty(3), np.zeros(4)
     weight = np.empty((len(joints), 3))
@@ -88,7 +88,7 @@ def gravity_along(joints: Array, bodies: Bodies) -> Array:
     return weight
 
 
-def predict(recipe: Recipe, chain: Chain, truth: Truth, load: Array, columns: Sequence[int]) -> Array:
+def predict(recipe: BenchRecipe, chain: CommandChain, truth: Truth, load: Array, columns: Sequence[int]) -> Array:
     """Drive positions (n, columns) of a free run of the chain from the commands of ``truth``."""
     step = float(truth.time[1] - truth.time[0])
     gains = chain.gains
@@ -105,11 +105,11 @@ def predict(recipe: Recipe, chain: Chain, truth: Truth, load: Array, columns: Se
     return np.asarray(out.T)
 
 
-def fit_nominal(recipe: Recipe) -> Chain:
+def fit_nominal(recipe: BenchRecipe) -> CommandChain:
     """Gain, delay, lag, overlap of every axis (sides and load of hydraulic ones) from the owner's tests of ``recipe``."""
     runs = noise_free(replace(recipe, seed=OWNERS_SEED), OWNERS_TESTS)
     gains = np.array([recipe.axis(name).valve.gain for name in AXES])
-    chain = Chain(np.array([_data_sheet(recipe, name) for name in AXES]), gains)
+    chain = CommandChain(np.array([_data_sheet(recipe, name) for name in AXES]), gains)
     for name in AXES:
         effects: tuple[str, ...] = HYDRAULIC if recipe.axis(name).drive == "hydraulic" else BASIC
         if name == "slew" or recipe.masses.balanced == 1.0:  # no weight acts on the drive: nothing would say how much
@@ -119,10 +119,10 @@ def fit_nominal(recipe: Recipe) -> Chain:
     ratio = KEYS.index(("gain_error", "ratio"))
     gains = chain.gains * rows[:, ratio]
     rows[:, ratio] = 1.0
-    return Chain(rows, gains)
+    return CommandChain(rows, gains)
 
 
-def _data_sheet(recipe: Recipe, axis: str) -> Array:
+def _data_sheet(recipe: BenchRecipe, axis: str) -> Array:
     """A row with what the valve's data sheet says: all there is of a simple valve, for a circuit where a fit may begin."""
     valve = recipe.axis(axis).valve
     row = neutral_row()
@@ -133,7 +133,9 @@ def _data_sheet(recipe: Recipe, axis: str) -> Array:
     return row
 
 
-def fit_effects(recipe: Recipe, chain: Chain, effects: Sequence[HiddenSettings], runs: Sequence[Truth]) -> Chain:
+def fit_effects(
+    recipe: BenchRecipe, chain: CommandChain, effects: Sequence[HiddenSettings], runs: Sequence[Truth]
+) -> CommandChain:
     """The chain whose named command-stage ``effects`` fit ``runs`` best, all other parameters as they are in ``chain``."""
     places = [(AXES.index(e.target), k) for e in effects if e.target in AXES for k, key in enumerate(KEYS) if key[0] == e.name]
     pump = any(e.name == "pump_flow_limit" for e in effects)
@@ -146,11 +148,11 @@ def fit_effects(recipe: Recipe, chain: Chain, effects: Sequence[HiddenSettings],
     columns = sorted({i for i, _ in places}) if not pump else list(range(len(AXES)))
     spans = np.array([drive_of(recipe.axis(name)).high - drive_of(recipe.axis(name)).low for name in AXES])
 
-    def with_values(values: Array) -> Chain:
+    def with_values(values: Array) -> CommandChain:
         rows = chain.rows.copy()
         for (i, k), value in zip(places, values, strict=False):
             rows[i, k] = value
-        return Chain(rows, chain.gains, float(values[-1]) if pump else chain.pump)
+        return CommandChain(rows, chain.gains, float(values[-1]) if pump else chain.pump)
 
     def residuals(scaled: Array) -> Array:
         tried = with_values(np.clip(scaled * scales, lows, highs))
@@ -217,7 +219,7 @@ def _look_around(cost: Callable[[Array], float], lows: Array, highs: Array, scal
     return np.asarray(centre)
 
 
-def model_error(recipe: Recipe, chain: Chain, runs: Sequence[Truth]) -> dict[str, float]:
+def model_error(recipe: BenchRecipe, chain: CommandChain, runs: Sequence[Truth]) -> dict[str, float]:
     """RMSE of the chain's free runs against what happened, per drive signal [m or rad]."""
     squares = np.zeros(len(AXES))
     count = 0
@@ -228,6 +230,6 @@ def model_error(recipe: Recipe, chain: Chain, runs: Sequence[Truth]) -> dict[str
     return {signal_of(recipe, name): float(np.sqrt(squares[i] / count)) for i, name in enumerate(AXES)}
 
 
-def signal_of(recipe: Recipe, axis: str) -> str:
+def signal_of(recipe: BenchRecipe, axis: str) -> str:
     """The signal that the axis' drive is measured by."""
     return f"{axis}.{'cylinder' if recipe.axis(axis).cylinder is not None else 'joint'}"

@@ -7,7 +7,7 @@ import numpy.typing as npt
 
 from sysid.bench.compiled import compiled
 from sysid.bench.cylinder import drive_of, position_of
-from sysid.bench.recipe import AXES, Recipe
+from sysid.bench.recipe import AXES, BenchRecipe
 
 Array = npt.NDArray[np.float64]
 
@@ -22,7 +22,7 @@ APPROACH = 2.5
 TOLERANCE = 0.004
 
 
-def draw_targets(recipe: Recipe, count: int, rng: np.random.Generator) -> Array:
+def draw_targets(recipe: BenchRecipe, count: int, rng: np.random.Generator) -> Array:
     """Drive positions of random poses, uniform over the joint ranges less ``inset`` at either end, (count, axes)."""
     targets = np.empty((count, len(AXES)))
     for column, name in enumerate(AXES):

@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sysid.bench.operator import draw_strokes
-from sysid.bench.recipe import AXES, Recipe, RecordingSettings
+from sysid.bench.recipe import AXES, BenchRecipe, RecordingSettings
 
 Array = npt.NDArray[np.float64]
 #: Start [s], duration [s], level [command], edge [s].
@@ -23,7 +23,7 @@ Stroke = tuple[float, float, float, float]
 SHARP = 0.01
 
 
-def strokes_of(recipe: Recipe, recording: RecordingSettings, rng: np.random.Generator) -> Array:
+def strokes_of(recipe: BenchRecipe, recording: RecordingSettings, rng: np.random.Generator) -> Array:
     """Strokes of a recording (axes, m, 4); see :func:`sysid.bench.operator.draw_strokes`."""
     if recording.program == "operator":
         return draw_strokes(recipe.operator, recording.seconds, rng)

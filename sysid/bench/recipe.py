@@ -278,7 +278,7 @@ class HiddenSettings:
 
 
 @dataclass(frozen=True)
-class Recipe:
+class BenchRecipe:
     """The whole stand-in machine and the recordings to take with it; read by :func:`sysid.bench.recipe_file.load_recipe`."""
 
     __pydantic_config__ = STRICT

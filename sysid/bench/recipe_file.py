@@ -6,23 +6,23 @@ import math
 from pathlib import Path
 
 from sysid.bench.programs import check_script
-from sysid.bench.recipe import AXES, AxisSettings, CylinderSettings, Recipe
+from sysid.bench.recipe import AXES, AxisSettings, BenchRecipe, CylinderSettings
 from sysid.config import load_settings
 from sysid.errors import SettingsError, nearest
 
 
-def load_recipe(path: Path) -> Recipe:
+def load_recipe(path: Path) -> BenchRecipe:
     """Read and check a bench recipe.
 
     Raises:
         SettingsError: an unknown key, an axis that is missing, a value that no machine can have.
     """
-    recipe = load_settings(path, Recipe)
+    recipe = load_settings(path, BenchRecipe)
     check_recipe(recipe, path)
     return recipe
 
 
-def check_recipe(recipe: Recipe, where: object) -> None:
+def check_recipe(recipe: BenchRecipe, where: object) -> None:
     """Raise where ``recipe`` describes no machine that can be simulated."""
     if sorted(recipe.axes) != sorted(AXES):
         odd = sorted(set(recipe.axes) ^ set(AXES))[0]
@@ -120,7 +120,7 @@ def _check_cylinder(cylinder: CylinderSettings, limits: tuple[float, float], whe
         raise SettingsError(f"{where}.cylinder.offset", f"lever angles {levers} rad", "angles between 0 and π over the limits")
 
 
-def _check_swaps(recipe: Recipe, where: object) -> None:
+def _check_swaps(recipe: BenchRecipe, where: object) -> None:
     bodies = {body.name: body for body in recipe.capture.bodies}
     for swap in recipe.capture.swaps:
         recipe.recording(swap.recording)

@@ -24,7 +24,7 @@ Array = npt.NDArray[np.float64]
 GRAVITY = 9.81
 
 
-class Bodies(NamedTuple):
+class RigidBodies(NamedTuple):
     """Masses and lengths as numbers the compiled loop can take; ``swings`` 1 = the hanging mass is free sideways."""
 
     column_inertia: float
@@ -44,8 +44,8 @@ class Bodies(NamedTuple):
     gravity: float
 
 
-def bodies_of(masses: MassSettings, boom_length: float, stick_length: float, rod: float) -> Bodies:
-    return Bodies(
+def bodies_of(masses: MassSettings, boom_length: float, stick_length: float, rod: float) -> RigidBodies:
+    return RigidBodies(
         masses.column_inertia,
         masses.boom,
         masses.boom_centre,
@@ -65,7 +65,7 @@ def bodies_of(masses: MassSettings, boom_length: float, stick_length: float, rod
 
 
 @compiled
-def equations(joint: Array, speed: Array, bodies: Bodies, mass: Array, bias: Array, weight: Array) -> tuple[float, float]:
+def equations(joint: Array, speed: Array, bodies: RigidBodies, mass: Array, bias: Array, weight: Array) -> tuple[float, float]:
     """Fill M (3, 3), h (3,) and g (3,) of the planar joints; return the slewing inertia J [kg·m²] and its rate J̇.
 
     Args:
@@ -151,7 +151,7 @@ def rod_force(tool: Array, tip: Array, hanging: float) -> tuple[float, float]:
 
 
 @compiled
-def energy(joint: Array, speed: Array, bodies: Bodies) -> tuple[float, float]:
+def energy(joint: Array, speed: Array, bodies: RigidBodies) -> tuple[float, float]:
     """Kinetic and potential energy [J] of booms and hanging mass, from M, J and the heights (for judging an integration)."""
     mass = np.empty((3, 3))
     bias = np.empty(3)

@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from sysid.bench.capture import Capture, capture
 from sysid.bench.machine import Truth, run_machine
-from sysid.bench.recipe import AXES, Recipe, RecordingSettings
+from sysid.bench.recipe import AXES, BenchRecipe, RecordingSettings
 from sysid.bench.sensors import read_slew, read_wires, through
 
 Array = npt.NDArray[np.float64]
@@ -43,7 +43,7 @@ class MachineLog:
 class Run:
     """A simulated recording. ``start_ns`` is the machine's clock at ``truth.time == 0``."""
 
-    recipe: Recipe
+    recipe: BenchRecipe
     recording: RecordingSettings
     truth: Truth
     log: MachineLog
@@ -51,7 +51,7 @@ class Run:
     start_ns: int
 
 
-def simulate(recipe: Recipe, recording: str | RecordingSettings) -> Run:
+def simulate(recipe: BenchRecipe, recording: str | RecordingSettings) -> Run:
     """Simulate one recording of ``recipe``; the same recipe and recording give the same run.
 
     Raises:
@@ -69,7 +69,7 @@ def simulate(recipe: Recipe, recording: str | RecordingSettings) -> Run:
 
 
 def _read_machine(
-    recipe: Recipe,
+    recipe: BenchRecipe,
     recording: RecordingSettings,
     truth: Truth,
     start_ns: int,

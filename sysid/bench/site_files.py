@@ -10,13 +10,13 @@ import numpy as np
 import numpy.typing as npt
 
 from sysid.bench.capture_recipe import BodySettings, marker_label
-from sysid.bench.recipe import AXES, AxisSettings, Recipe
+from sysid.bench.recipe import AXES, AxisSettings, BenchRecipe
 from sysid.bench.write import LOG_FILES, write_database
 
 Array = npt.NDArray[np.float64]
 
 
-def machine_toml(recipe: Recipe, gains: dict[str, float], effects: Sequence[dict[str, Any]]) -> str:
+def machine_toml(recipe: BenchRecipe, gains: dict[str, float], effects: Sequence[dict[str, Any]]) -> str:
     """The description of the drawn machine with the ``gains`` and ``effects`` that its owner has measured."""
     lines = ["schema = 1", f'name = "{recipe.name}"', f"rate_hz = {recipe.controller.rate}", f'urdf = "{recipe.name}.urdf"']
     lines += ['tip = "tip"', 'tool = "gripper"']
@@ -50,11 +50,11 @@ def _linkage(axis: AxisSettings) -> str:
     return f'{{ kind = "triangle", {sizes} }}'
 
 
-def _wired(recipe: Recipe) -> list[str]:
+def _wired(recipe: BenchRecipe) -> list[str]:
     return [f"{name}.{'cylinder' if recipe.axis(name).cylinder is not None else 'joint'}" for name in AXES[1:]]
 
 
-def urdf(recipe: Recipe) -> str:
+def urdf(recipe: BenchRecipe) -> str:
     """The crane as drawn, with its masses."""
     m, g = recipe.masses, recipe.geometry
     limits = {name: recipe.axis(name).limits for name in AXES}
@@ -98,7 +98,7 @@ def _joint(name: str, kind: str, parent: str, child: str, at: str, axis: str, li
     return f'  <joint name="{name}_joint" type="{kind}">\n    {frame}\n    {ends}\n  </joint>'
 
 
-def recipe_toml(recipe: Recipe, parked: Array) -> str:
+def recipe_toml(recipe: BenchRecipe, parked: Array) -> str:
     """The mapping of the logs to signals; ``parked`` (4,) are the joint values surveyed while the machine stood parked."""
     motion = [each.name for each in recipe.recordings if not each.is_calibration]
     poses = [each.name for each in recipe.recordings if each.is_calibration]
@@ -126,7 +126,7 @@ def recipe_toml(recipe: Recipe, parked: Array) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _machine_lines(recipe: Recipe) -> list[str]:
+def _machine_lines(recipe: BenchRecipe) -> list[str]:
     """The machine's log: messages with their fields, or frames with the signals of the database."""
     kind = recipe.controller.log[0]
     lines = ["[[streams]]", f'files = "{LOG_FILES[kind]}"']
@@ -167,7 +167,7 @@ def _texts(names: Sequence[str]) -> str:
 
 
 def write_site_files(
-    folder: Path, recipe: Recipe, gains: dict[str, float], effects: Sequence[dict[str, Any]], parked: Array
+    folder: Path, recipe: BenchRecipe, gains: dict[str, float], effects: Sequence[dict[str, Any]], parked: Array
 ) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "machine.toml").write_text(machine_toml(recipe, gains, effects), "utf-8")

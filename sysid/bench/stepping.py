@@ -20,9 +20,9 @@ from sysid.bench.elastic_joint import flex_step
 from sysid.bench.gripper import swing
 from sysid.bench.irregular import Irregular, flow_share, irregular_of
 from sysid.bench.oil import viscosity
-from sysid.bench.recipe import AXES, Recipe
-from sysid.bench.rigid_body import Bodies, bodies_of, equations, rod_force
-from sysid.bench.valve import Valve, drive_speed, freed, metered, opening, piloted_step, valve_of
+from sysid.bench.recipe import AXES, BenchRecipe
+from sysid.bench.rigid_body import RigidBodies, bodies_of, equations, rod_force
+from sysid.bench.valve import ValveNumbers, drive_speed, freed, metered, opening, piloted_step, valve_of
 
 Array = npt.NDArray[np.float64]
 
@@ -37,14 +37,14 @@ class Built(NamedTuple):
         powered: any axis is moved by the circuit. elastic: any joint gives way.
     """
 
-    valves: tuple[Valve, ...]
+    valves: tuple[ValveNumbers, ...]
     irregulars: tuple[Irregular, ...]
     drives: tuple[Drive, ...]
     plays: Array
     geometry: tuple[float, float, float]
     zeros: Array
     circuits: tuple[Circuit, ...]
-    bodies: Bodies
+    bodies: RigidBodies
     supply: Supply
     oil: tuple[float, float, float, float, float]
     flex: Array
@@ -54,7 +54,7 @@ class Built(NamedTuple):
     elastic: bool
 
 
-class Motion(NamedTuple):
+class MachineState(NamedTuple):
     """Where everything is; every entry is changed in place.
 
     Args:
@@ -86,12 +86,12 @@ class Motion(NamedTuple):
     velocity: Array
 
 
-def zeros_of(recipe: Recipe) -> Array:
+def zeros_of(recipe: BenchRecipe) -> Array:
     """True joints less those that the stated zeros give, (4,) [rad, rad, rad, m]."""
     return np.array([recipe.build.joint_offset.get(name, 0.0) for name in AXES])
 
 
-def built_of(recipe: Recipe) -> Built:
+def built_of(recipe: BenchRecipe) -> Built:
     """The machine of ``recipe``."""
     axes = [recipe.axis(name) for name in AXES]
     drives = tuple(drive_of(axis) for axis in axes)
@@ -118,7 +118,7 @@ def built_of(recipe: Recipe) -> Built:
 
 
 @compiled
-def parked(built: Built, park: Array, in_play: Array) -> Motion:
+def parked(built: Built, park: Array, in_play: Array) -> MachineState:
     """The machine at rest with its joints at ``park`` (4,), its drives ``in_play`` (4,) off the middle of their play."""
     n = len(park)
     drives = built.drives
@@ -151,7 +151,7 @@ def parked(built: Built, park: Array, in_play: Array) -> Motion:
     pivot[0], pivot[1], pivot[2] = tip_position(true[0], true[1], true[2], true[3], height, boom_length, stick_length)
     tool = pivot.copy()
     tool[2] -= built.gripper[0]
-    return Motion(
+    return MachineState(
         position,
         structure,
         joint,
@@ -174,7 +174,7 @@ def parked(built: Built, park: Array, in_play: Array) -> Motion:
 
 
 @compiled
-def advance_machine(built: Built, motion: Motion, fluctuation: Array, time: float, step: float) -> None:
+def advance_machine(built: Built, motion: MachineState, fluctuation: Array, time: float, step: float) -> None:
     """Advance ``motion`` by ``step`` [s] under ``motion.received``.
 
     Args:
@@ -249,7 +249,7 @@ def _flex(
     stiff_rate: Array,
     deflection: Array,
     deflecting: Array,
-    bodies: Bodies,
+    bodies: RigidBodies,
     flex: Array,
     step: float,
 ) -> None:

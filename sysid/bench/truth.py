@@ -6,7 +6,7 @@ import math
 from dataclasses import replace
 from typing import Any
 
-from sysid.bench.recipe import AxisSettings, GripperSettings, Recipe
+from sysid.bench.recipe import AxisSettings, BenchRecipe, GripperSettings
 from sysid.bench.run import Run
 from sysid.errors import SettingsError, nearest
 
@@ -20,7 +20,7 @@ _NEUTRAL: dict[str, dict[str, float]] = {
 }
 
 
-def describe_effects(recipe: Recipe) -> list[dict[str, Any]]:
+def describe_effects(recipe: BenchRecipe) -> list[dict[str, Any]]:
     """Every effect that the recipe switches on: name, target, parameters, and whether the machine description keeps it back."""
     hidden = {(item.name, item.target) for item in recipe.hidden}
     effects = [effect for name, axis in recipe.axes.items() for effect in _axis_effects(name, axis)]
@@ -30,7 +30,7 @@ def describe_effects(recipe: Recipe) -> list[dict[str, Any]]:
     return [{**effect, "hidden": (effect["name"], effect["target"]) in hidden} for effect in effects]
 
 
-def without_hidden(recipe: Recipe) -> Recipe:
+def without_hidden(recipe: BenchRecipe) -> BenchRecipe:
     """The same machine and recordings with every hidden effect at its neutral setting: nothing is left to be found.
 
     Raises:

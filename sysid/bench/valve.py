@@ -22,7 +22,7 @@ Array = npt.NDArray[np.float64]
 AT_REST = 0.005
 
 
-class Valve(NamedTuple):
+class ValveNumbers(NamedTuple):
     """The settings of one valve as numbers the compiled loop can take."""
 
     gain: float
@@ -38,8 +38,8 @@ class Valve(NamedTuple):
     spool_speed: float
 
 
-def valve_of(settings: ValveSettings) -> Valve:
-    return Valve(
+def valve_of(settings: ValveSettings) -> ValveNumbers:
+    return ValveNumbers(
         settings.gain,
         settings.delay,
         settings.time_constant,

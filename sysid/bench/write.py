@@ -10,7 +10,7 @@ from pathlib import Path
 
 from sysid.bench.mcap_log import write_mcap
 from sysid.bench.motive_export import wall_clock, write_motive
-from sysid.bench.recipe import Recipe
+from sysid.bench.recipe import BenchRecipe
 from sysid.bench.run import Run, simulate
 from sysid.bench.truth import describe_effects, describe_run
 
@@ -50,7 +50,7 @@ def write(run: Run, folder: Path) -> list[Path]:
     return written
 
 
-def write_database(recipe: Recipe, folder: Path) -> list[Path]:
+def write_database(recipe: BenchRecipe, folder: Path) -> list[Path]:
     """Write the database of the bus where the recipe logs it; returns the files."""
     if not {"blf", "asc"} & set(recipe.controller.log):
         return []
@@ -74,7 +74,7 @@ def _write_motive(run: Run, path: Path) -> None:
     )
 
 
-def write_all(recipe: Recipe, out: Path) -> list[Path]:
+def write_all(recipe: BenchRecipe, out: Path) -> list[Path]:
     """Simulate and write every recording of ``recipe`` into ``out``, and ``out/truth.json`` beside them."""
     described = {}
     written = []

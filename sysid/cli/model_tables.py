@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
     from sysid.cli.output import Printer
     from sysid.registry import Promotion
-    from sysid.versions import Drift, Exported, ModelDiff, ModelLineage
+    from sysid.versions import DriftReport, Exported, ModelDiff, ModelLineage
 
 #: Parameters of a geometry that are listed, those that moved most first.
 MOST_PARAMETERS = 20
@@ -111,7 +111,7 @@ def show_exported(out: Printer, folder: Path, files: tuple[Exported, ...]) -> No
     )
 
 
-def show_drift(out: Printer, found: Drift) -> None:
+def show_drift(out: Printer, found: DriftReport) -> None:
     """Whether a version still fits, output by output."""
     from sysid.reports.display import percent
     from sysid.versions.drift import OUTSIDE_SHARE

@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from typing import Any
 
     from sysid.datasets import Dataset
-    from sysid.datasets.quality import Evidence
+    from sysid.datasets.quality import DatasetEvidence
     from sysid.gap.experiment.excitation_verdict import ExcitationReport
 
 #: Flags listed of one dataset; JSON has all of them.
@@ -46,7 +46,7 @@ def show_quality(workspace: str, reference: str | None, json_file: str | None) -
     )
 
 
-def show_evidence(out: Printer, evidence: Evidence, dataset: Dataset) -> None:
+def show_evidence(out: Printer, evidence: DatasetEvidence, dataset: Dataset) -> None:
     """What each axis was asked to do and did, how much of joint space was visited, where the machine stood, how noisy it is."""
     from sysid.reports.display import percent, quantity
 

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from sysid.runner.assemble import Assembly
     from sysid.runner.flight_log import FlightLog
     from sysid.runner.modes.commission import Commission
-    from sysid.runner.outcome import Outcome
+    from sysid.runner.outcome import RunOutcome
     from sysid.runner.rehearse import Ranges
 
 
@@ -251,7 +251,7 @@ def _introduce(out: Printer, assembly: Assembly) -> None:
         out.line("no fence: the end effector may go wherever the joints allow ([limits.fence] bounds it)")
 
 
-def _tell(out: Printer, assembly: Assembly, outcome: Outcome, ranges: Ranges) -> None:
+def _tell(out: Printer, assembly: Assembly, outcome: RunOutcome, ranges: Ranges) -> None:
     if ranges.moving:
         rows = [
             (name, f"{low:.3f} … {high:.3f}", f"{command:.2f}")
@@ -285,7 +285,7 @@ def _tracked(assembly: Assembly) -> str:
     return f"{setting}, as the machine's sensors and {forward} see it (their own errors included)"
 
 
-def _figures(assembly: Assembly, outcome: Outcome, ranges: Ranges) -> dict[str, Any]:
+def _figures(assembly: Assembly, outcome: RunOutcome, ranges: Ranges) -> dict[str, Any]:
     return {
         "name": assembly.recipe.name,
         "mode": assembly.recipe.mode,

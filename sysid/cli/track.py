@@ -69,7 +69,7 @@ def track(
     from sysid.control import simple
     from sysid.errors import SettingsError
     from sysid.names import check_file_name
-    from sysid.rl.course import BASELINES, Course, Shortened, lay_out
+    from sysid.rl.course import BASELINES, Shortened, TrackingTask, lay_out
     from sysid.rl.policy import Searching, load_policy
     from sysid.rl.record import keep
     from sysid.rl.versions import load_versions
@@ -90,7 +90,7 @@ def track(
         raise SettingsError("--untuned", "without --full", "--full: only there is a controller below")
     with progress_bar("track") as progress:
         progress(0.0, f"a place for {path}")
-        course: Course = lay_out(
+        course: TrackingTask = lay_out(
             simulation, model, path, full=full, centre=centre, tuning=simple(simulation) if untuned else None
         )
         progress(0.3, policy)

@@ -59,11 +59,11 @@ def train(
 
 def _one(workspace: str, recipe: object, tensorboard: bool, mlflow: str | None, progress: object) -> dict[str, object]:
     from sysid.rl.observers import JsonLines, MlflowRun, Observer, TensorBoard
-    from sysid.rl.recipe import Recipe
+    from sysid.rl.recipe import TrainingRecipe
     from sysid.rl.training import train_policy
     from sysid.workspace import open_workspace
 
-    assert isinstance(recipe, Recipe)
+    assert isinstance(recipe, TrainingRecipe)
     assert callable(progress)
     place = open_workspace(workspace)
     if not place.folder.is_dir():

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from sysid.cli.output import Printer
     from sysid.datasets import DatasetDiff, Lineage, Vacuumed
-    from sysid.datasets.versions.diff import Change, Names
+    from sysid.datasets.versions.diff import Names, ValueChange
     from sysid.registry import ModelVersion
     from sysid.versions.lineage import Relative
 
@@ -60,7 +60,7 @@ def show_names(out: Printer, what: str, names: Names) -> None:
             out.line(f"{what} {word}: {', '.join(items)}")
 
 
-def show_changes(out: Printer, what: str, changes: Sequence[Change]) -> None:
+def show_changes(out: Printer, what: str, changes: Sequence[ValueChange]) -> None:
     for change in changes[:MOST_FIGURES]:
         out.line(f"{what} {change.what}: {_text(change.before)} → {_text(change.after)}")
     if len(changes) > MOST_FIGURES:

@@ -18,7 +18,7 @@ from sysid.datasets.discover import RecordingFiles
 from sysid.datasets.flags.stamps import repaired_stamps
 from sysid.datasets.frames.bodies import find_mounts, joints_and_points
 from sysid.datasets.frames.marker_sets import with_marker_sets
-from sysid.datasets.frames.mistakes import Dropped
+from sysid.datasets.frames.mistakes import MissingFrames
 from sysid.datasets.frames.rigid import POSE_FIELDS, mean_pose
 from sysid.datasets.recipe import SignalMap, StreamMap
 from sysid.errors import InputError, SettingsError, nearest
@@ -32,12 +32,12 @@ Mounts = Mapping[tuple[str, str], Mapping[str, npt.NDArray[np.float64]]]
 
 
 @dataclass(frozen=True)
-class Reading:
+class ReadRecording:
     """What was read of one recording: its channels, file name → what could not be read, frames that were dropped."""
 
     channels: tuple[Channel, ...]
     losses: Mapping[str, tuple[str, ...]]
-    flags: tuple[Dropped, ...] = ()
+    flags: tuple[MissingFrames, ...] = ()
 
 
 def survey_mounts(found: Sequence[RecordingFiles], machine: Machine) -> Mounts:
@@ -68,7 +68,7 @@ def survey_mounts(found: Sequence[RecordingFiles], machine: Machine) -> Mounts:
     return mounts
 
 
-def read_channels(files: RecordingFiles, machine: Machine, mounts: Mounts, progress: Progress = silent) -> Reading:
+def read_channels(files: RecordingFiles, machine: Machine, mounts: Mounts, progress: Progress = silent) -> ReadRecording:
     """All mapped signals of a recording. ``progress``: called with the share of its bytes that have been read.
 
     Raises:
@@ -76,7 +76,7 @@ def read_channels(files: RecordingFiles, machine: Machine, mounts: Mounts, progr
     """
     channels: list[Channel] = []
     losses: dict[str, tuple[str, ...]] = {}
-    flags: list[Dropped] = []
+    flags: list[MissingFrames] = []
     shares = _shares(files)
     for (path, mapping), (begin, end) in zip(files.streams, shares, strict=True):
         own = part(progress, begin, end)
@@ -95,7 +95,7 @@ def read_channels(files: RecordingFiles, machine: Machine, mounts: Mounts, progr
         scratch.leave()
     if any(mapping is None for _, mapping in files.streams):
         channels = _one_clock(channels)
-    return Reading(tuple(channels), losses, tuple(flags))
+    return ReadRecording(tuple(channels), losses, tuple(flags))
 
 
 def _captured(
@@ -104,7 +104,7 @@ def _captured(
     mapping: StreamMap,
     machine: Machine,
     mounts: Mapping[str, npt.NDArray[np.float64]],
-) -> tuple[list[Channel], tuple[Dropped, ...]]:
+) -> tuple[list[Channel], tuple[MissingFrames, ...]]:
     """Joints and points that the rigid bodies of an export give."""
     seen, dropped = joints_and_points(streams, mapping, mounts, machine)
     channels = [

@@ -9,7 +9,7 @@ from fnmatch import fnmatchcase
 from pathlib import Path
 
 from sysid.config import inside
-from sysid.datasets.recipe import Recipe, Recordings, StreamMap
+from sysid.datasets.recipe import IngestRecipe, Recordings, StreamMap
 from sysid.datasets.recording import Kind
 from sysid.errors import InputError, SettingsError, nearest
 from sysid.logs.limits import check_file
@@ -46,7 +46,7 @@ class RecordingFiles:
                 raise InputError(path, found, "a log that nobody writes to", remedy)
 
 
-def discover(paths: Sequence[Path], recipe: Recipe | None) -> tuple[RecordingFiles, ...]:
+def discover(paths: Sequence[Path], recipe: IngestRecipe | None) -> tuple[RecordingFiles, ...]:
     """All recordings below ``paths``, in the order of their names.
 
     A path is a folder of recordings, one recording's folder, or a single file that is a recording.
@@ -70,7 +70,7 @@ def discover(paths: Sequence[Path], recipe: Recipe | None) -> tuple[RecordingFil
     return tuple(replace(files, written={path: _written(path) for path, _ in files.streams}) for files in found)
 
 
-def unmatched(found: Sequence[RecordingFiles], recipe: Recipe | None) -> tuple[str, ...]:
+def unmatched(found: Sequence[RecordingFiles], recipe: IngestRecipe | None) -> tuple[str, ...]:
     """What the recipe says about files that no recording has, in words."""
     used = {id(stream) for files in found for _, stream in files.streams}
     streams = recipe.streams if recipe is not None else ()
@@ -94,7 +94,7 @@ def _written(path: Path) -> tuple[int, int]:
     return status.st_size, status.st_mtime_ns
 
 
-def _nothing(paths: Sequence[Path], recipe: Recipe | None) -> InputError:
+def _nothing(paths: Sequence[Path], recipe: IngestRecipe | None) -> InputError:
     """Why single files are no recordings."""
     where = ", ".join(map(str, paths))
     if recipe is not None and recipe.streams:
@@ -113,7 +113,7 @@ def sha256(path: Path) -> str:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
-def _in_path(path: Path, recipe: Recipe | None) -> list[RecordingFiles]:
+def _in_path(path: Path, recipe: IngestRecipe | None) -> list[RecordingFiles]:
     recordings = recipe.recordings if recipe is not None else Recordings()
     if recordings.files:
         return _single_files(path, recordings, recipe)
@@ -146,7 +146,7 @@ def _in_path(path: Path, recipe: Recipe | None) -> list[RecordingFiles]:
     return result
 
 
-def _single_files(path: Path, recordings: Recordings, recipe: Recipe | None) -> list[RecordingFiles]:
+def _single_files(path: Path, recordings: Recordings, recipe: IngestRecipe | None) -> list[RecordingFiles]:
     result = []
     for name, pattern in recordings.files.items():
         files = sorted(path.glob(pattern)) if path.is_dir() else [path] if fnmatchcase(path.name, pattern) else []
@@ -159,7 +159,7 @@ def _single_files(path: Path, recordings: Recordings, recipe: Recipe | None) -> 
     return result
 
 
-def _matched(files: Sequence[Path], folder: Path, recipe: Recipe | None) -> tuple[tuple[Path, StreamMap | None], ...]:
+def _matched(files: Sequence[Path], folder: Path, recipe: IngestRecipe | None) -> tuple[tuple[Path, StreamMap | None], ...]:
     """Each log file with the recipe's entry for it; where no recipe names streams, every file that some reader takes."""
     if recipe is None or not recipe.streams:
         for file in files:

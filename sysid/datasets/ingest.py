@@ -12,7 +12,7 @@ import numpy.typing as npt
 import pandas as pd
 
 from sysid.datasets.channel import Channel
-from sysid.datasets.channels import Mounts, Reading, concatenate, joined, read_channels, survey_mounts
+from sysid.datasets.channels import Mounts, ReadRecording, concatenate, joined, read_channels, survey_mounts
 from sysid.datasets.clocks.records import Alignment, Clocked, KnownSkew, aligned, by_source, machine_times
 from sysid.datasets.discover import RecordingFiles, discover, unmatched
 from sysid.datasets.flags.collect import flag_rows
@@ -20,7 +20,7 @@ from sysid.datasets.frames.degenerate import offset_notes
 from sysid.datasets.plan import INGEST_VERSION, Plan, content_of, plan_of, settings_of, shared_mounts, sources_of
 from sysid.datasets.poses import pose_table, still_phases
 from sysid.datasets.quality import describe
-from sysid.datasets.recipe import Recipe, Splits
+from sysid.datasets.recipe import IngestRecipe, Splits
 from sysid.datasets.recording import ClockRecord, Dataset, Recording, Role, Source
 from sysid.datasets.resample import grid, resample
 from sysid.datasets.splits import split
@@ -94,7 +94,7 @@ def _ingest(
         return known
 
     walked = walk(found, plan, survey_mounts(found, description), report)
-    settings = rules if rules is not None else Recipe(schema=1)
+    settings = rules if rules is not None else IngestRecipe(schema=1)
     parts, roles = split(walked.recordings, settings.splits, plan.where)
     dataset = walked.dataset(title, digest, description, parts, roles, sources, part(report, *DESCRIBED))
     saved = store.save(dataset, walked.channels, walked.made, part(report, *STORED))
@@ -106,7 +106,7 @@ def _ingest(
 class Walked:
     """Logs on the machine's clock and grid, not yet split."""
 
-    readings: Mapping[str, Reading]
+    readings: Mapping[str, ReadRecording]
     clocked: tuple[Clocked, ...]
     clocks: tuple[ClockRecord, ...]
     recordings: tuple[Recording, ...]
@@ -164,8 +164,8 @@ def walk(
         mounts: where the rigid bodies sit.
         skews: what is known of the clocks from recordings that are not among ``found``.
     """
-    settings = plan.rules if plan.rules is not None else Recipe(schema=1)
-    readings: dict[str, Reading] = {}
+    settings = plan.rules if plan.rules is not None else IngestRecipe(schema=1)
+    readings: dict[str, ReadRecording] = {}
     sizes = [sum(size for size, _ in files.written.values()) for files in found]
     before = 0
     for size, files in zip(sizes, found, strict=True):
@@ -219,7 +219,7 @@ def _share(report: Progress, step: tuple[float, float], number: int, count: int)
 
 
 def _recording(
-    recording: Clocked, records: Mapping[str, Sequence[ClockRecord]], machine: Machine, rules: Recipe, report: Progress
+    recording: Clocked, records: Mapping[str, Sequence[ClockRecord]], machine: Machine, rules: IngestRecipe, report: Progress
 ) -> Recording:
     """The aligned table of one recording."""
     start = recording.start_ns

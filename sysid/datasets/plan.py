@@ -9,7 +9,7 @@ from typing import Any
 
 from sysid.datasets.channels import Mounts
 from sysid.datasets.discover import RecordingFiles, sha256
-from sysid.datasets.recipe import Recipe, check_against_machine, load_recipe
+from sysid.datasets.recipe import IngestRecipe, check_against_machine, load_recipe
 from sysid.datasets.recording import Source
 from sysid.datasets.resample import GAP_PERIODS
 from sysid.errors import InputError, SettingsError
@@ -24,7 +24,7 @@ class Plan:
     """Which folders are read, by which recipe, for which machine; ``where`` is what a mistake in it is blamed on."""
 
     roots: tuple[Path, ...]
-    rules: Recipe | None
+    rules: IngestRecipe | None
     machine: Machine
     where: Path
 
@@ -33,7 +33,7 @@ def plan_of(
     paths: Sequence[Path | str] | Path | str,
     machine: Path | str | None,
     recipe: Path | str | None,
-    otherwise: Callable[[], Recipe | None] = lambda: None,
+    otherwise: Callable[[], IngestRecipe | None] = lambda: None,
     same: Machine | None = None,
 ) -> Plan:
     """Find recipe and machine for ``paths``.
@@ -78,7 +78,7 @@ def _recipe_path(recipe: Path | str | None, roots: Sequence[Path]) -> Path | Non
 
 
 def _machine_path(
-    machine: Path | str | None, rules: Recipe | None, recipe_path: Path | None, roots: Sequence[Path]
+    machine: Path | str | None, rules: IngestRecipe | None, recipe_path: Path | None, roots: Sequence[Path]
 ) -> Path | None:
     if machine is not None:
         return Path(machine)
@@ -101,7 +101,7 @@ def sources_of(found: Sequence[RecordingFiles]) -> tuple[Source, ...]:
     return tuple(unique.values())
 
 
-def content_of(sources: Sequence[Source], rules: Recipe | None) -> dict[str, Any]:
+def content_of(sources: Sequence[Source], rules: IngestRecipe | None) -> dict[str, Any]:
     """What the tables are made from beside the machine, as plain JSON values: a part of every digest."""
     content: dict[str, Any] = {
         "ingest": INGEST_VERSION,
@@ -116,7 +116,7 @@ def content_of(sources: Sequence[Source], rules: Recipe | None) -> dict[str, Any
 
 def settings_of(plan: Plan) -> dict[str, Any]:
     """What resampling was told, for the lineage."""
-    rules = plan.rules if plan.rules is not None else Recipe(schema=1)
+    rules = plan.rules if plan.rules is not None else IngestRecipe(schema=1)
     streams = {
         stream.files: {"domain": stream.domain, "interpolation": stream.interpolation, "max_gap_s": stream.max_gap_s}
         for stream in rules.streams

@@ -43,7 +43,7 @@ class SignalMap:
 
 
 @dataclass(frozen=True)
-class Frame:
+class FramePose:
     """Surveyed pose of the capture frame in the machine's base frame; roll, pitch, yaw about fixed axes as in a URDF."""
 
     __pydantic_config__ = STRICT
@@ -137,7 +137,7 @@ class StreamMap:
     max_gap_s: Positive | None = None
     signals: dict[str, SignalMap] = field(default_factory=dict)
     secondary: tuple[str, ...] = ()
-    frame: Frame = Frame()
+    frame: FramePose = FramePose()
     bodies: dict[str, str] = field(default_factory=dict)
     marker_sets: dict[str, tuple[str, ...]] = field(default_factory=dict)
     points: dict[str, PointMap] = field(default_factory=dict)
@@ -185,7 +185,7 @@ class StillPhases:
 
 
 @dataclass(frozen=True)
-class Recipe:
+class IngestRecipe:
     """``recipe.toml``; paths in it are relative to its folder and stay inside it."""
 
     __pydantic_config__ = STRICT
@@ -202,7 +202,7 @@ class Recipe:
     text: str = ""
 
 
-def load_recipe(path: Path) -> Recipe:
+def load_recipe(path: Path) -> IngestRecipe:
     """Read and check a recipe.
 
     Raises:
@@ -217,7 +217,7 @@ def load_recipe(path: Path) -> Recipe:
     return replace(recipe, streams=tuple(_with_database(stream, path) for stream in recipe.streams))
 
 
-def stored_recipe(text: str, where: object) -> Recipe:
+def stored_recipe(text: str, where: object) -> IngestRecipe:
     """The recipe of a stored version again; the files that it names are not stored with it.
 
     Raises:
@@ -231,10 +231,10 @@ def stored_recipe(text: str, where: object) -> Recipe:
     return recipe
 
 
-def _checked(values: dict[str, Any], text: str, where: object) -> Recipe:
+def _checked(values: dict[str, Any], text: str, where: object) -> IngestRecipe:
     if "text" in values:
         raise SettingsError(where, "unknown key 'text'", "the keys of a recipe", "Remove it.")
-    recipe = parse_settings({**values, "text": text}, Recipe, where)
+    recipe = parse_settings({**values, "text": text}, IngestRecipe, where)
     for name in recipe.recordings.files:
         check_file_name(name, f"{where}: recordings.files")
     for pattern in (*recipe.recordings.files.values(), *(stream.files for stream in recipe.streams)):
@@ -289,7 +289,7 @@ def _check_stream(stream: StreamMap, recipe: object) -> None:
             raise SettingsError(f"{where}: marker_sets.{body}", f"markers {list(markers)}", "at least three different ones")
 
 
-def check_against_machine(recipe: Recipe, machine: Machine, where: object) -> None:
+def check_against_machine(recipe: IngestRecipe, machine: Machine, where: object) -> None:
     """Raise where the recipe names a signal, link or axis that the machine does not have, or two primary sources."""
     primary: dict[str, str] = {}
     for stream in recipe.streams:

@@ -24,7 +24,7 @@ LONG_S = 60.0
 
 
 @dataclass(frozen=True)
-class Block:
+class SplitBlock:
     """A share of one recording with a role."""
 
     role: Role
@@ -50,7 +50,7 @@ def split(recordings: Sequence[Recording], splits: Splits, where: object) -> tup
     free = [r.name for r in motion if r.name not in roles and r.name not in splits.held_out_last]
     given = set(roles.values()) | ({"fit", "select", "held_out"} if splits.held_out_last else set())
     open_roles: list[Role] = [role for role in ("fit", "select", "held_out") if role not in given]
-    blocks: dict[str, tuple[Block, ...]] = {}
+    blocks: dict[str, tuple[SplitBlock, ...]] = {}
     if free and not open_roles:
         roles |= dict.fromkeys(free, "fit")
     elif len(free) >= len(open_roles):
@@ -61,7 +61,7 @@ def split(recordings: Sequence[Recording], splits: Splits, where: object) -> tup
     for name, share in splits.held_out_last.items():
         recording = next(r for r in motion if r.name == name)
         earlier = _blocks(["fit", "select"], (1.0 - share) * len(recording) / recording.rate_hz)
-        blocks[name] = (*(Block(b.role, b.share * (1.0 - share)) for b in earlier), Block("held_out", share))
+        blocks[name] = (*(SplitBlock(b.role, b.share * (1.0 - share)) for b in earlier), SplitBlock("held_out", share))
     result: list[Recording] = []
     for recording in recordings:
         if recording.name not in blocks:
@@ -117,18 +117,18 @@ def _share_out(names: list[str], roles: list[Role]) -> dict[str, Role]:
     return dict(zip(names, order, strict=True))
 
 
-def _blocks(roles: list[Role], length_s: float) -> tuple[Block, ...]:
+def _blocks(roles: list[Role], length_s: float) -> tuple[SplitBlock, ...]:
     """Contiguous blocks of one recording: fit twice as long as select, held out the last quarter."""
     held = 0.25 if "held_out" in roles else 0.0
     before: list[Role] = [role for role in roles if role != "held_out"]
     weights = {"fit": 2.0, "select": 1.0}
     total = sum(weights[role] for role in before)
     pairs = 2 if len(before) == 2 and length_s * (1.0 - held) >= LONG_S else 1
-    blocks = [Block(role, (1.0 - held) * weights[role] / total / pairs) for _ in range(pairs) for role in before]
-    return (*blocks, Block("held_out", held)) if held else tuple(blocks)
+    blocks = [SplitBlock(role, (1.0 - held) * weights[role] / total / pairs) for _ in range(pairs) for role in before]
+    return (*blocks, SplitBlock("held_out", held)) if held else tuple(blocks)
 
 
-def cut(recording: Recording, blocks: Sequence[Block], guard_s: float, where: object) -> list[tuple[Recording, Role]]:
+def cut(recording: Recording, blocks: Sequence[SplitBlock], guard_s: float, where: object) -> list[tuple[Recording, Role]]:
     """``recording`` as ``name#1``, ``name#2`` …; each cut lies where the machine is most at rest nearby.
 
     Raises:

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sysid.datasets.recording import Recording
-from sysid.gap.drift import BIN, Drift, bins_of, estimate_drift, to_bins, white_noise, whiten_lanes
+from sysid.gap.drift import BIN, DriftStrength, bins_of, estimate_drift, to_bins, white_noise, whiten_lanes
 from sysid.gap.problem import Problem
 
 Array = npt.NDArray[np.float64]
@@ -49,7 +49,7 @@ class Data:
         at = problem or self.problem
         return [(at.measured(r)[None] - at.predict(thetas, r)) / self.sigma for r in self.recordings]
 
-    def whitened(self, thetas: Array, drifts: Sequence[Drift], problem: Problem | None = None) -> Array:
+    def whitened(self, thetas: Array, drifts: Sequence[DriftStrength], problem: Problem | None = None) -> Array:
         """(lanes, all bins of all signals), missing ones as zero, so that the length never changes."""
         lanes = []
         for part, activity in zip(self.bins(thetas, problem), self.activities, strict=True):
@@ -60,11 +60,11 @@ class Data:
                 lanes.append(series / drift.noise)
         return np.nan_to_num(np.concatenate(lanes, axis=1))
 
-    def drifts(self, theta: Array) -> tuple[tuple[Drift, ...], float]:
+    def drifts(self, theta: Array) -> tuple[tuple[DriftStrength, ...], float]:
         """Drift of every signal under one parameter vector, and the log-likelihood."""
         return self.drifts_of(self.bins(theta[None]))
 
-    def drifts_of(self, bins: Sequence[Array]) -> tuple[tuple[Drift, ...], float]:
+    def drifts_of(self, bins: Sequence[Array]) -> tuple[tuple[DriftStrength, ...], float]:
         """The same, of binned residuals, one (1, m, d) a recording."""
         memory = 1.0 if self.problem.integrates else FORGETS
         found, total = [], 0.0

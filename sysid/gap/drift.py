@@ -30,7 +30,7 @@ _STRENGTHS = (0.0, 1e-4, 1e-3, 1e-2, 0.1, 1.0, 10.0, 100.0, 1e4)
 
 
 @dataclass(frozen=True)
-class Drift:
+class DriftStrength:
     """Strength of the wandering of one signal.
 
     Args:
@@ -77,21 +77,21 @@ def _filter_lanes(
         _filter(residuals[lane], activity, calm, moving, memory, errors[lane], variances[lane])
 
 
-def whiten_lanes(residuals: Array, activity: Array, drift: Drift) -> Array:
+def whiten_lanes(residuals: Array, activity: Array, drift: DriftStrength) -> Array:
     """error/√variance of many series at once, (lanes, m)."""
     errors, variances = np.empty(residuals.shape), np.empty(residuals.shape)
     _filter_lanes(np.ascontiguousarray(residuals), activity, drift.calm, drift.moving, drift.memory, errors, variances)
     return errors / np.sqrt(variances)
 
 
-def whiten(residual: Array, activity: Array, drift: Drift) -> tuple[Array, Array]:
+def whiten(residual: Array, activity: Array, drift: DriftStrength) -> tuple[Array, Array]:
     """(error/√variance, log variance), each (m,), for one series of bins."""
     error, variance = np.empty(len(residual)), np.empty(len(residual))
     _filter(np.ascontiguousarray(residual), activity, drift.calm, drift.moving, drift.memory, error, variance)
     return error / np.sqrt(variance), np.log(variance)
 
 
-def log_density(residual: Array, activity: Array, drift: Drift) -> Array:
+def log_density(residual: Array, activity: Array, drift: DriftStrength) -> Array:
     """Log predictive density of every bin, (m,), NaN where missing, up to a constant."""
     error, log_variance = whiten(residual, activity, drift)
     return np.asarray(_normal(error / drift.noise) - 0.5 * log_variance - np.log(drift.noise))
@@ -105,7 +105,7 @@ def _normal(standard: Array) -> Array:
     return np.asarray(-0.5 * np.clip(standard, -CLIP, CLIP) ** 2)
 
 
-def estimate_drift(series: Sequence[Array], activities: Sequence[Array], memory: float = 1.0) -> tuple[Drift, float]:
+def estimate_drift(series: Sequence[Array], activities: Sequence[Array], memory: float = 1.0) -> tuple[DriftStrength, float]:
     """Maximum likelihood over a grid, refined once; returns the drift and the log-likelihood (up to a constant).
 
     Args:
@@ -115,7 +115,7 @@ def estimate_drift(series: Sequence[Array], activities: Sequence[Array], memory:
     joined, active = np.concatenate(series), np.concatenate(activities)
     starts = np.concatenate([[0], np.cumsum([len(part) for part in series])])
     room = np.empty((2, len(joined)))
-    best = (Drift(memory=memory), -np.inf)
+    best = (DriftStrength(memory=memory), -np.inf)
     calm: Sequence[float] = _STRENGTHS
     moving: Sequence[float] = _STRENGTHS if any(np.ptp(a) > 0 for a in activities) else (0.0,)
     for _ in range(2):
@@ -123,17 +123,17 @@ def estimate_drift(series: Sequence[Array], activities: Sequence[Array], memory:
             for m in moving:
                 noise, total = _likelihood(joined, active, starts, c, m, memory, room)
                 if total > best[1]:
-                    best = Drift(c, m, noise, memory), total
+                    best = DriftStrength(c, m, noise, memory), total
         calm, moving = _around(best[0].calm), _around(best[0].moving) if len(moving) > 1 else (0.0,)
     return best
 
 
-def white_noise(series: Sequence[Array]) -> tuple[Drift, float]:
+def white_noise(series: Sequence[Array]) -> tuple[DriftStrength, float]:
     """The noise of series that do not wander, and the log-likelihood (up to a constant)."""
     joined = np.concatenate(series)
     joined = joined[~np.isnan(joined)]
     noise = robust_scale(joined)
-    return Drift(noise=noise), float(_normal(joined / noise).sum() - len(joined) * np.log(noise))
+    return DriftStrength(noise=noise), float(_normal(joined / noise).sum() - len(joined) * np.log(noise))
 
 
 def _around(value: float) -> tuple[float, ...]:

@@ -16,7 +16,7 @@ from scipy.optimize import least_squares
 
 from sysid.gap.candidates import Candidate, Unknown
 from sysid.gap.data import Data
-from sysid.gap.drift import Drift
+from sysid.gap.drift import DriftStrength
 from sysid.gap.problem import Problem
 
 Array = npt.NDArray[np.float64]
@@ -50,7 +50,7 @@ class Fit:
     unknowns: tuple[Unknown, ...]
     values: Array
     theta: Array
-    drifts: tuple[Drift, ...]
+    drifts: tuple[DriftStrength, ...]
     log_likelihood: float
     converged: bool
 
@@ -142,7 +142,7 @@ def least_left(fit: Fit, data: Data) -> Fit:
         return fit
     low, high = _bounds(fit.unknowns)
     scale = np.array([u.negligible for u in fit.unknowns])
-    plain = (Drift(),) * len(data.sigma)
+    plain = (DriftStrength(),) * len(data.sigma)
     x, done = _least_squares(data, fit.theta, fit.unknowns, fit.values, low, high, scale, plain, data.problem, EXACT)
     return replace(fit, values=x, theta=place(fit.theta, fit.unknowns, x[None])[0], converged=done)
 
@@ -161,7 +161,7 @@ def _promising(data: Data, theta: Array, unknowns: Sequence[Unknown], starts: li
     if len(unique) <= DESCENTS:
         return list(unique)
     problem = data.problem.short or data.problem
-    plain = (Drift(),) * len(data.sigma)
+    plain = (DriftStrength(),) * len(data.sigma)
     costs = np.mean(np.abs(data.whitened(place(theta, unknowns, unique), plain, problem)), axis=1)
     order = [int(k) for k in np.argsort(costs)]
     present = (unique != np.array([u.nominal for u in unknowns])).all(axis=1)
@@ -181,7 +181,7 @@ def _descend(
     high: Array,
 ) -> Fit:
     scale = np.array([u.negligible for u in unknowns])
-    plain = (Drift(),) * len(data.sigma)
+    plain = (DriftStrength(),) * len(data.sigma)
     x = start
     done = False
     if data.problem.short is not None:  # a drift cannot trap a fit in short runs
@@ -220,7 +220,7 @@ def _least_squares(
     low: Array,
     high: Array,
     scale: Array,
-    drifts: Sequence[Drift],
+    drifts: Sequence[DriftStrength],
     problem: Problem,
     tolerance: float,
 ) -> tuple[Array, bool]:
@@ -263,7 +263,7 @@ def _search_grid(
     lanes[:, searched] += sizes * np.stack(np.meshgrid(*[steps] * len(searched)), axis=-1).reshape(-1, len(searched))
     lanes = np.clip(lanes, low, high)
     thetas = place(theta, unknowns, lanes)
-    costs = [np.sum(np.abs(data.whitened(thetas, (Drift(),) * len(data.sigma))), axis=1) for data in parts]
+    costs = [np.sum(np.abs(data.whitened(thetas, (DriftStrength(),) * len(data.sigma))), axis=1) for data in parts]
     best: Array = lanes[int(np.argmin(np.sum(costs, axis=0)))]
     return best
 
@@ -273,7 +273,7 @@ def jacobian(
     theta: Array,
     unknowns: Sequence[Unknown],
     x: Array,
-    drifts: Sequence[Drift],
+    drifts: Sequence[DriftStrength],
     high: Array | None = None,
     problem: Problem | None = None,
     known: Array | None = None,

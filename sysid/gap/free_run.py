@@ -17,7 +17,7 @@ from sysid.gap.candidates import Candidate
 from sysid.gap.decision import EXPLAINED, FreeRun
 from sysid.gap.likelihood.discrepancy import Discrepancy
 from sysid.gap.likelihood.disturbance import Disturbance
-from sysid.gap.likelihood.rows import Rows
+from sysid.gap.likelihood.rows import StageRows
 from sysid.gap.likelihood.stage import ModelFit, StageLikelihood, Variances
 from sysid.gap.proposals import Proposals
 
@@ -99,7 +99,7 @@ class LeastSquares(FreeRun):
                 self.proposals.fit(rest, np.concatenate([model.values_of(c) for c in rest])[None])
 
 
-def free_run_of(rows: Rows, discrepancy: Discrepancy, candidates: Sequence[Candidate]) -> LeastSquares:
+def free_run_of(rows: StageRows, discrepancy: Discrepancy, candidates: Sequence[Candidate]) -> LeastSquares:
     white = tuple(Disturbance(float(f), NONE * float(f), NONE * float(f), 1.0, NONE * float(f), 1.0) for f in rows.floor)
     variances = Variances(white, np.zeros(len(discrepancy.groups)), np.ones(rows.count))
     calm = [np.zeros(len(s.step)) for s in rows.series]
@@ -107,7 +107,7 @@ def free_run_of(rows: Rows, discrepancy: Discrepancy, candidates: Sequence[Candi
     return LeastSquares(Proposals(likelihood, candidates))
 
 
-def _clusters(rows: Rows) -> npt.NDArray[np.int64]:
+def _clusters(rows: StageRows) -> npt.NDArray[np.int64]:
     """Rows whose errors may depend on one another, (rows,): as many neighbouring blocks of a recording as an error lasts."""
     first = np.searchsorted(rows.recording_of_block, np.arange(len(rows.recordings)))  # blocks of a recording are neighbours
     within = np.arange(rows.blocks) - first[rows.recording_of_block]

@@ -10,7 +10,7 @@ from typing import Any
 
 from sysid.files import plain
 from sysid.gap.case import Case
-from sysid.gap.proof import Outcome
+from sysid.gap.proof import ProofOutcome
 from sysid.gap.result import Gap
 from sysid.release import __version__
 
@@ -18,7 +18,7 @@ from sysid.release import __version__
 SOFTWARE = ("numpy", "scipy", "numba", "pandas", "arch")
 
 
-def lineage_of(case: Case, outcome: Outcome, gap: Gap, stage_gap: Gap, settings: Mapping[str, Any]) -> dict[str, Any]:
+def lineage_of(case: Case, outcome: ProofOutcome, gap: Gap, stage_gap: Gap, settings: Mapping[str, Any]) -> dict[str, Any]:
     """Plain JSON values; the same run gives the same ones, so that repeating it makes no new version."""
     return plain(  # type: ignore[no-any-return]
         {

@@ -30,7 +30,7 @@ class Units:
 
 
 @dataclass(frozen=True)
-class Variable:
+class MapVariable:
     """What a map is drawn over: values (n,), their unit, and how they are cut into bins."""
 
     values: Array
@@ -38,13 +38,13 @@ class Variable:
     kind: Cut = "range"
 
 
-def joined(parts: Sequence[dict[str, Variable]], lengths: Sequence[int]) -> dict[str, Variable]:
+def joined(parts: Sequence[dict[str, MapVariable]], lengths: Sequence[int]) -> dict[str, MapVariable]:
     """The variables of all recordings, one after the other; NaN where a recording does not have one."""
-    first: dict[str, Variable] = {}
+    first: dict[str, MapVariable] = {}
     for part in parts:
         first = {**part, **first}
     return {
-        name: Variable(
+        name: MapVariable(
             np.concatenate(
                 [part[name].values if name in part else np.full(n, np.nan) for part, n in zip(parts, lengths, strict=True)]
             ),
@@ -55,7 +55,7 @@ def joined(parts: Sequence[dict[str, Variable]], lengths: Sequence[int]) -> dict
     }
 
 
-def variables_of(problem: Problem, recording: Recording, known: Units) -> dict[str, Variable]:
+def variables_of(problem: Problem, recording: Recording, known: Units) -> dict[str, MapVariable]:
     """Name → what may matter for a stage, on the rows that it is measured on."""
     rows = problem.rows(recording)
     if problem.target in known.machine.axis_names:
@@ -63,61 +63,61 @@ def variables_of(problem: Problem, recording: Recording, known: Units) -> dict[s
     else:
         found = _of_point(problem, recording, known)
     if recording.kind == "motion":
-        found["time"] = Variable(recording.values("time"), "s")
-    return {name: Variable(v.values[rows], v.unit, v.kind) for name, v in found.items()}
+        found["time"] = MapVariable(recording.values("time"), "s")
+    return {name: MapVariable(v.values[rows], v.unit, v.kind) for name, v in found.items()}
 
 
-def _of_axis(problem: Problem, recording: Recording, known: Units) -> dict[str, Variable]:
+def _of_axis(problem: Problem, recording: Recording, known: Units) -> dict[str, MapVariable]:
     axis = known.machine.axis(problem.target)
-    found: dict[str, Variable] = {}
+    found: dict[str, MapVariable] = {}
     position, unit = recording.values(axis.driven), known.of(axis.driven)
-    found[axis.driven] = Variable(position, unit)
+    found[axis.driven] = MapVariable(position, unit)
     if recording.kind == "motion":
         speed = speed_of(position, recording.rate_hz)
-        found[f"speed of {axis.name}"] = Variable(speed, per_second(unit), "signed")
-        found[f"direction of {axis.name}"] = Variable(direction_of(speed), "1", "sign")
+        found[f"speed of {axis.name}"] = MapVariable(speed, per_second(unit), "signed")
+        found[f"direction of {axis.name}"] = MapVariable(direction_of(speed), "1", "sign")
         if problem.stage != "force":  # there the force is the output
             signal = axis_signal(axis.name, "command")
-            found[signal] = Variable(recording.values(signal), known.of(signal), "signed")
+            found[signal] = MapVariable(recording.values(signal), known.of(signal), "signed")
         found |= _of_others(axis.name, recording, known)
     return found | _loads(recording, known, (axis.name,))
 
 
-def _of_others(axis: str, recording: Recording, known: Units) -> dict[str, Variable]:
+def _of_others(axis: str, recording: Recording, known: Units) -> dict[str, MapVariable]:
     """The commands of the other axes one by one, and together in shares of the largest of each."""
-    found: dict[str, Variable] = {}
+    found: dict[str, MapVariable] = {}
     total = np.zeros(len(recording))
     for other in known.machine.axes:
         signal = axis_signal(other.name, "command")
         command = recording.values(signal)
         largest = float(np.nanmax(np.abs(command), initial=0.0))
         if other.name != axis and largest > 0.0:
-            found[signal] = Variable(command, known.of(signal), "signed")
+            found[signal] = MapVariable(command, known.of(signal), "signed")
             total += np.abs(command) / largest
     if len(found) > 1:
-        found["other axes together"] = Variable(total, "1")
+        found["other axes together"] = MapVariable(total, "1")
     return found
 
 
-def _of_point(problem: Problem, recording: Recording, known: Units) -> dict[str, Variable]:
+def _of_point(problem: Problem, recording: Recording, known: Units) -> dict[str, MapVariable]:
     """Of the tip: every joint and load. Of the tool: how its pivot moves."""
-    found: dict[str, Variable] = {}
+    found: dict[str, MapVariable] = {}
     if problem.stage == "tool":
         for coordinate in point_signals("ee"):
             speed = speed_of(recording.values(coordinate), recording.rate_hz)
-            found[f"speed of {coordinate}"] = Variable(speed, "m/s", "signed")
-            found[f"acceleration of {coordinate}"] = Variable(speed_of(speed, recording.rate_hz), "m/s²", "signed")
+            found[f"speed of {coordinate}"] = MapVariable(speed, "m/s", "signed")
+            found[f"acceleration of {coordinate}"] = MapVariable(speed_of(speed, recording.rate_hz), "m/s²", "signed")
         return found
     for axis in known.machine.axes:
         joint = axis_signal(axis.name, "joint")
-        found[joint] = Variable(recording.values(joint), known.of(joint))
+        found[joint] = MapVariable(recording.values(joint), known.of(joint))
         if recording.kind == "motion":
             direction = direction_of(speed_of(recording.values(joint), recording.rate_hz))
-            found[f"direction of {axis.name}"] = Variable(direction, "1", "sign")
+            found[f"direction of {axis.name}"] = MapVariable(direction, "1", "sign")
     return found | _loads(recording, known, known.machine.axis_names)
 
 
-def _loads(recording: Recording, known: Units, axes: Sequence[str]) -> dict[str, Variable]:
+def _loads(recording: Recording, known: Units, axes: Sequence[str]) -> dict[str, MapVariable]:
     """Gravity loads of axes that have one."""
     if known.machine.kinematics() is None:
         return {}
@@ -127,5 +127,5 @@ def _loads(recording: Recording, known: Units, axes: Sequence[str]) -> dict[str,
         values = loads[:, known.machine.axis_names.index(name)]
         if np.any(values):
             joint_unit = known.of(axis_signal(name, "joint"))
-            found[f"load of {name}"] = Variable(values, "N" if joint_unit == "m" else "N·m")
+            found[f"load of {name}"] = MapVariable(values, "N" if joint_unit == "m" else "N·m")
     return found

@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sysid.datasets.recording import Recording
-from sysid.gap.map_variables import Units, Variable, joined, variables_of
+from sysid.gap.map_variables import MapVariable, Units, joined, variables_of
 from sysid.gap.problem import Problem
 from sysid.gap.result import Map
 from sysid.machine import Machine
@@ -73,7 +73,7 @@ def _own(over: str, target: str) -> bool:
     return over == "time" or split_signal(over)[0] == target or over.endswith(f" of {target}")
 
 
-def _map(problem: Problem, signal: str, over: str, variable: Variable, view: _View) -> Map | None:
+def _map(problem: Problem, signal: str, over: str, variable: MapVariable, view: _View) -> Map | None:
     """One map; None where the variable does not vary."""
     there = np.isfinite(view.error) & np.isfinite(variable.values)
     if there.sum() < 2 * LEAST_ROWS:

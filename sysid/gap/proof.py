@@ -20,11 +20,11 @@ from sysid.gap.intervals import known_of
 from sysid.gap.likelihood.stage import ModelFit
 from sysid.gap.localise import stage_rmse
 from sysid.gap.readings import Coarse
-from sysid.gap.result import Alternative, Evidence, Gap, NamedEffect, ResidualModelResult, Unnamed, Value
+from sysid.gap.result import Alternative, EffectEvidence, Gap, NamedEffect, ResidualModelResult, Unnamed, Value
 from sysid.gap.stage_result import AcceptedEffect, StageResult
 from sysid.gap.unnamed.residual_formula import describe_residual
 from sysid.machine import KnownEffect
-from sysid.plant import Place, Plant, Uncertainty
+from sysid.plant import Plant, PlantNumber, Uncertainty
 
 Array = npt.NDArray[np.float64]
 
@@ -35,7 +35,7 @@ DETERMINED = 0.25
 
 
 @dataclass
-class Outcome:
+class ProofOutcome:
     """What the stages together come to."""
 
     repaired: Plant
@@ -46,9 +46,9 @@ class Outcome:
     carried: list[ResidualModelResult] = field(default_factory=list)
 
 
-def judge(case: Case, stages: Sequence[Stage]) -> Outcome:
+def judge(case: Case, stages: Sequence[Stage]) -> ProofOutcome:
     """Put what was found and proven into the plant, and say of the rest what it is."""
-    outcome = Outcome(case.plant)
+    outcome = ProofOutcome(case.plant)
     for coarse in case.coarse:
         _read_off(case, stages, coarse, outcome)
     for searched in stages:
@@ -138,7 +138,7 @@ def _adds_up(finding: StageResult) -> bool:
     return finding.stage_fit is not None and finding.stage_fit.decision.adds_up
 
 
-def _without_name(stage: Stage, refused: Mapping[str, str], outcome: Outcome) -> None:
+def _without_name(stage: Stage, refused: Mapping[str, str], outcome: ProofOutcome) -> None:
     """A stage whose gap is closed by effects that are excited and yet not certain enough for a name.
 
     ``refused``: by label, why a name that the decision gave is not kept.
@@ -156,7 +156,7 @@ def _without_name(stage: Stage, refused: Mapping[str, str], outcome: Outcome) ->
     outcome.unnamed.append(Unnamed(stage.problem.stage, stage.problem.target, rmse, depends, form))
 
 
-def _describe(case: Case, stage: Stage, proven: bool, outcome: Outcome) -> None:
+def _describe(case: Case, stage: Stage, proven: bool, outcome: ProofOutcome) -> None:
     """What is left of a stage: a systematic remainder without a name, or a random disturbance, which is no gap."""
     finding = stage.found
     assert finding.stage_fit is not None
@@ -185,7 +185,7 @@ def _better(stage: Stage) -> bool:
     return bool(there.any() and (after[there] <= limit).all() and (whole or not _shown(stage, stage.theta)))
 
 
-def _read_off(case: Case, stages: Sequence[Stage], coarse: Coarse, outcome: Outcome) -> None:
+def _read_off(case: Case, stages: Sequence[Stage], coarse: Coarse, outcome: ProofOutcome) -> None:
     """The steps of a sensor get a name where its stage would stay above the noise that it is said to have."""
     outcome.repaired = outcome.repaired.with_effect(coarse.effect)
     share = max((_explained(case, stage, coarse) for stage in stages if coarse.signal in stage.problem.signals), default=0.0)
@@ -208,7 +208,7 @@ def _explained(case: Case, stage: Stage, coarse: Coarse) -> float:
     return (min(off, stepped) - floor) / (off - floor) if min(off, stepped) > EXPLAINED * floor else 0.0
 
 
-def _accept(stage: Stage, outcome: Outcome) -> dict[str, str]:
+def _accept(stage: Stage, outcome: ProofOutcome) -> dict[str, str]:
     """Name what matters on held-out recordings; the whole model goes into the plant. By label, why effects lose their name."""
     finding = stage.found
     refused = dict[str, str]()
@@ -252,7 +252,7 @@ def _accept(stage: Stage, outcome: Outcome) -> dict[str, str]:
     return refused
 
 
-def _know_better(outcome: Outcome, found: NamedEffect, instance: KnownEffect) -> None:
+def _know_better(outcome: ProofOutcome, found: NamedEffect, instance: KnownEffect) -> None:
     """Take the values of the stage that knows an effect best, where several show it."""
     for k, known in enumerate(outcome.named):
         same = (known.name, known.target, known.side) == (found.name, found.target, found.side)
@@ -317,14 +317,14 @@ def _interval(model: ModelFit) -> Array:
 
 def _uncertainty(model: ModelFit, plant: Plant) -> Uncertainty:
     """What the fit of a stage says of the plant's parameters: of those effects that it has (some are known as an alias)."""
-    places, kept = list[Place](), list[int]()
+    places, kept = list[PlantNumber](), list[int]()
     for candidate in model.candidates:
         name, target, side = candidate.key
         if plant.effect(name, target, side) is None:
             continue
         kept += range(len(model.unknowns))[model.rows_of(candidate)]
         for parameter in candidate.form.parameters:
-            places += [Place(name, target, side, parameter.name, k) for k in range(len(parameter.components))]  # type: ignore[arg-type]
+            places += [PlantNumber(name, target, side, parameter.name, k) for k in range(len(parameter.components))]  # type: ignore[arg-type]
     return Uncertainty(tuple(places), model.covariance[np.ix_(kept, kept)])
 
 
@@ -352,7 +352,7 @@ def _named(stage: Stage, kept: AcceptedEffect, limits: Array, share: float) -> N
         tuple(Alternative(c.effect.name, c.target, why) for c, why in kept.rejected),
         candidate.aliases,
         side=candidate.side,
-        evidence=Evidence(compared.delta_bic, compared.gain, compared.p_value, compared.ratio),
+        evidence=EffectEvidence(compared.delta_bic, compared.gain, compared.p_value, compared.ratio),
         undetermined=tuple(undetermined),
     )
 
@@ -389,7 +389,7 @@ def _score(stage: Stage, theta: Array, recordings: Sequence[Recording]) -> float
     return float(np.sqrt(np.nanmean((stage_rmse(stage.problem, theta, recordings) / stage.sigma) ** 2)))
 
 
-def with_carried(gap: Gap, outcome: Outcome) -> Gap:
+def with_carried(gap: Gap, outcome: ProofOutcome) -> Gap:
     """The gap by stage, after the residual networks where they were accepted."""
     accepted = [item for item in outcome.carried if item.accepted]
     after = {**gap.after, **{item.signal: item.after for item in accepted}}

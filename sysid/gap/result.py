@@ -32,7 +32,7 @@ class Alternative:
 
 
 @dataclass(frozen=True)
-class Evidence:
+class EffectEvidence:
     """What speaks for an effect, compared with the best fit without it.
 
     Args:
@@ -64,7 +64,7 @@ class NamedEffect:
     alternatives: tuple[Alternative, ...] = ()
     aliases: tuple[tuple[str, str], ...] = ()
     side: str | None = None
-    evidence: Evidence | None = None
+    evidence: EffectEvidence | None = None
     undetermined: tuple[str, ...] = ()
 
     @property
@@ -184,7 +184,7 @@ class WorldGap:
 
 
 @dataclass(frozen=True)
-class Candidate:
+class ComparedModel:
     """One row of the evidence table: a set of effects that was fitted, and how it did."""
 
     stage: str
@@ -300,7 +300,7 @@ class GapResult:
     held_out_recordings: tuple[str, ...]
     seconds: float
     localised: tuple[Localised, ...] = ()
-    candidates: tuple[Candidate, ...] = ()
+    candidates: tuple[ComparedModel, ...] = ()
     traces: tuple[Traces, ...] = ()
     notes: tuple[str, ...] = ()
     experiments: tuple[Experiment, ...] = ()

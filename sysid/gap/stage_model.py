@@ -16,7 +16,7 @@ from sysid.gap.free_run import LeastSquares, free_run_of
 from sysid.gap.likelihood.averaged import SPANS, averaged
 from sysid.gap.likelihood.discrepancy import Discrepancy, discrepancy_of
 from sysid.gap.likelihood.explained import Explained, explained
-from sysid.gap.likelihood.rows import Rows, averaged_out
+from sysid.gap.likelihood.rows import StageRows, averaged_out
 from sysid.gap.likelihood.stage import ModelFit, StageLikelihood, Variances, fit_model
 from sysid.gap.likelihood.variances import Start, estimated, first_variances, log_prior, own_evidence, robust
 from sysid.gap.problem import Problem
@@ -46,7 +46,7 @@ class StageFit:
     ``names_alone``: the same with the named effects alone, where the chosen model has others.
     """
 
-    rows: Rows
+    rows: StageRows
     likelihood: StageLikelihood
     models: tuple[ModelFit, ...]
     decision: Decision
@@ -84,7 +84,7 @@ def fit_stage(
     hidden = averaged_out(problem, recordings, theta, sigma, span)
     if span > 0.0:
         recordings = [averaged(r, problem.stage) for r in recordings]
-    rows = Rows(problem, recordings, theta, sigma, hidden)
+    rows = StageRows(problem, recordings, theta, sigma, hidden)
     sample = recordings[0].rate_hz / full  # of the log, in samples of the averaged recordings
     samples = max(1, round(1.0 / sample)) * rows.series[0].width
     start = _start(rows, sigma, samples)
@@ -156,7 +156,7 @@ def _valued(model: ModelFit, decision: Decision, free: LeastSquares) -> ModelFit
 
 def _settled(
     model: Model,
-    rows: Rows,
+    rows: StageRows,
     discrepancy: Discrepancy,
     sample: float,
     start: Start,
@@ -191,13 +191,13 @@ def _settled(
     return likelihood, proposals.best
 
 
-def _discrepancy(model: Model, rows: Rows, theta: Array, sample: float) -> Discrepancy:
+def _discrepancy(model: Model, rows: StageRows, theta: Array, sample: float) -> Discrepancy:
     """The columns of a stage; timing is open by half a sample of the log, not by half of what it was averaged over."""
     found = discrepancy_of(model, rows, theta)
     return replace(found, timing=sample * found.timing)
 
 
-def _start(rows: Rows, sigma: Array, samples: int) -> Start:
+def _start(rows: StageRows, sigma: Array, samples: int) -> Start:
     """Noise of a row and a typical disturbance, by signal."""
     noise, typical = np.empty(len(sigma)), np.empty(len(sigma))
     for k in range(len(sigma)):
@@ -213,7 +213,7 @@ def _start(rows: Rows, sigma: Array, samples: int) -> Start:
     return Start(noise, typical)
 
 
-def _transients(rows: Rows) -> list[Array]:
+def _transients(rows: StageRows) -> list[Array]:
     """Variance that the level of an integrating stage gains while an unknown start state dies out."""
     found = []
     fast = [float(np.nanpercentile(np.abs(np.diff(s.measured) / s.step[1:]), 95)) for s in rows.series]

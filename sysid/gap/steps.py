@@ -26,7 +26,7 @@ from sysid.gap.excitation import advice, advice_on_tie, excitation_of
 from sysid.gap.floor import floor_spread, run_floor
 from sysid.gap.lineage import lineage_of
 from sysid.gap.promotion import first_promotion, free_run_check, names_check, stages_check, world_check
-from sysid.gap.proof import Outcome, held_out_score, judge, stage_gap, with_carried
+from sysid.gap.proof import ProofOutcome, held_out_score, judge, stage_gap, with_carried
 from sysid.gap.result import Check, Excitation, Gap, Localised, Promotion, Traces, WorldGap
 from sysid.gap.stages import Forms, search_stages
 from sysid.gap.world_proof import world_gap
@@ -76,7 +76,7 @@ class Proof:
         world: the gap in the PyBullet world, where it was asked for.
     """
 
-    outcome: Outcome
+    outcome: ProofOutcome
     gap: Gap
     stage_gap: Gap
     traces: tuple[Traces, ...]
@@ -144,7 +144,7 @@ def prove(study: Study, world: bool = False, progress: Progress = silent, *, car
     return measure(study, outcome, world, progress)
 
 
-def measure(study: Study, outcome: Outcome, world: bool = False, progress: Progress = silent) -> Proof:
+def measure(study: Study, outcome: ProofOutcome, world: bool = False, progress: Progress = silent) -> Proof:
     """The gap on held-out recordings before and after the repair of ``outcome``."""
     case = study.case
     held_out, nominal, better = case.split.held_out, case.runner(case.plant), case.runner(outcome.repaired)

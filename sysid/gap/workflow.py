@@ -14,10 +14,10 @@ from sysid.gap import steps
 from sysid.gap.adapters.simulator import Simulator, name_of
 from sysid.gap.case import Case, Stage, excitation
 from sysid.gap.decision import EXPLAINED
-from sysid.gap.experiment import Planning, Proposal, open_hypotheses, propose
+from sysid.gap.experiment import ExperimentProposal, Planning, open_hypotheses, propose
 from sysid.gap.maps import maps_of
-from sysid.gap.proof import Outcome
-from sysid.gap.result import Candidate, Excitation, GapResult, Localised, Map, Verdict
+from sysid.gap.proof import ProofOutcome
+from sysid.gap.result import ComparedModel, Excitation, GapResult, Localised, Map, Verdict
 from sysid.gap.shares import shares_of
 from sysid.gap.stage_result import StageResult
 from sysid.gap.stages import Forms
@@ -80,11 +80,11 @@ def find_gap(
     study = steps.open_study(dataset, plant, seed)
     tell(0.02, "localising")
     located = steps.localise(study)
-    case, proposal, after_reference, promotion = study.case, Proposal(), "", None
+    case, proposal, after_reference, promotion = study.case, ExperimentProposal(), "", None
     own = registry is not None and case.adapter is None
     reference = steps.register(case, case.plant, registry, {}) if registry is not None and own else case.reference
     if localise_only:
-        proof = steps.measure(study, Outcome(case.plant))
+        proof = steps.measure(study, ProofOutcome(case.plant))
     else:
         study = steps.search(study, forms, part(tell, 0.05, 0.85))
         tell(0.87, "proving on held-out recordings")
@@ -141,14 +141,15 @@ def _maps(case: Case, stages: Sequence[Stage], repaired: Array | None) -> tuple[
     return tuple(item for maps in of_stages for item in maps)
 
 
-def _rows(stage: Stage, finding: StageResult) -> list[Candidate]:
+def _rows(stage: Stage, finding: StageResult) -> list[ComparedModel]:
     where = stage.problem.stage, stage.problem.target
     return [
-        Candidate(*where, t.effects, t.parameters, t.fit_rmse, t.selection_rmse, t.delta_bic, t.verdict) for t in finding.trials
+        ComparedModel(*where, t.effects, t.parameters, t.fit_rmse, t.selection_rmse, t.delta_bic, t.verdict)
+        for t in finding.trials
     ]
 
 
-def _verdict(outcome: Outcome, located: Sequence[Localised], shown: Sequence[Excitation], localise_only: bool) -> Verdict:
+def _verdict(outcome: ProofOutcome, located: Sequence[Localised], shown: Sequence[Excitation], localise_only: bool) -> Verdict:
     if outcome.named:
         return "named"
     if outcome.ties:

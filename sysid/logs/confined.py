@@ -32,7 +32,7 @@ from sysid.errors import InputError, SysidError
 from sysid.logs.limits import Budget
 from sysid.logs.reader import LogReader, ReadOptions
 from sysid.logs.stream import Stream
-from sysid.scratch import Scratch, Segment
+from sysid.scratch import Scratch, ScratchSegment
 
 T = TypeVar("T")
 
@@ -246,7 +246,7 @@ class _Answer:
         """The value of a result, whose arrays come behind it or lie in the file."""
         described, listed = result
         arrays = []
-        segment: Segment | None = None
+        segment: ScratchSegment | None = None
         for code, count, writeable, place in listed:
             if place is None:
                 array = scratch.empty(count, np.dtype(code))
@@ -258,11 +258,11 @@ class _Answer:
             arrays.append(array)
         return _value(described, arrays, kinds)
 
-    def _mapped(self) -> Segment:
+    def _mapped(self) -> ScratchSegment:
         own = scratch.current()
         if own is None or self.file is None:
             raise ValueError("an array in a scratch file that there is not")
-        segment = Segment(self.file, 0, os.fstat(self.file).st_size)
+        segment = ScratchSegment(self.file, 0, os.fstat(self.file).st_size)
         own.adopt(segment)
         return segment
 

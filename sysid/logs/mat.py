@@ -16,7 +16,7 @@ import numpy.typing as npt
 from sysid import scratch
 from sysid.errors import InputError
 from sysid.logs.limits import Budget
-from sysid.logs.mat_file import MatError, Variable, find_variables, read_variables
+from sysid.logs.mat_file import MatError, MatVariable, find_variables, read_variables
 from sysid.logs.reader import ALL, ReadOptions
 from sysid.logs.stream import Stream
 from sysid.logs.table import TIME_NAMES, Columns, is_wanted, table_stream
@@ -51,7 +51,7 @@ class MatReader:
         return [(name, _as_floats(array)) for name, array in _read(path, same, budget).items()], losses
 
 
-def _variables(path: Path, budget: Budget) -> dict[str, Variable]:
+def _variables(path: Path, budget: Budget) -> dict[str, MatVariable]:
     """Every numeric variable of the file by its path.
 
     Raises:
@@ -68,7 +68,7 @@ def _variables(path: Path, budget: Budget) -> dict[str, Variable]:
         raise _unreadable(path, error) from None
 
 
-def _read(path: Path, variables: Mapping[str, Variable], budget: Budget) -> dict[str, npt.NDArray[Any]]:
+def _read(path: Path, variables: Mapping[str, MatVariable], budget: Budget) -> dict[str, npt.NDArray[Any]]:
     budget.check_numbers(path, sum(variable.count for variable in variables.values()))
     try:
         return read_variables(path, variables)
@@ -80,7 +80,7 @@ def _unreadable(path: Path, error: MatError) -> InputError:
     return InputError(path, f"not readable as a MATLAB file ({error})", "a .mat file of version 4 to 7")
 
 
-def _chosen(variables: Mapping[str, Variable], options: ReadOptions) -> dict[str, Variable]:
+def _chosen(variables: Mapping[str, MatVariable], options: ReadOptions) -> dict[str, MatVariable]:
     """The variables that are wanted, by themselves or one of their columns (``q[2]``), and those that may be the time."""
     if options.columns is None:
         return dict(variables)
@@ -91,7 +91,7 @@ def _chosen(variables: Mapping[str, Variable], options: ReadOptions) -> dict[str
     return wanted
 
 
-def _rows(variables: Mapping[str, Variable], options: ReadOptions) -> int | None:
+def _rows(variables: Mapping[str, MatVariable], options: ReadOptions) -> int | None:
     """How many rows the table has; None where no time vector says it."""
     vectors = {name: variable for name, variable in variables.items() if len(variable.shape) == 1}
     if options.rate_hz is not None and options.time is None:
@@ -100,13 +100,13 @@ def _rows(variables: Mapping[str, Variable], options: ReadOptions) -> int | None
     return vectors[time].count if time in vectors else None
 
 
-def _usual_length(vectors: Mapping[str, Variable]) -> int:
+def _usual_length(vectors: Mapping[str, MatVariable]) -> int:
     lengths = [variable.count for variable in vectors.values()]
     return max(lengths, key=lambda length: (lengths.count(length), length), default=0)
 
 
 def _columns(
-    path: Path, variables: Mapping[str, Variable], rows: int | None, budget: Budget, options: ReadOptions
+    path: Path, variables: Mapping[str, MatVariable], rows: int | None, budget: Budget, options: ReadOptions
 ) -> list[tuple[str, npt.NDArray[np.float64]]]:
     """The vectors that are as long as the time vector; matrices with that many rows give one column each."""
     if rows is None:  # table_stream says that the time is missing, and what there is

@@ -38,7 +38,7 @@ class MatError(ValueError):
 
 
 @dataclass(frozen=True)
-class Variable:
+class MatVariable:
     """Where the numbers of a variable are.
 
     Args:
@@ -59,7 +59,7 @@ class Variable:
         return math.prod(self.shape)
 
 
-def find_variables(path: Path, budget: Budget) -> dict[str, Variable]:
+def find_variables(path: Path, budget: Budget) -> dict[str, MatVariable]:
     """Variable, or ``structure.field`` → where its numbers are.
 
     Raises:
@@ -71,7 +71,7 @@ def find_variables(path: Path, budget: Budget) -> dict[str, Variable]:
         if head[126:128] not in (b"IM", b"MI"):
             file.seek(0)
             return dict(_version_4(file, size))
-        found: dict[str, Variable] = {}
+        found: dict[str, MatVariable] = {}
         order = "<" if head[126:128] == b"IM" else ">"
         left = min(budget.unpacked, max(FREE, size * MAX_RATIO))
         while tag := file.read(8):
@@ -93,7 +93,7 @@ def find_variables(path: Path, budget: Budget) -> dict[str, Variable]:
     return found
 
 
-def read_variables(path: Path, variables: Mapping[str, Variable]) -> dict[str, npt.NDArray[Any]]:
+def read_variables(path: Path, variables: Mapping[str, MatVariable]) -> dict[str, npt.NDArray[Any]]:
     """The numbers of ``variables`` in the types that the file has; each packed variable is unpacked once.
 
     Raises:
@@ -119,7 +119,7 @@ def read_variables(path: Path, variables: Mapping[str, Variable]) -> dict[str, n
 _STORED_4 = ("f8", "f4", "i4", "i2", "u2", "u1")
 
 
-def _version_4(file: io.BufferedReader, size: int) -> Iterator[tuple[str, Variable]]:
+def _version_4(file: io.BufferedReader, size: int) -> Iterator[tuple[str, MatVariable]]:
     """Matrices one after the other: type, rows, columns, complex, length of the name; name; numbers."""
     while head := file.read(20):
         for order in "<>":
@@ -137,7 +137,7 @@ def _version_4(file: io.BufferedReader, size: int) -> Iterator[tuple[str, Variab
         file.seek(start + extent * (2 if is_complex else 1))
         shape = tuple(extent for extent in (rows, columns) if extent != 1)
         if kind % 10 == 0 and shape:
-            yield name, Variable(shape, code, (start, extent), False, 0)
+            yield name, MatVariable(shape, code, (start, extent), False, 0)
 
 
 class _Bytes(Protocol):
@@ -239,7 +239,7 @@ class _Walk:
     order: str
     source: tuple[int, int]
     packed: bool
-    found: dict[str, Variable]
+    found: dict[str, MatVariable]
 
     def element(self, end: int) -> _Element:
         """The tag of the element here; the element has to end before ``end``."""
@@ -321,7 +321,9 @@ class _Walk:
             raise MatError(f"{name}: {count} numbers for a size of {' × '.join(map(str, shape))}")
         squeezed = tuple(size for size in shape if size != 1)
         if squeezed:
-            self.found[name] = Variable(squeezed, kind, self.source, self.packed, element.start if element is not None else 0)
+            self.found[name] = MatVariable(
+                squeezed, kind, self.source, self.packed, element.start if element is not None else 0
+            )
 
     def structure(self, name: str, end: int, depth: int) -> None:
         length = self._part(end)

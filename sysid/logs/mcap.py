@@ -10,7 +10,7 @@ import numpy as np
 from sysid.errors import InputError
 from sysid.logs.layout import Bytes
 from sysid.logs.limits import Budget
-from sysid.logs.mcap_file import CHANNEL, HEAD, MESSAGE_HEAD, RECORD, SCHEMA, STATISTICS, Block, McapFile
+from sysid.logs.mcap_file import CHANNEL, HEAD, MESSAGE_HEAD, RECORD, SCHEMA, STATISTICS, McapBlock, McapFile
 from sysid.logs.reader import ReadOptions
 from sysid.logs.stream import Stream
 from sysid.logs.topics import Topic, check_held, finished, make_decoder
@@ -92,7 +92,7 @@ class _Log:
             if int(number) in self.channels:
                 self.channels[int(number)].expect(min(int(count), most))
 
-    def take(self, block: Block) -> None:
+    def take(self, block: McapBlock) -> None:
         """Hand the messages of ``block`` to their topics."""
         if not len(block.starts):
             return

@@ -46,7 +46,7 @@ HEAD = np.dtype(
 
 
 @dataclass(frozen=True)
-class Block:
+class McapBlock:
     """Definitions (opcode, body), and message records: where they start in ``data``."""
 
     definitions: tuple[tuple[int, bytes], ...]
@@ -73,7 +73,7 @@ class McapFile:
     position: int = 0
     size: int = 1
 
-    def blocks(self) -> Iterator[Block]:
+    def blocks(self) -> Iterator[McapBlock]:
         """The summary's definitions first (they repeat those whose chunk is damaged), then the data section in order."""
         self.size = size = self.path.stat().st_size
         with self.path.open("rb") as file:
@@ -81,19 +81,19 @@ class McapFile:
             if magic != MAGIC:
                 remedy = "Is it a ROS 1 bag?" if magic.startswith(b"#ROSBAG") else "Is it another kind of file?"
                 raise InputError(self.path, f"starts with {magic.hex()}", "the magic bytes of an MCAP file", remedy)
-            yield Block(tuple(_summary(file, size)), _NOTHING, _NO_STARTS)
+            yield McapBlock(tuple(_summary(file, size)), _NOTHING, _NO_STARTS)
             file.seek(len(MAGIC))
             yield from self._unpacked(_data_section(file, size, self.budget.chunk))
 
-    def _unpacked(self, items: Iterator[_Chunk | Block | str]) -> Iterator[Block]:
+    def _unpacked(self, items: Iterator[_Chunk | McapBlock | str]) -> Iterator[McapBlock]:
         """The blocks of ``items`` in order; the next chunks are unpacked in other threads while one is being used."""
-        waiting: deque[tuple[Future[Block | str] | Block | str, int]] = deque()
+        waiting: deque[tuple[Future[McapBlock | str] | McapBlock | str, int]] = deque()
         held = unpacked = 0
         with ThreadPoolExecutor(_THREADS) as pool:
             for item in items:
                 size = self._stated_size(item.body) if isinstance(item, _Chunk) else 0
                 self.position += (
-                    len(item.body) if isinstance(item, _Chunk) else len(item.data) if isinstance(item, Block) else 0
+                    len(item.body) if isinstance(item, _Chunk) else len(item.data) if isinstance(item, McapBlock) else 0
                 )
                 waiting.append((pool.submit(_unpack, item, self.budget) if isinstance(item, _Chunk) else item, size))
                 held += size
@@ -110,7 +110,7 @@ class McapFile:
         unpacked = int.from_bytes(body[16:24], "little") if len(body) >= 40 else 0
         return len(body) + min(unpacked, self.budget.chunk)
 
-    def _taken(self, item: Future[Block | str] | Block | str) -> Iterator[Block]:
+    def _taken(self, item: Future[McapBlock | str] | McapBlock | str) -> Iterator[McapBlock]:
         found = item.result() if isinstance(item, Future) else item
         if isinstance(found, str):
             self.losses.append(f"{self.path.name}: {found}")
@@ -118,7 +118,7 @@ class McapFile:
             yield found
 
 
-def _data_section(file: BinaryIO, size: int, largest: int) -> Iterator[_Chunk | Block | str]:
+def _data_section(file: BinaryIO, size: int, largest: int) -> Iterator[_Chunk | McapBlock | str]:
     """Chunks, the records outside of chunks, and what is lost, in the order of the file."""
     position = len(MAGIC)
     loose = bytearray()
@@ -158,11 +158,11 @@ def _data_section(file: BinaryIO, size: int, largest: int) -> Iterator[_Chunk | 
         position = start + length
 
 
-def _unpack(chunk: _Chunk, budget: Budget) -> Block | str:
+def _unpack(chunk: _Chunk, budget: Budget) -> McapBlock | str:
     """The records of a chunk, or why there are none."""
     body = chunk.body
     if len(body) < 40:
-        return Block((), _NOTHING, _NO_STARTS)
+        return McapBlock((), _NOTHING, _NO_STARTS)
     _, _, size, checksum, name_length = struct.unpack_from("<QQQII", body)
     compression = body[32 : 32 + name_length].decode("ascii", errors="replace")
     packed = memoryview(body)[32 + name_length + 8 :]
@@ -208,7 +208,7 @@ def walk(records: Buffer, start: int = 0, end: int | None = None) -> Iterator[tu
         position = after
 
 
-def _block(records: Buffer) -> Block:
+def _block(records: Buffer) -> McapBlock:
     """Records one after the other."""
     starts = []
     definitions = []
@@ -217,10 +217,10 @@ def _block(records: Buffer) -> Block:
             starts.append(position)
         elif opcode in (SCHEMA, CHANNEL):
             definitions.append((opcode, bytes(records[position + RECORD : position + RECORD + length])))
-    return Block(tuple(definitions), np.frombuffer(records, np.uint8), np.array(starts, dtype=np.int64))
+    return McapBlock(tuple(definitions), np.frombuffer(records, np.uint8), np.array(starts, dtype=np.int64))
 
 
-def _indexed_block(records: Buffer, index: Sequence[bytes]) -> Block | None:
+def _indexed_block(records: Buffer, index: Sequence[bytes]) -> McapBlock | None:
     """The same by the message index behind the chunk; None unless the index accounts for every byte of the chunk."""
     entries = [np.frombuffer(body, "<u8", offset=6, count=(len(body) - 6) // 16 * 2)[1::2] for body in index if len(body) > 6]
     if not entries:
@@ -248,4 +248,4 @@ def _indexed_block(records: Buffer, index: Sequence[bytes]) -> Block | None:
             position = at + RECORD + length
         if position != after[gap]:
             return None
-    return Block(tuple(definitions), data, starts)
+    return McapBlock(tuple(definitions), data, starts)

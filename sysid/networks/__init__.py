@@ -1,15 +1,15 @@
 """Networks: actuator (cylinder ↔ joint), command → motion, forward (joints → end effector). Fitting alone loads torch."""
 
-from sysid.networks.actuator import ActuatorNetwork, RoundTrip, fit_actuator
+from sysid.networks.actuator import ActuatorNetwork, RoundTripError, fit_actuator
 from sysid.networks.artifacts import Model, from_files, history_networks, motion_networks, static_networks, to_files
 from sysid.networks.calibration import Calibrated, Calibration, calibrate
-from sysid.networks.chain import Chain, fit_chain
+from sysid.networks.chain import FittedChain, fit_chain
 from sysid.networks.checkpoint import Checkpoints
 from sysid.networks.forward import ForwardModel, ForwardNetwork, learn_forward
 from sysid.networks.forward_models import AnyForward, fit_forward
 from sysid.networks.geometry import Geometry, GeometryParameter
 from sysid.networks.history import HistoryNetwork, fit_history
-from sysid.networks.member import Course, Member, Trained, TrainingSettings
+from sysid.networks.member import LearningCurve, Member, TrainedMember, TrainingSettings
 from sysid.networks.mlp import Mlp, Normalisation
 from sysid.networks.motion import MotionNetwork, fit_motion
 from sysid.networks.recipe import (
@@ -33,10 +33,9 @@ __all__ = [
     "AnyForward",
     "Calibrated",
     "Calibration",
-    "Chain",
     "Checkpoints",
-    "Course",
     "Domain",
+    "FittedChain",
     "ForwardModel",
     "ForwardNetwork",
     "ForwardRecipe",
@@ -45,6 +44,7 @@ __all__ = [
     "HistoryNetwork",
     "HistoryRecipe",
     "Intervals",
+    "LearningCurve",
     "Member",
     "Mlp",
     "Model",
@@ -52,9 +52,9 @@ __all__ = [
     "MotionRecipe",
     "NetworkRecipe",
     "Normalisation",
-    "RoundTrip",
+    "RoundTripError",
     "StructuredForward",
-    "Trained",
+    "TrainedMember",
     "TrainingSettings",
     "Trust",
     "calibrate",

@@ -15,10 +15,10 @@ import numpy.typing as npt
 from sysid.datasets.recording import Dataset
 from sysid.errors import ExcitationError
 from sysid.networks.checkpoint import Checkpoints
-from sysid.networks.member import Course, Member, Trained
+from sysid.networks.member import LearningCurve, Member, TrainedMember
 from sysid.networks.mlp import Mlp
 from sysid.networks.recipe import NetworkRecipe
-from sysid.networks.split import Rows, gather, joined, measures, segments, spread_sample, thin
+from sysid.networks.split import SignalRows, gather, joined, measures, segments, spread_sample, thin
 from sysid.networks.training import train
 from sysid.networks.trust import Mask, Trust, known
 from sysid.progress import Progress
@@ -32,7 +32,7 @@ DIRECTIONS = ("to_joint", "to_cylinder")
 
 
 @dataclass(frozen=True)
-class RoundTrip:
+class RoundTripError:
     """How far a value is from where it went: joint → cylinder → joint [rad] and back [m], evenly over the fitted range."""
 
     joint_rmse: float
@@ -59,7 +59,7 @@ class ActuatorNetwork:
     to_cylinder: Mlp
     displacements: tuple[float, float]
     joints: tuple[float, float]
-    courses: Mapping[str, Course] = field(default_factory=dict)
+    courses: Mapping[str, LearningCurve] = field(default_factory=dict)
     trust: Mapping[str, Trust] = field(default_factory=dict)
 
     def joint(self, displacement: Array) -> Array:
@@ -87,12 +87,12 @@ class ActuatorNetwork:
         trust = known(self.trust.get(direction), f"actuator network of {self.axis}")
         return trust.domain.inside(np.asarray(values, dtype=np.float64).reshape(-1, 1))
 
-    def round_trip(self, points: int = 512) -> RoundTrip:
+    def round_trip(self, points: int = 512) -> RoundTripError:
         """Whether the two directions, which were learned apart, are inverses of each other."""
         joints, displacements = np.linspace(*self.joints, points), np.linspace(*self.displacements, points)
         joint_error = self.joint(self.displacement(joints)) - joints
         cylinder_error = self.displacement(self.joint(displacements)) - displacements
-        return RoundTrip(
+        return RoundTripError(
             joint_rmse=float(np.sqrt(np.mean(joint_error**2))),
             joint_max=float(np.abs(joint_error).max()),
             cylinder_rmse=float(np.sqrt(np.mean(cylinder_error**2))),
@@ -162,7 +162,7 @@ def fit_actuator(
     }
 
 
-def _trusted(results: Mapping[str, tuple[Member, Trained]]) -> dict[str, Trust]:
+def _trusted(results: Mapping[str, tuple[Member, TrainedMember]]) -> dict[str, Trust]:
     """From the rows that decided when to stop: those that taught are reproduced better than any other."""
     found = {}
     for direction, (member, trained) in results.items():
@@ -179,7 +179,7 @@ def cylinder_axes(dataset: Dataset) -> tuple[str, ...]:
     return tuple(axis for axis, both in signals.items() if measures(dataset, both, "motion"))
 
 
-def actuator_rows(dataset: Dataset, axis: str, recipe: NetworkRecipe) -> tuple[Rows, Rows]:
+def actuator_rows(dataset: Dataset, axis: str, recipe: NetworkRecipe) -> tuple[SignalRows, SignalRows]:
     """The rows (cylinder, joint) that one axis is fitted and validated on.
 
     Raises:

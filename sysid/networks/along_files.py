@@ -14,12 +14,12 @@ from sysid.errors import StoreError
 from sysid.networks import cell
 from sysid.networks.actuator import DIRECTIONS, ActuatorNetwork
 from sysid.networks.history import HistoryNetwork
-from sysid.networks.member import Course
+from sysid.networks.member import LearningCurve
 from sysid.networks.memory import Memory
 from sysid.networks.mlp import Mlp
-from sysid.networks.motion import Candidate, MotionNetwork
+from sysid.networks.motion import MotionNetwork, TriedInputs
 from sysid.networks.motion_inputs import Window
-from sysid.networks.rollout import Bounds
+from sysid.networks.rollout import MotionBounds
 
 Array = npt.NDArray[np.float64]
 Tensors = dict[str, npt.NDArray[Any]]
@@ -87,7 +87,7 @@ def put_motions(model: Mapping[str, MotionNetwork], put: Callable[[str, Mlp], No
 
 
 def take_motions(
-    axes: Mapping[str, Any], take: Callable[[str, int], Mlp], course: Callable[[dict[str, Any]], Course], where: object
+    axes: Mapping[str, Any], take: Callable[[str, int], Mlp], course: Callable[[dict[str, Any]], LearningCurve], where: object
 ) -> dict[str, MotionNetwork]:
     """Networks from what :func:`put_motions` made.
 
@@ -113,10 +113,10 @@ def take_motions(
             unit=entry["unit"],
             window=window,
             members=members,
-            bounds=Bounds(**{key: _tuple(value) for key, value in entry["bounds"].items()}),
+            bounds=MotionBounds(**{key: _tuple(value) for key, value in entry["bounds"].items()}),
             commands=_tuple(entry["commands"]),
             courses=tuple(course(item) for item in entry["courses"]),
-            candidates=tuple(Candidate(**candidate) for candidate in entry["candidates"]),
+            candidates=tuple(TriedInputs(**candidate) for candidate in entry["candidates"]),
         )
     return found
 

@@ -14,11 +14,11 @@ from sysid.machine.kinematics import Kinematics
 from sysid.networks.actuator import DIRECTIONS, ActuatorNetwork
 from sysid.networks.along_files import put_memories, put_motions, take_memories, take_motions
 from sysid.networks.calibration import Calibration
-from sysid.networks.chain import Chain, products
+from sysid.networks.chain import FittedChain, products
 from sysid.networks.forward import ForwardNetwork
 from sysid.networks.geometry import Geometry
 from sysid.networks.history import HistoryNetwork, statics
-from sysid.networks.member import Course
+from sysid.networks.member import LearningCurve
 from sysid.networks.mlp import Mlp, Normalisation, Rectifier
 from sysid.networks.motion import MotionNetwork
 from sysid.networks.structured import StructuredForward
@@ -26,7 +26,7 @@ from sysid.networks.trust import Trust
 from sysid.parse import parse_json
 
 WEIGHTS, STRUCTURE = "weights.safetensors", "network.json"
-#: Arrays of a :class:`Chain`.
+#: Arrays of a :class:`FittedChain`.
 CHAIN = ("mean", "scale", "weights", "level", "covariance", "noise")
 
 Model = (
@@ -144,7 +144,7 @@ def static_networks(model: Model) -> dict[str, ActuatorNetwork]:
 def _put_structure(model: StructuredForward) -> tuple[Tensors, dict[str, Any]]:
     """Tensors of a structure, and what they do not say; parameters are named for people who read the file."""
     found = model.structure
-    if isinstance(found, Chain):
+    if isinstance(found, FittedChain):
         return {key: getattr(found, key) for key in CHAIN}, {"kind": "chain"}
     kinematics = found.geometry.kinematics
     return {"values": found.values, "covariance": found.covariance, "noise": np.array([found.noise])}, {
@@ -157,10 +157,12 @@ def _put_structure(model: StructuredForward) -> tuple[Tensors, dict[str, Any]]:
     }
 
 
-def _take_structure(entry: dict[str, Any], revolute: tuple[bool, ...], tensors: Tensors, where: object) -> Calibration | Chain:
+def _take_structure(
+    entry: dict[str, Any], revolute: tuple[bool, ...], tensors: Tensors, where: object
+) -> Calibration | FittedChain:
     own = {key.removeprefix("structure."): value for key, value in tensors.items() if key.startswith("structure.")}
     if entry["kind"] == "chain":
-        chain = Chain(revolute, **{key: own[key] for key in CHAIN})
+        chain = FittedChain(revolute, **{key: own[key] for key in CHAIN})
         count = products(np.zeros((1, len(revolute))), revolute).shape[1]
         shapes = (chain.mean.shape, chain.scale.shape, chain.weights.shape, chain.covariance.shape)
         if shapes != ((count,), (count,), (count, 3), (count + 1, count + 1)):
@@ -229,9 +231,9 @@ def _actuator(axis: str, entry: dict[str, Any], tensors: Tensors, where: object)
     )
 
 
-def _course(entry: dict[str, Any]) -> Course:
+def _course(entry: dict[str, Any]) -> LearningCurve:
     values: dict[str, Any] = {key: tuple(value) if isinstance(value, list) else value for key, value in entry.items()}
-    return Course(**values)
+    return LearningCurve(**values)
 
 
 def put_mlp(tensors: Tensors, prefix: str, mlp: Mlp) -> None:

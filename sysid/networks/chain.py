@@ -34,7 +34,7 @@ STRENGTHS = tuple(10.0**k for k in range(-8, 3))
 
 
 @dataclass(frozen=True)
-class Chain:
+class FittedChain:
     """A fitted chain.
 
     Args:
@@ -73,7 +73,7 @@ class Chain:
         return np.asarray((products(q, self.revolute) - self.mean) / self.scale)
 
 
-def fit_chain(q: Array, tip: Array, revolute: tuple[bool, ...]) -> Chain:
+def fit_chain(q: Array, tip: Array, revolute: tuple[bool, ...]) -> FittedChain:
     """Fit the products to poses.
 
     Args:
@@ -106,7 +106,7 @@ def fit_chain(q: Array, tip: Array, revolute: tuple[bool, ...]) -> Chain:
     used = float(np.trace(covariance @ (whole.T @ whole)))
     left = tip - standard @ weights - level
     noise = np.sqrt(np.sum(left**2, axis=0) / (len(q) - used))
-    return Chain(revolute, mean, scale, weights, level, covariance, noise)
+    return FittedChain(revolute, mean, scale, weights, level, covariance, noise)
 
 
 def products(q: Array, revolute: tuple[bool, ...]) -> Array:

@@ -18,7 +18,7 @@ from sklearn.model_selection import GroupShuffleSplit, ShuffleSplit, check_cv
 from sklearn.utils.validation import check_is_fitted, validate_data
 
 from sysid.errors import SettingsError
-from sysid.networks.member import Course, Member, TrainingSettings
+from sysid.networks.member import LearningCurve, Member, TrainingSettings
 from sysid.networks.mlp import Mlp, Rectifier
 from sysid.networks.training import train
 
@@ -144,7 +144,7 @@ class NetworkRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
             for number in range(self.members)
         ]
 
-    def _take(self, networks: tuple[Mlp, ...], courses: tuple[Course, ...]) -> None:
+    def _take(self, networks: tuple[Mlp, ...], courses: tuple[LearningCurve, ...]) -> None:
         self.networks_, self.courses_ = networks, courses
 
 

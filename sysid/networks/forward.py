@@ -18,10 +18,10 @@ from sysid.datasets.recording import Dataset, Role
 from sysid.errors import ExcitationError, InputError
 from sysid.networks.chain import product_names, products
 from sysid.networks.checkpoint import Checkpoints
-from sysid.networks.member import Course, Member
+from sysid.networks.member import LearningCurve, Member
 from sysid.networks.mlp import Mlp
 from sysid.networks.recipe import Features, NetworkRecipe
-from sysid.networks.split import Rows, gather, segments, thin
+from sysid.networks.split import SignalRows, gather, segments, thin
 from sysid.networks.training import train
 from sysid.networks.trust import Mask, Trust, known
 from sysid.progress import Progress
@@ -81,7 +81,7 @@ class ForwardNetwork:
     members: tuple[Mlp, ...]
     low: Array
     high: Array
-    courses: tuple[Course, ...] = ()
+    courses: tuple[LearningCurve, ...] = ()
     trust: Trust | None = None
 
     def predict(self, q: npt.ArrayLike) -> Array:
@@ -160,7 +160,7 @@ def learn_forward(
     )
 
 
-def taught_rows(dataset: Dataset, recipe: NetworkRecipe) -> tuple[Rows, Rows]:
+def taught_rows(dataset: Dataset, recipe: NetworkRecipe) -> tuple[SignalRows, SignalRows]:
     """The rows that a forward model learns from and those that decide when it stops, as many as the recipe says.
 
     Raises:
@@ -185,7 +185,7 @@ def forward_joints(dataset: Dataset) -> tuple[str, ...]:
     return tuple(axis_signal(axis, "joint") for axis in dataset.machine.axis_names)
 
 
-def forward_rows(dataset: Dataset, role: Role) -> Rows:
+def forward_rows(dataset: Dataset, role: Role) -> SignalRows:
     """Static poses of ``role``: columns are the joints, then ``ee.x ee.y ee.z``.
 
     Raises:
@@ -230,7 +230,7 @@ def feature_names(joints: tuple[str, ...], revolute: tuple[bool, ...], features:
     return (*(f"sin({joint})" for joint in angles), *(f"cos({joint})" for joint in angles), *others)
 
 
-def _still_phases(rows: Rows, joints: int) -> Rows:
+def _still_phases(rows: SignalRows, joints: int) -> SignalRows:
     """One row, the mean, for every stretch of consecutive rows in which no joint moves."""
     if len(rows) < 2:
         return rows
@@ -255,4 +255,4 @@ def _still_phases(rows: Rows, joints: int) -> Rows:
         picked.append(members[len(members) // 2])
         means.append(rows.values[members].mean(axis=0))
     taken = rows.take(np.array(picked, dtype=np.int64))
-    return Rows(rows.signals, np.array(means).reshape(-1, rows.values.shape[1]), taken.recording, taken.row, taken.time)
+    return SignalRows(rows.signals, np.array(means).reshape(-1, rows.values.shape[1]), taken.recording, taken.row, taken.time)

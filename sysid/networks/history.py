@@ -16,12 +16,12 @@ import numpy.typing as npt
 
 from sysid.datasets.recording import Dataset, Role
 from sysid.errors import ExcitationError
-from sysid.networks.actuator import DIRECTIONS, ActuatorNetwork, RoundTrip, fit_actuator
+from sysid.networks.actuator import DIRECTIONS, ActuatorNetwork, RoundTripError, fit_actuator
 from sysid.networks.checkpoint import Checkpoints
 from sysid.networks.memory import Memory
 from sysid.networks.recipe import HistoryRecipe, NetworkRecipe
 from sysid.networks.recurrent import Looks, RecurrentSettings, train_recurrent
-from sysid.networks.split import Segment, segments
+from sysid.networks.split import RowRange, segments
 from sysid.progress import Progress, part, silent
 from sysid.signals import axis_signal
 
@@ -71,7 +71,7 @@ class HistoryNetwork:
         """Joint → displacement, sample by sample."""
         return HistoryStream(self.static.displacement, self.to_cylinder, rate_hz)
 
-    def round_trip(self, displacement: Array, joint: Array, rate_hz: float) -> RoundTrip:
+    def round_trip(self, displacement: Array, joint: Array, rate_hz: float) -> RoundTripError:
         """Whether the directions, which were learned apart, undo each other along a recorded motion, (n,) each.
 
         Raises:
@@ -82,7 +82,7 @@ class HistoryNetwork:
             raise ExcitationError(f"round trip of {self.axis}", "no row with cylinder and joint", "at least one")
         joints = (self.joint_along(self.displacement_along(joint, rate_hz), rate_hz) - joint)[there]
         cylinders = (self.displacement_along(self.joint_along(displacement, rate_hz), rate_hz) - displacement)[there]
-        return RoundTrip(
+        return RoundTripError(
             joint_rmse=float(np.sqrt(np.mean(joints**2))),
             joint_max=float(np.abs(joints).max()),
             cylinder_rmse=float(np.sqrt(np.mean(cylinders**2))),
@@ -177,7 +177,7 @@ def settings_of(recipe: HistoryRecipe) -> RecurrentSettings:
     )
 
 
-def _looks(parts: Sequence[Segment], signals: Sequence[str], predict: Callable[[Array], Array], memory: Memory) -> list[Looks]:
+def _looks(parts: Sequence[RowRange], signals: Sequence[str], predict: Callable[[Array], Array], memory: Memory) -> list[Looks]:
     """Stretches without a gap in the input: what the memory sees, and what the static map leaves until the next look."""
     found = []
     for segment in parts:

@@ -79,7 +79,7 @@ class Member:
 
 
 @dataclass(frozen=True)
-class Course:
+class LearningCurve:
     """How a training went.
 
     Args:
@@ -107,8 +107,8 @@ class Course:
 
 
 @dataclass(frozen=True)
-class Trained:
+class TrainedMember:
     """A trained member: the network with the weights of its best epoch, and how it came about."""
 
     mlp: Mlp
-    course: Course
+    course: LearningCurve

@@ -19,12 +19,12 @@ from sysid.errors import ExcitationError
 from sysid.machine.description import Axis
 from sysid.networks.checkpoint import Checkpoints
 from sysid.networks.forward import is_angle
-from sysid.networks.member import Course, Member, Trained
+from sysid.networks.member import LearningCurve, Member, TrainedMember
 from sysid.networks.mlp import Mlp
-from sysid.networks.motion_inputs import Motion, Window, window_of
+from sysid.networks.motion_inputs import MotionStretch, Window, window_of
 from sysid.networks.recipe import MotionRecipe, NetworkRecipe
-from sysid.networks.rollout import Bounds, horizon_errors, roll, whole_run
-from sysid.networks.split import Segment, measures, segments
+from sysid.networks.rollout import MotionBounds, horizon_errors, roll, whole_run
+from sysid.networks.split import RowRange, measures, segments
 from sysid.networks.training import train
 from sysid.progress import Progress
 from sysid.signals import axis_signal
@@ -40,7 +40,7 @@ APART = 0.25
 
 
 @dataclass(frozen=True)
-class Candidate:
+class TriedInputs:
     """Inputs that were tried.
 
     Args:
@@ -82,10 +82,10 @@ class MotionNetwork:
     unit: str
     window: Window
     members: tuple[Mlp, ...]
-    bounds: Bounds
+    bounds: MotionBounds
     commands: tuple[float, float]
-    courses: tuple[Course, ...]
-    candidates: tuple[Candidate, ...] = ()
+    courses: tuple[LearningCurve, ...]
+    candidates: tuple[TriedInputs, ...] = ()
 
     def speed(self, inputs: Array) -> Array:
         """Inputs (n, d) of the window → mean speed over the step to come (n,)."""
@@ -94,10 +94,10 @@ class MotionNetwork:
             total += member.predict(inputs)[:, 0]
         return np.asarray(total / len(self.members))
 
-    def motion(self, recording: Recording) -> Motion:
+    def motion(self, recording: Recording) -> MotionStretch:
         """A recording as this network sees it."""
         stride = self.window.stride(recording.rate_hz)
-        return Motion.of(recording.values(self.command), recording.values(self.driven), stride)
+        return MotionStretch.of(recording.values(self.command), recording.values(self.driven), stride)
 
     def free_run(self, recording: Recording) -> Array:
         """What the command drives, on the recording's rows (n,): one free run from where history is first complete.
@@ -190,7 +190,7 @@ def fit_motion(
     members = [member for _, several in plans.values() for member in several]
     results = train(members, settings.hidden, settings.training, recipe.seed, progress, checkpoints)
     trained = iter(results)
-    found: dict[str, list[tuple[Window, Array, tuple[Trained, ...]]]] = {axis.name: [] for axis in axes}
+    found: dict[str, list[tuple[Window, Array, tuple[TrainedMember, ...]]]] = {axis.name: [] for axis in axes}
     for (name, _), (window, several) in plans.items():
         found[name].append((window, several[0].outputs, tuple(next(trained) for _ in several)))
     return {axis.name: _best(dataset, axis, settings, found[axis.name]) for axis in axes}
@@ -208,17 +208,17 @@ def window_for(axis: Axis, recipe: MotionRecipe, rate_hz: float, speeds: bool = 
     return window_of(recipe.step, recipe.history, past, rate_hz, recipe.position, axis.actuation == "position")
 
 
-def motions(dataset: Dataset, axis: Axis, window: Window, role: Role) -> tuple[tuple[Recording, Motion], ...]:
+def motions(dataset: Dataset, axis: Axis, window: Window, role: Role) -> tuple[tuple[Recording, MotionStretch], ...]:
     """The stretches of ``role`` and where they come from; samples outside a stretch are as if they had not been measured."""
     signals = (axis_signal(axis.name, "command"), axis.driven)
     found = []
     for part in segments(dataset, role, signals):
         command, position = (_only(part, signal) for signal in signals)
-        found.append((part.recording, Motion.of(command, position, window.stride(part.recording.rate_hz))))
+        found.append((part.recording, MotionStretch.of(command, position, window.stride(part.recording.rate_hz))))
     return tuple(found)
 
 
-def _only(part: Segment, signal: str) -> Array:
+def _only(part: RowRange, signal: str) -> Array:
     whole = np.full(len(part.recording), np.nan)
     whole[part.start : part.stop] = part.recording.values(signal)[part.start : part.stop]
     return whole
@@ -262,7 +262,7 @@ def free_run_rmse(model: MotionNetwork, dataset: Dataset, role: Role, horizons: 
 
 
 def _best(
-    dataset: Dataset, axis: Axis, recipe: MotionRecipe, tried: Sequence[tuple[Window, Array, tuple[Trained, ...]]]
+    dataset: Dataset, axis: Axis, recipe: MotionRecipe, tried: Sequence[tuple[Window, Array, tuple[TrainedMember, ...]]]
 ) -> MotionNetwork:
     """Run freely on the recordings to select with each window that was tried, and keep the best."""
     networks, candidates = [], []
@@ -281,7 +281,7 @@ def _best(
         networks.append(network)
         one_step = float(np.mean([result.course.validation_rmse[0] for result in results]))
         rmse = free_run_rmse(network, dataset, "select", recipe.horizons)
-        candidates.append(Candidate(len(window.edges) > 1, one_step, rmse))
+        candidates.append(TriedInputs(len(window.edges) > 1, one_step, rmse))
     # Where nothing to select on is long enough for a free run, one step has to do.
     runs = all(candidate.free_run for candidate in candidates)
     best = int(np.argmin([candidate.score if runs else candidate.one_step for candidate in candidates]))
@@ -289,7 +289,7 @@ def _best(
     return replace(networks[best], candidates=said)
 
 
-def bounds_of(dataset: Dataset, axis: Axis, window: Window, speeds: Array) -> Bounds:
+def bounds_of(dataset: Dataset, axis: Axis, window: Window, speeds: Array) -> MotionBounds:
     """What free runs stay within: the end stops where the description has them, else a little more than was learned from."""
     low, high = _range([motion.position for _, motion in motions(dataset, axis, window, "fit")])
     margin = BEYOND * (high - low)
@@ -298,7 +298,7 @@ def bounds_of(dataset: Dataset, axis: Axis, window: Window, speeds: Array) -> Bo
         stop if np.isfinite(stop) else end for stop, end in zip(stops, (low - margin, high + margin), strict=True)
     )
     slowest, fastest = float(speeds.min()), float(speeds.max())
-    return Bounds((FASTER * min(slowest, 0.0), FASTER * max(fastest, 0.0)), (positions[0], positions[1]))
+    return MotionBounds((FASTER * min(slowest, 0.0), FASTER * max(fastest, 0.0)), (positions[0], positions[1]))
 
 
 def _range(parts: Sequence[Array]) -> tuple[float, float]:

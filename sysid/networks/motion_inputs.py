@@ -93,7 +93,7 @@ def window_of(
 
 
 @dataclass(frozen=True)
-class Motion:
+class MotionStretch:
     """One stretch of a recording on its own samples; NaN where nothing was measured.
 
     Args:
@@ -107,11 +107,11 @@ class Motion:
     stride: int
 
     @staticmethod
-    def of(command: Array, position: Array, stride: int) -> Motion:
+    def of(command: Array, position: Array, stride: int) -> MotionStretch:
         means = np.full(len(command), np.nan)
         if len(command) >= stride:
             means[: len(command) - stride + 1] = np.lib.stride_tricks.sliding_window_view(command, stride).mean(axis=1)
-        return Motion(means, np.array(position, dtype=np.float64), stride)
+        return MotionStretch(means, np.array(position, dtype=np.float64), stride)
 
     def starts(self, window: Window, ahead: int = 0) -> Index:
         """Samples with what it takes to learn from them, or to run freely for ``ahead`` steps and to be judged at the end."""

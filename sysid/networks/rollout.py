@@ -8,21 +8,21 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from sysid.networks.motion_inputs import Index, Motion, Window
+from sysid.networks.motion_inputs import Index, MotionStretch, Window
 
 Array = npt.NDArray[np.float64]
 Speed = Callable[[Array], Array]
 
 
 @dataclass(frozen=True)
-class Bounds:
+class MotionBounds:
     """What a free run stays within: ``speeds`` and ``positions``, (lowest, highest) each [SI]."""
 
     speeds: tuple[float, float]
     positions: tuple[float, float]
 
 
-def roll(speed: Speed, window: Window, bounds: Bounds, commands: Array, positions: Array) -> Array:
+def roll(speed: Speed, window: Window, bounds: MotionBounds, commands: Array, positions: Array) -> Array:
     """Free runs of one length from measured histories.
 
     Args:
@@ -45,7 +45,7 @@ def roll(speed: Speed, window: Window, bounds: Bounds, commands: Array, position
 
 
 def horizon_errors(
-    speed: Speed, window: Window, bounds: Bounds, motions: Sequence[Motion], seconds: float, apart: float
+    speed: Speed, window: Window, bounds: MotionBounds, motions: Sequence[MotionStretch], seconds: float, apart: float
 ) -> list[tuple[Index, Array, Array]]:
     """Errors of free runs ``seconds`` after their starts, which lie ``apart`` seconds from each other, all runs at once.
 
@@ -67,7 +67,7 @@ def horizon_errors(
     return [(end, said, motion.position[end]) for end, said, motion in zip(ends, parts, motions, strict=True)]
 
 
-def whole_run(speed: Speed, window: Window, bounds: Bounds, motion: Motion) -> Array:
+def whole_run(speed: Speed, window: Window, bounds: MotionBounds, motion: MotionStretch) -> Array:
     """A free run of a whole recording on its own samples, (n,).
 
     It starts where history and commands are first complete, goes on without looking at what is measured, and starts again only

@@ -21,7 +21,7 @@ GUARD_S = 1.0
 
 
 @dataclass(frozen=True)
-class Segment:
+class RowRange:
     """Rows ``start`` to ``stop`` (excluded) of one recording."""
 
     recording: Recording
@@ -30,7 +30,7 @@ class Segment:
 
 
 @dataclass(frozen=True)
-class Rows:
+class SignalRows:
     """Rows of one or more recordings in which every signal was measured.
 
     Args:
@@ -50,11 +50,11 @@ class Rows:
     def __len__(self) -> int:
         return len(self.values)
 
-    def take(self, index: npt.NDArray[np.intp] | Index) -> Rows:
-        return Rows(self.signals, self.values[index], self.recording[index], self.row[index], self.time[index])
+    def take(self, index: npt.NDArray[np.intp] | Index) -> SignalRows:
+        return SignalRows(self.signals, self.values[index], self.recording[index], self.row[index], self.time[index])
 
 
-def segments(dataset: Dataset, role: Role, signals: Sequence[str], kind: Kind = "motion") -> tuple[Segment, ...]:
+def segments(dataset: Dataset, role: Role, signals: Sequence[str], kind: Kind = "motion") -> tuple[RowRange, ...]:
     """The parts of the dataset that have ``role`` for a network over ``signals``.
 
     Only recordings that measured all the signals at once count. Where none of them is ``select`` or ``held_out``, the ends of
@@ -76,7 +76,7 @@ def segments(dataset: Dataset, role: Role, signals: Sequence[str], kind: Kind = 
             f"at least one with all of {', '.join(signals)}",
         )
     if role in present and role != "fit":
-        return tuple(Segment(r, 0, len(r)) for r in usable if roles[r.name] == role)
+        return tuple(RowRange(r, 0, len(r)) for r in usable if roles[r.name] == role)
     select, held_out = (
         0.0 if name in present else share for name, share in zip(("select", "held_out"), BLOCK_SHARES[kind], strict=True)
     )
@@ -89,7 +89,7 @@ def segments(dataset: Dataset, role: Role, signals: Sequence[str], kind: Kind = 
     return tuple(_block(r, low, high, kind) for r in usable if roles[r.name] == "fit")
 
 
-def gather(parts: Sequence[Segment], signals: Sequence[str]) -> Rows:
+def gather(parts: Sequence[RowRange], signals: Sequence[str]) -> SignalRows:
     """All rows of ``parts`` in which every signal was measured, in order."""
     values, names, rows, times = [], [], [], []
     for part in parts:
@@ -98,12 +98,14 @@ def gather(parts: Sequence[Segment], signals: Sequence[str]) -> Rows:
         names.append(np.full(len(chosen), part.recording.name))
         rows.append(chosen)
         times.append(part.recording.values("time")[chosen])
-    return Rows(tuple(signals), np.concatenate(values), np.concatenate(names), np.concatenate(rows), np.concatenate(times))
+    return SignalRows(
+        tuple(signals), np.concatenate(values), np.concatenate(names), np.concatenate(rows), np.concatenate(times)
+    )
 
 
-def joined(first: Rows, second: Rows) -> Rows:
+def joined(first: SignalRows, second: SignalRows) -> SignalRows:
     """The rows of both, in order."""
-    return Rows(
+    return SignalRows(
         first.signals,
         np.concatenate([first.values, second.values]),
         np.concatenate([first.recording, second.recording]),
@@ -139,7 +141,7 @@ def spread_sample(values: Array, count: int, rng: np.random.Generator, bins: int
     return np.sort(np.concatenate(chosen))
 
 
-def thin(rows: Rows, count: int) -> Rows:
+def thin(rows: SignalRows, count: int) -> SignalRows:
     """At most ``count`` rows, evenly spaced in their order."""
     if len(rows) <= count:
         return rows
@@ -150,10 +152,10 @@ def _measured(recording: Recording, signals: Sequence[str]) -> npt.NDArray[np.bo
     return np.asarray(np.all([np.isfinite(recording.values(signal)) for signal in signals], axis=0))
 
 
-def _block(recording: Recording, low: float, high: float, kind: Kind) -> Segment:
+def _block(recording: Recording, low: float, high: float, kind: Kind) -> RowRange:
     """Rows from ``low`` to ``high`` (shares), without half the guard at each cut."""
     n = len(recording)
     half = round(0.5 * GUARD_S * recording.rate_hz) if kind == "motion" else 0
     start = 0 if low == 0.0 else round(low * n) + half
     stop = n if high == 1.0 else round(high * n) - half
-    return Segment(recording, start, max(start, stop))
+    return RowRange(recording, start, max(start, stop))

@@ -16,11 +16,11 @@ import numpy.typing as npt
 from sysid.datasets.recording import Dataset
 from sysid.errors import InputError, SettingsError
 from sysid.networks.calibration import Calibration, calibrate
-from sysid.networks.chain import Chain, fit_chain
+from sysid.networks.chain import FittedChain, fit_chain
 from sysid.networks.checkpoint import Checkpoints
 from sysid.networks.forward import feature_names, forward_joints, is_angle, taught_rows, to_features
 from sysid.networks.geometry import Geometry
-from sysid.networks.member import Course, Member
+from sysid.networks.member import LearningCurve, Member
 from sysid.networks.mlp import Mlp
 from sysid.networks.recipe import NetworkRecipe
 from sysid.networks.training import train
@@ -54,13 +54,13 @@ class StructuredForward:
 
     joints: tuple[str, ...]
     revolute: tuple[bool, ...]
-    structure: Calibration | Chain
+    structure: Calibration | FittedChain
     urdf: str
     members: tuple[Mlp, ...]
     bound: float
     low: Array
     high: Array
-    courses: tuple[Course, ...] = ()
+    courses: tuple[LearningCurve, ...] = ()
     trust: Trust | None = None
 
     def predict(self, q: npt.ArrayLike) -> Array:
@@ -160,7 +160,7 @@ def _rest(
     joints: tuple[str, ...],
     progress: Progress | None,
     checkpoints: Checkpoints | None,
-) -> tuple[tuple[Mlp, ...], tuple[Course, ...], float]:
+) -> tuple[tuple[Mlp, ...], tuple[LearningCurve, ...], float]:
     """Perceptrons of what the geometry leaves, their courses and bound; nothing where they are of no use."""
     (q, left), (q_unseen, unseen) = fit, select
     bound = REACH * float(np.sqrt(np.mean(left**2)))

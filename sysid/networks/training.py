@@ -23,7 +23,7 @@ from sysid.networks.batch import padded, parameters, unpack
 from sysid.networks.checkpoint import Checkpoints
 from sysid.networks.engine import Control, train_batches
 from sysid.networks.jobs import Job, batches, job_of, layers_of, scalers_of
-from sysid.networks.member import Course, Member, Trained, TrainingSettings
+from sysid.networks.member import LearningCurve, Member, TrainedMember, TrainingSettings
 from sysid.networks.mlp import Mlp, Normalisation
 from sysid.progress import Progress, silent
 
@@ -41,7 +41,7 @@ def train(
     seed: int,
     progress: Progress | None = None,
     checkpoints: Checkpoints | None = None,
-) -> tuple[Trained, ...]:
+) -> tuple[TrainedMember, ...]:
     """Train every member; those of equal layers run in one batch, whatever their rows and learning rates.
 
     Args:
@@ -131,11 +131,11 @@ def _terminable(wanted: bool) -> Iterator[None]:
         signal.signal(signal.SIGTERM, signal.SIG_DFL)
 
 
-def _result(member: Member, job: Job, scalers: tuple[Normalisation, Normalisation], seconds: float) -> Trained:
+def _result(member: Member, job: Job, scalers: tuple[Normalisation, Normalisation], seconds: float) -> TrainedMember:
     state = job.state
     mlp = Mlp(*unpack(job.sizes, state.best), *scalers, job.rectifier)
     residual = mlp.predict(member.validation_inputs) - member.validation_outputs
-    course = Course(
+    course = LearningCurve(
         rows=(len(member.inputs), len(member.validation_inputs)),
         epochs=state.epochs[-1],
         best_epoch=state.best_epoch,
@@ -145,4 +145,4 @@ def _result(member: Member, job: Job, scalers: tuple[Normalisation, Normalisatio
         validation_loss=tuple(state.validation),
         seconds=seconds,
     )
-    return Trained(mlp, course)
+    return TrainedMember(mlp, course)

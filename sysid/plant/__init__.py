@@ -5,12 +5,12 @@ from sysid.plant.machine_text import machine_difference, machine_text
 from sysid.plant.model import Model, compile_plant
 from sysid.plant.plant import Plant, effects_toml, nominal_plant, plant_from_files
 from sysid.plant.rollout import free_run
-from sysid.plant.uncertainty import Place, Uncertainty
+from sysid.plant.uncertainty import PlantNumber, Uncertainty
 
 __all__ = [
     "Model",
-    "Place",
     "Plant",
+    "PlantNumber",
     "Uncertainty",
     "compile_plant",
     "effects_toml",

@@ -28,7 +28,7 @@ from sysid.networks.history import HistoryNetwork
 from sysid.parse import parse_json
 from sysid.plant.layout import Streams, neutral_vector, parameter_indices, side_of
 from sysid.plant.residual import FILE, Residual, check_residual, from_files, to_tensors
-from sysid.plant.uncertainty import NONE, Place, Uncertainty, uncertainty_from
+from sysid.plant.uncertainty import NONE, PlantNumber, Uncertainty, uncertainty_from
 from sysid.signals import axis_signal, point_signals
 
 Array = npt.NDArray[np.float64]
@@ -121,7 +121,7 @@ class Plant:
                 thetas[:, at] = values
         return thetas
 
-    def _value(self, place: Place) -> float:
+    def _value(self, place: PlantNumber) -> float:
         item = self.effect(place.effect, place.target, place.side)
         if item is None or place.parameter not in item.parameters:
             found = f"uncertainty of {place.effect} on {place.target}: {place.parameter}"
@@ -251,7 +251,7 @@ def _static(machine: Machine, axis: str, found: CylinderJointMap) -> CylinderJoi
     return found
 
 
-def _parameter(place: Place) -> Parameter:
+def _parameter(place: PlantNumber) -> Parameter:
     forms = effect_named(place.effect).forms
     return next(p for form in forms for p in form.parameters if p.name == place.parameter)
 

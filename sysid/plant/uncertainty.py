@@ -21,7 +21,7 @@ REPEATS = 100
 
 
 @dataclass(frozen=True)
-class Place:
+class PlantNumber:
     """One number of a plant: a component of a parameter of an effect."""
 
     effect: str
@@ -48,7 +48,7 @@ class Uncertainty:
         SettingsError: the matrix is not a covariance of that many parameters, or a place occurs twice.
     """
 
-    places: tuple[Place, ...]
+    places: tuple[PlantNumber, ...]
     covariance: Array
 
     def __post_init__(self) -> None:
@@ -104,5 +104,5 @@ NONE = Uncertainty((), np.zeros((0, 0)))
 
 def uncertainty_from(content: Mapping[str, Any]) -> Uncertainty:
     """The :meth:`Uncertainty.plain` of a stored plant."""
-    places = tuple(Place(**place) for place in content["places"])
+    places = tuple(PlantNumber(**place) for place in content["places"])
     return Uncertainty(places, np.array(content["covariance"], dtype=np.float64).reshape(len(places), len(places)))

@@ -26,7 +26,7 @@ from sysid.registry.record import Record
 from sysid.registry.repair import Repaired, repair
 from sysid.registry.seal import sealed
 from sysid.registry.server import ServerTables
-from sysid.registry.stored import DIGEST, MANIFEST, METRICS, Change, StoredModel, StoredVersion, Tables
+from sysid.registry.stored import DIGEST, MANIFEST, METRICS, ModelChange, StoredModel, StoredVersion, Tables
 from sysid.registry.tables import WorkspaceTables
 from sysid.registry.version import (
     CANDIDATE,
@@ -97,7 +97,7 @@ class Registry:
         figures = json.dumps({key: float(value) for key, value in (metrics or {}).items()})
         digest = sha256(text.encode("utf-8"))
 
-        def build(model: StoredModel) -> Change | None:
+        def build(model: StoredModel) -> ModelChange | None:
             known = kind_of(self._checked(model))
             if known not in (None, kind):
                 raise StoreError(
@@ -116,7 +116,7 @@ class Registry:
                 source, run = self._artifacts.write(digest, files, text, Record.of(name, new))
             if same is not None:
                 return None
-            return self._sealed(model, Change(replace(new, source=source), run, aliases={CANDIDATE: new.number}))
+            return self._sealed(model, ModelChange(replace(new, source=source), run, aliases={CANDIDATE: new.number}))
 
         model = self._tables.change(name, build)
         return version_of(model, next(entry for entry in model.own if entry.tags[DIGEST] == digest))
@@ -200,12 +200,12 @@ class Registry:
         name, _ = split_reference(reference)
         number = 0
 
-        def build(model: StoredModel) -> Change | None:
+        def build(model: StoredModel) -> ModelChange | None:
             nonlocal number
             version = self._chosen(model, reference)[0]
             number = version.version
             tags = _decided(version, decision)
-            return self._sealed(model, Change(version_tags=tags)) if tags else None
+            return self._sealed(model, ModelChange(version_tags=tags)) if tags else None
 
         model = self._tables.change(name, build)
         return self._chosen(model, f"{name}@{number}")[0]
@@ -231,7 +231,7 @@ class Registry:
         name, _ = split_reference(reference)
         number = 0
 
-        def build(model: StoredModel) -> Change:
+        def build(model: StoredModel) -> ModelChange:
             nonlocal number
             version = self._chosen(model, reference)[0]
             number = version.version
@@ -250,7 +250,7 @@ class Registry:
             if alias == CHAMPION and meant.get(CANDIDATE) == number:
                 aliases[CANDIDATE] = None
             tags = _decided(version, decision) if decision is not None else {}
-            return self._sealed(model, Change(version_tags=tags, aliases=aliases))
+            return self._sealed(model, ModelChange(version_tags=tags, aliases=aliases))
 
         model = self._tables.change(name, build)
         return self._chosen(model, f"{name}@{number}")[0]
@@ -271,7 +271,7 @@ class Registry:
             return RunArtifacts(self._server.client, self.uri)
         return FolderArtifacts(self._workspace / "models")
 
-    def _sealed(self, model: StoredModel, change: Change) -> Change:
+    def _sealed(self, model: StoredModel, change: ModelChange) -> ModelChange:
         return sealed(model, change, self._tables.seals_aliases)
 
     def _model(self, name: str) -> StoredModel:

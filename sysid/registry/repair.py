@@ -21,7 +21,7 @@ from sysid.registry.client import exclusive, locked, written
 from sysid.registry.record import Record, read_records
 from sysid.registry.schema import clear_drafts, empty_registry, migrate, missing, revision
 from sysid.registry.seal import broken_model, broken_version, changed, is_sealed, sealed, sealed_aliases
-from sysid.registry.stored import DECISION, DIGEST, MANIFEST, METRICS, Change, StoredModel, StoredVersion
+from sysid.registry.stored import DECISION, DIGEST, MANIFEST, METRICS, ModelChange, StoredModel, StoredVersion
 from sysid.registry.tables import WorkspaceTables, apply, models_of
 from sysid.registry.version import CANDIDATE, CHAMPION, sha256
 from sysid.registry.version import MANIFEST as MANIFEST_FILE
@@ -137,16 +137,16 @@ def _anew(workspace: Path, database: Path, empty: bytes, why: str) -> tuple[list
     return done, left + _unnamed(workspace, models)
 
 
-def _changes(model: StoredModel, restored: set[str]) -> list[Change]:
+def _changes(model: StoredModel, restored: set[str]) -> list[ModelChange]:
     """The rows of a model; one without aliases has its newest version as the candidate, as when that was registered."""
-    changes = [Change(new=version) for version in model.versions]
+    changes = [ModelChange(new=version) for version in model.versions]
     aliases: dict[str, int | None] = dict(model.aliases)
     if not aliases and model.own:
         aliases = {CANDIDATE: model.own[-1].number}
-    changes.append(Change(aliases=aliases, tags=model.tags))
+    changes.append(ModelChange(aliases=aliases, tags=model.tags))
     anew: dict[int, dict[str, str | None]] = {v.number: {} for v in model.own if f"{model.name}@{v.number}" in restored}
     if anew:
-        changes.append(sealed(model, Change(version_tags=anew, aliases=aliases), aliases=True))
+        changes.append(sealed(model, ModelChange(version_tags=anew, aliases=aliases), aliases=True))
     return changes
 
 
@@ -238,20 +238,20 @@ def _mend_seals(
     if not model.own or (is_sealed(model) and not wrong and broken is None):
         return
 
-    def build(now: StoredModel) -> Change:
+    def build(now: StoredModel) -> ModelChange:
         everything: dict[int, dict[str, str | None]] = {version.number: {} for version in now.own}
         if not is_sealed(now):
             done.append(f"{now.name}: sealed; it was registered before there were seals.")
-            return sealed(now, Change(version_tags=everything), aliases=True)
+            return sealed(now, ModelChange(version_tags=everything), aliases=True)
         if accept:
             done.append(f"{now.name}: accepted as it stands, and sealed ({broken or f'{len(wrong)} changed versions'}).")
-            return sealed(now, Change(version_tags=everything), aliases=True)
+            return sealed(now, ModelChange(version_tags=everything), aliases=True)
         return _restored(now, records.get(now.name, ()), done, left)
 
     tables.change(model.name, build)
 
 
-def _restored(now: StoredModel, records: Sequence[StoredVersion], done: list[str], left: list[str]) -> Change:
+def _restored(now: StoredModel, records: Sequence[StoredVersion], done: list[str], left: list[str]) -> ModelChange:
     """Aliases as they were last sealed, figures as they were registered."""
     known = {entry.number: entry for entry in records}
     tags: dict[int, dict[str, str | None]] = {}
@@ -275,11 +275,11 @@ def _restored(now: StoredModel, records: Sequence[StoredVersion], done: list[str
     meant = sealed_aliases(now)
     if meant is None:
         left.append(f"{now.name}: the record of its aliases is gone. --accept takes them as they stand.")
-        return Change(version_tags=tags)
+        return ModelChange(version_tags=tags)
     if meant != dict(now.aliases):
         aliases = {**dict.fromkeys(now.aliases), **meant}
         done.append(f"{now.name}: its aliases are those that were recorded again ({_text(meant)}).")
-    change = Change(version_tags=tags, aliases=aliases)
+    change = ModelChange(version_tags=tags, aliases=aliases)
     if broken_model(changed(now, change)) is not None:
         left.append(
             f"{now.name}: the list of its {len(now.own)} versions is not the one recorded. --accept takes it as it stands."

@@ -16,7 +16,7 @@ from typing_extensions import TypedDict
 
 from sysid.errors import StoreError
 from sysid.parse import parse_json
-from sysid.registry.stored import DECISION, DIGEST, METRICS, SEAL, Change, StoredModel, StoredVersion
+from sysid.registry.stored import DECISION, DIGEST, METRICS, SEAL, ModelChange, StoredModel, StoredVersion
 
 REMEDY = "`sysid models repair` says what can be restored."
 
@@ -90,7 +90,7 @@ def sealed_aliases(model: StoredModel) -> dict[str, int] | None:
         return None
 
 
-def sealed(model: StoredModel, change: Change, aliases: bool) -> Change:
+def sealed(model: StoredModel, change: ModelChange, aliases: bool) -> ModelChange:
     """``change`` with the seals that ``model`` has after it.
 
     Args:
@@ -113,7 +113,7 @@ def sealed(model: StoredModel, change: Change, aliases: bool) -> Change:
     return replace(found, tags={**change.tags, SEAL: model_seal(changed(model, found))}) if aliases else found
 
 
-def changed(model: StoredModel, change: Change) -> StoredModel:
+def changed(model: StoredModel, change: ModelChange) -> StoredModel:
     """``model`` as it is after ``change``."""
     versions = (*model.versions, *([change.new] if change.new is not None else []))
     given = {alias: number for alias, number in {**model.aliases, **change.aliases}.items() if number is not None}

@@ -16,7 +16,7 @@ from sysid.errors import StoreError
 from sysid.names import is_name
 from sysid.parse import parse_json
 from sysid.registry.client import exclusive, open_client, translated, written
-from sysid.registry.stored import DIGEST, Build, Change, StoredModel, StoredVersion
+from sysid.registry.stored import DIGEST, Build, ModelChange, StoredModel, StoredVersion
 from sysid.root import Root
 
 _PAGE = 1000
@@ -76,7 +76,7 @@ class ServerTables:
         """Carry out what the journal says: it was begun by a process of this workspace that is dead."""
         try:
             values = parse_json(self._root.read(self._journal))
-            name, change = str(values["name"]), Change.from_json(values["change"])
+            name, change = str(values["name"]), ModelChange.from_json(values["change"])
         except FileNotFoundError:
             return
         except (OSError, LookupError, TypeError, ValueError, ArithmeticError, AttributeError) as error:
@@ -87,7 +87,7 @@ class ServerTables:
             self._carry_out(name, change)
         self._root.remove(self._journal)
 
-    def _carry_out(self, name: str, change: Change) -> None:
+    def _carry_out(self, name: str, change: ModelChange) -> None:
         client, new = self.client, change.new
         number = {} if new is None else {new.number: self._added(name, new, change.run)}
         for version, tags in change.version_tags.items():

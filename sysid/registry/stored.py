@@ -52,7 +52,7 @@ class StoredModel:
 
 
 @dataclass(frozen=True)
-class Change:
+class ModelChange:
     """What one registration, decision or alias changes in a model: all of it is done, or nothing.
 
     Args:
@@ -80,14 +80,14 @@ class Change:
         }
 
     @staticmethod
-    def from_json(values: Mapping[str, Any]) -> Change:
+    def from_json(values: Mapping[str, Any]) -> ModelChange:
         """What :meth:`to_json` gave.
 
         Raises:
             KeyError, TypeError, ValueError, AttributeError: it is something else.
         """
         new = values["new"]
-        return Change(
+        return ModelChange(
             None if new is None else StoredVersion(int(new[0]), int(new[1]), str(new[2]), dict(new[3])),
             values["run"],
             {int(number): dict(tags) for number, tags in values["version_tags"].items()},
@@ -97,7 +97,7 @@ class Change:
 
 
 #: What is to be changed in a model as it stands when nobody else can change it; None: nothing.
-Build = Callable[[StoredModel], Change | None]
+Build = Callable[[StoredModel], ModelChange | None]
 
 
 class Tables(Protocol):

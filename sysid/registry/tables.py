@@ -15,7 +15,7 @@ from typing import TypeVar
 from sysid.errors import StorageError, StoreError
 from sysid.registry.client import MEND, REFUSED, UNTOUCHED, exclusive, locked, written
 from sysid.registry.schema import REMEDY, empty_registry, install, missing
-from sysid.registry.stored import Build, Change, StoredModel, StoredVersion
+from sysid.registry.stored import Build, ModelChange, StoredModel, StoredVersion
 from sysid.root import Root
 
 _Result = TypeVar("_Result")
@@ -148,7 +148,7 @@ def _number(value: object) -> int:
     return value if isinstance(value, int) else 0
 
 
-def apply(connection: sqlite3.Connection, name: str, change: Change) -> None:
+def apply(connection: sqlite3.Connection, name: str, change: ModelChange) -> None:
     """The rows of ``change``, as MLflow would write them."""
     new = change.new
     if new is not None:

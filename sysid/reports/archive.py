@@ -17,7 +17,7 @@ from sysid.files import json_text
 from sysid.gap.experiment import Experiment, read_experiment, write_experiment
 from sysid.gap.result import (
     EXPERIMENTS,
-    Candidate,
+    ComparedModel,
     Excitation,
     Gap,
     GapResult,
@@ -170,7 +170,7 @@ def _result(values: dict[str, Any], traces: tuple[Traces, ...], experiments: tup
         localised=_many(Localised, values["localised"]),
         shares=_many(Share, values.get("shares", [])),
         maps=_many(Map, values.get("maps", [])),
-        candidates=_many(Candidate, values["candidates"]),
+        candidates=_many(ComparedModel, values["candidates"]),
         traces=traces,
         notes=tuple(values["notes"]),
         experiments=experiments,

@@ -23,7 +23,7 @@ FEW_ROWS = 3
 
 
 @dataclass(frozen=True)
-class Line:
+class ChartCurve:
     """A curve (n,), NaN for gaps; ``look`` is its class in the page's style sheet, ``spread`` a band around it."""
 
     y: Array
@@ -34,7 +34,7 @@ class Line:
 
 def chart(
     x: Array,
-    lines: Sequence[Line],
+    lines: Sequence[ChartCurve],
     labels: tuple[str, str],
     noise: float = 0.0,
     names: Sequence[str] = (),
@@ -143,7 +143,7 @@ def heat_map(
     return f'<svg class="chart" viewBox="0 0 {width:.0f} {height:.0f}" role="img" aria-label="{what}">{"".join(parts)}</svg>'
 
 
-def _range(lines: Sequence[Line], noise: float, include_zero: bool) -> tuple[float, float]:
+def _range(lines: Sequence[ChartCurve], noise: float, include_zero: bool) -> tuple[float, float]:
     values = [line.y for line in lines]
     values += [line.y + sign * line.spread for line in lines if line.spread is not None for sign in (-1.0, 1.0)]
     joined = np.concatenate([np.asarray(part, dtype=np.float64).ravel() for part in values] or [np.zeros(1)])
@@ -191,7 +191,7 @@ def _x_axis(first: float, last: float, px: Scale, names: Sequence[str], x: Array
     ]
 
 
-def _curve(x: Array, line: Line, px: Scale, py: Scale) -> str:
+def _curve(x: Array, line: ChartCurve, px: Scale, py: Scale) -> str:
     there = np.isfinite(line.y)
     parts = []
     if line.spread is not None and there.sum() > 1:

@@ -11,7 +11,7 @@ from markupsafe import Markup, escape
 
 from sysid.registry import CANDIDATE, CHAMPION, ModelVersion, made_of
 from sysid.reports import display
-from sysid.reports.charts import WIDE, Line, chart, heat_map
+from sysid.reports.charts import WIDE, ChartCurve, chart, heat_map
 from sysid.reports.pages import page
 from sysid.reports.words import signal_name
 from sysid.validate import ErrorMap
@@ -125,7 +125,7 @@ def _charts(versions: Sequence[ModelVersion]) -> list[str]:
     for (unit, _), own in groups.items():
         label = "mrad" if unit == "rad" else "mm"
         lines = [
-            Line(np.array([1e3 * version.metrics.get(key, np.nan) for version in versions]), look, dots=True)
+            ChartCurve(np.array([1e3 * version.metrics.get(key, np.nan) for version in versions]), look, dots=True)
             for key, look in zip(own, LOOKS, strict=False)
         ]
         legend = "".join(

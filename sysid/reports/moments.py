@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from sysid.gap.result import GapResult, Traces
 from sysid.reports import display
-from sysid.reports.charts import WIDE, Line, chart
+from sysid.reports.charts import WIDE, ChartCurve, chart
 
 Array = npt.NDArray[np.float64]
 
@@ -79,9 +79,12 @@ def moment_chart(trace: Traces, moment: Moment, unit: str, label: str, repaired:
     measured, unit_text = values["measured"], f" [{shown}]" if shown else ""
     apart = np.nanmax(np.abs(values["before"] - measured)) > APART * np.ptp(measured[np.isfinite(measured)])
     shift, what = (0.0 * measured, label) if apart else (measured, f"{label} error")
-    lines = [Line(values["before"] - shift, "before"), *([Line(values["after"] - shift, "after")] if repaired else [])]
+    lines = [
+        ChartCurve(values["before"] - shift, "before"),
+        *([ChartCurve(values["after"] - shift, "after")] if repaired else []),
+    ]
     if apart:
-        lines.append(Line(measured, "measured dotted"))
+        lines.append(ChartCurve(measured, "measured dotted"))
     return chart(time[there], lines, ("time [s]", what + unit_text), include_zero=not apart, size=WIDE)
 
 
@@ -92,7 +95,11 @@ def error_chart(trace: Traces, moment: Moment, unit: str, label: str, noise: flo
     there = _around(time, moment.time, 2 * POINTS)
     error = factor * (_column(trace.after[moment.signal]) - _column(trace.measured[moment.signal]))[there]
     return chart(
-        time[there], [Line(error, "after")], ("time [s]", f"{label} error [{shown}]"), noise=2.0 * factor * noise, size=WIDE
+        time[there],
+        [ChartCurve(error, "after")],
+        ("time [s]", f"{label} error [{shown}]"),
+        noise=2.0 * factor * noise,
+        size=WIDE,
     )
 
 

@@ -7,7 +7,7 @@ import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
-from sysid.gap.result import Alternative, Candidate, NamedEffect
+from sysid.gap.result import Alternative, ComparedModel, NamedEffect
 from sysid.reports import display, words
 
 #: ``backlash(slew, drive)``: effect, target and whatever else tells two instances apart; ``~`` marks what is only refitted.
@@ -35,18 +35,18 @@ def label_of(text: str) -> tuple[str, str, str, bool]:
     return match["name"], match["target"], match["rest"] or "", bool(match["refitted"])
 
 
-def holds(row: Candidate, name: str, target: str) -> bool:
+def holds(row: ComparedModel, name: str, target: str) -> bool:
     """Whether a fitted set has the effect as a name (not merely refitted beside others)."""
     return any(label_of(text)[:2] == (name, target) and not label_of(text)[3] for text in row.effects)
 
 
-def least_error(rows: Iterable[Candidate]) -> float:
+def least_error(rows: Iterable[ComparedModel]) -> float:
     """Smallest error on unseen recordings, in noise floors; NaN where nothing was fitted."""
     errors = [row.selection_rmse for row in rows if math.isfinite(row.selection_rmse)]
     return min(errors, default=math.nan)
 
 
-def losses(effect: NamedEffect, candidates: Sequence[Candidate]) -> list[Loss]:
+def losses(effect: NamedEffect, candidates: Sequence[ComparedModel]) -> list[Loss]:
     """Every alternative of a named effect, the nearest rival first."""
     stages = {(row.stage, row.target) for row in candidates if holds(row, effect.name, effect.target)}
     rows = [row for row in candidates if (row.stage, row.target) in stages]
@@ -78,7 +78,7 @@ def _why(times: float, other: Alternative) -> str:
     return f"wrong from moment to moment ({against})"
 
 
-def fate(row: Candidate, best: float, named: Sequence[tuple[str, str]]) -> tuple[str, bool]:
+def fate(row: ComparedModel, best: float, named: Sequence[tuple[str, str]]) -> tuple[str, bool]:
     """What became of a fitted set, and whether it won; ``best`` is the least error at its stage."""
     ordinary = {label_of(text)[:2] for text in row.effects if not label_of(text)[3]}
     times = row.selection_rmse / best if best > 0.0 else math.nan
@@ -101,7 +101,7 @@ def fate(row: Candidate, best: float, named: Sequence[tuple[str, str]]) -> tuple
     return "could not be fitted", False
 
 
-def confidence(effect: NamedEffect, candidates: Sequence[Candidate]) -> list[str]:
+def confidence(effect: NamedEffect, candidates: Sequence[ComparedModel]) -> list[str]:
     """How sure a name and its values are."""
     said = []
     others = losses(effect, candidates)

@@ -22,7 +22,7 @@ from sysid.errors import StoreError
 from sysid.files import write_durably
 from sysid.networks.checkpoint import REMEDY
 from sysid.rl.ddpg import Trainer
-from sysid.rl.recipe import Recipe
+from sysid.rl.recipe import TrainingRecipe
 from sysid.root import Root
 
 #: Of the files; another one is another name.
@@ -32,7 +32,7 @@ STATE = "state.safetensors"
 LIBRARIES = ("torch", "numpy", "numba")
 
 
-def training_folder(root: Path, recipe: Recipe, origin: Mapping[str, str]) -> Path:
+def training_folder(root: Path, recipe: TrainingRecipe, origin: Mapping[str, str]) -> Path:
     """Where the training of ``recipe`` on versions of these digests stands."""
     libraries = {name: importlib.metadata.version(name) for name in LIBRARIES}
     decided = {"format": FORMAT, "recipe": recipe.to_json(), "origin": dict(origin), "libraries": libraries}

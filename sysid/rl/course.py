@@ -14,7 +14,7 @@ from sysid.control import AxisTuning, CylinderController, response_time, tune
 from sysid.errors import SettingsError, nearest
 from sysid.networks.forward import ForwardModel
 from sysid.plant import Plant
-from sysid.rl.inverse import Chain, Inverse, chain_of_forward, chain_of_plant
+from sysid.rl.inverse import Inverse, KinematicChain, chain_of_forward, chain_of_plant
 from sysid.rl.paths import CLIMB, TURNS, Path, centre_for, check_reach, circle, floor_of, helix, read_path
 from sysid.rl.reach import Reach, reach_of
 from sysid.rl.task import check_pair
@@ -37,7 +37,7 @@ class Named(Protocol):
 
 
 @dataclass(frozen=True)
-class Course:
+class TrackingTask:
     """What :func:`lay_out` gives.
 
     Args:
@@ -121,7 +121,7 @@ def lay_out(
     full: bool = False,
     centre: npt.ArrayLike | None = None,
     tuning: tuple[AxisTuning, ...] | None = None,
-) -> Course:
+) -> TrackingTask:
     """A course for a plant and a forward model that fit each other.
 
     Args:
@@ -134,7 +134,7 @@ def lay_out(
     """
     check_pair(plant, forward)
     reach = reach_of(plant, forward)
-    chain: Chain | None = chain_of_forward(forward)
+    chain: KinematicChain | None = chain_of_forward(forward)
     kinematics = "forward model" if chain is not None else "plant"
     inverse = Inverse.of(chain or chain_of_plant(plant), reach.low, reach.high)
     rate = plant.machine.rate_hz
@@ -149,4 +149,4 @@ def lay_out(
             raise SettingsError("--path", repr(path), f"{nearest(path, PATHS)}, or a CSV file with the columns t,x,y,z")
         found = read_path(File(path), rate)
     joints = check_reach(found, inverse)
-    return Course(plant, forward, reach, inverse, kinematics, found, joints, full, tuning or tune(plant))
+    return TrackingTask(plant, forward, reach, inverse, kinematics, found, joints, full, tuning or tune(plant))

@@ -22,7 +22,7 @@ from sysid.errors import SettingsError
 from sysid.rl.agent import Agent, Space
 from sysid.rl.environment import Environment
 from sysid.rl.noise import OrnsteinUhlenbeck
-from sysid.rl.recipe import Recipe
+from sysid.rl.recipe import TrainingRecipe
 from sysid.rl.replay import Replay
 from sysid.rl.task import ObservationSlices
 
@@ -63,7 +63,7 @@ class Trainer:
         recipe: how.
     """
 
-    def __init__(self, environment: Environment, judge: Environment, recipe: Recipe) -> None:
+    def __init__(self, environment: Environment, judge: Environment, recipe: TrainingRecipe) -> None:
         import torch
 
         learning, exploration = recipe.learning, recipe.exploration
@@ -263,7 +263,7 @@ class Trainer:
         return 0.5 * (1.0 + math.cos(math.pi * self.turn / self.recipe.turns))
 
 
-def _space(environment: Environment, parts: ObservationSlices, recipe: Recipe) -> Space:
+def _space(environment: Environment, parts: ObservationSlices, recipe: TrainingRecipe) -> Space:
     revolute = getattr(environment.forward, "revolute", None)
     if revolute is None and recipe.networks.critic_features == "sincos":
         found = "'sincos', and the forward model does not say which joints are angles"

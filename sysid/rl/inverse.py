@@ -29,7 +29,7 @@ DIFFERENCE = 1e-4
 
 
 @dataclass(frozen=True)
-class Chain:
+class KinematicChain:
     """An open chain with fixed geometry.
 
     Args:
@@ -48,7 +48,7 @@ class Chain:
         return out
 
 
-def chain_of_forward(model: ForwardModel) -> Chain | None:
+def chain_of_forward(model: ForwardModel) -> KinematicChain | None:
     """The kinematics inside a calibrated forward model; None where it is, or carries, a network."""
     if not isinstance(model, StructuredForward) or model.members or not isinstance(model.structure, Calibration):
         return None
@@ -62,10 +62,10 @@ def chain_of_forward(model: ForwardModel) -> Chain | None:
         row[solver.ROTATION : solver.ROTATION + 9] = rotation.ravel()
         row[solver.AXIS : solver.AXIS + 3] = rotation.T @ joint.slide[:, 0]
         rows.append(row)
-    return Chain(np.array(rows), np.ascontiguousarray(folded.last[:, 0]))
+    return KinematicChain(np.array(rows), np.ascontiguousarray(folded.last[:, 0]))
 
 
-def chain_of_plant(plant: Plant) -> Chain:
+def chain_of_plant(plant: Plant) -> KinematicChain:
     """The kinematics of a plant, without its play and sag.
 
     Raises:
@@ -98,7 +98,7 @@ def chain_of_plant(plant: Plant) -> Chain:
         row[solver.SHIFT : solver.SHIFT + 3], row[solver.ROTATION : solver.ROTATION + 9] = shift, rotation.ravel()
         row[solver.AXIS : solver.AXIS + 3] = link[rigs.AXIS : rigs.AXIS + 3]
         rows.append(row)
-    return Chain(np.array(rows), shift)
+    return KinematicChain(np.array(rows), shift)
 
 
 @dataclass(frozen=True)
@@ -106,20 +106,20 @@ class Inverse:
     """Target → joints within their bounds.
 
     Args:
-        model: joints → end effector; a :class:`Chain` is solved by compiled code.
+        model: joints → end effector; a :class:`KinematicChain` is solved by compiled code.
         low, high: bounds, (A,) [rad or m].
         weights: how far each joint goes for the same effort, (A,): its top speed, or its range.
     """
 
-    model: Chain | ForwardModel
+    model: KinematicChain | ForwardModel
     low: Array
     high: Array
     weights: Array
 
     @staticmethod
-    def of(forward: ForwardModel | Chain, low: Array, high: Array, weights: Array | None = None) -> Inverse:
+    def of(forward: ForwardModel | KinematicChain, low: Array, high: Array, weights: Array | None = None) -> Inverse:
         """For a forward model; the kinematics inside it are used where it has any."""
-        chain = forward if isinstance(forward, Chain) else chain_of_forward(forward)
+        chain = forward if isinstance(forward, KinematicChain) else chain_of_forward(forward)
         return Inverse(chain or forward, low, high, high - low if weights is None else np.asarray(weights, dtype=np.float64))
 
     def solve(self, targets: npt.ArrayLike, begin: npt.ArrayLike) -> tuple[Array, Array]:
@@ -152,7 +152,7 @@ class Inverse:
         if not np.isfinite(points).all():
             raise InputError("inverse kinematics", "a target that is no finite number", "points [m]")
         out, left = np.empty((len(points), len(self.low))), np.empty(len(points))
-        if isinstance(self.model, Chain):
+        if isinstance(self.model, KinematicChain):
             solver.solve(
                 self.model.rows, self.model.last, self.low, self.high, self.weights, starts, points, follow, STEPS, NEAR,
                 out, left,

@@ -15,14 +15,14 @@ from typing import IO, Any, Protocol
 
 from sysid.errors import SettingsError
 from sysid.rl.ddpg import Trainer
-from sysid.rl.recipe import Recipe
+from sysid.rl.recipe import TrainingRecipe
 from sysid.root import Root
 
 
 class Observer(Protocol):
     """Told of every episode and evaluation while its context is open."""
 
-    def watching(self, recipe: Recipe, folder: Path, trainer: Trainer) -> AbstractContextManager[None]: ...
+    def watching(self, recipe: TrainingRecipe, folder: Path, trainer: Trainer) -> AbstractContextManager[None]: ...
 
     def told(self, kind: str, step: int, figures: Mapping[str, float]) -> None: ...
 
@@ -35,7 +35,7 @@ class JsonLines:
     _file: IO[str] | None = field(default=None, repr=False)
 
     @contextmanager
-    def watching(self, recipe: Recipe, folder: Path, trainer: Trainer) -> Iterator[None]:
+    def watching(self, recipe: TrainingRecipe, folder: Path, trainer: Trainer) -> Iterator[None]:
         self.path.parent.mkdir(parents=True, exist_ok=True)
         with self.path.open("w", encoding="utf-8") as self._file:
             for kind, entries in (("episode", trainer.episodes), ("evaluation", trainer.evaluations)):
@@ -61,7 +61,7 @@ class TensorBoard:
     _writer: Any = field(default=None, repr=False)
 
     @contextmanager
-    def watching(self, recipe: Recipe, folder: Path, trainer: Trainer) -> Iterator[None]:
+    def watching(self, recipe: TrainingRecipe, folder: Path, trainer: Trainer) -> Iterator[None]:
         try:
             from torch.utils.tensorboard import SummaryWriter
         except ImportError:
@@ -93,7 +93,7 @@ class MlflowRun:
     _run: str = field(default="", repr=False)
 
     @contextmanager
-    def watching(self, recipe: Recipe, folder: Path, trainer: Trainer) -> Iterator[None]:
+    def watching(self, recipe: TrainingRecipe, folder: Path, trainer: Trainer) -> Iterator[None]:
         from mlflow.tracking import MlflowClient
 
         self._client = MlflowClient(self.uri)

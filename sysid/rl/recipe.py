@@ -122,7 +122,7 @@ class Learning:
 
 
 @dataclass(frozen=True)
-class Recipe:
+class TrainingRecipe:
     """The whole recipe.
 
     Args:
@@ -158,7 +158,7 @@ class Recipe:
         return asdict(self)
 
 
-def load_training(path: Path) -> Recipe:
+def load_training(path: Path) -> TrainingRecipe:
     """The recipe in ``path``; keys that it leaves out mean the paper's.
 
     Raises:
@@ -167,9 +167,9 @@ def load_training(path: Path) -> Recipe:
     return parse_training(read_toml(path), path)
 
 
-def parse_training(values: dict[str, Any], where: object) -> Recipe:
+def parse_training(values: dict[str, Any], where: object) -> TrainingRecipe:
     """``values`` as a recipe, checked; ``where`` names their source in messages."""
-    recipe = parse_settings(values, Recipe, where)
+    recipe = parse_settings(values, TrainingRecipe, where)
     check_name(recipe.name, f"{where}: name")
     learning, exploration, networks = recipe.learning, recipe.exploration, recipe.networks
     for key, found, low, high in (

@@ -11,7 +11,7 @@ import pandas as pd
 
 from sysid.files import written_whole
 from sysid.machine import Machine
-from sysid.pictures import Line, svg
+from sysid.pictures import PictureCurve, svg
 from sysid.rl.tracking import Tracked
 from sysid.signals import point_signals
 
@@ -40,15 +40,16 @@ def pictures(runs: Sequence[Tracked]) -> dict[str, str]:
     first = runs[0]
     found = {}
     for name, (a, b) in {"from-above": (0, 1), "from-the-side": (0, 2)}.items():
-        lines = [Line("target", first.target[:, a], first.target[:, b], "#9ca3af", dashed=True)]
+        lines = [PictureCurve("target", first.target[:, a], first.target[:, b], "#9ca3af", dashed=True)]
         lines += [
-            Line(run.policy, run.ee[:, a], run.ee[:, b], colour) for run, colour in zip(runs[:DRAWN], _COLOURS, strict=False)
+            PictureCurve(run.policy, run.ee[:, a], run.ee[:, b], colour)
+            for run, colour in zip(runs[:DRAWN], _COLOURS, strict=False)
         ]
         title, equal = f"{first.path} {name.replace('-', ' ')}", a + b == 1
         found[f"{name}.svg"] = svg(title, f"{'xyz'[a]} [m]", f"{'xyz'[b]} [m]", lines, equal)
     for run in runs:
         error = 1e3 * run.error
-        lines = [Line(axis, run.time, error[:, k], _AXES[k]) for k, axis in enumerate("xyz")]
+        lines = [PictureCurve(axis, run.time, error[:, k], _AXES[k]) for k, axis in enumerate("xyz")]
         found[f"error-{_file(run.policy)}.svg"] = svg(f"error of {run.policy}", "time [s]", "error [mm]", lines)
     return found
 

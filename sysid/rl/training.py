@@ -24,7 +24,7 @@ from sysid.rl.environment import Environment
 from sysid.rl.factory import make_environment
 from sysid.rl.observers import Observer
 from sysid.rl.reach import Reach
-from sysid.rl.recipe import Recipe
+from sysid.rl.recipe import TrainingRecipe
 from sysid.rl.task import Task
 from sysid.rl.versions import load_versions
 
@@ -33,7 +33,7 @@ JUDGED, JUDGE_SEED = 512, 2**31
 
 
 @dataclass(frozen=True)
-class Trained:
+class TrainedPolicy:
     """A policy that is done.
 
     Args:
@@ -52,12 +52,12 @@ class Trained:
 
 def train_policy(
     registry: Registry,
-    recipe: Recipe,
+    recipe: TrainingRecipe,
     root: Path,
     progress: Progress = silent,
     observers: Sequence[Observer] = (),
     every: float = 20.0,
-) -> Trained:
+) -> TrainedPolicy:
     """Train the policy of a recipe and register it as ``recipe.name``; goes on where it was interrupted, even by a kill.
 
     A policy of the same recipe, seed and versions that is registered already is returned as it is.
@@ -82,7 +82,7 @@ def train_policy(
     }
     for version in registry.versions(recipe.name):
         if version.kind == "policy" and version.lineage == _plain(lineage):
-            return Trained(version, dict(version.metrics), 0.0, 0.0, None)
+            return TrainedPolicy(version, dict(version.metrics), 0.0, 0.0, None)
 
     files = TrainingFiles(training_folder(root, recipe, {"plant": plant.digest, "forward": forward.digest}), every)
     trainer = Trainer(*environments(recipe, *load_versions(registry, plant.reference, forward.reference)), recipe)
@@ -108,11 +108,11 @@ def train_policy(
         recipe.name, "policy", policy_to_files(policy_of(trainer), curves), lineage, {**figures, "cpu_seconds": cpu_seconds}
     )
     files.remove()
-    return Trained(version, figures, seconds, cpu_seconds, (trainer.agent.updates - before) / max(seconds, 1e-9))
+    return TrainedPolicy(version, figures, seconds, cpu_seconds, (trainer.agent.updates - before) / max(seconds, 1e-9))
 
 
 def environments(
-    recipe: Recipe,
+    recipe: TrainingRecipe,
     plant: Plant,
     forward: ForwardModel,
     *,

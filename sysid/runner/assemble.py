@@ -14,11 +14,11 @@ from sysid.errors import SettingsError
 from sysid.gap.experiment.file import read_experiment
 from sysid.machine import Machine, load_machine
 from sysid.registry import Registry
-from sysid.rl.course import Course, lay_out
+from sysid.rl.course import TrackingTask, lay_out
 from sysid.rl.inverse import Inverse, chain_of_forward, chain_of_plant
 from sysid.rl.reach import joint_limits
 from sysid.runner.barrier import Barrier
-from sysid.runner.chain import Chain
+from sysid.runner.chain import ControlChain
 from sysid.runner.cycle import Recorder
 from sysid.runner.domain import Domains
 from sysid.runner.limits import Limits, limits_of
@@ -31,10 +31,10 @@ from sysid.runner.modes.replay import of_experiment, of_file
 from sysid.runner.modes.track import TrackLive, TrackPath
 from sysid.runner.operator import Operator
 from sysid.runner.recipe import RunnerRecipe
-from sysid.runner.senses import Senses
+from sysid.runner.senses import StateEstimator
 from sysid.runner.supervisor import Supervisor
 from sysid.runner.transport import Transport
-from sysid.runner.valves import Valve, valves
+from sysid.runner.valves import AxisValve, valves
 from sysid.runner.versions import Loaded, load
 
 Array = npt.NDArray[np.float64]
@@ -55,10 +55,10 @@ class Assembly:
     machine: Machine
     loaded: Loaded
     inverse: Inverse
-    valves: tuple[Valve, ...]
+    valves: tuple[AxisValve, ...]
     limits: Limits
     lookahead: float
-    course: Course | None
+    course: TrackingTask | None
 
     @property
     def dt(self) -> float:
@@ -71,8 +71,10 @@ class Assembly:
             return np.clip(self.course.start, self.limits.low, self.limits.high)
         return np.asarray(0.5 * (self.limits.low + self.limits.high))
 
-    def chain(self) -> Chain:
-        return Chain(self.loaded.plant, self.loaded.forward, self.inverse, policy=self.loaded.policy, lookahead=self.lookahead)
+    def chain(self) -> ControlChain:
+        return ControlChain(
+            self.loaded.plant, self.loaded.forward, self.inverse, policy=self.loaded.policy, lookahead=self.lookahead
+        )
 
     def loop(self, transport: Transport, recorder: Recorder, operator: Operator) -> Loop:
         """A loop, warmed up.
@@ -87,7 +89,7 @@ class Assembly:
             if axis.driven not in transport.signals:
                 raise SettingsError("transport", f"no signal {axis.driven}", "what every command drives, measured")
         chain, checks = self.chain(), self.recipe.checks
-        senses = Senses(self.loaded.plant, self.valves, self.dt, transport.signals, checks)
+        senses = StateEstimator(self.loaded.plant, self.valves, self.dt, transport.signals, checks)
         inside = Domains(self.loaded.forward, self.loaded.actuators, axes) if checks.on("domain") else lambda seen: ""
         supervisor = Supervisor(axes, self.limits, self.valves, senses.linkages, chain.tip, self.dt, checks, inside)
         mode = self.mode(self.recipe.mode, chain, supervisor.barrier)
@@ -95,7 +97,7 @@ class Assembly:
         loop.warm_up(self.middle)
         return loop
 
-    def mode(self, name: str, chain: Chain, barrier: Barrier) -> Mode:
+    def mode(self, name: str, chain: ControlChain, barrier: Barrier) -> Mode:
         """The task ``name`` of the recipe."""
         recipe, limits, dt = self.recipe, self.limits, self.dt
         if name == "track":
@@ -157,7 +159,7 @@ def _inverse(loaded: Loaded) -> Inverse:
     return Inverse.of(chain_of_forward(loaded.forward) or chain_of_plant(loaded.plant), low, high)
 
 
-def _check_course(course: Course, limits: Limits, where: object) -> None:
+def _check_course(course: TrackingTask, limits: Limits, where: object) -> None:
     """Refuse a path that leaves the limits or the fence, or asks for more than the valves can do."""
     names = course.plant.machine.axis_names
     for name, q, low, high in zip(names, course.joints.T, limits.low, limits.high, strict=True):

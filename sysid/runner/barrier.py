@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from sysid.machine import TabulatedLinkage
 from sysid.runner.limits import Limits
-from sysid.runner.valves import Reckoning, Valve, braked, stopping
+from sysid.runner.valves import AxisValve, Reckoning, braked, stopping
 
 Array = npt.NDArray[np.float64]
 Broken = tuple[str, int, float, float]
@@ -40,7 +40,7 @@ class Barrier:
     def __init__(
         self,
         limits: Limits,
-        valves: Sequence[Valve],
+        valves: Sequence[AxisValve],
         linkages: Sequence[TabulatedLinkage | None],
         tip: Callable[[Array], Array],
         dt: float,

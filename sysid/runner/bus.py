@@ -62,7 +62,7 @@ class BusSettings:
 
 
 @dataclass(frozen=True)
-class Heard:
+class ReceivedFrame:
     """What a frame said.
 
     Args:
@@ -155,7 +155,7 @@ class MachineBus:
             )
         return message
 
-    def hear(self, identifier: int, extended: bool, data: bytes) -> Heard | None:
+    def hear(self, identifier: int, extended: bool, data: bytes) -> ReceivedFrame | None:
         """What a frame says; None for messages that nobody asked for.
 
         Raises:
@@ -175,9 +175,9 @@ class MachineBus:
         assert isinstance(said, dict)
         fresh, lost = self._count(message, said)
         if message is self._status:
-            return Heard(message.name, {name: _number(value) for name, value in said.items()}, fresh, lost)
+            return ReceivedFrame(message.name, {name: _number(value) for name, value in said.items()}, fresh, lost)
         names = self._sources[message.name]
-        return Heard(message.name, {names[name]: _number(said[name]) for name in names}, fresh, lost)
+        return ReceivedFrame(message.name, {names[name]: _number(said[name]) for name in names}, fresh, lost)
 
     def _count(self, message: Message, said: Mapping[str, object]) -> tuple[bool, int]:
         if COUNTER not in said:
@@ -190,7 +190,7 @@ class MachineBus:
         ahead = (count - before) % (1 << message.get_signal_by_name(COUNTER).length)
         return ahead > 0, max(ahead - 1, 0)
 
-    def implausible(self, heard: Heard) -> str:
+    def implausible(self, heard: ReceivedFrame) -> str:
         """The first value outside of what the database allows for it, in words; "" where there is none."""
         for signal, value in heard.values.items():
             source = self.settings.signals.get(signal)

@@ -18,11 +18,11 @@ import numpy as np
 import numpy.typing as npt
 
 from sysid.errors import InputError, SettingsError
-from sysid.runner.bus import ECHO, ON, TIME, BusSettings, Heard, MachineBus, names
+from sysid.runner.bus import ECHO, ON, TIME, BusSettings, MachineBus, ReceivedFrame, names
 from sysid.runner.channel_lock import lock_channel
 from sysid.runner.clock import SECOND, MonotonicClock
-from sysid.runner.line_delay import MachineClock, RoundTrip
-from sysid.runner.transport import NOBODY, MachineInputs, Reading
+from sysid.runner.line_delay import CommandRoundTrip, MachineClock
+from sysid.runner.transport import NOBODY, MachineInputs, Measurement
 
 if TYPE_CHECKING:
     from can import BusABC, Message
@@ -78,11 +78,11 @@ class CanTransport(MonotonicClock):
         self.machine = MachineBus(settings, where)
         self._bus = bus
         self._lock: BaseFileLock | None = None
-        self._readings: dict[str, Reading] = {}
+        self._readings: dict[str, Measurement] = {}
         self._counts = dict.fromkeys(self.machine.signals, 0)
-        self._status: Heard | None = None
+        self._status: ReceivedFrame | None = None
         self._status_ns = 0
-        self._clock, self._answers = MachineClock(), RoundTrip()
+        self._clock, self._answers = MachineClock(), CommandRoundTrip()
         self._read_ns = 0
         #: What ended the reading, and what ended the sending: a line that brings nothing may still take the fail-safe bits.
         self._fault, self._deaf = "", ""
@@ -161,17 +161,17 @@ class CanTransport(MonotonicClock):
                 "Is the machine on, at this bit rate, and the database its own?",
             )
 
-    def read(self) -> tuple[Mapping[str, Reading], MachineInputs]:
+    def read(self) -> tuple[Mapping[str, Measurement], MachineInputs]:
         self._take()
         self._read_ns = time.monotonic_ns()
         return dict(self._readings), self._inputs()
 
-    def _take(self) -> list[Heard]:
+    def _take(self) -> list[ReceivedFrame]:
         """Take what has come; errors of the line become the fault that :meth:`read` reports until the bus is opened anew.
 
         Whatever an adapter's driver raises is such an error: it may not end a run without a ramp.
         """
-        heard: list[Heard] = []
+        heard: list[ReceivedFrame] = []
         if self._bus is None or self._fault:
             return heard
         try:
@@ -185,7 +185,7 @@ class CanTransport(MonotonicClock):
             self._fault = f"bus: {str(error) or type(error).__name__}"
         return heard
 
-    def _frame(self, frame: Message) -> Heard | None:
+    def _frame(self, frame: Message) -> ReceivedFrame | None:
         now = time.monotonic_ns()
         if frame.is_error_frame:
             if frame.arbitration_id & _BUS_OFF:
@@ -215,7 +215,7 @@ class CanTransport(MonotonicClock):
         measured = self._clock.measured(now)
         for signal, value in item.values.items():
             self._counts[signal] += 1
-            self._readings[signal] = Reading(value, measured, now, self._counts[signal])
+            self._readings[signal] = Measurement(value, measured, now, self._counts[signal])
         return item
 
     def _inputs(self) -> MachineInputs:

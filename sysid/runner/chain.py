@@ -25,7 +25,7 @@ from sysid.runner.policy_thread import PolicyThread, Setter
 Array = npt.NDArray[np.float64]
 
 
-class Policy(Setter, Protocol):
+class SignalPolicy(Setter, Protocol):
     """A policy that names what it sees and sets."""
 
     @property
@@ -35,7 +35,7 @@ class Policy(Setter, Protocol):
     def outputs(self) -> tuple[str, ...]: ...
 
 
-class Chain:
+class ControlChain:
     """Of one machine.
 
     Args:
@@ -56,7 +56,7 @@ class Chain:
         forward: ForwardModel,
         inverse: Inverse,
         *,
-        policy: Policy | None = None,
+        policy: SignalPolicy | None = None,
         lookahead: float = 0.0,
         tuning: Sequence[AxisTuning] | None = None,
     ) -> None:
@@ -138,7 +138,7 @@ class Chain:
         """What was really sent, (A,)."""
         self.controller.took(commands)
 
-    def _check(self, policy: Policy) -> None:
+    def _check(self, policy: SignalPolicy) -> None:
         where = f"policy for {self.plant.machine.name}"
         joints = self.view.names[: len(self.axes)]
         if policy.outputs != joints:

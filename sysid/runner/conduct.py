@@ -12,8 +12,8 @@ from sysid.runner.cycle import Verdict
 from sysid.runner.loop_settings import LoopSettings
 from sysid.runner.modes.mode import Goal, Mode
 from sysid.runner.operator import WORDS, Operator
-from sysid.runner.outcome import Ended, Outcome
-from sysid.runner.senses import Seen
+from sysid.runner.outcome import Ended, RunOutcome
+from sysid.runner.senses import StateEstimate
 from sysid.runner.states import States
 from sysid.runner.supervisor import at_least, sternest
 
@@ -31,7 +31,7 @@ class Conduct:
     """
 
     def __init__(
-        self, states: States, mode: Mode, operator: Operator, settings: LoopSettings, dt: float, outcome: Outcome
+        self, states: States, mode: Mode, operator: Operator, settings: LoopSettings, dt: float, outcome: RunOutcome
     ) -> None:
         self.states, self.mode, self.operator, self.settings = states, mode, operator, settings
         self.dt, self.outcome = dt, outcome
@@ -85,7 +85,7 @@ class Conduct:
                 self._tell(True)
         return reset
 
-    def advance(self, seen: Seen, verdicts: Sequence[Verdict], now: int) -> bool:
+    def advance(self, seen: StateEstimate, verdicts: Sequence[Verdict], now: int) -> bool:
         """What time and switches make of the state; whether the task starts now."""
         state = self.states.state
         sound = not at_least(verdicts, "hold") and bool(np.isfinite(seen.joints).all())
@@ -123,7 +123,7 @@ class Conduct:
             self._leave("done" if goal.done else "stopped")
         self._tell(self.states.on("stop", now, goal.stop))
 
-    def slowing(self, neutral: bool, seen: Seen, now: int) -> None:
+    def slowing(self, neutral: bool, seen: StateEstimate, now: int) -> None:
         """A turn of a stop, with or without neutral valves."""
         self._neutral_s = self._neutral_s + self.dt if neutral else 0.0
         still = np.isfinite(seen.drive).all() and bool(seen.measured.all())

@@ -9,7 +9,7 @@ from typing import Literal, Protocol
 import numpy as np
 import numpy.typing as npt
 
-from sysid.runner.transport import MachineInputs, Reading
+from sysid.runner.transport import MachineInputs, Measurement
 
 Array = npt.NDArray[np.float64]
 
@@ -70,7 +70,7 @@ class Cycle:
     due_ns: int
     state: State
     inputs: MachineInputs
-    readings: Mapping[str, Reading]
+    readings: Mapping[str, Measurement]
     joints: Array
     ee: Array
     target: Array

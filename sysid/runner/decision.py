@@ -9,19 +9,19 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
-from sysid.runner.chain import Chain
+from sysid.runner.chain import ControlChain
 from sysid.runner.cycle import Verdict
 from sysid.runner.modes.mode import Goal, Mode
 from sysid.runner.operator import Operator
 from sysid.runner.policy_thread import PolicyError, described
-from sysid.runner.senses import Seen, Senses
+from sysid.runner.senses import StateEstimate, StateEstimator
 from sysid.runner.supervisor import Supervisor
 
 Array = npt.NDArray[np.float64]
 
 
 @dataclass
-class Decision:
+class CycleDecision:
     """Arrays (A,), NaN where nothing was decided; ``ended``: the goal that says that the task is over."""
 
     asked: Array
@@ -35,10 +35,10 @@ class Decision:
     ended: Goal | None = None
 
 
-def nothing(axes: int) -> Decision:
+def nothing(axes: int) -> CycleDecision:
     """Neutral valves."""
     none = np.full(axes, np.nan)
-    return Decision(none, none, none, none, np.zeros(axes), np.full(3, np.nan))
+    return CycleDecision(none, none, none, none, np.zeros(axes), np.full(3, np.nan))
 
 
 class Decider:
@@ -52,8 +52,8 @@ class Decider:
 
     def __init__(
         self,
-        chain: Chain,
-        senses: Senses,
+        chain: ControlChain,
+        senses: StateEstimator,
         supervisor: Supervisor,
         mode: Mode,
         operator: Operator,
@@ -67,14 +67,14 @@ class Decider:
         self._k, self._distrusted, self._late = 0, False, 0
         self._held_at: Array | None = None
 
-    def begin(self, seen: Seen) -> None:
+    def begin(self, seen: StateEstimate) -> None:
         """The task starts with the machine at rest where it is seen."""
         self.supervisor.begin(seen.joints)
         self.chain.rest(seen.drive, seen.joints)
         self.mode.begin(seen.joints, seen.ee)
         self._k, self._distrusted, self._late, self._held_at, self.drive_setpoints = 0, False, 0, None, None
 
-    def think(self, seen: Seen, verdicts: list[Verdict], until_ns: int) -> Decision:
+    def think(self, seen: StateEstimate, verdicts: list[Verdict], until_ns: int) -> CycleDecision:
         """A turn of the task; what the supervisor finds in it is added to ``verdicts``.
 
         Args:
@@ -105,7 +105,7 @@ class Decider:
             self._k += 1
         return decision
 
-    def slow_down(self, seen: Seen) -> Decision:
+    def slow_down(self, seen: StateEstimate) -> CycleDecision:
         """A turn of a stop; enabled while there is speed to be taken out."""
         decision = nothing(len(self.chain.axes))
         decision.source = "stop"
@@ -114,7 +114,7 @@ class Decider:
             decision.enabled = True
         return decision
 
-    def _ask(self, goal: Goal, seen: Seen, held: bool, verdicts: list[Verdict], until_ns: int) -> tuple[Array, str]:
+    def _ask(self, goal: Goal, seen: StateEstimate, held: bool, verdicts: list[Verdict], until_ns: int) -> tuple[Array, str]:
         """Joint setpoints (A,), and whose they are."""
         here = self.supervisor.limiter.position
         if held:
@@ -137,7 +137,7 @@ class Decider:
             verdicts.append(self.supervisor.no_answer(f"inverse kinematics fails: {described(problem)}"))
             return self._hold(here)
 
-    def _policy(self, goal: Goal, seen: Seen, until_ns: int) -> tuple[Array, Verdict | None]:
+    def _policy(self, goal: Goal, seen: StateEstimate, until_ns: int) -> tuple[Array, Verdict | None]:
         """What the policy asks for, and what is wrong with it.
 
         One that is late is asked again in the next turn, until it was late in too many turns in a row; one that fails is not.

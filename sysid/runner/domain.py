@@ -9,7 +9,7 @@ import numpy as np
 from sysid.errors import SettingsError
 from sysid.networks import ActuatorNetwork
 from sysid.networks.forward import ForwardModel
-from sysid.runner.senses import Seen
+from sysid.runner.senses import StateEstimate
 
 
 class Domains:
@@ -37,7 +37,7 @@ class Domains:
         self._actuators = [(axis, i, trust.domain) for axis, i, trust in columns if trust is not None]
         self._before: dict[str, float] = {}
 
-    def __call__(self, seen: Seen) -> str:
+    def __call__(self, seen: StateEstimate) -> str:
         """Which network is asked beyond its data, and further than before; "" where none is."""
         asked = [("forward", self._forward, seen.joints[None])]
         asked += [(f"actuator of {axis}", domain, seen.drive[i : i + 1, None]) for axis, i, domain in self._actuators]

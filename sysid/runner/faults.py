@@ -13,14 +13,14 @@ import numpy as np
 import numpy.typing as npt
 
 from sysid.runner.clock import SECOND
-from sysid.runner.transport import MachineInputs, Reading, Transport
+from sysid.runner.transport import MachineInputs, Measurement, Transport
 
 Array = npt.NDArray[np.float64]
-Readings = dict[str, Reading]
+Readings = dict[str, Measurement]
 
 
 @dataclass(frozen=True)
-class Dropped:
+class DroppedFrames:
     """Frames do not come: readings stay what they were. ``signals`` empty: all."""
 
     signals: tuple[str, ...] = ()
@@ -145,7 +145,7 @@ class MachineSays:
 
 
 Fault = (
-    Dropped | Frozen | Delayed | NotANumber | Jumped | Scaled | Unplugged | BusOff | ReadFails | WritesLost | Paused
+    DroppedFrames | Frozen | Delayed | NotANumber | Jumped | Scaled | Unplugged | BusOff | ReadFails | WritesLost | Paused
     | ClockJumped | Swapped | ValvesSwapped | ValveTurned | DeadManReleased | EmergencyPressed | MachineSays
 )  # fmt: skip
 
@@ -210,7 +210,7 @@ class FaultyTransport:
         """Of the machine behind, where a program can hold its switches."""
         getattr(self.transport, "set_inputs")(dead_man, emergency_stop)  # noqa: B009 - not every transport has it
 
-    def read(self) -> tuple[Mapping[str, Reading], MachineInputs]:
+    def read(self) -> tuple[Mapping[str, Measurement], MachineInputs]:
         given, inputs = self.transport.read()
         readings = dict(given)
         self._late.append((self.now_ns(), dict(given)))
@@ -247,8 +247,8 @@ class FaultyTransport:
         return [(k, item.fault) for k, item in enumerate(self.plan) if item.begin <= seconds < item.end]
 
     def _change(self, readings: Readings, fault: Fault, kept: Readings) -> None:
-        if isinstance(fault, Dropped | BusOff):
-            wanted = fault.signals if isinstance(fault, Dropped) and fault.signals else tuple(kept)
+        if isinstance(fault, DroppedFrames | BusOff):
+            wanted = fault.signals if isinstance(fault, DroppedFrames) and fault.signals else tuple(kept)
             readings.update({signal: kept[signal] for signal in wanted if signal in kept})
         elif isinstance(fault, Delayed):
             self._delay(readings, fault)

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sysid.runner.cycle import Cycle
-from sysid.runner.transport import Reading
+from sysid.runner.transport import Measurement
 
 Array = npt.NDArray[np.float64]
 
@@ -154,7 +154,7 @@ class Speaker:
             body = Cdr(at).pack("Q", cycle.number).text(verdict.check).text(verdict.target).text(verdict.reaction)
             yield Said(VERDICTS, at, at, body.pack("d", verdict.found).pack("d", verdict.limit).text(verdict.text).data)
 
-    def _reading(self, signal: str, reading: Reading, at: int) -> Said:
+    def _reading(self, signal: str, reading: Measurement, at: int) -> Said:
         measured, received = reading.measured_ns + self.offset_ns, reading.received_ns + self.offset_ns
         # A machine's clock can say anything; a stamp before the year 1970 cannot be written.
         body = Cdr(max(measured, 0)).pack("d", reading.value).pack("q", received).pack("Q", reading.count)

@@ -16,7 +16,7 @@ from sysid.config import STRICT
 from sysid.errors import SettingsError, nearest
 from sysid.plant import Plant
 from sysid.rl.reach import joint_limits
-from sysid.runner.valves import Valve
+from sysid.runner.valves import AxisValve
 
 Array = npt.NDArray[np.float64]
 
@@ -99,7 +99,7 @@ class Limits:
         return bool(np.isfinite(self.fence_low).any() or np.isfinite(self.fence_high).any())
 
 
-def limits_of(plant: Plant, valves: tuple[Valve, ...], settings: LimitSettings, where: object) -> Limits:
+def limits_of(plant: Plant, valves: tuple[AxisValve, ...], settings: LimitSettings, where: object) -> Limits:
     """The limits of a machine, narrowed by a recipe.
 
     Raises:

@@ -65,7 +65,7 @@ class MachineClock:
         return None if self._stamp is None else (self._stamp + at_ns - self._came) / SECOND
 
 
-class RoundTrip:
+class CommandRoundTrip:
     """From a command to the first status that says that it was heard."""
 
     def __init__(self) -> None:

@@ -19,7 +19,7 @@ import pandas as pd
 from sysid.files import written_whole
 from sysid.machine import Machine
 from sysid.runner.flight_messages import CYCLES, VERDICTS
-from sysid.runner.tail import Heard, Tail
+from sysid.runner.tail import LogMessage, Tail
 from sysid.signals import axis_signal, point_signals
 from sysid.view.drawing import OTHERS, SHOWN, STYLES, TIMELINE, log_points, log_poses, log_shapes, sdk
 from sysid.view.layout import machine_view, screen
@@ -105,7 +105,7 @@ class _Screen:
         self._curve("timing/lateness", STYLES["before"].colour, "lateness [µs]")
         self._curve("timing/turn", STYLES["after"].colour, "a turn took [µs]")
 
-    def show(self, messages: Sequence[Heard]) -> None:
+    def show(self, messages: Sequence[LogMessage]) -> None:
         """Draw ``messages``, in their order."""
         self._begin = messages[0].log_ns if self._begin is None else self._begin
         cycles = [(heard.log_ns, heard.body) for heard in messages if heard.topic == CYCLES]

@@ -10,22 +10,22 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from sysid.runner.chain import Chain
+from sysid.runner.chain import ControlChain
 from sysid.runner.checks.machine import dead_man
 from sysid.runner.clock import SECOND
 from sysid.runner.conduct import Conduct
 from sysid.runner.cycle import Cycle, Recorder, Verdict
-from sysid.runner.decision import Decider, Decision, nothing
+from sysid.runner.decision import CycleDecision, Decider, nothing
 from sysid.runner.loop_settings import LoopSettings
 from sysid.runner.modes.mode import Mode
 from sysid.runner.operator import Operator
-from sysid.runner.outcome import Outcome
+from sysid.runner.outcome import RunOutcome
 from sysid.runner.policy_thread import WARM_UP_S, PolicyError, described
 from sysid.runner.realtime import on_time, raise_thread
-from sysid.runner.senses import Seen, Senses
+from sysid.runner.senses import StateEstimate, StateEstimator
 from sysid.runner.states import States
 from sysid.runner.supervisor import Supervisor
-from sysid.runner.transport import NOBODY, Reading, Transport
+from sysid.runner.transport import NOBODY, Measurement, Transport
 
 Array = npt.NDArray[np.float64]
 
@@ -49,8 +49,8 @@ class Loop:
     def __init__(
         self,
         transport: Transport,
-        chain: Chain,
-        senses: Senses,
+        chain: ControlChain,
+        senses: StateEstimator,
         supervisor: Supervisor,
         mode: Mode,
         recorder: Recorder,
@@ -61,12 +61,12 @@ class Loop:
         self.recorder, self.operator, self.settings = recorder, operator, settings or LoopSettings()
         self.dt = 1.0 / chain.plant.machine.rate_hz
         self.period_ns = round(SECOND * self.dt)
-        self.states, self.outcome = States(), Outcome()
+        self.states, self.outcome = States(), RunOutcome()
         self.conduct = Conduct(self.states, mode, operator, self.settings, self.dt, self.outcome)
         self.decider = Decider(chain, senses, supervisor, mode, operator, self.settings.fallback, transport.now_ns)
         self._zero = np.zeros(len(chain.axes))
         self._sent = self._zero
-        self._readings: Mapping[str, Reading] = {}
+        self._readings: Mapping[str, Measurement] = {}
         self._missed = 0
         self._line = ""
         #: When the last command that lets the valves move went out; None where the last one was neutral.
@@ -94,7 +94,7 @@ class Loop:
         self.chain.rest(drive, joints)
         self.senses.reset()
 
-    def run(self, watch: Callable[[Cycle], None] | None = None) -> Outcome:
+    def run(self, watch: Callable[[Cycle], None] | None = None) -> RunOutcome:
         """Open the transport, turn until the task is done, somebody says so, or a fault ends it, and let go, valves neutral.
 
         Whatever fails on the way, an interrupt included, is how the run ended and not an exception: see the outcome.
@@ -210,7 +210,7 @@ class Loop:
         self.outcome.turns += 1
         return cycle
 
-    def _see(self, now: int, late_ns: int) -> Seen:
+    def _see(self, now: int, late_ns: int) -> StateEstimate:
         try:
             self._readings, inputs = self.transport.read()
         except Exception as error:  # a driver may raise anything; the fail-safe bits are sent all the same
@@ -226,7 +226,7 @@ class Loop:
             self.chain.moved(seen.joints, self._sent)
         return seen
 
-    def _decide(self, seen: Seen, verdicts: list[Verdict], now: int) -> Decision:
+    def _decide(self, seen: StateEstimate, verdicts: list[Verdict], now: int) -> CycleDecision:
         decision = nothing(len(self._zero))
         if self.states.state == "running" or (self.conduct.thinking and np.isfinite(seen.joints).all()):
             decision = self.decider.think(seen, verdicts, now + round(POLICY_SHARE * self.period_ns))
@@ -242,7 +242,7 @@ class Loop:
             self.decider.drive_setpoints = None
         return decision
 
-    def _slow_down(self, seen: Seen, now: int) -> Decision:
+    def _slow_down(self, seen: StateEstimate, now: int) -> CycleDecision:
         decision = self.decider.slow_down(seen)
         self.conduct.slowing(not decision.enabled, seen, now)
         return decision
@@ -253,7 +253,7 @@ class Loop:
         gap = 0 if self._moved_ns is None else then - self._moved_ns
         return self.supervisor.expired((then - now) / SECOND, gap / SECOND)
 
-    def _drop(self, decision: Decision, expired: Verdict, now: int) -> bool:
+    def _drop(self, decision: CycleDecision, expired: Verdict, now: int) -> bool:
         """What becomes of a turn that is too old; whether nothing at all is sent: the machine goes on with what it has.
 
         That lasts until the next turn, ``checks.expired.gap_s`` at the most, and is less of a jolt than neutral valves are.

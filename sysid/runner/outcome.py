@@ -12,7 +12,7 @@ Ended = Literal["done", "stopped", "fault", "quit", "time"]
 
 
 @dataclass
-class Outcome:
+class RunOutcome:
     """How a run went.
 
     Args:

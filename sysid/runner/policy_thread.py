@@ -3,7 +3,7 @@
 Whatever it raises or returns ends no run. An answer that comes late is dropped. Python code that never ends is ended by an
 exception in its thread; native code that never ends is left behind, and does not keep the process from ending. Native code that
 also keeps the interpreter for itself stops the loop: the machine's own time-out closes the valves then, and the turn is too old
-to be sent when it goes on (:class:`sysid.runner.checks.settings.Expired`).
+to be sent when it goes on (:class:`sysid.runner.checks.settings.ExpiredCheck`).
 """
 
 from __future__ import annotations

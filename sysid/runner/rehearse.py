@@ -12,7 +12,7 @@ from sysid.runner.assemble import Assembly
 from sysid.runner.clock import SECOND
 from sysid.runner.cycle import Cycle
 from sysid.runner.operator import Interruptible, Unattended
-from sysid.runner.outcome import Outcome
+from sysid.runner.outcome import RunOutcome
 from sysid.runner.simulated import SimulatedTransport
 
 Array = npt.NDArray[np.float64]
@@ -100,7 +100,7 @@ class Ranges:
 class Rehearsal:
     """What a dry run found."""
 
-    outcome: Outcome
+    outcome: RunOutcome
     ranges: Ranges
     seconds: float
 

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from sysid.runner.valves import Valve
+from sysid.runner.valves import AxisValve
 
 Array = npt.NDArray[np.float64]
 
@@ -57,7 +57,7 @@ class Response:
         accepted: delay beyond the plant's dead time [s].
     """
 
-    def __init__(self, valves: Sequence[Valve], dt: float, accepted: float) -> None:
+    def __init__(self, valves: Sequence[AxisValve], dt: float, accepted: float) -> None:
         self.dt, axes = dt, len(valves)
         self._window, longest = round(WINDOW_S / dt), round(LONGEST_S / dt)
         self._every = max(axes, round(EVERY_S / dt))

@@ -13,8 +13,8 @@ from sysid.plant import Plant
 from sysid.runner.checks.settings import CheckSettings
 from sysid.runner.clock import SECOND
 from sysid.runner.response import Late, Response
-from sysid.runner.transport import NOBODY, MachineInputs, Reading
-from sysid.runner.valves import Reckoning, Valve
+from sysid.runner.transport import NOBODY, MachineInputs, Measurement
+from sysid.runner.valves import AxisValve, Reckoning
 from sysid.signals import axis_signal
 
 Array = npt.NDArray[np.float64]
@@ -58,7 +58,7 @@ class Sensor:
 
 
 @dataclass(slots=True)
-class Seen:
+class StateEstimate:
     """What the supervisor judges in one turn.
 
     Args:
@@ -84,7 +84,7 @@ class Seen:
     late: tuple[Late, ...] = ()
 
 
-class Senses:
+class StateEstimator:
     """Keeps the history that single readings lack.
 
     Args:
@@ -95,7 +95,7 @@ class Senses:
     """
 
     def __init__(
-        self, plant: Plant, valves: tuple[Valve, ...], dt: float, signals: tuple[str, ...], settings: CheckSettings
+        self, plant: Plant, valves: tuple[AxisValve, ...], dt: float, signals: tuple[str, ...], settings: CheckSettings
     ) -> None:
         self.plant, self.valves, self.dt, self.settings = plant, valves, dt, settings
         axes = plant.machine.axes
@@ -134,8 +134,8 @@ class Senses:
                 sensor.still_since += abs(reckoning.position - before)
 
     def see(
-        self, readings: Mapping[str, Reading], inputs: MachineInputs, now_ns: int, lateness_s: float = 0.0, missed: int = 0
-    ) -> Seen:
+        self, readings: Mapping[str, Measurement], inputs: MachineInputs, now_ns: int, lateness_s: float = 0.0, missed: int = 0
+    ) -> StateEstimate:
         """Readings of this turn, believed where they can be."""
         for sensor in self.sensors:
             self._look(sensor, readings.get(sensor.signal), now_ns)
@@ -152,19 +152,19 @@ class Senses:
             joints[i] = drive[i] if linkage is None else _joint(linkage, drive[i])
         fresh = np.array([sensor.value if sensor.sound and sensor.fresh else math.nan for sensor in self.driven])
         self.response.look(fresh)
-        return Seen(
+        return StateEstimate(
             now_ns, lateness_s, missed, inputs, self.sensors, drive, np.array([sensor.sound for sensor in self.driven]),
             np.array([item.position for item in self.reckonings]), joints,
             late=self.response.late,
         )  # fmt: skip
 
-    def nothing(self, now_ns: int, line: str) -> Seen:
+    def nothing(self, now_ns: int, line: str) -> StateEstimate:
         """What a turn sees whose line is dead."""
         seen = self.see({}, NOBODY, now_ns)
         seen.line = line
         return seen
 
-    def _look(self, sensor: Sensor, reading: Reading | None, now_ns: int) -> None:
+    def _look(self, sensor: Sensor, reading: Measurement | None, now_ns: int) -> None:
         if reading is None:
             sensor.age_s, sensor.sound, sensor.finite, sensor.jump, sensor.fresh = math.inf, False, True, 0.0, False
             return

@@ -11,7 +11,7 @@ from sysid.errors import SettingsError, nearest
 from sysid.plant import Plant
 from sysid.plant.stepper import LaneState, Stepper
 from sysid.runner.clock import SECOND, SimulatedClock
-from sysid.runner.transport import MachineInputs, Reading
+from sysid.runner.transport import MachineInputs, Measurement
 from sysid.signals import POINTS, axis_signal
 
 Array = npt.NDArray[np.float64]
@@ -61,7 +61,7 @@ class SimulatedTransport(SimulatedClock):
         self._commands = np.zeros(len(self._axes))
         self._enabled, self._written_ns = False, -TIME_OUT_NS
         self._inputs = MachineInputs(dead_man=False, emergency_stop=False)
-        self._readings: dict[str, Reading] = {}
+        self._readings: dict[str, Measurement] = {}
         self._sense()
 
     @property
@@ -90,7 +90,7 @@ class SimulatedTransport(SimulatedClock):
         """Leave it neutral."""
         self._enabled = False
 
-    def read(self) -> tuple[Mapping[str, Reading], MachineInputs]:
+    def read(self) -> tuple[Mapping[str, Measurement], MachineInputs]:
         return dict(self._readings), self._inputs
 
     def write(self, commands: Array, enabled: bool) -> None:
@@ -119,7 +119,7 @@ class SimulatedTransport(SimulatedClock):
         errors = self._sigma * self._rng.standard_normal(len(self._sigma))
         for signal, (name, column), error in zip(self._signals, self._sources, errors, strict=True):
             value = float(getattr(self._lane, name)[0, column] + error)
-            self._readings[signal] = Reading(value, now, now, self._steps + 1)
+            self._readings[signal] = Measurement(value, now, now, self._steps + 1)
 
 
 def sources(plant: Plant) -> dict[str, tuple[str, int]]:

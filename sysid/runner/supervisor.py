@@ -17,11 +17,11 @@ from sysid.runner.checks.sensors import judge_sensors
 from sysid.runner.checks.settings import CheckSettings
 from sysid.runner.cycle import REACTIONS, Reaction, Verdict
 from sysid.runner.limits import Limits, SetpointLimiter
-from sysid.runner.senses import Seen
-from sysid.runner.valves import Reckoning, Valve
+from sysid.runner.senses import StateEstimate
+from sysid.runner.valves import AxisValve, Reckoning
 
 Array = npt.NDArray[np.float64]
-Inside = Callable[[Seen], str]
+Inside = Callable[[StateEstimate], str]
 
 #: What the broken limits are called for people.
 _WORDS = {
@@ -44,7 +44,7 @@ class Supervisor:
         self,
         axes: Sequence[str],
         limits: Limits,
-        valves: tuple[Valve, ...],
+        valves: tuple[AxisValve, ...],
         linkages: Sequence[TabulatedLinkage | None],
         tip: Callable[[Array], Array],
         dt: float,
@@ -64,7 +64,7 @@ class Supervisor:
         self._motion.reset()
         self._held_s = 0.0
 
-    def look(self, seen: Seen, moving: bool, drive_setpoints: Array | None) -> list[Verdict]:
+    def look(self, seen: StateEstimate, moving: bool, drive_setpoints: Array | None) -> list[Verdict]:
         """What is wrong with what is seen.
 
         Args:
@@ -96,16 +96,16 @@ class Supervisor:
         passed, broken = self.limiter.step(asked)
         return passed, self._verdicts(broken)
 
-    def commands(self, asked: Array, seen: Seen, reckonings: Sequence[Reckoning]) -> tuple[Array, list[Verdict]]:
+    def commands(self, asked: Array, seen: StateEstimate, reckonings: Sequence[Reckoning]) -> tuple[Array, list[Verdict]]:
         """Commands that may be sent (A,) for what is asked for (A,)."""
         passed, broken = self.barrier.pass_on(asked, seen.drive, reckonings)
         return passed, self._verdicts(broken)
 
-    def ramp(self, seen: Seen, reckonings: Sequence[Reckoning]) -> Array:
+    def ramp(self, seen: StateEstimate, reckonings: Sequence[Reckoning]) -> Array:
         """Commands of a stop, (A,)."""
         return self.barrier.ramp(seen.drive, reckonings)
 
-    def beyond(self, seen: Seen) -> str:
+    def beyond(self, seen: StateEstimate) -> str:
         """Which limit the machine stands beyond, margins left out; "" where it is inside."""
         for name, q, low, high in zip(self.axes, seen.joints, self.limits.hard_low, self.limits.hard_high, strict=True):
             if not low - 1e-6 <= q <= high + 1e-6:

@@ -24,7 +24,7 @@ from sysid.runner.mcap_pieces import MAGIC
 _HEAD = 9
 
 
-class Heard(NamedTuple):
+class LogMessage(NamedTuple):
     """A message: topic, when it was recorded [ns], its fields as attributes."""
 
     topic: str
@@ -54,7 +54,7 @@ class Tail:
             if file.read(len(MAGIC)) != MAGIC:
                 raise InputError(str(path), "no MCAP file", "a flight log of the runner")
 
-    def new(self) -> list[Heard]:
+    def new(self) -> list[LogMessage]:
         """Messages since the last time; none any more where the log was taken away, as that of a run that never began is."""
         try:
             with self.path.open("rb") as file:
@@ -63,7 +63,7 @@ class Tail:
         except FileNotFoundError:
             self.finished = True
             return []
-        found: list[Heard] = []
+        found: list[LogMessage] = []
         at = 0
         while len(data) - at >= _HEAD and not self.finished:
             end = at + _HEAD + int.from_bytes(data[at + 1 : at + _HEAD], "little")
@@ -76,7 +76,7 @@ class Tail:
         self._at += at
         return found
 
-    def _take(self, record: McapRecord) -> Iterator[Heard]:
+    def _take(self, record: McapRecord) -> Iterator[LogMessage]:
         if isinstance(record, Schema):
             self._schemas[record.id] = record
         elif isinstance(record, Channel):
@@ -86,7 +86,7 @@ class Tail:
                 decoder = DecoderFactory().decoder_for(channel.message_encoding, self._schemas[channel.schema_id])
                 assert decoder is not None
                 self._decoders[channel.id] = decoder
-            yield Heard(channel.topic, record.log_time, self._decoders[channel.id](record.data))
+            yield LogMessage(channel.topic, record.log_time, self._decoders[channel.id](record.data))
 
 
 def _records(opcode: int, body: bytes) -> list[McapRecord]:

@@ -13,7 +13,7 @@ Array = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)
-class Reading:
+class Measurement:
     """The newest value of one signal.
 
     Args:
@@ -69,7 +69,7 @@ class Transport(Protocol):
         """
         ...
 
-    def read(self) -> tuple[Mapping[str, Reading], MachineInputs]:
+    def read(self) -> tuple[Mapping[str, Measurement], MachineInputs]:
         """Newest readings and inputs; never blocks. A signal of which nothing came yet is missing."""
         ...
 

@@ -19,7 +19,7 @@ from sysid.runner.transport import Transport
 
 
 @dataclass(frozen=True)
-class Line:
+class OpenTransport:
     """A transport, and whether nobody can be hurt at its other end: a simulated or stand-in machine with switches of ours.
 
     Args:
@@ -33,7 +33,7 @@ class Line:
     remarks: tuple[str, ...] = ()
 
 
-Build = Callable[[dict[str, Any], Assembly, Registry], Line]
+Build = Callable[[dict[str, Any], Assembly, Registry], OpenTransport]
 
 #: ``module:function``, imported when it is asked for.
 TRANSPORTS: dict[str, str] = {
@@ -43,7 +43,7 @@ TRANSPORTS: dict[str, str] = {
 }
 
 
-def connect(assembly: Assembly, registry: Registry) -> Line:
+def connect(assembly: Assembly, registry: Registry) -> OpenTransport:
     """The line of a recipe, not yet open.
 
     Raises:
@@ -76,7 +76,7 @@ class SimulatedSettings:
     seed: int = 0
 
 
-def simulated(values: dict[str, Any], assembly: Assembly, registry: Registry) -> Line:
+def simulated(values: dict[str, Any], assembly: Assembly, registry: Registry) -> OpenTransport:
     """The machine in process."""
     settings = parse_settings(values, SimulatedSettings, "transport")
     plant = assembly.loaded.plant
@@ -88,10 +88,12 @@ def simulated(values: dict[str, Any], assembly: Assembly, registry: Registry) ->
     joints = np.array(settings.joints) if settings.joints else assembly.middle
     if joints.shape != (len(plant.machine.axes),):
         raise SettingsError("transport.joints", f"{len(joints)} values", f"{len(plant.machine.axes)}")
-    return Line(SimulatedTransport(plant, joints, noise=settings.noise, seed=settings.seed), stand_in=True, wired=False)
+    return OpenTransport(
+        SimulatedTransport(plant, joints, noise=settings.noise, seed=settings.seed), stand_in=True, wired=False
+    )
 
 
-def can(values: dict[str, Any], assembly: Assembly, registry: Registry) -> Line:
+def can(values: dict[str, Any], assembly: Assembly, registry: Registry) -> OpenTransport:
     """A machine on a CAN bus; one with a control pipe is a stand-in, whose switches the pipe holds."""
     from sysid.runner.can import CanSettings, CanTransport
 
@@ -107,9 +109,9 @@ def can(values: dict[str, Any], assembly: Assembly, registry: Registry) -> Line:
         valves={axis: settings.valves[axis] for axis in axes},
     )
     transport = CanTransport(settings, where)
-    return Line(transport, stand_in=settings.control is not None, remarks=transport.remarks)
+    return OpenTransport(transport, stand_in=settings.control is not None, remarks=transport.remarks)
 
 
-def slcan(values: dict[str, Any], assembly: Assembly, registry: Registry) -> Line:
+def slcan(values: dict[str, Any], assembly: Assembly, registry: Registry) -> OpenTransport:
     """The same through an adapter on a serial line."""
     return can(values | {"interface": "slcan"}, assembly, registry)

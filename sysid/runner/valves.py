@@ -21,7 +21,7 @@ Speed = TypeVar("Speed", float, npt.NDArray[np.float64])
 SHUT = 1e-3
 
 
-class Valve:
+class AxisValve:
     """One axis.
 
     Args:
@@ -78,7 +78,7 @@ class Reckoning:
         lean: time constant of leaning on the sensor [s].
     """
 
-    def __init__(self, valve: Valve, dt: float, lean: float) -> None:
+    def __init__(self, valve: AxisValve, dt: float, lean: float) -> None:
         self.valve, self.dt, self.lean = valve, dt, lean
         self.position = math.nan
         self.pending: list[float] = [0.0] * valve.late
@@ -102,6 +102,6 @@ class Reckoning:
         return sum(max(0.0, sign * speed) for speed in self.pending) * self.dt
 
 
-def valves(tuning: Sequence[AxisTuning], dt: float) -> tuple[Valve, ...]:
+def valves(tuning: Sequence[AxisTuning], dt: float) -> tuple[AxisValve, ...]:
     """Of all axes."""
-    return tuple(Valve(item, dt) for item in tuning)
+    return tuple(AxisValve(item, dt) for item in tuning)

@@ -14,7 +14,7 @@ from sysid.datasets.recording import Recording
 from sysid.effects import BY_NAME, Effect, Form, Parameter, input_delay
 from sysid.effects.catalogue import confusions
 from sysid.errors import SysidError, nearest
-from sysid.testing.probe import RATE_HZ, Place, Run, Values, places_of, plant_run, probe_recording, with_inputs
+from sysid.testing.probe import RATE_HZ, EffectPlace, Run, Values, places_of, plant_run, probe_recording, with_inputs
 
 Array = npt.NDArray[np.float64]
 
@@ -80,7 +80,7 @@ class _Subject:
     """One effect at one place, with short ways to run it."""
 
     effect: Effect
-    place: Place
+    place: EffectPlace
     run: Run
 
     def inputs(self, recording: Recording) -> Array:

@@ -12,10 +12,10 @@ import pandas as pd
 from sysid.datasets.recording import Recording
 from sysid.effects import CATALOGUE, Effect, Form
 from sysid.effects.catalogue import confusions
-from sysid.pictures import Line, svg
+from sysid.pictures import PictureCurve, svg
 from sysid.signals import point_signals
 from sysid.testing.check import typical_values
-from sysid.testing.probe import RATE_HZ, Place, Values, places_of, plant_run, probe_machine, probe_recording, with_inputs
+from sysid.testing.probe import RATE_HZ, EffectPlace, Values, places_of, plant_run, probe_machine, probe_recording, with_inputs
 
 Array = npt.NDArray[np.float64]
 GREY, BLUE, ORANGE = "#9aa1a8", "#1f6fb4", "#d9822b"
@@ -143,7 +143,7 @@ def _picture(effect: Effect) -> str:
     return _drive_picture(effect, place, form, values, title)
 
 
-def _drive_picture(effect: Effect, place: Place, form: Form, values: Values, title: str) -> str:
+def _drive_picture(effect: Effect, place: EffectPlace, form: Form, values: Values, title: str) -> str:
     time = np.arange(700) / RATE_HZ
     u = np.select(
         [time < 0.5, time < 2.5, time < 3.0, time < 4.0, time < 4.7],
@@ -156,9 +156,9 @@ def _drive_picture(effect: Effect, place: Place, form: Form, values: Values, tit
     gain = 1.0 if effect.stage == "force" else probe_machine().axis("slew" if effect.target == "machine" else place.target).gain
     speeds = [np.append(np.diff(run(v, recording)[:, 0]), np.nan) * RATE_HZ / gain for v in (None, values)]
     label = "speed [m/s]" if effect.stage == "force" else "speed / speed at command 1"
-    lines = [Line("without", time, speeds[0], GREY), Line("with", time, speeds[1], BLUE)]
+    lines = [PictureCurve("without", time, speeds[0], GREY), PictureCurve("with", time, speeds[1], BLUE)]
     if effect.stage == "force":
-        lines.insert(0, Line("force / 4 N", time, u, ORANGE, dashed=True))
+        lines.insert(0, PictureCurve("force / 4 N", time, u, ORANGE, dashed=True))
     return svg(title, "time [s]", label, lines)
 
 
@@ -174,13 +174,13 @@ def _joint_picture(effect: Effect, values: Values, title: str) -> str:
         "time [s]",
         "joint [rad]",
         [
-            Line("without", time, run(None, recording)[:, 0], GREY),
-            Line("with", time, run(values, recording)[:, 0], BLUE),
+            PictureCurve("without", time, run(None, recording)[:, 0], GREY),
+            PictureCurve("with", time, run(values, recording)[:, 0], BLUE),
         ],
     )
 
 
-def _tip_picture(effect: Effect, place: Place, values: Values, title: str) -> str:
+def _tip_picture(effect: Effect, place: EffectPlace, values: Values, title: str) -> str:
     """A loop of the arm seen from the side."""
     place = next((p for p in places_of(effect) if p.target == "boom"), place)
     angle = np.linspace(0.0, 2 * np.pi, 200)
@@ -188,18 +188,21 @@ def _tip_picture(effect: Effect, place: Place, values: Values, title: str) -> st
     recording = with_inputs(probe_recording(2.0), place.inputs, joints)
     run = plant_run(effect, place)
     one, other = run(None, recording), run(values, recording)
-    lines = [Line("without", one[:, 0], one[:, 2], GREY), Line("with", other[:, 0], other[:, 2], BLUE)]
+    lines = [PictureCurve("without", one[:, 0], one[:, 2], GREY), PictureCurve("with", other[:, 0], other[:, 2], BLUE)]
     return svg(title, "x of the end effector [m]", "z [m]", lines, equal=True)
 
 
-def _tool_picture(effect: Effect, place: Place, values: Values, title: str) -> str:
+def _tool_picture(effect: Effect, place: EffectPlace, values: Values, title: str) -> str:
     time = np.arange(900) / RATE_HZ
     s = np.clip((time - 0.5) / 0.8, 0.0, 1.0)
     ee = np.column_stack([0.2 * (10 * s**3 - 15 * s**4 + 6 * s**5), np.zeros(900), np.ones(900)])
     table = {"time": time, **{name: ee[:, k] for k, name in enumerate(point_signals("ee"))}}
     recording = Recording("push", pd.DataFrame(table), RATE_HZ)
     run = plant_run(effect, place)
-    lines = [Line("without", time, run(None, recording)[:, 0], GREY), Line("with", time, run(values, recording)[:, 0], BLUE)]
+    lines = [
+        PictureCurve("without", time, run(None, recording)[:, 0], GREY),
+        PictureCurve("with", time, run(values, recording)[:, 0], BLUE),
+    ]
     return svg(title, "time [s]", "x of the tool [m]", lines)
 
 

@@ -77,7 +77,7 @@ AMPLITUDES = {"slew": 1.0, "boom": 1.0, "slide": 4.0, "wrist": 1.0}
 
 
 @dataclass(frozen=True)
-class Place:
+class EffectPlace:
     """Where an effect can sit in the probe machine.
 
     Args:
@@ -141,20 +141,26 @@ def with_inputs(recording: Recording, inputs: Sequence[str], values: Array) -> R
     return replace(recording, table=table.assign(**{name: values[:, k] for k, name in enumerate(inputs)}))
 
 
-def places_of(effect: Effect) -> tuple[Place, ...]:
+def places_of(effect: Effect) -> tuple[EffectPlace, ...]:
     """Every kind of place the effect may have, on the probe machine."""
     machine = probe_machine()
     joints = tuple(axis_signal(name, "joint") for name in machine.axis_names)
     if effect.target == "tool":
-        return (Place("tool", None, "tool", point_signals("ee")),)
+        return (EffectPlace("tool", None, "tool", point_signals("ee")),)
     if effect.target == "base":
-        return (Place("base", None, "tip", joints),)
+        return (EffectPlace("base", None, "tip", joints),)
     if effect.target == "machine":
-        return (Place("machine", None, "drive", tuple(axis_signal(a.name, "command") for a in machine.axes[:2])),)
+        return (EffectPlace("machine", None, "drive", tuple(axis_signal(a.name, "command") for a in machine.axes[:2])),)
     if effect.target == "signal":
-        return (Place("boom.joint", None, "joint", ("boom.cylinder",)), Place("tool.x", None, "tool", point_signals("ee")))
+        return (
+            EffectPlace("boom.joint", None, "joint", ("boom.cylinder",)),
+            EffectPlace("tool.x", None, "tool", point_signals("ee")),
+        )
     if effect.target == "stream":
-        return (Place("capture", None, "joint", ("boom.cylinder",)), Place("capture", None, "tool", point_signals("ee")))
+        return (
+            EffectPlace("capture", None, "joint", ("boom.cylinder",)),
+            EffectPlace("capture", None, "tool", point_signals("ee")),
+        )
     found = []
     loaded = any(parameter.scale == "1/load" for form in effect.forms for parameter in form.parameters)
     for axis in machine.axes:
@@ -162,16 +168,16 @@ def places_of(effect: Effect) -> tuple[Place, ...]:
             continue
         command = (axis_signal(axis.name, "command"),)
         if effect.stage in ("command", "force"):
-            found.append(Place(axis.name, None, "drive", command))
+            found.append(EffectPlace(axis.name, None, "drive", command))
         elif effect.stage == "end_effector":
-            found.append(Place(axis.name, None, "tip", joints))
+            found.append(EffectPlace(axis.name, None, "tip", joints))
         for side in effect.sides:
             if side == "structure":
-                found.append(Place(axis.name, side, "tip", joints))
+                found.append(EffectPlace(axis.name, side, "tip", joints))
             elif axis.drives == "joint":
-                found.append(Place(axis.name, side, "drive", command))
+                found.append(EffectPlace(axis.name, side, "drive", command))
             else:
-                found.append(Place(axis.name, side, "joint", (axis_signal(axis.name, "cylinder"),)))
+                found.append(EffectPlace(axis.name, side, "joint", (axis_signal(axis.name, "cylinder"),)))
     return tuple(found)
 
 
@@ -181,7 +187,7 @@ def _nominal() -> tuple[Plant, Model]:
     return plant, compile_plant(plant)
 
 
-def plant_run(effect: Effect, place: Place) -> Run:
+def plant_run(effect: Effect, place: EffectPlace) -> Run:
     """The compiled plant with the effect at ``place`` and nothing else."""
     plant, model = _nominal()
 

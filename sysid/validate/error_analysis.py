@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sysid.datasets.recording import Dataset
-from sysid.networks.split import Rows
+from sysid.networks.split import SignalRows
 from sysid.validate.binning import speed_of
 
 Array = npt.NDArray[np.float64]
@@ -99,7 +99,7 @@ def _binned(errors: Array, owner: npt.NDArray[np.intp], edges: Array, variable: 
     )
 
 
-def speeds(dataset: Dataset, rows: Rows, signal: str) -> Array:
+def speeds(dataset: Dataset, rows: SignalRows, signal: str) -> Array:
     """Rate of change of ``signal`` at ``rows`` by a central difference, (n,) [SI/s]; NaN beside gaps and at the ends."""
     result = np.full(len(rows), np.nan)
     for name in np.unique(rows.recording):
@@ -112,7 +112,7 @@ def speeds(dataset: Dataset, rows: Rows, signal: str) -> Array:
 
 def spikes(
     dataset: Dataset,
-    rows: Rows,
+    rows: SignalRows,
     errors: Array,
     ends: Ranges,
     fitted: Ranges,

@@ -20,7 +20,7 @@ MOST_MAPS = 6
 
 
 @dataclass(frozen=True)
-class Axis:
+class MapAxis:
     """One variable of a map: its values (n,), NaN where it is not known, its unit, and how it is cut."""
 
     name: str
@@ -56,19 +56,19 @@ class ErrorMap:
         return int(row), int(column)
 
 
-def error_maps(errors: Array, axes: Sequence[Axis], pairs: Sequence[tuple[str, str]] | None = None) -> tuple[ErrorMap, ...]:
+def error_maps(errors: Array, axes: Sequence[MapAxis], pairs: Sequence[tuple[str, str]] | None = None) -> tuple[ErrorMap, ...]:
     """Maps of ``errors`` (n,) over pairs of axes, the most telling ones first, at most :data:`MOST_MAPS`.
 
     Args:
         pairs: names of the axes to pair; all pairs where left out. A variable that does not vary has no map.
     """
-    named: Mapping[str, Axis] = {axis.name: axis for axis in axes}
+    named: Mapping[str, MapAxis] = {axis.name: axis for axis in axes}
     chosen = list(combinations(named, 2)) if pairs is None else pairs
     found = [item for a, b in chosen if (item := error_map(errors, named[a], named[b])) is not None]
     return tuple(sorted(found, key=lambda item: -item.explains)[:MOST_MAPS])
 
 
-def error_map(errors: Array, first: Axis, second: Axis) -> ErrorMap | None:
+def error_map(errors: Array, first: MapAxis, second: MapAxis) -> ErrorMap | None:
     """Errors over two variables; None where one of them does not vary or too few rows know both."""
     there = np.isfinite(first.values) & np.isfinite(second.values)
     bins = min(MOST_BINS, int(np.sqrt(there.sum() / ROWS_A_BIN)))

@@ -8,13 +8,13 @@ import numpy as np
 import numpy.typing as npt
 
 from sysid.errors import ExcitationError, SettingsError
-from sysid.networks.split import GUARD_S, Rows
+from sysid.networks.split import GUARD_S, SignalRows
 
 Index = npt.NDArray[np.int64]
 
 
 def folds(
-    rows: Rows, count: int = 5, by: Literal["recording", "block"] = "recording", guard_s: float = GUARD_S
+    rows: SignalRows, count: int = 5, by: Literal["recording", "block"] = "recording", guard_s: float = GUARD_S
 ) -> list[tuple[Index, Index]]:
     """Indices (fit, held out) of each fold, for ``cv=`` of scikit-learn's tools and of ``sysid.networks.estimator``.
 
@@ -47,7 +47,7 @@ def folds(
     return found
 
 
-def _blocks(rows: Rows, of_recording: npt.NDArray[np.intp], count: int) -> Index:
+def _blocks(rows: SignalRows, of_recording: npt.NDArray[np.intp], count: int) -> Index:
     """Number of the stretch that each row lies in: as many rows a stretch, in order of time."""
     block = np.empty(len(rows), dtype=np.int64)
     for number in range(int(of_recording.max()) + 1):
@@ -57,7 +57,7 @@ def _blocks(rows: Rows, of_recording: npt.NDArray[np.intp], count: int) -> Index
     return block
 
 
-def _near(rows: Rows, fit: npt.NDArray[np.intp], held: npt.NDArray[np.intp], guard_s: float) -> npt.NDArray[np.bool_]:
+def _near(rows: SignalRows, fit: npt.NDArray[np.intp], held: npt.NDArray[np.intp], guard_s: float) -> npt.NDArray[np.bool_]:
     """Which rows of ``fit`` lie within the guard of a held-out row of their own recording."""
     near = np.zeros(len(fit), dtype=bool)
     for name in np.unique(rows.recording[held]):

@@ -10,13 +10,13 @@ import numpy.typing as npt
 
 from sysid.datasets.recording import Dataset, Recording, Role
 from sysid.errors import ExcitationError
-from sysid.networks.actuator import RoundTrip, actuator_rows
+from sysid.networks.actuator import RoundTripError, actuator_rows
 from sysid.networks.history import HistoryNetwork
 from sysid.networks.motion import APART, MotionNetwork, motion_rows, motions, window_for
-from sysid.networks.motion_inputs import Index, Motion, Window
+from sysid.networks.motion_inputs import Index, MotionStretch, Window
 from sysid.networks.recipe import NetworkRecipe
 from sysid.networks.rollout import Speed, horizon_errors, whole_run
-from sysid.networks.split import Rows, gather, segments
+from sysid.networks.split import SignalRows, gather, segments
 from sysid.plant import free_run, nominal_plant
 from sysid.signals import axis_signal
 from sysid.validate.baselines import linkage_geometry, simple_models
@@ -43,7 +43,7 @@ def validate_history(
     Raises:
         ExcitationError: no rows of that role have both signals of an axis.
     """
-    outputs, round_trips = [], dict[str, RoundTrip]()
+    outputs, round_trips = [], dict[str, RoundTripError]()
     for axis, network in networks.items():
         signals = (axis_signal(axis, "cylinder"), axis_signal(axis, "joint"))
         fit, _ = actuator_rows(dataset, axis, recipe or NetworkRecipe())
@@ -142,7 +142,11 @@ def _linear(x: Array, y: Array) -> Speed:
 
 
 def _runs(
-    network: MotionNetwork, speed: Speed, window: Window, parts: tuple[tuple[Recording, Motion], ...], horizon: float | None
+    network: MotionNetwork,
+    speed: Speed,
+    window: Window,
+    parts: tuple[tuple[Recording, MotionStretch], ...],
+    horizon: float | None,
 ) -> _Runs:
     """Of a model within the network's bounds."""
     found = [motion for _, motion in parts]
@@ -166,7 +170,7 @@ def _simulated(
     simulated: Mapping[str, Mapping[str, Array]],
     driven: str,
     is_position: bool,
-    parts: tuple[tuple[Recording, Motion], ...],
+    parts: tuple[tuple[Recording, MotionStretch], ...],
     runs: _Runs,
 ) -> list[Array]:
     """What the nominal simulation says at the same rows, (b,) for each stretch; NaN where it says nothing."""
@@ -184,7 +188,7 @@ def _simulated(
 def _motion_report(
     dataset: Dataset,
     network: MotionNetwork,
-    parts: tuple[tuple[Recording, Motion], ...],
+    parts: tuple[tuple[Recording, MotionStretch], ...],
     horizon: float | None,
     runs: _Runs,
     others: Mapping[str, _Runs],
@@ -227,7 +231,7 @@ def _motion_report(
     )
 
 
-def _rows(network: MotionNetwork, parts: tuple[tuple[Recording, Motion], ...], runs: _Runs) -> Rows:
+def _rows(network: MotionNetwork, parts: tuple[tuple[Recording, MotionStretch], ...], runs: _Runs) -> SignalRows:
     """Command and position where runs are judged."""
     signals = (network.command, network.driven)
     columns = [
@@ -240,7 +244,7 @@ def _rows(network: MotionNetwork, parts: tuple[tuple[Recording, Motion], ...], r
         for (recording, _), rows in zip(parts, runs.rows, strict=True)
     ]
     values, names, at, times = (np.concatenate(column) for column in zip(*columns, strict=True))
-    return Rows(signals, values, names, at, times)
+    return SignalRows(signals, values, names, at, times)
 
 
 def _at(rows: list[Index], other: _Runs) -> Iterator[Array]:

@@ -13,7 +13,7 @@ import numpy.typing as npt
 from sysid.datasets.recording import Dataset, Kind
 from sysid.networks.actuator import ActuatorNetwork
 from sysid.networks.forward import is_angle
-from sysid.networks.split import Rows, thin
+from sysid.networks.split import SignalRows, thin
 from sysid.networks.trust import FALSE_FLAGS, Trust
 from sysid.plant import gravity_load
 from sysid.signals import axis_signal
@@ -21,7 +21,7 @@ from sysid.validate.baselines import Predict
 from sysid.validate.binning import per_second
 from sysid.validate.coverage import LEVEL, Coverage, coverage_of
 from sysid.validate.error_analysis import Profile, Ranges, direction_profile, profile, speeds, spikes
-from sysid.validate.error_maps import Axis, ErrorMap, error_maps
+from sysid.validate.error_maps import ErrorMap, MapAxis, error_maps
 from sysid.validate.metrics import error_metrics
 from sysid.validate.report import OutputReport, Trace
 
@@ -58,7 +58,9 @@ class EvaluatedOutput:
     number: int = 0
 
 
-def output_report(dataset: Dataset, rows: Rows, kind: Kind, item: EvaluatedOutput, along: Array | None = None) -> OutputReport:
+def output_report(
+    dataset: Dataset, rows: SignalRows, kind: Kind, item: EvaluatedOutput, along: Array | None = None
+) -> OutputReport:
     """``along``: what a network with a memory said at ``rows``; its map is what it says without one."""
     inputs, truth, output = rows.values[:, list(item.sources)], rows.values[:, item.target], rows.signals[item.target]
     unit, predicted = _unit(dataset, output), item.predict(inputs) if along is None else along
@@ -90,23 +92,23 @@ def output_report(dataset: Dataset, rows: Rows, kind: Kind, item: EvaluatedOutpu
 
 
 def _where(
-    dataset: Dataset, rows: Rows, errors: Array, sources: tuple[int, ...], kind: Kind
+    dataset: Dataset, rows: SignalRows, errors: Array, sources: tuple[int, ...], kind: Kind
 ) -> tuple[tuple[Profile, ...], tuple[ErrorMap, ...]]:
     """Errors against each input, its speed and direction, and the loads; and against two of them at a time."""
     profiles: list[Profile] = []
-    axes: list[Axis] = []
+    axes: list[MapAxis] = []
     moving: list[tuple[str, str]] = []
     for source in sources:
         signal = rows.signals[source]
         unit = _unit(dataset, signal)
         values = rows.values[:, source]
         profiles.append(profile(errors, values, signal, unit))
-        axes.append(Axis(signal, unit, values))
+        axes.append(MapAxis(signal, unit, values))
         speed = speeds(dataset, rows, signal) if kind == "motion" else np.full(len(rows), np.nan)
         if np.isfinite(speed).any():
             profiles.append(profile(errors, np.abs(speed), f"speed of {signal}", per_second(unit)))
             profiles.append(direction_profile(errors, speed, f"direction of {signal}", per_second(unit)))
-            axes.append(Axis(f"speed of {signal}", per_second(unit), speed, "signed"))
+            axes.append(MapAxis(f"speed of {signal}", per_second(unit), speed, "signed"))
             moving.append((signal, axes[-1].name))
     for signal, (load_unit, load) in _loads(dataset, rows).items():
         profiles.append(profile(errors, load, f"load of {signal}", load_unit))
@@ -114,7 +116,7 @@ def _where(
     return tuple(profiles), error_maps(errors, axes, [*combinations(inputs, 2), *moving])
 
 
-def _loads(dataset: Dataset, rows: Rows) -> dict[str, tuple[str, Array]]:
+def _loads(dataset: Dataset, rows: SignalRows) -> dict[str, tuple[str, Array]]:
     """Joint → unit and gravity load at every row, for those joints that ``rows`` are about and that carry any."""
     if dataset.machine.kinematics() is None:
         return {}
@@ -133,7 +135,7 @@ def _loads(dataset: Dataset, rows: Rows) -> dict[str, tuple[str, Array]]:
     return found
 
 
-def _coverage(rows: Rows, inputs: Array, truth: Array, predicted: Array, item: EvaluatedOutput) -> Coverage | None:
+def _coverage(rows: SignalRows, inputs: Array, truth: Array, predicted: Array, item: EvaluatedOutput) -> Coverage | None:
     trust = item.trust
     if trust is None:
         return None
@@ -147,7 +149,7 @@ def _coverage(rows: Rows, inputs: Array, truth: Array, predicted: Array, item: E
     return coverage_of(truth, (predicted - reach, predicted + reach), inside, inputs, names, FALSE_FLAGS, level)
 
 
-def _noise_floor(dataset: Dataset, rows: Rows, item: EvaluatedOutput) -> float | None:
+def _noise_floor(dataset: Dataset, rows: SignalRows, item: EvaluatedOutput) -> float | None:
     """√(σ_out² + Σ (∂f/∂x · σ_in)²), the slopes taken from the network itself; None where a σ is not stated."""
     noise, sources = dataset.machine.noise, item.sources
     if any(rows.signals[column] not in noise for column in (*sources, item.target)):

@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from sysid.datasets.recording import Kind, Role
 from sysid.files import plain
-from sysid.networks.actuator import RoundTrip
+from sysid.networks.actuator import RoundTripError
 from sysid.validate.coverage import Coverage
 from sysid.validate.error_analysis import Profile, Spike
 from sysid.validate.error_maps import ErrorMap
@@ -94,7 +94,7 @@ class ValidationReport:
     dataset: str
     role: Role
     outputs: tuple[OutputReport, ...]
-    round_trips: Mapping[str, RoundTrip] = field(default_factory=dict)
+    round_trips: Mapping[str, RoundTripError] = field(default_factory=dict)
 
     def output(self, name: str, rows: Kind | None = None) -> OutputReport:
         """The entry of one output; of one kind of recordings if given."""

@@ -13,7 +13,7 @@ from sysid.networks.actuator import ActuatorNetwork, actuator_rows
 from sysid.networks.artifacts import Model, history_networks, motion_networks, static_networks
 from sysid.networks.forward import ForwardModel, ForwardNetwork, forward_rows
 from sysid.networks.recipe import NetworkRecipe
-from sysid.networks.split import Rows, gather, measures, segments
+from sysid.networks.split import SignalRows, gather, measures, segments
 from sysid.networks.structured import StructuredForward
 from sysid.signals import axis_signal, point_signals
 from sysid.validate.baselines import linkage_geometry, simple_models, urdf_kinematics
@@ -121,13 +121,13 @@ def _joint_limits(dataset: Dataset, fitted: Ranges) -> Ranges:
     return {signal: ends if ends is not None and np.isfinite(ends).all() else fitted[signal] for signal, ends in limits.items()}
 
 
-def _judged(dataset: Dataset, role: Role, signals: tuple[str, ...], kinds: tuple[Kind, ...]) -> dict[Kind, Rows]:
+def _judged(dataset: Dataset, role: Role, signals: tuple[str, ...], kinds: tuple[Kind, ...]) -> dict[Kind, SignalRows]:
     """Rows of ``role`` by kind of recording.
 
     Raises:
         ExcitationError: there are none at all.
     """
-    found: dict[Kind, Rows] = {}
+    found: dict[Kind, SignalRows] = {}
     for kind in kinds:
         if measures(dataset, signals, kind):
             rows = gather(segments(dataset, role, signals, kind), signals)

@@ -3,21 +3,21 @@
 from sysid.versions.card import card_of
 from sysid.versions.card_block import Card
 from sysid.versions.diff import ModelDiff, diff_versions
-from sysid.versions.drift import Drift, OutputDrift, drift_of
+from sysid.versions.drift import DriftReport, OutputDrift, drift_of
 from sysid.versions.lineage import ModelLineage, lineage_of
 from sysid.versions.onnx_export import Exported, export_onnx
 from sysid.versions.outputs import OutputMap, output_maps
-from sysid.versions.policy import Policy, load_policy, policy_checks
+from sysid.versions.policy import PromotionPolicy, load_policy, policy_checks
 
 __all__ = [
     "Card",
-    "Drift",
+    "DriftReport",
     "Exported",
     "ModelDiff",
     "ModelLineage",
     "OutputDrift",
     "OutputMap",
-    "Policy",
+    "PromotionPolicy",
     "card_of",
     "diff_versions",
     "drift_of",

@@ -14,7 +14,7 @@ from sysid.networks import Model
 from sysid.networks.policy import PolicyNetwork
 from sysid.registry import NETWORKS, ModelVersion, PromotionDecision
 from sysid.validate import ValidationReport
-from sysid.versions.card_block import Block, Card
+from sysid.versions.card_block import Card, CardBlock
 from sysid.versions.card_network import network_limits, network_ranges, what_network
 from sysid.versions.card_policy import policy_limits, policy_ranges, what_policy
 from sysid.versions.card_report import baselines, figures, trust, where_it_errs
@@ -50,28 +50,28 @@ def card_of(
     aliases = f" ({', '.join(version.aliases)})" if version.aliases else ""
     made = f"{datetime.fromtimestamp(version.created_ms / 1e3, UTC):%Y-%m-%d %H:%M} UTC"
     said = what_policy(version, policy) if policy is not None else what_network(model)
-    blocks = [Block("What it is", (WHAT.get(version.kind, version.kind), *said))]
+    blocks = [CardBlock("What it is", (WHAT.get(version.kind, version.kind), *said))]
     if report is not None:
         blocks += [figures(report), *baselines(report), *where_it_errs(report), *trust(report)]
     elif version.metrics:
         rows = tuple((name, f"{value:.4g}") for name, value in version.metrics.items())
         again = "the actor alone, from random poses to random targets (reach), then staying there (hold)"
         text = (f"As they were stored with it, in SI units; {again if policy else 'its dataset cannot be asked again'}.",)
-        blocks.append(Block("Figures", text, ("figure", "value"), rows))
+        blocks.append(CardBlock("Figures", text, ("figure", "value"), rows))
     if version.kind == "plant":
         blocks += _effects(version.lineage)
     if model is not None:
         blocks.append(network_ranges(model))
     if policy is not None:
         blocks.append(policy_ranges(policy))
-    blocks.append(Block("Limits", tuple(policy_limits(policy) if policy is not None else network_limits(model, report))))
+    blocks.append(CardBlock("Limits", tuple(policy_limits(policy) if policy is not None else network_limits(model, report))))
     blocks.append(_lineage(lineage))
     if version.decisions:
         blocks.append(
-            Block("Decisions", (), ("when", "decision", "by", "reason"), tuple(map(decision_row, version.decisions[::-1])))
+            CardBlock("Decisions", (), ("when", "decision", "by", "reason"), tuple(map(decision_row, version.decisions[::-1])))
         )
-    blocks.append(Block("Files", (), ("file", "sha256"), tuple(sorted(version.sha256.items()))))
-    blocks.append(Block("How to load it", tuple(_loading(version)), code=_code(version)))
+    blocks.append(CardBlock("Files", (), ("file", "sha256"), tuple(sorted(version.sha256.items()))))
+    blocks.append(CardBlock("How to load it", tuple(_loading(version)), code=_code(version)))
     return Card(version.reference, f"{version.kind}{aliases}, made {made}, content {version.digest[:12]}", tuple(blocks))
 
 
@@ -90,7 +90,7 @@ def decision_row(decision: PromotionDecision) -> tuple[str, str, str, str]:
     return when, what, judge, decision.reason or str(decision.judged.get("as", "")) or told
 
 
-def _lineage(found: ModelLineage) -> Block:
+def _lineage(found: ModelLineage) -> CardBlock:
     rows: list[tuple[str, ...]] = []
     if found.dataset:
         rows.append(("made from", found.dataset, "dataset", found.dataset_digest[:12]))
@@ -100,10 +100,10 @@ def _lineage(found: ModelLineage) -> Block:
     rows += [("made from", item.reference, item.kind, item.digest[:12]) for item in found.parents]
     rows += [("used by", item.reference, item.kind, item.digest[:12]) for item in found.children]
     rows += [("used by", use.what, use.how, f"on {use.dataset}") for use in found.uses]
-    return Block("Lineage", (found.missing,) if found.missing else (), ("", "what", "kind", "content"), tuple(rows))
+    return CardBlock("Lineage", (found.missing,) if found.missing else (), ("", "what", "kind", "content"), tuple(rows))
 
 
-def _effects(lineage: Mapping[str, Any]) -> list[Block]:
+def _effects(lineage: Mapping[str, Any]) -> list[CardBlock]:
     rows = []
     for effect in lineage.get("effects", ()):
         numbers = ", ".join(
@@ -115,7 +115,7 @@ def _effects(lineage: Mapping[str, Any]) -> list[Block]:
     if not rows:
         return []
     return [
-        Block(
+        CardBlock(
             "Effects that were found missing", (), ("effect", "on", "parameters [SI]", "share of the gap closed"), tuple(rows)
         )
     ]

@@ -8,7 +8,7 @@ from sysid.validate import ErrorMap
 
 
 @dataclass(frozen=True)
-class Block:
+class CardBlock:
     """One heading of a card: paragraphs, a table, code, maps of errors (output, unit, map); any of them may be empty."""
 
     title: str
@@ -25,7 +25,7 @@ class Card:
 
     title: str
     facts: str
-    blocks: tuple[Block, ...]
+    blocks: tuple[CardBlock, ...]
 
     def markdown(self) -> str:
         """The card as Markdown."""

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 from sysid.networks import ForwardNetwork, Model, StructuredForward, history_networks, motion_networks, static_networks
 from sysid.validate import ValidationReport
-from sysid.versions.card_block import Block
+from sysid.versions.card_block import CardBlock
 from sysid.versions.card_report import best_simple
 from sysid.versions.outputs import output_maps, shown
 from sysid.versions.policy import ROWS
@@ -55,12 +55,12 @@ def what_network(model: Model | None) -> Iterator[str]:
         yield f"Hidden layers: {', '.join(sizes)}."
 
 
-def network_ranges(model: Model) -> Block:
+def network_ranges(model: Model) -> CardBlock:
     found: dict[str, tuple[str, ...]] = {}
     for answer in output_maps(model):
         for signal, unit, low, high in zip(answer.inputs, answer.units, answer.low, answer.high, strict=True):
             found[signal] = (signal, f"{low:.4g}", f"{high:.4g}", unit)
-    return Block("Ranges that it was fitted on", (), ("input", "from", "to", "unit"), tuple(found.values()))
+    return CardBlock("Ranges that it was fitted on", (), ("input", "from", "to", "unit"), tuple(found.values()))
 
 
 def network_limits(model: Model | None, report: ValidationReport | None) -> Iterator[str]:

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 from sysid.networks.policy import PolicyNetwork
 from sysid.registry import ModelVersion
-from sysid.versions.card_block import Block
+from sysid.versions.card_block import CardBlock
 
 
 def what_policy(version: ModelVersion, policy: PolicyNetwork) -> Iterator[str]:
@@ -22,7 +22,7 @@ def what_policy(version: ModelVersion, policy: PolicyNetwork) -> Iterator[str]:
     )
 
 
-def policy_ranges(policy: PolicyNetwork) -> Block:
+def policy_ranges(policy: PolicyNetwork) -> CardBlock:
     middle, half = policy.mlp.inputs.mean, policy.mlp.inputs.scale
     rows = [
         ("seen", name, f"{low:.4g}", f"{high:.4g}")
@@ -32,7 +32,7 @@ def policy_ranges(policy: PolicyNetwork) -> Block:
         ("setpoint", name, f"{low:.4g}", f"{high:.4g}")
         for name, low, high in zip(policy.outputs, policy.low, policy.high, strict=True)
     ]
-    return Block("Ranges", ("In rad, m and their rates.",), ("", "signal", "from", "to"), tuple(rows))
+    return CardBlock("Ranges", ("In rad, m and their rates.",), ("", "signal", "from", "to"), tuple(rows))
 
 
 def policy_limits(policy: PolicyNetwork) -> Iterator[str]:

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 from sysid.networks.trust import FALSE_FLAGS
 from sysid.validate import OutputReport, ValidationReport
-from sysid.versions.card_block import Block
+from sysid.versions.card_block import CardBlock
 from sysid.versions.outputs import shown
 from sysid.versions.policy import ROWS
 
@@ -16,7 +16,7 @@ MAPS_SHOWN = 2
 REGION_ROWS = 20
 
 
-def figures(report: ValidationReport) -> Block:
+def figures(report: ValidationReport) -> CardBlock:
     rows = []
     for entry in report.outputs:
         unit, metrics = entry.unit, entry.metrics
@@ -33,10 +33,12 @@ def figures(report: ValidationReport) -> Block:
         )
     recordings = dict.fromkeys(name for entry in report.outputs for name in entry.recordings)
     text = f"On rows of {report.dataset} that it has not seen ({', '.join(recordings)})."
-    return Block("Figures", (text,), ("output", "RMSE", "95 %", "max", "sensor noise alone", "best simple model"), tuple(rows))
+    return CardBlock(
+        "Figures", (text,), ("output", "RMSE", "95 %", "max", "sensor noise alone", "best simple model"), tuple(rows)
+    )
 
 
-def baselines(report: ValidationReport) -> Iterator[Block]:
+def baselines(report: ValidationReport) -> Iterator[CardBlock]:
     """The RMSE of every simple model, fitted on the same rows, beside its own."""
     names = list(dict.fromkeys(name for entry in report.outputs for name in entry.baselines))
     if not names:
@@ -49,10 +51,12 @@ def baselines(report: ValidationReport) -> Iterator[Block]:
         )
         for entry in report.outputs
     )
-    yield Block("Beside simple models", ("RMSE; all learned from the same rows.",), ("output", "this version", *names), rows)
+    yield CardBlock(
+        "Beside simple models", ("RMSE; all learned from the same rows.",), ("output", "this version", *names), rows
+    )
 
 
-def where_it_errs(report: ValidationReport) -> Iterator[Block]:
+def where_it_errs(report: ValidationReport) -> Iterator[CardBlock]:
     """The worst bin of the most telling map of each output; the maps themselves on the page."""
     rows, maps = [], []
     for entry in report.outputs:
@@ -69,10 +73,10 @@ def where_it_errs(report: ValidationReport) -> Iterator[Block]:
             rows.append((f"{entry.output} {ROWS[entry.rows]}", ", ".join(ends), size, count, f"{100.0 * first.explains:.0f} %"))
     if rows:
         header = ("output", "largest where", "RMSE there", "rows", "explained by place")
-        yield Block("Where its errors are", (), header, tuple(rows), maps=tuple(maps))
+        yield CardBlock("Where its errors are", (), header, tuple(rows), maps=tuple(maps))
 
 
-def trust(report: ValidationReport) -> Iterator[Block]:
+def trust(report: ValidationReport) -> Iterator[CardBlock]:
     """Whether its intervals hold, and what it flags as outside its data."""
     rows = []
     for entry in report.outputs:
@@ -97,7 +101,7 @@ def trust(report: ValidationReport) -> Iterator[Block]:
             f"as outside its data (`inside`; of rows like those that it learned from {100.0 * FALSE_FLAGS:g} %)."
         )
         header = ("output", "half width, median", "hold in", "least often in", "flagged")
-        yield Block("How sure it is", (text,), header, tuple(rows))
+        yield CardBlock("How sure it is", (text,), header, tuple(rows))
 
 
 def best_simple(entry: OutputReport) -> str | None:

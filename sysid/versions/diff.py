@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from sysid.datasets.versions.diff import Change, Names
+from sysid.datasets.versions.diff import Names, ValueChange
 from sysid.errors import StoreError
 from sysid.files import plain
 from sysid.networks import Calibration, Model, StructuredForward, from_files
@@ -73,9 +73,9 @@ class ModelDiff:
     after: str
     kind: str
     same_content: bool
-    recipe: tuple[Change, ...]
-    lineage: tuple[Change, ...]
-    figures: tuple[Change, ...]
+    recipe: tuple[ValueChange, ...]
+    lineage: tuple[ValueChange, ...]
+    figures: tuple[ValueChange, ...]
     files: Names
     geometry: tuple[GeometryChange, ...]
     predictions: tuple[PredictionChange, ...]
@@ -123,11 +123,11 @@ def diff_versions(before: ModelVersion, after: ModelVersion) -> ModelDiff:
     )
 
 
-def _changes(before: Mapping[str, Any], after: Mapping[str, Any]) -> tuple[Change, ...]:
+def _changes(before: Mapping[str, Any], after: Mapping[str, Any]) -> tuple[ValueChange, ...]:
     """Values at the ends of nested tables that differ."""
     left, right = dict(_flat(before)), dict(_flat(after))
     keys = dict.fromkeys([*left, *right])
-    return tuple(Change(key, left.get(key), right.get(key)) for key in keys if left.get(key) != right.get(key))
+    return tuple(ValueChange(key, left.get(key), right.get(key)) for key in keys if left.get(key) != right.get(key))
 
 
 def _flat(value: Any, path: str = "") -> Iterator[tuple[str, Any]]:

@@ -21,7 +21,7 @@ from sysid.datasets.recording import Dataset, Kind, Recording
 from sysid.errors import ExcitationError
 from sysid.files import plain
 from sysid.networks import Model
-from sysid.networks.split import Rows, Segment, gather, measures, segments
+from sysid.networks.split import RowRange, SignalRows, gather, measures, segments
 from sysid.networks.trust import within
 from sysid.validate.bootstrap import bootstrap_means
 from sysid.versions.outputs import OutputMap, output_maps
@@ -88,7 +88,7 @@ class OutputDrift:
 
 
 @dataclass(frozen=True)
-class Drift:
+class DriftReport:
     """A version against a new dataset.
 
     Args:
@@ -122,7 +122,7 @@ class Drift:
         return result
 
 
-def drift_of(model: Model, own: Dataset, new: Dataset, name: str = "", seed: int = 0) -> Drift:
+def drift_of(model: Model, own: Dataset, new: Dataset, name: str = "", seed: int = 0) -> DriftReport:
     """Compare the errors of a network on a new dataset with those on the held-out rows of the one it was fitted on.
 
     Args:
@@ -140,7 +140,7 @@ def drift_of(model: Model, own: Dataset, new: Dataset, name: str = "", seed: int
         signals = (*answer.inputs, answer.output)
         kinds: tuple[Kind, ...] = ("motion", "poses")
         for kind in kinds:
-            parts = [Segment(r, 0, len(r)) for r in fresh if r.kind == kind and _measured(r, signals)]
+            parts = [RowRange(r, 0, len(r)) for r in fresh if r.kind == kind and _measured(r, signals)]
             if not parts or (answer.run is not None and kind == "poses"):
                 continue
             rows = gather(parts, signals)
@@ -155,10 +155,12 @@ def drift_of(model: Model, own: Dataset, new: Dataset, name: str = "", seed: int
         expected = "at least one"
         raise ExcitationError(f"drift of {name or 'a network'} on {new.reference}", found + known_text, expected)
     recordings = tuple(dict.fromkeys(used))
-    return Drift(name, own.reference, new.reference, recordings, known, tuple(inputs.values()), _corrected(outputs))
+    return DriftReport(name, own.reference, new.reference, recordings, known, tuple(inputs.values()), _corrected(outputs))
 
 
-def _output(answer: OutputMap, kind: Kind, rows: Rows, inside: Mask, fresh: Dataset, own: Dataset, seed: int) -> OutputDrift:
+def _output(
+    answer: OutputMap, kind: Kind, rows: SignalRows, inside: Mask, fresh: Dataset, own: Dataset, seed: int
+) -> OutputDrift:
     squares = _squares(answer, rows, fresh)
     new = squares[inside & np.isfinite(squares)]
     before, worst = _before(answer, kind, own)
@@ -208,7 +210,7 @@ def _before(answer: OutputMap, kind: Kind, own: Dataset) -> tuple[Array, float]:
     found = []
     for recording in own.of_kind(kind):
         if _measured(recording, signals):
-            rows = gather([Segment(recording, 0, len(recording))], signals)
+            rows = gather([RowRange(recording, 0, len(recording))], signals)
             errors = _squares(answer, rows, own)[_inside(answer, rows)]
             errors = errors[np.isfinite(errors)]
             found += [float(np.sqrt(errors.mean()))] if len(errors) >= MIN_ROWS else []
@@ -217,7 +219,7 @@ def _before(answer: OutputMap, kind: Kind, own: Dataset) -> tuple[Array, float]:
     return squares[np.isfinite(squares)], max(found, default=math.nan)
 
 
-def _squares(answer: OutputMap, rows: Rows, dataset: Dataset) -> Array:
+def _squares(answer: OutputMap, rows: SignalRows, dataset: Dataset) -> Array:
     """Squared errors, (n,); NaN where an answer that depends on what came before has none."""
     if answer.run is None:
         return np.asarray((answer.predict(rows.values[:, :-1]) - rows.values[:, -1]) ** 2)
@@ -228,11 +230,11 @@ def _squares(answer: OutputMap, rows: Rows, dataset: Dataset) -> Array:
     return np.asarray((said - rows.values[:, -1]) ** 2)
 
 
-def _inside(answer: OutputMap, rows: Rows) -> Mask:
+def _inside(answer: OutputMap, rows: SignalRows) -> Mask:
     return within(rows.values[:, :-1], answer.low, answer.high)
 
 
-def _input(answer: OutputMap, column: int, rows: Rows, kind: Kind) -> InputDrift:
+def _input(answer: OutputMap, column: int, rows: SignalRows, kind: Kind) -> InputDrift:
     low, high = float(answer.low[column]), float(answer.high[column])
     values = rows.values[:, column]
     outside = float(np.mean(~within(values[:, None], answer.low[column : column + 1], answer.high[column : column + 1])))

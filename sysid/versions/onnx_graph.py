@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from sysid.networks import Calibration, Chain, ForwardNetwork, Mlp, StructuredForward
+from sysid.networks import Calibration, FittedChain, ForwardNetwork, Mlp, StructuredForward
 from sysid.networks.policy import PolicyNetwork
 
 Array = npt.NDArray[np.float64]
@@ -139,9 +139,9 @@ class Graph:
         return self.add("Add", tip, self.mean(rest))
 
 
-def chain_weights(structure: Calibration | Chain, revolute: Sequence[bool]) -> tuple[Array, Array]:
+def chain_weights(structure: Calibration | FittedChain, revolute: Sequence[bool]) -> tuple[Array, Array]:
     """By how much each joint's reading is stretched, (n_axes,), and the products' weights, (P + 1, 3), that of ones first."""
-    if isinstance(structure, Chain):
+    if isinstance(structure, FittedChain):
         weights = structure.weights / structure.scale[:, None]
         return np.ones(len(revolute)), np.vstack([structure.level - structure.mean @ weights, weights])
     moved = {

@@ -68,7 +68,7 @@ class KindPolicy:
 
 
 @dataclass(frozen=True)
-class Policy:
+class PromotionPolicy:
     """The whole policy; without a file: no worse than the champion by more than 5 % in RMSE and 95 % error."""
 
     __pydantic_config__ = STRICT
@@ -88,15 +88,15 @@ class Policy:
         return asdict(self)
 
 
-def load_policy(path: Path | None = None) -> Policy:
+def load_policy(path: Path | None = None) -> PromotionPolicy:
     """The policy in ``path``; None: the default.
 
     Raises:
         SettingsError: unknown keys, wrong types, a limit without a unit or that is no positive number.
     """
     if path is None:
-        return Policy()
-    policy = load_settings(path, Policy)
+        return PromotionPolicy()
+    policy = load_settings(path, PromotionPolicy)
     for kind in NETWORKS:
         part = policy.of(kind)
         if not (math.isfinite(part.margin) and part.margin >= 0.0):
@@ -111,7 +111,7 @@ def load_policy(path: Path | None = None) -> Policy:
 
 
 def policy_checks(
-    policy: Policy, report: ValidationReport, champion: ValidationReport | None = None, where: object = "policy"
+    policy: PromotionPolicy, report: ValidationReport, champion: ValidationReport | None = None, where: object = "policy"
 ) -> tuple[Check, ...]:
     """What the policy says of a network, line by line.
 
@@ -238,7 +238,7 @@ def _quantity(value: str | float, where: str) -> tuple[float, str]:
     return factor * number, unit
 
 
-def judged_by(policy: Policy, kind: str, path: Path | None, dataset: str) -> Mapping[str, Any]:
+def judged_by(policy: PromotionPolicy, kind: str, path: Path | None, dataset: str) -> Mapping[str, Any]:
     """What the record of a decision says of its judge."""
     name = path.name if path is not None else "default"
     rules = asdict(policy.of(kind))

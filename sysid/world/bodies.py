@@ -70,7 +70,7 @@ class Hanging:
 
 
 @dataclass(frozen=True)
-class Bodies:
+class WorldUrdf:
     """A URDF for the world. ``effort`` limits the driven joints [N or N·m] where the machine's own URDF does."""
 
     urdf: str
@@ -79,7 +79,7 @@ class Bodies:
     ground: float
 
 
-def build_bodies(plant: Plant, gripper: Gripper = "rigid") -> Bodies:
+def build_bodies(plant: Plant, gripper: Gripper = "rigid") -> WorldUrdf:
     """Rebuild the URDF of the plant's machine.
 
     Args:
@@ -119,7 +119,7 @@ def build_bodies(plant: Plant, gripper: Gripper = "rigid") -> Bodies:
             remove_below(root, kinematics.tip)
     for link in root.findall("link"):
         complete_inertia(link, _STRUCTURE_MASS, _STRUCTURE_MASS)
-    return Bodies(tostring(root, encoding="unicode"), effort, hanging, _lowest(root, kinematics))
+    return WorldUrdf(tostring(root, encoding="unicode"), effort, hanging, _lowest(root, kinematics))
 
 
 def _hang(

@@ -7,30 +7,30 @@ from pathlib import Path
 
 import pytest
 
-from sysid.bench import Recipe, RecordingSettings, Run, load_recipe, simulate
+from sysid.bench import BenchRecipe, RecordingSettings, Run, load_recipe, simulate
 
 AUTOLOG = Path(__file__).parents[2] / "datasets" / "autolog"
 
 
 @pytest.fixture(scope="session")
-def recipe() -> Recipe:
+def recipe() -> BenchRecipe:
     return load_recipe(AUTOLOG / "bench.toml")
 
 
 @pytest.fixture(scope="session")
-def manual(recipe: Recipe) -> Run:
+def manual(recipe: BenchRecipe) -> Run:
     """The first shipped recording by hand."""
     return simulate(recipe, "manual-01")
 
 
 @pytest.fixture(scope="session")
-def routine(recipe: Recipe) -> Run:
+def routine(recipe: BenchRecipe) -> Run:
     """A short calibration routine."""
     return simulate(recipe, RecordingSettings("poses", seed=7, poses=25))
 
 
 @pytest.fixture(scope="session")
-def short(recipe: Recipe) -> Recipe:
+def short(recipe: BenchRecipe) -> BenchRecipe:
     """Two short recordings, with everything that can go wrong in them."""
     capture = replace(recipe.capture, dropouts_per_minute=20.0, swaps=(), exported_markers=())
     recordings = (RecordingSettings("drive", seed=1, seconds=12.0), RecordingSettings("poses", seed=2, poses=3))

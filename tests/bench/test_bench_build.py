@@ -11,7 +11,7 @@ import numpy.typing as npt
 import pytest
 from scipy.spatial.transform import Rotation
 
-from sysid.bench import AXES, Recipe, RecordingSettings, Run, load_recipe, simulate
+from sysid.bench import AXES, BenchRecipe, RecordingSettings, Run, load_recipe, simulate
 from sysid.bench.capture import frame_rotation, turn_about
 from sysid.bench.crane import tip_position
 from sysid.bench.cylinder import drive_of
@@ -24,7 +24,7 @@ Array = npt.NDArray[np.float64]
 PROGRAMS = ("reversals", "stairs", "steps", "together", "rest")
 
 
-def quiet(recipe: Recipe) -> Recipe:
+def quiet(recipe: BenchRecipe) -> BenchRecipe:
     capture = replace(recipe.capture, noise=0.0, dropouts_per_minute=0.0, swaps=(), exported_markers=())
     return replace(
         recipe, capture=capture, draw_wire=WireSettings(), slew_sensor=SlewSensorSettings(), gripper=GripperSettings()
@@ -44,7 +44,7 @@ def test_rotation_vector_is_rodrigues() -> None:
     assert (turn_about((0.0, 0.0, 0.0)) == np.eye(3)).all()
 
 
-def test_tip_is_where_the_built_machine_carries_it(recipe: Recipe) -> None:
+def test_tip_is_where_the_built_machine_carries_it(recipe: BenchRecipe) -> None:
     """Sensors and reference keep their zeros; the tip knows better. The stance moves what the cameras see."""
     build = BuildSettings(boom=0.002, stick=-0.0015, joint_offset={"boom": math.radians(0.6), "slew": math.radians(-0.4)})
     off = replace(quiet(recipe), build=build)
@@ -64,7 +64,7 @@ def test_tip_is_where_the_built_machine_carries_it(recipe: Recipe) -> None:
     assert np.abs(seen_tip(run) - seen_tip(plain)).max() > 0.005
 
 
-def test_sensors_that_are_off(recipe: Recipe) -> None:
+def test_sensors_that_are_off(recipe: BenchRecipe) -> None:
     sensors = (SensorSettings("boom.cylinder", bias=0.002, scale=1.01), SensorSettings("slew.joint", bias=-0.01, quantum=0.002))
     recording = replace(recipe.recording("manual-04"), seconds=10.0)
     plain = simulate(quiet(recipe), recording)
@@ -75,7 +75,7 @@ def test_sensors_that_are_off(recipe: Recipe) -> None:
     assert run.log.slew / 0.002 == pytest.approx(np.round(run.log.slew / 0.002), abs=1e-9)
 
 
-def test_wire_that_runs_aside_reads_less(recipe: Recipe) -> None:
+def test_wire_that_runs_aside_reads_less(recipe: BenchRecipe) -> None:
     recording = replace(recipe.recording("manual-04"), seconds=10.0)
     plain = simulate(quiet(recipe), recording).log.wires[:, 0]
     oblique = replace(quiet(recipe), sensors=(SensorSettings("boom.cylinder", aside=0.04, standoff=0.16),))
@@ -85,7 +85,7 @@ def test_wire_that_runs_aside_reads_less(recipe: Recipe) -> None:
     assert np.ptp(seen) < 0.99 * np.ptp(plain)
 
 
-def test_slew_sensor_on_the_drive_does_not_see_the_play(recipe: Recipe) -> None:
+def test_slew_sensor_on_the_drive_does_not_see_the_play(recipe: BenchRecipe) -> None:
     recording = replace(recipe.recording("manual-04"), seconds=10.0)
     on_drive = simulate(replace(quiet(recipe), slew_sensor=SlewSensorSettings(mount="drive")), recording)
     assert on_drive.log.slew == pytest.approx(on_drive.truth.drive[::10, 0], abs=1e-12)
@@ -95,7 +95,7 @@ def test_slew_sensor_on_the_drive_does_not_see_the_play(recipe: Recipe) -> None:
 
 
 @pytest.mark.parametrize("program", PROGRAMS)
-def test_program_stays_inside_the_stops_and_repeats(recipe: Recipe, program: str) -> None:
+def test_program_stays_inside_the_stops_and_repeats(recipe: BenchRecipe, program: str) -> None:
     recording = RecordingSettings("excite", seed=3, seconds=120.0, program=program)  # type: ignore[arg-type]
     truth = run_machine(recipe, recording, np.random.default_rng(3))
     again = run_machine(recipe, recording, np.random.default_rng(3))
@@ -119,7 +119,7 @@ def test_program_stays_inside_the_stops_and_repeats(recipe: Recipe, program: str
         assert len(np.unique(np.abs(truth.command))) >= 9
 
 
-def test_script_is_carried_out(recipe: Recipe, tmp_path: Path) -> None:
+def test_script_is_carried_out(recipe: BenchRecipe, tmp_path: Path) -> None:
     text = (Path(__file__).parents[2] / "datasets" / "autolog" / "bench.toml").read_text("utf-8")
     path = tmp_path / "bench.toml"
     path.write_text(
@@ -135,7 +135,7 @@ def test_script_is_carried_out(recipe: Recipe, tmp_path: Path) -> None:
     assert not truth.command[:, [0, 1, 3]].any()
 
 
-def test_offset_of_no_axis_is_refused(recipe: Recipe) -> None:
+def test_offset_of_no_axis_is_refused(recipe: BenchRecipe) -> None:
     wrong = replace(recipe, build=BuildSettings(joint_offset={"bom": 0.1}))
     with pytest.raises(SettingsError, match=r"build\.joint_offset: unknown axis 'bom'; expected 'boom'"):
         check_recipe(wrong, "bench.toml")
@@ -155,6 +155,6 @@ def test_offset_of_no_axis_is_refused(recipe: Recipe) -> None:
         ),
     ],
 )
-def test_script_that_cannot_be_carried_out_is_refused(recipe: Recipe, recording: RecordingSettings) -> None:
+def test_script_that_cannot_be_carried_out_is_refused(recipe: BenchRecipe, recording: RecordingSettings) -> None:
     with pytest.raises(SettingsError, match="recording 's': stroke"):
         check_recipe(replace(recipe, recordings=(*recipe.recordings, recording)), "bench.toml")

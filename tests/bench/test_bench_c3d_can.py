@@ -12,7 +12,7 @@ import ezc3d
 import numpy as np
 import pytest
 
-from sysid.bench import AXES, Recipe, RecordingSettings, Run, simulate, write, write_all
+from sysid.bench import AXES, BenchRecipe, RecordingSettings, Run, simulate, write, write_all
 from sysid.bench.can_log import MESSAGES
 from sysid.bench.recipe_file import check_recipe
 from sysid.bench.run import WIRED
@@ -22,14 +22,14 @@ from sysid.errors import SettingsError
 
 
 @pytest.fixture(scope="module")
-def other_formats(short: Recipe) -> Recipe:
+def other_formats(short: BenchRecipe) -> BenchRecipe:
     """Two short recordings as CAN logs and C3D trials."""
     controller = replace(short.controller, log=("blf", "asc"))
     return replace(short, controller=controller, capture=replace(short.capture, export=("c3d",)))
 
 
 @pytest.fixture(scope="module")
-def written(other_formats: Recipe, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Run, list[Path]]:
+def written(other_formats: BenchRecipe, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Run, list[Path]]:
     out = tmp_path_factory.mktemp("logs")
     files = write_all(other_formats, out)
     return out, simulate(other_formats, "drive"), files
@@ -44,7 +44,7 @@ def test_the_files_a_recipe_chooses(written: tuple[Path, Run, list[Path]]) -> No
 
 
 @pytest.mark.parametrize("change", [{"log": ()}, {"log": ("mcap", "mcap")}])
-def test_a_choice_of_nothing_or_twice_the_same_is_refused(short: Recipe, change: dict[str, tuple[str, ...]]) -> None:
+def test_a_choice_of_nothing_or_twice_the_same_is_refused(short: BenchRecipe, change: dict[str, tuple[str, ...]]) -> None:
     controller = replace(short.controller, **change)  # type: ignore[arg-type]
     with pytest.raises(SettingsError, match=r"controller\.log: .*; expected at least one format, each once"):
         check_recipe(replace(short, controller=controller), "bench.toml")
@@ -94,7 +94,9 @@ def test_a_trial_holds_the_markers_that_were_seen(written: tuple[Path, Run, list
     np.testing.assert_array_equal(trial["data"]["meta_points"]["residuals"][0].T, np.where(gone, -1.0, 0.0))
 
 
-def test_frames_between_poses_are_there_without_markers(written: tuple[Path, Run, list[Path]], other_formats: Recipe) -> None:
+def test_frames_between_poses_are_there_without_markers(
+    written: tuple[Path, Run, list[Path]], other_formats: BenchRecipe
+) -> None:
     out, _, _ = written
     take = simulate(other_formats, "poses").capture
     points = ezc3d.c3d(str(out / "poses" / "mocap.c3d"))["data"]["points"][:3]
@@ -104,7 +106,7 @@ def test_frames_between_poses_are_there_without_markers(written: tuple[Path, Run
     assert shown.sum() > 0.9 * len(take.frames)
 
 
-def test_the_same_run_gives_the_same_bytes(other_formats: Recipe, tmp_path: Path) -> None:
+def test_the_same_run_gives_the_same_bytes(other_formats: BenchRecipe, tmp_path: Path) -> None:
     recording = RecordingSettings("brief", seed=3, seconds=4.0)
     for folder in ("a", "b"):
         write(simulate(other_formats, recording), tmp_path / folder)
@@ -119,7 +121,7 @@ def test_the_text_log_is_dated_by_the_machine(written: tuple[Path, Run, list[Pat
     assert lines[3] == "Begin Triggerblock Mon May 27 09:30:12.340 2024"
 
 
-def test_where_the_origin_of_a_body_lies_among_its_markers(other_formats: Recipe) -> None:
+def test_where_the_origin_of_a_body_lies_among_its_markers(other_formats: BenchRecipe) -> None:
     body = next(body for body in other_formats.capture.bodies if body.name == "tip_body")
     at = pivot_in_set(body)
     markers = np.array(body.markers)
@@ -131,7 +133,7 @@ def test_where_the_origin_of_a_body_lies_among_its_markers(other_formats: Recipe
 
 
 @pytest.fixture(scope="module")
-def ingested(recipe: Recipe, tmp_path_factory: pytest.TempPathFactory) -> Callable[[str, str], Path]:
+def ingested(recipe: BenchRecipe, tmp_path_factory: pytest.TempPathFactory) -> Callable[[str, str], Path]:
     """A site with these formats, ingested by the recipe that comes with it into its own workspace."""
 
     def build(log: str, export: str) -> Path:

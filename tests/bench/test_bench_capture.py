@@ -9,7 +9,7 @@ import numpy.typing as npt
 import pytest
 from scipy.spatial.transform import Rotation
 
-from sysid.bench import Recipe, RecordingSettings, Run, simulate
+from sysid.bench import BenchRecipe, RecordingSettings, Run, simulate
 from sysid.bench.capture import BodyTrack, frame_rotation, quaternions
 from sysid.bench.capture_recipe import CaptureSettings, SwapSettings
 from sysid.bench.sensors import slew_error
@@ -17,7 +17,7 @@ from sysid.bench.sensors import slew_error
 Array = npt.NDArray[np.float64]
 
 
-def clean(recipe: Recipe) -> CaptureSettings:
+def clean(recipe: BenchRecipe) -> CaptureSettings:
     return replace(recipe.capture, noise=0.0, dropouts_per_minute=0.0, swaps=())
 
 
@@ -43,7 +43,7 @@ def test_surveyed_frame_is_fixed_axis_roll_pitch_yaw() -> None:
     assert frame_rotation(rpy) == pytest.approx(Rotation.from_euler("xyz", rpy).as_matrix(), abs=1e-12)
 
 
-def test_capture_frame_has_y_up(recipe: Recipe) -> None:
+def test_capture_frame_has_y_up(recipe: BenchRecipe) -> None:
     up = frame_rotation(recipe.capture.rpy).T @ [0.0, 0.0, 1.0]
     assert up == pytest.approx([0.0, 1.0, 0.0], abs=1e-6)
 
@@ -56,7 +56,7 @@ def test_quaternions_of_any_rotation() -> None:
 
 
 @pytest.mark.parametrize("recording", ["manual-04", RecordingSettings("poses", seed=3, poses=10)])
-def test_bodies_give_joints_and_points_back(recipe: Recipe, recording: str | RecordingSettings) -> None:
+def test_bodies_give_joints_and_points_back(recipe: BenchRecipe, recording: str | RecordingSettings) -> None:
     """Relative rotations since the parked pose are the joint angles; the moved pivots are boom tip and tool."""
     run = simulate(replace(recipe, capture=clean(recipe)), recording)
     times = true_times(run)
@@ -112,7 +112,7 @@ def in_base_seen(run: Run, name: str, seen: npt.NDArray[np.bool_]) -> Array:
     return np.asarray(body(run, name).position[seen] @ frame_rotation(settings.rpy).T + np.array(settings.translation))
 
 
-def test_clock_offset_skew_and_latency_move_the_stamps(recipe: Recipe) -> None:
+def test_clock_offset_skew_and_latency_move_the_stamps(recipe: BenchRecipe) -> None:
     """The same instant of a fast slew is found on the capture clock where the relation says."""
     run = simulate(replace(recipe, capture=replace(clean(recipe), offset=(0.8, 0.8), skew=150.0)), "manual-04")
     yaw = in_base(run, "column_body")[0].as_rotvec()[:, 2]
@@ -126,7 +126,7 @@ def test_clock_offset_skew_and_latency_move_the_stamps(recipe: Recipe) -> None:
     assert stamp == pytest.approx(expected, abs=2e-3)
 
 
-def test_hidden_bodies_leave_gaps_of_the_stated_length(recipe: Recipe) -> None:
+def test_hidden_bodies_leave_gaps_of_the_stated_length(recipe: BenchRecipe) -> None:
     run = simulate(replace(recipe, capture=replace(recipe.capture, dropouts_per_minute=20.0)), "manual-02")
     assert len(run.capture.dropouts) >= 10
     for dropout in run.capture.dropouts:
@@ -140,7 +140,7 @@ def test_hidden_bodies_leave_gaps_of_the_stated_length(recipe: Recipe) -> None:
     assert missing >= 2
 
 
-def test_swapped_markers_throw_the_body_and_raise_its_error(recipe: Recipe) -> None:
+def test_swapped_markers_throw_the_body_and_raise_its_error(recipe: BenchRecipe) -> None:
     swap = SwapSettings("manual-03", "tip_body", (0, 2), 20.0, 0.5)
     confused = simulate(replace(recipe, capture=replace(clean(recipe), swaps=(swap,))), "manual-03")
     right = simulate(replace(recipe, capture=clean(recipe)), "manual-03")

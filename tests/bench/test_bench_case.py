@@ -10,12 +10,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from sysid.bench import AXES, Recipe
+from sysid.bench import AXES, BenchRecipe
 from sysid.bench.__main__ import main
 from sysid.bench.case import load_case, overlaid
 from sysid.bench.contract_chain import KEYS, neutral_row, share_pump, speeds, travel
 from sysid.bench.machine import run_machine
-from sysid.bench.nominal import STEP_TESTS, Chain, fit_effects, loads, model_error, predict
+from sysid.bench.nominal import STEP_TESTS, CommandChain, fit_effects, loads, model_error, predict
 from sysid.bench.recipe import HiddenSettings
 from sysid.datasets.recipe import load_recipe as load_ingest_recipe
 from sysid.errors import SettingsError
@@ -75,7 +75,7 @@ def test_site_has_what_a_site_would_have_and_nothing_of_the_truth(sealed: tuple[
         assert not any(word in text for word in ("hidden", "load_dependent", "backlash", "compliance", "bias", "hydraulic"))
 
 
-def test_site_is_read_by_the_toolkit_and_is_the_drawn_machine(sealed: tuple[Path, dict[str, Any]], recipe: Recipe) -> None:
+def test_site_is_read_by_the_toolkit_and_is_the_drawn_machine(sealed: tuple[Path, dict[str, Any]], recipe: BenchRecipe) -> None:
     site = sealed[0] / "site"
     machine = load_machine(site / "machine.toml")
     mapping = load_ingest_recipe(site / "recipe.toml")
@@ -89,7 +89,7 @@ def test_site_is_read_by_the_toolkit_and_is_the_drawn_machine(sealed: tuple[Path
     assert kinematics.tip_position(np.zeros((1, 4)))[0] == pytest.approx([0.976, 0.0, 0.285], abs=1e-9)
 
 
-def test_nominal_plant_is_what_step_tests_say(sealed: tuple[Path, dict[str, Any]], recipe: Recipe) -> None:
+def test_nominal_plant_is_what_step_tests_say(sealed: tuple[Path, dict[str, Any]], recipe: BenchRecipe) -> None:
     """The chain finds its own formulas in the simple valve: nothing hidden, no gap."""
     out, truth = sealed
     machine = load_machine(out / "site" / "machine.toml")
@@ -139,17 +139,17 @@ def test_truth_is_the_best_fit_and_says_what_it_leaves(sealed: tuple[Path, dict[
         ("internal_leakage", {"rate": 2e-4}),
     ],
 )
-def test_chain_finds_its_own_parameters_again(recipe: Recipe, effect: str, values: dict[str, float]) -> None:
+def test_chain_finds_its_own_parameters_again(recipe: BenchRecipe, effect: str, values: dict[str, float]) -> None:
     runs = [
         run_machine(recipe, STEP_TESTS[1], np.random.default_rng(1)),
         run_machine(recipe, STEP_TESTS[2], np.random.default_rng(2)),
     ]
     gains = np.array([recipe.axis(name).valve.gain for name in AXES])
-    plain = Chain(np.array([neutral_row() for _ in AXES]), gains)
+    plain = CommandChain(np.array([neutral_row() for _ in AXES]), gains)
     rows = plain.rows.copy()
     for parameter, value in values.items():
         rows[1, KEYS.index((effect, parameter))] = value
-    true = Chain(rows, gains)
+    true = CommandChain(rows, gains)
     made = [_moved(run, predict(recipe, true, run, loads(recipe, run), range(4))) for run in runs]
     found = fit_effects(recipe, plain, [HiddenSettings(effect, "boom")], made)
     for parameter, value in values.items():

@@ -12,7 +12,7 @@ import pytest
 from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 
-from sysid.bench import AXES, Recipe, Run, simulate, write, write_all
+from sysid.bench import AXES, BenchRecipe, Run, simulate, write, write_all
 from sysid.bench.__main__ import main
 from sysid.bench.mcap_log import TOPICS
 from sysid.bench.run import WIRED
@@ -22,7 +22,7 @@ REAL_EXPORTS = Path(__file__).parents[2] / "../shared/data/mocap_files"
 
 
 @pytest.fixture(scope="module")
-def written(short: Recipe, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Run]:
+def written(short: BenchRecipe, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Run]:
     out = tmp_path_factory.mktemp("logs")
     write_all(short, out)
     return out, simulate(short, "drive")
@@ -149,7 +149,7 @@ def test_frames_between_poses_are_left_out(written: tuple[Path, Run]) -> None:
     assert times == pytest.approx(frames / 5.0, abs=1e-6)
 
 
-def test_truth_names_what_is_hidden_and_how_the_clocks_run(written: tuple[Path, Run], short: Recipe) -> None:
+def test_truth_names_what_is_hidden_and_how_the_clocks_run(written: tuple[Path, Run], short: BenchRecipe) -> None:
     out, run = written
     truth = json.loads((out / "truth.json").read_text("utf-8"))
     hidden = {(e["name"], e["target"]): e["parameters"] for e in truth["effects"] if e["hidden"]}
@@ -165,7 +165,7 @@ def test_truth_names_what_is_hidden_and_how_the_clocks_run(written: tuple[Path, 
     assert len(truth["recordings"]["drive"]["dropouts"]) == len(run.capture.dropouts)
 
 
-def test_shipped_logs_are_what_the_recipe_gives(recipe: Recipe, manual: Run, tmp_path: Path) -> None:
+def test_shipped_logs_are_what_the_recipe_gives(recipe: BenchRecipe, manual: Run, tmp_path: Path) -> None:
     """One recording is written again: the same export, the same messages. Compressed bytes may differ between libraries."""
     write(manual, tmp_path)
     shipped = AUTOLOG / "logs" / "manual-01"

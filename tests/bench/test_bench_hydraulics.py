@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sysid.bench import AXES, Recipe, RecordingSettings
+from sysid.bench import AXES, BenchRecipe, RecordingSettings
 from sysid.bench.cylinder import drive_of, position_of
 from sysid.bench.hydraulic_recipe import HydraulicSettings, OilSettings, SupplySettings
 from sysid.bench.machine import Truth, run_machine
@@ -34,7 +34,7 @@ SIZES = {
 }
 
 
-def hydraulic(recipe: Recipe, *names: str, rod: float = 0.0, **features: float) -> Recipe:
+def hydraulic(recipe: BenchRecipe, *names: str, rod: float = 0.0, **features: float) -> BenchRecipe:
     """The crane with ideal hydraulic drives on ``names`` (without: all), no overlap, no delay, the gripper fixed at the tip."""
     axes = dict(recipe.axes)
     for name in names or AXES:
@@ -44,16 +44,16 @@ def hydraulic(recipe: Recipe, *names: str, rod: float = 0.0, **features: float) 
     return replace(recipe, axes=axes, gripper=GripperSettings(rod, 0.04 if rod else 0.0))
 
 
-def at_pose(recipe: Recipe, **park: float) -> Recipe:
+def at_pose(recipe: BenchRecipe, **park: float) -> BenchRecipe:
     return replace(recipe, axes={name: replace(axis, park=park.get(name, axis.park)) for name, axis in recipe.axes.items()})
 
 
-def pushed(recipe: Recipe, *strokes: StrokeSettings, seconds: float = 4.0) -> Truth:
+def pushed(recipe: BenchRecipe, *strokes: StrokeSettings, seconds: float = 4.0) -> Truth:
     recording = RecordingSettings("push", seed=1, seconds=seconds, program="script", strokes=strokes)
     return run_machine(recipe, recording, np.random.default_rng(0))
 
 
-def unmoved(recipe: Recipe, seconds: float = 4.0) -> Truth:
+def unmoved(recipe: BenchRecipe, seconds: float = 4.0) -> Truth:
     return pushed(recipe, StrokeSettings("slew", seconds + 10.0, 1.0, 0.1), seconds=seconds)
 
 
@@ -120,7 +120,7 @@ def test_seal_sticks_then_slides_with_a_dip() -> None:
     assert sliding == pytest.approx([100.0 + 50.0 * math.exp(-0.04), 100.0], rel=1e-3)
 
 
-def test_settings_without_the_drive_change_nothing(recipe: Recipe) -> None:
+def test_settings_without_the_drive_change_nothing(recipe: BenchRecipe) -> None:
     recording = replace(recipe.recording("manual-01"), seconds=12.0)
     axes = {name: replace(axis, hydraulics=SIZES[name]) for name, axis in recipe.axes.items()}
     plain = run_machine(recipe, recording, np.random.default_rng(1))
@@ -131,7 +131,7 @@ def test_settings_without_the_drive_change_nothing(recipe: Recipe) -> None:
 
 
 @pytest.mark.parametrize("name", AXES)
-def test_unloaded_axis_moves_at_its_rated_speed(recipe: Recipe, name: str) -> None:
+def test_unloaded_axis_moves_at_its_rated_speed(recipe: BenchRecipe, name: str) -> None:
     light = {"boom": 1e-3, "boom_inertia": 0.1, "stick": 1e-3, "stick_inertia": 0.1, "telescope": 0.2, "gripper": 1e-3}
     massless = replace(recipe.masses, **light, column_inertia=0.1)
     oil = OilSettings(transition=1.0)
@@ -144,7 +144,7 @@ def test_unloaded_axis_moves_at_its_rated_speed(recipe: Recipe, name: str) -> No
     assert push_speed(truth, column, 1.2, 1.8) == pytest.approx(0.5 * gain, rel=0.02)
 
 
-def test_load_slows_lifting_and_hastens_lowering(recipe: Recipe) -> None:
+def test_load_slows_lifting_and_hastens_lowering(recipe: BenchRecipe) -> None:
     """At 80 bar and full reach: up by 0.80–0.89, down by 1.16–1.23."""
     machine = at_pose(hydraulic(recipe, "boom"), boom=0.05, stick=-0.12, telescope=0.245)
     weightless = replace(recipe.masses, boom=0.02, stick=0.01, telescope=0.005, gripper=0.01)
@@ -159,7 +159,7 @@ def test_load_slows_lifting_and_hastens_lowering(recipe: Recipe) -> None:
     assert 1.14 < down < 1.27
 
 
-def test_oil_rings_under_the_booms(recipe: Recipe) -> None:
+def test_oil_rings_under_the_booms(recipe: BenchRecipe) -> None:
     machine = at_pose(hydraulic(recipe, "boom"), boom=0.05, stick=-0.12, telescope=0.245)
     truth = pushed(machine, StrokeSettings("boom", 0.5, 0.6, 0.6, 0.01), seconds=3.0)
     after = truth.drive[(truth.time > 1.3) & (truth.time < 2.8), 1]
@@ -172,14 +172,14 @@ def test_oil_rings_under_the_booms(recipe: Recipe) -> None:
 
 
 @pytest.mark.parametrize(("past", "slowest", "fastest"), [(0.0, 0.0, 2e-6), (1e-14, 1e-5, 2e-4)])
-def test_leakage_lets_the_boom_down_slowly(recipe: Recipe, past: float, slowest: float, fastest: float) -> None:
+def test_leakage_lets_the_boom_down_slowly(recipe: BenchRecipe, past: float, slowest: float, fastest: float) -> None:
     machine = at_pose(hydraulic(recipe, "boom", spool_leakage=past), boom=0.3, stick=-0.3, telescope=0.2)
     truth = unmoved(machine, seconds=8.0)
     drift = -push_speed(truth, 1, 3.0, 7.5)
     assert slowest <= drift < fastest
 
 
-def test_axes_share_what_the_pump_gives(recipe: Recipe) -> None:
+def test_axes_share_what_the_pump_gives(recipe: BenchRecipe) -> None:
     supply = SupplySettings(flow_limit=2.0e-5)
     machine = replace(at_pose(hydraulic(recipe), stick=-1.0), supply=supply)
     boom = StrokeSettings("boom", 0.5, 1.6, 0.9, 0.05)
@@ -198,7 +198,7 @@ def test_axes_share_what_the_pump_gives(recipe: Recipe) -> None:
     assert together.pressure[moving, 8].max() < 80e5
 
 
-def test_cold_oil_slows_the_machine(recipe: Recipe) -> None:
+def test_cold_oil_slows_the_machine(recipe: BenchRecipe) -> None:
     oil = OilSettings(transition=2e5, start=0.0, end=0.0)
     stroke = StrokeSettings("boom", 0.5, 1.4, 0.6, 0.05)
     machine = hydraulic(recipe, "boom")
@@ -207,7 +207,7 @@ def test_cold_oil_slows_the_machine(recipe: Recipe) -> None:
     assert 0.7 < cold / warm < 0.95
 
 
-def test_pressures_stay_bounded_and_energy_is_accounted_for(recipe: Recipe) -> None:
+def test_pressures_stay_bounded_and_energy_is_accounted_for(recipe: BenchRecipe) -> None:
     """What the pump put in lifts the booms and is lost at edges and seals: never more comes out."""
     machine = hydraulic(recipe, rod=0.22, coulomb=30.0, static=45.0, viscous=300.0, relief=160e5, leakage=1e-14)
     axes = {**machine.axes, "slew": replace(machine.axes["slew"], hydraulics=replace(SIZES["slew"], coulomb=1.0, bristle=1e-4))}
@@ -229,7 +229,7 @@ def test_pressures_stay_bounded_and_energy_is_accounted_for(recipe: Recipe) -> N
     assert rubbed > 1.0
 
 
-def test_swinging_gripper_is_felt_by_the_drive(recipe: Recipe) -> None:
+def test_swinging_gripper_is_felt_by_the_drive(recipe: BenchRecipe) -> None:
     """Sideways the hanging mass pulls with its weight over the lean: the slewing pressures swing as the pendulum does."""
     machine = hydraulic(recipe, "slew", rod=0.22)
     truth = pushed(machine, StrokeSettings("slew", 0.5, 0.8, 0.9, 0.02), seconds=7.0)
@@ -242,7 +242,7 @@ def test_swinging_gripper_is_felt_by_the_drive(recipe: Recipe) -> None:
     assert peak == pytest.approx(math.sqrt(9.81 / 0.22) / (2.0 * math.pi), rel=0.15)
 
 
-def test_end_stops_hold_hydraulic_drives(recipe: Recipe) -> None:
+def test_end_stops_hold_hydraulic_drives(recipe: BenchRecipe) -> None:
     machine = at_pose(hydraulic(recipe, "telescope"), telescope=0.24)
     machine = replace(machine, operator=replace(machine.operator, margin=0.0))
     truth = pushed(machine, StrokeSettings("telescope", 0.5, 0.25, 1.0, 0.05))
@@ -251,7 +251,7 @@ def test_end_stops_hold_hydraulic_drives(recipe: Recipe) -> None:
     assert position_of(truth.joint[-1, 3], drive) == pytest.approx(truth.drive[-1, 3])
 
 
-def test_a_minute_takes_seconds(recipe: Recipe) -> None:
+def test_a_minute_takes_seconds(recipe: BenchRecipe) -> None:
     machine = hydraulic(recipe, rod=0.22, coulomb=30.0, static=45.0, hysteresis=0.03)
     recording = RecordingSettings("drive", seed=5, seconds=60.0)
     run_machine(machine, replace(recording, seconds=1.0), np.random.default_rng(3))
@@ -270,20 +270,20 @@ def test_a_minute_takes_seconds(recipe: Recipe) -> None:
         ({"flex_damping": 1.0}, r"axes\.boom\.flex_damping: 1\.0; expected a damping ratio"),
     ],
 )
-def test_circuit_that_cannot_be_is_refused(recipe: Recipe, change: dict[str, object], message: str) -> None:
+def test_circuit_that_cannot_be_is_refused(recipe: BenchRecipe, change: dict[str, object], message: str) -> None:
     wrong = replace(recipe, axes={**recipe.axes, "boom": replace(recipe.axis("boom"), **change)})
     with pytest.raises(SettingsError, match=message):
         check_recipe(wrong, "bench.toml")
 
 
-def boom_speeds(recipe: Recipe) -> tuple[float, float]:
+def boom_speeds(recipe: BenchRecipe) -> tuple[float, float]:
     """Mean speeds of the boom's cylinder up and down, at half opening."""
     up = pushed(recipe, StrokeSettings("boom", 0.5, 2.0, 0.5, 0.05))
     down = pushed(recipe, StrokeSettings("boom", 0.5, 2.0, -0.5, 0.05))
     return push_speed(up, 1, 1.0, 2.0), -push_speed(down, 1, 1.0, 2.0)
 
 
-def test_weight_that_springs_carry_slows_nothing(recipe: Recipe) -> None:
+def test_weight_that_springs_carry_slows_nothing(recipe: BenchRecipe) -> None:
     even = at_pose(hydraulic(recipe, "boom", retraction=recipe.axis("boom").valve.gain), boom=0.5)
     up, down = boom_speeds(even)
     assert up < 0.9 * down
@@ -293,18 +293,18 @@ def test_weight_that_springs_carry_slows_nothing(recipe: Recipe) -> None:
     assert up == pytest.approx(0.5 * recipe.axis("boom").valve.gain, rel=0.05)
 
 
-def test_pump_below_its_rating_is_slower_by_the_root_of_the_pressure(recipe: Recipe) -> None:
+def test_pump_below_its_rating_is_slower_by_the_root_of_the_pressure(recipe: BenchRecipe) -> None:
     light = hydraulic(recipe, "boom")
     light = replace(light, masses=replace(light.masses, balanced=1.0))
     worn = replace(light, supply=replace(light.supply, pressure=60e5, rated=80e5))
     assert boom_speeds(worn)[0] / boom_speeds(light)[0] == pytest.approx(math.sqrt(60.0 / 80.0), rel=0.02)
 
 
-def test_pilot_oil_and_notches_act_on_hydraulic_drives_too(recipe: Recipe) -> None:
+def test_pilot_oil_and_notches_act_on_hydraulic_drives_too(recipe: BenchRecipe) -> None:
     light = hydraulic(recipe, "boom")
     light = replace(light, masses=replace(light.masses, balanced=1.0))
 
-    def with_valve(**features: float) -> Recipe:
+    def with_valve(**features: float) -> BenchRecipe:
         boom = light.axes["boom"]
         return replace(light, axes={**light.axes, "boom": replace(boom, valve=replace(boom.valve, **features))})
 

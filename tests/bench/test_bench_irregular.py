@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sysid.bench import AXES, Recipe, RecordingSettings, load_recipe
+from sysid.bench import AXES, BenchRecipe, RecordingSettings, load_recipe
 from sysid.bench.cylinder import drive_of, position_of
 from sysid.bench.flight import draw_flight, flight_command
 from sysid.bench.irregular import IrregularSettings, flow_share, irregular_of
@@ -22,12 +22,12 @@ TAKE = RecordingSettings("take", seed=3, seconds=12.0)
 FLIGHT = RecordingSettings("flight", seed=4, seconds=40.0, program="flight")
 
 
-def irregular(recipe: Recipe, **settings: float) -> Recipe:
+def irregular(recipe: BenchRecipe, **settings: float) -> BenchRecipe:
     boom = replace(recipe.axis("boom"), irregular=IrregularSettings(**settings))
     return replace(recipe, axes={**recipe.axes, "boom": boom})
 
 
-def run(recipe: Recipe, take: RecordingSettings = TAKE) -> Truth:
+def run(recipe: BenchRecipe, take: RecordingSettings = TAKE) -> Truth:
     return run_machine(recipe, take, np.random.default_rng(5))
 
 
@@ -50,7 +50,7 @@ def test_share_of_the_flow_by_place_time_opening_and_work() -> None:
     assert tired == pytest.approx(1.0 - 0.2 * held, rel=1e-3)
 
 
-def test_irregular_drive_moves_as_its_share_says(recipe: Recipe) -> None:
+def test_irregular_drive_moves_as_its_share_says(recipe: BenchRecipe) -> None:
     """Nothing else of the axis changes: where the valve is closed it stands still all the same."""
     regular, rippled = run(recipe), run(irregular(recipe, ripple=0.1, ripple_frequency=3.0))
     moving = np.abs(speed(regular)[:6000]) > 1e-4
@@ -60,7 +60,7 @@ def test_irregular_drive_moves_as_its_share_says(recipe: Recipe) -> None:
     assert (rippled.drive[:, 0] == regular.drive[:, 0]).all()
 
 
-def test_flight_follows_its_path_by_commands_that_jump_the_overlap(recipe: Recipe) -> None:
+def test_flight_follows_its_path_by_commands_that_jump_the_overlap(recipe: BenchRecipe) -> None:
     truth = run(recipe, FLIGHT)
     # The paths are the first thing that is drawn.
     wanted = draw_flight(recipe, FLIGHT.seconds, np.random.default_rng(5))

@@ -15,8 +15,8 @@ from hypothesis import strategies as st
 
 from sysid.bench.__main__ import main
 from sysid.bench.can_log import database
-from sysid.bench.live import COLUMNS, Line, Switches, read_truth
-from sysid.bench.live_bus import VALVES, Frame, LiveBus, parse_line
+from sysid.bench.live import COLUMNS, SerialLine, Switches, read_truth
+from sysid.bench.live_bus import VALVES, CanFrame, LiveBus, parse_line
 from sysid.bench.live_machine import TIME_OUT_NS, LiveMachine, Watchdog
 from sysid.bench.recipe_file import load_recipe
 from sysid.bench.run import simulate
@@ -108,12 +108,12 @@ def test_fail_safe_bits_of_one_valve_stop_all_at_once() -> None:
 
 @given(st.integers(0, 2**29 - 1), st.booleans(), st.binary(max_size=8))
 def test_frames_survive_the_line(identifier: int, extended: bool, data: bytes) -> None:
-    frame = Frame(identifier if extended else identifier % 2048, extended, data)
+    frame = CanFrame(identifier if extended else identifier % 2048, extended, data)
     assert parse_line(frame.line()[:-1]) == frame
 
 
 def test_a_line_that_nobody_reads_loses_whole_frames(tmp_path: Path) -> None:
-    line = Line(tmp_path / "can0")
+    line = SerialLine(tmp_path / "can0")
     other = os.open(tmp_path / "can0", os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
 
     def take() -> bytes:
@@ -132,7 +132,7 @@ def test_a_line_that_nobody_reads_loses_whole_frames(tmp_path: Path) -> None:
         sent = 0
         heard = []
         for burst in (3000, 1, 1, 20, 3000, 1):
-            line.send([Frame(0x100, False, (sent + k).to_bytes(8, "big")) for k in range(burst)])
+            line.send([CanFrame(0x100, False, (sent + k).to_bytes(8, "big")) for k in range(burst)])
             sent += burst
             heard.append(take())
     finally:
@@ -157,7 +157,7 @@ def test_noise_on_the_line_is_no_frame_or_a_whole_one(line: bytes) -> None:
 def test_every_valve_command_is_understood_or_unfit(flow: int, state: int, fail_safe: int) -> None:
     machine = LiveBus(DATABASE, survey=False)
     data = bytes([flow, 255, 0x30 | state | fail_safe << 6, 255, 255, 255, 255, 255])
-    said = machine.valve(Frame(0x0CFE3128, True, data))
+    said = machine.valve(CanFrame(0x0CFE3128, True, data))
     assert said is not None
     axis, command, fit = said
     assert axis == 1
@@ -167,9 +167,9 @@ def test_every_valve_command_is_understood_or_unfit(flow: int, state: int, fail_
 
 
 def test_frames_that_are_too_short_or_of_others_command_nothing(bus: LiveBus) -> None:
-    assert bus.valve(Frame(0x0CFE3128, True, b"\x10")) is None
-    assert bus.valve(Frame(0x0CFE3129, True, bytes(8))) is None
-    assert bus.status(Frame(0x0CFE3128, True, bytes(8))) is None
+    assert bus.valve(CanFrame(0x0CFE3128, True, b"\x10")) is None
+    assert bus.valve(CanFrame(0x0CFE3129, True, bytes(8))) is None
+    assert bus.status(CanFrame(0x0CFE3128, True, bytes(8))) is None
 
 
 def test_what_the_machine_says_is_limited_and_counted(bus: LiveBus) -> None:

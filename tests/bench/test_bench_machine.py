@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from sysid.bench import AXES, Recipe, RecordingSettings, Run, describe_effects, simulate, without_hidden
+from sysid.bench import AXES, BenchRecipe, RecordingSettings, Run, describe_effects, simulate, without_hidden
 from sysid.bench.compiled import cache_folder, compiled
 from sysid.bench.cylinder import drive_of, position_of
 from sysid.bench.recipe import (
@@ -27,7 +27,7 @@ from sysid.errors import SettingsError
 Array = npt.NDArray[np.float64]
 
 
-def neutral(recipe: Recipe) -> Recipe:
+def neutral(recipe: BenchRecipe) -> BenchRecipe:
     """The crane with ideal valves, drives, sensors: speed = gain · command."""
     axes = {name: replace(axis, backlash=0.0, valve=ValveSettings(gain=axis.valve.gain)) for name, axis in recipe.axes.items()}
     capture = replace(recipe.capture, noise=0.0, offset=(0.0, 0.0), skew=0.0, latency=0.0, dropouts_per_minute=0.0)
@@ -43,7 +43,7 @@ def neutral(recipe: Recipe) -> Recipe:
     )
 
 
-def test_neutral_machine_integrates_its_commands(recipe: Recipe) -> None:
+def test_neutral_machine_integrates_its_commands(recipe: BenchRecipe) -> None:
     plain = neutral(recipe)
     run = simulate(plain, "manual-01")
     gains = np.array([plain.axis(name).valve.gain for name in AXES])
@@ -57,7 +57,7 @@ def test_neutral_machine_integrates_its_commands(recipe: Recipe) -> None:
     assert describe_effects(plain) == []
 
 
-def test_same_seed_same_run_other_seed_other_run(recipe: Recipe, manual: Run) -> None:
+def test_same_seed_same_run_other_seed_other_run(recipe: BenchRecipe, manual: Run) -> None:
     again = simulate(recipe, "manual-01")
     assert (again.truth.drive == manual.truth.drive).all()
     assert (again.log.wires == manual.log.wires).all()
@@ -66,13 +66,13 @@ def test_same_seed_same_run_other_seed_other_run(recipe: Recipe, manual: Run) ->
     assert not np.array_equal(other.truth.command, manual.truth.command)
 
 
-def test_switching_a_sensor_leaves_the_motion_alone(recipe: Recipe, manual: Run) -> None:
+def test_switching_a_sensor_leaves_the_motion_alone(recipe: BenchRecipe, manual: Run) -> None:
     quiet = simulate(replace(recipe, draw_wire=WireSettings(), capture=replace(recipe.capture, noise=0.0)), "manual-01")
     assert (quiet.truth.joint == manual.truth.joint).all()
 
 
 @pytest.mark.parametrize("name", [f"manual-0{k}" for k in range(1, 7)])
-def test_operator_works_inside_the_end_stops_and_excites_the_machine(recipe: Recipe, name: str) -> None:
+def test_operator_works_inside_the_end_stops_and_excites_the_machine(recipe: BenchRecipe, name: str) -> None:
     truth = simulate(recipe, name).truth
     assert np.abs(truth.command).max() <= 1.0
     for column, axis in enumerate(AXES):
@@ -96,12 +96,12 @@ def test_operator_works_inside_the_end_stops_and_excites_the_machine(recipe: Rec
     assert np.mean(moving == 0) > 0.1, "rests"
 
 
-def test_structure_follows_the_slewing_drive_with_the_play(recipe: Recipe, manual: Run) -> None:
+def test_structure_follows_the_slewing_drive_with_the_play(recipe: BenchRecipe, manual: Run) -> None:
     lost = manual.truth.drive[:, 0] - manual.truth.joint[:, 0]
     assert np.ptp(lost) == pytest.approx(recipe.axis("slew").backlash, rel=1e-6)
 
 
-def test_logged_commands_explain_the_motion_on_the_coarse_grid(recipe: Recipe) -> None:
+def test_logged_commands_explain_the_motion_on_the_coarse_grid(recipe: BenchRecipe) -> None:
     """A second integration at the controller's rate, from commands alone, ends where the 1 kHz loop does."""
     plain = without_hidden(recipe)
     run = simulate(plain, "manual-02")
@@ -130,7 +130,7 @@ def coarse_drive(command: Array, cycle: float, valve: ValveSettings) -> Array:
     return out
 
 
-def test_without_hidden_leaves_only_what_the_description_knows(recipe: Recipe) -> None:
+def test_without_hidden_leaves_only_what_the_description_knows(recipe: BenchRecipe) -> None:
     full = {(effect["name"], effect["target"]): effect["hidden"] for effect in describe_effects(recipe)}
     plain = {(effect["name"], effect["target"]) for effect in describe_effects(without_hidden(recipe))}
     assert {key for key, hidden in full.items() if hidden} == {
@@ -141,13 +141,13 @@ def test_without_hidden_leaves_only_what_the_description_knows(recipe: Recipe) -
     assert plain == {key for key, hidden in full.items() if not hidden}
 
 
-def test_hidden_effect_that_the_machine_does_not_have_is_an_error(recipe: Recipe) -> None:
+def test_hidden_effect_that_the_machine_does_not_have_is_an_error(recipe: BenchRecipe) -> None:
     wrong = replace(recipe, hidden=(HiddenSettings("valve_deadbnd", "boom"),))
     with pytest.raises(SettingsError, match="no such effect; expected 'valve_deadband'"):
         without_hidden(wrong)
 
 
-def test_disturbed_flow_changes_the_motion_but_not_the_commands_of_the_routine(recipe: Recipe) -> None:
+def test_disturbed_flow_changes_the_motion_but_not_the_commands_of_the_routine(recipe: BenchRecipe) -> None:
     boom = recipe.axis("boom")
     rough = replace(recipe, axes={**recipe.axes, "boom": replace(boom, valve=replace(boom.valve, disturbance=0.05))})
     smooth = simulate(recipe, "manual-03").truth
@@ -157,7 +157,7 @@ def test_disturbed_flow_changes_the_motion_but_not_the_commands_of_the_routine(r
     assert (shaken.drive[:, 3] == smooth.drive[:, 3]).all()
 
 
-def test_routine_takes_still_poses_over_the_whole_range(recipe: Recipe) -> None:
+def test_routine_takes_still_poses_over_the_whole_range(recipe: BenchRecipe) -> None:
     run = simulate(recipe, RecordingSettings("poses", seed=7, poses=300))
     truth = run.truth
     assert truth.still.shape == (300, 2)
@@ -174,14 +174,14 @@ def test_routine_takes_still_poses_over_the_whole_range(recipe: Recipe) -> None:
         assert distance < 1.95 / math.sqrt(300) + recipe.routine.inset
 
 
-def test_routine_gets_past_a_wide_overlap(recipe: Recipe) -> None:
+def test_routine_gets_past_a_wide_overlap(recipe: BenchRecipe) -> None:
     telescope = recipe.axes["telescope"]
     valve = replace(telescope.valve, deadband_positive=0.4, deadband_negative=0.35)
     wide = replace(recipe, axes={**recipe.axes, "telescope": replace(telescope, valve=valve)})
     assert len(simulate(wide, RecordingSettings("poses", seed=7, poses=20)).truth.still) == 20
 
 
-def test_routine_logs_only_still_phases(recipe: Recipe, routine: Run) -> None:
+def test_routine_logs_only_still_phases(recipe: BenchRecipe, routine: Run) -> None:
     times = (routine.log.stamps - routine.start_ns) / 1e9
     inside = [(times >= start) & (times <= end) for start, end in routine.truth.still]
     assert np.sum(inside) == len(times)
@@ -189,7 +189,7 @@ def test_routine_logs_only_still_phases(recipe: Recipe, routine: Run) -> None:
     assert not routine.log.command.any()
 
 
-def test_drive_positions_of_the_parked_machine(recipe: Recipe, manual: Run) -> None:
+def test_drive_positions_of_the_parked_machine(recipe: BenchRecipe, manual: Run) -> None:
     for column, name in enumerate(AXES):
         axis = recipe.axis(name)
         parked = position_of(axis.park, drive_of(axis))

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sysid.bench import AXES, Recipe, load_recipe
+from sysid.bench import AXES, BenchRecipe, load_recipe
 from sysid.bench.crane import link_poses, tip_position
 from sysid.bench.cylinder import against_stops, drive_of, joint_of, position_of
 from sysid.bench.drivetrain import follow_with_play
@@ -19,7 +19,7 @@ AUTOLOG = Path(__file__).parents[2] / "datasets" / "autolog"
 
 
 @pytest.mark.parametrize("name", ["boom", "stick"])
-def test_linkage_closes_over_the_whole_stroke(recipe: Recipe, name: str) -> None:
+def test_linkage_closes_over_the_whole_stroke(recipe: BenchRecipe, name: str) -> None:
     axis = recipe.axis(name)
     drive = drive_of(axis)
     strokes = np.linspace(drive.low, drive.high, 400)
@@ -29,7 +29,7 @@ def test_linkage_closes_over_the_whole_stroke(recipe: Recipe, name: str) -> None
     assert sorted((joints[0], joints[-1])) == pytest.approx(axis.limits, abs=np.deg2rad(0.3))
 
 
-def test_parked_pose_lies_inside_every_stroke(recipe: Recipe) -> None:
+def test_parked_pose_lies_inside_every_stroke(recipe: BenchRecipe) -> None:
     for name in AXES:
         axis = recipe.axis(name)
         drive = drive_of(axis)
@@ -63,7 +63,7 @@ def test_play_lags_a_slow_swing_by_its_width() -> None:
     assert np.ptp(settled) == pytest.approx(2.0 - 0.2, abs=1e-4)
 
 
-def test_kinematics_agree_with_the_shipped_urdf(recipe: Recipe) -> None:
+def test_kinematics_agree_with_the_shipped_urdf(recipe: BenchRecipe) -> None:
     machine = load_machine(AUTOLOG / "machine.toml")
     kinematics = machine.kinematics()
     assert kinematics is not None
@@ -101,7 +101,7 @@ def test_description_and_bench_recipe_state_the_same_machine() -> None:
     assert not hidden & set(known)
 
 
-def test_hanging_gripper_points_along_its_rod(recipe: Recipe) -> None:
+def test_hanging_gripper_points_along_its_rod(recipe: BenchRecipe) -> None:
     rng = np.random.default_rng(1)
     joints = np.column_stack([rng.uniform(-2.0, 2.0, 50), np.full(50, 0.4), np.full(50, -1.0), np.full(50, 0.1)])
     rod = rng.normal([0.0, 0.0, -0.2], 0.05, (50, 3))

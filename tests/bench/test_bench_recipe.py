@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from sysid.bench import Recipe, load_recipe
+from sysid.bench import BenchRecipe, load_recipe
 from sysid.errors import SettingsError
 
 AUTOLOG = Path(__file__).parents[2] / "datasets" / "autolog"
@@ -53,6 +53,6 @@ def test_recipe_that_is_no_machine_is_refused(tmp_path: Path, found: str, writte
         load_recipe(path)
 
 
-def test_unknown_recording_suggests_the_nearest(recipe: Recipe) -> None:
+def test_unknown_recording_suggests_the_nearest(recipe: BenchRecipe) -> None:
     with pytest.raises(SettingsError, match="no recording 'manual-1'; expected 'manual-01'"):
         recipe.recording("manual-1")

@@ -9,19 +9,19 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from sysid.bench import Recipe, RecordingSettings, simulate
+from sysid.bench import BenchRecipe, RecordingSettings, simulate
 from sysid.bench.elastic_joint import flex_step
 from sysid.bench.hydraulic_recipe import MassSettings
 from sysid.bench.machine import run_machine
 from sysid.bench.recipe import GripperSettings
-from sysid.bench.rigid_body import Bodies, bodies_of, energy, equations, rod_force, solve3
+from sysid.bench.rigid_body import RigidBodies, bodies_of, energy, equations, rod_force, solve3
 
 Array = npt.NDArray[np.float64]
 
 BODIES = bodies_of(MassSettings(), 0.576, 0.400, 0.0)
 
 
-def heights_and_speeds(joint: Array, speed: Array, bodies: Bodies) -> tuple[float, float]:
+def heights_and_speeds(joint: Array, speed: Array, bodies: RigidBodies) -> tuple[float, float]:
     """Kinetic and potential energy from positions alone: velocities by differences along the motion."""
 
     def places(q: Array) -> list[tuple[float, Array]]:
@@ -112,7 +112,7 @@ def test_elastic_joint_swings_at_its_frequency_and_comes_to_rest_where_its_weigh
     assert period == pytest.approx(expected, rel=0.01)
 
 
-def test_boom_sags_a_quarter_of_a_degree_at_full_reach(recipe: Recipe) -> None:
+def test_boom_sags_a_quarter_of_a_degree_at_full_reach(recipe: BenchRecipe) -> None:
     """2e4 N·m/rad: 0.25°, 5 mm at 1.23 m."""
     parks = {"boom": 0.0, "stick": -0.11, "telescope": 0.249}
     axes = {name: replace(axis, park=parks.get(name, axis.park)) for name, axis in recipe.axes.items()}
@@ -127,7 +127,7 @@ def test_boom_sags_a_quarter_of_a_degree_at_full_reach(recipe: Recipe) -> None:
     assert (stiff.drive == soft.drive).all()
 
 
-def test_stiff_structure_is_the_rigid_one(recipe: Recipe) -> None:
+def test_stiff_structure_is_the_rigid_one(recipe: BenchRecipe) -> None:
     axes = {name: replace(axis, stiffness=1e9) for name, axis in recipe.axes.items()}
     recording = replace(recipe.recording("manual-02"), seconds=15.0)
     rigid = run_machine(recipe, recording, np.random.default_rng(1))
@@ -135,7 +135,7 @@ def test_stiff_structure_is_the_rigid_one(recipe: Recipe) -> None:
     assert np.abs(hard.joint - rigid.joint).max() < 1e-5
 
 
-def test_bodies_are_created_on_the_sagged_machine(recipe: Recipe) -> None:
+def test_bodies_are_created_on_the_sagged_machine(recipe: BenchRecipe) -> None:
     """The reference pose is what it really is, so the boom tip is where its body says."""
     boom = replace(recipe.axis("boom"), stiffness=2e4)
     capture = replace(recipe.capture, noise=0.0, dropouts_per_minute=0.0, swaps=(), exported_markers=())

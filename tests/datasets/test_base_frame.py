@@ -20,7 +20,7 @@ from sysid.datasets.frames.base_markers import from_markers
 from sysid.datasets.frames.base_turn import from_turn
 from sysid.datasets.frames.degenerate import offset_notes
 from sysid.datasets.frames.rigid import frame_pose, inverse
-from sysid.datasets.recipe import Frame, PointMap, Reference, StreamMap, load_recipe
+from sysid.datasets.recipe import FramePose, PointMap, Reference, StreamMap, load_recipe
 from sysid.errors import InputError, SettingsError
 from sysid.machine import Machine, load_machine
 
@@ -57,7 +57,7 @@ def test_markers_give_the_frame_back_whatever_it_is(seed: int, count: int) -> No
 
 @given(yaw=st.floats(-3.1, 3.1), up=st.booleans())
 def test_a_frame_that_looks_straight_up_or_down_has_angles_as_well(yaw: float, up: bool) -> None:
-    pose = frame_pose(Frame((1.0, 2.0, 3.0), (0.0, math.pi / 2 if up else -math.pi / 2, yaw)))
+    pose = frame_pose(FramePose((1.0, 2.0, 3.0), (0.0, math.pi / 2 if up else -math.pi / 2, yaw)))
     np.testing.assert_allclose(frame_pose(frame_of(pose)), pose, atol=1e-9)
 
 
@@ -267,7 +267,7 @@ def test_an_offset_along_the_last_link_is_said_to_hide_its_length(crane: Machine
     assume(math.hypot(*at) > 1e-3)
     reference = Reference((0.0, 1.0), {"slew": 0.3, "boom": 0.5, "stick": -1.2, "telescope": 0.05})
     mapping = StreamMap("mocap.csv", bodies={"tip": "tip"}, points={"ee": PointMap("tip", at)}, reference=reference)
-    mount = {("run", "mocap.csv"): {"tip": frame_pose(Frame((0.0, 0.0, 0.1), (0.0, 0.0, math.pi / 2)))}}
+    mount = {("run", "mocap.csv"): {"tip": frame_pose(FramePose((0.0, 0.0, 0.1), (0.0, 0.0, math.pi / 2)))}}
     notes = offset_notes([mapping], mount, crane)
     along = at[1]  # the body's y axis lies along the stick, which points along x of the tip
     assert bool(notes) == (abs(along) > 0.9 * math.hypot(*at))

@@ -13,10 +13,10 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from sysid.datasets.channels import read_streams
-from sysid.datasets.frames.bodies import Seen, find_mounts, joints_and_points
+from sysid.datasets.frames.bodies import CaptureSignal, find_mounts, joints_and_points
 from sysid.datasets.frames.mistakes import without_mistakes
 from sysid.datasets.frames.rigid import body_poses, frame_pose, inverse, mean_pose, poses_at
-from sysid.datasets.recipe import Frame, PointMap, Reference, SignalMap, StreamMap
+from sysid.datasets.recipe import FramePose, PointMap, Reference, SignalMap, StreamMap
 from sysid.errors import InputError, SettingsError
 from sysid.logs import Stream
 from sysid.machine import Machine, load_machine
@@ -51,7 +51,7 @@ def stream(name: str, poses: Array, rate: float = 60.0, error: Array | None = No
     return Stream(name, Path("mocap.csv"), {"capture": np.rint(np.arange(len(poses)) / rate * 1e9).astype(np.int64)}, columns)
 
 
-def capture(machine: Machine, q: Array, rng: np.random.Generator, frame: Frame) -> list[Stream]:
+def capture(machine: Machine, q: Array, rng: np.random.Generator, frame: FramePose) -> list[Stream]:
     """What a capture system in ``frame`` sees of bodies with random mounts while the joints are at ``q`` (n, 4)."""
     kinematics = machine.kinematics()
     assert kinematics is not None
@@ -60,13 +60,13 @@ def capture(machine: Machine, q: Array, rng: np.random.Generator, frame: Frame) 
     return [stream(body, to_capture @ links[link] @ random_pose(rng)) for body, link in BODIES.items()]
 
 
-def values_of(seen: list[Seen]) -> dict[str, Array]:
+def values_of(seen: list[CaptureSignal]) -> dict[str, Array]:
     return {item.signal: item.values for item in seen}
 
 
-def mapping(frame: Frame | None = None, **changes: object) -> StreamMap:
+def mapping(frame: FramePose | None = None, **changes: object) -> StreamMap:
     reference = Reference((0.0, 0.5), REFERENCE)
-    values = {"files": "mocap.csv", "bodies": BODIES, "frame": frame or Frame(), "reference": reference} | changes
+    values = {"files": "mocap.csv", "bodies": BODIES, "frame": frame or FramePose(), "reference": reference} | changes
     return StreamMap(**values)  # type: ignore[arg-type]
 
 
@@ -74,7 +74,7 @@ def mapping(frame: Frame | None = None, **changes: object) -> StreamMap:
 @given(seed=st.integers(0, 10_000), yaw=st.floats(-3.0, 3.0))
 def test_joints_come_back_whatever_the_mounts_and_the_capture_frame(crane: Machine, seed: int, yaw: float) -> None:
     rng = np.random.default_rng(seed)
-    frame = Frame((1.0, -2.0, 0.3), (1.5708, 0.2, yaw))
+    frame = FramePose((1.0, -2.0, 0.3), (1.5708, 0.2, yaw))
     q = np.column_stack([rng.uniform(*axis.limits, size=60) for axis in crane.axes if axis.limits])
     q[:31] = list(REFERENCE.values())
     streams = capture(crane, q, rng, frame)
@@ -89,7 +89,7 @@ def test_joints_come_back_whatever_the_mounts_and_the_capture_frame(crane: Machi
 
 def test_a_point_in_a_body_frame_lands_in_the_base_frame(crane: Machine) -> None:
     rng = np.random.default_rng(1)
-    frame = Frame((0.5, 0.1, -0.2), (0.1, -0.3, 2.0))
+    frame = FramePose((0.5, 0.1, -0.2), (0.1, -0.3, 2.0))
     q = np.tile(list(REFERENCE.values()), (40, 1))
     streams = capture(crane, q, rng, frame)
     points = {"ee": PointMap("b3", POINT)}
@@ -101,7 +101,7 @@ def test_a_point_in_a_body_frame_lands_in_the_base_frame(crane: Machine) -> None
 def test_axes_between_bodies_that_are_not_there_are_left_out(crane: Machine) -> None:
     rng = np.random.default_rng(2)
     q = np.tile(list(REFERENCE.values()), (40, 1))
-    streams = capture(crane, q, rng, Frame())
+    streams = capture(crane, q, rng, FramePose())
     few = {"b0": "column", "b2": "stick", "b3": "tip"}
     mounts = {body: poses[0] for body, poses in find_mounts(streams, mapping(bodies=few), crane).items()}
     signals = values_of(joints_and_points(streams, mapping(bodies=few), mounts, crane)[0])
@@ -169,7 +169,7 @@ def as_topic(body: Stream, stamps: Array) -> Stream:
 def test_bodies_on_stamps_of_their_own_are_turned_to_common_instants(crane: Machine, seed: int) -> None:
     """Two topics at 100 and 73 Hz, fast rotation of parent and child: joints as good as the interpolation of rotations."""
     rng = np.random.default_rng(seed)
-    frame = Frame((1.0, -2.0, 0.3), (0.3, 0.2, 1.0))
+    frame = FramePose((1.0, -2.0, 0.3), (0.3, 0.2, 1.0))
     rates = {"b0": 100.0, "b1": 73.0, "b2": 90.0, "b3": 61.0}
     topics = []
     mount = {body: random_pose(rng) for body in BODIES}
@@ -214,7 +214,7 @@ def test_an_analog_stream_beside_the_bodies_does_not_disturb_them(crane: Machine
     """It may come first and has a rate of its own."""
     rng = np.random.default_rng(5)
     q = np.tile(list(REFERENCE.values()), (40, 1))
-    streams = capture(crane, q, rng, Frame())
+    streams = capture(crane, q, rng, FramePose())
     analog = Stream("analog", Path("a.c3d"), {"capture": np.arange(4000, dtype=np.int64) * 1_000_000}, {"v": np.zeros(4000)})
     mounts = {body: poses[0] for body, poses in find_mounts(streams, mapping(), crane).items()}
     seen, _ = joints_and_points([analog, *streams], mapping(), mounts, crane)
@@ -224,7 +224,7 @@ def test_an_analog_stream_beside_the_bodies_does_not_disturb_them(crane: Machine
 def test_mistakes_are_named(crane: Machine) -> None:
     rng = np.random.default_rng(3)
     q = np.tile(list(REFERENCE.values()), (60, 1))
-    streams = capture(crane, q, rng, Frame())
+    streams = capture(crane, q, rng, FramePose())
     with pytest.raises(SettingsError, match="no rigid body 'b9'; expected one of: b0, b1, b2, b3"):
         find_mounts(streams, mapping(bodies={"b9": "tip"}), crane)
     with pytest.raises(SettingsError, match="no value for axis 'slew'"):
@@ -234,7 +234,7 @@ def test_mistakes_are_named(crane: Machine) -> None:
     with pytest.raises(InputError, match=r"b0: seen in 0 frames of the reference pose.*Choose other seconds"):
         find_mounts(streams, mapping(reference=Reference((50.0, 51.0), REFERENCE)), crane)
     q[:, 0] += np.linspace(0.0, 0.5, 60)
-    moving = capture(crane, q, rng, Frame())
+    moving = capture(crane, q, rng, FramePose())
     with pytest.raises(InputError, match=r"moves by \d+\.\d mm in the reference pose"):
         find_mounts(moving, mapping(), crane)
     with pytest.raises(SettingsError, match="link 'gripper' is not moved by an axis"):

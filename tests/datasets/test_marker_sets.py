@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 from sysid.datasets.frames.bodies import joints_and_points
 from sysid.datasets.frames.marker_sets import rigid_body, with_marker_sets
 from sysid.datasets.frames.rigid import body_poses
-from sysid.datasets.recipe import Frame, PointMap, StreamMap, load_recipe
+from sysid.datasets.recipe import FramePose, PointMap, StreamMap, load_recipe
 from sysid.errors import InputError, SettingsError
 from sysid.logs import Stream
 from sysid.machine import Machine, load_machine
@@ -117,13 +117,13 @@ def test_a_set_becomes_a_body_like_an_exported_one(crane: Machine) -> None:
     names = tuple(f"tip:{i}" for i in range(4))
     mapping = StreamMap(
         files="*.c3d",
-        frame=Frame(translation=(1.0, 2.0, 3.0)),
+        frame=FramePose(translation=(1.0, 2.0, 3.0)),
         marker_sets={"tip": names},
         points={"ee": PointMap(body="tip", at=(0.1, 0.0, 0.2)), "tool": PointMap(marker="tip:3")},
     )
     found = with_marker_sets(streams(markers, *names), mapping)
     assert [stream.name for stream in found] == [*names, "tip"]
-    np.testing.assert_allclose(body_poses(found[-1], Frame())[:, :3, :3], rotation @ own_frame(SHAPE), atol=1e-9)
+    np.testing.assert_allclose(body_poses(found[-1], FramePose())[:, :3, :3], rotation @ own_frame(SHAPE), atol=1e-9)
     points, flags = joints_and_points(found, mapping, {}, crane)
     signals = {item.signal: item.values for item in points}
     at = position + rotation @ (SHAPE.mean(axis=0) + own_frame(SHAPE) @ [0.1, 0.0, 0.2])

@@ -22,14 +22,14 @@ from sysid.machine import KnownEffect, TriangleLinkage, machine_from_files
 from sysid.plant import compile_plant, nominal_plant, swing
 from sysid.plant.gravity import measured_joints
 from sysid.plant.model import measured_point
-from sysid.testing import Place, places_of, plant_run, probe_machine, probe_recording
+from sysid.testing import EffectPlace, places_of, plant_run, probe_machine, probe_recording
 
 Array = npt.NDArray[np.float64]
 DT = 0.01
 RECORDING = probe_recording(4.0, seed=3)
 
 
-def place(effect: str, target: str, side: str | None = None) -> Place:
+def place(effect: str, target: str, side: str | None = None) -> EffectPlace:
     return next(p for p in places_of(BY_NAME[effect]) if p.target == target and p.side == side)
 
 

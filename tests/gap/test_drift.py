@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sysid.gap.drift import BIN, Drift, estimate_drift, log_density, robust_scale, to_bins, whiten
+from sysid.gap.drift import BIN, DriftStrength, estimate_drift, log_density, robust_scale, to_bins, whiten
 
 Array = npt.NDArray[np.float64]
 
@@ -30,7 +30,7 @@ def autocorrelation(values: Array, lag: int) -> float:
 @pytest.mark.parametrize(("calm", "moving"), [(0.0, 0.0), (0.1, 0.0), (0.0, 0.3), (5.0, 0.0), (0.2, 2.0)])
 def test_whitened_residuals_are_white(calm: float, moving: float) -> None:
     series, activity = wandering(4000, calm, moving, 1, noise=0.7)
-    white, _ = whiten(series, activity, Drift(calm, moving))
+    white, _ = whiten(series, activity, DriftStrength(calm, moving))
     bound = 3.0 / np.sqrt(len(white))
     assert all(abs(autocorrelation(white[10:], lag)) < bound for lag in (1, 2, 5, 20))
     assert np.std(white) == pytest.approx(0.7, rel=0.05)
@@ -56,14 +56,14 @@ def test_white_noise_has_no_drift() -> None:
 
 def test_the_true_strength_is_the_likeliest() -> None:
     series, activity = wandering(3000, 0.3, 0.0, 7)
-    totals = {calm: np.nansum(log_density(series, activity, Drift(calm))) for calm in (0.0, 0.03, 0.3, 3.0, 30.0)}
+    totals = {calm: np.nansum(log_density(series, activity, DriftStrength(calm))) for calm in (0.0, 0.03, 0.3, 3.0, 30.0)}
     assert max(totals, key=totals.__getitem__) == 0.3
 
 
 def test_missing_bins_stay_missing_and_the_level_wanders_on() -> None:
     series, activity = wandering(200, 0.5, 0.0, 3)
     series[50:80] = np.nan
-    white, _ = whiten(series, activity, Drift(0.5))
+    white, _ = whiten(series, activity, DriftStrength(0.5))
     assert (np.isnan(white) == np.isnan(series)).all()
     assert abs(white[80]) < 5.0, "thirty unseen bins make the next one uncertain, not surprising"
 

@@ -9,7 +9,7 @@ from plant_data import arm_inputs, dataset_of, measured, nominal
 
 from sysid.datasets.recording import Dataset
 from sysid.gap import find_gap
-from sysid.gap.drift import Drift, estimate_drift, log_density
+from sysid.gap.drift import DriftStrength, estimate_drift, log_density
 from sysid.gap.evidence import gain_p_value
 from sysid.machine import KnownEffect
 
@@ -68,7 +68,7 @@ def test_p_values_repeat_with_their_seed() -> None:
 def test_density_of_a_better_prediction_is_higher() -> None:
     rng = np.random.default_rng(2)
     noise, activity = rng.standard_normal(300), np.ones(300)
-    assert log_density(noise, activity, Drift()).sum() > log_density(noise + 0.5, activity, Drift()).sum()
+    assert log_density(noise, activity, DriftStrength()).sum() > log_density(noise + 0.5, activity, DriftStrength()).sum()
 
 
 def disturbed(seed: int, *hidden: KnownEffect) -> Dataset:

@@ -15,7 +15,7 @@ from plant_data import dataset_of, nominal
 from sysid.errors import StoreError
 from sysid.gap import steps
 from sysid.gap.promotion import free_run_check, names_check, stages_check, world_check
-from sysid.gap.proof import Outcome
+from sysid.gap.proof import ProofOutcome
 from sysid.gap.result import Check, Gap, WorldGap
 from sysid.gap.steps import MACHINE_DIFF, Proof, Study
 from sysid.machine import KnownEffect, machine_from_files
@@ -110,7 +110,7 @@ def test_the_difference_beside_it_makes_the_same_plant(
 def worse(searched: Study, proof: Proof) -> Proof:
     """What was found with half of the dead-band's width: still much better than before."""
     half = proof.outcome.repaired.with_effect(KnownEffect("valve_deadband", "boom", {"positive": 0.11, "negative": 0.075}))
-    return steps.measure(searched, Outcome(half, proof.outcome.named))
+    return steps.measure(searched, ProofOutcome(half, proof.outcome.named))
 
 
 def test_what_is_worse_than_the_promoted_one_is_not_promoted(searched: Study, proof: Proof, registry: Registry) -> None:
@@ -129,7 +129,7 @@ def test_what_is_worse_than_the_promoted_one_is_not_promoted(searched: Study, pr
 
 def test_a_signal_that_grows_stops_a_promotion(searched: Study, proof: Proof, registry: Registry) -> None:
     bent = proof.outcome.repaired.with_effect(KnownEffect("sensor_bias", "wrist.joint", {"bias": 0.02}))
-    grown = steps.measure(searched, Outcome(bent, proof.outcome.named))
+    grown = steps.measure(searched, ProofOutcome(bent, proof.outcome.named))
     found = steps.promote(searched, grown, registry, steps.store(searched, grown, registry))
     assert not found.promoted
     assert "further off than before: wrist.joint 0.000303 → 0.02 (at most 0.0003" in found.reason

@@ -9,7 +9,7 @@ import numpy.typing as npt
 from runner_case import MIDDLE, PLANT, Case, Quick, case, true_crane
 
 from sysid.runner import faults as f
-from sysid.runner.chain import Chain
+from sysid.runner.chain import ControlChain
 from sysid.runner.faults import Injection
 from sysid.runner.limits import AxisLimits, Limits, LimitSettings
 from sysid.runner.modes.mode import Goal
@@ -70,7 +70,7 @@ def injection(rng: np.random.Generator) -> Injection:
     some = tuple(rng.choice(SIGNALS, int(rng.integers(1, 4)), replace=False).tolist()) if rng.random() < 0.5 else ()
     far = RANGES[signal]
     kinds: list[Any] = [
-        f.Dropped(some), f.Frozen(signal), f.Delayed(float(rng.choice([0.05, 0.2])), some, bool(rng.random() < 0.5)),
+        f.DroppedFrames(some), f.Frozen(signal), f.Delayed(float(rng.choice([0.05, 0.2])), some, bool(rng.random() < 0.5)),
         f.NotANumber(signal), f.Jumped(signal, float(rng.choice([-1, 1]) * rng.uniform(0.005, 0.5) * far)),
         f.Scaled(signal, float(rng.choice([0.5, 0.8, 0.9, 1.1, 1.25, 2.0, -1.0]))), f.Unplugged(signal),
         f.BusOff(bool(rng.random() < 0.5)), f.WritesLost(), f.Paused(float(rng.choice([0.03, 0.09, 0.3, 1.0]))),
@@ -96,7 +96,7 @@ def fault_run(seed: int) -> tuple[Case, dict[str, float]]:
     limits = LimitSettings(fence=box if rng.random() < 0.7 else {}, axes=narrow)
     plan = tuple(injection(rng) for _ in range(int(rng.integers(1, 3))))
 
-    def mode(bounds: Limits, chain: Chain) -> Wild:
+    def mode(bounds: Limits, chain: ControlChain) -> Wild:
         return Wild(rng, bounds)
 
     run = case(mode, start=start, true=true_crane(int(rng.integers(1000))), plan=plan, limits=limits, seed=seed, seconds=2.2)

@@ -12,7 +12,7 @@ import numpy as np
 
 from sysid.runner.cycle import Cycle, Verdict
 from sysid.runner.flight_log import FlightLog
-from sysid.runner.transport import MachineInputs, Reading
+from sysid.runner.transport import MachineInputs, Measurement
 
 ROOT = Path(__file__).parents[2]
 MACHINE = ROOT / "datasets/autolog/machine.toml"
@@ -28,7 +28,7 @@ def cycle(number: int, begin_ns: int = 0, verdicts: tuple[Verdict, ...] = ()) ->
     swing = math.sin(phase)
     values = (0.5 * swing, 0.05 + 0.02 * swing, 0.06 + 0.02 * math.cos(phase), 0.1 + 0.05 * swing)
     readings = {
-        signal: Reading(value, at - 2_000_000, at - 1_000_000, number + 1)
+        signal: Measurement(value, at - 2_000_000, at - 1_000_000, number + 1)
         for signal, value in zip(SIGNALS, values, strict=True)
     }
     commands = np.array([0.5 * math.cos(phase), 0.4 * math.cos(phase), -0.3 * math.sin(phase), 0.2])

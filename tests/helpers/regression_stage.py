@@ -16,7 +16,7 @@ from sysid.effects import effect_named
 from sysid.gap.candidates import Candidate, Unknown
 from sysid.gap.likelihood.discrepancy import Discrepancy
 from sysid.gap.likelihood.disturbance import Disturbance
-from sysid.gap.likelihood.rows import Rows
+from sysid.gap.likelihood.rows import StageRows
 from sysid.gap.likelihood.stage import StageLikelihood, Variances
 from sysid.gap.problem import Problem
 
@@ -65,12 +65,12 @@ def problem() -> Problem:
     )  # fmt: skip
 
 
-def rows_of(theta: Sequence[float], **kwargs: float) -> Rows:
+def rows_of(theta: Sequence[float], **kwargs: float) -> StageRows:
     """Rows of such recordings, questioned with θ = 0."""
-    return Rows(problem(), recordings(theta, **kwargs), np.zeros(3), np.array([NOISE]))  # type: ignore[arg-type]
+    return StageRows(problem(), recordings(theta, **kwargs), np.zeros(3), np.array([NOISE]))  # type: ignore[arg-type]
 
 
-def discrepancy(rows: Rows, columns: Array | None = None) -> Discrepancy:
+def discrepancy(rows: StageRows, columns: Array | None = None) -> Discrepancy:
     """One group of smooth columns; none of timing."""
     if columns is None:
         time = np.concatenate([s.time + 20.0 * s.recording for s in rows.series])
@@ -79,7 +79,7 @@ def discrepancy(rows: Rows, columns: Array | None = None) -> Discrepancy:
 
 
 def likelihood(
-    rows: Rows, tau: float = 0.1, disturbance: float = 1e-9, memory: float = 0.5, columns: Array | None = None
+    rows: StageRows, tau: float = 0.1, disturbance: float = 1e-9, memory: float = 0.5, columns: Array | None = None
 ) -> StageLikelihood:
     """The likelihood of the stage with known variances."""
     variances = Variances((Disturbance(NOISE, disturbance, 0.0, memory),), np.array([tau]), np.ones(rows.count))

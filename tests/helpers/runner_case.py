@@ -17,7 +17,7 @@ from sysid.machine import KnownEffect
 from sysid.plant import Model, Plant, compile_plant
 from sysid.rl.inverse import Inverse, chain_of_plant
 from sysid.rl.reach import joint_limits, tips
-from sysid.runner.chain import Chain, Policy
+from sysid.runner.chain import ControlChain, SignalPolicy
 from sysid.runner.checks.settings import CheckSettings
 from sysid.runner.cycle import Cycle
 from sysid.runner.faults import FaultyTransport, Injection
@@ -26,7 +26,7 @@ from sysid.runner.loop import Loop
 from sysid.runner.loop_settings import LoopSettings
 from sysid.runner.modes.mode import Mode
 from sysid.runner.operator import Operator, Unattended
-from sysid.runner.senses import Senses
+from sysid.runner.senses import StateEstimator
 from sysid.runner.simulated import SimulatedTransport
 from sysid.runner.supervisor import Supervisor
 from sysid.runner.valves import valves
@@ -157,12 +157,12 @@ def true_crane(seed: int = 0) -> Plant:
 
 
 def case(
-    mode: Callable[[Limits, Chain], Mode],
+    mode: Callable[[Limits, ControlChain], Mode],
     *,
     start: Array = MIDDLE,
     true: Plant = PLANT,
     plan: Sequence[Injection] = (),
-    policy: Policy | None = None,
+    policy: SignalPolicy | None = None,
     lookahead: float | None = None,
     limits: LimitSettings | None = None,
     checks: CheckSettings | None = None,
@@ -177,11 +177,11 @@ def case(
     machine = kind(true, start, noise=noise, seed=seed)
     transport = FaultyTransport(machine, tuple(plan))
     ahead = response_time(PLANT) if lookahead is None else lookahead
-    chain = Chain(PLANT, Quick(PLANT), inverse(), policy=policy, lookahead=round(ahead, 2))
+    chain = ControlChain(PLANT, Quick(PLANT), inverse(), policy=policy, lookahead=round(ahead, 2))
     parts = valves(tune(PLANT), DT)
     bounds = limits_of(PLANT, parts, limits or LimitSettings(), "test")
     rules = checks or CheckSettings()
-    senses = Senses(PLANT, parts, DT, transport.signals, rules)
+    senses = StateEstimator(PLANT, parts, DT, transport.signals, rules)
     supervisor = Supervisor(chain.axes, bounds, parts, senses.linkages, chain.tip, DT, rules)
     memory, person = recorder or Memory(), operator(transport)
     values = {"priority": 0, "lock_memory": False, "settle_s": 0.1, **settings}

@@ -12,7 +12,7 @@ import pandas as pd
 from sysid.datasets.recording import ClockRecord, Dataset, Recording, Source
 from sysid.gap.result import (
     Alternative,
-    Candidate,
+    ComparedModel,
     Excitation,
     Gap,
     GapResult,
@@ -267,12 +267,12 @@ def sample_gap(dataset: Dataset) -> GapResult:
         ),
     )
     candidates = (
-        Candidate("command", "boom", (), {}, 68.1, 71.3, 9120.0, "no effect: rejected"),
+        ComparedModel("command", "boom", (), {}, 68.1, 71.3, 9120.0, "no effect: rejected"),
         _trial("valve_deadband(boom)", {"positive": 0.0808, "negative": 0.0493}, 1.01, 0.99, 0.0, "named"),
         _trial("gain_error(boom)", {"ratio": 0.91}, 31.0, 36.2, 5133.0, "rejected: 36 × the noise floor"),
         _trial("asymmetric_gain(boom)", {"ratio": 1.04}, 49.0, 50.2, 7411.0, "rejected"),
         _trial("backlash(slew, structure)", {"width": 0.01052}, 1.02, 1.01, 0.0, "named"),
-        Candidate("joint", "slew", (), {}, 22.4, 23.1, 3120.0, "no effect: rejected"),
+        ComparedModel("joint", "slew", (), {}, 22.4, 23.1, 3120.0, "no effect: rejected"),
     )
     return GapResult(
         dataset.reference,
@@ -317,9 +317,11 @@ def sample_gap(dataset: Dataset) -> GapResult:
     )  # fmt: skip
 
 
-def _trial(label: str, values: dict[str, float], fit: float, selection: float, bic: float, verdict: str) -> Candidate:
+def _trial(label: str, values: dict[str, float], fit: float, selection: float, bic: float, verdict: str) -> ComparedModel:
     stage, target = ("joint", "slew") if "slew" in label else ("command", "boom")
-    return Candidate(stage, target, (label,), {f"{label}.{key}": v for key, v in values.items()}, fit, selection, bic, verdict)
+    return ComparedModel(
+        stage, target, (label,), {f"{label}.{key}": v for key, v in values.items()}, fit, selection, bic, verdict
+    )
 
 
 def sample_unnamed(dataset: Dataset) -> GapResult:

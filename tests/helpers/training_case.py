@@ -7,7 +7,7 @@ from typing import Any
 from crane_model import Perfect, crane_plant
 
 from sysid.rl.ddpg import Trainer
-from sysid.rl.recipe import Recipe, parse_training
+from sysid.rl.recipe import TrainingRecipe, parse_training
 from sysid.rl.training import environments
 
 PLANT = crane_plant()
@@ -22,7 +22,7 @@ class Seeing(Perfect):
 FORWARD = Seeing(PLANT)
 
 
-def recipe(**parts: Any) -> Recipe:
+def recipe(**parts: Any) -> TrainingRecipe:
     """A recipe of some 200 updates in a third of a second; ``parts`` replace keys of its tables, or keys at its top."""
     values: dict[str, Any] = {
         "name": "small",
@@ -39,5 +39,5 @@ def recipe(**parts: Any) -> Recipe:
     return parse_training(values, "small")
 
 
-def trainer(settings: Recipe) -> Trainer:
+def trainer(settings: TrainingRecipe) -> Trainer:
     return Trainer(*environments(settings, PLANT, FORWARD, judged=16), settings)

@@ -14,7 +14,7 @@ from sysid.errors import ExcitationError, InputError, SettingsError, StoreError
 from sysid.networks import HistoryNetwork, fit_history, from_files, parse_recipe, to_files
 from sysid.networks.history import _looks, stretches
 from sysid.networks.memory import Memory
-from sysid.networks.split import Segment
+from sysid.networks.split import RowRange
 from sysid.plant import nominal_plant
 from sysid.validate import validate_model
 from sysid.validate.free_runs import STATIC
@@ -135,7 +135,7 @@ def test_sequences_stay_inside_recordings_blocks_and_gaps(data: Dataset, network
     joint[700:900] = np.nan
     holed = replace(run, table=run.table.assign(**{"boom.cylinder": cylinder, "boom.joint": joint}))
     memory = network.to_joint
-    found = _looks([Segment(holed, 100, 1200)], ("boom.cylinder", "boom.joint"), network.static.joint, memory)
+    found = _looks([RowRange(holed, 100, 1200)], ("boom.cylinder", "boom.joint"), network.static.joint, memory)
     stride = memory.stride(RATE)
     assert [len(looks.left) for looks in found] == [400 // stride, (1200 - 503) // stride]
     for looks, begin in zip(found, (100, 503), strict=True):

@@ -15,10 +15,10 @@ from numpy.typing import NDArray
 from sysid.datasets.recording import Dataset, Recording
 from sysid.errors import ExcitationError, SettingsError, StoreError
 from sysid.networks import Mlp, MotionNetwork, Normalisation, fit_motion, from_files, parse_recipe, to_files
-from sysid.networks.member import Course
+from sysid.networks.member import LearningCurve
 from sysid.networks.motion import free_run_rmse, motion_rows, window_for
-from sysid.networks.motion_inputs import Motion, Window, window_of
-from sysid.networks.rollout import Bounds, horizon_errors, whole_run
+from sysid.networks.motion_inputs import MotionStretch, Window, window_of
+from sysid.networks.rollout import MotionBounds, horizon_errors, whole_run
 from sysid.validate import validate_model
 from sysid.validate.free_runs import ARX, PLANT, output_name
 
@@ -151,7 +151,7 @@ def test_rows_never_reach_over_a_gap_or_an_end(holes: list[tuple[bool, int, int]
     for in_command, begin, length in holes:
         (command if in_command else position)[begin : begin + length] = np.nan
     window = Window(stride / 10.0, (0, 1, 3), (0, 2))
-    motion = Motion.of(command, position, stride)
+    motion = MotionStretch.of(command, position, stride)
     found = set(motion.starts(window, ahead).tolist())
     for at in range(60):
         last = max(1, ahead)
@@ -183,7 +183,7 @@ def test_times_are_rounded_to_steps_and_steps_to_samples() -> None:
 
 
 def test_a_step_sees_the_mean_command() -> None:
-    motion = Motion.of(np.array([0.0, 1.0, 1.0, 0.0, 2.0]), np.zeros(5), 2)
+    motion = MotionStretch.of(np.array([0.0, 1.0, 1.0, 0.0, 2.0]), np.zeros(5), 2)
     np.testing.assert_array_equal(motion.command, [0.5, 1.0, 0.5, 1.0, np.nan])
 
 
@@ -196,7 +196,7 @@ def test_horizons_are_those_of_whole_runs(network: MotionNetwork, data: Dataset)
         network.speed,
         network.window,
         network.bounds,
-        Motion(motion.command, _before(motion.position, first, network.window), 3),
+        MotionStretch(motion.command, _before(motion.position, first, network.window), 3),
     )
     assert said[0] == pytest.approx(alone[ends[0]])
     np.testing.assert_array_equal(truth, motion.position[ends])
@@ -285,8 +285,8 @@ def linear_network() -> MotionNetwork:
 
 
 def built(window: Window, mlp: Mlp) -> MotionNetwork:
-    bounds = Bounds((-0.3, 0.4), (0.0, 0.2))
-    course = Course((1, 1), 1, 1, (0.0,), (1,), (0.0,), (0.0,))
+    bounds = MotionBounds((-0.3, 0.4), (0.0, 0.2))
+    course = LearningCurve((1, 1), 1, 1, (0.0,), (1,), (0.0,), (0.0,))
     return MotionNetwork("boom", "boom.command", "boom.cylinder", "m", window, (mlp,), bounds, (-1.0, 1.0), (course,))
 
 

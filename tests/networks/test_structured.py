@@ -16,7 +16,7 @@ from sysid.errors import ExcitationError, InputError, SettingsError, StoreError
 from sysid.machine import Machine
 from sysid.networks import (
     Calibration,
-    Chain,
+    FittedChain,
     Geometry,
     StructuredForward,
     calibrate,
@@ -235,7 +235,7 @@ def test_a_recipe_may_ask_for_the_chain_of_a_machine_without_a_urdf(data: Datase
     recipe = parse_recipe({"forward": {"model": "chain", "residual": False}}, "test")
     model = fit_forward(bare, recipe)
     assert isinstance(model, StructuredForward)
-    assert isinstance(model.structure, Chain)
+    assert isinstance(model.structure, FittedChain)
     q = taken(300, 7)
     kinematics = crane().kinematics()
     assert kinematics is not None

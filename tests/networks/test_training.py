@@ -11,7 +11,7 @@ import pytest
 import torch
 
 from sysid.errors import ExcitationError, InputError, SettingsError
-from sysid.networks import Member, Mlp, Normalisation, Trained, TrainingSettings, train
+from sysid.networks import Member, Mlp, Normalisation, TrainedMember, TrainingSettings, train
 from sysid.networks.batch import BatchedAdam, BatchedMlp, Stack, pack, padded, unpack
 from sysid.networks.jobs import batches, job_of, layers_of, scalers_of
 from sysid.networks.mlp import Rectifier
@@ -38,7 +38,7 @@ def misled(name: str, seed: int) -> Member:
     return replace(one, validation_outputs=one.validation_outputs[::-1].copy())
 
 
-def same(first: Trained, second: Trained, rtol: float = 0.0) -> bool:
+def same(first: TrainedMember, second: TrainedMember, rtol: float = 0.0) -> bool:
     pairs = zip((*first.mlp.weights, *first.mlp.biases), (*second.mlp.weights, *second.mlp.biases), strict=True)
     return all(np.allclose(a, b, rtol=rtol, atol=rtol) for a, b in pairs)
 

@@ -19,7 +19,7 @@ from sysid.errors import SettingsError, StorageError, StoreError
 from sysid.networks import (
     Checkpoints,
     Member,
-    Trained,
+    TrainedMember,
     TrainingSettings,
     fit_actuator,
     fit_forward,
@@ -42,12 +42,12 @@ def members() -> list[Member]:
 
 def run(
     folder: Path | None, every: float = 1e9, progress: object = None, settings: TrainingSettings = SETTINGS
-) -> tuple[Trained, ...]:
+) -> tuple[TrainedMember, ...]:
     checkpoints = None if folder is None else Checkpoints(folder, every)
     return train(members(), HIDDEN, settings, 5, progress, checkpoints)  # type: ignore[arg-type]
 
 
-def assert_same(found: tuple[Trained, ...], wanted: tuple[Trained, ...]) -> None:
+def assert_same(found: tuple[TrainedMember, ...], wanted: tuple[TrainedMember, ...]) -> None:
     for one, other in zip(found, wanted, strict=True):
         for a, b in zip((*one.mlp.weights, *one.mlp.biases), (*other.mlp.weights, *other.mlp.biases), strict=True):
             np.testing.assert_array_equal(a, b)

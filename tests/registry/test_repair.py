@@ -15,7 +15,7 @@ from sysid.cli import main
 from sysid.errors import StorageError, StoreError
 from sysid.registry import Check, Damaged, Registry, decide
 from sysid.registry.schema import empty_registry
-from sysid.registry.stored import Change
+from sysid.registry.stored import ModelChange
 from sysid.registry.tables import apply
 
 FILES = {"plant.json": b"{}"}
@@ -182,8 +182,8 @@ def test_an_older_schema_is_read_and_migrated(workspace: Path) -> None:
     with closing(sqlite3.connect(workspace / "registry.db")) as connection, connection:
         for model in models:
             for version in model.versions:
-                apply(connection, model.name, Change(new=version))
-            apply(connection, model.name, Change(aliases=model.aliases, tags=model.tags))
+                apply(connection, model.name, ModelChange(new=version))
+            apply(connection, model.name, ModelChange(aliases=model.aliases, tags=model.tags))
     assert state(workspace) == before
     (line,) = Registry(workspace).repair().done
     assert "was migrated" in line

@@ -12,7 +12,7 @@ from sample_crane import sample_gap, sample_unnamed
 
 from sysid.datasets.recording import Dataset
 from sysid.errors import StoreError
-from sysid.gap.result import Check, Evidence, Promotion, WorldGap
+from sysid.gap.result import Check, EffectEvidence, Promotion, WorldGap
 from sysid.reports.archive import load_gap, save_gap
 
 
@@ -22,7 +22,7 @@ def test_round_trip(crane: Dataset, tmp_path: Path) -> None:
     result = replace(
         plain,
         effects=(
-            *(replace(effect, evidence=Evidence(6614.0, 2312.0, 0.001, 11.5)) for effect in plain.effects[:-1]),
+            *(replace(effect, evidence=EffectEvidence(6614.0, 2312.0, 0.001, 11.5)) for effect in plain.effects[:-1]),
             replace(plain.effects[-1], undetermined=("damping_ratio",)),
         ),
         world_gap=WorldGap(plain.gap, plain.stage_gap, ("manual-04",), 2.9, "1 more recordings than 600 s"),

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from sysid.pictures import ticks
-from sysid.reports.charts import Line, chart, heat_map
+from sysid.reports.charts import ChartCurve, chart, heat_map
 from sysid.reports.clearance import Canvas
 
 
@@ -26,7 +26,7 @@ def test_ticks_are_round_inside_and_neither_one_nor_many(low: float, width: floa
 
 def test_a_gap_breaks_the_curve_and_nothing_leaves_the_frame() -> None:
     y = np.array([0.0, 1.0, np.nan, 3.0, 2.0])
-    text = chart(np.arange(5.0), [Line(y, "before", spread=np.full(5, 0.5))], ("time [s]", "error [mm]"), noise=0.2)
+    text = chart(np.arange(5.0), [ChartCurve(y, "before", spread=np.full(5, 0.5))], ("time [s]", "error [mm]"), noise=0.2)
     (curve,) = re.findall(r'<path class="before" d="([^"]*)"', text)
     assert curve.count("M") == 2
     points = [tuple(map(float, p)) for p in re.findall(r"([\d.]+),([\d.]+)", text)]
@@ -36,7 +36,7 @@ def test_a_gap_breaks_the_curve_and_nothing_leaves_the_frame() -> None:
 
 
 def test_labels_cannot_carry_markup() -> None:
-    assert "<b>" not in chart(np.arange(2.0), [Line(np.zeros(2), "before")], ("<b>", "y"))
+    assert "<b>" not in chart(np.arange(2.0), [ChartCurve(np.zeros(2), "before")], ("<b>", "y"))
 
 
 def test_a_mark_finds_the_free_side() -> None:

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from markupsafe import Markup
 
-from sysid.datasets.quality import Evidence, evidence_of
+from sysid.datasets.quality import DatasetEvidence, evidence_of
 from sysid.datasets.quality.use import CELLS
 from sysid.datasets.recording import Dataset
 from sysid.gap.experiment.excitation_verdict import ExcitationReport, ExcitationVerdict, RecordingRequest, excitation_report
@@ -24,7 +24,7 @@ from sysid.reports.verdicts import Group, amount, by_effect, by_reason, request_
 
 
 @pytest.fixture(scope="module")
-def evidence(crane: Dataset) -> Evidence:
+def evidence(crane: Dataset) -> DatasetEvidence:
     return evidence_of(crane)
 
 
@@ -41,7 +41,7 @@ def verdict(
     return ExcitationVerdict(name, target, "command", side, status, have, need, "reversals", "text", "")  # type: ignore[arg-type]
 
 
-def test_bars_are_as_high_as_the_times(evidence: Evidence) -> None:
+def test_bars_are_as_high_as_the_times(evidence: DatasetEvidence) -> None:
     use = replace(evidence.axes["slew"], seconds=(0.0, 4.0, 2.0, 0.1, *([0.0] * (CELLS - 4))))
     text = command_picture(use, "1", small=True)
     heights = [float(h) for h in re.findall(r'class="bar(?: thin)?"[^>]* height="([\d.]+)"', text)]
@@ -55,7 +55,7 @@ def test_bars_are_as_high_as_the_times(evidence: Evidence) -> None:
     assert "command [°]" in servo
 
 
-def test_cells_lie_where_the_machine_was(crane: Dataset, evidence: Evidence) -> None:
+def test_cells_lie_where_the_machine_was(crane: Dataset, evidence: DatasetEvidence) -> None:
     item = next(m for m in evidence.maps if (m.first.axis, m.second.axis) == ("slew", "stick"))
     text = map_picture(item, evidence.postures, crane.units)
     cells = [(float(x), float(y)) for x, y in re.findall(r'class="cell"[^>]* x="([\d.]+)" y="([\d.]+)"', text)]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from sysid.gap.result import Alternative, Candidate, NamedEffect
+from sysid.gap.result import Alternative, ComparedModel, NamedEffect
 from sysid.machine import Machine
 from sysid.reports.places import part_of, place_text
 from sysid.reports.reasons import confidence, fate, label_of, losses, relative_width
@@ -12,8 +12,8 @@ from sysid.reports.reasons import confidence, fate, label_of, losses, relative_w
 REASON = "evidence: ΔBIC 5838 on fitted recordings, 2067 nats on unseen ones"
 
 
-def row(*effects: str, unseen: float, verdict: str = "tried") -> Candidate:
-    return Candidate("command", "boom", effects, {}, unseen, unseen, 50.0, verdict)
+def row(*effects: str, unseen: float, verdict: str = "tried") -> ComparedModel:
+    return ComparedModel("command", "boom", effects, {}, unseen, unseen, 50.0, verdict)
 
 
 ROWS = (

@@ -13,7 +13,7 @@ from sample_crane import sample_gap, sample_unnamed
 
 from sysid.datasets.recording import Dataset
 from sysid.gap.experiment.excitation_verdict import excitation_report
-from sysid.gap.result import Check, Evidence, Gap, GapResult, Promotion, WorldGap
+from sysid.gap.result import Check, EffectEvidence, Gap, GapResult, Promotion, WorldGap
 from sysid.machine import load_machine
 from sysid.plant import nominal_plant
 from sysid.reports import ReportInputs, VersionNote, build_report, display, write_report
@@ -273,7 +273,7 @@ def judged(gap: GapResult, *checks: Check) -> GapResult:
     """The result with a promotion, refused where a check failed, and the same gap in a world in which the tool swings on."""
     failed = [check.text for check in checks if check.status == "failed"]
     promotion = Promotion("autolog@2", "autolog@1" if failed else "autolog@2", "autolog@1", checks, "; ".join(failed))
-    evidence = Evidence(6614.0, 2312.0, 0.000999, 11.5)
+    evidence = EffectEvidence(6614.0, 2312.0, 0.000999, 11.5)
     swinging = replace(gap.gap, after={s: (4.0 if s.startswith("tool") else 1.0) * v for s, v in gap.gap.after.items()})
     return replace(
         gap,

@@ -16,13 +16,13 @@ from sysid.rl.agent import Agent
 from sysid.rl.ddpg import Trainer
 from sysid.rl.kinematic import KinematicEnvironment
 from sysid.rl.noise import OrnsteinUhlenbeck
-from sysid.rl.recipe import Recipe
+from sysid.rl.recipe import TrainingRecipe
 from sysid.rl.task import Task
 
 SEEN = ("turn", "now", "agent", "noise", "environment", "episodes", "evaluations", "actions", "batches")
 
 
-def trained(settings: Recipe) -> Trainer:
+def trained(settings: TrainingRecipe) -> Trainer:
     found = trainer(settings)
     for _ in found.train():
         pass

@@ -10,7 +10,7 @@ from scipy.optimize import least_squares
 from sysid.errors import InputError
 from sysid.machine import KnownEffect
 from sysid.plant import compile_plant
-from sysid.rl.inverse import Chain, Inverse, chain_of_forward, chain_of_plant
+from sysid.rl.inverse import Inverse, KinematicChain, chain_of_forward, chain_of_plant
 from sysid.rl.reach import joint_limits, tips
 
 PLANT = crane_plant(
@@ -102,4 +102,4 @@ def test_shapes_and_numbers_are_checked() -> None:
         inverse.solve(np.zeros((2, 3)), LOW)
     with pytest.raises(InputError, match="no finite number"):
         inverse.solve([[np.nan, 0.0, 0.0]], [LOW])
-    assert isinstance(inverse.model, Chain)
+    assert isinstance(inverse.model, KinematicChain)

@@ -20,7 +20,7 @@ from training_case import recipe, trainer
 from sysid.cli.app import app
 from sysid.errors import InputError, SettingsError, StoreError
 from sysid.model_versions import ModelVersions
-from sysid.networks import Chain, StructuredForward, fit_chain, to_files
+from sysid.networks import FittedChain, StructuredForward, fit_chain, to_files
 from sysid.networks.policy import PolicyNetwork, policy_from_files, policy_to_files
 from sysid.plant import compile_plant
 from sysid.rl.policy import Searching, load_policy
@@ -43,7 +43,7 @@ def workspace(tmp_path_factory: pytest.TempPathFactory) -> Workspace:
     low, high = joint_limits(plant)
     poses = np.random.default_rng(0).uniform(low, high, (300, 4))
     chain = fit_chain(poses, tips(compile_plant(plant), poses), (True, True, True, False))
-    assert isinstance(chain, Chain)
+    assert isinstance(chain, FittedChain)
     forward = StructuredForward(JOINTS, (True, True, True, False), chain, "", (), 0.0, low, high)
     place.models.register("crane", "plant", plant.to_files(), {"dataset": "crane@1"})
     kind, files = to_files(forward)

@@ -18,11 +18,13 @@ from sysid.errors import SettingsError, StorageError, StoreError
 from sysid.rl import replay as replay_module
 from sysid.rl.checkpoint import STATE, TrainingFiles, training_folder
 from sysid.rl.ddpg import Trainer
-from sysid.rl.recipe import Recipe
+from sysid.rl.recipe import TrainingRecipe
 from sysid.rl.replay import Replay
 
 
-def run(folder: Path | None, settings: Recipe, every: float = 0.0, until: int | None = None, pause: float = 0.0) -> Trainer:
+def run(
+    folder: Path | None, settings: TrainingRecipe, every: float = 0.0, until: int | None = None, pause: float = 0.0
+) -> Trainer:
     """Train, from what ``folder`` holds, to the end or for ``until`` steps; checkpoints every ``every`` seconds."""
     each = trainer(settings)
     files = TrainingFiles(folder, every) if folder is not None else None

@@ -13,7 +13,7 @@ from crane_model import Perfect, crane_plant
 from sysid.control import simple
 from sysid.errors import InputError, SettingsError
 from sysid.machine import KnownEffect
-from sysid.rl.course import Course, Shortened, lay_out
+from sysid.rl.course import Shortened, TrackingTask, lay_out
 from sysid.rl.kinematic import KinematicEnvironment
 from sysid.rl.paths import Path, helix
 from sysid.rl.record import keep, pictures, table
@@ -29,16 +29,16 @@ CENTRE = (0.85, 0.0, 0.3)
 
 
 @pytest.fixture(scope="module")
-def still() -> Course:
+def still() -> TrackingTask:
     return lay_out(PLANT, Perfect(PLANT), "helix", centre=CENTRE)
 
 
 @pytest.fixture(scope="module")
-def driven() -> Course:
+def driven() -> TrackingTask:
     return lay_out(PLANT, Perfect(PLANT), "circle", full=True, centre=CENTRE)
 
 
-def test_with_a_perfect_static_plant_inverse_kinematics_is_exact(still: Course) -> None:
+def test_with_a_perfect_static_plant_inverse_kinematics_is_exact(still: TrackingTask) -> None:
     run = still.baseline("ik")
     assert len(run.time) == 3000
     np.testing.assert_array_equal(run.target, still.path.points[1:])
@@ -63,7 +63,7 @@ def test_the_error_is_that_of_the_next_sample() -> None:
     assert run.to_json()["settled"] is None
 
 
-def test_on_the_full_path_look_ahead_takes_the_dead_time_away(driven: Course) -> None:
+def test_on_the_full_path_look_ahead_takes_the_dead_time_away(driven: TrackingTask) -> None:
     assert driven.dead_time == pytest.approx(0.11)
     plain, ahead = driven.baseline("ik").after(1.0), driven.baseline("ik-lookahead").after(1.0)
     assert plain.rmse.max() < 2e-3
@@ -72,7 +72,7 @@ def test_on_the_full_path_look_ahead_takes_the_dead_time_away(driven: Course) ->
     assert np.abs(plain.commands).max() <= 1.0
 
 
-def test_what_a_path_asks_of_each_axis_is_said(driven: Course, tmp_path: File) -> None:
+def test_what_a_path_asks_of_each_axis_is_said(driven: TrackingTask, tmp_path: File) -> None:
     assert set(driven.demand) == {"slew", "boom", "stick", "telescope"}
     assert 0.3 < max(driven.demand.values()) < 1.0
     fast = tmp_path / "fast.csv"
@@ -82,7 +82,7 @@ def test_what_a_path_asks_of_each_axis_is_said(driven: Course, tmp_path: File) -
     assert course.baseline("ik").worst.max() > 0.05
 
 
-def test_the_low_level_controller_decides(driven: Course) -> None:
+def test_the_low_level_controller_decides(driven: TrackingTask) -> None:
     poor = lay_out(PLANT, Perfect(PLANT), "circle", full=True, centre=CENTRE, tuning=simple(PLANT))
     assert poor.baseline("ik").after(1.0).rmse.max() > 20.0 * driven.baseline("ik").after(1.0).rmse.max()
 
@@ -94,7 +94,7 @@ def test_a_controller_that_feeds_nothing_forward_is_not_told_to_wait() -> None:
     assert ahead < 0.9 * late
 
 
-def test_a_policy_of_the_papers_setting_may_drive_the_full_path(driven: Course) -> None:
+def test_a_policy_of_the_papers_setting_may_drive_the_full_path(driven: TrackingTask) -> None:
     class Ten:
         inputs = tuple(f"number {k}" for k in range(10))
 
@@ -110,7 +110,7 @@ def test_a_policy_of_the_papers_setting_may_drive_the_full_path(driven: Course) 
     assert run.rmse.max() < 5e-3
 
 
-def test_what_is_kept_can_be_looked_at(driven: Course, tmp_path: File) -> None:
+def test_what_is_kept_can_be_looked_at(driven: TrackingTask, tmp_path: File) -> None:
     runs = [driven.baseline("ik")]
     files = keep(tmp_path / "run", PLANT.machine, runs)
     assert {"steps of ik", "from above", "error ik", "rerun"} <= set(files)
@@ -122,7 +122,7 @@ def test_what_is_kept_can_be_looked_at(driven: Course, tmp_path: File) -> None:
     assert all(text.startswith("<svg") for text in pictures(runs).values())
 
 
-def test_mistakes_are_named(still: Course, driven: Course) -> None:
+def test_mistakes_are_named(still: TrackingTask, driven: TrackingTask) -> None:
     path = helix(CENTRE)
     policy = InversePolicy(still.inverse)
     with pytest.raises(SettingsError, match=r"a look-ahead of 0\.11 s where joints follow at once"):

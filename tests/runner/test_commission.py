@@ -17,11 +17,11 @@ from sysid.errors import SettingsError
 from sysid.machine import KnownEffect
 from sysid.plant import Plant
 from sysid.runner import faults as f
-from sysid.runner.chain import Chain
+from sysid.runner.chain import ControlChain
 from sysid.runner.commissioning import keep_record, record_path, require_commissioned
 from sysid.runner.faults import Fault, Injection
 from sysid.runner.limits import Limits
-from sysid.runner.modes.commission import ORDER, Commission, CommissionSettings, Stroke
+from sysid.runner.modes.commission import ORDER, Commission, CommissionSettings, StrokeResult
 from sysid.runner.modes.hold import Hold
 from sysid.runner.recipe import parse_runner
 from sysid.runner.valves import valves
@@ -43,7 +43,7 @@ def commissioned(
     """A commissioning of a crane with faults in its line from the beginning."""
     chosen = CommissionSettings(reference=STANDS) if settings is None else settings
 
-    def mode(limits: Limits, chain: Chain) -> Commission:
+    def mode(limits: Limits, chain: ControlChain) -> Commission:
         return Commission(PLANT.machine, VALVES, LINKAGES, limits, chain.tip, DT, chosen)
 
     made = case(mode, true=true, start=start, seed=seed, settle_s=0.5, plan=[Injection(fault, 0.0) for fault in faults])
@@ -142,7 +142,7 @@ def test_a_machine_without_room_is_not_moved() -> None:
 
 
 def test_without_its_turns_it_moves_nothing() -> None:
-    def mode(limits: Limits, chain: Chain) -> Commission:
+    def mode(limits: Limits, chain: ControlChain) -> Commission:
         return Commission(PLANT.machine, VALVES, LINKAGES, limits, chain.tip, DT, CommissionSettings(reference=STANDS))
 
     made = case(mode)
@@ -173,7 +173,7 @@ def kept(tmp_path: Path) -> Path:
     (tmp_path / "machine.dbc").write_bytes(b"dbc")
     task = Commission(PLANT.machine, VALVES, LINKAGES, case(lambda limits, chain: Hold(DT)).limits, Quick(PLANT).predict, DT,
                       CommissionSettings())  # fmt: skip
-    stroke = Stroke("slew", 1, 0.2, {"slew": 0.01}, 0.01, True, 1.0, 0.0, 0.0, "")
+    stroke = StrokeResult("slew", 1, 0.2, {"slew": 0.01}, 0.01, True, 1.0, 0.0, 0.0, "")
     task.strokes = [stroke] * (len(ORDER) * len(AXES))
     assert task.passed
     keep_record(assembly(tmp_path), task, tmp_path / "runner.toml", "flight.mcap")

@@ -14,14 +14,14 @@ from sysid.networks.trust import Trust
 from sysid.runner.domain import Domains
 from sysid.runner.faults import Injection, Scaled
 from sysid.runner.modes.hold import Hold
-from sysid.runner.senses import Seen
+from sysid.runner.senses import StateEstimate
 from sysid.runner.transport import NOBODY
 
 AXES = PLANT.machine.axis_names
 
 
-def at(joints: np.ndarray) -> Seen:
-    return Seen(0, 0.0, 0, NOBODY, [], joints.copy(), np.ones(4, dtype=np.bool_), joints.copy(), joints.copy())
+def at(joints: np.ndarray) -> StateEstimate:
+    return StateEstimate(0, 0.0, 0, NOBODY, [], joints.copy(), np.ones(4, dtype=np.bool_), joints.copy(), joints.copy())
 
 
 def test_beyond_the_data_and_back() -> None:

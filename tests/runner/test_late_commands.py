@@ -11,7 +11,7 @@ import pytest
 from live_machine import DATABASE, ROOT, SIGNALS, VALVES, old_database
 
 from sysid.bench.live import COLUMNS, LiveProcess
-from sysid.bench.live_bus import Frame
+from sysid.bench.live_bus import CanFrame
 from sysid.bench.live_machine import LATE_NS, TIME_OUT_NS, Watchdog
 from sysid.runner.bus import BusSettings, MachineBus
 from sysid.runner.line_delay import MachineClock
@@ -32,7 +32,7 @@ def run(database: Path, late: Callable[[int], int], turns: int = 150) -> tuple[l
     process.switches.dead_man = True
     bus = MachineBus(BusSettings(database, SIGNALS, VALVES), "test")
     clock = MachineClock()
-    waits: dict[int, list[Frame]] = {}
+    waits: dict[int, list[CanFrame]] = {}
     rows = []
     for turn in range(turns):
         end = (turn + 1) * CYCLE
@@ -44,7 +44,7 @@ def run(database: Path, late: Callable[[int], int], turns: int = 150) -> tuple[l
                 clock.tick(heard.values["time"], end)
         # One step of the valve a turn: each value is of one turn alone.
         said = bus.say([(turn + 1) / 250.0] * 4, True, clock.now(end + MS))
-        waits.setdefault(turn + late(turn), []).extend(Frame(number, True, data) for number, data in said)
+        waits.setdefault(turn + late(turn), []).extend(CanFrame(number, True, data) for number, data in said)
         process.heard(waits.pop(turn, []), end + MS)
     table = np.array(rows)
     passed = table[:, COLUMNS.index("boom.passed")]

@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from sysid.runner.line_delay import ANSWERS, DRIFT, MachineClock, RoundTrip
+from sysid.runner.line_delay import ANSWERS, DRIFT, CommandRoundTrip, MachineClock
 
 MS = 1_000_000
 
@@ -73,7 +73,7 @@ def test_a_clock_that_was_set_begins_anew(to: float) -> None:
 
 def answered(late: Callable[[int], int], turns: int, hear: Callable[[int], bool] = lambda turn: True) -> list[str]:
     """What is said of a line each turn of 10 ms on which the answer to turn k comes ``late(k)`` turns after it."""
-    trip, said, echo = RoundTrip(), [], 200
+    trip, said, echo = CommandRoundTrip(), [], 200
     trip.heard(echo, 0)  # of a runner before this one
     for turn in range(1, turns):
         now = 10 * MS * turn
@@ -111,7 +111,7 @@ def test_a_delay_that_grows_on_both_ways_is_said_at_60_ms() -> None:
 
 
 def test_who_says_nothing_is_not_answered() -> None:
-    trip = RoundTrip()
+    trip = CommandRoundTrip()
     for turn in range(100):
         trip.heard(17, 10 * MS * turn)
         assert trip.late(10 * MS * turn) == ""

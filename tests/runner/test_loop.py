@@ -16,7 +16,7 @@ from runner_case import DT, MIDDLE, PLANT, Case, Memory, Quick, case, inverse
 
 from sysid.rl.paths import Path as Course
 from sysid.runner import faults as f
-from sysid.runner.chain import Chain
+from sysid.runner.chain import ControlChain
 from sysid.runner.faults import FaultyTransport, Injection
 from sysid.runner.limits import AxisLimits, Limits, LimitSettings
 from sysid.runner.modes.hold import Hold, Shadow, Teleop
@@ -38,13 +38,13 @@ def sweep(seconds: float = 4.0) -> Course:
     return Course("round", 100.0, points)
 
 
-def tracking(limits: Limits, chain: Chain) -> Mode:
+def tracking(limits: Limits, chain: ControlChain) -> Mode:
     path = sweep()
     start, _ = inverse().solve(path.points[:1], MIDDLE[None])
     return TrackPath(path, start[0], limits, DT, ahead=chain.ahead)
 
 
-def run(mode: Callable[[Limits, Chain], Mode] = tracking, *plan: Injection, **settings: object) -> Case:
+def run(mode: Callable[[Limits, ControlChain], Mode] = tracking, *plan: Injection, **settings: object) -> Case:
     made = case(mode, plan=plan, **settings)  # type: ignore[arg-type]
     made.loop.warm_up(MIDDLE)
     made.loop.run()
@@ -113,8 +113,8 @@ class Row:
 
 
 ROWS = [
-    Row(f.Dropped(), "stale", 0.06, "fault"),
-    Row(f.Dropped(("boom.cylinder",)), "stale", 0.06, "fault"),
+    Row(f.DroppedFrames(), "stale", 0.06, "fault"),
+    Row(f.DroppedFrames(("boom.cylinder",)), "stale", 0.06, "fault"),
     Row(f.Frozen("slew.joint"), "frozen", 0.7, "fault"),
     Row(f.Frozen("stick.cylinder"), "frozen", 0.7, "fault"),
     Row(f.Delayed(0.2), "stale", 0.02, "fault"),
@@ -151,13 +151,13 @@ def test_each_fault_is_seen_in_time_and_ends_in_its_state(row: Row) -> None:
 
 @pytest.mark.parametrize("frames", [1, 3])
 def test_a_few_lost_frames_are_nothing(frames: int) -> None:
-    made = run(tracking, Injection(f.Dropped(), AT, AT + frames * DT - 1e-4))
+    made = run(tracking, Injection(f.DroppedFrames(), AT, AT + frames * DT - 1e-4))
     assert made.loop.outcome.ended == "done"
     assert not made.verdicts()
 
 
 def test_a_short_gap_is_held_through() -> None:
-    made = run(tracking, Injection(f.Dropped(), AT, AT + 0.08))
+    made = run(tracking, Injection(f.DroppedFrames(), AT, AT + 0.08))
     assert made.loop.outcome.ended == "done"
     assert next(iter(made.verdicts())) == "stale"
     assert set(made.verdicts()) <= {"stale", "speed", "acceleration", "jerk"}, "it catches up within its limits"
@@ -227,7 +227,7 @@ def test_a_fault_waits_for_a_person_and_is_not_reset_while_it_lasts() -> None:
 
 
 @pytest.mark.parametrize("mode", [lambda limits, chain: Shadow(tracking(limits, chain)), lambda limits, chain: Teleop()])
-def test_who_watches_sends_nothing(mode: Callable[[Limits, Chain], Mode], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_who_watches_sends_nothing(mode: Callable[[Limits, ControlChain], Mode], monkeypatch: pytest.MonkeyPatch) -> None:
     def never(self: object, commands: object, enabled: bool) -> None:
         raise AssertionError("something was sent")
 

@@ -9,7 +9,7 @@ import pytest
 from flights import cycle
 
 from sysid.runner.rehearse import Ranges
-from sysid.runner.transport import Reading
+from sysid.runner.transport import Measurement
 
 PERIOD = 10_000_000
 SPEED, OFF = np.array([0.2, -0.1, 0.05]), np.array([0.003, 0.0, 0.004])
@@ -21,7 +21,7 @@ def recorded(age_ns: int, turns: int = 200) -> Ranges:
     for k in range(turns):
         at = k * PERIOD
         measured = at - age_ns
-        readings = {"slew.joint": Reading(0.0, measured, at, k)}
+        readings = {"slew.joint": Measurement(0.0, measured, at, k)}
         ee, target = SPEED * measured * 1e-9 + OFF * (1 if k % 2 else -1), SPEED * (at + PERIOD) * 1e-9
         ranges.record(replace(cycle(k), at_ns=at, readings=readings, ee=ee, target=target, enabled=True))
     return ranges

@@ -15,7 +15,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from live_machine import DATABASE, SIGNALS, VALVES
 
-from sysid.bench.live_bus import Frame, LiveBus
+from sysid.bench.live_bus import CanFrame, LiveBus
 from sysid.runner.can import CanSettings, CanTransport
 from sysid.runner.slcan import WAITING, SlcanBus, parse_line
 
@@ -121,7 +121,7 @@ def test_lines_that_are_frames(line: bytes, identifier: int, data: bytes) -> Non
 
 @given(st.integers(0, 2**29 - 1), st.booleans(), st.binary(max_size=8))
 def test_what_the_machine_says_is_understood(identifier: int, extended: bool, data: bytes) -> None:
-    said = Frame(identifier if extended else identifier % 2048, extended, data)
+    said = CanFrame(identifier if extended else identifier % 2048, extended, data)
     frame = parse_line(said.line()[:-1])
     assert frame is not None
     assert (frame.arbitration_id, frame.is_extended_id, bytes(frame.data)) == (said.identifier, extended, data)

@@ -13,21 +13,21 @@ from crane_data import LINKAGES, dataset, motion, poses, replaced
 from sysid.datasets.recording import ClockRecord
 from sysid.files import plain
 from sysid.networks import ForwardRecipe, NetworkRecipe, fit_forward
-from sysid.networks.split import Segment, gather
+from sysid.networks.split import RowRange, gather
 from sysid.validate import validate_forward
 from sysid.validate.baselines import linkage_geometry, simple_models
 from sysid.validate.binning import direction_of, edges_of, places_in
 from sysid.validate.coverage import coverage_of
 from sysid.validate.error_analysis import spikes
-from sysid.validate.error_maps import Axis, error_map, error_maps
+from sysid.validate.error_maps import MapAxis, error_map, error_maps
 
 Array = npt.NDArray[np.float64]
 
 
-def axes(n: int = 4000, seed: int = 0) -> tuple[Axis, Axis, Axis]:
+def axes(n: int = 4000, seed: int = 0) -> tuple[MapAxis, MapAxis, MapAxis]:
     rng = np.random.default_rng(seed)
     x, y, z = rng.uniform(-1.0, 1.0, (3, n))
-    return Axis("a.joint", "rad", x), Axis("b.joint", "rad", y), Axis("speed of a.joint", "rad/s", z, "signed")
+    return MapAxis("a.joint", "rad", x), MapAxis("b.joint", "rad", y), MapAxis("speed of a.joint", "rad/s", z, "signed")
 
 
 def test_a_map_shows_an_error_where_it_is() -> None:
@@ -45,7 +45,7 @@ def test_a_map_shows_an_error_where_it_is() -> None:
 
 def test_the_most_telling_pair_comes_first_and_what_does_not_vary_has_none() -> None:
     a, b, speed = axes()
-    still = Axis("c.joint", "rad", np.full(4000, 0.3))
+    still = MapAxis("c.joint", "rad", np.full(4000, 0.3))
     found = error_maps(np.sign(speed.values) * np.abs(a.values), [a, b, speed, still])
     assert found[0].over == ("a.joint", "speed of a.joint")
     assert all("c.joint" not in item.over for item in found)
@@ -126,7 +126,7 @@ def test_a_spike_where_a_clock_was_set_says_so() -> None:
     joint = LINKAGES["boom"].joint(recording.values("boom.cylinder"))
     rng = np.random.default_rng(0)
     recording = replaced(recording, "boom.joint", joint + rng.normal(0.0, 1e-4, len(time)) + 0.05 * (np.abs(time - 6.0) < 0.02))
-    rows = gather([Segment(recording, 0, len(recording))], ("boom.cylinder", "boom.joint"))
+    rows = gather([RowRange(recording, 0, len(recording))], ("boom.cylinder", "boom.joint"))
     errors = LINKAGES["boom"].joint(rows.values[:, 0]) - rows.values[:, 1]
     data = dataset((recording,), {"run": "held_out"})
 

@@ -7,16 +7,16 @@ import pytest
 
 from sysid.errors import ExcitationError, SettingsError
 from sysid.networks.estimator import NetworkRegressor, cross_validate
-from sysid.networks.split import Rows
+from sysid.networks.split import SignalRows
 from sysid.validate import folds
 
 
-def rows(lengths: tuple[int, ...]) -> Rows:
+def rows(lengths: tuple[int, ...]) -> SignalRows:
     names = np.concatenate([np.full(n, f"run-{k}") for k, n in enumerate(lengths)])
     row = np.concatenate([np.arange(n) for n in lengths])
     rng = np.random.default_rng(0)
     x = rng.normal(size=len(row))
-    return Rows(("a.cylinder", "a.joint"), np.column_stack([x, 2.0 * x]), names, row, row / 100.0)
+    return SignalRows(("a.cylinder", "a.joint"), np.column_stack([x, 2.0 * x]), names, row, row / 100.0)
 
 
 @pytest.mark.parametrize("by", ["recording", "block"])

@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from sysid.datasets.recording import Dataset, Recording
 from sysid.errors import ExcitationError, InputError
 from sysid.networks import ActuatorNetwork, ForwardNetwork, Mlp, Normalisation
-from sysid.networks.split import Segment, gather, segments
+from sysid.networks.split import RowRange, gather, segments
 from sysid.validate import error_metrics, validate_actuator, validate_forward, validate_model
 from sysid.validate.error_analysis import direction_profile, profile, speeds, spikes
 
@@ -49,8 +49,8 @@ def exact(axis: str, joint_error: float = 0.0) -> ActuatorNetwork:
     )
 
 
-def whole(recording: Recording) -> list[Segment]:
-    return [Segment(recording, 0, len(recording))]
+def whole(recording: Recording) -> list[RowRange]:
+    return [RowRange(recording, 0, len(recording))]
 
 
 @pytest.fixture(scope="module")

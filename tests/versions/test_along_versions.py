@@ -13,16 +13,16 @@ from version_data import piecewise
 from sysid.datasets.recording import Dataset
 from sysid.errors import SettingsError
 from sysid.networks import ActuatorNetwork, HistoryNetwork, Mlp, Model, MotionNetwork, Normalisation, to_files
-from sysid.networks.member import Course
+from sysid.networks.member import LearningCurve
 from sysid.networks.memory import Memory
 from sysid.networks.motion_inputs import Window
-from sysid.networks.rollout import Bounds
+from sysid.networks.rollout import MotionBounds
 from sysid.registry import Registry
 from sysid.validate import validate_model
 from sysid.versions import card_of, diff_versions, drift_of, policy_checks
 from sysid.versions.lineage import ModelLineage
 from sysid.versions.onnx_export import export_onnx
-from sysid.versions.policy import Policy
+from sysid.versions.policy import PromotionPolicy
 
 NOTHING = ModelLineage("lift@1", "history", "0" * 64, 0, (), "lift@1", "0" * 64, "", None, (), (), ())
 
@@ -50,8 +50,8 @@ def motion(gain: float = 0.05) -> dict[str, MotionNetwork]:
     """Speed = gain · what is left of the command behind the lift's dead-band."""
     unit = Normalisation(np.zeros(1), np.ones(1))
     mlp = Mlp((np.array([[1.0, -1.0]]), np.array([[gain], [-gain]])), (np.full(2, -0.15), np.zeros(1)), unit, unit)
-    course = Course((1, 1), 1, 1, (0.0,), (1,), (0.0,), (0.0,))
-    window, bounds = Window(0.06, (0,), (0,), False), Bounds((-0.1, 0.1), (0.0, 0.2))
+    course = LearningCurve((1, 1), 1, 1, (0.0,), (1,), (0.0,), (0.0,))
+    window, bounds = Window(0.06, (0,), (0,), False), MotionBounds((-0.1, 0.1), (0.0, 0.2))
     network = MotionNetwork(
         "boom", "boom.command", "boom.cylinder", "m", window, (mlp, mlp), bounds, (-1.0, 1.0), (course,) * 2
     )
@@ -111,7 +111,7 @@ def test_motion_goes_to_onnx_and_history_says_why_not(tmp_path: Path) -> None:
 
 
 def test_a_policy_judges_them_by_their_own_rules(own: Dataset) -> None:
-    policy = Policy()
+    policy = PromotionPolicy()
     for model, worse in ((motion(), motion(0.06)), (history(), history(0.01))):
         good, bad = (validate_model(item, own, name=name) for item, name in ((model, "m@1"), (worse, "m@2")))
         assert all(check.status == "passed" for check in policy_checks(policy, good, good))

@@ -13,7 +13,7 @@ from crane_data import HIGH, LOW
 from version_data import actuator, forward, structured
 
 from sysid.errors import SettingsError, StorageError, StoreError
-from sysid.networks import Chain, Model
+from sysid.networks import FittedChain, Model
 from sysid.versions import export_onnx
 from sysid.versions.onnx_graph import Graph
 
@@ -72,7 +72,7 @@ def test_what_float32_cannot_carry_is_said(tmp_path: Path) -> None:
     """Terms of a kilometre that cancel to a metre."""
     model, middle = structured("chain"), 0.5 * (LOW + HIGH)
     chain = model.structure
-    assert isinstance(chain, Chain)
+    assert isinstance(chain, FittedChain)
     large = replace(chain, weights=1e3 * chain.weights)
     settled = replace(large, level=large.level - large.predict(middle[None])[0])
     near = replace(model, structure=settled, low=middle, high=middle + 1e-3)

@@ -12,7 +12,7 @@ from version_data import actuator, forward
 from sysid.errors import SettingsError
 from sysid.registry import Check
 from sysid.validate import ValidationReport, validate_model
-from sysid.versions import Policy, load_policy, policy_checks
+from sysid.versions import PromotionPolicy, load_policy, policy_checks
 
 
 @pytest.fixture(scope="module")
@@ -30,7 +30,7 @@ def in_motion(report: ValidationReport) -> ValidationReport:
     return replace(report, outputs=tuple(entry for entry in report.outputs if entry.rows == "motion"))
 
 
-def policy(tmp_path: Path, text: str) -> Policy:
+def policy(tmp_path: Path, text: str) -> PromotionPolicy:
     path = tmp_path / "policy.toml"
     path.write_text(f"schema = 1\n{text}")
     return load_policy(path)
@@ -51,23 +51,23 @@ def test_a_limit_in_any_unit(tmp_path: Path, off: ValidationReport) -> None:
 
 
 def test_not_worse_than_the_champion(exact: ValidationReport, off: ValidationReport) -> None:
-    texts = failed(policy_checks(Policy(), off, exact))
+    texts = failed(policy_checks(PromotionPolicy(), off, exact))
     assert len(texts) == 2, "rmse and 95 % of the joint; the cylinder is as it was"
     ratio = off.output("boom.joint").metrics.rmse / exact.output("boom.joint").metrics.rmse
     assert f"{100.0 * (ratio - 1.0):.1f} % above the " in texts[0]
     assert texts[0].endswith(" of crane-actuator@1; 5 % allowed")
-    assert failed(policy_checks(Policy(), exact, off)) == []
-    assert failed(policy_checks(Policy(), exact, exact)) == []
-    wide = replace(Policy(), actuator=replace(Policy().actuator, margin=ratio))
+    assert failed(policy_checks(PromotionPolicy(), exact, off)) == []
+    assert failed(policy_checks(PromotionPolicy(), exact, exact)) == []
+    wide = replace(PromotionPolicy(), actuator=replace(PromotionPolicy().actuator, margin=ratio))
     assert failed(policy_checks(wide, off, exact)) == []
 
 
 def test_an_output_that_is_gone(exact: ValidationReport) -> None:
     fewer = replace(exact, outputs=exact.outputs[:1], model="crane-actuator@3")
-    assert failed(policy_checks(Policy(), fewer, exact)) == [
+    assert failed(policy_checks(PromotionPolicy(), fewer, exact)) == [
         "boom.cylinder in motion: crane-actuator@1 predicts it, this version does not"
     ]
-    assert failed(policy_checks(Policy(), exact, fewer)) == []
+    assert failed(policy_checks(PromotionPolicy(), exact, fewer)) == []
 
 
 def test_simple_models(tmp_path: Path, exact: ValidationReport, off: ValidationReport) -> None:
@@ -77,7 +77,7 @@ def test_simple_models(tmp_path: Path, exact: ValidationReport, off: ValidationR
 
 
 def test_without_a_champion_the_default_asks_nothing(exact: ValidationReport) -> None:
-    (check,) = policy_checks(Policy(), exact)
+    (check,) = policy_checks(PromotionPolicy(), exact)
     assert (check.status, check.text) == ("left out", "nothing of this name was promoted before")
 
 

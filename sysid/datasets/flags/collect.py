@@ -15,7 +15,7 @@ from sysid.datasets.flags.stamps import dropouts, jitter
 from sysid.datasets.flags.standing import Witness, saturation, stuck
 from sysid.datasets.flags.values import jumps, outliers
 from sysid.datasets.in_pieces import copied, known, masked, median, median_step
-from sysid.datasets.recipe import Recipe
+from sysid.datasets.recipe import IngestRecipe
 from sysid.datasets.recording import ClockRecord
 from sysid.datasets.resample import gap_limit, hold
 from sysid.machine import Machine
@@ -60,7 +60,7 @@ def flag_rows(
     recording: Clocked,
     clocks: Sequence[ClockRecord],
     machine: Machine,
-    hold_s: float = Recipe.hold_s,
+    hold_s: float = IngestRecipe.hold_s,
     progress: Progress = silent,
 ) -> list[dict[str, Any]]:
     """Flags of one recording as JSON has them, see "What is flagged" in ``docs/recipes.md``.

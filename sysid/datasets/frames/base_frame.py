@@ -12,13 +12,13 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from sysid.datasets.recipe import Frame
+from sysid.datasets.recipe import FramePose
 
 Array = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class Proposal:
+class FrameProposal:
     """A pose of the capture frame, and how far it can be trusted.
 
     Args:
@@ -32,7 +32,7 @@ class Proposal:
         notes: what looks wrong.
     """
 
-    frame: Frame
+    frame: FramePose
     method: str
     names: tuple[str, ...]
     rms_m: float
@@ -49,7 +49,7 @@ class Proposal:
         return f"[streams.frame]\ntranslation = [{numbers[0]}]\nrpy = [{numbers[1]}]"
 
 
-def frame_of(pose: Array) -> Frame:
+def frame_of(pose: Array) -> FramePose:
     """The pose (4, 4) as a recipe has it: roll, pitch and yaw about fixed axes; where pitch is ±90° the roll is zero."""
     r = pose[:3, :3]
     pitch = math.atan2(-r[2, 0], math.hypot(r[0, 0], r[1, 0]))
@@ -57,7 +57,7 @@ def frame_of(pose: Array) -> Frame:
         roll, yaw = 0.0, math.atan2(-r[0, 1], r[1, 1])
     else:
         roll, yaw = math.atan2(r[2, 1], r[2, 2]), math.atan2(r[1, 0], r[0, 0])
-    return Frame(three(pose[:3, 3]), (roll, pitch, yaw))
+    return FramePose(three(pose[:3, 3]), (roll, pitch, yaw))
 
 
 def main_extents(points: Array) -> Array:

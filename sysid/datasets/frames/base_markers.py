@@ -12,7 +12,7 @@ from itertools import combinations
 import numpy as np
 import numpy.typing as npt
 
-from sysid.datasets.frames.base_frame import Proposal, frame_of, main_extents, rms_of, three
+from sysid.datasets.frames.base_frame import FrameProposal, frame_of, main_extents, rms_of, three
 from sysid.errors import InputError
 
 Array = npt.NDArray[np.float64]
@@ -26,7 +26,7 @@ BETTER = 1.0 / 3.0
 MAX_SCALE = 0.01
 
 
-def from_markers(seen: Mapping[str, Array], known: Mapping[str, Sequence[float]], where: object) -> Proposal:
+def from_markers(seen: Mapping[str, Array], known: Mapping[str, Sequence[float]], where: object) -> FrameProposal:
     """The pose that lays static markers on their surveyed places best.
 
     Args:
@@ -64,7 +64,7 @@ def from_markers(seen: Mapping[str, Array], known: Mapping[str, Sequence[float]]
         )
     notes += _confused(names, capture, base, rms)
     half = _half_widths(pose, capture, off)
-    return Proposal(
+    return FrameProposal(
         frame_of(pose), "markers", names, rms, float(np.linalg.norm(off, axis=1).max()), three(half[:3]), three(half[3:]), (),
         tuple(notes),
     )  # fmt: skip

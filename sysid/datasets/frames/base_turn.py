@@ -9,7 +9,7 @@ from itertools import pairwise
 import numpy as np
 import numpy.typing as npt
 
-from sysid.datasets.frames.base_frame import Proposal, frame_of, main_extents, rms_of, three
+from sysid.datasets.frames.base_frame import FrameProposal, frame_of, main_extents, rms_of, three
 from sysid.errors import InputError
 
 Array = npt.NDArray[np.float64]
@@ -22,7 +22,7 @@ TURN_FRAMES, BLOCKS = 600, 12
 
 def from_turn(
     tracks: Mapping[str, Array], point: Sequence[float] | Array, direction: Sequence[float] | Array, axis: str, where: object
-) -> Proposal:
+) -> FrameProposal:
     """The pose that lays the axis about which points were seen to turn on the axis of the machine.
 
     The turn about the axis and the place along it stay open: the shortest turn, and no shift along the axis, are proposed.
@@ -73,7 +73,7 @@ def from_turn(
         f"{axis!r} is taken to turn as the recipe says first (sense = 1 or −1): the other way the frame is upside down",
         "the interval of the place holds at the height of the points that turned",
     )
-    return Proposal(
+    return FrameProposal(
         frame_of(pose), "turn", tuple(used), rms, float(np.abs(off).max()), three(place), three(tilt), opened, notes
     )
 

@@ -16,7 +16,7 @@ import numpy.typing as npt
 
 from sysid.datasets.channel import in_order, seconds
 from sysid.datasets.flags.flag import Flag
-from sysid.datasets.frames.mistakes import Dropped, without_mistakes
+from sysid.datasets.frames.mistakes import MissingFrames, without_mistakes
 from sysid.datasets.frames.rigid import body_poses, inverse, marker_poses, mean_pose, poses_at
 from sysid.datasets.recipe import Reference, StreamMap
 from sysid.datasets.resample import GAP_PERIODS
@@ -43,7 +43,7 @@ class Track:
 
 
 @dataclass(frozen=True)
-class Seen:
+class CaptureSignal:
     """A signal that motion capture gives, on the stamps of the body it came from."""
 
     signal: str
@@ -130,13 +130,13 @@ def _origin(streams: Sequence[Stream], mapping: StreamMap) -> int:
 
 def joints_and_points(
     streams: Sequence[Stream], mapping: StreamMap, mounts: Mapping[str, Array], machine: Machine
-) -> tuple[list[Seen], tuple[Dropped, ...]]:
+) -> tuple[list[CaptureSignal], tuple[MissingFrames, ...]]:
     """The signals that tracked bodies and markers give, and the frames that were dropped.
 
     Bodies of one export share their stamps. Where they do not (topics of a bag), the one seen more often is turned and moved
     to the instants of the other before a joint is taken between them.
     """
-    dropped: dict[str, tuple[Dropped, ...]] = {}
+    dropped: dict[str, tuple[MissingFrames, ...]] = {}
     tracks: dict[str, Track] = {}
     origin = _origin(streams, mapping)
     markers = [point.marker for point in mapping.points.values() if point.marker is not None]
@@ -176,11 +176,11 @@ def joints_and_points(
     return seen, tuple(item for group in dropped.values() for item in group)
 
 
-def _seen(signal: str, stamps: Stamps, values: Array, repaired: int, flags: Sequence[Flag]) -> Seen:
-    return Seen(signal, stamps, values, repaired, tuple(replace(flag, signal=signal) for flag in flags))
+def _seen(signal: str, stamps: Stamps, values: Array, repaired: int, flags: Sequence[Flag]) -> CaptureSignal:
+    return CaptureSignal(signal, stamps, values, repaired, tuple(replace(flag, signal=signal) for flag in flags))
 
 
-def _swap(item: Dropped, late_s: float) -> Flag:
+def _swap(item: MissingFrames, late_s: float) -> Flag:
     """A dropped stretch as a flag; its seconds count from the first stamp of the body itself."""
     text = f"{item.body}: {item.reason}; set to missing"
     return Flag("", "marker_swap", item.start_s - late_s, item.end_s - late_s, item.frames, text)

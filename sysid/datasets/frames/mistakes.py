@@ -20,7 +20,7 @@ MAX_MARKER_ERROR, MARKER_ERROR_RATIO = 0.002, 8.0
 
 
 @dataclass(frozen=True)
-class Dropped:
+class MissingFrames:
     """Frames of a body that have been set to missing; seconds on the capture clock from its first frame."""
 
     body: str
@@ -30,7 +30,9 @@ class Dropped:
     frames: int
 
 
-def without_mistakes(body: str, poses: Array, seconds: Array, error: Array | None = None) -> tuple[Array, tuple[Dropped, ...]]:
+def without_mistakes(
+    body: str, poses: Array, seconds: Array, error: Array | None = None
+) -> tuple[Array, tuple[MissingFrames, ...]]:
     """The poses without those frames in which the body was mistaken (swapped markers or bodies), and what was dropped.
 
     Two signs: the markers do not fit the body's shape, or the body jumps faster than a machine moves. After a jump the frames
@@ -43,7 +45,7 @@ def without_mistakes(body: str, poses: Array, seconds: Array, error: Array | Non
         error: mean marker error (n,) [m], where the system gives it.
     """
     bad = np.zeros(len(poses), dtype=bool)
-    flags: list[Dropped] = []
+    flags: list[MissingFrames] = []
     if error is not None and np.isfinite(error).any():
         limit = max(MAX_MARKER_ERROR, MARKER_ERROR_RATIO * float(np.nanmedian(error)))
         misfit = np.nan_to_num(error) > limit
@@ -100,9 +102,9 @@ def _jumps(positions: Array, seconds: Array) -> npt.NDArray[np.bool_]:
     return np.asarray(too_fast | sudden)
 
 
-def _dropped(body: str, reason: str, bad: npt.NDArray[np.bool_], seconds: Array) -> list[Dropped]:
+def _dropped(body: str, reason: str, bad: npt.NDArray[np.bool_], seconds: Array) -> list[MissingFrames]:
     rows = np.flatnonzero(bad)
     if not len(rows):
         return []
     groups = np.split(rows, np.flatnonzero(np.diff(rows) > 1) + 1)
-    return [Dropped(body, reason, float(seconds[g[0]]), float(seconds[g[-1]]), len(g)) for g in groups]
+    return [MissingFrames(body, reason, float(seconds[g[0]]), float(seconds[g[-1]]), len(g)) for g in groups]

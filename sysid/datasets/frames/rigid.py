@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from sysid.datasets.recipe import Frame
+from sysid.datasets.recipe import FramePose
 from sysid.datasets.resample import interpolate
 from sysid.errors import InputError
 from sysid.logs import Stream
@@ -34,7 +34,7 @@ POSE_FIELDS = frozenset(
 )
 
 
-def body_poses(stream: Stream, frame: Frame) -> Array:
+def body_poses(stream: Stream, frame: FramePose) -> Array:
     """Poses of one rigid body in the machine's base frame, (n, 4, 4).
 
     Raises:
@@ -59,7 +59,7 @@ def has_rotation(stream: Stream) -> bool:
     return any(turn and all(turn.format(axis) in stream.columns for axis in "xyzw") for _, turn in _SPELLINGS)
 
 
-def marker_poses(stream: Stream, frame: Frame) -> Array:
+def marker_poses(stream: Stream, frame: FramePose) -> Array:
     """Poses (n, 4, 4) whose origins are a marker in the machine's base frame; their rotation means nothing."""
     pose = np.tile(np.eye(4), (len(stream), 1, 1))
     pose[:, :3, 3] = marker_places(stream)
@@ -81,7 +81,7 @@ def marker_places(stream: Stream) -> Array:
     raise InputError(f"{stream.source}: {stream.name}", f"no column {missing!r}", "the position of a marker")
 
 
-def frame_pose(frame: Frame) -> Array:
+def frame_pose(frame: FramePose) -> Array:
     """The capture frame in the base frame, (4, 4)."""
     pose = np.eye(4)
     for axis, angle in zip(np.eye(3), frame.rpy, strict=True):

@@ -12,12 +12,12 @@ import numpy.typing as npt
 
 from sysid.datasets.channel import in_order, seconds
 from sysid.datasets.channels import read_streams
-from sysid.datasets.frames.base_frame import Proposal
+from sysid.datasets.frames.base_frame import FrameProposal
 from sysid.datasets.frames.base_markers import from_markers
 from sysid.datasets.frames.base_turn import from_turn
 from sysid.datasets.frames.bodies import STILL, stamps_of
 from sysid.datasets.frames.rigid import body_poses, frame_pose, has_rotation, inverse, marker_places
-from sysid.datasets.recipe import Frame, Recipe, StreamMap, Survey
+from sysid.datasets.recipe import FramePose, IngestRecipe, StreamMap, Survey
 from sysid.errors import InputError, SettingsError, nearest
 from sysid.logs import Stream
 from sysid.machine import Machine
@@ -33,12 +33,12 @@ class Surveyed:
     """A proposal, the file it is from, and how far what it determines is from what the recipe says now [m, rad]."""
 
     source: Path
-    proposal: Proposal
+    proposal: FrameProposal
     moved_m: float
     turned_rad: float
 
 
-def propose_frames(paths: Sequence[Path], recipe: Recipe, machine: Machine, where: object) -> tuple[Surveyed, ...]:
+def propose_frames(paths: Sequence[Path], recipe: IngestRecipe, machine: Machine, where: object) -> tuple[Surveyed, ...]:
     """A proposal for every stream of the recipe that has a survey.
 
     Args:
@@ -107,7 +107,7 @@ def _levers(name: str, places: Array, stream: Stream, mapping: StreamMap, survey
         return {name: places}
     stamps = stamps_of(stream, mapping)
     order, _ = in_order(stamps, f"{stream.source}: {name}")
-    poses = body_poses(stream, Frame())[order][_within(seconds(stamps[order], origin), survey)]
+    poses = body_poses(stream, FramePose())[order][_within(seconds(stamps[order], origin), survey)]
     return {name: places} | {
         f"{name} {sign}{axis}": poses[:, :3, 3] + (LEVER if sign == "+" else -LEVER) * poses[:, :3, index]
         for index, axis in enumerate("xyz")
@@ -167,14 +167,14 @@ def _first(machine: Machine) -> str:
     return next((axis.name for axis in machine.axes if moved and axis.joint == moved[0]), machine.axis_names[0])
 
 
-def _apart(before: Frame, after: Frame) -> tuple[float, float]:
+def _apart(before: FramePose, after: FramePose) -> tuple[float, float]:
     """Distance [m] and angle [rad] between two frames."""
     first, second = frame_pose(before), frame_pose(after)
     cosine = (np.trace(first[:3, :3].T @ second[:3, :3]) - 1.0) / 2.0
     return float(np.linalg.norm(second[:3, 3] - first[:3, 3])), float(np.arccos(np.clip(cosine, -1.0, 1.0)))
 
 
-def _axes_apart(before: Frame, after: Frame, point: Array, direction: Array) -> tuple[float, float]:
+def _axes_apart(before: FramePose, after: FramePose, point: Array, direction: Array) -> tuple[float, float]:
     """How far the axis moves across itself, at ``point`` [m], and by how much it tilts [rad]."""
     change = frame_pose(after) @ inverse(frame_pose(before))
     tilted = change[:3, :3] @ direction

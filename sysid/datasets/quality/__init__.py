@@ -1,7 +1,7 @@
 """What a dataset is good for, in plain numbers."""
 
 from sysid.datasets.quality.describe import describe
-from sysid.datasets.quality.evidence import Evidence, evidence_of
+from sysid.datasets.quality.evidence import DatasetEvidence, evidence_of
 from sysid.datasets.quality.noise import noise_of
 
-__all__ = ["Evidence", "describe", "evidence_of", "noise_of"]
+__all__ = ["DatasetEvidence", "describe", "evidence_of", "noise_of"]

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from sysid.datasets.channels import Reading
+from sysid.datasets.channels import ReadRecording
 from sysid.datasets.clocks.records import by_source
 from sysid.datasets.quality.remarks import axis_remarks, longest_run
 from sysid.datasets.quality.streams import cross_checks, key_of, stream_figures
@@ -27,7 +27,7 @@ _STREAMS = 0.5
 
 def describe(
     recordings: Sequence[Recording],
-    readings: Mapping[str, Reading],
+    readings: Mapping[str, ReadRecording],
     clocks: Sequence[ClockRecord],
     machine: Machine,
     progress: Progress = silent,
@@ -80,7 +80,7 @@ def describe(
     }
 
 
-def _streams(readings: Mapping[str, Reading], progress: Progress) -> dict[str, dict[str, Any]]:
+def _streams(readings: Mapping[str, ReadRecording], progress: Progress) -> dict[str, dict[str, Any]]:
     channels = [(name, channel) for name, reading in readings.items() for channel in reading.channels]
     streams: dict[str, dict[str, Any]] = {name: {} for name in readings}
     done, total = 0, max(1, sum(len(channel.stamps) for _, channel in channels))

@@ -58,7 +58,7 @@ class Noise:
 
 
 @dataclass(frozen=True)
-class Evidence:
+class DatasetEvidence:
     """What a dataset offers, recording by recording and as a whole.
 
     Args:
@@ -120,7 +120,7 @@ THRESHOLDS: Mapping[str, Any] = {
 }
 
 
-def evidence_of(dataset: Dataset) -> Evidence:
+def evidence_of(dataset: Dataset) -> DatasetEvidence:
     """Count what every recording and the whole dataset have."""
     recordings, machine = dataset.recordings, dataset.machine
     scales, spans = scales_of(recordings, machine), spans_of(recordings, machine)
@@ -129,7 +129,7 @@ def evidence_of(dataset: Dataset) -> Evidence:
     rests = [phase for r in single for phase in r.rests]
     pairs = dict.fromkeys(pair for r in moving for pair in r.together_s)
     again = repeats_of(recordings, scales)
-    return Evidence(
+    return DatasetEvidence(
         recordings=single,
         scales=scales,
         axes={name: together([r.axes[name] for r in moving]) for name in scales} if moving else {},

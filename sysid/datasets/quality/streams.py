@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sysid.datasets.channel import Channel
-from sysid.datasets.channels import Reading
+from sysid.datasets.channels import ReadRecording
 from sysid.datasets.clocks.records import Clocked, machine_times
 from sysid.datasets.in_pieces import absolute, copied, deviation, mean_square, median
 from sysid.datasets.quality.noise import noise_of
@@ -40,7 +40,7 @@ def stream_figures(channel: Channel) -> dict[str, Any]:
     }
 
 
-def cross_checks(name: str, reading: Reading, clocks: Mapping[str, Sequence[ClockRecord]]) -> dict[str, Any]:
+def cross_checks(name: str, reading: ReadRecording, clocks: Mapping[str, Sequence[ClockRecord]]) -> dict[str, Any]:
     """Each secondary signal against the primary one, on the machine's clock: bias, RMS and largest difference."""
     primary = {channel.signal: channel for channel in reading.channels if channel.primary}
     checks = {}
@@ -70,7 +70,7 @@ def _differences(times: Array, values: Array, at: Array, reference: Array) -> Ar
 
 
 def _on_machine(
-    name: str, channel: Channel, reading: Reading, clocks: Mapping[str, Sequence[ClockRecord]]
+    name: str, channel: Channel, reading: ReadRecording, clocks: Mapping[str, Sequence[ClockRecord]]
 ) -> tuple[Array, Array]:
     start = Clocked(name, "motion", reading.channels).start_ns
     records = clocks.get(channel.source) if channel.domain != "machine" else None

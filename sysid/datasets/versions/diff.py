@@ -20,7 +20,7 @@ SAME_SHARE = 1e-9
 
 
 @dataclass(frozen=True)
-class Change:
+class ValueChange:
     """A value in the first version and in the second; None where a version has none."""
 
     what: str
@@ -97,12 +97,12 @@ class DatasetDiff:
     sources: Names
     signals: Names
     texts: Mapping[str, str]
-    units: tuple[Change, ...]
-    splits: tuple[Change, ...]
-    settings: tuple[Change, ...]
+    units: tuple[ValueChange, ...]
+    splits: tuple[ValueChange, ...]
+    settings: tuple[ValueChange, ...]
     clocks: tuple[ClockChange, ...]
     tables: tuple[SignalChange, ...]
-    quality: tuple[Change, ...]
+    quality: tuple[ValueChange, ...]
 
     @property
     def empty(self) -> bool:
@@ -148,10 +148,10 @@ def _names(before: Mapping[str, Any], after: Mapping[str, Any]) -> Names:
     )
 
 
-def _changes(before: Mapping[str, Any], after: Mapping[str, Any], both: bool = False) -> tuple[Change, ...]:
+def _changes(before: Mapping[str, Any], after: Mapping[str, Any], both: bool = False) -> tuple[ValueChange, ...]:
     names = [name for name in before if name in after] if both else list({**before, **after})
     pairs = ((name, before.get(name), after.get(name)) for name in names)
-    return tuple(Change(name, old, new) for name, old, new in pairs if old != new)
+    return tuple(ValueChange(name, old, new) for name, old, new in pairs if old != new)
 
 
 def _signals(manifest: Manifest) -> list[str]:
@@ -267,7 +267,7 @@ def _signal_change(one: Recording, other: Recording, signal: str, unit: str) -> 
     )
 
 
-def _quality(a: Manifest, b: Manifest, shared: list[str]) -> tuple[Change, ...]:
+def _quality(a: Manifest, b: Manifest, shared: list[str]) -> tuple[ValueChange, ...]:
     whole = {name.rpartition("#")[0] or name for name in shared} | {*shared}
     changes = []
     for section in (name for name in a["quality"] if name in b["quality"]):
@@ -278,7 +278,7 @@ def _quality(a: Manifest, b: Manifest, shared: list[str]) -> tuple[Change, ...]:
             old, new = dict(_leaves(ours[recording])), dict(_leaves(theirs[recording]))
             for key in {**old, **new}:
                 if not _same(old.get(key), new.get(key)):
-                    changes.append(Change(f"{section}/{recording}/{key}", old.get(key), new.get(key)))
+                    changes.append(ValueChange(f"{section}/{recording}/{key}", old.get(key), new.get(key)))
     return tuple(changes)
 
 

@@ -31,7 +31,7 @@ class Removed:
 
 
 @dataclass(frozen=True)
-class AcceptedEffect:
+class NotRemoved:
     """What was asked for or found, and not removed."""
 
     what: str
@@ -43,7 +43,7 @@ class Vacuumed:
     """What a vacuum removed, or would remove where ``dry_run``."""
 
     removed: tuple[Removed, ...]
-    kept: tuple[AcceptedEffect, ...]
+    kept: tuple[NotRemoved, ...]
     dry_run: bool
 
     @property
@@ -93,7 +93,7 @@ def vacuum(
 
 def _one(
     store: Store, name: str, named: Iterable[int], users: Users, keep: int | None, dry_run: bool
-) -> tuple[list[Removed], list[AcceptedEffect]]:
+) -> tuple[list[Removed], list[NotRemoved]]:
     """One dataset, whose lock is held."""
     versions = store.versions(name)
     kept = [item for folder in ("", "/data", "/versions") for item in _links(store, f"datasets/{name}{folder}")]
@@ -104,9 +104,9 @@ def _one(
         if version in named or (keep is not None and version in versions[:-keep]):
             by = users(f"{name}@{version}", digest)
             if by:
-                kept.append(AcceptedEffect(f"{name}@{version}", f"{', '.join(by)} was made from it"))
+                kept.append(NotRemoved(f"{name}@{version}", f"{', '.join(by)} was made from it"))
             elif folders[version] is None and version not in named:
-                kept.append(AcceptedEffect(f"{name}@{version}", "its manifest cannot be read: name the version to remove it"))
+                kept.append(NotRemoved(f"{name}@{version}", "its manifest cannot be read: name the version to remove it"))
             else:
                 going.append(version)
     staying = [folders[version] for version in versions if version not in going]
@@ -116,7 +116,7 @@ def _one(
     loose: list[str] = []
     if any(own is None for own in staying):
         reason = "a manifest of this dataset cannot be read, and may refer to data that no other refers to"
-        kept.append(AcceptedEffect(data, reason))
+        kept.append(NotRemoved(data, reason))
         removed += [Removed(f"{name}@{version}", 0) for version in going]
     else:
         needed = {folder for own in staying for folder in own or ()}
@@ -129,7 +129,7 @@ def _one(
         for folder in sorted(free):
             size, age = weights[folder]
             if not store.files.locks and age < YOUNG_S:
-                kept.append(AcceptedEffect(f"{data}/{folder}", "younger than a day: a writer may be at work on it"))
+                kept.append(NotRemoved(f"{data}/{folder}", "younger than a day: a writer may be at work on it"))
             else:
                 removed.append(Removed(f"{data}/{folder}", size))
                 loose.append(folder)
@@ -145,9 +145,9 @@ def _one(
     return removed, kept
 
 
-def _links(store: Store, folder: str) -> list[AcceptedEffect]:
+def _links(store: Store, folder: str) -> list[NotRemoved]:
     """Links, which nothing of this project makes: neither followed nor removed."""
-    return [AcceptedEffect(f"{folder}/{name}", "is a link, which is not followed") for name in store.files.links(folder)]
+    return [NotRemoved(f"{folder}/{name}", "is a link, which is not followed") for name in store.files.links(folder)]
 
 
 def _read(store: Store, name: str, version: int) -> tuple[str, frozenset[str] | None]:

@@ -3,14 +3,14 @@
 from sysid.gap.experiment.experiment import EffectAt, Experiment, Purpose, outside
 from sysid.gap.experiment.file import read_experiment, write_experiment
 from sysid.gap.experiment.open_hypothesis import OpenHypothesis, open_hypotheses
-from sysid.gap.experiment.proposal import Planning, Proposal, dry_run, propose
+from sysid.gap.experiment.proposal import ExperimentProposal, Planning, dry_run, propose
 
 __all__ = [
     "EffectAt",
     "Experiment",
+    "ExperimentProposal",
     "OpenHypothesis",
     "Planning",
-    "Proposal",
     "Purpose",
     "dry_run",
     "open_hypotheses",

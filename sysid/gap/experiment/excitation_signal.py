@@ -12,7 +12,7 @@ import pandas as pd
 
 from sysid.datasets.recording import Recording
 from sysid.gap.experiment.feasible_set import FeasibleSet
-from sysid.gap.experiment.motions import Motion, StrokeGroup
+from sysid.gap.experiment.motions import MotionPattern, StrokeGroup
 from sysid.machine import TabulatedLinkage
 from sysid.plant import Model, free_run
 from sysid.plant.model import START_WINDOW
@@ -57,7 +57,7 @@ class ExcitationSignal:
         start: initial value of each driven signal (A,) [m or rad].
     """
 
-    motion: Motion
+    motion: MotionPattern
     axes: tuple[int, ...]
     rate_hz: float
     speeds: Array
@@ -71,7 +71,7 @@ class ExcitationSignal:
 def design_excitation(
     model: Model,
     feasible_sets: Sequence[FeasibleSet],
-    motion: Motion,
+    motion: MotionPattern,
     axes: tuple[int, ...],
     seconds: float,
     rate_hz: float,
@@ -162,7 +162,7 @@ def start_of(
 
 
 def _segments(
-    feasible_sets: Sequence[FeasibleSet], motion: Motion, axes: tuple[int, ...], seconds: float, seed: int
+    feasible_sets: Sequence[FeasibleSet], motion: MotionPattern, axes: tuple[int, ...], seconds: float, seed: int
 ) -> tuple[list[Segment], list[float]]:
     """Segments of all cycles that fit, with their times; the pause after each stroke group."""
     cycles = motion.cycles(axes, np.random.default_rng([seed, *axes]))

@@ -18,7 +18,7 @@ from scipy.optimize import least_squares
 
 from sysid.gap.candidates import Candidate, Unknown
 from sysid.gap.data import FORGETS, Data
-from sysid.gap.drift import BIN, CLIP, Drift, estimate_drift
+from sysid.gap.drift import BIN, CLIP, DriftStrength, estimate_drift
 from sysid.gap.fit import jacobian, place
 
 Array = npt.NDArray[np.float64]
@@ -43,7 +43,12 @@ class PlausibleModel:
 
 
 def plausible_model(
-    base: Array, candidate: Candidate | None, unknowns: Sequence[Unknown], values: Array, seen: Data, drifts: Sequence[Drift]
+    base: Array,
+    candidate: Candidate | None,
+    unknowns: Sequence[Unknown],
+    values: Array,
+    seen: Data,
+    drifts: Sequence[DriftStrength],
 ) -> PlausibleModel:
     """A model with the information of the recordings ``seen`` on its parameters; ``base`` (N,) gives all others."""
     unknowns = tuple(unknowns)
@@ -68,7 +73,7 @@ class Discrimination:
 
 
 def discrimination(
-    data: Data, truth: PlausibleModel, alternative: PlausibleModel, drifts: Sequence[Drift], seed: int = 0
+    data: Data, truth: PlausibleModel, alternative: PlausibleModel, drifts: Sequence[DriftStrength], seed: int = 0
 ) -> Discrimination:
     """Expected discrimination between ``truth`` and ``alternative``.
 
@@ -85,7 +90,7 @@ def discrimination(
     return Discrimination(max(min(left - own, estimated), 0.0), math.sqrt(1.0 + float(np.nanmean(error**2))))
 
 
-def _refitted(data: Data, alternative: PlausibleModel, drifts: Sequence[Drift]) -> Array:
+def _refitted(data: Data, alternative: PlausibleModel, drifts: Sequence[DriftStrength]) -> Array:
     """Parameter vector of the alternative, fitted to ``data`` and its prior information, (N,)."""
     if not alternative.unknowns:
         return alternative.theta
@@ -122,7 +127,7 @@ def noise_of_bin(rate_hz: float) -> float:
     return 1.0 / math.sqrt(max(1, round(BIN * rate_hz)))
 
 
-def precision(data: Data, model: PlausibleModel, drifts: Sequence[Drift]) -> Array:
+def precision(data: Data, model: PlausibleModel, drifts: Sequence[DriftStrength]) -> Array:
     """Standard deviations of the unknowns of ``model`` from these and all earlier recordings, (k,): Cramér-Rao bound."""
     slopes = jacobian(data, model.theta, model.unknowns, model.values, drifts)[1]
     information = model.known + slopes.T @ slopes

@@ -50,7 +50,7 @@ Cycles = Callable[[Sequence[int], np.random.Generator], Iterator[tuple[StrokeGro
 
 
 @dataclass(frozen=True)
-class Motion:
+class MotionPattern:
     """One kind of motion; ``several``: moves all axes, else one axis at a time."""
 
     name: str
@@ -114,49 +114,49 @@ def _poses(axes: Sequence[int], rng: np.random.Generator) -> Iterator[tuple[Stro
 
 
 #: Motions that are tested, described as instructions for an operator.
-MOTIONS: tuple[Motion, ...] = (
-    Motion(
+MOTIONS: tuple[MotionPattern, ...] = (
+    MotionPattern(
         "reversals",
         "slow reversals of {axes}",
         _there_and_back(lambda k, rng: (_one_of((0.25, 0.4, 0.6), k), 1.2, 0.3, 0.12, 0.0)),
     ),
-    Motion(
+    MotionPattern(
         "stairs",
         "pulses of {axes} that rise from 3 to 42 %, both ways",
         _there_and_back(lambda k, rng: (_one_of(tuple(0.03 * n for n in range(1, 15)), k), 0.6, SHARP, 0.12, 0.2)),
     ),
-    Motion(
+    MotionPattern(
         "steps",
         "sharp starts and stops of {axes} at 30, 60 and 100 %, both ways",
         _there_and_back(lambda k, rng: (_one_of((0.3, 0.6, 1.0), k), 1.0, SHARP, 0.25, 0.5)),
     ),
-    Motion("taps", "short sharp taps of {axes} at random", _there_and_back(_tap)),
-    Motion(
+    MotionPattern("taps", "short sharp taps of {axes} at random", _there_and_back(_tap)),
+    MotionPattern(
         "ramps",
         "slow ramps of {axes} through zero, up to 30, 60 and 100 %",
         _there_and_back(lambda k, rng: (_one_of((0.3, 0.6, 1.0), k), 3.0, 1.5, 0.3, 0.0)),
     ),
-    Motion(
+    MotionPattern(
         "creeping",
         "{axes} creeping at 1 to 15 %, both ways",
         _there_and_back(lambda k, rng: (_one_of((0.02, 0.08, 0.01, 0.15, 0.04), k), 4.0, 0.4, 0.15, 0.2)),
     ),
-    Motion("sweep", "{axes} to and fro with increasing frequency, 0.3 to 4 Hz", _there_and_back(_sweep)),
-    Motion(
+    MotionPattern("sweep", "{axes} to and fro with increasing frequency, 0.3 to 4 Hz", _there_and_back(_sweep)),
+    MotionPattern(
         "strokes",
         "{axes} over most of the range at 50, 80 and 100 %",
         _there_and_back(lambda k, rng: (_one_of((0.5, 0.8, 1.0), k), 60.0, 0.1, 0.8, 0.4)),
     ),
-    Motion(
+    MotionPattern(
         "rest",
         "{axes} driven out and left at rest for 12 s, repeatedly",
         _there_and_back(lambda k, rng: (_one_of((0.6,), k), 60.0, 0.2, 0.4, 12.0)),
     ),
-    Motion(
+    MotionPattern(
         "swing",
         "{axes} moved briskly, stopped, and left at rest for 5 s",
         _there_and_back(lambda k, rng: (_one_of((1.0, 0.7), k), 0.8, SHARP, 0.25, 5.0)),
     ),
-    Motion("together", "{axes} at large commands, each alone and all at once", _together, several=True),
-    Motion("poses", "random poses of {axes}, 1 s at rest at each", _poses, several=True),
+    MotionPattern("together", "{axes} at large commands, each alone and all at once", _together, several=True),
+    MotionPattern("poses", "random poses of {axes}, 1 s at rest at each", _poses, several=True),
 )

@@ -13,12 +13,12 @@ from sysid.gap.candidates import Candidate
 from sysid.gap.case import Case, Stage, stage_candidates
 from sysid.gap.data import Data
 from sysid.gap.decision import EXPLAINED
-from sysid.gap.drift import Drift
+from sysid.gap.drift import DriftStrength
 from sysid.gap.excitation import excitation_of
 from sysid.gap.experiment.experiment import EffectAt
 from sysid.gap.experiment.information import PlausibleModel, noise_of_bin, plausible_model
 from sysid.gap.fit import Fit, fit_candidates
-from sysid.gap.proof import Outcome
+from sysid.gap.proof import ProofOutcome
 from sysid.gap.starts import starting_values
 from sysid.plant import compile_plant
 
@@ -40,7 +40,7 @@ class OpenHypothesis:
     kind: Literal["tie", "excitation"]
     stage: Stage
     models: tuple[PlausibleModel, ...]
-    drifts: tuple[Drift, ...]
+    drifts: tuple[DriftStrength, ...]
 
     @property
     def candidates(self) -> tuple[Candidate, ...]:
@@ -62,7 +62,7 @@ class OpenHypothesis:
         return tuple((a, b) for a in self.models for b in self.models if a is not b and not _within(a, b))
 
 
-def open_hypotheses(case: Case, stages: Sequence[Stage], outcome: Outcome) -> list[OpenHypothesis]:
+def open_hypotheses(case: Case, stages: Sequence[Stage], outcome: ProofOutcome) -> list[OpenHypothesis]:
     """The non-identifiable sets of the outcome, then the effects that unexplained stages may have and do not excite."""
     base = compile_plant(outcome.repaired).theta
     found = []
@@ -113,7 +113,7 @@ def _unexcited(case: Case, stage: Stage, base: Array) -> list[OpenHypothesis]:
         return []
     used = {c.key for c in fit.candidates}
     noise = noise_of_bin(stage.problem.rate(stage.split.seen[0]))
-    calm = tuple(Drift(noise=noise, memory=drift.memory) for drift in fit.drifts)
+    calm = tuple(DriftStrength(noise=noise, memory=drift.memory) for drift in fit.drifts)
     found = []
     for candidate in stage_candidates(case, stage):
         if candidate.form is not candidate.effect.forms[0] or candidate.key in used:
@@ -148,7 +148,7 @@ def _within(one: PlausibleModel, other: PlausibleModel) -> bool:
     return b.contains(a) or (a.key == b.key and len(one.unknowns) < len(other.unknowns))
 
 
-def _model(base: Array, candidate: Candidate, fit: Fit, seen: Data, drifts: Sequence[Drift]) -> PlausibleModel:
+def _model(base: Array, candidate: Candidate, fit: Fit, seen: Data, drifts: Sequence[DriftStrength]) -> PlausibleModel:
     return plausible_model(base, candidate, fit.unknowns, fit.values, seen, drifts)
 
 

@@ -24,7 +24,7 @@ from sysid.gap.experiment.excitation_signal import (
 from sysid.gap.experiment.experiment import Experiment, Limits, Purpose, outside
 from sysid.gap.experiment.feasible_set import FeasibleSet, feasible_set_of, limits_of
 from sysid.gap.experiment.information import PlausibleModel, discrimination, precision
-from sysid.gap.experiment.motions import MOTIONS, Motion
+from sysid.gap.experiment.motions import MOTIONS, MotionPattern
 from sysid.gap.experiment.open_hypothesis import OpenHypothesis
 from sysid.gap.problem import Problem, drive_problem, force_problem, joint_problem, tip_problem, tool_problem
 from sysid.plant import Model, Plant, compile_plant
@@ -59,7 +59,7 @@ class Planning:
 
 
 @dataclass(frozen=True)
-class Proposal:
+class ExperimentProposal:
     """Proposed experiments, and notes on hypotheses that none resolves."""
 
     experiments: tuple[Experiment, ...] = ()
@@ -72,7 +72,7 @@ def propose(
     hypotheses: Sequence[OpenHypothesis],
     settings: Planning | None = None,
     tell: Callable[[str], None] = lambda text: None,
-) -> Proposal:
+) -> ExperimentProposal:
     """The shortest experiment for each hypothesis; one that resolves several is proposed once.
 
     Args:
@@ -80,7 +80,7 @@ def propose(
         tell: called with the label of each hypothesis.
     """
     if not hypotheses:
-        return Proposal()
+        return ExperimentProposal()
     planner = Planner(case, repaired, settings or Planning())
     chosen: list[_Selected] = []
     notes = []
@@ -104,7 +104,7 @@ def propose(
         experiment = planner.experiment(item.excitation, item.served)
         again = sum(other.name.split("_")[0] == experiment.name for other in made)
         made.append(replace(experiment, name=f"{experiment.name}_{again + 1}") if again else experiment)
-    return Proposal(tuple(made), tuple(notes))
+    return ExperimentProposal(tuple(made), tuple(notes))
 
 
 def dry_run(plant: Plant, experiment: Experiment) -> Recording:
@@ -181,7 +181,7 @@ class Planner:
         item.served.append((hypothesis, forecast))
         return True
 
-    def _options(self, hypothesis: OpenHypothesis) -> list[tuple[Motion, tuple[int, ...]]]:
+    def _options(self, hypothesis: OpenHypothesis) -> list[tuple[MotionPattern, tuple[int, ...]]]:
         """Motions of the axis of the hypothesis, or of each axis where it concerns the whole arm, and of all axes together."""
         names = self.machine.axis_names
         target = hypothesis.stage.problem.target
@@ -190,7 +190,7 @@ class Planner:
         options = [(motion, (axis,)) for motion in MOTIONS if not motion.several for axis in single]
         return options + [(motion, several) for motion in MOTIONS if motion.several and len(several) > 1]
 
-    def excitation(self, motion: Motion, axes: tuple[int, ...], seconds: float) -> ExcitationSignal | None:
+    def excitation(self, motion: MotionPattern, axes: tuple[int, ...], seconds: float) -> ExcitationSignal | None:
         """The excitation signal; None where it does not fit, or where a sampled plant leaves the limits."""
         key = motion.name, axes, seconds
         if key not in self._excitations:

@@ -16,7 +16,7 @@ import numpy.typing as npt
 from sysid.datasets.recording import Recording
 from sysid.gap.candidates import Unknown
 from sysid.gap.data import Data
-from sysid.gap.drift import Drift, robust_scale, to_bins, whiten_lanes
+from sysid.gap.drift import DriftStrength, robust_scale, to_bins, whiten_lanes
 from sysid.gap.fit import forgiveness, place
 
 Array = npt.NDArray[np.float64]
@@ -36,7 +36,7 @@ class Criterion:
     data: Data
     theta: Array
     unknowns: tuple[Unknown, ...]
-    drifts: tuple[Drift, ...]
+    drifts: tuple[DriftStrength, ...]
     scales: Array
     forgiven: float
 
@@ -100,7 +100,7 @@ def criterion_at(data: Data, theta: Array, unknowns: tuple[Unknown, ...], values
         drifts, _ = data.drifts(at[0])
         scales = np.array([drift.noise for drift in drifts])
     else:
-        drifts = (Drift(),) * len(data.sigma)
+        drifts = (DriftStrength(),) * len(data.sigma)
         parts = data.bins(at)
         series = [np.concatenate([part[0, :, k] for part in parts]) for k in range(len(data.sigma))]
         scales = np.array([robust_scale(s[~np.isnan(s)]) if not np.isnan(s).all() else 1.0 for s in series])

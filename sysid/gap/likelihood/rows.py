@@ -49,7 +49,7 @@ class Series:
     activity: Array
 
 
-class Rows:
+class StageRows:
     """Recordings of a stage as rows of a regression; ``predict`` of the problem is averaged the same way.
 
     Args:

@@ -28,7 +28,7 @@ from sysid.gap.candidates import Candidate, Unknown
 from sysid.gap.fit import place
 from sysid.gap.likelihood.discrepancy import Discrepancy
 from sysid.gap.likelihood.disturbance import Disturbance, Filter, filter_of
-from sysid.gap.likelihood.rows import Rows, Series
+from sysid.gap.likelihood.rows import Series, StageRows
 from sysid.gap.likelihood.uncertainty import posterior_covariance
 
 Array = npt.NDArray[np.float64]
@@ -243,7 +243,7 @@ def prior_of(candidates: Sequence[Candidate]) -> Prior:
     return Prior(np.array(centre), np.array(width), np.array(low), np.array(high), np.array(finest))
 
 
-def whitening_of(rows: Rows, k: int, disturbance: Disturbance, extra: Array) -> Filter:
+def whitening_of(rows: StageRows, k: int, disturbance: Disturbance, extra: Array) -> Filter:
     """The filter of series ``k``; ``extra`` as in :func:`filter_of`."""
     s = rows.series[k]
     span, integrates = rows.spans[s.signal], rows.problem.integrates
@@ -262,7 +262,7 @@ class StageLikelihood:
 
     def __init__(
         self,
-        rows: Rows,
+        rows: StageRows,
         discrepancy: Discrepancy,
         variances: Variances,
         extra: Sequence[Array],
@@ -535,7 +535,7 @@ def _finished(
     )
 
 
-def _block_densities(X: Array, r: Array, H: Array, rows: Rows) -> Array:
+def _block_densities(X: Array, r: Array, H: Array, rows: StageRows) -> Array:
     """Log predictive density of each block, all coefficients from the other blocks (normal equations downdated), (blocks,)."""
     out = np.zeros(rows.blocks)
     total = X.T @ r

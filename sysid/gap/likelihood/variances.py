@@ -18,7 +18,7 @@ from sysid.gap.fit import place
 from sysid.gap.likelihood.adjoint import gradient_of
 from sysid.gap.likelihood.discrepancy import Discrepancy
 from sysid.gap.likelihood.disturbance import Disturbance, Filter
-from sysid.gap.likelihood.rows import Rows, Series
+from sysid.gap.likelihood.rows import Series, StageRows
 from sysid.gap.likelihood.stage import HUBER, ModelFit, StageLikelihood, Variances, fit_model, steps_of, whitening_of
 
 Array = npt.NDArray[np.float64]
@@ -47,7 +47,7 @@ class Start:
     disturbance: Array
 
 
-def first_variances(rows: Rows, start: Start, groups: int, tau: float) -> Variances:
+def first_variances(rows: StageRows, start: Start, groups: int, tau: float) -> Variances:
     """Before anything is estimated: noise as the data say, a small disturbance, every group with coefficients of ``tau``."""
     disturbances = tuple(
         Disturbance(float(n), float(0.1 * d), float(d), MEMORY, float(n), RIPPLE_MEMORY)
@@ -57,7 +57,7 @@ def first_variances(rows: Rows, start: Start, groups: int, tau: float) -> Varian
 
 
 def estimated(
-    rows: Rows, discrepancy: Discrepancy, variances: Variances, start: Start, extra: Sequence[Array], model: ModelFit
+    rows: StageRows, discrepancy: Discrepancy, variances: Variances, start: Start, extra: Sequence[Array], model: ModelFit
 ) -> Variances:
     """Variances of maximum evidence beside ``model``."""
     residual, slopes = _linearised(rows, model)
@@ -111,7 +111,7 @@ def own_evidence(likelihood: StageLikelihood, start: Start, model: ModelFit) -> 
     return again.evidence + log_prior(own, start)
 
 
-def _linearised(rows: Rows, model: ModelFit) -> tuple[Array, Array]:
+def _linearised(rows: StageRows, model: ModelFit) -> tuple[Array, Array]:
     """Residual of a model (rows,) and what its unknowns change, in a unit of their uncertainty (rows, k)."""
     residual = rows.residuals(model.theta[None])[0]
     if not model.unknowns:
@@ -123,7 +123,7 @@ def _linearised(rows: Rows, model: ModelFit) -> tuple[Array, Array]:
 
 
 def _gram(
-    rows: Rows, columns: _Columns, variances: Variances, extra: Sequence[Array], signals: Sequence[int] | None = None
+    rows: StageRows, columns: _Columns, variances: Variances, extra: Sequence[Array], signals: Sequence[int] | None = None
 ) -> tuple[Array, float]:
     """Products of all whitened columns of some signals (of all), and the log scale of their innovations."""
     total, scale = np.zeros((columns.count, columns.count)), 0.0
@@ -166,7 +166,7 @@ def _scales(fixed: int, group: npt.NDArray[np.int64], taus: Array) -> Array:
 
 
 def _disturbances(
-    rows: Rows,
+    rows: StageRows,
     columns: _Columns,
     fixed: int,
     discrepancy: Discrepancy,
@@ -214,7 +214,7 @@ class _Signal:
         centre: of the prior, (6,).
     """
 
-    rows: Rows
+    rows: StageRows
     signal: int
     columns: _Columns
     scale: Array
@@ -269,7 +269,7 @@ def _beginnings(z: Array) -> list[Array]:
     return [z, swapped, z + more[1], z + more[2], z + more[4], z + more[4] - more[2], swapped + more[1]]
 
 
-def _largest(rows: Rows, discrepancy: Discrepancy, left: float) -> Array:
+def _largest(rows: StageRows, discrepancy: Discrepancy, left: float) -> Array:
     """Largest standard deviation of each group, (g,): all of its columns together do no more than is ``left`` [noise floors].
 
     A function of speed that may be as large as friction cannot be distinguished from friction.

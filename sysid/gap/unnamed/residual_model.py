@@ -22,7 +22,7 @@ from sysid.gap.evidence import gain_p_value
 from sysid.gap.floor import problem_floor
 from sysid.gap.localise import stage_rmse
 from sysid.gap.problem import Problem, problems_of
-from sysid.gap.proof import Outcome
+from sysid.gap.proof import ProofOutcome
 from sysid.gap.result import ResidualModelResult, Unnamed
 from sysid.networks.recurrent import Looks, RecurrentSettings, train_recurrent
 from sysid.plant import Model, Plant, compile_plant, gravity_load
@@ -77,10 +77,10 @@ class _ResidualRecording:
 def fit_residual_models(
     case: Case,
     stages: Sequence[Stage],
-    outcome: Outcome,
+    outcome: ProofOutcome,
     settings: RecurrentSettings | None = None,
     progress: Progress = silent,
-) -> Outcome:
+) -> ProofOutcome:
     """The outcome with a residual network for each stage with unnamed structure, where one lowers the held-out error.
 
     Raises:

@@ -9,7 +9,7 @@ from markupsafe import Markup
 from sysid.datasets.clocks.residual import ClockResidual, PairResidual
 from sysid.datasets.recording import Dataset
 from sysid.reports import display, words
-from sysid.reports.charts import Line, chart
+from sysid.reports.charts import ChartCurve, chart
 from sysid.reports.inputs import ReportInputs
 
 #: Points of a curve over time; more of them cannot be told apart.
@@ -29,9 +29,9 @@ def _record(item: ClockResidual, dataset: Dataset) -> dict[str, Any]:
     times = item.times[::step]
     shift, spread = 1e3 * item.shift[::step], 1e3 * item.error[::step]
     drawn = chart(
-        times, [Line(shift, "before", dots=len(times) < 80, spread=spread)], ("time [s]", "offset asked for [ms]"), half
+        times, [ChartCurve(shift, "before", dots=len(times) < 80, spread=spread)], ("time [s]", "offset asked for [ms]"), half
     )
-    rest = chart(times, [Line(item.residual[::step], "before")], ("time [s]", "residual [noise]"))
+    rest = chart(times, [ChartCurve(item.residual[::step], "before")], ("time [s]", "residual [noise]"))
     return {
         "recording": record.recording,
         "stream": record.stream,
@@ -52,7 +52,7 @@ def _pair(pair: PairResidual, dataset: Dataset) -> dict[str, Any]:
     ours, other = pair.name.split("~")
     x_factor, x_unit = display.shown_unit(dataset.units.get(ours, dataset.machine.expected_unit(ours)))
     factor, unit = display.shown_unit(dataset.units.get(other, dataset.machine.expected_unit(other)))
-    line = Line(factor * pair.mean, "before", dots=True, spread=factor * pair.spread)
+    line = ChartCurve(factor * pair.mean, "before", dots=True, spread=factor * pair.spread)
     labels = (f"{words.signal_name(ours)} [{x_unit}]", f"residual [{unit}]")
     return {
         "picture": Markup(chart(x_factor * pair.motion, [line], labels)),

@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
-from sysid.gap.result import Candidate, GapResult, NamedEffect
+from sysid.gap.result import ComparedModel, GapResult, NamedEffect
 from sysid.machine import Machine
 from sysid.reports import display, words
 from sysid.reports.effect_units import shown
@@ -21,7 +21,7 @@ def context(inputs: ReportInputs) -> dict[str, Any] | None:
     gap = inputs.gap
     if gap is None or not (gap.candidates or any(effect.alternatives for effect in gap.effects)):
         return None
-    groups: dict[tuple[str, str], list[Candidate]] = {}
+    groups: dict[tuple[str, str], list[ComparedModel]] = {}
     for candidate in gap.candidates:
         groups.setdefault((candidate.stage, candidate.target), []).append(candidate)
     return {
@@ -58,7 +58,7 @@ def _bar(times: float, largest: float) -> int | None:
     return round(100.0 * max(0.0, math.log(max(times, 1.0))) / math.log(max(largest, 1.1)))
 
 
-def _group(stage: str, target: str, rows: list[Candidate], gap: GapResult, machine: Machine) -> dict[str, Any]:
+def _group(stage: str, target: str, rows: list[ComparedModel], gap: GapResult, machine: Machine) -> dict[str, Any]:
     ordered = sorted(rows, key=lambda row: (not math.isfinite(row.selection_rmse), row.selection_rmse))
     best, named = least_error(ordered), [(effect.name, effect.target) for effect in gap.effects]
     shown_rows = []
@@ -79,7 +79,7 @@ def _group(stage: str, target: str, rows: list[Candidate], gap: GapResult, machi
     return {"stage": words.stage_name(stage), "target": words.owner_name(target), "count": len(ordered), "rows": shown_rows}
 
 
-def _titles(row: Candidate, target: str) -> tuple[str, str]:
+def _titles(row: ComparedModel, target: str) -> tuple[str, str]:
     """What was added, and what was merely refitted beside it."""
     added: list[str] = []
     refitted: list[str] = []
@@ -92,7 +92,7 @@ def _titles(row: Candidate, target: str) -> tuple[str, str]:
     return " + ".join(added) or "nothing added", ", ".join(title.lower() for title in refitted)
 
 
-def _parameters(row: Candidate, machine: Machine) -> str:
+def _parameters(row: ComparedModel, machine: Machine) -> str:
     """Values in words; a key is ``parameter`` or ``effect(target).parameter``, with ``[i]`` for a part of a vector."""
     groups: dict[str, list[str]] = {}
     for key, value in row.parameters.items():

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from markupsafe import Markup
 
-from sysid.datasets.quality import Evidence, evidence_of
+from sysid.datasets.quality import DatasetEvidence, evidence_of
 from sysid.datasets.quality.coverage import PairMap
 from sysid.datasets.quality.use import AxisUse
 from sysid.datasets.recording import ClockRecord, Dataset, Recording
@@ -136,7 +136,7 @@ def _sides(negative: float, positive: float) -> str:
     return f"{display.fixed(negative, 1)} / {display.fixed(positive, 1)}"
 
 
-def _by_recording(evidence: Evidence) -> list[dict[str, Any]]:
+def _by_recording(evidence: DatasetEvidence) -> list[dict[str, Any]]:
     """The same figures, recording by recording: in which one an axis was used."""
     rows = []
     for recording in evidence.recordings:
@@ -156,7 +156,7 @@ def _by_recording(evidence: Evidence) -> list[dict[str, Any]]:
     return rows
 
 
-def _map(item: PairMap, evidence: Evidence, dataset: Dataset) -> dict[str, Any]:
+def _map(item: PairMap, evidence: DatasetEvidence, dataset: Dataset) -> dict[str, Any]:
     missing = " (no limits are known: of what was recorded)" if "recorded" in (item.first.source, item.second.source) else ""
     visited = display.percent(item.covered_moving)
     if item.covered > item.covered_moving:
@@ -167,7 +167,7 @@ def _map(item: PairMap, evidence: Evidence, dataset: Dataset) -> dict[str, Any]:
     }
 
 
-def _rest(evidence: Evidence) -> str:
+def _rest(evidence: DatasetEvidence) -> str:
     phases = [phase for recording in evidence.recordings for phase in recording.rests]
     if not phases:
         return "The machine never stood still for a second."
@@ -179,7 +179,7 @@ def _rest(evidence: Evidence) -> str:
     )
 
 
-def _noise(evidence: Evidence, dataset: Dataset) -> list[dict[str, str]]:
+def _noise(evidence: DatasetEvidence, dataset: Dataset) -> list[dict[str, str]]:
     rows = []
     for signal, noise in evidence.noise.items():
         unit = dataset.units.get(signal)

@@ -11,7 +11,7 @@ from markupsafe import Markup
 
 from sysid.gap.result import GapResult, Localised, Map, Share
 from sysid.reports import display, words
-from sysid.reports.charts import Line, chart
+from sysid.reports.charts import ChartCurve, chart
 from sysid.reports.inputs import ReportInputs
 from sysid.signals import point_signals
 
@@ -195,9 +195,9 @@ def _figure(item: Map) -> dict[str, Any]:
     x_factor, x_label = _axis_label(over_name(item.over), item.unit)
     factor, y_label = _axis_label(item.quantity, item.error_unit)
     x = x_factor * np.array(item.at)
-    lines = [Line(factor * np.array(item.mean), "before", dots=True, spread=factor * np.array(item.spread))]
+    lines = [ChartCurve(factor * np.array(item.mean), "before", dots=True, spread=factor * np.array(item.spread))]
     if item.after:
-        lines.append(Line(factor * np.array(item.after), "after", dots=True))
+        lines.append(ChartCurve(factor * np.array(item.after), "after", dots=True))
     names = [{-1.0: "backwards", 0.0: "at rest", 1.0: "forwards"}.get(at, "") for at in item.at] if _ways(item) else []
     rows = display.fixed(float(sum(item.count)), 0)
     return {
@@ -211,8 +211,8 @@ def _characteristic(item: Map) -> dict[str, Any]:
     factor, y_label = _axis_label("speed", item.error_unit)
     x_factor, x_label = _axis_label(over_name(item.over), item.unit)
     lines = [
-        Line(factor * np.array(item.simulated), "before"),
-        Line(factor * np.array(item.measured), "measured", dots=True),
+        ChartCurve(factor * np.array(item.simulated), "before"),
+        ChartCurve(factor * np.array(item.measured), "measured", dots=True),
     ]
     return {
         "picture": Markup(chart(x_factor * np.array(item.at), lines, (x_label, y_label))),

@@ -6,10 +6,10 @@ from collections.abc import Sequence
 
 from sysid.runner.checks.settings import CheckSettings
 from sysid.runner.cycle import Verdict
-from sysid.runner.senses import Seen
+from sysid.runner.senses import StateEstimate
 
 
-def judge_delay(seen: Seen, settings: CheckSettings, axes: Sequence[str]) -> list[Verdict]:
+def judge_delay(seen: StateEstimate, settings: CheckSettings, axes: Sequence[str]) -> list[Verdict]:
     """One verdict for each axis that answers late while it moves."""
     rule, found = settings.delay, []
     for late in seen.late:

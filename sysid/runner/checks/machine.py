@@ -6,10 +6,10 @@ import math
 
 from sysid.runner.checks.settings import CheckSettings
 from sysid.runner.cycle import Verdict
-from sysid.runner.senses import Seen
+from sysid.runner.senses import StateEstimate
 
 
-def judge_machine(seen: Seen, settings: CheckSettings) -> list[Verdict]:
+def judge_machine(seen: StateEstimate, settings: CheckSettings) -> list[Verdict]:
     """What is wrong apart from signals; the dead-man switch is looked at where the machine moves, by the loop."""
     found = []
     inputs = seen.inputs

@@ -11,8 +11,8 @@ import numpy.typing as npt
 from sysid.machine import TabulatedLinkage
 from sysid.runner.checks.settings import CheckSettings
 from sysid.runner.cycle import Verdict
-from sysid.runner.senses import Seen
-from sysid.runner.valves import Valve
+from sysid.runner.senses import StateEstimate
+from sysid.runner.valves import AxisValve
 
 Array = npt.NDArray[np.float64]
 
@@ -29,11 +29,11 @@ class MotionChecks:
     def __init__(
         self,
         axes: Sequence[str],
-        valves: Sequence[Valve],
+        valves: Sequence[AxisValve],
         linkages: Sequence[TabulatedLinkage | None],
         dt: float,
         settings: CheckSettings,
-        inside: Callable[[Seen], str],
+        inside: Callable[[StateEstimate], str],
     ) -> None:
         self.axes, self.valves, self.linkages, self.dt = tuple(axes), tuple(valves), tuple(linkages), dt
         self.settings, self._inside = settings, inside
@@ -46,7 +46,7 @@ class MotionChecks:
         """The valves are let go."""
         self._lasted.clear()
 
-    def judge(self, seen: Seen, moving: bool, drive_setpoints: Array | None) -> list[Verdict]:
+    def judge(self, seen: StateEstimate, moving: bool, drive_setpoints: Array | None) -> list[Verdict]:
         """What is wrong."""
         found = []
         settings = self.settings
@@ -62,7 +62,7 @@ class MotionChecks:
                 found.append(Verdict("domain", "networks", settings.domain.reaction, math.nan, math.nan, text))
         return found + self._restless(seen, moving)
 
-    def _contradictions(self, seen: Seen) -> list[Verdict]:
+    def _contradictions(self, seen: StateEstimate) -> list[Verdict]:
         found, rule = [], self.settings.contradiction
         for sensor in seen.sensors:
             if sensor.driven:
@@ -75,7 +75,7 @@ class MotionChecks:
                 found.append(Verdict("contradiction", sensor.signal, rule.reaction, away, limit, text))
         return found
 
-    def _unexplained(self, seen: Seen) -> list[Verdict]:
+    def _unexplained(self, seen: StateEstimate) -> list[Verdict]:
         found, rule = [], self.settings.motion
         for i, (name, valve) in enumerate(zip(self.axes, self.valves, strict=True)):
             away, limit = abs(float(seen.drive[i] - seen.reckoned[i])), rule.seconds * valve.fastest
@@ -84,7 +84,7 @@ class MotionChecks:
                 found.append(Verdict("motion", name, rule.reaction, away, limit, text))
         return found
 
-    def _behind(self, seen: Seen, drive_setpoints: Array) -> list[Verdict]:
+    def _behind(self, seen: StateEstimate, drive_setpoints: Array) -> list[Verdict]:
         found, rule = [], self.settings.following
         for i, (name, valve) in enumerate(zip(self.axes, self.valves, strict=True)):
             away, limit = abs(float(drive_setpoints[i] - seen.drive[i])), rule.seconds * valve.fastest
@@ -93,7 +93,7 @@ class MotionChecks:
                 found.append(Verdict("following", name, rule.reaction, away, limit, text))
         return found
 
-    def _restless(self, seen: Seen, moving: bool) -> list[Verdict]:
+    def _restless(self, seen: StateEstimate, moving: bool) -> list[Verdict]:
         """Motion with neutral valves; by how far an axis came within a tenth of a second, so that noise is none."""
         rule = self.settings.restless
         self._neutral_s = 0.0 if moving else self._neutral_s + self.dt

@@ -6,13 +6,13 @@ import math
 
 from sysid.runner.checks.settings import CheckSettings
 from sysid.runner.cycle import Verdict
-from sysid.runner.senses import Seen, Sensor
+from sysid.runner.senses import Sensor, StateEstimate
 
 #: A value came so often that its being old does not explain it.
 REPEATS = 4
 
 
-def judge_sensors(seen: Seen, settings: CheckSettings, moving: bool) -> list[Verdict]:
+def judge_sensors(seen: StateEstimate, settings: CheckSettings, moving: bool) -> list[Verdict]:
     """One verdict at most for each sensor, the first that holds."""
     return [verdict for sensor in seen.sensors if (verdict := _judge(sensor, settings, moving)) is not None]
 

@@ -17,7 +17,7 @@ SHORTEST_REASON = 12
 
 
 @dataclass(frozen=True)
-class Stale:
+class StaleCheck:
     """No fresh reading for ``after_s``, or one that was measured so much longer ago than usual."""
 
     __pydantic_config__ = STRICT
@@ -26,7 +26,7 @@ class Stale:
 
 
 @dataclass(frozen=True)
-class NotFinite:
+class NotFiniteCheck:
     """A sensor sends what is no number."""
 
     __pydantic_config__ = STRICT
@@ -34,7 +34,7 @@ class NotFinite:
 
 
 @dataclass(frozen=True)
-class Jump:
+class JumpCheck:
     """A reading moved by ``share`` of its range more than the axis can have moved."""
 
     __pydantic_config__ = STRICT
@@ -43,7 +43,7 @@ class Jump:
 
 
 @dataclass(frozen=True)
-class FrozenValue:
+class FrozenValueCheck:
     """A reading stays the same to the last bit while the commands must have moved its axis by ``share`` of the range."""
 
     __pydantic_config__ = STRICT
@@ -52,7 +52,7 @@ class FrozenValue:
 
 
 @dataclass(frozen=True)
-class Clock:
+class ClockCheck:
     """The machine's clock jumps ahead by more than ``jump_s``."""
 
     __pydantic_config__ = STRICT
@@ -61,7 +61,7 @@ class Clock:
 
 
 @dataclass(frozen=True)
-class Contradiction:
+class ContradictionCheck:
     """A cylinder, through its network, and the joint's own sensor differ by ``share`` of the joint's range for ``for_s``."""
 
     __pydantic_config__ = STRICT
@@ -71,7 +71,7 @@ class Contradiction:
 
 
 @dataclass(frozen=True)
-class Motion:
+class MotionCheck:
     """Measured and reckoned position differ by what ``seconds`` at top speed make: the machine does not do what it is told."""
 
     __pydantic_config__ = STRICT
@@ -80,7 +80,7 @@ class Motion:
 
 
 @dataclass(frozen=True)
-class Delay:
+class DelayCheck:
     """The machine answers commands ``after_s`` later than its plant, by its motion and whatever its stamps say."""
 
     __pydantic_config__ = STRICT
@@ -89,7 +89,7 @@ class Delay:
 
 
 @dataclass(frozen=True)
-class DomainLeft:
+class DomainLeftCheck:
     """A network is asked beyond its data for ``for_s``, and the way does not lead back."""
 
     __pydantic_config__ = STRICT
@@ -98,7 +98,7 @@ class DomainLeft:
 
 
 @dataclass(frozen=True)
-class Following:
+class FollowingCheck:
     """A setpoint is further ahead of its axis than ``seconds`` at top speed, for ``for_s``."""
 
     __pydantic_config__ = STRICT
@@ -108,7 +108,7 @@ class Following:
 
 
 @dataclass(frozen=True)
-class Overrun:
+class OverrunCheck:
     """A turn begins ``late_s`` late, or ``turns`` in a row miss their deadline."""
 
     __pydantic_config__ = STRICT
@@ -118,7 +118,7 @@ class Overrun:
 
 
 @dataclass(frozen=True)
-class Expired:
+class ExpiredCheck:
     """A command is ready only ``age_s`` after the readings that it comes from were taken: it is dropped, and the next turn has
     the word. ``gap_s`` after the last command that let the valves move none is sent any more: the machine's watchdog may have
     closed them, and nothing opens them again before a person has looked. ``reaction`` is what follows from the latter."""
@@ -130,7 +130,7 @@ class Expired:
 
 
 @dataclass(frozen=True)
-class PolicyAnswer:
+class PolicyAnswerCheck:
     """The policy fails, answers with what are no setpoints, jumps by ``share`` of a joint's range within a turn, or is late in
     ``late_turns`` turns in a row; ``hold`` means that the fallback takes over for the rest of the run. In a single turn that it
     is late the fallback stands in."""
@@ -142,7 +142,7 @@ class PolicyAnswer:
 
 
 @dataclass(frozen=True)
-class Bound:
+class BoundCheck:
     """A limit of ``[limits]`` that would have been left; what is sent stays within it whatever the reaction."""
 
     __pydantic_config__ = STRICT
@@ -150,7 +150,7 @@ class Bound:
 
 
 @dataclass(frozen=True)
-class Fence:
+class FenceCheck:
     """The end effector would leave its fence; it is braked before whatever the reaction."""
 
     __pydantic_config__ = STRICT
@@ -158,7 +158,7 @@ class Fence:
 
 
 @dataclass(frozen=True)
-class DeadMan:
+class DeadManCheck:
     """The switch is let go."""
 
     __pydantic_config__ = STRICT
@@ -166,7 +166,7 @@ class DeadMan:
 
 
 @dataclass(frozen=True)
-class Latched:
+class LatchedCheck:
     """Emergency stop, a fault that the machine reports, a line that is dead."""
 
     __pydantic_config__ = STRICT
@@ -174,7 +174,7 @@ class Latched:
 
 
 @dataclass(frozen=True)
-class Restless:
+class RestlessCheck:
     """The machine moves by ``share`` of its top speed, ``after_s`` after its valves were put to neutral."""
 
     __pydantic_config__ = STRICT
@@ -184,7 +184,7 @@ class Restless:
 
 
 @dataclass(frozen=True)
-class Recording:
+class RecordingCheck:
     """The log does not take what it is given."""
 
     __pydantic_config__ = STRICT
@@ -203,31 +203,31 @@ class CheckSettings:
     __pydantic_config__ = STRICT
 
     patience_s: float = 0.1
-    stale: Stale = field(default_factory=Stale)
-    not_finite: NotFinite = field(default_factory=NotFinite)
-    jump: Jump = field(default_factory=Jump)
-    frozen: FrozenValue = field(default_factory=FrozenValue)
-    clock: Clock = field(default_factory=Clock)
-    contradiction: Contradiction = field(default_factory=Contradiction)
-    motion: Motion = field(default_factory=Motion)
-    delay: Delay = field(default_factory=Delay)
-    domain: DomainLeft = field(default_factory=DomainLeft)
-    following: Following = field(default_factory=Following)
-    overrun: Overrun = field(default_factory=Overrun)
-    expired: Expired = field(default_factory=Expired)
-    policy: PolicyAnswer = field(default_factory=PolicyAnswer)
-    position: Bound = field(default_factory=Bound)
-    speed: Bound = field(default_factory=Bound)
-    acceleration: Bound = field(default_factory=Bound)
-    jerk: Bound = field(default_factory=Bound)
-    command: Bound = field(default_factory=Bound)
-    fence: Fence = field(default_factory=Fence)
-    dead_man: DeadMan = field(default_factory=DeadMan)
-    emergency: Latched = field(default_factory=Latched)
-    machine: Latched = field(default_factory=Latched)
-    line: Latched = field(default_factory=Latched)
-    restless: Restless = field(default_factory=Restless)
-    recording: Recording = field(default_factory=Recording)
+    stale: StaleCheck = field(default_factory=StaleCheck)
+    not_finite: NotFiniteCheck = field(default_factory=NotFiniteCheck)
+    jump: JumpCheck = field(default_factory=JumpCheck)
+    frozen: FrozenValueCheck = field(default_factory=FrozenValueCheck)
+    clock: ClockCheck = field(default_factory=ClockCheck)
+    contradiction: ContradictionCheck = field(default_factory=ContradictionCheck)
+    motion: MotionCheck = field(default_factory=MotionCheck)
+    delay: DelayCheck = field(default_factory=DelayCheck)
+    domain: DomainLeftCheck = field(default_factory=DomainLeftCheck)
+    following: FollowingCheck = field(default_factory=FollowingCheck)
+    overrun: OverrunCheck = field(default_factory=OverrunCheck)
+    expired: ExpiredCheck = field(default_factory=ExpiredCheck)
+    policy: PolicyAnswerCheck = field(default_factory=PolicyAnswerCheck)
+    position: BoundCheck = field(default_factory=BoundCheck)
+    speed: BoundCheck = field(default_factory=BoundCheck)
+    acceleration: BoundCheck = field(default_factory=BoundCheck)
+    jerk: BoundCheck = field(default_factory=BoundCheck)
+    command: BoundCheck = field(default_factory=BoundCheck)
+    fence: FenceCheck = field(default_factory=FenceCheck)
+    dead_man: DeadManCheck = field(default_factory=DeadManCheck)
+    emergency: LatchedCheck = field(default_factory=LatchedCheck)
+    machine: LatchedCheck = field(default_factory=LatchedCheck)
+    line: LatchedCheck = field(default_factory=LatchedCheck)
+    restless: RestlessCheck = field(default_factory=RestlessCheck)
+    recording: RecordingCheck = field(default_factory=RecordingCheck)
     without: dict[str, str] = field(default_factory=dict)
 
     def reaction(self, check: str) -> Reaction:
@@ -254,7 +254,7 @@ WATCHDOG_S = 0.1
 
 
 @dataclass(frozen=True)
-class Bounds:
+class ThresholdBounds:
     """Of a threshold: above 0 and at most ``most``, in the unit of its key; ``why`` no check means anything beyond."""
 
     most: float
@@ -263,26 +263,32 @@ class Bounds:
 
 _WATCHED = "the machine closes its valves by itself after 0.1 s without commands"
 #: Every threshold of every check.
-BOUNDS: dict[str, Bounds] = {
-    "stale.after_s": Bounds(WATCHDOG_S, _WATCHED),
-    "jump.share": Bounds(0.1, "the fastest axis of the demo's crane takes a quarter of a second for so much of its range"),
-    "frozen.share": Bounds(0.05, "an axis whose sensor stands still moves unseen for so much of its range"),
-    "clock.jump_s": Bounds(0.5, "readings pass for newer than they are by as much"),
-    "contradiction.share": Bounds(0.2, "two sensors of one axis that differ by a fifth of its range do not measure the same"),
-    "contradiction.for_s": Bounds(0.5, "the machine moves by a wrong sensor for so long"),
-    "motion.seconds": Bounds(1.0, "the fastest axis of the demo's crane crosses 40 % of its range in 1 s, unseen"),
-    "delay.after_s": Bounds(0.2, "a line that is 0.2 s late takes a crane 67 mm off its path (docs/guide/runner.md)"),
-    "domain.for_s": Bounds(2.0, "networks are not to be believed outside of their data"),
-    "following.seconds": Bounds(1.0, "a setpoint that is 1 s at full speed ahead is not followed"),
-    "following.for_s": Bounds(1.0, "the setpoint runs away for so long"),
-    "overrun.late_s": Bounds(WATCHDOG_S, _WATCHED),
-    "overrun.turns": Bounds(10, "ten turns of 10 ms are what the machine waits for commands"),
-    "expired.age_s": Bounds(0.06, "a machine that checks the stamp of a command takes none that answers older readings"),
-    "expired.gap_s": Bounds(0.09, f"{_WATCHED}, within a cycle of 10 ms; a later command would open them again"),
-    "policy.share": Bounds(1.0, "no setpoint can jump by more than the whole range"),
-    "policy.late_turns": Bounds(10, "ten turns without the policy are what the machine waits for commands"),
-    "restless.share": Bounds(0.5, "half of full speed with neutral valves is a valve that is open"),
-    "restless.after_s": Bounds(2.0, "valves close in a tenth of a second"),
+BOUNDS: dict[str, ThresholdBounds] = {
+    "stale.after_s": ThresholdBounds(WATCHDOG_S, _WATCHED),
+    "jump.share": ThresholdBounds(
+        0.1, "the fastest axis of the demo's crane takes a quarter of a second for so much of its range"
+    ),
+    "frozen.share": ThresholdBounds(0.05, "an axis whose sensor stands still moves unseen for so much of its range"),
+    "clock.jump_s": ThresholdBounds(0.5, "readings pass for newer than they are by as much"),
+    "contradiction.share": ThresholdBounds(
+        0.2, "two sensors of one axis that differ by a fifth of its range do not measure the same"
+    ),
+    "contradiction.for_s": ThresholdBounds(0.5, "the machine moves by a wrong sensor for so long"),
+    "motion.seconds": ThresholdBounds(1.0, "the fastest axis of the demo's crane crosses 40 % of its range in 1 s, unseen"),
+    "delay.after_s": ThresholdBounds(0.2, "a line that is 0.2 s late takes a crane 67 mm off its path (docs/guide/runner.md)"),
+    "domain.for_s": ThresholdBounds(2.0, "networks are not to be believed outside of their data"),
+    "following.seconds": ThresholdBounds(1.0, "a setpoint that is 1 s at full speed ahead is not followed"),
+    "following.for_s": ThresholdBounds(1.0, "the setpoint runs away for so long"),
+    "overrun.late_s": ThresholdBounds(WATCHDOG_S, _WATCHED),
+    "overrun.turns": ThresholdBounds(10, "ten turns of 10 ms are what the machine waits for commands"),
+    "expired.age_s": ThresholdBounds(
+        0.06, "a machine that checks the stamp of a command takes none that answers older readings"
+    ),
+    "expired.gap_s": ThresholdBounds(0.09, f"{_WATCHED}, within a cycle of 10 ms; a later command would open them again"),
+    "policy.share": ThresholdBounds(1.0, "no setpoint can jump by more than the whole range"),
+    "policy.late_turns": ThresholdBounds(10, "ten turns without the policy are what the machine waits for commands"),
+    "restless.share": ThresholdBounds(0.5, "half of full speed with neutral valves is a valve that is open"),
+    "restless.after_s": ThresholdBounds(2.0, "valves close in a tenth of a second"),
 }
 #: May be left out, one by one.
 OPTIONAL: tuple[str, ...] = ("clock", "contradiction", "motion", "delay", "domain", "following", "jerk")

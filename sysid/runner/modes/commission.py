@@ -24,7 +24,7 @@ from sysid.machine import Machine, TabulatedLinkage
 from sysid.runner.cycle import Cycle
 from sysid.runner.limits import Limits
 from sysid.runner.modes.mode import Goal, done
-from sysid.runner.valves import Valve
+from sysid.runner.valves import AxisValve
 from sysid.signals import axis_signal
 
 Array = npt.NDArray[np.float64]
@@ -79,7 +79,7 @@ class CommissionSettings:
 
 
 @dataclass(frozen=True)
-class Stroke:
+class StrokeResult:
     """What came of one stroke.
 
     Args:
@@ -116,7 +116,7 @@ class Commission:
     def __init__(
         self,
         machine: Machine,
-        valves: Sequence[Valve],
+        valves: Sequence[AxisValve],
         linkages: Sequence[TabulatedLinkage | None],
         limits: Limits,
         tip: Callable[[Array], Array],
@@ -126,7 +126,7 @@ class Commission:
         self.axes, self.valves, self.linkages = machine.axis_names, tuple(valves), tuple(linkages)
         self.driven = tuple(axis.driven for axis in machine.axes)
         self.limits, self.tip, self.dt, self.settings = limits, tip, dt, settings
-        self.strokes: list[Stroke] = []
+        self.strokes: list[StrokeResult] = []
         #: Driven signal → what showed its zero, and by how much it was off at the boom tip [m].
         self.zeros: dict[str, tuple[str, float]] = {}
         self._rows: list[tuple[Array, Array]] = []
@@ -220,7 +220,7 @@ class Commission:
         late = (since - self._seen) * self.dt > AFTER_S
         return farthest > travel or (predicted > travel and (late or farthest > 0.5 * travel))
 
-    def _compared(self, i: int, sign: int) -> Stroke:
+    def _compared(self, i: int, sign: int) -> StrokeResult:
         """The stroke of axis ``i`` that is over."""
         axis, stood = self.axes[i], self._stood.mean(axis=0)
         rows, sent = (np.array(part) for part in zip(*self._rows[self._from :], strict=True))
@@ -250,7 +250,7 @@ class Commission:
         elif tight and delay > DELAY_S:
             wrong = f"{axis} answers {1e3 * delay:.0f} ms later than its plant: the line is late"
         moved = {name: float(value) for name, value in zip(self.axes, went, strict=True)}
-        return Stroke(axis, sign, top, moved, float(at_tip[i]), tight, gain, band, delay, wrong)
+        return StrokeResult(axis, sign, top, moved, float(at_tip[i]), tight, gain, band, delay, wrong)
 
     def _fit(self, i: int, sign: int, went: Array, sent: Array) -> tuple[float, float, float]:
         """Gain over the plant's, dead-band and delay beside the plant's, of what was measured and sent, (n,) each."""

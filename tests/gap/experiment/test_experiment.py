@@ -16,7 +16,7 @@ from sysid.gap import find_gap
 from sysid.gap.case import Case, open_case
 from sysid.gap.experiment import Planning, dry_run, outside, propose
 from sysid.gap.experiment.excitation_signal import commands_of, simulate_recording, start_of
-from sysid.gap.experiment.motions import MOTIONS, Motion
+from sysid.gap.experiment.motions import MOTIONS, MotionPattern
 from sysid.gap.experiment.proposal import Planner
 from sysid.plant import Plant, compile_plant
 
@@ -157,7 +157,7 @@ def plant_of(axis: str, valve: dict[str, object]) -> Plant:
     margin=st.floats(0.02, 0.3),
 )
 def test_no_motion_leaves_the_limits(
-    axis: int, valve: dict[str, object], motion: Motion, seconds: float, margin: float
+    axis: int, valve: dict[str, object], motion: MotionPattern, seconds: float, margin: float
 ) -> None:
     case, _ = opened()
     plant = plant_of(case.plant.machine.axis_names[axis], valve)
@@ -187,7 +187,7 @@ def test_no_motion_leaves_the_limits(
 
 @settings(max_examples=20)
 @given(valve=VALVES, motion=st.sampled_from([m for m in MOTIONS if not m.several]))
-def test_motions_of_valves_return_to_their_start(valve: dict[str, object], motion: Motion) -> None:
+def test_motions_of_valves_return_to_their_start(valve: dict[str, object], motion: MotionPattern) -> None:
     """Excluded: dead-bands that differ by 0.1 or more. Small strokes then move one way only, and the end is up to 13 % off."""
     positive, negative = valve["deadband"]  # type: ignore[misc]
     assume(abs(positive - negative) < 0.1)

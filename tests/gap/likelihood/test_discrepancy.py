@@ -11,7 +11,7 @@ from plant_data import dataset_of, loaded_arm, nominal, slide
 from sysid.gap.likelihood.averaged import averaged
 from sysid.gap.likelihood.discrepancy import Discrepancy, discrepancy_of
 from sysid.gap.likelihood.discrepancy.shapes import bumps, delayed, low_pass, slow_cosines
-from sysid.gap.likelihood.rows import Rows
+from sysid.gap.likelihood.rows import StageRows
 from sysid.gap.problem import problems_of, split_of
 from sysid.machine import KnownEffect
 from sysid.plant import compile_plant
@@ -28,14 +28,14 @@ GROUPS = {
 
 
 @cache
-def made(stage: str, target: str, weight: bool = False) -> tuple[Rows, Discrepancy]:
+def made(stage: str, target: str, weight: bool = False) -> tuple[StageRows, Discrepancy]:
     """Rows and discrepancy of a stage of the plant that made the data."""
     plant = nominal(machine=slide() if target == "slide" else loaded_arm() if weight else None)
     dataset = dataset_of(plant, 8.0, seed=3)
     model = compile_plant(plant)
     (problem,) = (p for p in problems_of(model, dataset) if (p.stage, p.target) == (stage, target))
     recordings = [averaged(r, problem.stage) for r in split_of(dataset).seen]
-    rows = Rows(problem, recordings, plant.vector(), np.full(len(problem.signals), 1e-4))
+    rows = StageRows(problem, recordings, plant.vector(), np.full(len(problem.signals), 1e-4))
     return rows, discrepancy_of(model, rows, plant.vector())
 
 

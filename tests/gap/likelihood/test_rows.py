@@ -13,7 +13,7 @@ from regression_stage import NOISE, SIGNAL, functions, problem, recordings, rows
 from sysid.datasets.recording import Recording
 from sysid.effects.effect import Stage
 from sysid.gap.likelihood.averaged import SPANS, averaged
-from sysid.gap.likelihood.rows import BIN, BLOCK, Rows, averaged_out, bin_means
+from sysid.gap.likelihood.rows import BIN, BLOCK, StageRows, averaged_out, bin_means
 from sysid.gap.problem import drive_problem
 from sysid.plant import compile_plant
 
@@ -30,7 +30,7 @@ def test_residuals_are_means_of_measured_less_predicted() -> None:
     dataset = dataset_of(nominal(), 8.0)
     stage = drive_problem(plant, plant.machine.axis("slew"))
     theta = nominal().vector()
-    rows = Rows(stage, dataset.recordings, theta, np.array([2e-4]))
+    rows = StageRows(stage, dataset.recordings, theta, np.array([2e-4]))
     width = round(BIN * 100.0)
     left = stage.measured(dataset.recordings[0]) - stage.predict(theta[None], dataset.recordings[0])[0]
     first = rows.series[0]
@@ -56,7 +56,7 @@ def test_what_is_not_measured_leaves_nothing() -> None:
     given = recordings((0.5, 0.0, 0.0), count=1)
     table = given[0].table.copy()
     table.loc[50:149, SIGNAL] = np.nan
-    rows = Rows(problem(), [replace(given[0], table=table)], np.zeros(3), np.array([NOISE]))
+    rows = StageRows(problem(), [replace(given[0], table=table)], np.zeros(3), np.array([NOISE]))
     gap = slice(50, 150)
     assert not rows.series[0].present[gap].any()
     assert rows.measured_rows == rows.count - 100
@@ -72,7 +72,7 @@ def test_a_prediction_that_loses_its_ends_is_taken_from_the_nominal_one() -> Non
         return out
 
     late = replace(given, predict=predict)
-    rows = Rows(late, recordings((0.5, 0.0, 0.0), count=1), np.zeros(3), np.array([NOISE]))
+    rows = StageRows(late, recordings((0.5, 0.0, 0.0), count=1), np.zeros(3), np.array([NOISE]))
     nominal_one, moved = rows.residuals(np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 0.1]]))
     assert not np.isnan(moved).any()
     assert (moved[:25] == nominal_one[:25]).all()
@@ -90,7 +90,7 @@ def test_a_run_begins_anew_after_a_gap_of_its_command() -> None:
     table = recording.table.copy()
     table.loc[300:420, "slew.command"] = np.nan
     stage = drive_problem(plant, plant.machine.axis("slew"))
-    rows = Rows(stage, [replace(recording, table=table)], nominal().vector(), np.array([2e-4]))
+    rows = StageRows(stage, [replace(recording, table=table)], nominal().vector(), np.array([2e-4]))
     starts = np.flatnonzero(rows.series[0].restart) * rows.series[0].width
     assert len(starts) == 2
     assert starts[0] == 0
@@ -100,7 +100,7 @@ def test_a_run_begins_anew_after_a_gap_of_its_command() -> None:
 def test_activity_is_about_one_while_the_stage_moves() -> None:
     plant = compile_plant(nominal())
     dataset = dataset_of(nominal(), 8.0)
-    rows = Rows(drive_problem(plant, plant.machine.axis("slew")), dataset.recordings, nominal().vector(), np.array([2e-4]))
+    rows = StageRows(drive_problem(plant, plant.machine.axis("slew")), dataset.recordings, nominal().vector(), np.array([2e-4]))
     activity = np.concatenate([s.activity for s in rows.series])
     assert np.sqrt(np.mean(activity**2)) == pytest.approx(1.0)
     assert activity.min() < 0.1
@@ -146,7 +146,7 @@ def test_what_is_left_is_that_of_the_samples_whatever_is_averaged() -> None:
     given = dataset_of(nominal(), 40.0).recordings
     for step in (0.0, 4e-4):
         read = [replace(r, table=r.table.assign(**{"slew.joint": _read(r.values("slew.joint"), step)})) for r in given]
-        rows = Rows(stage, read, theta, floor, averaged_out(stage, read, theta, floor, 0.0))
+        rows = StageRows(stage, read, theta, floor, averaged_out(stage, read, theta, floor, 0.0))
         samples = np.concatenate([stage.measured(r)[:, 0] - stage.predict(theta[None], r)[0][:, 0] for r in read])
         found = rows.left(rows.residuals(theta[None])[0])
         assert found == pytest.approx(float(np.sqrt(np.nanmean((samples / floor) ** 2))), rel=0.1)

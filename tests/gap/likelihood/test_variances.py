@@ -14,7 +14,7 @@ from scipy.stats import multivariate_normal
 
 from sysid.datasets.recording import Recording
 from sysid.gap.likelihood import variances as module
-from sysid.gap.likelihood.rows import Rows
+from sysid.gap.likelihood.rows import StageRows
 from sysid.gap.likelihood.stage import fit_model
 from sysid.gap.likelihood.variances import Start, _evidence, _groups, _scales, estimated, first_variances, log_prior, robust
 
@@ -72,7 +72,7 @@ def test_the_timing_and_slopes_of_effects_have_scales_of_their_own() -> None:
     assert _scales(3, np.array([1, 0]), np.array([0.5, 0.2])).tolist() == [1.0, 3.0, 3.0, 0.2, 0.5]
 
 
-def coloured(seed: int, sigma: float, moving: float, memory: float) -> Rows:
+def coloured(seed: int, sigma: float, moving: float, memory: float) -> StageRows:
     """A stage with noise and a disturbance that grows with its speed, of known size and correlation time."""
     found = []
     for k in range(4):
@@ -89,7 +89,7 @@ def coloured(seed: int, sigma: float, moving: float, memory: float) -> Rows:
         amplitude = moving * activity / np.sqrt(np.mean(activity**2))
         y = moves + amplitude * state + sigma * rng.standard_normal(count)
         found.append(Recording(f"run-{k}", pd.DataFrame({"time": time, "clock": time + 31.0 * k, SIGNAL: y}), RATE))
-    return Rows(problem(), found, np.array([5.0, 0.0, 0.0]), np.array([sigma]))
+    return StageRows(problem(), found, np.array([5.0, 0.0, 0.0]), np.array([sigma]))
 
 
 @pytest.mark.parametrize(("moving", "memory"), [(0.05, 1.0), (0.1, 1.0), (0.1, 2.0)])
@@ -118,7 +118,7 @@ def test_a_disturbance_at_rest_is_not_taken_for_one_of_the_motion(seed: int) -> 
         time = np.arange(800) / RATE
         y = 0.2 * np.array(state) + 0.2 * rng.standard_normal(800)
         found.append(Recording(f"run-{k}", pd.DataFrame({"time": time, "clock": time + 31.0 * k, SIGNAL: y}), RATE))
-    rows = Rows(problem(), found, np.zeros(3), np.array([0.2]))
+    rows = StageRows(problem(), found, np.zeros(3), np.array([0.2]))
     start = Start(np.array([0.2]), np.array([0.02]))
     extra = [np.zeros(len(s.step)) for s in rows.series]
     model = fit_model(likelihood(rows), [], np.zeros((1, 0)))
@@ -141,7 +141,7 @@ def test_outliers_count_less_and_nothing_else_does() -> None:
     rows = rows_of((0.6, 0.0, 0.0))
     spoiled = [r.table.copy() for r in rows.recordings]
     spoiled[1].loc[100, SIGNAL] += 30.0 * NOISE
-    dirty = Rows(problem(), [Recording(r.name, t, RATE) for r, t in zip(rows.recordings, spoiled, strict=True)],
+    dirty = StageRows(problem(), [Recording(r.name, t, RATE) for r, t in zip(rows.recordings, spoiled, strict=True)],
                  np.zeros(3), np.array([NOISE]))  # fmt: skip
     table = likelihood(dirty)
     weights = robust(table, fit_model(table, [candidate(0)], np.zeros((1, 1)))).weights

@@ -20,7 +20,7 @@ from sysid.cli.tables import show_residual_models
 from sysid.datasets.recording import Dataset
 from sysid.errors import SettingsError
 from sysid.gap import find_gap, steps
-from sysid.gap.proof import Outcome, with_carried
+from sysid.gap.proof import ProofOutcome, with_carried
 from sysid.gap.result import Gap, GapResult, ResidualModelResult, Unnamed
 from sysid.gap.unnamed.residual_model import fit_residual_models
 from sysid.networks.recurrent import Looks, RecurrentSettings, train_recurrent
@@ -42,9 +42,9 @@ def data(rate: Rate) -> Dataset:
 
 
 @functools.cache
-def modelled(rate: Rate, period: float = 0.0) -> Outcome:
+def modelled(rate: Rate, period: float = 0.0) -> ProofOutcome:
     study = steps.open_study(data(rate), BASE)
-    return fit_residual_models(study.case, study.stages, Outcome(BASE, unnamed=[unnamed(period=period)]), QUICK)
+    return fit_residual_models(study.case, study.stages, ProofOutcome(BASE, unnamed=[unnamed(period=period)]), QUICK)
 
 
 @pytest.mark.parametrize(("rate", "period"), [(heavy, 0.0), (ripple, 0.03)])
@@ -83,7 +83,7 @@ def test_it_records_its_provenance_and_uses_no_held_out_data() -> None:
     spoiled = recordings[3].table.assign(**{"boom.cylinder": 0.06})
     other = replace(data(heavy), recordings=(*recordings[:3], replace(recordings[3], table=spoiled)))
     study = steps.open_study(other, BASE)
-    again = fit_residual_models(study.case, study.stages, Outcome(BASE, unnamed=[unnamed()]), QUICK)
+    again = fit_residual_models(study.case, study.stages, ProofOutcome(BASE, unnamed=[unnamed()]), QUICK)
     for found in again.repaired.residuals:
         assert np.array_equal(found.W, residual.W)
     assert again.carried[0].before != modelled(heavy).carried[0].before
@@ -91,7 +91,7 @@ def test_it_records_its_provenance_and_uses_no_held_out_data() -> None:
 
 def test_the_same_seed_gives_the_same_network() -> None:
     study = steps.open_study(data(ripple), BASE)
-    again = fit_residual_models(study.case, study.stages, Outcome(BASE, unnamed=[unnamed(period=0.03)]), QUICK)
+    again = fit_residual_models(study.case, study.stages, ProofOutcome(BASE, unnamed=[unnamed(period=0.03)]), QUICK)
     assert again.repaired.to_files() == modelled(ripple, 0.03).repaired.to_files()
 
 
@@ -120,7 +120,9 @@ def test_console_and_report_show_residual_models(capsys: pytest.CaptureFixture[s
 
 def test_a_stage_that_cannot_hold_a_residual_model_says_so() -> None:
     study = steps.open_study(dataset_of(nominal(), 3.0), nominal())
-    outcome = fit_residual_models(study.case, study.stages, Outcome(study.case.plant, unnamed=[unnamed("end_effector", "ee")]))
+    outcome = fit_residual_models(
+        study.case, study.stages, ProofOutcome(study.case.plant, unnamed=[unnamed("end_effector", "ee")])
+    )
     (item,) = outcome.carried
     assert not item.accepted
     assert item.text == "the end_effector stage of ee cannot hold one: only command, joint, force stages can"
@@ -128,7 +130,7 @@ def test_a_stage_that_cannot_hold_a_residual_model_says_so() -> None:
 
 def test_without_an_unnamed_residual_there_is_no_residual_model() -> None:
     study = steps.open_study(dataset_of(nominal(), 3.0), nominal())
-    outcome = fit_residual_models(study.case, study.stages, Outcome(study.case.plant))
+    outcome = fit_residual_models(study.case, study.stages, ProofOutcome(study.case.plant))
     assert outcome.carried == []
     assert outcome.notes == ["no stage has an unnamed residual that a residual network could describe"]
 

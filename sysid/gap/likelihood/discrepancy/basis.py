@@ -11,7 +11,7 @@ import numpy.typing as npt
 from sysid.datasets.recording import Recording
 from sysid.gap.likelihood.discrepancy.drives import force_columns, servo_columns, velocity_columns
 from sysid.gap.likelihood.discrepancy.geometry import joint_columns, tip_columns, tool_columns
-from sysid.gap.likelihood.rows import Rows, bin_means
+from sysid.gap.likelihood.rows import StageRows, bin_means
 from sysid.plant import Model
 
 Array = npt.NDArray[np.float64]
@@ -35,7 +35,7 @@ class Discrepancy:
     timing: Array
 
 
-def discrepancy_of(model: Model, rows: Rows, theta: Array) -> Discrepancy:
+def discrepancy_of(model: Model, rows: StageRows, theta: Array) -> Discrepancy:
     """The columns of a stage, with the dead time and the lag of ``theta`` where it has some."""
     problem = rows.problem
     make = _maker(model, rows, theta)
@@ -60,7 +60,7 @@ def discrepancy_of(model: Model, rows: Rows, theta: Array) -> Discrepancy:
     return Discrepancy(table, np.repeat(np.arange(len(groups)), sizes), groups, timing)
 
 
-def _maker(model: Model, rows: Rows, theta: Array) -> Callable[[Recording], Columns]:
+def _maker(model: Model, rows: StageRows, theta: Array) -> Callable[[Recording], Columns]:
     problem = rows.problem
     if problem.stage == "command":
         axis = model.machine.axis(problem.target)
