@@ -20,8 +20,8 @@ from sysid.control import AxisTuning, simple, tune
 from sysid.pictures import PictureCurve, svg
 from sysid.plant import plant_from_files
 from sysid.registry import Registry
-from sysid.rl.course import TrackingTask, lay_out
-from sysid.rl.tracking import InversePolicy, Tracked, track, track_environment
+from sysid.rl.tracking import InversePolicy, TrackingResult, track, track_environment
+from sysid.rl.tracking_task import TrackingTask, lay_out
 from sysid.rl.versions import load_versions
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -51,7 +51,7 @@ def stages(course: TrackingTask, before: Tuning) -> list[tuple[str, Tuning, floa
     ]
 
 
-def follow(course: TrackingTask, name: str, tuning: Tuning, lookahead: float, noise: bool) -> Tracked:
+def follow(course: TrackingTask, name: str, tuning: Tuning, lookahead: float, noise: bool) -> TrackingResult:
     settings = {"tuning": tuning, "preview": lookahead, "noise": noise}
     place = track_environment(course.plant, course.forward, course.path, full=True, reach=course.reach, settings=settings)
     return track(place, InversePolicy(course.inverse), course.path, course.start, lookahead=lookahead, name=name)
@@ -106,7 +106,7 @@ def shown(values: Sequence[float]) -> str:
     return " / ".join(f"{value:.2f}" if value < 10.0 else f"{value:.0f}" for value in values)
 
 
-def pictures(course: TrackingTask, poor: Tracked, tuned: Tracked, ahead: Tracked) -> None:
+def pictures(course: TrackingTask, poor: TrackingResult, tuned: TrackingResult, ahead: TrackingResult) -> None:
     folder = ROOT / "docs" / "images"
     colours = {"by hand": "#c2410c", "tuned": "#0f766e", "look-ahead": "#4338ca"}
     runs = dict(zip(colours, (poor, tuned, ahead), strict=True))

@@ -17,7 +17,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.signal import sosfiltfilt
 
-from sysid.cli.output import Printer, Stations, write_json
+from sysid.cli.output import PipelineProgress, Printer, write_json
 from sysid.cli.tables import show_gap
 from sysid.datasets import Recording, ingest
 from sysid.gap import find_gap
@@ -53,7 +53,7 @@ def main(raw: Path, workspace: Path) -> Path:
     """Run the line on the files in ``raw`` and return the path of ``<workspace>/emps/result.json``."""
     place, out, folder = open_workspace(workspace), Printer(), workspace / "emps"
     folder.mkdir(parents=True, exist_ok=True)
-    station = Stations(out)
+    station = PipelineProgress(out)
 
     with station("ingest") as progress:
         dataset = ingest(raw, workspace, recipe=RECIPE, progress=progress)

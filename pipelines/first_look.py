@@ -10,7 +10,7 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from sysid.cli.output import Printer, Stations, rerun_command, write_json
+from sysid.cli.output import PipelineProgress, Printer, rerun_command, write_json
 from sysid.cli.tables import show_errors, show_gap, show_repair, show_world
 from sysid.datasets import ingest
 from sysid.gap import find_gap
@@ -28,7 +28,7 @@ def main(workspace: Path, logs: Path = AUTOLOG, recipe: NetworkRecipe | None = N
     recipe = recipe or NetworkRecipe()  # the paper's
     place, out = open_workspace(workspace), Printer()
     folder = place.root.make("demo")
-    station = Stations(out)
+    station = PipelineProgress(out)
 
     with station("ingest") as progress:
         dataset = ingest(logs, workspace, progress=progress)

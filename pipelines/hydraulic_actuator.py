@@ -19,7 +19,7 @@ import numpy.typing as npt
 import pandas as pd
 from scipy.signal import butter, sosfiltfilt
 
-from sysid.cli.output import Printer, Stations, write_json
+from sysid.cli.output import PipelineProgress, Printer, write_json
 from sysid.cli.repeatability import show_repeatability
 from sysid.cli.tables import show_gap
 from sysid.datasets import Dataset, Recording, ingest
@@ -46,7 +46,7 @@ def main(raw: Path, workspace: Path) -> Path:
     """Run the line on the files in ``raw`` and return the path of ``<workspace>/hydraulic_actuator/result.json``."""
     place, out, folder = open_workspace(workspace), Printer(), workspace / "hydraulic_actuator"
     folder.mkdir(parents=True, exist_ok=True)
-    station = Stations(out)
+    station = PipelineProgress(out)
 
     with station("ingest") as progress:
         dataset = ingest(raw, workspace, recipe=CONTENT / "recipe.toml", progress=progress)

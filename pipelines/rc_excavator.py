@@ -18,7 +18,7 @@ import numpy as np
 import numpy.typing as npt
 import pandas as pd
 
-from sysid.cli.output import Printer, Stations, write_json
+from sysid.cli.output import PipelineProgress, Printer, write_json
 from sysid.cli.tables import show_gap, show_repair
 from sysid.datasets import Recording, ingest
 from sysid.gap import find_gap
@@ -39,7 +39,7 @@ def main(raw: Path, workspace: Path) -> Path:
     """Run the line on the files in ``raw`` and return the path of ``<workspace>/rc_excavator/result.json``."""
     place, out, folder = open_workspace(workspace), Printer(), workspace / "rc_excavator"
     folder.mkdir(parents=True, exist_ok=True)
-    station = Stations(out)
+    station = PipelineProgress(out)
 
     with station("ingest") as progress:
         dataset = ingest(raw, workspace, recipe=RECIPE, progress=progress)

@@ -11,7 +11,7 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from sysid.cli.output import Printer, Stations, write_json
+from sysid.cli.output import PipelineProgress, Printer, write_json
 from sysid.cli.repeatability import show_repeatability
 from sysid.cli.tables import show_gap
 from sysid.datasets import ingest
@@ -29,7 +29,7 @@ def main(raw: Path, workspace: Path, recordings: tuple[str, ...] = RECORDINGS) -
     """Run the line on the recordings in ``raw`` and return the path of ``<workspace>/so101/result.json``."""
     place, out, folder = open_workspace(workspace), Printer(), workspace / "so101"
     folder.mkdir(parents=True, exist_ok=True)
-    station, machine = Stations(out), load_machine(CONTENT / "machine.toml")
+    station, machine = PipelineProgress(out), load_machine(CONTENT / "machine.toml")
 
     gaps: dict[str, GapResult] = {}
     pages: dict[str, Path] = {}

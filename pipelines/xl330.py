@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from sysid.cli.output import Printer, Stations, write_json
+from sysid.cli.output import PipelineProgress, Printer, write_json
 from sysid.cli.repeatability import show_repeatability
 from sysid.cli.tables import show_gap
 from sysid.config import read_toml
@@ -48,7 +48,7 @@ def main(raw: Path, workspace: Path) -> Path:
     """Run the line on the logs in ``raw`` and return the path of ``<workspace>/xl330/result.json``."""
     place, out, folder = open_workspace(workspace), Printer(), workspace / "xl330"
     folder.mkdir(parents=True, exist_ok=True)
-    station = Stations(out)
+    station = PipelineProgress(out)
 
     with station("ingest") as progress:
         servo = ingest(raw, workspace, recipe=CONTENT / "recipe.toml", progress=progress)

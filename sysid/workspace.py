@@ -17,7 +17,7 @@ from typing import Any
 
 import pandas as pd
 
-from sysid.datasets import Dataset, Store, Vacuumed, vacuum
+from sysid.datasets import Dataset, Store, VacuumResult, vacuum
 from sysid.datasets.clocks.residual import clock_residuals
 from sysid.errors import ExcitationError, SettingsError, StoreError
 from sysid.gap import GapResult
@@ -34,7 +34,7 @@ from sysid.networks import (
 )
 from sysid.networks.policy import PolicyNetwork
 from sysid.plant import Plant, free_run, nominal_plant, plant_from_files
-from sysid.registry import CHAMPION, NETWORKS, Damaged, ModelVersion, Registry, made_from_dataset
+from sysid.registry import CHAMPION, NETWORKS, DamagedModel, ModelVersion, Registry, made_from_dataset
 from sysid.release import __version__
 from sysid.reports import ReportInputs, VersionNote
 from sysid.reports.archive import load_gap, save_gap
@@ -94,7 +94,7 @@ class Workspace:
         """The model versions that were made from a dataset version, directly or through another model."""
         return made_from_dataset(self.models.list(), reference, digest)
 
-    def vacuum(self, references: Sequence[str] = (), keep: int | None = None, dry_run: bool = False) -> Vacuumed:
+    def vacuum(self, references: Sequence[str] = (), keep: int | None = None, dry_run: bool = False) -> VacuumResult:
         """Remove left-overs and dataset versions, but none that a registered model was made from.
 
         Args:
@@ -105,7 +105,7 @@ class Workspace:
         """
         versions: list[ModelVersion] = []
         for entry in self.models.survey():
-            if isinstance(entry, Damaged):
+            if isinstance(entry, DamagedModel):
                 expected = "a registry that says what every model was made from"
                 raise StoreError(entry.error.where, entry.error.found, expected, "Nothing was removed: repair it first.")
             versions.append(entry)

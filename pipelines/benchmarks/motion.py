@@ -12,7 +12,7 @@ from scipy.optimize import least_squares
 from benchmarks.crane import crane
 from benchmarks.rows import in_turns, row
 from sysid.plant import Plant, compile_plant
-from sysid.rl.inverse import Inverse, KinematicChain, chain_of_plant
+from sysid.rl.inverse_kinematics import InverseKinematics, KinematicChain, chain_of_plant
 from sysid.rl.kinematic import KinematicEnvironment
 from sysid.rl.reach import joint_limits, tips
 from sysid.rl.task import Task
@@ -93,7 +93,7 @@ def _inverse(plant: Plant) -> dict[str, Any]:
     joints = rng.uniform(low, high, (TARGETS, len(low)))
     targets = chain.predict(joints)
     begin = np.clip(joints + 0.05 * rng.standard_normal(joints.shape), low + 1e-6, high - 1e-6)
-    inverse = Inverse.of(chain, low, high)
+    inverse = InverseKinematics.of(chain, low, high)
 
     def theirs() -> None:
         for target, start in zip(targets, begin, strict=True):

@@ -26,9 +26,9 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from benchmarks.rows import against_limit, row, seconds
 from sysid.networks import (
     Calibration,
+    EnsembleMember,
     ForwardNetwork,
     Geometry,
-    Member,
     Mlp,
     Normalisation,
     StructuredForward,
@@ -53,7 +53,7 @@ LAYERS = {"boom": (256, 128, 128), "stick": (128, 128), "forward": (256, 128)}
 NOISE_JOINT, NOISE_CYLINDER, NOISE_TIP = 1e-3, 6e-5, 3e-4
 
 
-def paper_set(members: int = MEMBERS) -> list[Member]:
+def paper_set(members: int = MEMBERS) -> list[EnsembleMember]:
     """All networks, with rows of the shipped crane: its drawn linkages and its kinematics, with the noise of its sensors."""
     from benchmarks.crane import crane
 
@@ -78,23 +78,23 @@ def paper_set(members: int = MEMBERS) -> list[Member]:
     return found + _folds("forward", joints, tip, LAYERS["forward"], members)
 
 
-def _folds(name: str, x: Array, y: Array, hidden: tuple[int, ...], members: int) -> list[Member]:
+def _folds(name: str, x: Array, y: Array, hidden: tuple[int, ...], members: int) -> list[EnsembleMember]:
     from sklearn.model_selection import KFold
 
     names = [tuple(f"{side} {k}" for k in range(values.shape[1])) for side, values in (("input", x), ("output", y))]
     return [
-        Member(f"{name} fold {fold} member {number}", x[fit], y[fit], x[held], y[held], names[0], names[1], hidden)
+        EnsembleMember(f"{name} fold {fold} member {number}", x[fit], y[fit], x[held], y[held], names[0], names[1], hidden)
         for fold, (fit, held) in enumerate(KFold(FOLDS, shuffle=True, random_state=0).split(x))
         for number in range(members)
     ]
 
 
-def plain(members: Sequence[Member], batch: int, epochs: int) -> tuple[list[Array], int]:
+def plain(members: Sequence[EnsembleMember], batch: int, epochs: int) -> tuple[list[Array], int]:
     """One network after the other in PyTorch as its tutorials have it; residuals on the held-out rows, and updates made."""
     import torch
 
     from sysid.networks.batch import unpack
-    from sysid.networks.order import Order, initial_row
+    from sysid.networks.shuffle_order import ShuffleOrder, initial_row
 
     residuals, updates = [], 0
     for member in members:
@@ -115,7 +115,7 @@ def plain(members: Sequence[Member], batch: int, epochs: int) -> tuple[list[Arra
             torch.tensor(scaler.apply(values), dtype=torch.float32)
             for scaler, values in ((inputs, member.inputs), (outputs, member.outputs))
         )
-        width, order = min(batch, len(x)), Order(0, member.name, len(x))
+        width, order = min(batch, len(x)), ShuffleOrder(0, member.name, len(x))
         steps = -(-epochs * len(x) // width)
         rows = torch.from_numpy(order.take(0, steps * width))
         for step in range(steps):
@@ -130,18 +130,18 @@ def plain(members: Sequence[Member], batch: int, epochs: int) -> tuple[list[Arra
     return residuals, updates
 
 
-def ours(members: Sequence[Member], batch: int, epochs: int) -> tuple[TrainedMember, ...]:
+def ours(members: Sequence[EnsembleMember], batch: int, epochs: int) -> tuple[TrainedMember, ...]:
     """The same at once, with its own look at the held-out rows at the end."""
     settings = TrainingSettings(RATE, batch, epochs, patience=epochs, check_every=epochs, threads=2, device="cpu")
     return train(members, (1,), settings, 0)
 
 
-def left_by(members: Sequence[Member], trained: Sequence[TrainedMember]) -> list[Array]:
+def left_by(members: Sequence[EnsembleMember], trained: Sequence[TrainedMember]) -> list[Array]:
     """Residuals on the held-out rows."""
     return [one.mlp.predict(m.validation_inputs) - m.validation_outputs for one, m in zip(trained, members, strict=True)]
 
 
-def mean_error(members: Sequence[Member], residuals: Sequence[Array]) -> float:
+def mean_error(members: Sequence[EnsembleMember], residuals: Sequence[Array]) -> float:
     """RMS on held-out rows over all networks, in standard deviations of what they predict."""
     each = [np.mean((left / m.outputs.std(axis=0)) ** 2) for m, left in zip(members, residuals, strict=True)]
     return float(np.sqrt(np.mean(each)))
@@ -195,7 +195,7 @@ def scikit_rows() -> list[dict[str, Any]]:
 
     members = [member for member in paper_set(1) if "to_cylinder" not in member.name]
 
-    def theirs(some: Sequence[Member], epochs: int = PEER_EPOCHS) -> list[Array]:
+    def theirs(some: Sequence[EnsembleMember], epochs: int = PEER_EPOCHS) -> list[Array]:
         residuals = []
         for member in some:
             inputs, outputs = (Normalisation.of(v, ("",) * v.shape[1], "") for v in (member.inputs, member.outputs))

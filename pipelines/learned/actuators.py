@@ -12,7 +12,7 @@ from learned.forward import longer
 from learned.poses import crane
 from sysid.bench.cylinder import drive_of, joint_of, position_of
 from sysid.datasets import Dataset
-from sysid.networks import Checkpoints, Member, NetworkRecipe, train
+from sysid.networks import Checkpoints, EnsembleMember, NetworkRecipe, train
 from sysid.networks.actuator import actuator_rows
 from sysid.networks.mlp import Rectifier
 from sysid.networks.recipe import parse_recipe
@@ -83,7 +83,7 @@ def networks(every: list[Task], size: int, checkpoints: Checkpoints | None = Non
     """The paper's layers, with both rectifiers, all in one training."""
     recipe = NetworkRecipe().actuator
     members = [
-        Member(
+        EnsembleMember(
             f"{task.name} {rectifier}", task.x, task.y, task.x_stop, task.y_stop, ("input",), ("output",),
             recipe.layers(task.axis), rectifier=rectifier,
         )

@@ -11,7 +11,16 @@ import numpy as np
 import numpy.typing as npt
 
 from learned.poses import ANGLES, HELD_OUT, JOINT_NOISE, JOINTS, RANGES, TIP_NOISE, Poses, drawing, poses
-from sysid.networks import Checkpoints, ForwardNetwork, Member, NetworkRecipe, TrainingSettings, calibrate, fit_chain, train
+from sysid.networks import (
+    Checkpoints,
+    EnsembleMember,
+    ForwardNetwork,
+    NetworkRecipe,
+    TrainingSettings,
+    calibrate,
+    fit_chain,
+    train,
+)
 from sysid.networks.chain import SPARE, products
 from sysid.networks.forward import feature_names, to_features
 from sysid.networks.mlp import Rectifier
@@ -124,7 +133,7 @@ def networks(
                 keys.append((variant, seed))
                 name = f"{reach} {variant.features} {variant.rectifier} {seed} {number}"
                 parts = (inputs[fit], rows.seen_tip[fit], inputs[stop], rows.seen_tip[stop])
-                members.append(Member(name, *parts, names, point_signals("ee"), rectifier=variant.rectifier))
+                members.append(EnsembleMember(name, *parts, names, point_signals("ee"), rectifier=variant.rectifier))
     trained = train(members, recipe.hidden, longer(recipe.training, POSES / count), 0, checkpoints=checkpoints)
     found: dict[Variant, list[ForwardNetwork]] = {variant: [] for variant in which}
     for variant in which:

@@ -12,9 +12,9 @@ import numpy.typing as npt
 from sysid.config import read_toml
 from sysid.progress import Progress
 from sysid.registry import Registry
-from sysid.rl.course import lay_out
 from sysid.rl.kinematic import KinematicEnvironment
 from sysid.rl.recipe import parse_training
+from sysid.rl.tracking_task import lay_out
 from sysid.rl.versions import load_versions
 from trained.policies import kept
 from trained.runs import PAPER, RECIPES

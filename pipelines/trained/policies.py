@@ -23,12 +23,12 @@ from sysid.plant import Plant
 from sysid.progress import Progress
 from sysid.registry import Registry
 from sysid.rl.checkpoint import TrainingFiles
-from sysid.rl.course import Shortened, TrackingTask, lay_out
 from sysid.rl.ddpg import Trainer
-from sysid.rl.inverse import chain_of_plant
-from sysid.rl.policy import Searching
+from sysid.rl.inverse_kinematics import chain_of_plant
+from sysid.rl.policy import CandidateSearchPolicy
 from sysid.rl.recipe import parse_training
-from sysid.rl.tracking import SETTLED_S, InversePolicy, Tracked
+from sysid.rl.tracking import SETTLED_S, InversePolicy, TrackingResult
+from sysid.rl.tracking_task import TrackingTask, TruncatedObservationPolicy, lay_out
 from sysid.rl.training import environments, policy_of
 from sysid.rl.versions import load_versions
 from trained.runs import AHEAD, AT_RUN_TIME, DRIVEN, MISREAD, RECIPES, SCATTER, Run
@@ -110,9 +110,14 @@ def _trained(workspace: str, folder: Path, run: Run, progress: Progress) -> dict
     last, policy = marks.found[-1], policy_of(trainer)
     if course.full:
         ahead = recipe.setting.repeat / plant.machine.rate_hz
-        more = {"rmse_ahead": _late(course.run("ahead", Shortened(policy), ahead)).rmse.tolist(), "ahead_s": ahead}
+        more = {
+            "rmse_ahead": _late(course.run("ahead", TruncatedObservationPolicy(policy), ahead)).rmse.tolist(),
+            "ahead_s": ahead,
+        }
     else:
-        more = {"rmse_searched": course.run("searched", Searching(policy, fitted, AT_RUN_TIME, SCATTER)).rmse.tolist()}
+        more = {
+            "rmse_searched": course.run("searched", CandidateSearchPolicy(policy, fitted, AT_RUN_TIME, SCATTER)).rmse.tolist()
+        }
     files.remove()
     return {
         "run": asdict(run),
@@ -147,7 +152,7 @@ class _Marks:
 
     def take(self, step: int) -> None:
         self._spent += time.process_time() - self._begin
-        tracked = _late(self.course.run("actor", Shortened(policy_of(self.trainer))))
+        tracked = _late(self.course.run("actor", TruncatedObservationPolicy(policy_of(self.trainer))))
         figures = {"rmse": tracked.rmse.tolist(), "max": tracked.worst.tolist()}
         self.found.append({"step": step, "cpu_seconds": self._spent, **figures})
         self._begin = time.process_time()
@@ -158,7 +163,7 @@ class _Marks:
             half.write_text(json_text({"marks": self.found}), "utf-8")
 
 
-def _late(tracked: Tracked) -> Tracked:
+def _late(tracked: TrackingResult) -> TrackingResult:
     """What counts: on the full path a machine at rest catches up with a path that moves at once."""
     return tracked.after(SETTLED_S) if np.isfinite(tracked.commands).all() else tracked
 

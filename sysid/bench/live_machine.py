@@ -11,7 +11,7 @@ from sysid.bench.compiled import compiled
 from sysid.bench.recipe import AXES, BenchRecipe
 from sysid.bench.run import WIRED
 from sysid.bench.sensors import read_slew, read_wires, through
-from sysid.bench.stepping import Built, MachineState, advance_machine, built_of, parked
+from sysid.bench.stepping import BenchState, Built, advance_machine, built_of, parked
 from sysid.bench.valve import delayed, flow_fluctuation
 
 Array = npt.NDArray[np.float64]
@@ -86,7 +86,7 @@ class LiveMachine:
         self._built: Built = built_of(recipe)
         axes = [recipe.axis(name) for name in AXES]
         in_play = self._built.plays * moving.uniform(-0.5, 0.5, len(axes))
-        self._motion: MachineState = parked(self._built, np.array([axis.park for axis in axes]), in_play)
+        self._motion: BenchState = parked(self._built, np.array([axis.park for axis in axes]), in_play)
         length = round(_FLUCTUATION / recipe.step)
         self._fluctuation = np.stack(
             [np.resize(flow_fluctuation(axis.valve, length, recipe.step, moving), length) for axis in axes]
@@ -132,9 +132,7 @@ class LiveMachine:
 
 
 @compiled
-def _advance(
-    built: Built, motion: MachineState, commands: Array, fluctuation: Array, done: int, steps: int, step: float
-) -> None:
+def _advance(built: Built, motion: BenchState, commands: Array, fluctuation: Array, done: int, steps: int, step: float) -> None:
     """``steps`` steps; the last ``steps`` columns of ``commands`` are those of these steps."""
     n = len(motion.position)
     past = commands.shape[1] - steps

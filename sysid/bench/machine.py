@@ -18,7 +18,7 @@ from sysid.bench.operator import stroke_command
 from sysid.bench.poses import approach_command, draw_targets
 from sysid.bench.programs import strokes_of
 from sysid.bench.recipe import AXES, BenchRecipe, RecordingSettings
-from sysid.bench.stepping import Built, MachineState, advance_machine, built_of, parked
+from sysid.bench.stepping import BenchState, Built, advance_machine, built_of, parked
 from sysid.bench.valve import delayed, flow_fluctuation
 
 Array = npt.NDArray[np.float64]
@@ -106,7 +106,7 @@ def run_machine(recipe: BenchRecipe, recording: RecordingSettings, rng: np.rando
 @compiled
 def _loop(
     built: Built,
-    motion: MachineState,
+    motion: BenchState,
     fluctuation: Array,
     strokes: Array,
     paths: Array,

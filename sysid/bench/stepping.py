@@ -54,7 +54,7 @@ class Built(NamedTuple):
     elastic: bool
 
 
-class MachineState(NamedTuple):
+class BenchState(NamedTuple):
     """Where everything is; every entry is changed in place.
 
     Args:
@@ -118,7 +118,7 @@ def built_of(recipe: BenchRecipe) -> Built:
 
 
 @compiled
-def parked(built: Built, park: Array, in_play: Array) -> MachineState:
+def parked(built: Built, park: Array, in_play: Array) -> BenchState:
     """The machine at rest with its joints at ``park`` (4,), its drives ``in_play`` (4,) off the middle of their play."""
     n = len(park)
     drives = built.drives
@@ -151,7 +151,7 @@ def parked(built: Built, park: Array, in_play: Array) -> MachineState:
     pivot[0], pivot[1], pivot[2] = tip_position(true[0], true[1], true[2], true[3], height, boom_length, stick_length)
     tool = pivot.copy()
     tool[2] -= built.gripper[0]
-    return MachineState(
+    return BenchState(
         position,
         structure,
         joint,
@@ -174,7 +174,7 @@ def parked(built: Built, park: Array, in_play: Array) -> MachineState:
 
 
 @compiled
-def advance_machine(built: Built, motion: MachineState, fluctuation: Array, time: float, step: float) -> None:
+def advance_machine(built: Built, motion: BenchState, fluctuation: Array, time: float, step: float) -> None:
     """Advance ``motion`` by ``step`` [s] under ``motion.received``.
 
     Args:

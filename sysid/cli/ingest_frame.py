@@ -12,7 +12,7 @@ from sysid.cli.output import Printer, write_json
 from sysid.errors import SettingsError
 
 if TYPE_CHECKING:
-    from sysid.datasets.frames.survey import Surveyed
+    from sysid.datasets.frames.survey import SurveyResult
 
 
 def propose(paths: Sequence[Path], machine: Path | None, recipe: Path | None, json_file: str | None) -> None:
@@ -46,7 +46,7 @@ def propose(paths: Sequence[Path], machine: Path | None, recipe: Path | None, js
     write_json(json_file, {"schema": 1, "frames": [_plain(item) for item in found]})
 
 
-def _show(out: Printer, item: Surveyed) -> None:
+def _show(out: Printer, item: SurveyResult) -> None:
     proposal = item.proposal
     what = "static markers" if proposal.method == "markers" else "points that turn"
     left = f"{1e3 * proposal.rms_m:.2f} mm RMS left, {1e3 * proposal.max_m:.2f} mm at most"
@@ -80,7 +80,7 @@ def _half(value: float, spec: str) -> str:
     return format(value, spec) if math.isfinite(value) else "open"
 
 
-def _plain(item: Surveyed) -> dict[str, Any]:
+def _plain(item: SurveyResult) -> dict[str, Any]:
     values = asdict(item.proposal)
     for key in ("translation95", "rotation95"):
         values[key] = [value if math.isfinite(value) else None for value in values[key]]

@@ -17,7 +17,7 @@ from sysid.foreign import visible
 if TYPE_CHECKING:
     from sysid.cli.loopback import Page
     from sysid.model_versions import ModelVersions
-    from sysid.registry import Damaged, ModelVersion
+    from sysid.registry import DamagedModel, ModelVersion
 
 RESIDUAL_NOTE = "contains unnamed_residual: a bounded network learned from the recordings. It is no physics and names no cause."
 ANYWAY = "'WHY'"
@@ -38,7 +38,7 @@ def models() -> None:
 @click.pass_obj
 def show(workspace: str, reference: str | None, kind: str | None, json_file: str | None) -> None:
     """List model versions, or show one."""
-    from sysid.registry import Damaged
+    from sysid.registry import DamagedModel
     from sysid.workspace import open_workspace
 
     registry = open_workspace(workspace).models
@@ -58,8 +58,8 @@ def show(workspace: str, reference: str | None, kind: str | None, json_file: str
         write_json(json_file, {"schema": 1, **version.to_json()})
         return
     found = registry.survey(kind)
-    versions = [entry for entry in found if not isinstance(entry, Damaged)]
-    damaged = [entry for entry in found if isinstance(entry, Damaged)]
+    versions = [entry for entry in found if not isinstance(entry, DamagedModel)]
+    damaged = [entry for entry in found if isinstance(entry, DamagedModel)]
     rows = [{"reference": entry.reference, "damage": str(entry.error)} for entry in damaged]
     write_json(json_file, {"schema": 1, "models": [version.to_json() for version in versions], "damaged": rows})
     if not found:
@@ -72,10 +72,10 @@ def show(workspace: str, reference: str | None, kind: str | None, json_file: str
         out.line(f"damaged: {entry.error}")
 
 
-def _row(entry: ModelVersion | Damaged) -> tuple[str, ...]:
-    from sysid.registry import Damaged
+def _row(entry: ModelVersion | DamagedModel) -> tuple[str, ...]:
+    from sysid.registry import DamagedModel
 
-    if isinstance(entry, Damaged):
+    if isinstance(entry, DamagedModel):
         return entry.reference, "damaged", "–", "", ""
     kind = f"{entry.kind}{' *' if _has_residual(entry) else ''}"
     made_from = str(entry.lineage.get("dataset", "–"))
@@ -226,7 +226,7 @@ def ui(workspace: str, out: Path | None, show_it: bool, serve: bool, port: int) 
     """Write one page about all versions: aliases, figures, lineage, decisions."""
     from datetime import datetime
 
-    from sysid.registry import Damaged
+    from sysid.registry import DamagedModel
     from sysid.reports.model_pages import models_page
     from sysid.reports.pages import write_page
 
@@ -237,10 +237,10 @@ def ui(workspace: str, out: Path | None, show_it: bool, serve: bool, port: int) 
     cards = {} if out is not None else {name: f"cards/{name}.html" for name in there}
     created = f"{datetime.now().astimezone():%d %B %Y, %H:%M}".lstrip("0")
     found = place.models.survey()
-    versions = [entry for entry in found if not isinstance(entry, Damaged)]
+    versions = [entry for entry in found if not isinstance(entry, DamagedModel)]
     Printer().line(str(write_page(path, models_page(versions, str(workspace), created, cards))))
     for entry in found:
-        if isinstance(entry, Damaged):
+        if isinstance(entry, DamagedModel):
             click.echo(visible(f"damaged, and not on the page: {entry.error}"), err=True)
     if serve:
         pages: dict[str, Page] = {"/": path.read_bytes if out is not None else partial(place.root.read, "models.html")}

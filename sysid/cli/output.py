@@ -96,7 +96,7 @@ def rerun_command(path: Path) -> str:
     return f"{viewer} {path}"
 
 
-class Stations:
+class PipelineProgress:
     """Runs the stations of a pipeline: a bar while one works, a line with its time when it is done.
 
     >>> with stations("ingest") as progress:

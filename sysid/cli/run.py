@@ -16,10 +16,10 @@ from sysid.cli.output import Printer, json_option, write_json
 if TYPE_CHECKING:
     from sysid.errors import StorageError
     from sysid.runner.assemble import Assembly
+    from sysid.runner.dry_run import RangeRecorder
     from sysid.runner.flight_log import FlightLog
     from sysid.runner.modes.commission import Commission
     from sysid.runner.outcome import RunOutcome
-    from sysid.runner.rehearse import Ranges
 
 
 @click.command()
@@ -55,11 +55,11 @@ def run(
     from sysid.runner.assemble import assemble
     from sysid.runner.clock import SECOND
     from sysid.runner.commissioning import keep_record, require_commissioned
+    from sysid.runner.dry_run import RangeRecorder, rehearse
     from sysid.runner.flight_log import FlightLog, provenance
     from sysid.runner.modes.commission import Commission
     from sysid.runner.operator import Interruptible, Operator, Unattended
     from sysid.runner.recipe import load_runner
-    from sysid.runner.rehearse import Ranges, rehearse
     from sysid.runner.terminal import Console, Terminal, through
     from sysid.runner.transport import Settable
     from sysid.runner.transports import connect
@@ -89,7 +89,7 @@ def run(
     program = unattended or settings.transport["kind"] == "simulated"
     if program and not (line.stand_in and isinstance(transport, Settable)):
         raise SettingsError("--unattended", "a machine that can hurt somebody", "a person at it: run without --unattended")
-    ranges = Ranges(len(assembly.machine.axes), round(SECOND * assembly.dt))
+    ranges = RangeRecorder(len(assembly.machine.axes), round(SECOND * assembly.dt))
     pair = Both(ranges)
     console = Console()
     operator: Operator = Unattended(transport) if program and isinstance(transport, Settable) else Terminal(console)
@@ -251,7 +251,7 @@ def _introduce(out: Printer, assembly: Assembly) -> None:
         out.line("no fence: the end effector may go wherever the joints allow ([limits.fence] bounds it)")
 
 
-def _tell(out: Printer, assembly: Assembly, outcome: RunOutcome, ranges: Ranges) -> None:
+def _tell(out: Printer, assembly: Assembly, outcome: RunOutcome, ranges: RangeRecorder) -> None:
     if ranges.moving:
         rows = [
             (name, f"{low:.3f} … {high:.3f}", f"{command:.2f}")
@@ -285,7 +285,7 @@ def _tracked(assembly: Assembly) -> str:
     return f"{setting}, as the machine's sensors and {forward} see it (their own errors included)"
 
 
-def _figures(assembly: Assembly, outcome: RunOutcome, ranges: Ranges) -> dict[str, Any]:
+def _figures(assembly: Assembly, outcome: RunOutcome, ranges: RangeRecorder) -> dict[str, Any]:
     return {
         "name": assembly.recipe.name,
         "mode": assembly.recipe.mode,

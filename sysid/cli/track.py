@@ -10,7 +10,7 @@ import click
 from sysid.cli.output import Printer, json_option, progress_bar, rerun_command, write_json
 
 if TYPE_CHECKING:
-    from sysid.rl.tracking import Tracked
+    from sysid.rl.tracking import TrackingResult
     from sysid.workspace import Workspace
 
 
@@ -69,9 +69,9 @@ def track(
     from sysid.control import simple
     from sysid.errors import SettingsError
     from sysid.names import check_file_name
-    from sysid.rl.course import BASELINES, Shortened, TrackingTask, lay_out
-    from sysid.rl.policy import Searching, load_policy
+    from sysid.rl.policy import CandidateSearchPolicy, load_policy
     from sysid.rl.record import keep
+    from sysid.rl.tracking_task import BASELINES, TrackingTask, TruncatedObservationPolicy, lay_out
     from sysid.rl.versions import load_versions
     from sysid.workspace import open_workspace
 
@@ -94,10 +94,14 @@ def track(
             simulation, model, path, full=full, centre=centre, tuning=simple(simulation) if untuned else None
         )
         progress(0.3, policy)
-        runs = [course.baseline(policy) if network is None else course.run(policy, Shortened(network), lookahead or 0.0)]
+        runs = [
+            course.baseline(policy)
+            if network is None
+            else course.run(policy, TruncatedObservationPolicy(network), lookahead or 0.0)
+        ]
         if candidates is not None and network is not None:
             progress(0.4, f"{candidates} candidates")
-            searching = Shortened(Searching(network, model, candidates, scatter))
+            searching = TruncatedObservationPolicy(CandidateSearchPolicy(network, model, candidates, scatter))
             runs.append(course.run(f"{policy} and {candidates} candidates", searching, lookahead or 0.0))
         for number, name in enumerate(name for name in dict.fromkeys(baselines) if name != policy):
             progress(0.5 + 0.4 * number / len(baselines), name)
@@ -140,7 +144,7 @@ def track(
     write_json(folder / "result.json", values)
 
 
-def _show(out: Printer, runs: list[Tracked]) -> None:
+def _show(out: Printer, runs: list[TrackingResult]) -> None:
     from sysid.rl.tracking import SETTLED_S
 
     header = ("policy", "look-ahead", "RMSE x", "y", "z", "max x", "y", "z", "after 1 s: RMSE x", "y", "z", "max x", "y", "z")

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from sysid.cli.output import Printer
-    from sysid.datasets import DatasetDiff, Lineage, Vacuumed
+    from sysid.datasets import DatasetDiff, Lineage, VacuumResult
     from sysid.datasets.versions.diff import Names, ValueChange
     from sysid.registry import ModelVersion
     from sysid.versions.lineage import Relative
@@ -117,7 +117,7 @@ def model_line(role: str, model: ModelVersion | Relative) -> str:
     return f"{role:<9} {model.reference}  {model.kind}  {model.digest[:12]}{aliases}"
 
 
-def show_vacuumed(out: Printer, found: Vacuumed, registry: str, hint: bool) -> None:
+def show_vacuumed(out: Printer, found: VacuumResult, registry: str, hint: bool) -> None:
     """What was removed and kept; ``hint`` says how to have it removed."""
     for item in found.removed:
         out.line(f"{'would remove' if found.dry_run else 'removed'} {item.what}  {_size(item.size)}")

@@ -9,7 +9,7 @@ from sysid.datasets.versions.frame import frame_of, load
 from sysid.datasets.versions.lineage import Lineage, lineage
 from sysid.datasets.versions.store import Store
 from sysid.datasets.versions.tables import PartTables
-from sysid.datasets.versions.vacuum import Vacuumed, vacuum
+from sysid.datasets.versions.vacuum import VacuumResult, vacuum
 
 __all__ = [
     "ClockRecord",
@@ -23,7 +23,7 @@ __all__ = [
     "Role",
     "Source",
     "Store",
-    "Vacuumed",
+    "VacuumResult",
     "append",
     "diff",
     "frame_of",

@@ -13,7 +13,7 @@ import pandas as pd
 
 from sysid.datasets.channel import Channel
 from sysid.datasets.channels import Mounts, ReadRecording, concatenate, joined, read_channels, survey_mounts
-from sysid.datasets.clocks.records import Alignment, Clocked, KnownSkew, aligned, by_source, machine_times
+from sysid.datasets.clocks.records import Alignment, ClockAlignment, KnownSkew, aligned, by_source, machine_times
 from sysid.datasets.discover import RecordingFiles, discover, unmatched
 from sysid.datasets.flags.collect import flag_rows
 from sysid.datasets.frames.degenerate import offset_notes
@@ -25,7 +25,7 @@ from sysid.datasets.recording import ClockRecord, Dataset, Recording, Role, Sour
 from sysid.datasets.resample import grid, resample
 from sysid.datasets.splits import split
 from sysid.datasets.versions.files import scratch_folder
-from sysid.datasets.versions.manifest import Made, digest_of
+from sysid.datasets.versions.manifest import PartRecord, digest_of
 from sysid.datasets.versions.store import Store
 from sysid.errors import InputError
 from sysid.machine import Machine
@@ -103,14 +103,14 @@ def _ingest(
 
 
 @dataclass(frozen=True)
-class Walked:
+class IngestPass:
     """Logs on the machine's clock and grid, not yet split."""
 
     readings: Mapping[str, ReadRecording]
-    clocked: tuple[Clocked, ...]
+    clocked: tuple[ClockAlignment, ...]
     clocks: tuple[ClockRecord, ...]
     recordings: tuple[Recording, ...]
-    made: Made
+    made: PartRecord
     flags: tuple[dict[str, Any], ...] = ()
     notes: tuple[str, ...] = ()
 
@@ -157,7 +157,7 @@ def walk(
     mounts: Mounts,
     report: Progress,
     skews: Mapping[str, KnownSkew] | None = None,
-) -> Walked:
+) -> IngestPass:
     """Read, align, resample.
 
     Args:
@@ -174,7 +174,7 @@ def walk(
         readings[files.name] = read_channels(files, plan.machine, mounts, part(report, begin, end))
         files.check_unchanged()
         before += size
-    clocked = tuple(Clocked(files.name, files.kind, readings[files.name].channels) for files in found)
+    clocked = tuple(ClockAlignment(files.name, files.kind, readings[files.name].channels) for files in found)
     report(_READ[1], "aligning clocks")
     alignment = aligned(clocked, skews)
     clocks, clocked = alignment.records, _placed(clocked, alignment, settings.splits)
@@ -182,7 +182,7 @@ def walk(
     for number, recording in enumerate(clocked):
         own = _share(report, _RESAMPLED, number, len(clocked))
         recordings.append(_recording(recording, by_source(clocks, recording.name), plan.machine, settings, own))
-    made = Made(
+    made = PartRecord(
         INGEST_VERSION, plan.rules.text if plan.rules is not None else "", settings_of(plan), shared_mounts(found, mounts)
     )
     flags = []
@@ -191,10 +191,10 @@ def walk(
         flags += flag_rows(recording, clocks, plan.machine, settings.hold_s, own)
     notes = (*offset_notes(settings.streams, mounts, plan.machine), *unmatched(found, plan.rules), *_left_out(alignment))
     readings = {recording.name: readings[recording.name] for recording in clocked}
-    return Walked(readings, clocked, clocks, tuple(recordings), made, tuple(flags), tuple(notes))
+    return IngestPass(readings, clocked, clocks, tuple(recordings), made, tuple(flags), tuple(notes))
 
 
-def _placed(recordings: Sequence[Clocked], alignment: Alignment, splits: Splits) -> tuple[Clocked, ...]:
+def _placed(recordings: Sequence[ClockAlignment], alignment: Alignment, splits: Splits) -> tuple[ClockAlignment, ...]:
     """The recordings that have a place in time.
 
     Raises:
@@ -219,7 +219,11 @@ def _share(report: Progress, step: tuple[float, float], number: int, count: int)
 
 
 def _recording(
-    recording: Clocked, records: Mapping[str, Sequence[ClockRecord]], machine: Machine, rules: IngestRecipe, report: Progress
+    recording: ClockAlignment,
+    records: Mapping[str, Sequence[ClockRecord]],
+    machine: Machine,
+    rules: IngestRecipe,
+    report: Progress,
 ) -> Recording:
     """The aligned table of one recording."""
     start = recording.start_ns
@@ -258,7 +262,7 @@ def _recording(
     return Recording(recording.name, pd.DataFrame(columns, copy=False), machine.rate_hz, "motion", start)
 
 
-def _streams(recordings: Sequence[Clocked], tables: Sequence[Recording]) -> dict[str, tuple[str, ...]]:
+def _streams(recordings: Sequence[ClockAlignment], tables: Sequence[Recording]) -> dict[str, tuple[str, ...]]:
     """File stem → the signals in the tables that came from it."""
     kept = {signal for table in tables for signal in table.signals}
     found: dict[str, dict[str, None]] = {}

@@ -21,8 +21,8 @@ from sysid.gap.fit import fit_candidates, spread_of
 from sysid.gap.floor import problem_floor
 from sysid.gap.noise import noise_levels
 from sysid.gap.problem import Problem, Split, pose_split, problems_of, split_of
-from sysid.gap.readings import Coarse, coarse_sensors, with_steps
 from sysid.gap.result import Excitation
+from sysid.gap.sensor_resolution import CoarseSensor, coarse_sensors, with_steps
 from sysid.gap.stage_result import StageResult
 from sysid.plant import Plant, compile_plant, free_run, gravity_load
 
@@ -47,7 +47,7 @@ class Case:
     split: Split
     seed: int
     adapter: SimulatorAdapter | None = None
-    coarse: tuple[Coarse, ...] = ()
+    coarse: tuple[CoarseSensor, ...] = ()
 
     @property
     def reference(self) -> str:

@@ -10,7 +10,7 @@ import pandas as pd
 
 from sysid.datasets.recording import Recording
 from sysid.gap.problem import Problem
-from sysid.gap.result import Localised
+from sysid.gap.result import StageGap
 from sysid.gap.unnamed.resonance import resonance_frequencies
 
 Array = npt.NDArray[np.float64]
@@ -22,7 +22,7 @@ def localise(
     recordings: Mapping[int, Sequence[Recording]],
     floors: Mapping[int, Array],
     free: Mapping[str, float],
-) -> tuple[Localised, ...]:
+) -> tuple[StageGap, ...]:
     """One row for each output of each stage.
 
     Args:
@@ -42,7 +42,7 @@ def localise(
     excess = [max(score / floor - 1.0, 0.0) if floor > 0 else 0.0 for _, _, score, floor, _ in rows]
     total = sum(excess)
     return tuple(
-        Localised(
+        StageGap(
             p.stage,
             p.target,
             signal,

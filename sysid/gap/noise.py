@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from sysid.datasets.quality.noise import is_still, noise_bound, white_noise
 from sysid.datasets.recording import Dataset, Recording
-from sysid.gap.readings import reading_step, rounding
+from sysid.gap.sensor_resolution import reading_step, rounding
 from sysid.machine import Machine
 from sysid.signals import axis_signal, split_signal
 

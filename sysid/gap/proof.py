@@ -19,8 +19,8 @@ from sysid.gap.floor import problem_floor
 from sysid.gap.intervals import known_of
 from sysid.gap.likelihood.stage import ModelFit
 from sysid.gap.localise import stage_rmse
-from sysid.gap.readings import Coarse
 from sysid.gap.result import Alternative, EffectEvidence, Gap, NamedEffect, ResidualModelResult, Unnamed, Value
+from sysid.gap.sensor_resolution import CoarseSensor
 from sysid.gap.stage_result import AcceptedEffect, StageResult
 from sysid.gap.unnamed.residual_formula import describe_residual
 from sysid.machine import KnownEffect
@@ -185,7 +185,7 @@ def _better(stage: Stage) -> bool:
     return bool(there.any() and (after[there] <= limit).all() and (whole or not _shown(stage, stage.theta)))
 
 
-def _read_off(case: Case, stages: Sequence[Stage], coarse: Coarse, outcome: ProofOutcome) -> None:
+def _read_off(case: Case, stages: Sequence[Stage], coarse: CoarseSensor, outcome: ProofOutcome) -> None:
     """The steps of a sensor get a name where its stage would stay above the noise that it is said to have."""
     outcome.repaired = outcome.repaired.with_effect(coarse.effect)
     share = max((_explained(case, stage, coarse) for stage in stages if coarse.signal in stage.problem.signals), default=0.0)
@@ -198,7 +198,7 @@ def _read_off(case: Case, stages: Sequence[Stage], coarse: Coarse, outcome: Proo
         )
 
 
-def _explained(case: Case, stage: Stage, coarse: Coarse) -> float:
+def _explained(case: Case, stage: Stage, coarse: CoarseSensor) -> float:
     """Share of what the sensor's stage leaves above the noise that it is said to have which its steps account for."""
     k = stage.problem.signals.index(coarse.signal)
     said = {**case.noise, coarse.signal: coarse.noise}

@@ -33,7 +33,7 @@ STEP = 2.0
 
 
 @dataclass(frozen=True)
-class Promise:
+class ExpectedGain:
     """What a candidate may gain beside a model [nats], and from where its fit should start."""
 
     candidate: Candidate
@@ -54,7 +54,7 @@ class Proposals:
     on_fit: Callable[[str], None] = lambda text: None
     earlier: Mapping[frozenset[str], ModelFit] = field(default_factory=dict)
     fits: dict[frozenset[str], ModelFit] = field(default_factory=dict)
-    _promises: dict[frozenset[str], list[Promise]] = field(default_factory=dict)
+    _promises: dict[frozenset[str], list[ExpectedGain]] = field(default_factory=dict)
 
     # -- single models -----------------------------------------------------------------------------------------------
 
@@ -130,14 +130,14 @@ class Proposals:
         found = [f for f in ordered if f.evidence > ordered[0].evidence - NEAR]
         return found if any(f is empty for f in found) else [*found, empty]
 
-    def promises(self, model: ModelFit) -> list[Promise]:
+    def promises(self, model: ModelFit) -> list[ExpectedGain]:
         """What may be added to a model, most promising first."""
         if model.labels not in self._promises:
             found = screened(self.likelihood, model, self._open(model))
             self._promises[model.labels] = sorted(found, key=lambda p: -p.gain)
         return self._promises[model.labels]
 
-    def _added(self, model: ModelFit, promise: Promise) -> ModelFit:
+    def _added(self, model: ModelFit, promise: ExpectedGain) -> ModelFit:
         new = promise.candidate
         rest = [c for c in model.candidates if c.key != new.key and not new.contains(c)]
         key = frozenset(c.label for c in (*rest, new))
@@ -167,7 +167,7 @@ class Proposals:
         return found
 
 
-def screened(likelihood: StageLikelihood, model: ModelFit, candidates: Sequence[Candidate]) -> list[Promise]:
+def screened(likelihood: StageLikelihood, model: ModelFit, candidates: Sequence[Candidate]) -> list[ExpectedGain]:
     """What each candidate may gain beside ``model`` if the stage answered linearly to it."""
     lanes, owners, starts, whole = _lanes(model.theta, candidates)
     if not len(lanes):
@@ -189,13 +189,13 @@ def screened(likelihood: StageLikelihood, model: ModelFit, candidates: Sequence[
     gram, slope = left[:-1, :-1], -left[:-1, -1]  # how the cost falls with each change
     found = []
     for k, candidate in enumerate(candidates):
-        best = Promise(candidate, -np.inf, np.array(candidate.starts[0]))
+        best = ExpectedGain(candidate, -np.inf, np.array(candidate.starts[0]))
         nominal = np.array([model.theta[u.places[0]] for u in candidate.unknowns])
         for at in np.flatnonzero((owners == k) & whole):
             share = float(np.clip(slope[at] / max(gram[at, at], 1e-12), 0.05, 2.0))
             gain = share * slope[at] - 0.5 * share**2 * gram[at, at]
             if gain > best.gain:
-                best = Promise(candidate, float(gain), nominal + share * (starts[at] - nominal))
+                best = ExpectedGain(candidate, float(gain), nominal + share * (starts[at] - nominal))
         short = np.flatnonzero((owners == k) & ~whole)
         G = gram[np.ix_(short, short)] + 1e-9 * np.trace(gram[np.ix_(short, short)]) * np.eye(len(short))
         if len(short) and float(np.trace(G)) > 0.0:
@@ -205,7 +205,7 @@ def screened(likelihood: StageLikelihood, model: ModelFit, candidates: Sequence[
             low, high = (np.array([u.bounds[e] for u in candidate.unknowns]) for e in (0, 1))
             inside = bool(((moved >= low) & (moved <= high)).all())
             if inside and gain > best.gain:
-                best = Promise(candidate, gain, moved)
+                best = ExpectedGain(candidate, gain, moved)
         found.append(best)
     return found
 

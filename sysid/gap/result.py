@@ -198,7 +198,7 @@ class ComparedModel:
 
 
 @dataclass(frozen=True)
-class Localised:
+class StageGap:
     """Disagreement of one stage output: driven by its measured input (``stage``) and free-running (``free_run``).
 
     Args:
@@ -299,7 +299,7 @@ class GapResult:
     excitation: tuple[Excitation, ...]
     held_out_recordings: tuple[str, ...]
     seconds: float
-    localised: tuple[Localised, ...] = ()
+    localised: tuple[StageGap, ...] = ()
     candidates: tuple[ComparedModel, ...] = ()
     traces: tuple[Traces, ...] = ()
     notes: tuple[str, ...] = ()

@@ -27,7 +27,7 @@ from sysid.gap.floor import floor_spread, run_floor
 from sysid.gap.lineage import lineage_of
 from sysid.gap.promotion import first_promotion, free_run_check, names_check, stages_check, world_check
 from sysid.gap.proof import ProofOutcome, held_out_score, judge, stage_gap, with_carried
-from sysid.gap.result import Check, Excitation, Gap, Localised, Promotion, Traces, WorldGap
+from sysid.gap.result import Check, Excitation, Gap, Promotion, StageGap, Traces, WorldGap
 from sysid.gap.stages import Forms, search_stages
 from sysid.gap.world_proof import world_gap
 from sysid.plant import Plant, machine_difference, plant_from_files
@@ -94,7 +94,7 @@ def open_study(dataset: Dataset, simulation: Plant | Simulator, seed: int = 0) -
     return Study(case, tuple(stages))
 
 
-def localise(study: Study) -> tuple[Localised, ...]:
+def localise(study: Study) -> tuple[StageGap, ...]:
     """How far every signal is from its measurement: its stage driven by measured input, and free-running, beside the floor."""
     case, stages = study.case, study.stages
     nominal = case.runner(case.plant)

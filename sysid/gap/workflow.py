@@ -17,7 +17,7 @@ from sysid.gap.decision import EXPLAINED
 from sysid.gap.experiment import ExperimentProposal, Planning, open_hypotheses, propose
 from sysid.gap.maps import maps_of
 from sysid.gap.proof import ProofOutcome
-from sysid.gap.result import ComparedModel, Excitation, GapResult, Localised, Map, Verdict
+from sysid.gap.result import ComparedModel, Excitation, GapResult, Map, StageGap, Verdict
 from sysid.gap.shares import shares_of
 from sysid.gap.stage_result import StageResult
 from sysid.gap.stages import Forms
@@ -149,7 +149,7 @@ def _rows(stage: Stage, finding: StageResult) -> list[ComparedModel]:
     ]
 
 
-def _verdict(outcome: ProofOutcome, located: Sequence[Localised], shown: Sequence[Excitation], localise_only: bool) -> Verdict:
+def _verdict(outcome: ProofOutcome, located: Sequence[StageGap], shown: Sequence[Excitation], localise_only: bool) -> Verdict:
     if outcome.named:
         return "named"
     if outcome.ties:

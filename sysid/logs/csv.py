@@ -17,7 +17,7 @@ import pandas as pd
 
 from sysid import scratch
 from sysid.errors import InputError
-from sysid.logs.growing import Growing
+from sysid.logs.growing import GrowingArray
 from sysid.logs.limits import MAX_LINE, Budget
 from sysid.logs.reader import ALL, ReadOptions
 from sysid.logs.stream import Stream
@@ -52,7 +52,7 @@ class CsvReader:
         headers, separator, skipped = _header(path, budget)
         wanted = [i for i, header in enumerate(headers) if _is_read(header, options)]
         likely = min(_expected_rows(path), budget.rows)
-        cells = {i: _Cells(f"{path}: {headers[i]}", budget, Growing(np.nan, expected=likely)) for i in wanted}
+        cells = {i: _Cells(f"{path}: {headers[i]}", budget, GrowingArray(np.nan, expected=likely)) for i in wanted}
         rows = 0
         losses = [f"{path.name}: {CUT_ROW}"] if without_line_end(path) else []
         for table in _pieces(path, len(headers), separator, skipped, options.progress):
@@ -99,13 +99,13 @@ class _Cells:
 
     where: str
     budget: Budget
-    numbers: Growing
+    numbers: GrowingArray
     text: int = 0
     listed: int = 0
     filled: int = 0
     rows: int = 0
     #: Of lists: the values of each element, and element → how many of them are no numbers.
-    elements: list[Growing] = field(default_factory=list)
+    elements: list[GrowingArray] = field(default_factory=list)
     damaged: dict[int, int] = field(default_factory=dict)
 
     def take(self, cells: pd.Series) -> None:
@@ -136,7 +136,7 @@ class _Cells:
         self.budget.check_columns(self.where, width, "elements of a list")
         self.budget.check_numbers(self.where, width * (first + len(cells)))
         parts = cells.str.split(",", expand=True)
-        self.elements += [Growing(np.nan) for _ in range(width - len(self.elements))]
+        self.elements += [GrowingArray(np.nan) for _ in range(width - len(self.elements))]
         for element in range(width):
             text = parts[element].str.strip().replace("", None)
             numbers = pd.to_numeric(text, errors="coerce").to_numpy(dtype=np.float64)

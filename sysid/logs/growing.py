@@ -17,7 +17,7 @@ Values = npt.NDArray[Any]
 
 
 @dataclass
-class Growing:
+class GrowingArray:
     """Values by row.
 
     Room doubles when it is used up, and only then are values copied. Room without values takes no memory, as the operating
@@ -40,8 +40,8 @@ class Growing:
     def __post_init__(self) -> None:
         self._room = np.empty(0, self.kind)
 
-    def __copy__(self) -> Growing:
-        twin = Growing(self.fill, self.kind, self.found, self._end)
+    def __copy__(self) -> GrowingArray:
+        twin = GrowingArray(self.fill, self.kind, self.found, self._end)
         twin._room = scratch.empty(self._end, self.kind)
         twin._room[:] = self._room[: self._end]
         return twin

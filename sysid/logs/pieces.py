@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 
-from sysid.logs.growing import Growing, Rows, Values
+from sysid.logs.growing import GrowingArray, Rows, Values
 
 #: Fields of one topic; names that change from message to message would otherwise fill the memory.
 MAX_FIELDS = 4096
@@ -46,11 +46,11 @@ class Pieces:
     previewed: int | None = None
     #: Messages that the file says it has.
     stated: int = 0
-    _columns: dict[str, Growing] = field(default_factory=dict)
+    _columns: dict[str, GrowingArray] = field(default_factory=dict)
     #: Names under which the same values came in every message (``position[2]``, ``position[boom]``) → their one column.
-    _sharing: dict[tuple[str, ...], Growing] = field(default_factory=dict)
+    _sharing: dict[tuple[str, ...], GrowingArray] = field(default_factory=dict)
     #: Whole numbers as they are: a stamp does not fit a float.
-    _stamps: dict[str, Growing] = field(default_factory=dict)
+    _stamps: dict[str, GrowingArray] = field(default_factory=dict)
 
     def expect(self, count: int) -> int:
         """Make ready for so many more messages; returns the row of the first of them."""
@@ -80,7 +80,7 @@ class Pieces:
             if name in _STAMPS:
                 stamps = self._stamps.get(name)
                 if stamps is None:
-                    stamps = self._stamps[name] = Growing(0, values.dtype.newbyteorder("="), expected=self.stated)
+                    stamps = self._stamps[name] = GrowingArray(0, values.dtype.newbyteorder("="), expected=self.stated)
                 stamps.put(where, values)
 
     def _is_new_or_known(self, name: str) -> bool:
@@ -91,7 +91,7 @@ class Pieces:
             self.fields[name] = None
         return True
 
-    def _kept(self, names: tuple[str, ...]) -> list[Growing]:
+    def _kept(self, names: tuple[str, ...]) -> list[GrowingArray]:
         """The columns that values under these names belong to: one where they have always been the same, else one a name."""
         if self.previewed is not None:
             return []
@@ -104,7 +104,7 @@ class Pieces:
             if self.wanted is None and len(self._columns) + len(names) > self._room():
                 self.crowded = True
                 return []
-            column = Growing(np.nan, expected=self.stated)
+            column = GrowingArray(np.nan, expected=self.stated)
             self._columns.update(dict.fromkeys(names, column))
             if names:
                 self._sharing[names] = column

@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from sysid.errors import InputError, nearest
 from sysid.logs.cdr import ColumnDecoder
-from sysid.logs.growing import Growing
+from sysid.logs.growing import GrowingArray
 from sysid.logs.layout import Bytes
 from sysid.logs.limits import Budget
 from sysid.logs.pieces import Pieces
@@ -89,8 +89,8 @@ class Topic:
     name: str
     kind: str
     decoder: Decoder
-    log: Growing = field(default_factory=lambda: Growing(0, np.dtype(np.int64)))
-    publish: Growing = field(default_factory=lambda: Growing(0, np.dtype(np.int64)))
+    log: GrowingArray = field(default_factory=lambda: GrowingArray(0, np.dtype(np.int64)))
+    publish: GrowingArray = field(default_factory=lambda: GrowingArray(0, np.dtype(np.int64)))
 
     @property
     def held(self) -> int:

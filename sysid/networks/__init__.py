@@ -9,7 +9,7 @@ from sysid.networks.forward import ForwardModel, ForwardNetwork, learn_forward
 from sysid.networks.forward_models import AnyForward, fit_forward
 from sysid.networks.geometry import Geometry, GeometryParameter
 from sysid.networks.history import HistoryNetwork, fit_history
-from sysid.networks.member import LearningCurve, Member, TrainedMember, TrainingSettings
+from sysid.networks.member import EnsembleMember, LearningCurve, TrainedMember, TrainingSettings
 from sysid.networks.mlp import Mlp, Normalisation
 from sysid.networks.motion import MotionNetwork, fit_motion
 from sysid.networks.recipe import (
@@ -24,7 +24,7 @@ from sysid.networks.recipe import (
 )
 from sysid.networks.structured import StructuredForward, fit_structured
 from sysid.networks.training import train
-from sysid.networks.trust import Domain, Intervals, Trust
+from sysid.networks.uncertainty import Intervals, NetworkUncertainty, TrainingDomain
 
 __all__ = [
     "PAPER_MAX",
@@ -34,7 +34,7 @@ __all__ = [
     "Calibrated",
     "Calibration",
     "Checkpoints",
-    "Domain",
+    "EnsembleMember",
     "FittedChain",
     "ForwardModel",
     "ForwardNetwork",
@@ -45,18 +45,18 @@ __all__ = [
     "HistoryRecipe",
     "Intervals",
     "LearningCurve",
-    "Member",
     "Mlp",
     "Model",
     "MotionNetwork",
     "MotionRecipe",
     "NetworkRecipe",
+    "NetworkUncertainty",
     "Normalisation",
     "RoundTripError",
     "StructuredForward",
     "TrainedMember",
+    "TrainingDomain",
     "TrainingSettings",
-    "Trust",
     "calibrate",
     "fit_actuator",
     "fit_chain",

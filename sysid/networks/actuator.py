@@ -15,12 +15,12 @@ import numpy.typing as npt
 from sysid.datasets.recording import Dataset
 from sysid.errors import ExcitationError
 from sysid.networks.checkpoint import Checkpoints
-from sysid.networks.member import LearningCurve, Member, TrainedMember
+from sysid.networks.member import EnsembleMember, LearningCurve, TrainedMember
 from sysid.networks.mlp import Mlp
 from sysid.networks.recipe import NetworkRecipe
 from sysid.networks.split import SignalRows, gather, joined, measures, segments, spread_sample, thin
 from sysid.networks.training import train
-from sysid.networks.trust import Mask, Trust, known
+from sysid.networks.uncertainty import Mask, NetworkUncertainty, known
 from sysid.progress import Progress
 from sysid.signals import axis_signal
 
@@ -60,7 +60,7 @@ class ActuatorNetwork:
     displacements: tuple[float, float]
     joints: tuple[float, float]
     courses: Mapping[str, LearningCurve] = field(default_factory=dict)
-    trust: Mapping[str, Trust] = field(default_factory=dict)
+    trust: Mapping[str, NetworkUncertainty] = field(default_factory=dict)
 
     def joint(self, displacement: Array) -> Array:
         """Displacement [m] → joint angle [rad], same shape."""
@@ -127,14 +127,14 @@ def fit_actuator(
             "at least one axis on which cylinder and joint were measured together",
             "Map both in the recipe of the dataset.",
         )
-    members: dict[tuple[str, str], Member] = {}
+    members: dict[tuple[str, str], EnsembleMember] = {}
     ranges: dict[str, tuple[tuple[float, float], tuple[float, float]]] = {}
     for axis in axes:
         fit, select = actuator_rows(dataset, axis, recipe)
         low, high = fit.values.min(axis=0), fit.values.max(axis=0)
         ranges[axis] = ((float(low[0]), float(high[0])), (float(low[1]), float(high[1])))
         for direction, source, target in (("to_joint", 0, 1), ("to_cylinder", 1, 0)):
-            members[axis, direction] = Member(
+            members[axis, direction] = EnsembleMember(
                 name=f"{axis} {direction}",
                 inputs=fit.values[:, [source]],
                 outputs=fit.values[:, [target]],
@@ -162,12 +162,12 @@ def fit_actuator(
     }
 
 
-def _trusted(results: Mapping[str, tuple[Member, TrainedMember]]) -> dict[str, Trust]:
+def _trusted(results: Mapping[str, tuple[EnsembleMember, TrainedMember]]) -> dict[str, NetworkUncertainty]:
     """From the rows that decided when to stop: those that taught are reproduced better than any other."""
     found = {}
     for direction, (member, trained) in results.items():
         errors = member.validation_outputs - trained.mlp.predict(member.validation_inputs)
-        trust = Trust.of(member.inputs, errors, np.zeros(errors.shape))
+        trust = NetworkUncertainty.of(member.inputs, errors, np.zeros(errors.shape))
         if trust is not None:
             found[direction] = trust
     return found

@@ -22,7 +22,7 @@ from sysid.networks.member import LearningCurve
 from sysid.networks.mlp import Mlp, Normalisation, Rectifier
 from sysid.networks.motion import MotionNetwork
 from sysid.networks.structured import StructuredForward
-from sysid.networks.trust import Trust
+from sysid.networks.uncertainty import NetworkUncertainty
 from sysid.parse import parse_json
 
 WEIGHTS, STRUCTURE = "weights.safetensors", "network.json"
@@ -192,7 +192,7 @@ def _structured(structure: dict[str, Any], tensors: Tensors, where: object) -> S
         low=tensors["low"],
         high=tensors["high"],
         courses=tuple(_course(course) for course in structure["courses"]),
-        trust=Trust.from_tensors(tensors, "trust", len(structure["joints"]), 3, where),
+        trust=NetworkUncertainty.from_tensors(tensors, "trust", len(structure["joints"]), 3, where),
     )
 
 
@@ -209,7 +209,7 @@ def _forward(structure: dict[str, Any], tensors: Tensors, where: object) -> Forw
         low=tensors["low"],
         high=tensors["high"],
         courses=tuple(_course(course) for course in structure["courses"]),
-        trust=Trust.from_tensors(tensors, "trust", len(structure["joints"]), 3, where),
+        trust=NetworkUncertainty.from_tensors(tensors, "trust", len(structure["joints"]), 3, where),
     )
 
 
@@ -226,7 +226,7 @@ def _actuator(axis: str, entry: dict[str, Any], tensors: Tensors, where: object)
         trust={
             direction: trust
             for direction in DIRECTIONS
-            if (trust := Trust.from_tensors(tensors, f"{axis}.{direction}.trust", 1, 1, where)) is not None
+            if (trust := NetworkUncertainty.from_tensors(tensors, f"{axis}.{direction}.trust", 1, 1, where)) is not None
         },
     )
 

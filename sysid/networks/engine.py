@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 BLOCK = 128
 
 
-class Stopped(Exception):  # noqa: N818  (no error: it was asked to)
+class TrainingStopped(Exception):  # noqa: N818  (no error: it was asked to)
     """Training was told to stop and has saved where it stands."""
 
 
@@ -72,7 +72,7 @@ def train_batches(
             while left:
                 number, part, error = news.get()
                 left -= part == 1.0
-                failed = failed or (None if isinstance(error, Stopped) else error)
+                failed = failed or (None if isinstance(error, TrainingStopped) else error)
                 done[number] = max(done[number], part)
                 if not failed:
                     whole = math.fsum(a * b for a, b in zip(share, done, strict=True)) if left else 1.0
@@ -114,7 +114,7 @@ def train_batch(jobs: Sequence[Job], device: torch.device, control: Control, tel
                     run.save(control.checkpoints, [k for k in due if run.jobs[k].state.finished])
                 run = run.without_finished()
             if run.jobs and control.stop.is_set():
-                raise Stopped
+                raise TrainingStopped
 
 
 class _Run:

@@ -18,7 +18,7 @@ from sklearn.model_selection import GroupShuffleSplit, ShuffleSplit, check_cv
 from sklearn.utils.validation import check_is_fitted, validate_data
 
 from sysid.errors import SettingsError
-from sysid.networks.member import LearningCurve, Member, TrainingSettings
+from sysid.networks.member import EnsembleMember, LearningCurve, TrainingSettings
 from sysid.networks.mlp import Mlp, Rectifier
 from sysid.networks.training import train
 
@@ -116,7 +116,7 @@ class NetworkRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
             device=self.device,
         )
 
-    def _members(self, X: npt.ArrayLike, y: npt.ArrayLike, groups: npt.ArrayLike | None) -> list[Member]:
+    def _members(self, X: npt.ArrayLike, y: npt.ArrayLike, groups: npt.ArrayLike | None) -> list[EnsembleMember]:
         """The rows of each member, checked by scikit-learn's own rules."""
         if self.members < 1:
             raise SettingsError("estimator", f"members = {self.members}", "a positive number")
@@ -129,7 +129,7 @@ class NetworkRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         fit, held = next(split.split(inputs, groups=groups))
         names = getattr(self, "feature_names_in_", [f"column {k}" for k in range(inputs.shape[1])])
         return [
-            Member(
+            EnsembleMember(
                 name=f"member {number}",
                 inputs=inputs[fit],
                 outputs=outputs[fit],
@@ -157,7 +157,7 @@ def fit_together(tasks: Sequence[Task]) -> None:
 
     The result of each is that of its own ``fit``.
     """
-    alike: dict[tuple[Any, ...], list[tuple[NetworkRegressor, list[Member]]]] = {}
+    alike: dict[tuple[Any, ...], list[tuple[NetworkRegressor, list[EnsembleMember]]]] = {}
     for estimator, X, y, groups in tasks:
         members = estimator._members(X, y, groups)
         settings = {key: value for key, value in vars(estimator._settings()).items() if key != "learning_rate"}

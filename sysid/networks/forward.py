@@ -18,12 +18,12 @@ from sysid.datasets.recording import Dataset, Role
 from sysid.errors import ExcitationError, InputError
 from sysid.networks.chain import product_names, products
 from sysid.networks.checkpoint import Checkpoints
-from sysid.networks.member import LearningCurve, Member
+from sysid.networks.member import EnsembleMember, LearningCurve
 from sysid.networks.mlp import Mlp
 from sysid.networks.recipe import Features, NetworkRecipe
 from sysid.networks.split import SignalRows, gather, segments, thin
 from sysid.networks.training import train
-from sysid.networks.trust import Mask, Trust, known
+from sysid.networks.uncertainty import Mask, NetworkUncertainty, known
 from sysid.progress import Progress
 from sysid.signals import axis_signal, point_signals
 
@@ -50,7 +50,7 @@ class ForwardModel(Protocol):
     def high(self) -> Array: ...
 
     @property
-    def trust(self) -> Trust | None: ...
+    def trust(self) -> NetworkUncertainty | None: ...
 
     def predict(self, q: npt.ArrayLike) -> Array: ...
 
@@ -82,7 +82,7 @@ class ForwardNetwork:
     low: Array
     high: Array
     courses: tuple[LearningCurve, ...] = ()
-    trust: Trust | None = None
+    trust: NetworkUncertainty | None = None
 
     def predict(self, q: npt.ArrayLike) -> Array:
         """End-effector positions (n, 3) [m] at joint values ``q`` (n, n_axes) [rad or m].
@@ -136,7 +136,7 @@ def learn_forward(
     revolute = tuple(is_angle(dataset, signal) for signal in joints)
     names = feature_names(joints, revolute, recipe.forward.features)
     members = [
-        Member(
+        EnsembleMember(
             name=f"forward {number}" if recipe.forward.members > 1 else "forward",
             inputs=to_features(fit.values[:, :count], revolute, recipe.forward.features),
             outputs=fit.values[:, count:],

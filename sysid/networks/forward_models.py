@@ -9,7 +9,7 @@ from sysid.networks.checkpoint import Checkpoints
 from sysid.networks.forward import ForwardNetwork, learn_forward, taught_rows
 from sysid.networks.recipe import NetworkRecipe
 from sysid.networks.structured import StructuredForward, fit_structured
-from sysid.networks.trust import Trust
+from sysid.networks.uncertainty import NetworkUncertainty
 from sysid.progress import Progress
 
 AnyForward = ForwardNetwork | StructuredForward
@@ -24,4 +24,6 @@ def fit_forward(
     fit, select = taught_rows(dataset, recipe)
     count = len(model.joints)
     q = select.values[:, :count]
-    return replace(model, trust=Trust.of(fit.values[:, :count], select.values[:, count:] - model.predict(q), model.spread(q)))
+    return replace(
+        model, trust=NetworkUncertainty.of(fit.values[:, :count], select.values[:, count:] - model.predict(q), model.spread(q))
+    )

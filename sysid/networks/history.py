@@ -20,7 +20,7 @@ from sysid.networks.actuator import DIRECTIONS, ActuatorNetwork, RoundTripError,
 from sysid.networks.checkpoint import Checkpoints
 from sysid.networks.memory import Memory
 from sysid.networks.recipe import HistoryRecipe, NetworkRecipe
-from sysid.networks.recurrent import Looks, RecurrentSettings, train_recurrent
+from sysid.networks.recurrent import RecordingWindow, RecurrentSettings, train_recurrent
 from sysid.networks.split import RowRange, segments
 from sysid.progress import Progress, part, silent
 from sysid.signals import axis_signal
@@ -177,7 +177,9 @@ def settings_of(recipe: HistoryRecipe) -> RecurrentSettings:
     )
 
 
-def _looks(parts: Sequence[RowRange], signals: Sequence[str], predict: Callable[[Array], Array], memory: Memory) -> list[Looks]:
+def _looks(
+    parts: Sequence[RowRange], signals: Sequence[str], predict: Callable[[Array], Array], memory: Memory
+) -> list[RecordingWindow]:
     """Stretches without a gap in the input: what the memory sees, and what the static map leaves until the next look."""
     found = []
     for segment in parts:
@@ -189,7 +191,7 @@ def _looks(parts: Sequence[RowRange], signals: Sequence[str], predict: Callable[
                 continue
             here = np.ascontiguousarray(values[begin : begin + count * stride])
             left = (truth[begin : begin + count * stride] - predict(here)).reshape(count, stride)
-            found.append(Looks(memory.inputs(here, stride, stride / rate), _mean(left), np.ones(count)))
+            found.append(RecordingWindow(memory.inputs(here, stride, stride / rate), _mean(left), np.ones(count)))
     return found
 
 

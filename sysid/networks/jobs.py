@@ -21,9 +21,9 @@ import numpy.typing as npt
 from sysid.errors import InputError, SettingsError
 from sysid.networks.batch import Floats, padded, parameters
 from sysid.networks.checkpoint import FORMAT, Checkpoints, State
-from sysid.networks.member import Member, TrainingSettings
+from sysid.networks.member import EnsembleMember, TrainingSettings
 from sysid.networks.mlp import Normalisation, Rectifier
-from sysid.networks.order import Order, initial_row
+from sysid.networks.shuffle_order import ShuffleOrder, initial_row
 
 if TYPE_CHECKING:
     import torch
@@ -53,7 +53,7 @@ class Job:
     y: Floats
     x_validation: Floats
     y_validation: Floats
-    order: Order
+    order: ShuffleOrder
     learning_rate: float
     width: int
     epochs: int
@@ -134,7 +134,7 @@ def work_of(batch: Sequence[Job]) -> float:
     return float(sum((job.updates - job.state.step) * job.bytes for job in batch))
 
 
-def layers_of(member: Member, hidden: tuple[int, ...]) -> tuple[int, ...]:
+def layers_of(member: EnsembleMember, hidden: tuple[int, ...]) -> tuple[int, ...]:
     """(d_in, hidden…, d_out) of a member whose arrays fit together and are finite."""
     (n, d_in), (v, _), d_out = member.inputs.shape, member.validation_inputs.shape, member.outputs.shape[1]
     expected = {"inputs": (n, d_in), "outputs": (n, d_out), "validation_inputs": (v, d_in), "validation_outputs": (v, d_out)}
@@ -156,7 +156,7 @@ def layers_of(member: Member, hidden: tuple[int, ...]) -> tuple[int, ...]:
     return (d_in, *hidden, d_out)
 
 
-def scalers_of(member: Member) -> tuple[Normalisation, Normalisation]:
+def scalers_of(member: EnsembleMember) -> tuple[Normalisation, Normalisation]:
     where = f"network {member.name}"
     return Normalisation.of(member.inputs, member.input_names, where), Normalisation.of(
         member.outputs, member.output_names, where
@@ -164,7 +164,7 @@ def scalers_of(member: Member) -> tuple[Normalisation, Normalisation]:
 
 
 def job_of(
-    member: Member,
+    member: EnsembleMember,
     sizes: tuple[int, ...],
     scalers: tuple[Normalisation, Normalisation],
     settings: TrainingSettings,
@@ -190,7 +190,7 @@ def job_of(
         y=rows[1],
         x_validation=rows[2],
         y_validation=rows[3],
-        order=Order(seed, member.name, len(rows[0])),
+        order=ShuffleOrder(seed, member.name, len(rows[0])),
         learning_rate=rate,
         width=min(settings.batch, len(rows[0])),
         epochs=settings.epochs,
@@ -211,7 +211,7 @@ def _columns(values: Array, columns: int) -> Floats:
 
 
 def _file(
-    member: Member, sizes: tuple[int, ...], settings: TrainingSettings, seed: int, device: str, rows: Sequence[Floats]
+    member: EnsembleMember, sizes: tuple[int, ...], settings: TrainingSettings, seed: int, device: str, rows: Sequence[Floats]
 ) -> str:
     """A name for a member's checkpoint that changes with all that its result follows from."""
     import torch

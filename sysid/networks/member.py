@@ -53,7 +53,7 @@ class TrainingSettings:
 
 
 @dataclass(frozen=True)
-class Member:
+class EnsembleMember:
     """One network to train: rows in SI units.
 
     Args:

@@ -19,7 +19,7 @@ from sysid.errors import ExcitationError
 from sysid.machine.description import Axis
 from sysid.networks.checkpoint import Checkpoints
 from sysid.networks.forward import is_angle
-from sysid.networks.member import LearningCurve, Member, TrainedMember
+from sysid.networks.member import EnsembleMember, LearningCurve, TrainedMember
 from sysid.networks.mlp import Mlp
 from sysid.networks.motion_inputs import MotionStretch, Window, window_of
 from sysid.networks.recipe import MotionRecipe, NetworkRecipe
@@ -172,7 +172,7 @@ def fit_motion(
         expected = "at least one axis on which the command and what it drives were recorded together"
         raise ExcitationError(f"dataset {dataset.reference}", "no axis with <axis>.command and its motion", expected)
     settings = recipe.motion
-    plans: dict[tuple[str, bool], tuple[Window, list[Member]]] = {}
+    plans: dict[tuple[str, bool], tuple[Window, list[EnsembleMember]]] = {}
     for axis in axes:
         for speeds in (True, False) if settings.speeds else (False,):
             window = window_for(axis, settings, dataset.machine.rate_hz, speeds)
@@ -183,7 +183,7 @@ def fit_motion(
             plans[axis.name, speeds] = (
                 window,
                 [
-                    Member(f"{title} {number}", x, y, x_select, y_select, names, (f"speed of {axis.driven}",))
+                    EnsembleMember(f"{title} {number}", x, y, x_select, y_select, names, (f"speed of {axis.driven}",))
                     for number in range(settings.members)
                 ],
             )

@@ -29,7 +29,7 @@ LAGS = (4, 16, 64)
 
 
 @dataclass(frozen=True)
-class Looks:
+class RecordingWindow:
     """One recording as the network sees it, a row every interval.
 
     Args:
@@ -80,7 +80,7 @@ class Recurrent:
 
 
 def train_recurrent(
-    fit: Sequence[Looks], select: Sequence[Looks], bound: float, interval: float, integrates: bool,
+    fit: Sequence[RecordingWindow], select: Sequence[RecordingWindow], bound: float, interval: float, integrates: bool,
     settings: RecurrentSettings | None = None, seed: int = 0, progress: Progress = silent,
 ) -> Recurrent:  # fmt: skip
     """Train on ``fit``, keep the weights that do best on ``select``.
@@ -162,7 +162,7 @@ def _loss(said: Any, left: Any, counts: Any, interval: float, integrates: bool, 
     return sum(torch.nn.functional.huber_loss(value, torch.zeros_like(value), delta=3.0) for value in usable) / len(usable)
 
 
-def _units(parts: Sequence[Looks], bound: float, interval: float, integrates: bool) -> tuple[float, ...]:
+def _units(parts: Sequence[RecordingWindow], bound: float, interval: float, integrates: bool) -> tuple[float, ...]:
     """What is left over without a network: RMS of the changes over each lag, or of the values."""
     if not integrates:
         return (max(_rms(np.concatenate([p.left for p in parts])), 1e-6 * bound),)
@@ -175,7 +175,9 @@ def _rms(values: Array) -> float:
     return float(np.sqrt(np.mean(there**2))) if len(there) else 0.0
 
 
-def _pieces(parts: Sequence[Looks], mean: Array, scale: Array, settings: RecurrentSettings) -> tuple[Any, Any, Any, Any]:
+def _pieces(
+    parts: Sequence[RecordingWindow], mean: Array, scale: Array, settings: RecurrentSettings
+) -> tuple[Any, Any, Any, Any]:
     """Pieces of equal length (k, warm + piece, …): inputs, what is left, whether a look counts (warm), size."""
     import torch
 

@@ -20,11 +20,11 @@ from sysid.networks.chain import FittedChain, fit_chain
 from sysid.networks.checkpoint import Checkpoints
 from sysid.networks.forward import feature_names, forward_joints, is_angle, taught_rows, to_features
 from sysid.networks.geometry import Geometry
-from sysid.networks.member import LearningCurve, Member
+from sysid.networks.member import EnsembleMember, LearningCurve
 from sysid.networks.mlp import Mlp
 from sysid.networks.recipe import NetworkRecipe
 from sysid.networks.training import train
-from sysid.networks.trust import Mask, Trust, known
+from sysid.networks.uncertainty import Mask, NetworkUncertainty, known
 from sysid.progress import Progress
 from sysid.signals import point_signals
 
@@ -61,7 +61,7 @@ class StructuredForward:
     low: Array
     high: Array
     courses: tuple[LearningCurve, ...] = ()
-    trust: Trust | None = None
+    trust: NetworkUncertainty | None = None
 
     def predict(self, q: npt.ArrayLike) -> Array:
         """End-effector positions (n, 3) [m] at joint values ``q`` (n, n_axes) [rad or m].
@@ -167,7 +167,7 @@ def _rest(
     if not recipe.forward.residual or bound <= 0.0:
         return (), (), 0.0
     members = [
-        Member(
+        EnsembleMember(
             name=f"forward residual {number}",
             inputs=to_features(q, revolute, "sincos"),
             outputs=_unbounded(left, bound),

@@ -23,7 +23,7 @@ from sysid.networks.batch import padded, parameters, unpack
 from sysid.networks.checkpoint import Checkpoints
 from sysid.networks.engine import Control, train_batches
 from sysid.networks.jobs import Job, batches, job_of, layers_of, scalers_of
-from sysid.networks.member import LearningCurve, Member, TrainedMember, TrainingSettings
+from sysid.networks.member import EnsembleMember, LearningCurve, TrainedMember, TrainingSettings
 from sysid.networks.mlp import Mlp, Normalisation
 from sysid.progress import Progress, silent
 
@@ -35,7 +35,7 @@ WORTH_A_GPU = 20_000_000
 
 
 def train(
-    members: Sequence[Member],
+    members: Sequence[EnsembleMember],
     hidden: tuple[int, ...],
     settings: TrainingSettings,
     seed: int,
@@ -82,7 +82,7 @@ def train(
         return tuple(_result(*each, seconds) for each in zip(members, jobs, scalers, strict=True))
 
 
-def _device(settings: TrainingSettings, members: Sequence[Member], layers: Sequence[tuple[int, ...]]) -> torch.device:
+def _device(settings: TrainingSettings, members: Sequence[EnsembleMember], layers: Sequence[tuple[int, ...]]) -> torch.device:
     """Where to train: multiply-adds of one update of all members decide about ``auto``."""
     import torch
 
@@ -131,7 +131,7 @@ def _terminable(wanted: bool) -> Iterator[None]:
         signal.signal(signal.SIGTERM, signal.SIG_DFL)
 
 
-def _result(member: Member, job: Job, scalers: tuple[Normalisation, Normalisation], seconds: float) -> TrainedMember:
+def _result(member: EnsembleMember, job: Job, scalers: tuple[Normalisation, Normalisation], seconds: float) -> TrainedMember:
     state = job.state
     mlp = Mlp(*unpack(job.sizes, state.best), *scalers, job.rectifier)
     residual = mlp.predict(member.validation_inputs) - member.validation_outputs

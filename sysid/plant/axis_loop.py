@@ -9,7 +9,7 @@ import numpy as np
 from sysid.effects.compiled import inlined, loop
 from sysid.plant import chain, residual
 from sysid.plant.layout import AT, AXIS_WIDTH, STATE
-from sysid.plant.rig import CYLINDER, FORCE, HIGH, KIND, LOW, POSITION, VELOCITY
+from sysid.plant.machine_arrays import CYLINDER, FORCE, HIGH, KIND, LOW, POSITION, VELOCITY
 
 
 @inlined
@@ -31,7 +31,7 @@ def begin(s, m, size, position, speed, joint, p, b, first, dt):
 def run(p, rig, i, s, command, load, share, first, last, dt, drive, joint, own):
     """Samples ``first … last`` from the state ``s``; ``joint`` is only written where the joint itself is driven.
 
-    ``own`` is the network that the axis carries (:class:`sysid.plant.residual.Own`), or None.
+    ``own`` is the network that the axis carries (:class:`sysid.plant.residual.StageResidual`), or None.
     """
     b, size, m = i * AXIS_WIDTH, len(s), np.int64(0)  # a plain 0 would be a type of its own: all compiled once more
     fed, jointed = rig.axes[i, KIND] == VELOCITY, rig.axes[i, CYLINDER] == 0.0

@@ -14,7 +14,7 @@ from sysid.plant.axis_loop import begin, run
 from sysid.plant.axis_start import find_start
 from sysid.plant.layout import AT, AXIS_WIDTH, STATE
 from sysid.plant.level import ENOUGH, median
-from sysid.plant.rig import CYLINDER, GAIN, TABLE_LOW, TABLE_STEP
+from sysid.plant.machine_arrays import CYLINDER, GAIN, TABLE_LOW, TABLE_STEP
 from sysid.plant.valve_start import ROWS, UNKNOWNS
 
 

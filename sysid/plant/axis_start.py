@@ -13,7 +13,7 @@ from sysid.plant import chain
 from sysid.plant.axis_loop import begin, run
 from sysid.plant.layout import AT, AXIS_WIDTH, STATE
 from sysid.plant.level import line, median, middle_and_spread, shift, squares
-from sysid.plant.rig import CYLINDER, FORCE, HIGH, KIND, LOW, POSITION, TABLE_LOW, TABLE_STEP, VELOCITY
+from sysid.plant.machine_arrays import CYLINDER, FORCE, HIGH, KIND, LOW, POSITION, TABLE_LOW, TABLE_STEP, VELOCITY
 from sysid.plant.servo_start import start_servo
 from sysid.plant.valve_start import LEVEL, SPIKE, start_valve
 

@@ -32,7 +32,7 @@ from sysid.effects import (
 )
 from sysid.effects.compiled import inlined
 from sysid.plant.layout import AT, AXIS_WIDTH, STATE
-from sysid.plant.rig import GAIN, HIGH, KIND, LOW, POSITION, SENSE, VELOCITY
+from sysid.plant.machine_arrays import GAIN, HIGH, KIND, LOW, POSITION, SENSE, VELOCITY
 
 
 @inlined
@@ -107,7 +107,7 @@ def force_at_motion(v, a, p, b, inertia):
 
 @inlined
 def ask(u, p, s, m, size, axes, i, load, dt):
-    """What axis ``i`` of :attr:`sysid.plant.rig.Rig.axes` wants to do in this step: mean speed, or the position of a servo.
+    """What axis ``i`` of ``MachineArrays.axes`` wants to do in this step: mean speed, or the position of a servo.
 
     ``load`` is the gravity load about the joint. Not inlined: it is long, and called from many places.
     """

@@ -8,8 +8,8 @@ import numpy.typing as npt
 from sysid.datasets.recording import Recording
 from sysid.machine import Machine
 from sysid.plant.layout import base_place, neutral_vector
+from sysid.plant.machine_arrays import links_of
 from sysid.plant.pose import loads
-from sysid.plant.rig import links_of
 from sysid.signals import axis_signal
 
 Array = npt.NDArray[np.float64]

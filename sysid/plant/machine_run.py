@@ -12,8 +12,8 @@ from sysid.effects import pump_flow_limit
 from sysid.effects.compiled import inlined, kernel, loop
 from sysid.plant import chain, residual
 from sysid.plant.layout import AT, AXIS_WIDTH, STATE
+from sysid.plant.machine_arrays import CYLINDER, FORCE, GAIN, HIGH, KIND, LOW, POSITION, TABLE_LOW, TABLE_STEP, VELOCITY
 from sysid.plant.pose import SCRATCH, pose
-from sysid.plant.rig import CYLINDER, FORCE, GAIN, HIGH, KIND, LOW, POSITION, TABLE_LOW, TABLE_STEP, VELOCITY
 
 #: Places of :data:`sysid.plant.residual.PLACES`.
 COMMAND, JOINT, INVERSE = range(3)

@@ -17,9 +17,9 @@ from sysid.machine import Machine
 from sysid.plant import axis_run, layout, residual, sensing, stage_tip, swing
 from sysid.plant.gravity import gravity_load
 from sysid.plant.layout import AT, AXIS_WIDTH, SIGNAL_WIDTH, neutral_vector
+from sysid.plant.machine_arrays import KIND, POSITION, VELOCITY, MachineArrays, rig_of
 from sysid.plant.plant import Plant
-from sysid.plant.residual import Nets, Own, Residual, check_step, memory_of, nets_of
-from sysid.plant.rig import KIND, POSITION, VELOCITY, Rig, rig_of
+from sysid.plant.residual import Residual, ResidualArrays, StageResidual, check_step, memory_of, nets_of
 from sysid.signals import axis_signal, point_signals
 
 Array = npt.NDArray[np.float64]
@@ -44,11 +44,11 @@ class Model:
 
     machine: Machine
     theta: Array
-    rig: Rig
+    rig: MachineArrays
     linked: frozenset[str]
     streams: layout.Streams = field(default_factory=dict)
     residuals: tuple[Residual, ...] = ()
-    nets: Nets | None = None
+    nets: ResidualArrays | None = None
 
     @property
     def axes(self) -> int:
@@ -171,12 +171,12 @@ class Model:
         check_step(found, dt)
         return bool(found)
 
-    def own(self, stage: residual.Place, axis: str, commands: Array | None) -> Own | None:
+    def own(self, stage: residual.Place, axis: str, commands: Array | None) -> StageResidual | None:
         """The network of a stage with a fresh memory; None where ``commands`` are None."""
         if commands is None or self.nets is None:
             return None
         row = next(k for k, item in enumerate(self.residuals) if item.key == (stage, axis))
-        return Own(self.nets, row, frozen(commands), memory_of(self.nets)[row])
+        return StageResidual(self.nets, row, frozen(commands), memory_of(self.nets)[row])
 
     def in_steps(self, recording: Recording, i: int) -> Array:
         """Commands in force during each step that begins at a sample, (n, A); for the steps of axis ``i``."""

@@ -9,7 +9,7 @@ import numpy as np
 from sysid.effects.compiled import inlined, kernel
 from sysid.effects.gripper_sway import GRAVITY
 from sysid.plant.layout import AT, AXIS_WIDTH
-from sysid.plant.rig import ALIGNED, AXIS, CENTRE, LENGTH, MASS, ORDER, PRISMATIC, ROTATION, SHIFT, TURNED
+from sysid.plant.machine_arrays import ALIGNED, AXIS, CENTRE, LENGTH, MASS, ORDER, PRISMATIC, ROTATION, SHIFT, TURNED
 from sysid.plant.trig import sincos
 
 #: Numbers that :func:`pose` keeps a joint: axis x, y, z and origin x, y in the base frame, mass, its moments x, y.

@@ -35,13 +35,13 @@ FILE = "residuals.safetensors"
 #: What a reader has to know of it, wherever it is shown.
 WARNING = "learned from the recordings, no physics: it says nothing about the cause and nothing beyond what was recorded"
 
-# Columns of ``Nets.about``.
+# Columns of ``ResidualArrays.about``.
 AXIS, STAGE, UNITS, INTERVAL, BOUND, PERIOD = range(6)
 # What a network keeps: what it adds now, seconds since it looked, the position then; then what its cell keeps.
 ADDS, SINCE, LAST, STATES = 0, 1, 2, 3
 
 
-class Nets(NamedTuple):
+class ResidualArrays(NamedTuple):
     """All residual networks of a plant as flat arrays, (R, …); see :class:`Residual`."""
 
     about: Array
@@ -50,10 +50,10 @@ class Nets(NamedTuple):
     weights: Array
 
 
-class Own(NamedTuple):
+class StageResidual(NamedTuple):
     """The network of one stage for a run of its axis alone: ``commands`` (n, A) in force during each step, memory (M,)."""
 
-    nets: Nets
+    nets: ResidualArrays
     row: int
     commands: Array
     memory: Array
@@ -139,7 +139,7 @@ def check_residual(machine: Machine, linked: Sequence[str], item: Residual) -> N
             raise SettingsError(where, f"{name} = {getattr(item, name)}", "a positive number")
 
 
-def nets_of(machine: Machine, residuals: Sequence[Residual]) -> Nets | None:
+def nets_of(machine: Machine, residuals: Sequence[Residual]) -> ResidualArrays | None:
     """Networks as the kernels take them; None where there are none."""
     if not residuals:
         return None
@@ -150,10 +150,10 @@ def nets_of(machine: Machine, residuals: Sequence[Residual]) -> Nets | None:
         weights[row, : len(values)] = values
         place = machine.axis_names.index(item.target)
         about[row] = place, PLACES.index(item.stage), item.units, item.interval, item.bound, item.period
-    return Nets(about, np.array([r.mean for r in residuals]), np.array([r.scale for r in residuals]), weights)
+    return ResidualArrays(about, np.array([r.mean for r in residuals]), np.array([r.scale for r in residuals]), weights)
 
 
-def memory_of(nets: Nets) -> Array:
+def memory_of(nets: ResidualArrays) -> Array:
     """Memory of networks that have not begun, (R, M)."""
     memory = np.zeros((len(nets.about), STATES + cell.room(nets.mean.shape[1], int(nets.about[:, UNITS].max()))))
     memory[:, SINCE] = np.nan

@@ -14,7 +14,7 @@ import numpy as np
 from sysid.effects import input_delay
 from sysid.effects.compiled import inlined, loop
 from sysid.plant.layout import AT, AXIS_WIDTH, STATE
-from sysid.plant.rig import HIGH, LOW
+from sysid.plant.machine_arrays import HIGH, LOW
 
 #: After so many time constants nothing is left of where the lag stood.
 FADED = 4.0

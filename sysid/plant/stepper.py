@@ -21,12 +21,12 @@ from sysid.errors import SettingsError
 from sysid.machine import Machine
 from sysid.plant import axis_loop, chain, layout, residual, swing
 from sysid.plant.layout import AT, AXIS_WIDTH, STATE
+from sysid.plant.machine_arrays import FORCE, HIGH, KIND, LOW, POSITION
 from sysid.plant.machine_run import advance, enter, observe
 from sysid.plant.model import WORKERS, compile_plant, frozen, held, in_parallel
 from sysid.plant.plant import Plant
 from sysid.plant.pose import SCRATCH, loads
 from sysid.plant.residual import check_step, memory_of
-from sysid.plant.rig import FORCE, HIGH, KIND, LOW, POSITION
 from sysid.plant.rollout import MachineState, Starts, run_steps, starts, true_run
 from sysid.signals import axis_signal
 

@@ -21,7 +21,7 @@ from sysid.plant import chain
 from sysid.plant.axis_loop import run
 from sysid.plant.layout import AT, AXIS_WIDTH, STATE
 from sysid.plant.level import middle_and_spread, shift
-from sysid.plant.rig import CYLINDER, GAIN, HIGH, LOW
+from sysid.plant.machine_arrays import CYLINDER, GAIN, HIGH, LOW
 
 #: The position is that of so many seconds behind the transient.
 LEVEL = 1.0

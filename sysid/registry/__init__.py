@@ -3,8 +3,8 @@
 from sysid.registry.decision import Check, Promotion, PromotionDecision
 from sysid.registry.lineage import made_from, made_from_dataset, made_of
 from sysid.registry.promotion import decide
-from sysid.registry.registry import Damaged, Registry
-from sysid.registry.repair import Repaired
+from sysid.registry.registry import DamagedModel, Registry
+from sysid.registry.repair import RepairReport
 from sysid.registry.version import CANDIDATE, CHAMPION, KINDS, NETWORKS, Kind, ModelVersion
 
 __all__ = [
@@ -13,13 +13,13 @@ __all__ = [
     "KINDS",
     "NETWORKS",
     "Check",
-    "Damaged",
+    "DamagedModel",
     "Kind",
     "ModelVersion",
     "Promotion",
     "PromotionDecision",
     "Registry",
-    "Repaired",
+    "RepairReport",
     "decide",
     "made_from",
     "made_from_dataset",

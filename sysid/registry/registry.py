@@ -23,7 +23,7 @@ from sysid.registry.client import SQLITE, written
 from sysid.registry.decision import PromotionDecision, now_ms
 from sysid.registry.entries import aliases_of, check_model, check_stored_name, decision_key, kind_of, version_of
 from sysid.registry.record import Record
-from sysid.registry.repair import Repaired, repair
+from sysid.registry.repair import RepairReport, repair
 from sysid.registry.seal import sealed
 from sysid.registry.server import ServerTables
 from sysid.registry.stored import DIGEST, MANIFEST, METRICS, ModelChange, StoredModel, StoredVersion, Tables
@@ -46,7 +46,7 @@ URI_VARIABLE = "SYSID_REGISTRY_URI"
 
 
 @dataclass(frozen=True)
-class Damaged:
+class DamagedModel:
     """A row of the registry that cannot be shown as true: of which version or model, and why."""
 
     reference: str
@@ -153,18 +153,18 @@ class Registry:
         """
         found = self.survey(kind)
         for entry in found:
-            if isinstance(entry, Damaged):
+            if isinstance(entry, DamagedModel):
                 raise entry.error
         return tuple(entry for entry in found if isinstance(entry, ModelVersion))
 
-    def survey(self, kind: str | None = None) -> tuple[ModelVersion | Damaged, ...]:
+    def survey(self, kind: str | None = None) -> tuple[ModelVersion | DamagedModel, ...]:
         """As :meth:`list`, with what cannot be shown as true in its place: the kind of that is not known."""
         if kind is not None:
             check_kind(kind)
-        found: builtins.list[ModelVersion | Damaged] = []
+        found: builtins.list[ModelVersion | DamagedModel] = []
         for model in self._tables.models():
             found += _surveyed(model, self._tables.seals_aliases)
-        return tuple(entry for entry in found if isinstance(entry, Damaged) or kind in (None, entry.kind))
+        return tuple(entry for entry in found if isinstance(entry, DamagedModel) or kind in (None, entry.kind))
 
     def versions(self, name: str) -> tuple[ModelVersion, ...]:
         """Every version of one model, oldest first; none where there is no such model.
@@ -255,7 +255,7 @@ class Registry:
         model = self._tables.change(name, build)
         return self._chosen(model, f"{name}@{number}")[0]
 
-    def repair(self, accept: bool = False) -> Repaired:
+    def repair(self, accept: bool = False) -> RepairReport:
         """Mend the registry of the workspace: see :func:`sysid.registry.repair.repair`.
 
         Raises:
@@ -298,26 +298,26 @@ class Registry:
         return version_of(model, entry), entry.source
 
 
-def _surveyed(model: StoredModel, aliases: bool) -> builtins.list[ModelVersion | Damaged]:
+def _surveyed(model: StoredModel, aliases: bool) -> builtins.list[ModelVersion | DamagedModel]:
     """All versions of a model, and before them what is wrong with the model as a whole."""
-    found: builtins.list[ModelVersion | Damaged] = []
+    found: builtins.list[ModelVersion | DamagedModel] = []
     if not model.own and not aliases:
         return found  # another program's, on a server that is shared
     try:
         check_stored_name(model)
     except StoreError as error:
-        return [Damaged(model.name, error)]
+        return [DamagedModel(model.name, error)]
     if aliases:
         try:
             check_model(model)
         except StoreError as error:
-            found.append(Damaged(model.name, error))
+            found.append(DamagedModel(model.name, error))
             model = replace(model, aliases={})  # none of them is to be believed
     for entry in model.own:
         try:
             found.append(version_of(model, entry))
         except StoreError as error:
-            found.append(Damaged(f"{model.name}@{entry.number}", error))
+            found.append(DamagedModel(f"{model.name}@{entry.number}", error))
     return found
 
 

@@ -31,14 +31,14 @@ LOST = "Decisions of restored versions are lost: `sysid models promote` decides 
 
 
 @dataclass(frozen=True)
-class Repaired:
+class RepairReport:
     """What was done, and what could not be restored, one sentence each; both empty where the registry is whole."""
 
     done: tuple[str, ...]
     left: tuple[str, ...]
 
 
-def repair(workspace: Path, accept: bool = False, wait_s: float = 30.0) -> Repaired:
+def repair(workspace: Path, accept: bool = False, wait_s: float = 30.0) -> RepairReport:
     """Mend the registry of ``workspace``; may be repeated without harm, also after it was killed.
 
     Args:
@@ -51,7 +51,7 @@ def repair(workspace: Path, accept: bool = False, wait_s: float = 30.0) -> Repai
     root = Root(workspace)
     database = root.path("registry.db")
     if not database.exists() and root.kind("models") is None:
-        return Repaired((), ())
+        return RepairReport((), ())
     with written(workspace):
         empty = empty_registry()  # before the lock: it may take seconds
     with exclusive(workspace, wait_s), written(workspace):
@@ -59,7 +59,7 @@ def repair(workspace: Path, accept: bool = False, wait_s: float = 30.0) -> Repai
     tables = WorkspaceTables(workspace, wait_s)
     for model in tables.models():
         _mend_seals(tables, model, _records(workspace), accept, done, left)
-    return Repaired(tuple(done), tuple(left))
+    return RepairReport(tuple(done), tuple(left))
 
 
 def _mend_tables(workspace: Path, database: Path, empty: bytes) -> tuple[list[str], list[str]]:

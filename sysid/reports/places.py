@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from sysid.effects import BY_NAME
-from sysid.gap.result import GapResult, Localised
+from sysid.gap.result import GapResult, StageGap
 from sysid.machine import Machine
 from sysid.reports import words
 from sysid.signals import split_signal
@@ -69,7 +69,7 @@ def marks_of(gap: GapResult, machine: Machine) -> tuple[Mark, ...]:
     return tuple(marks)
 
 
-def stage_marks(found: Sequence[Localised], machine: Machine) -> tuple[Mark, ...]:
+def stage_marks(found: Sequence[StageGap], machine: Machine) -> tuple[Mark, ...]:
     """A hollow mark for each stage that disagrees, in their order."""
     return tuple(Mark(k, _of_stage(i.stage, i.target, machine), i.target, sure=False) for k, i in enumerate(found, 1))
 

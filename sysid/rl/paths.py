@@ -17,7 +17,7 @@ import numpy.typing as npt
 
 from sysid.errors import InputError, SettingsError
 from sysid.machine import Machine
-from sysid.rl.inverse import Inverse
+from sysid.rl.inverse_kinematics import InverseKinematics
 
 Array = npt.NDArray[np.float64]
 
@@ -89,7 +89,7 @@ def circle(centre: npt.ArrayLike, rate_hz: float = 100.0, *, radius: float = RAD
 
 
 def centre_for(
-    inverse: Inverse,
+    inverse: InverseKinematics,
     low: Array,
     high: Array,
     *,
@@ -181,7 +181,7 @@ def _row(file: File, number: int, line: list[str]) -> list[float]:
     return values
 
 
-def check_reach(path: Path, inverse: Inverse) -> Array:
+def check_reach(path: Path, inverse: InverseKinematics) -> Array:
     """Joints (n, A) along the path from the beginning that keeps farthest from the bounds.
 
     Raises:

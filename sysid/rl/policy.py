@@ -25,7 +25,7 @@ def load_policy(version: ModelVersion) -> PolicyNetwork:
     return policy_from_files(version.files, version.reference)
 
 
-class Searching:
+class CandidateSearchPolicy:
     """A policy with a choice at run time: of candidates around its answer, the one nearest to the target by the forward model.
 
     This is a random search over inverse kinematics with a policy as its first guess, no property of the policy: its figures

@@ -12,7 +12,7 @@ import pandas as pd
 from sysid.files import written_whole
 from sysid.machine import Machine
 from sysid.pictures import PictureCurve, svg
-from sysid.rl.tracking import Tracked
+from sysid.rl.tracking import TrackingResult
 from sysid.signals import point_signals
 
 Array = npt.NDArray[np.float64]
@@ -23,7 +23,7 @@ _COLOURS = ("#0f766e", "#c2410c", "#4338ca")
 _AXES = ("#0f766e", "#c2410c", "#4338ca")
 
 
-def table(machine: Machine, run: Tracked) -> pd.DataFrame:
+def table(machine: Machine, run: TrackingResult) -> pd.DataFrame:
     """One row a step: time, target, end effector, joints, setpoints; commands and tool where there are any."""
     columns: dict[str, Array] = {"time": run.time}
     for name, values in (("target", run.target), ("ee", run.ee), ("tool", run.tool)):
@@ -35,7 +35,7 @@ def table(machine: Machine, run: Tracked) -> pd.DataFrame:
     return pd.DataFrame(columns)
 
 
-def pictures(runs: Sequence[Tracked]) -> dict[str, str]:
+def pictures(runs: Sequence[TrackingResult]) -> dict[str, str]:
     """File name → SVG: path and the first :data:`DRAWN` runs from above and from the side, and the errors of each over time."""
     first = runs[0]
     found = {}
@@ -54,7 +54,7 @@ def pictures(runs: Sequence[Tracked]) -> dict[str, str]:
     return found
 
 
-def keep(folder: Path, machine: Machine, runs: Sequence[Tracked], rerun: bool = True) -> dict[str, Path]:
+def keep(folder: Path, machine: Machine, runs: Sequence[TrackingResult], rerun: bool = True) -> dict[str, Path]:
     """Write tables, pictures and the Rerun recording of runs along one path.
 
     Returns:

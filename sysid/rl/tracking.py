@@ -19,7 +19,7 @@ from sysid.plant import Plant
 from sysid.rl.driven import DrivenEnvironment
 from sysid.rl.environment import Environment
 from sysid.rl.factory import make_environment
-from sysid.rl.inverse import Inverse
+from sysid.rl.inverse_kinematics import InverseKinematics
 from sysid.rl.paths import Path
 from sysid.rl.reach import Reach
 from sysid.rl.task import ObservationSlices, Task
@@ -37,7 +37,7 @@ class Policy(Protocol):
 
 
 @runtime_checkable
-class Remembering(Protocol):
+class StatefulPolicy(Protocol):
     """A policy that has to be told where a path begins."""
 
     def reset(self, observations: Array) -> None: ...
@@ -46,7 +46,7 @@ class Remembering(Protocol):
 class InversePolicy:
     """Bounded least-squares inverse kinematics as a policy: the joints nearest to the last ones that reach the target."""
 
-    def __init__(self, inverse: Inverse, parts: ObservationSlices | None = None) -> None:
+    def __init__(self, inverse: InverseKinematics, parts: ObservationSlices | None = None) -> None:
         self.inverse, self.parts = inverse, parts or ObservationSlices.of(len(inverse.low))
         self._last: Array | None = None
 
@@ -63,7 +63,7 @@ class InversePolicy:
 
 
 @dataclass(frozen=True)
-class Tracked:
+class TrackingResult:
     """How a path was followed; row k is step k, which leads to time ``(k + 1)/rate_hz``.
 
     Args:
@@ -102,7 +102,7 @@ class Tracked:
         """Largest error per axis, (3,) [m]."""
         return np.asarray(np.abs(self.error).max(axis=0))
 
-    def after(self, seconds: float) -> Tracked:
+    def after(self, seconds: float) -> TrackingResult:
         """Without the first seconds, in which a machine at rest catches up with a path that moves at once."""
         late = self.time > seconds
         rows = {item.name: getattr(self, item.name)[late] for item in fields(self)[3:]}
@@ -134,7 +134,7 @@ class Tracked:
 
 def track(
     environment: Environment, policy: Policy, path: Path, start: npt.ArrayLike, *, lookahead: float = 0.0, name: str = ""
-) -> Tracked:
+) -> TrackingResult:
     """Follow ``path`` with one copy of a machine that begins at rest at the joints ``start`` (A,).
 
     Args:
@@ -154,7 +154,7 @@ def track(
     ahead = round(lookahead * path.rate_hz)
     parts = ObservationSlices.of(environment.actions)
     seen = environment.begin(start, path.at(ahead))
-    if isinstance(policy, Remembering):
+    if isinstance(policy, StatefulPolicy):
         policy.reset(seen)
     ee, joints = np.empty((steps, 3)), np.empty((steps, environment.actions))
     actions, commands = np.empty_like(joints), np.full_like(joints, np.nan)
@@ -168,7 +168,9 @@ def track(
         if isinstance(environment, DrivenEnvironment):
             tool[k], commands[k] = environment.tool[0], environment.commands[0]
     time, target = path.time[1:], path.points[1:]
-    return Tracked(name or type(policy).__name__, path.name, lookahead, time, target, ee, joints, actions, tool, commands)
+    return TrackingResult(
+        name or type(policy).__name__, path.name, lookahead, time, target, ee, joints, actions, tool, commands
+    )
 
 
 def track_environment(

@@ -14,16 +14,16 @@ from sysid.errors import SettingsError
 from sysid.gap.experiment.file import read_experiment
 from sysid.machine import Machine, load_machine
 from sysid.registry import Registry
-from sysid.rl.course import TrackingTask, lay_out
-from sysid.rl.inverse import Inverse, chain_of_forward, chain_of_plant
+from sysid.rl.inverse_kinematics import InverseKinematics, chain_of_forward, chain_of_plant
 from sysid.rl.reach import joint_limits
-from sysid.runner.barrier import Barrier
+from sysid.rl.tracking_task import TrackingTask, lay_out
 from sysid.runner.chain import ControlChain
+from sysid.runner.command_filter import CommandFilter
 from sysid.runner.cycle import Recorder
 from sysid.runner.domain import Domains
 from sysid.runner.limits import Limits, limits_of
 from sysid.runner.loop import Loop
-from sysid.runner.modes.collect import Collect, Ways
+from sysid.runner.modes.collect import Collect, SafeMoves
 from sysid.runner.modes.commission import Commission
 from sysid.runner.modes.hold import Hold, Shadow, Teleop
 from sysid.runner.modes.mode import Mode
@@ -31,11 +31,11 @@ from sysid.runner.modes.replay import of_experiment, of_file
 from sysid.runner.modes.track import TrackLive, TrackPath
 from sysid.runner.operator import Operator
 from sysid.runner.recipe import RunnerRecipe
-from sysid.runner.senses import StateEstimator
+from sysid.runner.state_estimator import StateEstimator
 from sysid.runner.supervisor import Supervisor
 from sysid.runner.transport import Transport
 from sysid.runner.valves import AxisValve, valves
-from sysid.runner.versions import Loaded, load
+from sysid.runner.versions import LoadedVersions, load
 
 Array = npt.NDArray[np.float64]
 
@@ -53,8 +53,8 @@ class Assembly:
     folder: Path
     machine_file: Path
     machine: Machine
-    loaded: Loaded
-    inverse: Inverse
+    loaded: LoadedVersions
+    inverse: InverseKinematics
     valves: tuple[AxisValve, ...]
     limits: Limits
     lookahead: float
@@ -97,7 +97,7 @@ class Assembly:
         loop.warm_up(self.middle)
         return loop
 
-    def mode(self, name: str, chain: ControlChain, barrier: Barrier) -> Mode:
+    def mode(self, name: str, chain: ControlChain, barrier: CommandFilter) -> Mode:
         """The task ``name`` of the recipe."""
         recipe, limits, dt = self.recipe, self.limits, self.dt
         if name == "track":
@@ -115,7 +115,7 @@ class Assembly:
         if name == "collect":
             collect = recipe.collect
             return Collect(
-                collect.poses, Ways(barrier), dt,
+                collect.poses, SafeMoves(barrier), dt,
                 settle_s=collect.settle_s, record_s=collect.record_s, seed=collect.seed,
             )  # fmt: skip
         if name == "experiment":
@@ -154,9 +154,9 @@ def assemble(recipe: RunnerRecipe, registry: Registry, path: Path) -> Assembly:
     return Assembly(recipe, folder, machine_file, machine, loaded, inverse, parts, limits, lookahead, course)
 
 
-def _inverse(loaded: Loaded) -> Inverse:
+def _inverse(loaded: LoadedVersions) -> InverseKinematics:
     low, high = joint_limits(loaded.plant)
-    return Inverse.of(chain_of_forward(loaded.forward) or chain_of_plant(loaded.plant), low, high)
+    return InverseKinematics.of(chain_of_forward(loaded.forward) or chain_of_plant(loaded.plant), low, high)
 
 
 def _check_course(course: TrackingTask, limits: Limits, where: object) -> None:

@@ -17,7 +17,7 @@ from sysid.effects import gripper_sway
 from sysid.errors import SettingsError
 from sysid.networks.forward import ForwardModel
 from sysid.plant import Plant
-from sysid.rl.inverse import Inverse
+from sysid.rl.inverse_kinematics import InverseKinematics
 from sysid.rl.observation import DrivenObservation
 from sysid.rl.task import ObservationSlices
 from sysid.runner.policy_thread import PolicyThread, Setter
@@ -54,7 +54,7 @@ class ControlChain:
         self,
         plant: Plant,
         forward: ForwardModel,
-        inverse: Inverse,
+        inverse: InverseKinematics,
         *,
         policy: SignalPolicy | None = None,
         lookahead: float = 0.0,

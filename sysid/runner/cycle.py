@@ -21,7 +21,7 @@ State = Literal["idle", "ready", "armed", "running", "stopping", "fault"]
 
 
 @dataclass(frozen=True, slots=True)
-class Verdict:
+class Violation:
     """A rule of the supervisor that was broken.
 
     Args:
@@ -80,7 +80,7 @@ class Cycle:
     commands_asked: Array
     commands: Array
     enabled: bool
-    verdicts: tuple[Verdict, ...]
+    verdicts: tuple[Violation, ...]
     source: str
     lateness_ns: int
     latency_ns: int

@@ -10,11 +10,11 @@ import numpy as np
 import numpy.typing as npt
 
 from sysid.runner.chain import ControlChain
-from sysid.runner.cycle import Verdict
+from sysid.runner.cycle import Violation
 from sysid.runner.modes.mode import Goal, Mode
 from sysid.runner.operator import Operator
 from sysid.runner.policy_thread import PolicyError, described
-from sysid.runner.senses import StateEstimate, StateEstimator
+from sysid.runner.state_estimator import StateEstimate, StateEstimator
 from sysid.runner.supervisor import Supervisor
 
 Array = npt.NDArray[np.float64]
@@ -74,7 +74,7 @@ class Decider:
         self.mode.begin(seen.joints, seen.ee)
         self._k, self._distrusted, self._late, self._held_at, self.drive_setpoints = 0, False, 0, None, None
 
-    def think(self, seen: StateEstimate, verdicts: list[Verdict], until_ns: int) -> CycleDecision:
+    def think(self, seen: StateEstimate, verdicts: list[Violation], until_ns: int) -> CycleDecision:
         """A turn of the task; what the supervisor finds in it is added to ``verdicts``.
 
         Args:
@@ -114,7 +114,7 @@ class Decider:
             decision.enabled = True
         return decision
 
-    def _ask(self, goal: Goal, seen: StateEstimate, held: bool, verdicts: list[Verdict], until_ns: int) -> tuple[Array, str]:
+    def _ask(self, goal: Goal, seen: StateEstimate, held: bool, verdicts: list[Violation], until_ns: int) -> tuple[Array, str]:
         """Joint setpoints (A,), and whose they are."""
         here = self.supervisor.limiter.position
         if held:
@@ -137,7 +137,7 @@ class Decider:
             verdicts.append(self.supervisor.no_answer(f"inverse kinematics fails: {described(problem)}"))
             return self._hold(here)
 
-    def _policy(self, goal: Goal, seen: StateEstimate, until_ns: int) -> tuple[Array, Verdict | None]:
+    def _policy(self, goal: Goal, seen: StateEstimate, until_ns: int) -> tuple[Array, Violation | None]:
         """What the policy asks for, and what is wrong with it.
 
         One that is late is asked again in the next turn, until it was late in too many turns in a row; one that fails is not.

@@ -9,7 +9,7 @@ import numpy as np
 from sysid.errors import SettingsError
 from sysid.networks import ActuatorNetwork
 from sysid.networks.forward import ForwardModel
-from sysid.runner.senses import StateEstimate
+from sysid.runner.state_estimator import StateEstimate
 
 
 class Domains:

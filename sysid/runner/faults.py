@@ -138,7 +138,7 @@ class EmergencyPressed:
 
 
 @dataclass(frozen=True)
-class MachineSays:
+class MachineReportsFault:
     """The machine's side reports a fault."""
 
     text: str = "valve driver"
@@ -146,7 +146,7 @@ class MachineSays:
 
 Fault = (
     DroppedFrames | Frozen | Delayed | NotANumber | Jumped | Scaled | Unplugged | BusOff | ReadFails | WritesLost | Paused
-    | ClockJumped | Swapped | ValvesSwapped | ValveTurned | DeadManReleased | EmergencyPressed | MachineSays
+    | ClockJumped | Swapped | ValvesSwapped | ValveTurned | DeadManReleased | EmergencyPressed | MachineReportsFault
 )  # fmt: skip
 
 
@@ -222,7 +222,7 @@ class FaultyTransport:
                 raise OSError("the adapter does not read")
             if isinstance(fault, BusOff) and not fault.silent:
                 inputs = replace(inputs, fault="bus off")
-            elif isinstance(fault, MachineSays):
+            elif isinstance(fault, MachineReportsFault):
                 inputs = replace(inputs, fault=fault.text)
             elif isinstance(fault, DeadManReleased):
                 inputs = replace(inputs, dead_man=False)

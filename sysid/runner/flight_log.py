@@ -31,7 +31,7 @@ from sysid.errors import SettingsError, StorageError
 from sysid.files import write_durably
 from sysid.release import __version__
 from sysid.runner.cycle import Cycle
-from sysid.runner.flight_messages import COMMANDS, READINGS, Speaker
+from sysid.runner.flight_messages import COMMANDS, READINGS, MessagePublisher
 from sysid.runner.mcap_pieces import PieceWriter
 
 #: Seconds between two syncs, and how many cycles may wait to be written.
@@ -84,7 +84,7 @@ class FlightLog:
                 f"flight log {root}", f"{free / 2**20:.0f} MiB free", f"{reserve / 2**20:.0f} MiB", "Make room on the disk."
             )
         beside(root, machine, axes, signals)
-        self._speaker = Speaker(axes, now - (time.monotonic_ns() if clock_ns is None else clock_ns))
+        self._speaker = MessagePublisher(axes, now - (time.monotonic_ns() if clock_ns is None else clock_ns))
         self._queue: SimpleQueue[Cycle | None] = SimpleQueue()
         self._last: list[tuple[str, dict[str, str]]] = []
         self._fault = ""

@@ -107,7 +107,7 @@ class Cdr:
 
 
 @dataclass(frozen=True)
-class Said:
+class OutgoingMessage:
     """A message: topic, when it was recorded and published on the clock of the log [ns], and its bytes."""
 
     topic: str
@@ -117,7 +117,7 @@ class Said:
 
 
 @dataclass
-class Speaker:
+class MessagePublisher:
     """Turns cycles into messages.
 
     Args:
@@ -139,7 +139,7 @@ class Speaker:
         for signal in signals:
             yield READINGS + signal, "sysid_msgs/msg/Reading", READING_TYPE
 
-    def said(self, cycle: Cycle) -> Iterator[Said]:
+    def said(self, cycle: Cycle) -> Iterator[OutgoingMessage]:
         """The messages of a cycle; a reading is said once."""
         at = cycle.at_ns + self.offset_ns
         for signal, reading in cycle.readings.items():
@@ -148,17 +148,19 @@ class Speaker:
                 yield self._reading(signal, reading, at)
         sent = at + cycle.latency_ns
         commands = cycle.commands if cycle.enabled else np.zeros(len(self.axes))
-        yield Said(COMMANDS, sent, sent, Cdr(sent).texts(self.axes).array(commands).data)
-        yield Said(CYCLES, at, at, self._cycle(cycle, at))
+        yield OutgoingMessage(COMMANDS, sent, sent, Cdr(sent).texts(self.axes).array(commands).data)
+        yield OutgoingMessage(CYCLES, at, at, self._cycle(cycle, at))
         for verdict in cycle.verdicts:
             body = Cdr(at).pack("Q", cycle.number).text(verdict.check).text(verdict.target).text(verdict.reaction)
-            yield Said(VERDICTS, at, at, body.pack("d", verdict.found).pack("d", verdict.limit).text(verdict.text).data)
+            yield OutgoingMessage(
+                VERDICTS, at, at, body.pack("d", verdict.found).pack("d", verdict.limit).text(verdict.text).data
+            )
 
-    def _reading(self, signal: str, reading: Measurement, at: int) -> Said:
+    def _reading(self, signal: str, reading: Measurement, at: int) -> OutgoingMessage:
         measured, received = reading.measured_ns + self.offset_ns, reading.received_ns + self.offset_ns
         # A machine's clock can say anything; a stamp before the year 1970 cannot be written.
         body = Cdr(max(measured, 0)).pack("d", reading.value).pack("q", received).pack("Q", reading.count)
-        return Said(READINGS + signal, at, max(received, 0), body.data)
+        return OutgoingMessage(READINGS + signal, at, max(received, 0), body.data)
 
     def _cycle(self, cycle: Cycle, at: int) -> bytes:
         inputs = cycle.inputs

@@ -13,8 +13,7 @@ import numpy.typing as npt
 from sysid.runner.chain import ControlChain
 from sysid.runner.checks.machine import dead_man
 from sysid.runner.clock import SECOND
-from sysid.runner.conduct import Conduct
-from sysid.runner.cycle import Cycle, Recorder, Verdict
+from sysid.runner.cycle import Cycle, Recorder, Violation
 from sysid.runner.decision import CycleDecision, Decider, nothing
 from sysid.runner.loop_settings import LoopSettings
 from sysid.runner.modes.mode import Mode
@@ -22,7 +21,8 @@ from sysid.runner.operator import Operator
 from sysid.runner.outcome import RunOutcome
 from sysid.runner.policy_thread import WARM_UP_S, PolicyError, described
 from sysid.runner.realtime import on_time, raise_thread
-from sysid.runner.senses import StateEstimate, StateEstimator
+from sysid.runner.state_estimator import StateEstimate, StateEstimator
+from sysid.runner.state_machine import RunStateMachine
 from sysid.runner.states import States
 from sysid.runner.supervisor import Supervisor
 from sysid.runner.transport import NOBODY, Measurement, Transport
@@ -62,7 +62,7 @@ class Loop:
         self.dt = 1.0 / chain.plant.machine.rate_hz
         self.period_ns = round(SECOND * self.dt)
         self.states, self.outcome = States(), RunOutcome()
-        self.conduct = Conduct(self.states, mode, operator, self.settings, self.dt, self.outcome)
+        self.conduct = RunStateMachine(self.states, mode, operator, self.settings, self.dt, self.outcome)
         self.decider = Decider(chain, senses, supervisor, mode, operator, self.settings.fallback, transport.now_ns)
         self._zero = np.zeros(len(chain.axes))
         self._sent = self._zero
@@ -226,7 +226,7 @@ class Loop:
             self.chain.moved(seen.joints, self._sent)
         return seen
 
-    def _decide(self, seen: StateEstimate, verdicts: list[Verdict], now: int) -> CycleDecision:
+    def _decide(self, seen: StateEstimate, verdicts: list[Violation], now: int) -> CycleDecision:
         decision = nothing(len(self._zero))
         if self.states.state == "running" or (self.conduct.thinking and np.isfinite(seen.joints).all()):
             decision = self.decider.think(seen, verdicts, now + round(POLICY_SHARE * self.period_ns))
@@ -247,13 +247,13 @@ class Loop:
         self.conduct.slowing(not decision.enabled, seen, now)
         return decision
 
-    def _expired(self, now: int) -> Verdict | None:
+    def _expired(self, now: int) -> Violation | None:
         """Why this turn, which began at ``now``, is too old to open valves: the last thing that is asked before it is sent."""
         then = self.transport.now_ns()
         gap = 0 if self._moved_ns is None else then - self._moved_ns
         return self.supervisor.expired((then - now) / SECOND, gap / SECOND)
 
-    def _drop(self, decision: CycleDecision, expired: Verdict, now: int) -> bool:
+    def _drop(self, decision: CycleDecision, expired: Violation, now: int) -> bool:
         """What becomes of a turn that is too old; whether nothing at all is sent: the machine goes on with what it has.
 
         That lasts until the next turn, ``checks.expired.gap_s`` at the most, and is less of a jolt than neutral valves are.

@@ -41,14 +41,14 @@ ENOUGH = 0.6
 
 
 @dataclass(frozen=True)
-class Late:
+class LateAxis:
     """An axis that answers late: by ``seconds`` beyond the plant's dead time."""
 
     axis: int
     seconds: float
 
 
-class Response:
+class ResponseMonitor:
     """Of all axes of one machine.
 
     Args:
@@ -87,10 +87,10 @@ class Response:
         self._arrives = np.arange(axes), np.array(late_by) - 1
         self._measured = np.full((axes, self._window), np.nan)
         self._turn = 0
-        self._late: list[Late | None] = [None] * axes
+        self._late: list[LateAxis | None] = [None] * axes
 
     @property
-    def late(self) -> tuple[Late, ...]:
+    def late(self) -> tuple[LateAxis, ...]:
         """Axes that answer late, by the newest comparison."""
         return tuple(item for item in self._late if item is not None)
 
@@ -117,7 +117,7 @@ class Response:
         if axis < len(self._late):
             self._late[axis] = self._compare(axis)
 
-    def _compare(self, i: int) -> Late | None:
+    def _compare(self, i: int) -> LateAxis | None:
         measured, travel = self._measured[i, self._samples], self._travel[:, :, i]
         own = np.isfinite(measured)
         if own.mean() < ENOUGH or np.ptp(travel[:, 0], axis=1).max() < LEAST_S * self._fastest[i]:
@@ -133,7 +133,7 @@ class Response:
         self._found[i] = self._found[i] + 1 if max(float(late.min()), FLOOR_S) < SHARE * usual else 0
         if self._found[i] < TIMES:
             return None
-        return Late(i, float(self._delays[self._usual + int(np.argmin(late)), -1]) * self.dt)
+        return LateAxis(i, float(self._delays[self._usual + int(np.argmin(late)), -1]) * self.dt)
 
 
 def _errors(measured: Array, travel: Array) -> Array:

@@ -9,16 +9,16 @@ import numpy as np
 import numpy.typing as npt
 
 from sysid.machine import TabulatedLinkage
-from sysid.runner.barrier import Barrier, Broken, outside
 from sysid.runner.checks.delay import judge_delay
 from sysid.runner.checks.machine import judge_machine
 from sysid.runner.checks.motion import MotionChecks
 from sysid.runner.checks.sensors import judge_sensors
 from sysid.runner.checks.settings import CheckSettings
-from sysid.runner.cycle import REACTIONS, Reaction, Verdict
+from sysid.runner.command_filter import Broken, CommandFilter, outside
+from sysid.runner.cycle import REACTIONS, Reaction, Violation
 from sysid.runner.limits import Limits, SetpointLimiter
-from sysid.runner.senses import StateEstimate
-from sysid.runner.valves import AxisValve, Reckoning
+from sysid.runner.state_estimator import StateEstimate
+from sysid.runner.valves import AxisValve, DeadReckoning
 
 Array = npt.NDArray[np.float64]
 Inside = Callable[[StateEstimate], str]
@@ -53,7 +53,7 @@ class Supervisor:
     ) -> None:
         self.axes, self.limits, self.checks, self.dt = tuple(axes), limits, checks, dt
         self.limiter = SetpointLimiter(limits, dt)
-        self.barrier = Barrier(limits, valves, linkages, tip, dt)
+        self.barrier = CommandFilter(limits, valves, linkages, tip, dt)
         self._motion = MotionChecks(self.axes, valves, linkages, dt, checks, inside)
         self._held_s = 0.0
 
@@ -64,7 +64,7 @@ class Supervisor:
         self._motion.reset()
         self._held_s = 0.0
 
-    def look(self, seen: StateEstimate, moving: bool, drive_setpoints: Array | None) -> list[Verdict]:
+    def look(self, seen: StateEstimate, moving: bool, drive_setpoints: Array | None) -> list[Violation]:
         """What is wrong with what is seen.
 
         Args:
@@ -78,7 +78,7 @@ class Supervisor:
             found += judge_delay(seen, self.checks, self.axes)
         return found
 
-    def patience(self, verdicts: Sequence[Verdict]) -> list[Verdict]:
+    def patience(self, verdicts: Sequence[Violation]) -> list[Violation]:
         """``verdicts``, with a stop added where one has been held for longer than the recipe's patience.
 
         A policy that was taken off counts once: the fallback goes on in its place.
@@ -88,20 +88,20 @@ class Supervisor:
         if held and self._held_s > self.checks.patience_s + 1e-9:
             first = held[0]
             text = f"{first.text}, for longer than {1e3 * self.checks.patience_s:.0f} ms"
-            return [*verdicts, Verdict(first.check, first.target, "stop", first.found, first.limit, text)]
+            return [*verdicts, Violation(first.check, first.target, "stop", first.found, first.limit, text)]
         return list(verdicts)
 
-    def setpoints(self, asked: Array) -> tuple[Array, list[Verdict]]:
+    def setpoints(self, asked: Array) -> tuple[Array, list[Violation]]:
         """Joint setpoints within their limits (A,) for what is asked for (A,)."""
         passed, broken = self.limiter.step(asked)
         return passed, self._verdicts(broken)
 
-    def commands(self, asked: Array, seen: StateEstimate, reckonings: Sequence[Reckoning]) -> tuple[Array, list[Verdict]]:
+    def commands(self, asked: Array, seen: StateEstimate, reckonings: Sequence[DeadReckoning]) -> tuple[Array, list[Violation]]:
         """Commands that may be sent (A,) for what is asked for (A,)."""
         passed, broken = self.barrier.pass_on(asked, seen.drive, reckonings)
         return passed, self._verdicts(broken)
 
-    def ramp(self, seen: StateEstimate, reckonings: Sequence[Reckoning]) -> Array:
+    def ramp(self, seen: StateEstimate, reckonings: Sequence[DeadReckoning]) -> Array:
         """Commands of a stop, (A,)."""
         return self.barrier.ramp(seen.drive, reckonings)
 
@@ -115,7 +115,7 @@ class Supervisor:
             return f"the end effector stands {1e3 * left:.0f} mm outside its fence"
         return ""
 
-    def policy(self, asked: Array, error: str) -> Verdict | None:
+    def policy(self, asked: Array, error: str) -> Violation | None:
         """What is wrong with an answer of the policy (A,); ``error``: that it gave none."""
         rule = self.checks.policy
         if error or not np.isfinite(asked).all():
@@ -124,14 +124,14 @@ class Supervisor:
         worst = int(np.argmax(share))
         if share[worst] > rule.share:
             text = f"the policy asks {self.axes[worst]} to jump by {100.0 * share[worst]:.0f} % of its range"
-            return Verdict("policy", self.axes[worst], rule.reaction, float(share[worst]), rule.share, text)
+            return Violation("policy", self.axes[worst], rule.reaction, float(share[worst]), rule.share, text)
         return None
 
-    def no_answer(self, text: str, reaction: Reaction | None = None) -> Verdict:
+    def no_answer(self, text: str, reaction: Reaction | None = None) -> Violation:
         """Nobody gives setpoints in this turn; ``reaction``: another one than that of ``checks.policy``."""
-        return Verdict("policy", "machine", reaction or self.checks.policy.reaction, math.nan, math.nan, text)
+        return Violation("policy", "machine", reaction or self.checks.policy.reaction, math.nan, math.nan, text)
 
-    def expired(self, age_s: float, gap_s: float) -> Verdict | None:
+    def expired(self, age_s: float, gap_s: float) -> Violation | None:
         """Why a command may not be sent any more.
 
         Args:
@@ -141,32 +141,32 @@ class Supervisor:
         rule = self.checks.expired
         if gap_s > rule.gap_s:
             text = f"no command went out for {1e3 * gap_s:.0f} ms, after which a machine closes its valves: they stay closed"
-            return Verdict("expired", "machine", rule.reaction, gap_s, rule.gap_s, text)
+            return Violation("expired", "machine", rule.reaction, gap_s, rule.gap_s, text)
         if age_s > rule.age_s:
             text = f"a command came from readings that were {1e3 * age_s:.0f} ms old by then: it was not sent"
-            return Verdict("expired", "machine", "hold", age_s, rule.age_s, text)
+            return Violation("expired", "machine", "hold", age_s, rule.age_s, text)
         return None
 
     def dropped(self, sent: Array) -> None:
         """The commands of this turn were not sent: the machine goes on with ``sent`` (A,)."""
         self.barrier.sent = sent.copy()
 
-    def _verdicts(self, broken: Sequence[Broken]) -> list[Verdict]:
+    def _verdicts(self, broken: Sequence[Broken]) -> list[Violation]:
         verdicts = []
         for check, axis, value, limit in broken:
             if not self.checks.on(check):
                 continue
             target = self.axes[axis] if axis >= 0 else "ee"
             text = f"{_WORDS[check]} of {target}: {value:.4g}, limit {limit:.4g}"
-            verdicts.append(Verdict(check, target, self.checks.reaction(check), value, limit, text))
+            verdicts.append(Violation(check, target, self.checks.reaction(check), value, limit, text))
         return verdicts
 
 
-def sternest(verdicts: Sequence[Verdict]) -> Verdict | None:
+def sternest(verdicts: Sequence[Violation]) -> Violation | None:
     """The verdict with the sternest reaction, the first of equals; None without any."""
     return max(verdicts, key=lambda verdict: REACTIONS.index(verdict.reaction), default=None)
 
 
-def at_least(verdicts: Sequence[Verdict], reaction: Reaction) -> bool:
+def at_least(verdicts: Sequence[Violation], reaction: Reaction) -> bool:
     """Whether any verdict asks for ``reaction`` or more."""
     return any(REACTIONS.index(verdict.reaction) >= REACTIONS.index(reaction) for verdict in verdicts)

@@ -69,7 +69,7 @@ def stopping(speed: Speed, after: float, braking: float) -> Speed:
     return speed * after + abs(speed) * speed / (2.0 * braking)
 
 
-class Reckoning:
+class DeadReckoning:
     """Where an axis must be by its commands: dead reckoning that leans on the sensor.
 
     Args:

@@ -18,7 +18,7 @@ from sysid.runner.recipe import KINEMATIC, RunnerRecipe
 
 
 @dataclass(frozen=True)
-class Loaded:
+class LoadedVersions:
     """What runs.
 
     Args:
@@ -36,7 +36,7 @@ class Loaded:
     remarks: tuple[str, ...]
 
 
-def load(registry: Registry, recipe: RunnerRecipe, machine: Machine, where: object) -> Loaded:
+def load(registry: Registry, recipe: RunnerRecipe, machine: Machine, where: object) -> LoadedVersions:
     """The versions of a recipe.
 
     Raises:
@@ -60,7 +60,7 @@ def load(registry: Registry, recipe: RunnerRecipe, machine: Machine, where: obje
         actuators = static_networks(from_files(networks.files, networks.reference))
         found.append(networks)
     _check_promoted(found, wanted.unpromoted, where)
-    return Loaded(plant, forward, policy, actuators, tuple(found), tuple(remarks))
+    return LoadedVersions(plant, forward, policy, actuators, tuple(found), tuple(remarks))
 
 
 def check_machine(own: Machine, machine: Machine, what: str, where: object) -> None:

@@ -14,7 +14,7 @@ from sysid.datasets.recording import Dataset, Kind
 from sysid.networks.actuator import ActuatorNetwork
 from sysid.networks.forward import is_angle
 from sysid.networks.split import SignalRows, thin
-from sysid.networks.trust import FALSE_FLAGS, Trust
+from sysid.networks.uncertainty import FALSE_FLAGS, NetworkUncertainty
 from sysid.plant import gravity_load
 from sysid.signals import axis_signal
 from sysid.validate.baselines import Predict
@@ -49,7 +49,7 @@ class EvaluatedOutput:
 
     predict: Predict
     simple: Mapping[str, Predict]
-    trust: Trust | None
+    trust: NetworkUncertainty | None
     sources: tuple[int, ...]
     target: int
     ends: Ranges

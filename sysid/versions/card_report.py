@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from sysid.networks.trust import FALSE_FLAGS
+from sysid.networks.uncertainty import FALSE_FLAGS
 from sysid.validate import OutputReport, ValidationReport
 from sysid.versions.card_block import CardBlock
 from sysid.versions.outputs import shown

@@ -22,7 +22,7 @@ from sysid.errors import ExcitationError
 from sysid.files import plain
 from sysid.networks import Model
 from sysid.networks.split import RowRange, SignalRows, gather, measures, segments
-from sysid.networks.trust import within
+from sysid.networks.uncertainty import within
 from sysid.validate.bootstrap import bootstrap_means
 from sysid.versions.outputs import OutputMap, output_maps
 

@@ -53,7 +53,7 @@ _SHORTEST = 1e-3
 
 
 @dataclass(frozen=True)
-class Hanging:
+class HangingTool:
     """The two crossed passive joints below the tip.
 
     Args:
@@ -75,7 +75,7 @@ class WorldUrdf:
 
     urdf: str
     effort: tuple[float, ...]
-    hanging: Hanging | None
+    hanging: HangingTool | None
     ground: float
 
 
@@ -124,7 +124,7 @@ def build_bodies(plant: Plant, gripper: Gripper = "rigid") -> WorldUrdf:
 
 def _hang(
     root: Element, kinematics: Kinematics, path: tuple[Joint, ...], length: float, ratio: float, gripper: Gripper
-) -> Hanging:
+) -> HangingTool:
     """Make the tool hang on two crossed joints at the tip, ``length`` below them."""
     tool = path[-1].child
     movable = [joint for joint in path if joint.kind != "fixed"]
@@ -154,7 +154,7 @@ def _hang(
             set_inertia(link_element(root, link), mass, 1e-7 * mass * length**2)
     reach = scale * reach
     joints = (movable[0], movable[1])
-    return Hanging(joints, reach, _damping(root, kinematics.tip, joints, reach, ratio), tool)
+    return HangingTool(joints, reach, _damping(root, kinematics.tip, joints, reach, ratio), tool)
 
 
 def _add_tool(root: Element, tip: str) -> None:

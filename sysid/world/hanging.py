@@ -7,12 +7,12 @@ import numpy.typing as npt
 from scipy.optimize import least_squares
 
 from sysid.machine.kinematics import rotation_about
-from sysid.world.bodies import Hanging
+from sysid.world.bodies import HangingTool
 
 Array = npt.NDArray[np.float64]
 
 
-def passive_joints(hanging: Hanging, tip: Array, reach: Array, speed: Array) -> tuple[Array, Array]:
+def passive_joints(hanging: HangingTool, tip: Array, reach: Array, speed: Array) -> tuple[Array, Array]:
     """Angles and rates of the two passive joints.
 
     Args:

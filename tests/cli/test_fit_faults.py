@@ -17,7 +17,7 @@ from stored import small_dataset
 
 from sysid.cli import main
 from sysid.datasets.recording import Dataset, Recording
-from sysid.datasets.versions.manifest import Made
+from sysid.datasets.versions.manifest import PartRecord
 from sysid.networks import StructuredForward
 from sysid.registry import Registry
 from sysid.workspace import Workspace
@@ -56,7 +56,7 @@ def place(tmp_path_factory: pytest.TempPathFactory) -> Workspace:
     _, channels = small_dataset(1)
     for number, (name, recording) in enumerate(DATA.items()):
         data: Dataset = replace(dataset((recording(),), {}), name=name, digest=f"{number:x}" * 64, units=UNITS)
-        found.datasets.save(data, channels, Made(1))
+        found.datasets.save(data, channels, PartRecord(1))
     (folder / "quick.toml").write_text(QUICK)
     (folder / "diverging.toml").write_text(QUICK + "learning_rate = 1e18\n")
     (folder / "long.toml").write_text(QUICK.replace("epochs = 4", "epochs = 60") + "check_every = 2\n")

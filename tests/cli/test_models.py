@@ -21,7 +21,7 @@ from sysid.cli import main
 from sysid.cli.loopback import page_server
 from sysid.datasets import Store
 from sysid.datasets.recording import Source
-from sysid.datasets.versions.manifest import Made
+from sysid.datasets.versions.manifest import PartRecord
 from sysid.model_versions import ModelVersions
 from sysid.networks import NetworkRecipe
 from sysid.registry import Registry
@@ -48,9 +48,9 @@ def template(tmp_path_factory: pytest.TempPathFactory) -> Path:
     place = Workspace(tmp_path_factory.mktemp("template") / "ws")
     _, channels = small_dataset(1)
     raw = (Source("run-1/log.csv", "ab" * 32, 10),)
-    own = place.datasets.save(replace(dataset(), digest="a" * 64, sources=raw, units=UNITS), channels, Made(1))
+    own = place.datasets.save(replace(dataset(), digest="a" * 64, sources=raw, units=UNITS), channels, PartRecord(1))
     later = replace(dataset((motion("new-1", 30.0, 11),), {"new-1": "fit"}), name="later", digest="b" * 64, units=UNITS)
-    place.datasets.save(later, channels, Made(1))
+    place.datasets.save(later, channels, PartRecord(1))
     recipe = NetworkRecipe()
     for model, used in (
         (actuator("boom"), recipe),
@@ -248,7 +248,7 @@ def test_validate_says_whether_it_still_fits(place: Path, capsys: pytest.Capture
     new = Store(place).load("later")
     table = new.recordings[0].table.assign(**{"boom.cylinder": lambda t: t["boom.cylinder"] + 2e-4})
     moved = replace(new, name="moved", digest="c" * 64, recordings=(replace(new.recordings[0], table=pd.DataFrame(table)),))
-    Store(place).save(moved, small_dataset(1)[1], Made(1))
+    Store(place).save(moved, small_dataset(1)[1], PartRecord(1))
     capsys.readouterr()
     assert run(*ws, "crane-actuator@1", "moved") == 0
     shown = capsys.readouterr().out

@@ -14,7 +14,7 @@ from stored import MACHINE, small_dataset
 
 from sysid.cli import main
 from sysid.datasets import Store
-from sysid.datasets.versions.manifest import Made
+from sysid.datasets.versions.manifest import PartRecord
 from sysid.registry import ModelVersion, Registry
 from sysid.workspace import Workspace
 
@@ -77,12 +77,12 @@ def test_append_then_diff_then_split(place: Path, capsys: pytest.CaptureFixture[
 def test_a_table_of_differences(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     store = Store(tmp_path)
     dataset, channels = small_dataset(1)
-    store.save(dataset, channels, Made(1))
+    store.save(dataset, channels, PartRecord(1))
     other, _ = small_dataset(1)
     dataset.recordings[0].table.loc[5, "a.joint"] += 0.5
     from dataclasses import replace
 
-    store.save(replace(other, digest="1" * 64, recordings=dataset.recordings), channels, Made(1))
+    store.save(replace(other, digest="1" * 64, recordings=dataset.recordings), channels, PartRecord(1))
     assert run("--workspace", tmp_path, "datasets", "diff", "demo@1", "demo@2") == 0
     row = next(line for line in capsys.readouterr().out.splitlines() if "a.joint" in line)
     assert row.split() == ["s1-r0", "a.joint", "50", "1", "0.5", "0.0714", "rad"]

@@ -11,11 +11,11 @@ import pytest
 from stored import MACHINE, small_dataset
 
 from sysid.datasets import ClockRecord, Recording, Store, diff, lineage
-from sysid.datasets.versions.manifest import Made
+from sysid.datasets.versions.manifest import PartRecord
 from sysid.errors import StoreError
 from sysid.machine import machine_from_files
 
-MADE = Made(1, 'schema = 1\nname = "demo"\n', {"rate_hz": 100.0, "hold_s": 0.5})
+MADE = PartRecord(1, 'schema = 1\nname = "demo"\n', {"rate_hz": 100.0, "hold_s": 0.5})
 CLOCK = ClockRecord("s1-r0", "mocap.csv", 0.25, 40.0, (0.249, 0.251), (38.0, 42.0), 1.0, ("a.joint",), True)
 
 
@@ -40,7 +40,7 @@ def store(tmp_path: Path) -> Store:
         clocks=(replace(CLOCK, offset_s=0.251, skew_ppm=30.0),),
         quality={"recordings": {"s1-r0": {"seconds": 0.5, "signals": {"a.joint": {"noise": 0.1}}}}},
     )
-    more = Made(2, 'schema = 1\nname = "other"\n', {"rate_hz": 100.0, "hold_s": 0.2})
+    more = PartRecord(2, 'schema = 1\nname = "other"\n', {"rate_hz": 100.0, "hold_s": 0.2})
     store.save(changed, {"new": channels["s1-r1"], "s1-r0": channels["s1-r0"]}, more)
     return store
 
@@ -82,7 +82,7 @@ def test_versions_over_the_same_tables_differ_in_roles_alone(store: Store) -> No
 
 def test_the_chain_from_raw_files_to_tables(store: Store) -> None:
     addition, channels = small_dataset(5, recordings=1)
-    store.append("demo@1", addition, channels, Made(2, "", {"rate_hz": 100.0}))
+    store.append("demo@1", addition, channels, PartRecord(2, "", {"rate_hz": 100.0}))
     store.resplit("demo@3", {**store.load("demo@3").splits, "s5-r0": "held_out"})
     found = lineage(store, "demo@4")
     assert [(step.reference, step.by, step.there) for step in found.steps] == [

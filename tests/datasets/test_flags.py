@@ -16,7 +16,7 @@ from sysid.datasets import Store, ingest
 from sysid.datasets.channel import in_order
 from sysid.datasets.flags import dropouts, jitter, jumps, outliers, repaired_stamps, saturation, stuck
 from sysid.datasets.flags.flag import KINDS, MAX_FLAGS, Flag
-from sysid.datasets.flags.standing import Witness
+from sysid.datasets.flags.stuck import SensorContext
 from sysid.datasets.flags.values import SPIKE_SAMPLES, noise_scale, sensor_step
 
 Array = npt.NDArray[np.float64]
@@ -38,7 +38,7 @@ def motion(seed: int, rate: float = 100.0, seconds: float = 60.0) -> tuple[Array
 
 
 def everything(times: Array, values: Array, commanded: Array) -> list[Flag]:
-    witness = Witness(np.abs(commanded) > 0.02, np.abs(commanded) > 0.1)
+    witness = SensorContext(np.abs(commanded) > 0.02, np.abs(commanded) > 0.1)
     found = [*outliers("a", times, values), *jumps("a", times, values), *stuck("a", times, values, witness)]
     found += [*saturation("a", times, values, witness), *jitter("a", times)]
     return [*found, *dropouts("a", times, values, 3.0 * (times[1] - times[0]))]
@@ -113,11 +113,11 @@ def test_a_turn_too_much_is_called_so() -> None:
 def test_a_sensor_with_noise_that_repeats_its_value_is_stuck(seed: int, start: int, length: int) -> None:
     times, values = motion(seed)
     values[start : start + length] = values[start]
-    witness = Witness(np.ones(len(times), dtype=bool), np.zeros(len(times), dtype=bool))
+    witness = SensorContext(np.ones(len(times), dtype=bool), np.zeros(len(times), dtype=bool))
     at_end = values[start] in (values.min(), values.max())
     (flag,) = (saturation if at_end else stuck)("boom.joint", times, values, witness, unit="rad")
     assert (flag.from_s, flag.to_s, flag.samples) == (times[start], times[start + length - 1], length)
-    idle = Witness(np.zeros(len(times), dtype=bool), np.zeros(len(times), dtype=bool))
+    idle = SensorContext(np.zeros(len(times), dtype=bool), np.zeros(len(times), dtype=bool))
     assert stuck("boom.joint", times, values, idle) == []
 
 
@@ -126,10 +126,10 @@ def test_a_counting_sensor_is_doubted_only_where_the_machine_has_to_move() -> No
     values = np.round(values / 0.004) * 0.004
     values[2000:2400] = values[2000]
     driven = np.zeros(len(times), dtype=bool)
-    barely = Witness(~driven, driven)
+    barely = SensorContext(~driven, driven)
     assert stuck("a", times, values, barely) == []
     driven[2100:2300] = True
-    (flag,) = stuck("a", times, values, Witness(driven, driven))
+    (flag,) = stuck("a", times, values, SensorContext(driven, driven))
     assert flag.samples >= 400
     assert "a stuck sensor, or an axis that stalls" in flag.text
 
@@ -141,7 +141,7 @@ def test_a_sensor_whose_range_ends_is_saturated_and_an_end_stop_is_not(step: flo
     if step:
         values = np.round(values / step) * step
     clipped = np.minimum(values, 0.7)
-    witness = Witness(np.ones(6000, dtype=bool), np.ones(6000, dtype=bool))
+    witness = SensorContext(np.ones(6000, dtype=bool), np.ones(6000, dtype=bool))
     flags = saturation("a", times, clipped, witness, (-2.0, 2.0), "m")
     assert len(flags) == 4
     assert "stays at its highest value 0.7 m for" in flags[0].text

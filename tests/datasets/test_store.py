@@ -15,7 +15,7 @@ from killed import killed_at_every_step
 
 from sysid.datasets import Dataset, Store, ingest
 from sysid.datasets.channel import Channel
-from sysid.datasets.versions.manifest import Made
+from sysid.datasets.versions.manifest import PartRecord
 from sysid.errors import StoreError
 
 MACHINE = """schema = 1
@@ -85,7 +85,7 @@ def test_concurrent_writers_get_versions_of_their_own(tmp_path: Path) -> None:
 
 
 def _save(workspace: Path, dataset: Dataset, channels: dict[str, tuple[Channel, ...]]) -> str:
-    return Store(workspace).save(dataset, channels, Made(1)).reference
+    return Store(workspace).save(dataset, channels, PartRecord(1)).reference
 
 
 @pytest.mark.parametrize("every", [4, pytest.param(1, marks=pytest.mark.slow)])

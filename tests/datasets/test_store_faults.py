@@ -21,7 +21,7 @@ from stored import small_dataset
 
 from sysid.datasets import Store, vacuum
 from sysid.datasets.versions.local_files import LocalFiles
-from sysid.datasets.versions.manifest import Made, to_text
+from sysid.datasets.versions.manifest import PartRecord, to_text
 from sysid.datasets.versions.object_files import ObjectFiles
 from sysid.errors import StorageError, StoreError
 
@@ -31,7 +31,7 @@ BETWEEN = multiprocessing.get_context("forkserver")
 @pytest.fixture
 def store(tmp_path: Path) -> Store:
     store = Store(tmp_path / "ws")
-    store.save(*small_dataset(1), Made(1))
+    store.save(*small_dataset(1), PartRecord(1))
     return store
 
 
@@ -89,8 +89,8 @@ def test_a_full_disk_leaves_what_was_there_and_nothing_else(
 
     def write() -> str:
         if work == "save":
-            return store.save(*small_dataset(2), Made(1)).reference
-        return store.append("demo@1", *small_dataset(2, recordings=1), Made(1)).reference
+            return store.save(*small_dataset(2), PartRecord(1)).reference
+        return store.append("demo@1", *small_dataset(2, recordings=1), PartRecord(1)).reference
 
     with monkeypatch.context() as patch:
         DISKS[disk](patch)
@@ -106,7 +106,7 @@ def _limited(workspace: Path) -> None:
     signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
     resource.setrlimit(resource.RLIMIT_FSIZE, (2000, 2000))
     try:
-        Store(workspace).save(*small_dataset(2, rows=5000), Made(1))
+        Store(workspace).save(*small_dataset(2, rows=5000), PartRecord(1))
     except StorageError as error:
         os._exit(7 if "File too large" in str(error) else 1)
 
@@ -129,7 +129,7 @@ def _as_nobody(workspace: Path) -> None:
     store = Store(workspace)
     assert len(store.load("demo@1").recordings) == 2
     try:
-        store.save(*small_dataset(2), Made(1))
+        store.save(*small_dataset(2), PartRecord(1))
     except StorageError as error:
         told = "Permission denied" in str(error) and "Versions that are there can be read" in str(error)
         os._exit(7 if told else 1)
@@ -139,7 +139,7 @@ def test_a_workspace_that_may_only_be_read() -> None:
     place = Path(tempfile.mkdtemp())
     try:
         store = Store(place / "ws")
-        store.save(*small_dataset(1), Made(1))
+        store.save(*small_dataset(1), PartRecord(1))
         (place / "ws/datasets/demo/.lock").unlink(missing_ok=True)
         for path in (place, *place.rglob("*")):
             path.chmod(0o555 if path.is_dir() else 0o444)
@@ -172,28 +172,28 @@ DAMAGE: dict[str, tuple[Callable[[Path], object], str]] = {
 @pytest.mark.parametrize("damage", DAMAGE)
 def test_damaged_tables_are_noticed_and_the_same_content_can_be_stored_again(store: Store, damage: str) -> None:
     spoil, message = DAMAGE[damage]
-    store.append("demo@1", *small_dataset(2, recordings=1), Made(1))
+    store.append("demo@1", *small_dataset(2, recordings=1), PartRecord(1))
     manifest = store.manifest("demo@1")
     (table,) = (Path(store.workspace) / manifest["parts"][0]["folder"] / "samples").glob("*.parquet")
     spoil(table)
     for reference in ("demo@1", "demo@2"):
         with pytest.raises(StoreError, match=f"{reference}: samples: not readable.*{message}.*ingest the same logs again"):
             store.load(reference)
-    again = store.save(*small_dataset(1), Made(1))
+    again = store.save(*small_dataset(1), PartRecord(1))
     assert again.reference == "demo@3"
     assert store.load("demo@3").digest == store.manifest("demo@1")["digest"]
     assert len(store.channels("demo@1")) == 100, "what is whole of a damaged version can be read"
 
 
 def test_a_cut_off_manifest_hides_one_version_alone(store: Store) -> None:
-    store.save(*small_dataset(2), Made(1))
+    store.save(*small_dataset(2), PartRecord(1))
     path = Path(store.workspace) / "datasets/demo/versions/000002.json"
     path.write_text(path.read_text()[:500])
     assert [(entry.reference, bool(entry.damage)) for entry in store.list()] == [("demo@1", False), ("demo@2", True)]
     with pytest.raises(StoreError, match=r"000002\.json: damaged.*The tables are untouched"):
         store.load("demo")
     assert len(store.load("demo@1").recordings) == 2
-    assert store.save(*small_dataset(2), Made(1)).reference == "demo@3"
+    assert store.save(*small_dataset(2), PartRecord(1)).reference == "demo@3"
 
 
 def test_an_interrupt_after_the_version_is_visible_leaves_it_whole(store: Store, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -205,24 +205,26 @@ def test_an_interrupt_after_the_version_is_visible_leaves_it_whole(store: Store,
 
     monkeypatch.setattr(LocalFiles, "publish", interrupted)
     with pytest.raises(KeyboardInterrupt):
-        store.save(*small_dataset(2), Made(1))
+        store.save(*small_dataset(2), PartRecord(1))
     assert len(store.load("demo@2").recordings) == 2
 
 
 def test_who_adds_to_the_newest_adds_to_the_newest(store: Store) -> None:
     """Two that read ``demo@1`` as the newest: the second would hide what the first added."""
-    store.append("demo@1", *small_dataset(2, recordings=1), Made(1), newest=True)
+    store.append("demo@1", *small_dataset(2, recordings=1), PartRecord(1), newest=True)
     before = files(store)
     with pytest.raises(StoreError, match=r"demo@2 was stored in the meantime; expected demo@1 to be the newest.*again"):
-        store.append("demo@1", *small_dataset(3, recordings=1), Made(1), newest=True)
+        store.append("demo@1", *small_dataset(3, recordings=1), PartRecord(1), newest=True)
     assert files(store) == before
-    assert store.append("demo@1", *small_dataset(3, recordings=1), Made(1)).reference == "demo@3", "a number is what it says"
+    assert store.append("demo@1", *small_dataset(3, recordings=1), PartRecord(1)).reference == "demo@3", (
+        "a number is what it says"
+    )
 
 
 def test_a_version_that_is_gone_is_not_built_on(store: Store) -> None:
     vacuum(store, lambda reference, digest: (), ["demo@1"])
     for work in (
-        lambda: store.append("demo@1", *small_dataset(2, recordings=1), Made(1)),
+        lambda: store.append("demo@1", *small_dataset(2, recordings=1), PartRecord(1)),
         lambda: store.resplit("demo@1", {"s1-r0": "fit"}),
     ):
         with pytest.raises(StoreError, match="version 1 was removed by vacuum"):
@@ -240,7 +242,7 @@ def test_a_manifest_does_not_lead_out_of_its_dataset(store: Store) -> None:
 
 
 def _append(workspace: Path) -> str:
-    return Store(workspace).append("demo@1", *small_dataset(2, recordings=1), Made(1)).reference
+    return Store(workspace).append("demo@1", *small_dataset(2, recordings=1), PartRecord(1)).reference
 
 
 @pytest.mark.parametrize("every", [5, pytest.param(1, marks=pytest.mark.slow)])
@@ -260,7 +262,7 @@ def test_an_append_killed_at_any_step_leaves_the_version_before(store: Store, ev
 def _write(workspace: str, seed: int, start: Any, results: Any) -> None:
     dataset, channels = small_dataset(seed)
     start.wait()
-    results.put((seed, Store(workspace).save(dataset, channels, Made(1)).reference))
+    results.put((seed, Store(workspace).save(dataset, channels, PartRecord(1)).reference))
 
 
 def test_a_folder_that_another_writer_makes_while_it_is_listed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -11,7 +11,7 @@ from killed import killed_at_every_step
 from stored import small_dataset
 
 from sysid.datasets import Store, lineage, vacuum
-from sysid.datasets.versions.manifest import Made
+from sysid.datasets.versions.manifest import PartRecord
 from sysid.errors import SettingsError, StoreError
 
 
@@ -23,9 +23,9 @@ def nobody(reference: str, digest: str) -> Sequence[str]:
 def store(tmp_path: Path) -> Store:
     """``demo@1``, ``demo@2`` (1 and one recording more), ``demo@3`` of its own, and tables that no version names."""
     store = Store(tmp_path / "ws")
-    store.save(*small_dataset(1), Made(1))
-    store.append("demo@1", *small_dataset(2, recordings=1), Made(1))
-    store.save(*small_dataset(3), Made(1))
+    store.save(*small_dataset(1), PartRecord(1))
+    store.append("demo@1", *small_dataset(2, recordings=1), PartRecord(1))
+    store.save(*small_dataset(3), PartRecord(1))
     data = tmp_path / "ws/datasets/demo/data"
     shutil.copytree(next(data.iterdir()), data / "0123456789abcdef-dead")
     (tmp_path / "ws/datasets/demo/versions/.000004.json.abc").write_text("half")
@@ -56,7 +56,7 @@ def test_a_named_version_goes_and_its_number_is_not_given_again(store: Store) ->
         StoreError, match=r"version 3 was removed by vacuum; expected one of: 1, 2\. Ingest the same logs again"
     ):
         store.load("demo@3")
-    assert store.save(*small_dataset(3), Made(1)).reference == "demo@4"
+    assert store.save(*small_dataset(3), PartRecord(1)).reference == "demo@4"
 
 
 def test_tables_that_another_version_needs_stay(store: Store) -> None:
@@ -103,7 +103,7 @@ def test_nothing_goes_where_a_manifest_cannot_be_read(store: Store, tmp_path: Pa
 def test_where_nothing_is_locked_young_tables_stay(tmp_path: Path) -> None:
     (tmp_path / "bucket").mkdir()
     store = Store(f"file://{tmp_path}/bucket")
-    store.save(*small_dataset(1), Made(1))
+    store.save(*small_dataset(1), PartRecord(1))
     data = tmp_path / "bucket/datasets/demo/data"
     shutil.copytree(next(data.iterdir()), data / "half")
     done = vacuum(store, nobody)
@@ -111,7 +111,7 @@ def test_where_nothing_is_locked_young_tables_stay(tmp_path: Path) -> None:
     assert (data / "half").is_dir()
     vacuum(store, nobody, ["demo@1"])
     assert store.list() == ()
-    assert store.save(*small_dataset(1), Made(1)).reference == "demo@2"
+    assert store.save(*small_dataset(1), PartRecord(1)).reference == "demo@2"
 
 
 def test_mistakes_are_named(store: Store) -> None:

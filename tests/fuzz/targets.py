@@ -41,10 +41,10 @@ def _workspace() -> Path:
     from stored import small_dataset
 
     from sysid.datasets import Store
-    from sysid.datasets.versions.manifest import Made
+    from sysid.datasets.versions.manifest import PartRecord
 
     place = Path(tempfile.mkdtemp(dir="/dev/shm" if Path("/dev/shm").is_dir() else None)) / "ws"
-    Store(place).save(*small_dataset(1), Made(1))
+    Store(place).save(*small_dataset(1), PartRecord(1))
     return place
 
 

@@ -18,7 +18,7 @@ from sysid.datasets.quality.noise import noise_of, white_noise
 from sysid.datasets.recording import Dataset, Recording
 from sysid.gap import find_gap
 from sysid.gap.noise import PLAUSIBLE, noise_levels
-from sysid.gap.readings import coarse_sensors, reading_step, rounding
+from sysid.gap.sensor_resolution import coarse_sensors, reading_step, rounding
 from sysid.machine import KnownEffect, Machine
 from sysid.plant import nominal_plant
 

@@ -74,7 +74,8 @@ def injection(rng: np.random.Generator) -> Injection:
         f.NotANumber(signal), f.Jumped(signal, float(rng.choice([-1, 1]) * rng.uniform(0.005, 0.5) * far)),
         f.Scaled(signal, float(rng.choice([0.5, 0.8, 0.9, 1.1, 1.25, 2.0, -1.0]))), f.Unplugged(signal),
         f.BusOff(bool(rng.random() < 0.5)), f.WritesLost(), f.Paused(float(rng.choice([0.03, 0.09, 0.3, 1.0]))),
-        f.ClockJumped(float(rng.choice([-1.0, -0.05, 0.05, 1.0]))), f.DeadManReleased(), f.EmergencyPressed(), f.MachineSays(),
+        f.ClockJumped(float(rng.choice([-1.0, -0.05, 0.05, 1.0]))), f.DeadManReleased(), f.EmergencyPressed(),
+        f.MachineReportsFault(),
     ]  # fmt: skip
     begin = float(rng.uniform(0.4, 1.6))
     length = float(rng.choice([0.01, 0.05, 0.2, 10.0]))

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from sysid.runner.cycle import Cycle, Verdict
+from sysid.runner.cycle import Cycle, Violation
 from sysid.runner.flight_log import FlightLog
 from sysid.runner.transport import MachineInputs, Measurement
 
@@ -21,7 +21,7 @@ SIGNALS = ("slew.joint", "boom.cylinder", "stick.cylinder", "telescope.joint")
 NAN = float("nan")
 
 
-def cycle(number: int, begin_ns: int = 0, verdicts: tuple[Verdict, ...] = ()) -> Cycle:
+def cycle(number: int, begin_ns: int = 0, verdicts: tuple[Violation, ...] = ()) -> Cycle:
     """The turn ``number`` of a loop at 100 Hz: everything swings."""
     at = begin_ns + number * 10_000_000
     phase = 2.0 * math.pi * number / 400

@@ -15,7 +15,7 @@ from crane_model import Perfect, crane_plant
 from sysid.control import response_time, tune
 from sysid.machine import KnownEffect
 from sysid.plant import Model, Plant, compile_plant
-from sysid.rl.inverse import Inverse, chain_of_plant
+from sysid.rl.inverse_kinematics import InverseKinematics, chain_of_plant
 from sysid.rl.reach import joint_limits, tips
 from sysid.runner.chain import ControlChain, SignalPolicy
 from sysid.runner.checks.settings import CheckSettings
@@ -26,8 +26,8 @@ from sysid.runner.loop import Loop
 from sysid.runner.loop_settings import LoopSettings
 from sysid.runner.modes.mode import Mode
 from sysid.runner.operator import Operator, Unattended
-from sysid.runner.senses import StateEstimator
 from sysid.runner.simulated import SimulatedTransport
+from sysid.runner.state_estimator import StateEstimator
 from sysid.runner.supervisor import Supervisor
 from sysid.runner.valves import valves
 
@@ -52,9 +52,9 @@ def _compiled() -> Model:
 
 
 @cache
-def inverse() -> Inverse:
+def inverse() -> InverseKinematics:
     low, high = joint_limits(PLANT)
-    return Inverse.of(chain_of_plant(PLANT), low, high)
+    return InverseKinematics.of(chain_of_plant(PLANT), low, high)
 
 
 class Traced(SimulatedTransport):

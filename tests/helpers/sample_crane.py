@@ -16,10 +16,10 @@ from sysid.gap.result import (
     Excitation,
     Gap,
     GapResult,
-    Localised,
     Map,
     NamedEffect,
     Share,
+    StageGap,
     Traces,
     Unnamed,
 )
@@ -236,7 +236,7 @@ def sample_gap(dataset: Dataset) -> GapResult:
         at_fault = name in ("boom.cylinder", "slew.joint") or owner == "tool"
         stage_rmse = gap.before[name] if at_fault else 2.1e-4
         share = {"boom.cylinder": 0.52, "slew.joint": 0.21, "tool.x": 0.18, "tool.y": 0.09}.get(name, 0.0)
-        localised.append(Localised(stage, owner, name, stage_rmse, gap.before[name], 2e-4, share))
+        localised.append(StageGap(stage, owner, name, stage_rmse, gap.before[name], 2e-4, share))
     effects = (
         NamedEffect(
             "valve_deadband",

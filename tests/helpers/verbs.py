@@ -14,7 +14,7 @@ from registry_verbs import FILES, PASSED, broken, promote, register, registered,
 from stored import small_dataset
 
 from sysid.datasets import Store, append, ingest
-from sysid.datasets.versions.manifest import Made
+from sysid.datasets.versions.manifest import PartRecord
 from sysid.errors import StoreError
 from sysid.registry import Registry, decide
 from sysid.reports.archive import load_gap
@@ -88,7 +88,7 @@ def ingested(workspace: Path) -> None:
 def several(workspace: Path) -> None:
     store = Store(workspace)
     for seed in (1, 2, 3):
-        store.save(*small_dataset(seed), Made(1))
+        store.save(*small_dataset(seed), PartRecord(1))
 
 
 def poses(workspace: Path) -> None:
@@ -102,7 +102,7 @@ def poses(workspace: Path) -> None:
         **dict.fromkeys(("telescope.joint", "boom.cylinder", "stick.cylinder", "ee.x", "ee.y", "ee.z"), "m"),
     }
     data = replace(dataset((some_poses(count=80),), {}), name="crane", digest="1" * 64, units=units)
-    Store(workspace).save(data, channels, Made(1))
+    Store(workspace).save(data, channels, PartRecord(1))
 
 
 def crane(workspace: Path) -> None:

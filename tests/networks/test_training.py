@@ -11,16 +11,16 @@ import pytest
 import torch
 
 from sysid.errors import ExcitationError, InputError, SettingsError
-from sysid.networks import Member, Mlp, Normalisation, TrainedMember, TrainingSettings, train
+from sysid.networks import EnsembleMember, Mlp, Normalisation, TrainedMember, TrainingSettings, train
 from sysid.networks.batch import BatchedAdam, BatchedMlp, Stack, pack, padded, unpack
 from sysid.networks.jobs import batches, job_of, layers_of, scalers_of
 from sysid.networks.mlp import Rectifier
-from sysid.networks.order import Order, initial_row
+from sysid.networks.shuffle_order import ShuffleOrder, initial_row
 
 QUICK = TrainingSettings(learning_rate=1e-2, batch=32, epochs=60, patience=60)
 
 
-def member(name: str = "m", seed: int = 0, noise: float = 0.0, rows: int = 256) -> Member:
+def member(name: str = "m", seed: int = 0, noise: float = 0.0, rows: int = 256) -> EnsembleMember:
     """``y = (sin 2x₀ + x₁, x₀ x₁)`` in units of a few thousand and an offset, which normalisation has to take care of."""
     rng = np.random.default_rng(seed)
     x, v = rng.uniform(-1, 1, (rows, 2)), rng.uniform(-1, 1, (128, 2))
@@ -29,10 +29,10 @@ def member(name: str = "m", seed: int = 0, noise: float = 0.0, rows: int = 256) 
         values = np.column_stack([np.sin(2 * inputs[:, 0]) + inputs[:, 1], inputs[:, 0] * inputs[:, 1]])
         return 5e3 + 1e3 * (values + rng.normal(0, noise, values.shape) if noise else values)
 
-    return Member(name, x, y(x), v, y(v), ("a", "b"), ("c", "d"))
+    return EnsembleMember(name, x, y(x), v, y(v), ("a", "b"), ("c", "d"))
 
 
-def misled(name: str, seed: int) -> Member:
+def misled(name: str, seed: int) -> EnsembleMember:
     """Its validation rows follow another law: learning more about the rows to fit soon makes it worse."""
     one = member(name, seed)
     return replace(one, validation_outputs=one.validation_outputs[::-1].copy())
@@ -114,11 +114,11 @@ def test_adam_is_that_of_torch_with_a_rate_for_each_member() -> None:
 
 
 def test_every_pass_of_the_order_has_every_row_once_and_any_place_can_be_asked_for() -> None:
-    whole = Order(3, "m", 10).take(0, 40)
+    whole = ShuffleOrder(3, "m", 10).take(0, 40)
     assert all(sorted(part) == list(range(10)) for part in whole.reshape(4, 10))
     assert not (whole[:10] == whole[10:20]).all()
-    np.testing.assert_array_equal(Order(3, "m", 10).take(17, 34), whole[17:34])
-    assert not (Order(4, "m", 10).take(0, 40) == whole).all()
+    np.testing.assert_array_equal(ShuffleOrder(3, "m", 10).take(17, 34), whole[17:34])
+    assert not (ShuffleOrder(4, "m", 10).take(0, 40) == whole).all()
 
 
 def test_training_recovers_a_known_map() -> None:
@@ -263,7 +263,7 @@ def test_a_gpu_trains_the_same_network() -> None:
     assert all(same(x, y, rtol=1e-2) for x, y in zip(by_cpu, by_gpu, strict=True))
 
 
-def with_value(key: str, value: float) -> Member:
+def with_value(key: str, value: float) -> EnsembleMember:
     values = getattr(member(), key).copy()
     values[3, 0] = value
     return replace(member(), **{key: values})
@@ -279,7 +279,7 @@ def with_value(key: str, value: float) -> Member:
         (replace(member(), validation_inputs=np.empty((0, 2))), InputError, r"with at least one row"),
     ],
 )
-def test_rows_that_cannot_be_used_are_refused(broken: Member, error: type[Exception], message: str) -> None:
+def test_rows_that_cannot_be_used_are_refused(broken: EnsembleMember, error: type[Exception], message: str) -> None:
     with pytest.raises(error, match=message):
         train([broken], (4,), QUICK, 0)
 

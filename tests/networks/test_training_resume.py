@@ -18,7 +18,7 @@ from crane_data import dataset
 from sysid.errors import SettingsError, StorageError, StoreError
 from sysid.networks import (
     Checkpoints,
-    Member,
+    EnsembleMember,
     TrainedMember,
     TrainingSettings,
     fit_actuator,
@@ -32,10 +32,10 @@ SETTINGS = TrainingSettings(learning_rate=3e-3, batch=16, epochs=30, patience=30
 HIDDEN = (24, 10)
 
 
-def members() -> list[Member]:
+def members() -> list[EnsembleMember]:
     rng = np.random.default_rng(0)
     x, v = rng.uniform(-1, 1, (130, 2)), rng.uniform(-1, 1, (40, 2))
-    whole = Member("whole", x, np.sin(3 * x[:, :1]) * x[:, 1:], v, np.sin(3 * v[:, :1]) * v[:, 1:], ("a", "b"), ("c",))
+    whole = EnsembleMember("whole", x, np.sin(3 * x[:, :1]) * x[:, 1:], v, np.sin(3 * v[:, :1]) * v[:, 1:], ("a", "b"), ("c",))
     part = replace(whole, name="part", inputs=x[:75], outputs=whole.outputs[:75], learning_rate=1e-3)
     return [whole, part, replace(whole, name="deep", hidden=(8, 8, 8)), replace(whole, name="again")]
 

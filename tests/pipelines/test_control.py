@@ -11,7 +11,7 @@ from crane_model import Perfect, crane_plant
 
 from sysid.control import AxisTuning, tune
 from sysid.machine import KnownEffect
-from sysid.rl.course import lay_out
+from sysid.rl.tracking_task import lay_out
 
 PLANT = crane_plant(KnownEffect("backlash", "slew", {"width": 0.01}, "drive"))
 

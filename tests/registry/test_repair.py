@@ -13,7 +13,7 @@ import pytest
 
 from sysid.cli import main
 from sysid.errors import StorageError, StoreError
-from sysid.registry import Check, Damaged, Registry, decide
+from sysid.registry import Check, DamagedModel, Registry, decide
 from sysid.registry.schema import empty_registry
 from sysid.registry.stored import ModelChange
 from sysid.registry.tables import apply
@@ -86,7 +86,7 @@ def test_what_was_changed_by_hand_is_not_shown_as_true(
     with pytest.raises(StoreError, match=message):
         registry.list()
     assert registry.load("leg").metrics == {"rmse": 0.5}, "another model is not concerned"
-    assert any(isinstance(entry, Damaged) for entry in registry.survey())
+    assert any(isinstance(entry, DamagedModel) for entry in registry.survey())
     with pytest.raises(SystemExit, match="0"):
         main(["--workspace", str(workspace), "models"])
     told = capsys.readouterr().out

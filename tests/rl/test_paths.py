@@ -9,13 +9,13 @@ import pytest
 from crane_model import crane, crane_plant
 
 from sysid.errors import InputError, SettingsError
-from sysid.rl.inverse import Inverse, chain_of_plant
+from sysid.rl.inverse_kinematics import InverseKinematics, chain_of_plant
 from sysid.rl.paths import Path, centre_for, check_reach, circle, floor_of, helix, read_path
 from sysid.rl.reach import reach_of
 
 PLANT = crane_plant()
 REACH = reach_of(PLANT)
-INVERSE = Inverse.of(chain_of_plant(PLANT), REACH.low, REACH.high)
+INVERSE = InverseKinematics.of(chain_of_plant(PLANT), REACH.low, REACH.high)
 
 
 def written(folder: File, text: str) -> File:

@@ -23,7 +23,7 @@ from sysid.model_versions import ModelVersions
 from sysid.networks import FittedChain, StructuredForward, fit_chain, to_files
 from sysid.networks.policy import PolicyNetwork, policy_from_files, policy_to_files
 from sysid.plant import compile_plant
-from sysid.rl.policy import Searching, load_policy
+from sysid.rl.policy import CandidateSearchPolicy, load_policy
 from sysid.rl.reach import joint_limits, tips
 from sysid.rl.recipe import load_training, parse_training
 from sysid.rl.seeds import side_by_side
@@ -128,7 +128,7 @@ def test_onnx_parity(policy: PolicyNetwork, precision: str, tmp_path: Path) -> N
 def test_candidates_at_run_time_come_nearer() -> None:
     each = trainer(recipe())
     policy, seen = policy_of(each), each.environment.reset()
-    searching = Searching(policy, each.environment.forward, candidates=60, sigma=0.3)
+    searching = CandidateSearchPolicy(policy, each.environment.forward, candidates=60, sigma=0.3)
     wanted = each.environment.targets(seen)
     away = [np.linalg.norm(each.environment.forward.predict(one.act(seen)) - wanted, axis=1) for one in (searching, policy)]
     assert (away[0] <= away[1] + 1e-12).all()

@@ -13,12 +13,12 @@ from crane_model import Perfect, crane_plant
 from sysid.control import simple
 from sysid.errors import InputError, SettingsError
 from sysid.machine import KnownEffect
-from sysid.rl.course import Shortened, TrackingTask, lay_out
 from sysid.rl.kinematic import KinematicEnvironment
 from sysid.rl.paths import Path, helix
 from sysid.rl.record import keep, pictures, table
 from sysid.rl.task import Task
 from sysid.rl.tracking import InversePolicy, track, track_environment
+from sysid.rl.tracking_task import TrackingTask, TruncatedObservationPolicy, lay_out
 
 Array = npt.NDArray[np.float64]
 PLANT = crane_plant(
@@ -105,7 +105,7 @@ def test_a_policy_of_the_papers_setting_may_drive_the_full_path(driven: Tracking
             assert observations.shape == (1, 10)
             return self.inner.act(observations)
 
-    run = driven.run("ten", Shortened(Ten()))
+    run = driven.run("ten", TruncatedObservationPolicy(Ten()))
     assert run.policy == "ten"
     assert run.rmse.max() < 5e-3
 

@@ -10,11 +10,11 @@ from crane_store import learned
 from runner_case import DT, MIDDLE, PLANT, case
 
 from sysid.errors import SettingsError
-from sysid.networks.trust import Trust
+from sysid.networks.uncertainty import NetworkUncertainty
 from sysid.runner.domain import Domains
 from sysid.runner.faults import Injection, Scaled
 from sysid.runner.modes.hold import Hold
-from sysid.runner.senses import StateEstimate
+from sysid.runner.state_estimator import StateEstimate
 from sysid.runner.transport import NOBODY
 
 AXES = PLANT.machine.axis_names
@@ -27,7 +27,9 @@ def at(joints: np.ndarray) -> StateEstimate:
 def test_beyond_the_data_and_back() -> None:
     rng = np.random.default_rng(0)
     poses = MIDDLE + rng.uniform(-0.2, 0.2, (800, 4)) * [1.0, 1.0, 1.0, 0.2]
-    model = replace(learned(PLANT), trust=Trust.of(poses, 1e-3 * rng.standard_normal((800, 3)), np.zeros((800, 3))))
+    model = replace(
+        learned(PLANT), trust=NetworkUncertainty.of(poses, 1e-3 * rng.standard_normal((800, 3)), np.zeros((800, 3)))
+    )
     domains = Domains(model, {}, AXES)
     way = np.array([0.0, 0.1, 0.4, 0.6, 0.5, 0.3, 0.1])
     said = [bool(domains(at(MIDDLE + np.array([step, 0.0, 0.0, 0.0])))) for step in way]

@@ -7,7 +7,7 @@ import numpy.typing as npt
 import pytest
 from fault_runs import TOUCH, fault_run
 
-from sysid.runner.barrier import Barrier
+from sysid.runner.command_filter import CommandFilter
 
 Array = npt.NDArray[np.float64]
 FAST, SLOW = range(10), range(10, 1010)
@@ -46,10 +46,10 @@ def test_nothing_leaves_the_fence_in_a_thousand_runs() -> None:
 def test_without_the_barrier_it_does(monkeypatch: pytest.MonkeyPatch) -> None:
     """The runs above would show it: with the barrier taken out several of the first ten leave."""
 
-    def through(self: Barrier, asked: Array, drive: Array, reckonings: object) -> tuple[Array, list[object]]:
+    def through(self: CommandFilter, asked: Array, drive: Array, reckonings: object) -> tuple[Array, list[object]]:
         self.sent = np.clip(np.nan_to_num(asked), -1.0, 1.0)
         return self.sent.copy(), []
 
-    monkeypatch.setattr(Barrier, "pass_on", through)
+    monkeypatch.setattr(CommandFilter, "pass_on", through)
     left = sum(min(fault_run(seed)[1].values()) < -TOUCH for seed in FAST[:10])
     assert left >= 2

@@ -24,7 +24,7 @@ from sysid.cli import main as sysid
 from sysid.errors import SettingsError, StorageError
 from sysid.logs.mcap import McapReader
 from sysid.logs.reader import ReadOptions
-from sysid.runner.cycle import Verdict
+from sysid.runner.cycle import Violation
 from sysid.runner.flight_log import WAITING, FlightLog, provenance
 
 pytestmark = pytest.mark.realtime
@@ -35,7 +35,7 @@ WORDS = {"versions": {"policy": "autolog@1"}, "sha256": {"recipe": "0" * 64}}
 def flown(folder: Path, cycles: int, **options: object) -> FlightLog:
     with FlightLog(folder, MACHINE, AXES, SIGNALS, WORDS, clock_ns=0, **options) as log:  # type: ignore[arg-type]
         for number in range(cycles):
-            verdict = Verdict("velocity", "boom", "clamp", 0.5, 0.4, "faster than allowed")
+            verdict = Violation("velocity", "boom", "clamp", 0.5, 0.4, "faster than allowed")
             log.record(cycle(number, verdicts=(verdict,) if number == 7 else ()))
     return log
 

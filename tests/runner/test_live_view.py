@@ -11,7 +11,7 @@ from rerun_file import curves
 
 from sysid.cli import main as sysid
 from sysid.errors import InputError
-from sysid.runner.cycle import Verdict
+from sysid.runner.cycle import Violation
 from sysid.runner.flight_log import FlightLog
 from sysid.runner.flight_messages import CYCLES, VERDICTS
 from sysid.runner.mcap_pieces import MAGIC
@@ -23,7 +23,7 @@ TOPICS = frozenset((CYCLES, VERDICTS))
 def flown(folder: Path, cycles: int) -> Path:
     with FlightLog(folder, MACHINE, AXES, SIGNALS, {}, clock_ns=0) as log:
         for number in range(cycles):
-            verdict = Verdict("velocity", "boom", "clamp", 0.5, 0.4, "faster than allowed")
+            verdict = Violation("velocity", "boom", "clamp", 0.5, 0.4, "faster than allowed")
             log.record(cycle(number, verdicts=(verdict,) if number == 7 else ()))
     return log.path
 

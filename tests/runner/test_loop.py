@@ -132,7 +132,7 @@ ROWS = [
     Row(f.ClockJumped(-1.0), "stale", 0.02, "fault"),
     Row(f.EmergencyPressed(), "emergency", 0.02, "fault", 0.1),
     Row(f.DeadManReleased(), "dead_man", 0.02, "ready", 0.1),
-    Row(f.MachineSays("valve driver"), "machine", 0.02, "fault", 0.1),
+    Row(f.MachineReportsFault("valve driver"), "machine", 0.02, "fault", 0.1),
 ]
 
 
@@ -247,7 +247,7 @@ def test_holding_stays() -> None:
 def test_a_run_loads_no_torch() -> None:
     text = (
         "import sys; sys.path.insert(0, sys.argv[1]); import test_loop as t; t.run(lambda a, b: t.Hold(t.DT, 0.2)); "
-        "import sysid.cli.run, sysid.runner.assemble, sysid.runner.transports, sysid.runner.rehearse; "
+        "import sysid.cli.run, sysid.runner.assemble, sysid.runner.transports, sysid.runner.dry_run; "
         "assert 'torch' not in sys.modules, 'torch is loaded'"
     )
     here = Path(__file__).parent

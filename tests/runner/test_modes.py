@@ -15,9 +15,9 @@ from sysid.errors import InputError
 from sysid.gap.experiment.experiment import Experiment
 from sysid.rl.paths import Path as Course
 from sysid.rl.paths import circle
-from sysid.runner.barrier import Barrier, outside
+from sysid.runner.command_filter import CommandFilter, outside
 from sysid.runner.limits import AxisLimits, Limits, LimitSettings, limits_of
-from sysid.runner.modes.collect import Collect, Ways, draw
+from sysid.runner.modes.collect import Collect, SafeMoves, draw
 from sysid.runner.modes.mode import Move
 from sysid.runner.modes.replay import ReplayCommands, ReplayJoints, of_experiment, of_file
 from sysid.runner.modes.track import TrackLive, eased
@@ -33,9 +33,9 @@ FENCED = LimitSettings(
 LIMITS = limits_of(PLANT, VALVES, FENCED, "test")
 
 
-def ways(limits: Limits) -> Ways:
+def ways(limits: Limits) -> SafeMoves:
     linkages = [PLANT.linkages[axis.name] if axis.drives == "cylinder" else None for axis in PLANT.machine.axes]
-    return Ways(Barrier(limits, VALVES, linkages, TIP, DT))
+    return SafeMoves(CommandFilter(limits, VALVES, linkages, TIP, DT))
 
 
 def test_a_move_keeps_its_share_of_the_limits() -> None:

@@ -8,16 +8,16 @@ import numpy as np
 import pytest
 from flights import cycle
 
-from sysid.runner.rehearse import Ranges
+from sysid.runner.dry_run import RangeRecorder
 from sysid.runner.transport import Measurement
 
 PERIOD = 10_000_000
 SPEED, OFF = np.array([0.2, -0.1, 0.05]), np.array([0.003, 0.0, 0.004])
 
 
-def recorded(age_ns: int, turns: int = 200) -> Ranges:
+def recorded(age_ns: int, turns: int = 200) -> RangeRecorder:
     """A target at constant speed, and a machine ``OFF`` beside it whose sensors are ``age_ns`` behind."""
-    ranges = Ranges(4, PERIOD)
+    ranges = RangeRecorder(4, PERIOD)
     for k in range(turns):
         at = k * PERIOD
         measured = at - age_ns
@@ -37,7 +37,7 @@ def test_a_reading_that_is_old_is_compared_with_the_target_of_then(age_ns: int) 
 
 
 def test_nothing_is_said_where_nothing_was_tracked() -> None:
-    ranges = Ranges(4, PERIOD)
+    ranges = RangeRecorder(4, PERIOD)
     ranges.record(cycle(0))
     assert ranges.rmse is None
     assert ranges.distance == {}

@@ -18,7 +18,7 @@ from sysid.cli.app import _run as run_command
 from sysid.cli.app import app
 from sysid.errors import SettingsError, StorageError
 from sysid.networks import to_files
-from sysid.networks.trust import Trust
+from sysid.networks.uncertainty import NetworkUncertainty
 from sysid.registry import CHAMPION, Registry
 from sysid.rl.reach import joint_limits
 from sysid.runner.checks.settings import BOUNDS, CHECKS, MILDEST, CheckSettings
@@ -111,7 +111,7 @@ def workspace(tmp_path_factory: pytest.TempPathFactory) -> Path:
     joints = np.random.default_rng(1).uniform(low, high, (1500, 4))
     model = learned(plant)
     errors = 1e-4 * np.random.default_rng(2).standard_normal((1500, 3))
-    kind, files = to_files(replace(model, trust=Trust.of(joints, errors, np.zeros(errors.shape))))
+    kind, files = to_files(replace(model, trust=NetworkUncertainty.of(joints, errors, np.zeros(errors.shape))))
     registry.register("crane-forward", kind, files, {"dataset": "crane@1"})
     machine = crane()
     (folder / "machine.toml").write_text(machine.text, "utf-8")

@@ -19,7 +19,7 @@ from stored import small_dataset
 from sysid.cli import main
 from sysid.cli.loopback import page_server
 from sysid.datasets import Store, lineage
-from sysid.datasets.versions.manifest import Made, to_text
+from sysid.datasets.versions.manifest import PartRecord, to_text
 from sysid.errors import StoreError
 from sysid.foreign import escaped_json, shown, visible
 from sysid.registry import Registry
@@ -50,7 +50,7 @@ def said(capsys: pytest.CaptureFixture[str]) -> str:
 @pytest.fixture
 def place(tmp_path: Path) -> Path:
     """``demo@1``, which is whole, and a copy of its manifest as ``demo@2`` for each test to spoil."""
-    Store(tmp_path / "ws").save(*small_dataset(1), Made(1))
+    Store(tmp_path / "ws").save(*small_dataset(1), PartRecord(1))
     return tmp_path / "ws"
 
 
@@ -232,7 +232,7 @@ def test_a_hostile_row_of_the_registry_is_one_broken_row(
     if "name" not in name:
         assert run("--workspace", place, "models", "boom") == 2, "no other version is taken for it"
         said(capsys)
-        Store(place).save(*small_dataset(1), Made(1))
+        Store(place).save(*small_dataset(1), PartRecord(1))
         assert run("--workspace", place, "datasets", "vacuum", "demo@1") == 2, "it may be what a model was made from"
         assert "Nothing was removed" in said(capsys)
 

@@ -12,7 +12,7 @@ from sample_crane import sample_dataset, sample_gap
 from stored import small_dataset
 
 from sysid.datasets import Dataset, Store, vacuum
-from sysid.datasets.versions.manifest import Made
+from sysid.datasets.versions.manifest import PartRecord
 from sysid.errors import StoreError
 from sysid.registry import Registry
 from sysid.registry.artifacts import FolderArtifacts
@@ -21,7 +21,7 @@ from sysid.reports.archive import load_gap, save_gap
 from sysid.root import Root
 from sysid.workspace import Workspace
 
-MADE = Made(1)
+MADE = PartRecord(1)
 
 
 def nobody(reference: str, digest: str) -> Sequence[str]:

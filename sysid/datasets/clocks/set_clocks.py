@@ -30,7 +30,7 @@ WRAPS = tuple(sorted({(1 << bits) * unit for bits in (16, 24, 32) for unit in (1
 
 
 @dataclass(frozen=True)
-class Continued:
+class ContinuedClock:
     """Stamps (n,) in the order of the file, carried on over every step back.
 
     Args:
@@ -62,10 +62,10 @@ class Continued:
         return tuple(said)
 
 
-def continued(stamps: Stamps) -> Continued:
+def continued(stamps: Stamps) -> ContinuedClock:
     """``stamps`` (n,) [ns] as the file has them; the same array where nothing is to be done."""
     if len(stamps) < 3 or int(np.diff(stamps).min()) > 0:
-        return Continued(stamps)
+        return ContinuedClock(stamps)
     period = _period(stamps)
     stray = _stray(stamps, period)
     if stray.any():
@@ -79,7 +79,7 @@ def continued(stamps: Stamps) -> Continued:
         shift[row:] += before + round(period) - int(unwrapped[row] + shift[row])
     steps = sorted([(int(row), True) for row in wraps] + [(int(row), False) for row in rows])
     back = tuple(int(stamps[row - 1] - stamps[row]) for row, _ in steps)
-    return Continued(
+    return ContinuedClock(
         unwrapped + shift, tuple(row for row, _ in steps), back, tuple(w for _, w in steps), int(np.count_nonzero(stray))
     )
 
@@ -89,7 +89,7 @@ def with_stamps_carried_on(streams: Sequence[Stream], clock: str | None, machine
 
     The machine's own clock is only unwrapped: where it was set, nothing says how much time has passed.
     """
-    done: dict[bytes, Continued] = {}
+    done: dict[bytes, ContinuedClock] = {}
     result = []
     for stream in streams:
         name = clock if clock is not None else next(iter(stream.stamps), "")

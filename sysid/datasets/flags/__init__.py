@@ -1,7 +1,7 @@
 """What a sensor should not do, found in the raw channels and written down; no value is changed."""
 
 from sysid.datasets.flags.stamps import dropouts, jitter, repaired_stamps
-from sysid.datasets.flags.standing import saturation, stuck
+from sysid.datasets.flags.stuck import saturation, stuck
 from sysid.datasets.flags.values import jumps, outliers
 
 __all__ = [

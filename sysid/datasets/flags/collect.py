@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 
 from sysid.datasets.channel import Channel, seconds
-from sysid.datasets.clocks.records import Clocked, by_source, machine_times
+from sysid.datasets.clocks.records import ClockAlignment, by_source, machine_times
 from sysid.datasets.flags.flag import KINDS, Array, Flag, Mask
 from sysid.datasets.flags.stamps import dropouts, jitter
-from sysid.datasets.flags.standing import Witness, saturation, stuck
+from sysid.datasets.flags.stuck import SensorContext, saturation, stuck
 from sysid.datasets.flags.values import jumps, outliers
 from sysid.datasets.in_pieces import copied, known, masked, median, median_step
 from sysid.datasets.recipe import IngestRecipe
@@ -57,7 +57,7 @@ def find_flags(timed: Sequence[Timed], machine: Machine, hold_s: float, progress
 
 
 def flag_rows(
-    recording: Clocked,
+    recording: ClockAlignment,
     clocks: Sequence[ClockRecord],
     machine: Machine,
     hold_s: float = IngestRecipe.hold_s,
@@ -130,7 +130,7 @@ def _ends(signal: str, machine: Machine) -> tuple[float, float]:
     return (-np.inf, np.inf)
 
 
-def _witness(signal: str, at: Array, commands: Sequence[Timed], machine: Machine, hold_s: float) -> Witness:
+def _witness(signal: str, at: Array, commands: Sequence[Timed], machine: Machine, hold_s: float) -> SensorContext:
     """When what moves ``signal`` is commanded: its own axis, for a point any axis."""
     owner, _ = split_signal(signal)
     commanded, driven = np.zeros(len(at), dtype=bool), np.zeros(len(at), dtype=bool)
@@ -146,7 +146,7 @@ def _witness(signal: str, at: Array, commands: Sequence[Timed], machine: Machine
         commanded |= more if axis.actuation == "position" else _beyond(command, IDLE)
         if axis.actuation != "force":  # a force may hold without moving
             driven |= more
-    return Witness(commanded, driven)
+    return SensorContext(commanded, driven)
 
 
 def _beyond(command: Array, share: float) -> Mask:

@@ -29,7 +29,7 @@ LEVER = 0.5
 
 
 @dataclass(frozen=True)
-class Surveyed:
+class SurveyResult:
     """A proposal, the file it is from, and how far what it determines is from what the recipe says now [m, rad]."""
 
     source: Path
@@ -38,7 +38,7 @@ class Surveyed:
     turned_rad: float
 
 
-def propose_frames(paths: Sequence[Path], recipe: IngestRecipe, machine: Machine, where: object) -> tuple[Surveyed, ...]:
+def propose_frames(paths: Sequence[Path], recipe: IngestRecipe, machine: Machine, where: object) -> tuple[SurveyResult, ...]:
     """A proposal for every stream of the recipe that has a survey.
 
     Args:
@@ -56,7 +56,7 @@ def propose_frames(paths: Sequence[Path], recipe: IngestRecipe, machine: Machine
     return tuple(_proposal(paths, stream, survey, machine) for stream, survey in surveys)
 
 
-def _proposal(paths: Sequence[Path], mapping: StreamMap, survey: Survey, machine: Machine) -> Surveyed:
+def _proposal(paths: Sequence[Path], mapping: StreamMap, survey: Survey, machine: Machine) -> SurveyResult:
     path = _file(paths, mapping, survey)
     names = (*survey.turning, *survey.markers)
     # Read as bodies: whatever has a place can be surveyed, and marker sets are made where they are named.
@@ -78,7 +78,7 @@ def _proposal(paths: Sequence[Path], mapping: StreamMap, survey: Survey, machine
         static = {name: _static(places[name], f"{path}: {name}") for name in survey.markers}
         proposal = from_markers(static, survey.markers, f"{path}: survey")
         moved, turned = _apart(mapping.frame, proposal.frame)
-    return Surveyed(path, proposal, moved, turned)
+    return SurveyResult(path, proposal, moved, turned)
 
 
 def _file(paths: Sequence[Path], mapping: StreamMap, survey: Survey) -> Path:

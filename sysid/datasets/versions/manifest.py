@@ -34,7 +34,7 @@ Change = Literal["append", "split"]
 
 
 @dataclass(frozen=True)
-class Made:
+class PartRecord:
     """What turned raw files into tables.
 
     Args:
@@ -79,7 +79,7 @@ def new_manifest(dataset: Dataset, version: int, part: Mapping[str, Any]) -> Man
     }
 
 
-def new_part(folder: str, samples: Mapping[str, Any], channels: Mapping[str, Any], made: Made) -> Manifest:
+def new_part(folder: str, samples: Mapping[str, Any], channels: Mapping[str, Any], made: PartRecord) -> Manifest:
     """The tables of one ingest, with what made them."""
     return {
         "folder": folder,

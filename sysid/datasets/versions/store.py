@@ -29,8 +29,8 @@ from sysid.datasets.recording import Dataset, Role
 from sysid.datasets.versions.assemble import Entry, dataset_of, entry_of
 from sysid.datasets.versions.files import Files, OvertakenError, TakenError, explained
 from sysid.datasets.versions.manifest import (
-    Made,
     Manifest,
+    PartRecord,
     appended,
     from_text,
     new_manifest,
@@ -185,7 +185,7 @@ class Store:
         return None
 
     def save(
-        self, dataset: Dataset, channels: Mapping[str, Sequence[Channel]], made: Made, progress: Progress = silent
+        self, dataset: Dataset, channels: Mapping[str, Sequence[Channel]], made: PartRecord, progress: Progress = silent
     ) -> Dataset:
         """Store ``dataset`` as the next version of its name; the same digest again returns the version that is there.
 
@@ -206,7 +206,7 @@ class Store:
         base: str,
         addition: Dataset,
         channels: Mapping[str, Sequence[Channel]],
-        made: Made,
+        made: PartRecord,
         newest: bool = False,
         progress: Progress = silent,
     ) -> Dataset:
@@ -265,7 +265,7 @@ class Store:
         self,
         dataset: Dataset,
         channels: Mapping[str, Sequence[Channel]],
-        made: Made,
+        made: PartRecord,
         progress: Progress,
         build: Callable[[int, Manifest], Manifest],
     ) -> Dataset | int:

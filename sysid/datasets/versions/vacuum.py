@@ -23,7 +23,7 @@ Users = Callable[[str, str], Sequence[str]]
 
 
 @dataclass(frozen=True)
-class Removed:
+class RemovedPart:
     """A version (``autolog@1``), or a folder or file that no version refers to; ``size`` is what it alone takes [bytes]."""
 
     what: str
@@ -39,10 +39,10 @@ class NotRemoved:
 
 
 @dataclass(frozen=True)
-class Vacuumed:
+class VacuumResult:
     """What a vacuum removed, or would remove where ``dry_run``."""
 
-    removed: tuple[Removed, ...]
+    removed: tuple[RemovedPart, ...]
     kept: tuple[NotRemoved, ...]
     dry_run: bool
 
@@ -54,7 +54,7 @@ class Vacuumed:
 
 def vacuum(
     store: Store, users: Users, references: Sequence[str] = (), keep: int | None = None, dry_run: bool = False
-) -> Vacuumed:
+) -> VacuumResult:
     """Remove left-overs of killed writers, and versions.
 
     Args:
@@ -81,19 +81,19 @@ def vacuum(
             if not is_number(number) or int(number) not in store.versions(name):
                 store.manifest(reference)  # says what there is
             wanted[name].add(int(number))
-    removed: list[Removed] = []
+    removed: list[RemovedPart] = []
     kept = _links(store, "datasets") if not wanted else []
     for name in sorted(wanted) or there:
         with store.files.lock(f"datasets/{name}"):
             some, others = _one(store, name, wanted.get(name, set()), users, keep, dry_run)
             removed += some
             kept += others
-    return Vacuumed(tuple(removed), tuple(kept), dry_run)
+    return VacuumResult(tuple(removed), tuple(kept), dry_run)
 
 
 def _one(
     store: Store, name: str, named: Iterable[int], users: Users, keep: int | None, dry_run: bool
-) -> tuple[list[Removed], list[NotRemoved]]:
+) -> tuple[list[RemovedPart], list[NotRemoved]]:
     """One dataset, whose lock is held."""
     versions = store.versions(name)
     kept = [item for folder in ("", "/data", "/versions") for item in _links(store, f"datasets/{name}{folder}")]
@@ -117,13 +117,13 @@ def _one(
     if any(own is None for own in staying):
         reason = "a manifest of this dataset cannot be read, and may refer to data that no other refers to"
         kept.append(NotRemoved(data, reason))
-        removed += [Removed(f"{name}@{version}", 0) for version in going]
+        removed += [RemovedPart(f"{name}@{version}", 0) for version in going]
     else:
         needed = {folder for own in staying for folder in own or ()}
         free = {folder for folder in weights if folder not in needed}
         for version in going:
             own = {folder for folder in folders[version] or () if folder in free}
-            removed.append(Removed(f"{name}@{version}", sum(weights[folder][0] for folder in own)))
+            removed.append(RemovedPart(f"{name}@{version}", sum(weights[folder][0] for folder in own)))
             free -= own
             loose += own
         for folder in sorted(free):
@@ -131,11 +131,11 @@ def _one(
             if not store.files.locks and age < YOUNG_S:
                 kept.append(NotRemoved(f"{data}/{folder}", "younger than a day: a writer may be at work on it"))
             else:
-                removed.append(Removed(f"{data}/{folder}", size))
+                removed.append(RemovedPart(f"{data}/{folder}", size))
                 loose.append(folder)
     drafts = [f"datasets/{name}/versions/{file}" for file in store.files.names(f"datasets/{name}/versions") if file[0] == "."]
     drafts = drafts if store.files.locks else []  # there, a writer may be at work on them
-    removed += [Removed(draft, 0) for draft in drafts]
+    removed += [RemovedPart(draft, 0) for draft in drafts]
     if not dry_run:
         with explained(store.workspace, "what was removed so far is gone whole, the rest is as it was"):
             for version in going:

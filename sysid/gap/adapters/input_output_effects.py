@@ -14,8 +14,8 @@ from sysid.effects import CATALOGUE
 from sysid.plant import chain, layout
 from sysid.plant.axis_loop import begin
 from sysid.plant.layout import AT, AXIS_WIDTH, STATE
+from sysid.plant.machine_arrays import GAIN, KIND, VELOCITY, MachineArrays
 from sysid.plant.model import SETTLE_WINDOW, START_WINDOW, Model
-from sysid.plant.rig import GAIN, KIND, VELOCITY, Rig
 
 Array = npt.NDArray[np.float64]
 Stretches = npt.NDArray[np.int64]
@@ -23,7 +23,7 @@ Stretches = npt.NDArray[np.int64]
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def input_effects_of_axis(
-    p: Array, rig: Rig, i: int, command: Array, load: Array, stretches: Stretches, dt: float, size: int, out: Array
+    p: Array, rig: MachineArrays, i: int, command: Array, load: Array, stretches: Stretches, dt: float, size: int, out: Array
 ) -> None:
     """Command (n,) → command after the effects of the command stage (n,), in the unit of the command.
 

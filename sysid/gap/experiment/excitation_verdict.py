@@ -166,7 +166,7 @@ def _counted(item: Excitation, effect: Effect, stage: str, side: str | None) -> 
 
 
 def _quantisation(signal: str, seen: Sequence[Recording], machine: Machine) -> ExcitationVerdict:
-    """Sensor quantisation is not fitted: it is estimated from the readings (:mod:`sysid.gap.readings`)."""
+    """Sensor quantisation is not fitted: it is estimated from the readings (:mod:`sysid.gap.sensor_resolution`)."""
     effect = sensor_quantisation.EFFECT
     return _counted(excitation_at(effect, signal, seen, machine), effect, "sensor", None)
 

@@ -24,7 +24,7 @@ from sysid.gap.localise import stage_rmse
 from sysid.gap.problem import Problem, problems_of
 from sysid.gap.proof import ProofOutcome
 from sysid.gap.result import ResidualModelResult, Unnamed
-from sysid.networks.recurrent import Looks, RecurrentSettings, train_recurrent
+from sysid.networks.recurrent import RecordingWindow, RecurrentSettings, train_recurrent
 from sysid.plant import Model, Plant, compile_plant, gravity_load
 from sysid.plant.force import force_inputs, hold_of
 from sysid.plant.residual import PLACES, WARNING, Residual, inputs_of
@@ -63,15 +63,15 @@ class _ResidualRecording:
     stride: int
     interval: float
 
-    def looks(self) -> Looks:
+    def looks(self) -> RecordingWindow:
         count = (len(self.left) - 1) // self.stride
         at = np.arange(count) * self.stride
         inputs = self.inputs[at].copy()
         inputs[0, SPEED] = 0.0
         inputs[1:, SPEED] = np.diff(inputs[:, POSITION]) / self.interval
         if self.speed is not None:
-            return Looks(inputs, self.left[at], _mean(self.speed[: count * self.stride], self.stride))
-        return Looks(inputs, _mean(self.left[1 : 1 + count * self.stride], self.stride), np.ones(count))
+            return RecordingWindow(inputs, self.left[at], _mean(self.speed[: count * self.stride], self.stride))
+        return RecordingWindow(inputs, _mean(self.left[1 : 1 + count * self.stride], self.stride), np.ones(count))
 
 
 def fit_residual_models(
@@ -210,7 +210,7 @@ def _residual_recording(
     )
 
 
-def _bound(parts: Sequence[Looks], integrates: bool, interval: float) -> float:
+def _bound(parts: Sequence[RecordingWindow], integrates: bool, interval: float) -> float:
     """:data:`BOUND` robust standard deviations of the residual; of its share of the speed where the stage integrates."""
     if not integrates:
         joined = np.concatenate([part.left for part in parts])

@@ -9,7 +9,7 @@ from typing import Any
 
 from markupsafe import Markup
 
-from sysid.gap.result import GapResult, Localised, NamedEffect, Unnamed
+from sysid.gap.result import GapResult, NamedEffect, StageGap, Unnamed
 from sysid.machine import Machine
 from sysid.reports import display, words
 from sysid.reports.effect_units import remainder_unit, shown_parameters
@@ -90,19 +90,19 @@ def _legend(machine: Machine, numbers: str) -> str:
     return f"{text} {numbers}".rstrip()
 
 
-def disagreeing(gap: GapResult) -> list[Localised]:
+def disagreeing(gap: GapResult) -> list[StageGap]:
     """The worst output of each stage that is above its noise floor, the worst stage first."""
-    worst: dict[tuple[str, str], Localised] = {}
+    worst: dict[tuple[str, str], StageGap] = {}
     for item in guilty(gap):
         worst.setdefault((item.stage, item.target), item)
     return list(worst.values())
 
 
-def _place(item: Localised) -> str:
+def _place(item: StageGap) -> str:
     return f"{words.owner_name(item.target)} ({words.stage_name(item.stage)})"
 
 
-def _located(found: Sequence[Localised], gap: GapResult, units: Mapping[str, str]) -> list[dict[str, Any]]:
+def _located(found: Sequence[StageGap], gap: GapResult, units: Mapping[str, str]) -> list[dict[str, Any]]:
     """One card for each stage that disagrees."""
     cards = []
     for number, item in enumerate(found, 1):

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from markupsafe import Markup
 
-from sysid.gap.result import GapResult, Localised, Map, Share
+from sysid.gap.result import GapResult, Map, Share, StageGap
 from sysid.reports import display, words
 from sysid.reports.charts import ChartCurve, chart
 from sysid.reports.inputs import ReportInputs
@@ -46,7 +46,7 @@ def context(inputs: ReportInputs) -> dict[str, Any] | None:
     }
 
 
-def _cell(items: list[Localised], inputs: ReportInputs, free: bool) -> dict[str, Any] | None:
+def _cell(items: list[StageGap], inputs: ReportInputs, free: bool) -> dict[str, Any] | None:
     """The worst signal of a stage and axis; None where nothing is measured."""
     scored = [(item.free_run_rmse if free else item.stage_rmse, item) for item in items]
     scored = [(error, item) for error, item in scored if math.isfinite(error) and item.noise_floor > 0.0]
@@ -68,7 +68,7 @@ def _cell(items: list[Localised], inputs: ReportInputs, free: bool) -> dict[str,
 # -- shares --------------------------------------------------------------------------------------------------------------
 
 
-def worth_telling(shares: Sequence[Share], localised: Sequence[Localised]) -> list[tuple[str, list[Share]]]:
+def worth_telling(shares: Sequence[Share], localised: Sequence[StageGap]) -> list[tuple[str, list[Share]]]:
     """End of the chain → its shares, the largest first; only ends whose error is above what sensor noise gives."""
     floors = {item.signal: item.noise_floor for item in localised}
     found = []
@@ -109,7 +109,7 @@ def _ends(gap: GapResult, inputs: ReportInputs) -> list[dict[str, Any]]:
 # -- maps ----------------------------------------------------------------------------------------------------------------
 
 
-def guilty(gap: GapResult) -> list[Localised]:
+def guilty(gap: GapResult) -> list[StageGap]:
     """Outputs above their noise floor, the worst first."""
     above = [i for i in gap.localised if i.noise_floor > 0.0 and i.stage_rmse > QUIET * i.noise_floor]
     return sorted(above, key=lambda item: -item.stage_rmse / item.noise_floor)
@@ -136,14 +136,14 @@ def _outputs(gap: GapResult, inputs: ReportInputs) -> list[dict[str, Any]]:
     return outputs
 
 
-def constant_share(item: Map, whole: Localised) -> tuple[float, float]:
+def constant_share(item: Map, whole: StageGap) -> tuple[float, float]:
     """(mean error, its part of the mean square) of a map over the error itself."""
     weights = np.array(item.count, dtype=np.float64)
     mean = float(np.sum(weights * np.array(item.mean)) / weights.sum())
     return mean, min(1.0, (mean / whole.stage_rmse) ** 2) if whole.stage_rmse > 0.0 else 0.0
 
 
-def sentence(most: Map, whole: Localised, unit: str) -> str:
+def sentence(most: Map, whole: StageGap, unit: str) -> str:
     """What the most telling map of an output says."""
     parts = []
     if most.quantity == "error":

@@ -5,11 +5,11 @@ from __future__ import annotations
 import math
 
 from sysid.runner.checks.settings import CheckSettings
-from sysid.runner.cycle import Verdict
-from sysid.runner.senses import StateEstimate
+from sysid.runner.cycle import Violation
+from sysid.runner.state_estimator import StateEstimate
 
 
-def judge_machine(seen: StateEstimate, settings: CheckSettings) -> list[Verdict]:
+def judge_machine(seen: StateEstimate, settings: CheckSettings) -> list[Violation]:
     """What is wrong apart from signals; the dead-man switch is looked at where the machine moves, by the loop."""
     found = []
     inputs = seen.inputs
@@ -24,17 +24,17 @@ def judge_machine(seen: StateEstimate, settings: CheckSettings) -> list[Verdict]
     rule = settings.overrun
     if seen.lateness_s > rule.late_s:
         text = f"a turn began {1e3 * seen.lateness_s:.0f} ms late"
-        found.append(Verdict("overrun", "machine", rule.reaction, seen.lateness_s, rule.late_s, text))
+        found.append(Violation("overrun", "machine", rule.reaction, seen.lateness_s, rule.late_s, text))
     elif seen.missed >= rule.turns:
         text = f"{seen.missed} turns in a row missed their deadline"
-        found.append(Verdict("overrun", "machine", rule.reaction, float(seen.missed), float(rule.turns), text))
+        found.append(Violation("overrun", "machine", rule.reaction, float(seen.missed), float(rule.turns), text))
     return found
 
 
-def dead_man(settings: CheckSettings) -> Verdict:
+def dead_man(settings: CheckSettings) -> Violation:
     """Nobody holds the switch."""
     return _plain("dead_man", settings, "the dead-man switch was let go")
 
 
-def _plain(check: str, settings: CheckSettings, text: str) -> Verdict:
-    return Verdict(check, "machine", settings.reaction(check), math.nan, math.nan, text)
+def _plain(check: str, settings: CheckSettings, text: str) -> Violation:
+    return Violation(check, "machine", settings.reaction(check), math.nan, math.nan, text)

@@ -10,8 +10,8 @@ import numpy.typing as npt
 
 from sysid.machine import TabulatedLinkage
 from sysid.runner.checks.settings import CheckSettings
-from sysid.runner.cycle import Verdict
-from sysid.runner.senses import StateEstimate
+from sysid.runner.cycle import Violation
+from sysid.runner.state_estimator import StateEstimate
 from sysid.runner.valves import AxisValve
 
 Array = npt.NDArray[np.float64]
@@ -46,7 +46,7 @@ class MotionChecks:
         """The valves are let go."""
         self._lasted.clear()
 
-    def judge(self, seen: StateEstimate, moving: bool, drive_setpoints: Array | None) -> list[Verdict]:
+    def judge(self, seen: StateEstimate, moving: bool, drive_setpoints: Array | None) -> list[Violation]:
         """What is wrong."""
         found = []
         settings = self.settings
@@ -59,10 +59,10 @@ class MotionChecks:
         if settings.on("domain") and moving:
             text = self._inside(seen)
             if self._lasts("domain", "networks", bool(text), settings.domain.for_s):
-                found.append(Verdict("domain", "networks", settings.domain.reaction, math.nan, math.nan, text))
+                found.append(Violation("domain", "networks", settings.domain.reaction, math.nan, math.nan, text))
         return found + self._restless(seen, moving)
 
-    def _contradictions(self, seen: StateEstimate) -> list[Verdict]:
+    def _contradictions(self, seen: StateEstimate) -> list[Violation]:
         found, rule = [], self.settings.contradiction
         for sensor in seen.sensors:
             if sensor.driven:
@@ -72,28 +72,28 @@ class MotionChecks:
             both = sensor.sound and bool(seen.measured[sensor.axis])
             if self._lasts("contradiction", sensor.signal, both and away > limit, rule.for_s):
                 text = f"{sensor.signal} reads {sensor.value:.4g}, its cylinder says {through:.4g}"
-                found.append(Verdict("contradiction", sensor.signal, rule.reaction, away, limit, text))
+                found.append(Violation("contradiction", sensor.signal, rule.reaction, away, limit, text))
         return found
 
-    def _unexplained(self, seen: StateEstimate) -> list[Verdict]:
+    def _unexplained(self, seen: StateEstimate) -> list[Violation]:
         found, rule = [], self.settings.motion
         for i, (name, valve) in enumerate(zip(self.axes, self.valves, strict=True)):
             away, limit = abs(float(seen.drive[i] - seen.reckoned[i])), rule.seconds * valve.fastest
             if away > limit:
                 text = f"{name} is {away:.4g} from where its commands must have brought it"
-                found.append(Verdict("motion", name, rule.reaction, away, limit, text))
+                found.append(Violation("motion", name, rule.reaction, away, limit, text))
         return found
 
-    def _behind(self, seen: StateEstimate, drive_setpoints: Array) -> list[Verdict]:
+    def _behind(self, seen: StateEstimate, drive_setpoints: Array) -> list[Violation]:
         found, rule = [], self.settings.following
         for i, (name, valve) in enumerate(zip(self.axes, self.valves, strict=True)):
             away, limit = abs(float(drive_setpoints[i] - seen.drive[i])), rule.seconds * valve.fastest
             if self._lasts("following", name, away > limit, rule.for_s):
                 text = f"{name} is {away:.4g} behind its setpoint"
-                found.append(Verdict("following", name, rule.reaction, away, limit, text))
+                found.append(Violation("following", name, rule.reaction, away, limit, text))
         return found
 
-    def _restless(self, seen: StateEstimate, moving: bool) -> list[Verdict]:
+    def _restless(self, seen: StateEstimate, moving: bool) -> list[Violation]:
         """Motion with neutral valves; by how far an axis came within a tenth of a second, so that noise is none."""
         rule = self.settings.restless
         self._neutral_s = 0.0 if moving else self._neutral_s + self.dt
@@ -106,7 +106,9 @@ class MotionChecks:
             for name, valve, speed in zip(self.axes, self.valves, self._moved, strict=True):
                 if abs(speed) > rule.share * valve.fastest:
                     text = f"{name} moves at {speed:.4g} though its valve is neutral"
-                    found.append(Verdict("restless", name, rule.reaction, abs(float(speed)), rule.share * valve.fastest, text))
+                    found.append(
+                        Violation("restless", name, rule.reaction, abs(float(speed)), rule.share * valve.fastest, text)
+                    )
         return found
 
     def _lasts(self, check: str, target: str, wrong: bool, seconds: float) -> bool:

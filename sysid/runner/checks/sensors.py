@@ -5,34 +5,34 @@ from __future__ import annotations
 import math
 
 from sysid.runner.checks.settings import CheckSettings
-from sysid.runner.cycle import Verdict
-from sysid.runner.senses import Sensor, StateEstimate
+from sysid.runner.cycle import Violation
+from sysid.runner.state_estimator import Sensor, StateEstimate
 
 #: A value came so often that its being old does not explain it.
 REPEATS = 4
 
 
-def judge_sensors(seen: StateEstimate, settings: CheckSettings, moving: bool) -> list[Verdict]:
+def judge_sensors(seen: StateEstimate, settings: CheckSettings, moving: bool) -> list[Violation]:
     """One verdict at most for each sensor, the first that holds."""
     return [verdict for sensor in seen.sensors if (verdict := _judge(sensor, settings, moving)) is not None]
 
 
-def _judge(sensor: Sensor, settings: CheckSettings, moving: bool) -> Verdict | None:
+def _judge(sensor: Sensor, settings: CheckSettings, moving: bool) -> Violation | None:
     name = sensor.signal
     if sensor.age_s > settings.stale.after_s:
         text = f"{name} does not come" if math.isinf(sensor.age_s) else f"{name} is {1e3 * sensor.age_s:.0f} ms old"
-        return Verdict("stale", name, settings.stale.reaction, sensor.age_s, settings.stale.after_s, text)
+        return Violation("stale", name, settings.stale.reaction, sensor.age_s, settings.stale.after_s, text)
     if not sensor.finite:
-        return Verdict("not_finite", name, settings.not_finite.reaction, sensor.value, math.nan, f"{name} is no number")
+        return Violation("not_finite", name, settings.not_finite.reaction, sensor.value, math.nan, f"{name} is no number")
     if settings.on("clock") and sensor.ahead_s > settings.clock.jump_s:
         text = f"the clock of {name} went ahead by {1e3 * sensor.ahead_s:.0f} ms"
-        return Verdict("clock", name, settings.clock.reaction, sensor.ahead_s, settings.clock.jump_s, text)
+        return Violation("clock", name, settings.clock.reaction, sensor.ahead_s, settings.clock.jump_s, text)
     limit = settings.jump.share * sensor.range
     if sensor.jump > limit:
         text = f"{name} jumped by {sensor.jump:.4g}"
-        return Verdict("jump", name, settings.jump.reaction, sensor.jump, limit, text)
+        return Violation("jump", name, settings.jump.reaction, sensor.jump, limit, text)
     limit = settings.frozen.share * sensor.range
     if moving and sensor.driven and sensor.still_since > limit and sensor.repeats >= REPEATS:
         text = f"{name} stays at {sensor.value:.6g} while its axis must have moved by {sensor.still_since:.4g}"
-        return Verdict("frozen", name, settings.frozen.reaction, sensor.still_since, limit, text)
+        return Violation("frozen", name, settings.frozen.reaction, sensor.still_since, limit, text)
     return None

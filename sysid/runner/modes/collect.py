@@ -6,7 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sysid.errors import SettingsError
-from sysid.runner.barrier import Barrier, outside
+from sysid.runner.command_filter import CommandFilter, outside
 from sysid.runner.modes.mode import Goal, Move, done
 
 Array = npt.NDArray[np.float64]
@@ -19,14 +19,14 @@ CLEARANCE = 0.01
 _TRIES = 200
 
 
-class Ways:
+class SafeMoves:
     """Which straight moves keep away from the fence, so far that a stop from anywhere on them ends inside it.
 
     Args:
         barrier: of the machine.
     """
 
-    def __init__(self, barrier: Barrier) -> None:
+    def __init__(self, barrier: CommandFilter) -> None:
         self.barrier, self.limits = barrier, barrier.limits
 
     def outside(self, begin: Array, end: Array) -> float:
@@ -42,7 +42,7 @@ class Ways:
         return max(float(left[len(joints) - 1]), float(left.max()) - float(left[0]))
 
 
-def draw(count: int, ways: Ways, seed: int) -> Array:
+def draw(count: int, ways: SafeMoves, seed: int) -> Array:
     """Joints (count, A) at random within the limits, so that they, the moves between them, and from the last to the first keep
     away from the fence.
 
@@ -82,7 +82,7 @@ class Collect:
     name, moves, writes, thinks = "collect", True, True, True
 
     def __init__(
-        self, poses: int | Array, ways: Ways, dt: float, *, settle_s: float = 1.0, record_s: float = 0.5, seed: int = 0
+        self, poses: int | Array, ways: SafeMoves, dt: float, *, settle_s: float = 1.0, record_s: float = 0.5, seed: int = 0
     ) -> None:
         self._ways, self._dt = ways, dt
         self._stay = round(settle_s / dt), round(record_s / dt)

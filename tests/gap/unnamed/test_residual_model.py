@@ -23,7 +23,7 @@ from sysid.gap import find_gap, steps
 from sysid.gap.proof import ProofOutcome, with_carried
 from sysid.gap.result import Gap, GapResult, ResidualModelResult, Unnamed
 from sysid.gap.unnamed.residual_model import fit_residual_models
-from sysid.networks.recurrent import Looks, RecurrentSettings, train_recurrent
+from sysid.networks.recurrent import RecordingWindow, RecurrentSettings, train_recurrent
 from sysid.plant import free_run, plant_from_files
 from sysid.registry import Registry
 from sysid.reports import ReportInputs, build_report
@@ -207,15 +207,15 @@ def test_the_workflow_adds_a_residual_model_of_what_it_cannot_name(tmp_path: Pat
     assert kept.unnamed == result.unnamed
 
 
-def looks(count: int, seed: int, of: str) -> Looks:
+def looks(count: int, seed: int, of: str) -> RecordingWindow:
     rng = np.random.default_rng(seed)
     x = np.convolve(rng.standard_normal(count + 9), np.ones(10) / 3.0, mode="valid")[:count]
     said = {"history": np.concatenate([np.zeros(5), 0.3 * np.tanh(x[:-5])]), "chance": 0.3 * rng.standard_normal(count)}[of]
-    return Looks(np.column_stack([x, np.zeros(count)]), said, np.ones(count))
+    return RecordingWindow(np.column_stack([x, np.zeros(count)]), said, np.ones(count))
 
 
 def trained(of: str) -> float:
-    parts: Sequence[Looks] = [looks(600, seed, of) for seed in range(3)]
+    parts: Sequence[RecordingWindow] = [looks(600, seed, of) for seed in range(3)]
     found = train_recurrent(parts[:2], parts[2:], 0.6, 0.05, False, RecurrentSettings(units=8, epochs=60))
     assert found.weights["scale"][1] == 0.0, "an input that never changes is left out"
     return found.loss

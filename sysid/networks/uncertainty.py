@@ -44,7 +44,7 @@ def within(values: Array, low: Array, high: Array) -> Mask:
 
 
 @dataclass(frozen=True)
-class Domain:
+class TrainingDomain:
     """Where the data are.
 
     Args:
@@ -63,7 +63,7 @@ class Domain:
     threshold: float
 
     @staticmethod
-    def of(inputs: Array) -> Domain:
+    def of(inputs: Array) -> TrainingDomain:
         """Of the rows that a network learned from, (n, d) with n > :data:`NEIGHBOUR`."""
         from scipy.spatial import KDTree
 
@@ -75,7 +75,7 @@ class Domain:
         apart = _distances(KDTree(rows), rows, NEIGHBOUR + 1)  # the first is the row itself
         usual = np.sort(apart)[min(_rank(len(rows), 1.0 - FALSE_FLAGS), len(rows)) - 1]
         narrow = END_SHARE * np.linalg.norm((high - low) / scale)  # dense rows: a gap like this is none
-        return Domain(rows, mean, scale, low, high, float(max(usual, narrow)))
+        return TrainingDomain(rows, mean, scale, low, high, float(max(usual, narrow)))
 
     def distance(self, values: Array) -> Array:
         """Distance of queries (n, d) to the data in units of what is usual among them: beyond 1 lies outside, (n,)."""
@@ -135,21 +135,21 @@ class Intervals:
 
 
 @dataclass(frozen=True)
-class Trust:
+class NetworkUncertainty:
     """What a version knows about its own limits."""
 
-    domain: Domain
+    domain: TrainingDomain
     intervals: Intervals
 
     @staticmethod
-    def of(inputs: Array, errors: Array, spread: Array) -> Trust | None:
+    def of(inputs: Array, errors: Array, spread: Array) -> NetworkUncertainty | None:
         """From the inputs that were learned from (n, d), and errors and spread on rows that taught nothing (m, d_out).
 
         None where there are too few of either to say anything.
         """
         if len(inputs) <= NEIGHBOUR or not len(errors):
             return None
-        return Trust(Domain.of(inputs), Intervals.of(errors, spread))
+        return NetworkUncertainty(TrainingDomain.of(inputs), Intervals.of(errors, spread))
 
     def tensors(self, prefix: str) -> dict[str, Array]:
         """The arrays to store, by name."""
@@ -159,7 +159,7 @@ class Trust:
     @staticmethod
     def from_tensors(
         tensors: Mapping[str, npt.NDArray[Any]], prefix: str, width: int, outputs: int, where: object
-    ) -> Trust | None:
+    ) -> NetworkUncertainty | None:
         """What :meth:`tensors` gave; None where a version has none, as those of earlier releases.
 
         Raises:
@@ -174,11 +174,11 @@ class Trust:
                 f"{where}: {prefix}", "arrays that do not fit the network", f"{width} inputs and {outputs} outputs"
             )
         threshold = float(own.pop("threshold")[0])
-        domain = Domain(**{name: own[name] for name in _DOMAIN if name != "threshold"}, threshold=threshold)
-        return Trust(domain, Intervals(own["floor"], own["scores"]))
+        domain = TrainingDomain(**{name: own[name] for name in _DOMAIN if name != "threshold"}, threshold=threshold)
+        return NetworkUncertainty(domain, Intervals(own["floor"], own["scores"]))
 
 
-def known(trust: Trust | None, what: str) -> Trust:
+def known(trust: NetworkUncertainty | None, what: str) -> NetworkUncertainty:
     """``trust``, or an error that says how to get it.
 
     Raises:

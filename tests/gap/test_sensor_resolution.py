@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from plant_data import dataset_of, nominal
 
 from sysid.gap.noise import noise_levels
-from sysid.gap.readings import coarse_sensors, reading_step, with_steps
+from sysid.gap.sensor_resolution import coarse_sensors, reading_step, with_steps
 from sysid.machine import KnownEffect
 
 Array = npt.NDArray[np.float64]

@@ -34,7 +34,7 @@ def initial_row(seed: int, name: str, sizes: tuple[int, ...]) -> Floats:
     return pack(sizes, weights, biases)
 
 
-class Order:
+class ShuffleOrder:
     """The endless sequence of a member's rows: one permutation after the other."""
 
     def __init__(self, seed: int, name: str, rows: int) -> None:

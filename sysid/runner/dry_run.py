@@ -18,7 +18,7 @@ from sysid.runner.simulated import SimulatedTransport
 Array = npt.NDArray[np.float64]
 
 
-class Ranges:
+class RangeRecorder:
     """A recorder that keeps nothing but how far everything went while the machine moved, and how well it followed.
 
     The tracking error is the end effector as the machine's sensors and the forward model see it, with the errors of both, less
@@ -97,22 +97,22 @@ class Ranges:
 
 
 @dataclass(frozen=True)
-class Rehearsal:
+class DryRun:
     """What a dry run found."""
 
     outcome: RunOutcome
-    ranges: Ranges
+    ranges: RangeRecorder
     seconds: float
 
 
-def rehearse(assembly: Assembly, seconds: float = 60.0) -> Rehearsal:
+def rehearse(assembly: Assembly, seconds: float = 60.0) -> DryRun:
     """Run a recipe on the plant that its controller knows, for at most ``seconds`` of simulated time; nothing is opened."""
     recipe = assembly.recipe
     loop_settings = replace(recipe.loop, seconds=min(seconds, recipe.loop.seconds or seconds), priority=0, lock_memory=False)
     machine = SimulatedTransport(assembly.loaded.plant, assembly.middle)
-    ranges = Ranges(len(assembly.machine.axes), round(SECOND * assembly.dt))
+    ranges = RangeRecorder(len(assembly.machine.axes), round(SECOND * assembly.dt))
     plain = replace(assembly, recipe=replace(recipe, loop=loop_settings))
     with Interruptible(Unattended(machine)) as operator:
         loop = plain.loop(machine, ranges, operator)
         outcome = loop.run(getattr(loop.mode, "watch", None))
-    return Rehearsal(outcome, ranges, machine.now_ns() / 1e9)
+    return DryRun(outcome, ranges, machine.now_ns() / 1e9)

@@ -30,7 +30,7 @@ STOP_SHARE = 0.02
 
 
 @dataclass(frozen=True)
-class Witness:
+class SensorContext:
     """What else is known at the times of a sensor, (n,) each.
 
     Args:
@@ -42,7 +42,7 @@ class Witness:
     driven: Mask
 
 
-def stuck(signal: str, times: Array, values: Array, witness: Witness, unit: str = "1") -> list[Flag]:
+def stuck(signal: str, times: Array, values: Array, witness: SensorContext, unit: str = "1") -> list[Flag]:
     """Stretches of the very same value while the machine is commanded.
 
     Args:
@@ -78,7 +78,7 @@ def saturation(
     signal: str,
     times: Array,
     values: Array,
-    witness: Witness,
+    witness: SensorContext,
     ends: tuple[float, float] = (-np.inf, np.inf),
     unit: str = "1",
 ) -> list[Flag]:
@@ -113,7 +113,7 @@ def saturation(
     return thinned(found)
 
 
-def repeats_by_nature(values: Array, witness: Witness) -> bool:
+def repeats_by_nature(values: Array, witness: SensorContext) -> bool:
     """Whether equal neighbours mean nothing: the sensor counts in steps, or shows no noise where nothing is commanded."""
     finite = np.isfinite(values)
     if sensor_step(chosen(values, finite)) > 0.0:

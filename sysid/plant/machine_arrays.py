@@ -20,14 +20,14 @@ _POINTS = 2048
 #: Mass at the tip of a machine whose URDF has none [kg]: a load is then the gravity moment of one kilogram (contract).
 UNIT_MASS = 1.0
 
-# Columns of ``Rig.axes``.
+# Columns of ``MachineArrays.axes``.
 KIND, GAIN, LOW, HIGH, CYLINDER, SENSE, TABLE_LOW, TABLE_STEP = range(8)
-# Columns of ``Rig.links``: rotation (9, row by row) and translation (3) of the joint's frame in the frame that the joint before
-# it moves, its axis (3), and so on; the last row leads on to the tip.
+# Columns of ``MachineArrays.links``: rotation (9, row by row) and translation (3) of the joint's frame in the frame that the
+# joint before it moves, its axis (3), and so on; the last row leads on to the tip.
 ROTATION, SHIFT, AXIS, ALIGNED, TURNED, PRISMATIC, ORDER, MASS, CENTRE, LENGTH = 0, 9, 12, 15, 16, 17, 18, 19, 20, 23
 
 
-class Rig(NamedTuple):
+class MachineArrays(NamedTuple):
     """Constant arrays of a machine with A axes and J joints in its chain (J = 0 without a URDF).
 
     Few arrays with many columns, since the compiled code counts references to each of them.
@@ -55,7 +55,7 @@ class Rig(NamedTuple):
         return len(self.links) > 1
 
 
-def rig_of(plant: Plant) -> Rig:
+def rig_of(plant: Plant) -> MachineArrays:
     """The arrays of a plant."""
     machine = plant.machine
     count = len(machine.axes)
@@ -75,11 +75,11 @@ def rig_of(plant: Plant) -> Rig:
             (last - first) / (_POINTS - 1),
         )
     places = layout.machine_place(count), layout.base_place(count), layout.tool_place(count)
-    return Rig(axes, tables, links_of(machine.kinematics()), *places)
+    return MachineArrays(axes, tables, links_of(machine.kinematics()), *places)
 
 
 def links_of(kinematics: Kinematics | None) -> Array:
-    """``Rig.links`` of a kinematic chain, fixed joints merged."""
+    """``MachineArrays.links`` of a kinematic chain, fixed joints merged."""
     if kinematics is None:
         return np.zeros((1, LENGTH + 1))
     rows: list[Array] = []

@@ -12,9 +12,9 @@ import numpy.typing as npt
 from sysid.plant import Plant
 from sysid.runner.checks.settings import CheckSettings
 from sysid.runner.clock import SECOND
-from sysid.runner.response import Late, Response
+from sysid.runner.response import LateAxis, ResponseMonitor
 from sysid.runner.transport import NOBODY, MachineInputs, Measurement
-from sysid.runner.valves import AxisValve, Reckoning
+from sysid.runner.valves import AxisValve, DeadReckoning
 from sysid.signals import axis_signal
 
 Array = npt.NDArray[np.float64]
@@ -81,7 +81,7 @@ class StateEstimate:
     ee: Array = field(default_factory=lambda: np.full(3, np.nan))
     line: str = ""
     recording: str = ""
-    late: tuple[Late, ...] = ()
+    late: tuple[LateAxis, ...] = ()
 
 
 class StateEstimator:
@@ -110,8 +110,8 @@ class StateEstimator:
                 steep = float(np.abs(np.gradient(linkage.joints, linkage.displacements)).max())
                 self.extra.append(Sensor(signal, i, False, reach, valves[i].fastest * steep))
         self.sensors = [*self.driven, *self.extra]
-        self.reckonings = [Reckoning(valve, dt, LEAN_S) for valve in valves]
-        self.response = Response(valves, dt, settings.delay.after_s)
+        self.reckonings = [DeadReckoning(valve, dt, LEAN_S) for valve in valves]
+        self.response = ResponseMonitor(valves, dt, settings.delay.after_s)
 
     def reset(self) -> None:
         """Forget what was learned: after a fault, and before the first turn.

@@ -8,12 +8,12 @@ import numpy as np
 
 from sysid.errors import InputError
 from sysid.runner.clock import SECOND
-from sysid.runner.cycle import Verdict
+from sysid.runner.cycle import Violation
 from sysid.runner.loop_settings import LoopSettings
 from sysid.runner.modes.mode import Goal, Mode
 from sysid.runner.operator import WORDS, Operator
 from sysid.runner.outcome import Ended, RunOutcome
-from sysid.runner.senses import StateEstimate
+from sysid.runner.state_estimator import StateEstimate
 from sysid.runner.states import States
 from sysid.runner.supervisor import at_least, sternest
 
@@ -21,7 +21,7 @@ from sysid.runner.supervisor import at_least, sternest
 LATCHING = ("stale", "not_finite", "jump", "frozen", "clock", "contradiction", "motion", "delay", "following", "expired")
 
 
-class Conduct:
+class RunStateMachine:
     """Of one run.
 
     Args:
@@ -41,7 +41,7 @@ class Conduct:
         self._released, self._ran, self._leaving = False, False, False
         self._wrong, self._latch = "", ""
 
-    def react(self, verdicts: Sequence[Verdict], now: int) -> None:
+    def react(self, verdicts: Sequence[Violation], now: int) -> None:
         """What is seen decides over the state."""
         worst, state = sternest(verdicts), self.states.state
         if worst is None:
@@ -54,7 +54,7 @@ class Conduct:
         elif worst.reaction in ("hold", "stop") and state in ("ready", "armed"):
             self._tell(self.states.on("unhealthy", now, worst.text))
 
-    def listen(self, verdicts: Sequence[Verdict], now: int) -> bool:
+    def listen(self, verdicts: Sequence[Violation], now: int) -> bool:
         """Take what the operator says; whether that was a reset."""
         reset = False
         for said in self.operator.words(self.states.state, now):
@@ -85,7 +85,7 @@ class Conduct:
                 self._tell(True)
         return reset
 
-    def advance(self, seen: StateEstimate, verdicts: Sequence[Verdict], now: int) -> bool:
+    def advance(self, seen: StateEstimate, verdicts: Sequence[Violation], now: int) -> bool:
         """What time and switches make of the state; whether the task starts now."""
         state = self.states.state
         sound = not at_least(verdicts, "hold") and bool(np.isfinite(seen.joints).all())
@@ -107,7 +107,7 @@ class Conduct:
             return True
         return False
 
-    def allow(self, verdicts: Sequence[Verdict], now: int) -> bool:
+    def allow(self, verdicts: Sequence[Violation], now: int) -> bool:
         """Whether the valves may still move after what a turn's own setpoints and commands were found to be."""
         worst = sternest(verdicts)
         if worst is not None and worst.reaction == "stop":
@@ -170,7 +170,7 @@ class Conduct:
         self.outcome.notes.append(text)
         self.operator.told(text)
 
-    def _halt(self, verdict: Verdict, now: int) -> None:
+    def _halt(self, verdict: Violation, now: int) -> None:
         """A verdict stops the machine."""
         if self.states.state == "running" and verdict.check in LATCHING:
             self._latch = verdict.text

@@ -10,7 +10,7 @@ from scipy.optimize import least_squares
 from sysid.errors import InputError
 from sysid.machine import KnownEffect
 from sysid.plant import compile_plant
-from sysid.rl.inverse import Inverse, KinematicChain, chain_of_forward, chain_of_plant
+from sysid.rl.inverse_kinematics import InverseKinematics, KinematicChain, chain_of_forward, chain_of_plant
 from sysid.rl.reach import joint_limits, tips
 
 PLANT = crane_plant(
@@ -34,7 +34,7 @@ def test_the_chain_is_the_plants_kinematics() -> None:
 
 def test_what_can_be_reached_is_reached_within_bounds() -> None:
     joints, ends = poses(300)
-    inverse = Inverse.of(CHAIN, LOW, HIGH)
+    inverse = InverseKinematics.of(CHAIN, LOW, HIGH)
     near = np.clip(joints + 0.2 * np.random.default_rng(1).standard_normal(joints.shape), LOW, HIGH)
     found, left = inverse.solve(ends, near)
     assert np.mean(left < 1e-6) > 0.98  # a few beginnings lead into a corner of the bounds
@@ -45,7 +45,7 @@ def test_what_can_be_reached_is_reached_within_bounds() -> None:
 
 
 def test_out_of_reach_it_stays_as_near_as_scipys_bounded_solver() -> None:
-    inverse = Inverse.of(CHAIN, LOW, HIGH)
+    inverse = InverseKinematics.of(CHAIN, LOW, HIGH)
     targets = np.array([[2.0, 0.3, 0.5], [0.9, 1.2, 0.2], [0.6, 0.0, -0.6], [0.4, 0.1, 1.6]])
     middle = 0.5 * (LOW + HIGH)
     for target in targets:
@@ -60,7 +60,7 @@ def test_weights_decide_which_joint_moves() -> None:
     target = CHAIN.predict(begin) + np.array([0.02, 0.0, 0.0])
     moved = {}
     for name, weights in {"telescope": [1.0, 1.0, 1.0, 10.0], "booms": [1.0, 1.0, 1.0, 1e-3]}.items():
-        found, left = Inverse.of(CHAIN, LOW, HIGH, np.array(weights)).solve(target, begin)
+        found, left = InverseKinematics.of(CHAIN, LOW, HIGH, np.array(weights)).solve(target, begin)
         assert left[0] < 1e-6
         moved[name] = abs(found[0, 3] - begin[0, 3])
     assert moved["telescope"] > 0.008
@@ -70,7 +70,7 @@ def test_weights_decide_which_joint_moves() -> None:
 def test_a_path_is_followed_without_jumps() -> None:
     angle = np.linspace(0.0, 2.0 * np.pi, 400)
     path = np.array([0.85, 0.0, 0.3]) + 0.2 * np.column_stack([np.cos(angle), np.sin(angle), 0.0 * angle])
-    inverse = Inverse.of(CHAIN, LOW, HIGH)
+    inverse = InverseKinematics.of(CHAIN, LOW, HIGH)
     begin, left = inverse.reach(path[0], np.random.default_rng(0))
     assert left < 1e-6
     joints, away = inverse.follow(path, begin)
@@ -84,20 +84,20 @@ def test_any_forward_model_will_do() -> None:
     assert chain_of_forward(forward) is None
     joints, ends = poses(40, seed=3)
     near = np.clip(joints + 0.1, LOW, HIGH)
-    found, left = Inverse.of(forward, LOW, HIGH).solve(ends, near)
-    compiled, exact = Inverse.of(CHAIN, LOW, HIGH).solve(ends, near)
+    found, left = InverseKinematics.of(forward, LOW, HIGH).solve(ends, near)
+    compiled, exact = InverseKinematics.of(CHAIN, LOW, HIGH).solve(ends, near)
     assert np.median(left) < 1e-6
     both = (left < 1e-6) & (exact < 1e-6)
     assert both.mean() > 0.9
     np.testing.assert_allclose(found[both], compiled[both], atol=0.03)  # nearly the same one out of a line of them
     path = CHAIN.predict(np.linspace(joints[0], joints[0] + 0.05, 5))
-    followed, away = Inverse.of(forward, LOW, HIGH).follow(path, joints[0])
+    followed, away = InverseKinematics.of(forward, LOW, HIGH).follow(path, joints[0])
     assert away.max() < 1e-6
     assert followed.shape == (5, 4)
 
 
 def test_shapes_and_numbers_are_checked() -> None:
-    inverse = Inverse.of(CHAIN, LOW, HIGH)
+    inverse = InverseKinematics.of(CHAIN, LOW, HIGH)
     with pytest.raises(InputError, match="targets of shape"):
         inverse.solve(np.zeros((2, 3)), LOW)
     with pytest.raises(InputError, match="no finite number"):

@@ -21,14 +21,14 @@ from sysid.networks import (
     ForwardRecipe,
     Mlp,
     NetworkRecipe,
+    NetworkUncertainty,
     Normalisation,
     StructuredForward,
-    Trust,
     fit_forward,
     from_files,
     to_files,
 )
-from sysid.networks.trust import FALSE_FLAGS, Domain, Intervals
+from sysid.networks.uncertainty import FALSE_FLAGS, Intervals, TrainingDomain
 
 Array = npt.NDArray[np.float64]
 
@@ -73,7 +73,7 @@ def test_few_rows_cannot_promise_much() -> None:
 @pytest.mark.parametrize("width", [1, 2, 4])
 def test_rows_like_the_data_are_hardly_flagged_and_others_are(width: int) -> None:
     rng = np.random.default_rng(width)
-    found = Domain.of(rng.uniform(-1.0, 1.0, (500, width)))
+    found = TrainingDomain.of(rng.uniform(-1.0, 1.0, (500, width)))
     assert np.mean(~found.inside(rng.uniform(-1.0, 1.0, (5000, width)))) < FALSE_FLAGS + 0.01
     far = rng.uniform(-1.0, 1.0, (200, width))
     far[:, 0] = 1.3
@@ -83,14 +83,14 @@ def test_rows_like_the_data_are_hardly_flagged_and_others_are(width: int) -> Non
 def test_a_hole_in_the_data_is_outside() -> None:
     rng = np.random.default_rng(0)
     rows = rng.uniform(-1.0, 1.0, (1500, 2))
-    found = Domain.of(rows[np.hypot(*rows.T) > 0.5])
+    found = TrainingDomain.of(rows[np.hypot(*rows.T) > 0.5])
     assert not found.inside(0.2 * rng.uniform(-1.0, 1.0, (100, 2))).any()
     assert (found.distance(np.zeros((1, 2))) > 2.0).all()
 
 
 def test_dense_rows_have_no_gaps_that_matter() -> None:
     """Evenly spaced rows: between two of them nothing is outside, however close they are."""
-    found = Domain.of(np.linspace(0.0, 1.0, 1500)[:, None])
+    found = TrainingDomain.of(np.linspace(0.0, 1.0, 1500)[:, None])
     assert found.inside(np.random.default_rng(0).uniform(0.0, 1.0, (1000, 1))).all()
     assert not found.inside(np.array([[1.05], [-0.05]])).any()
 
@@ -163,7 +163,7 @@ print("torch" in sys.modules or "sklearn" in sys.modules)
 def test_an_actuator_network_has_both_of_both_directions() -> None:
     rng = np.random.default_rng(0)
     inputs = rng.uniform(0.0, 0.1, (300, 1))
-    trust = Trust.of(inputs, rng.normal(0.0, 1e-3, (100, 1)), np.zeros((100, 1)))
+    trust = NetworkUncertainty.of(inputs, rng.normal(0.0, 1e-3, (100, 1)), np.zeros((100, 1)))
     assert trust is not None
     unit = Normalisation(np.zeros(1), np.ones(1))
 

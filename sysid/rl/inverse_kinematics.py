@@ -16,9 +16,9 @@ from sysid.errors import InputError, SettingsError
 from sysid.networks import Calibration, StructuredForward
 from sysid.networks.forward import ForwardModel
 from sysid.plant import Plant, compile_plant
-from sysid.plant import rig as rigs
+from sysid.plant import machine_arrays as rigs
 from sysid.plant.layout import AT, AXIS_WIDTH
-from sysid.rl import solve as solver
+from sysid.rl import damped_least_squares as solver
 
 Array = npt.NDArray[np.float64]
 
@@ -33,7 +33,7 @@ class KinematicChain:
     """An open chain with fixed geometry.
 
     Args:
-        rows: a joint each, (J, WIDTH), columns as in :mod:`sysid.rl.solve`.
+        rows: a joint each, (J, WIDTH), columns as in :mod:`sysid.rl.damped_least_squares`.
         last: the tip in the frame of the last joint, (3,) [m].
     """
 
@@ -102,7 +102,7 @@ def chain_of_plant(plant: Plant) -> KinematicChain:
 
 
 @dataclass(frozen=True)
-class Inverse:
+class InverseKinematics:
     """Target → joints within their bounds.
 
     Args:
@@ -117,10 +117,12 @@ class Inverse:
     weights: Array
 
     @staticmethod
-    def of(forward: ForwardModel | KinematicChain, low: Array, high: Array, weights: Array | None = None) -> Inverse:
+    def of(forward: ForwardModel | KinematicChain, low: Array, high: Array, weights: Array | None = None) -> InverseKinematics:
         """For a forward model; the kinematics inside it are used where it has any."""
         chain = forward if isinstance(forward, KinematicChain) else chain_of_forward(forward)
-        return Inverse(chain or forward, low, high, high - low if weights is None else np.asarray(weights, dtype=np.float64))
+        return InverseKinematics(
+            chain or forward, low, high, high - low if weights is None else np.asarray(weights, dtype=np.float64)
+        )
 
     def solve(self, targets: npt.ArrayLike, begin: npt.ArrayLike) -> tuple[Array, Array]:
         """Joints (n, A) for targets (n, 3), each searched from its row of ``begin`` (n, A), and the distances left (n,) [m]."""

@@ -38,7 +38,7 @@ MOST = 2**15
 
 
 @dataclass(frozen=True)
-class Coarse:
+class CoarseSensor:
     """A sensor whose steps exceed the noise that it is said to have, or shows beside them.
 
     Args:
@@ -57,7 +57,7 @@ class Coarse:
         return KnownEffect(QUANTISATION, self.signal, {"step": self.step})
 
 
-def coarse_sensors(plant: Plant, recordings: Sequence[Recording], noise: Mapping[str, float]) -> tuple[Coarse, ...]:
+def coarse_sensors(plant: Plant, recordings: Sequence[Recording], noise: Mapping[str, float]) -> tuple[CoarseSensor, ...]:
     """Sensors of drives and joints that read in steps which their noise does not explain and the plant does not know.
 
     Args:
@@ -78,7 +78,7 @@ def coarse_sensors(plant: Plant, recordings: Sequence[Recording], noise: Mapping
                 continue
             level = noise_beside([(r.values(signal), r.rate_hz) for r in runs], step)
         if rounding(step) > level:
-            found.append(Coarse(signal, step, _interval(parts, step), level))
+            found.append(CoarseSensor(signal, step, _interval(parts, step), level))
     return tuple(found)
 
 
@@ -106,7 +106,7 @@ def noise_beside(runs: Sequence[tuple[Array, float]], step: float) -> float:
     return max(_off_lattice([values for values, _ in moving], step), float(np.sqrt(ahead)))
 
 
-def with_steps(plant: Plant, coarse: Sequence[Coarse], noise: Mapping[str, float]) -> dict[str, float]:
+def with_steps(plant: Plant, coarse: Sequence[CoarseSensor], noise: Mapping[str, float]) -> dict[str, float]:
     """Noise of every signal with that of rounding, where it is the larger one; an estimate from data holds it already."""
     steps = {item.signal: item.step for item in coarse}
     for signal in noise:

@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from sysid.machine import TabulatedLinkage
 from sysid.runner.limits import Limits
-from sysid.runner.valves import AxisValve, Reckoning, braked, stopping
+from sysid.runner.valves import AxisValve, DeadReckoning, braked, stopping
 
 Array = npt.NDArray[np.float64]
 Broken = tuple[str, int, float, float]
@@ -27,7 +27,7 @@ SPREAD = 1.25
 SHARES = (1.0, 0.7, 0.4, 0.2, 0.0)
 
 
-class Barrier:
+class CommandFilter:
     """Of one machine.
 
     Args:
@@ -56,7 +56,7 @@ class Barrier:
         """The valves are neutral."""
         self.sent = np.zeros(len(self.valves))
 
-    def pass_on(self, asked: Array, drive: Array, reckonings: Sequence[Reckoning]) -> tuple[Array, list[Broken]]:
+    def pass_on(self, asked: Array, drive: Array, reckonings: Sequence[DeadReckoning]) -> tuple[Array, list[Broken]]:
         """What may be sent (A,) of what is asked for (A,), and what was broken: (check, axis or −1, found, limit).
 
         Args:
@@ -69,7 +69,7 @@ class Barrier:
         self.sent = commands
         return commands.copy(), broken
 
-    def ramp(self, drive: Array, reckonings: Sequence[Reckoning]) -> Array:
+    def ramp(self, drive: Array, reckonings: Sequence[DeadReckoning]) -> Array:
         """The commands (A,) of a stop: from those sent last towards neutral within the braking of each axis."""
         commands = np.zeros(len(self.valves))
         for i, valve in enumerate(self.valves):
@@ -102,7 +102,7 @@ class Barrier:
                 joints[:, i] = linkage.joint(joints[:, i])
         return joints
 
-    def _one(self, i: int, asked: float, drive: float, reckoning: Reckoning, broken: list[Broken]) -> float:
+    def _one(self, i: int, asked: float, drive: float, reckoning: DeadReckoning, broken: list[Broken]) -> float:
         valve, most = self.valves[i], float(self.limits.command[i])
         if not math.isfinite(asked):
             broken.append(("command", i, asked, most))
@@ -128,7 +128,7 @@ class Barrier:
             return valve.command(sign * allowed / SPREAD)
         return command
 
-    def _fenced(self, commands: Array, drive: Array, reckonings: Sequence[Reckoning], broken: list[Broken]) -> Array:
+    def _fenced(self, commands: Array, drive: Array, reckonings: Sequence[DeadReckoning], broken: list[Broken]) -> Array:
         """The greatest share of ``commands`` with which a stop ends within the fence, or further in than with none."""
         speeds = np.array([valve.speed(float(command)) for valve, command in zip(self.valves, commands, strict=True)])
         if not speeds.any():

@@ -14,11 +14,11 @@ from sysid.control import AxisTuning, CylinderController, response_time, tune
 from sysid.errors import SettingsError, nearest
 from sysid.networks.forward import ForwardModel
 from sysid.plant import Plant
-from sysid.rl.inverse import Inverse, KinematicChain, chain_of_forward, chain_of_plant
+from sysid.rl.inverse_kinematics import InverseKinematics, KinematicChain, chain_of_forward, chain_of_plant
 from sysid.rl.paths import CLIMB, TURNS, Path, centre_for, check_reach, circle, floor_of, helix, read_path
 from sysid.rl.reach import Reach, reach_of
 from sysid.rl.task import check_pair
-from sysid.rl.tracking import InversePolicy, Policy, Tracked, track, track_environment
+from sysid.rl.tracking import InversePolicy, Policy, TrackingResult, track, track_environment
 
 Array = npt.NDArray[np.float64]
 
@@ -27,7 +27,7 @@ BASELINES = ("ik", "ik-lookahead")
 PATHS = ("helix", "circle")
 
 
-class Named(Protocol):
+class NamedPolicy(Protocol):
     """A policy that says what its observations are; those of the paper's setting begin every other one."""
 
     @property
@@ -50,7 +50,7 @@ class TrackingTask:
     plant: Plant
     forward: ForwardModel
     reach: Reach
-    inverse: Inverse
+    inverse: InverseKinematics
     kinematics: str
     path: Path
     joints: Array
@@ -76,7 +76,7 @@ class TrackingTask:
         rate = self.path.rate_hz
         return math.ceil(response_time(self.plant) * rate - 1e-9) / rate
 
-    def run(self, name: str, policy: Policy, lookahead: float = 0.0) -> Tracked:
+    def run(self, name: str, policy: Policy, lookahead: float = 0.0) -> TrackingResult:
         """Follow the path with ``policy``, which is shown targets ``lookahead`` seconds ahead.
 
         The controller is told of it where it feeds speeds forward; another one would only wait until a setpoint is due.
@@ -92,7 +92,7 @@ class TrackingTask:
         place = track_environment(self.plant, self.forward, self.path, full=self.full, reach=self.reach, settings=settings)
         return track(place, policy, self.path, self.start, lookahead=lookahead, name=name)
 
-    def baseline(self, name: str) -> Tracked:
+    def baseline(self, name: str) -> TrackingResult:
         """Follow the path with one of :data:`BASELINES`.
 
         Raises:
@@ -103,10 +103,10 @@ class TrackingTask:
         return self.run(name, InversePolicy(self.inverse), self.dead_time if name == "ik-lookahead" else 0.0)
 
 
-class Shortened:
+class TruncatedObservationPolicy:
     """A policy of fewer numbers in an environment that shows more: it sees the first ones, which are the same everywhere."""
 
-    def __init__(self, policy: Named) -> None:
+    def __init__(self, policy: NamedPolicy) -> None:
         self.policy = policy
 
     def act(self, observations: Array) -> Array:
@@ -136,7 +136,7 @@ def lay_out(
     reach = reach_of(plant, forward)
     chain: KinematicChain | None = chain_of_forward(forward)
     kinematics = "forward model" if chain is not None else "plant"
-    inverse = Inverse.of(chain or chain_of_plant(plant), reach.low, reach.high)
+    inverse = InverseKinematics.of(chain or chain_of_plant(plant), reach.low, reach.high)
     rate = plant.machine.rate_hz
     if path in PATHS:
         if centre is None:
