@@ -1,8 +1,8 @@
-"""The plant against the stand-in machine, effect by effect, with the model error that remains: writes docs/bench.md's table.
+"""The plant against the simulated test bench, effect by effect, with the remaining model error: docs/bench.md's table.
 
     .venv/bin/python pipelines/bench_agreement.py
 
-The stand-in machine computes flows, pressures, spools, seals, bodies, pendulums and cameras; the plant computes the named
+The simulated test bench computes flows, pressures, spools, seals, bodies, pendulums and cameras; the plant computes the named
 effects. For every row a machine is recorded without noise, first without the feature that the row names: an engineer's baseline
 (gain, delay, lag, dead-band …) is fitted to that. Then the feature is switched on and the one effect is fitted, everything else
 left as it was. Errors are those of free runs on a recording that no fit has seen.

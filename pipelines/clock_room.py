@@ -10,7 +10,7 @@ from scipy.interpolate import CubicSpline
 from scipy.signal import butter, sosfiltfilt
 
 from sysid.datasets.channel import Channel, in_order
-from sysid.datasets.clocks.records import ClockAlignment
+from sysid.datasets.clocks.records import RecordingClocks
 from sysid.datasets.clocks.set_clocks import continued
 
 Array = npt.NDArray[np.float64]
@@ -37,7 +37,7 @@ class Room:
         pieces: how many the stream has, once stamps that were set back have been carried on.
     """
 
-    clocked: ClockAlignment
+    clocked: RecordingClocks
     stream_s: Array
     machine_s: Array
     skew_ppm: float
@@ -95,7 +95,7 @@ def room(seconds: float, hertz: float, kind: str, seed: int, skew_ppm: float | N
     carried_on = found.stamps
     rows, _ = in_order(carried_on, "mocap.csv")
     channels += [Channel(name, "mocap.csv", "mocap", carried_on[rows], values[rows]) for name, values in y.items()]
-    clocked = ClockAlignment("log", "motion", tuple(channels))
+    clocked = RecordingClocks("log", "motion", tuple(channels))
     times = (carried_on[rows] - OTHER) * 1e-9
     truth = truth + (stamps - stream) * (1.0 + skew)  # of the stamps: when the frames were taken, jitter hides
     parts = 2 if kind == "reset" and not found.rows else 1

@@ -26,7 +26,7 @@ from clock_picture import picture
 from clock_room import EPOCH, KINDS, MACHINE_HZ, NOISE, OTHER_HZ, Room, motion, room
 from committed import provenance, write_result, write_tables
 from sysid.datasets.channel import Channel
-from sysid.datasets.clocks.records import ClockAlignment, align, machine_times
+from sysid.datasets.clocks.records import RecordingClocks, align, machine_times
 from sysid.errors import AlignmentError
 
 Array = npt.NDArray[np.float64]
@@ -136,12 +136,12 @@ def cell(found: Sequence[Outcome]) -> dict[str, Any]:
 # ---- What has to be refused ----------------------------------------------------------------------------------------------
 
 
-def _still(made: Room, rng: np.random.Generator) -> ClockAlignment:
+def _still(made: Room, rng: np.random.Generator) -> RecordingClocks:
     """Both devices see a machine that stands still."""
     return _with(made.clocked, lambda c: NOISE * rng.normal(size=len(c.values)))
 
 
-def _repeating(made: Room, rng: np.random.Generator) -> ClockAlignment:
+def _repeating(made: Room, rng: np.random.Generator) -> RecordingClocks:
     """The machine repeats one motion of 6 s over and over."""
     curve = motion(12.0, 1.0, rng)
     start = {c.domain: int(c.stamps[0]) for c in made.clocked.channels}
@@ -154,13 +154,13 @@ def _repeating(made: Room, rng: np.random.Generator) -> ClockAlignment:
     return _with(made.clocked, repeated)
 
 
-def _unrelated(made: Room, rng: np.random.Generator) -> ClockAlignment:
+def _unrelated(made: Room, rng: np.random.Generator) -> RecordingClocks:
     """The other device looked at another machine."""
     other = room(120.0, 1.0, "plain", int(rng.integers(1 << 30))).clocked
     return replace(made.clocked, channels=(*made.clocked.machine, *(c for c in other.channels if c.domain != "machine")))
 
 
-def _nothing_shared(made: Room, rng: np.random.Generator) -> ClockAlignment:
+def _nothing_shared(made: Room, rng: np.random.Generator) -> RecordingClocks:
     """No joint is measured on both clocks."""
     names = {"boom.cylinder": "stick.cylinder", "slew.joint": "telescope.joint"}
     return replace(
@@ -169,7 +169,7 @@ def _nothing_shared(made: Room, rng: np.random.Generator) -> ClockAlignment:
     )
 
 
-def _short(made: Room, rng: np.random.Generator) -> ClockAlignment:
+def _short(made: Room, rng: np.random.Generator) -> RecordingClocks:
     """The other device recorded for 5 s."""
     return replace(
         made.clocked,
@@ -180,11 +180,11 @@ def _short(made: Room, rng: np.random.Generator) -> ClockAlignment:
     )
 
 
-def _with(clocked: ClockAlignment, values: Callable[[Channel], Array]) -> ClockAlignment:
+def _with(clocked: RecordingClocks, values: Callable[[Channel], Array]) -> RecordingClocks:
     return replace(clocked, channels=tuple(replace(c, values=values(c)) for c in clocked.channels))
 
 
-MUST_REFUSE: dict[str, Callable[[Room, np.random.Generator], ClockAlignment]] = {
+MUST_REFUSE: dict[str, Callable[[Room, np.random.Generator], RecordingClocks]] = {
     "nothing moves": _still,
     "the motion repeats": _repeating,
     "another machine was seen": _unrelated,

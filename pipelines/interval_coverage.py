@@ -2,7 +2,7 @@
 
     .venv/bin/python pipelines/interval_coverage.py [--repeats 40] [--only backlash] [--workers 2]
 
-Commands are those of the stand-in machine's operator and programs; the plant with the effect in it answers them, so that the
+Commands are those of the test bench's operator and programs; the plant with the effect in it answers them, so that the
 true parameters are known exactly. Sensors add noise, and what no model explains disturbs the flow while the machine moves: as
 the fit's drift model assumes it (a random walk), as slow and slower fluctuations that it does not assume, and as sensor noise
 that is coloured. No structure is searched: the right effects are fitted, with the nuisances that every fit has. Every repeat

@@ -1,9 +1,9 @@
-"""What intervals do not include: the machine's formula is not the plant's. Coverage on the stand-in machine; docs/intervals.md.
+"""What intervals do not include: formulas that differ. Coverage on the simulated test bench; docs/intervals.md.
 
     .venv/bin/python pipelines/interval_coverage_bench.py [--repeats 10]
 
-The stand-in machine computes spools, oil, seals and pendulums. An engineer's baseline is fitted to it without the feature and
-without noise; then the feature is on. The *true* parameters are those that ``bench_agreement.py`` found: the best fit without
+The simulated test bench computes spools, oil, seals and pendulums. An engineer's baseline is fitted to it without the feature
+and without noise; then the feature is on. The *true* parameters are those that ``bench_agreement.py`` found: the best fit without
 noise, with everything else as it was. Recordings with noise and a disturbed flow are fitted in the right structure, nuisances
 free as in every fit, and the intervals are compared with that. The residual that is left, in noise floors, stands beside.
 """

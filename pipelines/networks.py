@@ -1,4 +1,4 @@
-"""What the networks reach: forward models and actuator networks on the stand-in crane, beside what is simpler.
+"""What the networks reach: forward models and actuator networks on the bench crane, beside what is simpler.
 
     .venv/bin/python pipelines/networks.py [--workspace workspace] [--fresh]
 

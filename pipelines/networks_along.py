@@ -84,7 +84,7 @@ def main(raw: Path | None) -> None:
 
 
 def history(width: float) -> dict[str, Any]:
-    """Static networks and those with history on the stand-in crane: errors on the held-out minute by direction of the input."""
+    """Static networks and those with history on the bench crane: errors on the held-out minute by direction of the input."""
     data, begin = cylinders(width), time.perf_counter()
     recipe = parse_recipe({"actuator": {"model": "history", "rows": ["motion"]}}, PIPELINE)
     networks = fit_history(data, recipe)
@@ -116,7 +116,7 @@ def history(width: float) -> dict[str, Any]:
 
 
 def cylinders(width: float) -> Dataset:
-    """The shipped stand-in crane with another play of boom and stick, seen by its sensors at the controller's rate."""
+    """The shipped bench crane with another play of boom and stick, seen by its sensors at the controller's rate."""
     play = {name: {"backlash": width} for name in ("boom", "stick")}
     tables = overlaid(read_toml(DATASETS / "autolog" / "bench.toml"), {"axes": play, "recordings": []})
     recipe = parse_settings(tables, BenchRecipe, PIPELINE)

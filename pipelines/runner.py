@@ -1,4 +1,4 @@
-"""The runner on the stand-in machine, over slcan, each in a process of its own: `python pipelines/runner.py` after `make demo`.
+"""The runner on the simulated test bench, over slcan: `python pipelines/runner.py` after `make demo`.
 
 Helix and circle are followed by inverse kinematics and, with `--policy`, by a policy, alone on the computer and beside three
 busy processes; then every fault is let loose while the machine moves, and the machine is commissioned with every fault of its
@@ -40,7 +40,7 @@ COMMAND = "python pipelines/runner.py"
 DATABASE = ROOT / "rl/autolog/machine.dbc"
 #: Recipe of the runner; the fence holds the path and the place where the machine is parked.
 RECIPE = """schema = 1
-name = "stand-in"
+name = "bench"
 machine = "{root}/datasets/autolog/machine.toml"
 mode = "{mode}"
 [versions]
@@ -174,7 +174,7 @@ def machine(folder: Path, seconds: float) -> Iterator[subprocess.Popen[str]]:
         try:
             assert process.stdout is not None
             if not process.stdout.readline().startswith("ready"):
-                raise RuntimeError("the stand-in machine did not start")
+                raise RuntimeError("the simulated test bench did not start")
             yield process
         finally:
             process.kill()

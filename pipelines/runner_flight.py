@@ -1,4 +1,4 @@
-"""One run of the runner on the stand-in machine, as a process that can be paused and killed; `pipelines/runner.py` starts it.
+"""One run of the runner on the simulated test bench, as a process to pause and kill; `pipelines/runner.py` starts it.
 
     python pipelines/runner_flight.py RUNNER.toml WORKSPACE [FAULT [TURNS]]
 
@@ -157,8 +157,8 @@ class Attended:
     def words(self, state: State, now_ns: int) -> Sequence[str]:
         return [*self.program.words(state, now_ns), *self.terminal.words(state, now_ns)]
 
-    def told(self, text: str) -> None:
-        self.terminal.told(text)
+    def notify(self, text: str) -> None:
+        self.terminal.notify(text)
 
 
 class Unruly:
@@ -198,8 +198,10 @@ def say(word: str, ns: int, text: str = "") -> None:
 class Watch:
     """Says what changes, and lets the fault loose."""
 
-    def __init__(self, flight: Flight, transport: FaultyTransport, policy: Unruly | None, told: Callable[[str], None]) -> None:
-        self.flight, self.transport, self.policy, self._told = flight, transport, policy, told
+    def __init__(
+        self, flight: Flight, transport: FaultyTransport, policy: Unruly | None, notify: Callable[[str], None]
+    ) -> None:
+        self.flight, self.transport, self.policy, self._told = flight, transport, policy, notify
         self._state, self._checks, self._tracked, self._loose = "", set[tuple[str, str]](), 0, False
 
     def __call__(self, cycle: Cycle) -> None:
@@ -269,7 +271,7 @@ def fly(flight: Flight) -> dict[str, Any]:
         if flight.fault in POLICY:
             policy = Unruly(loop.chain, POLICY[flight.fault])
             loop.chain.policy, loop.chain.thread = policy, PolicyThread(policy, len(loop.chain.axes))
-        watch: Callable[[Cycle], None] = Watch(flight, transport, policy, operator.told)
+        watch: Callable[[Cycle], None] = Watch(flight, transport, policy, operator.notify)
         if isinstance(loop.mode, Commission):
             watch = Commissioned(loop.mode)
         outcome = loop.run(watch)

@@ -31,7 +31,7 @@ from sysid.versions import (
 )
 from sysid.versions.lineage import Use
 from sysid.versions.onnx_export import Precision
-from sysid.versions.policy import judged_by
+from sysid.versions.policy import evaluated_by
 from sysid.workspace import Workspace
 
 
@@ -80,7 +80,7 @@ class ModelVersions:
         try:
             data = self._dataset(version, dataset)
             checks = self._judge(version, until_now, rules, data, path or "policy")
-            judged = judged_by(rules, version.kind, path, data.reference)
+            judged = evaluated_by(rules, version.kind, path, data.reference)
         except (ExcitationError, StoreError) as reason:
             if not word:
                 raise

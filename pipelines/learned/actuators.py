@@ -121,7 +121,7 @@ def figures(dataset: Dataset, axis: str, direction: str, models: list[Predict]) 
 
 
 def true_linkage(axis: str) -> Array:
-    """Cylinder and joint over the stroke, (m, 2), from the stand-in crane's own geometry; evenly over the joint's range."""
+    """Cylinder and joint over the stroke, (m, 2), from the bench crane's own geometry; evenly over the joint's range."""
     settings = crane().axis(axis)
     drive = drive_of(settings)
     ends = sorted(joint_of(position, drive) for position in (drive.low, drive.high))

@@ -1,4 +1,4 @@
-"""Forward models on the stand-in crane: which choices of the recipe make a network good, and how few poses each model needs."""
+"""Forward models on the bench crane: which choices of the recipe make a network good, and how few poses each model needs."""
 
 from __future__ import annotations
 

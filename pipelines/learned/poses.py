@@ -1,4 +1,4 @@
-"""Poses of the stand-in crane: its own forward kinematics, the noise of its sensors, and a drawing that is a little off."""
+"""Poses of the bench crane: its own forward kinematics, the noise of its sensors, and a drawing that is a little off."""
 
 from __future__ import annotations
 

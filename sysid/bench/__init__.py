@@ -1,4 +1,4 @@
-"""The stand-in machine: a simulation of the crane with real wire formats, for demonstrations and for tests with a known truth.
+"""The simulated test bench: a simulation of the crane with real wire formats, for demonstrations and tests with known truth.
 
 It is independent of the library that identifies machines: it shares no code with ``sysid.effects``, ``sysid.plant`` or
 ``sysid.gap``, and none of them imports it. Reading order: ``recipe``, then the physical parts in the order of the signal

@@ -28,7 +28,7 @@ def main(arguments: list[str] | None = None) -> int:
         from sysid.bench.live import main as live
 
         return live(given[1:])
-    parser = argparse.ArgumentParser(prog="python -m sysid.bench", description="Logs of the stand-in machine.")
+    parser = argparse.ArgumentParser(prog="python -m sysid.bench", description="Logs of the simulated test bench.")
     parser.add_argument("recipe", type=Path, help="bench recipe (TOML)")
     parser.add_argument("out", type=Path, help="folder to write the recordings into")
     options = parser.parse_args(given)
@@ -46,7 +46,9 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 def _case(arguments: list[str]) -> int:
-    parser = argparse.ArgumentParser(prog="python -m sysid.bench case", description="A sealed case of the stand-in machine.")
+    parser = argparse.ArgumentParser(
+        prog="python -m sysid.bench case", description="A sealed case of the simulated test bench."
+    )
     parser.add_argument("case", type=Path, help="case (TOML)")
     parser.add_argument("out", type=Path, help="folder to write site/ and truth/ into")
     options = parser.parse_args(arguments)

@@ -1,7 +1,7 @@
 """Compilation of the inner loops, kept between processes.
 
 Numba reuses a cached function even when a function that it inlined has been edited since. The folder of the cache is therefore
-named by a hash of every source of the stand-in machine.
+named by a hash of every source of the simulated test bench.
 """
 
 from __future__ import annotations

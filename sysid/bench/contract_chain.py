@@ -1,6 +1,6 @@
 """The named effects of the command stage, in their documented order, written once more for judging cases.
 
-It is what an engineer would fit to the stand-in machine; it takes part in no simulation of it. One row of parameters an axis:
+It is what an engineer would fit to the simulated test bench; it is not part of that simulation. One row of parameters an axis:
 
     delay → play → dead-band → curve → saturation → rate limit → lag → gain, sides → stiction → temperature → load → leakage
     → second-order ringing → pump → position → end stops

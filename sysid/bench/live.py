@@ -1,4 +1,4 @@
-"""``python -m sysid.bench live MACHINE.toml``: the stand-in machine as a process of its own, in real time, on a serial line.
+"""``python -m sysid.bench live MACHINE.toml``: the simulated test bench as a process, in real time, on a serial line.
 
 It makes a pseudo-terminal, speaks slcan on it as a CAN adapter does, and lives by its own clock: sensors and status leave every
 cycle of its controller, commands act when they come, and when they stop its valves go neutral by themselves. What people at the
@@ -282,7 +282,7 @@ def read_truth(path: Path) -> dict[str, Array]:
 
 def main(arguments: list[str]) -> int:
     """Exit status: 0 at the end, 2 on a mistake in what was given."""
-    parser = argparse.ArgumentParser(prog="python -m sysid.bench live", description="The stand-in machine in real time.")
+    parser = argparse.ArgumentParser(prog="python -m sysid.bench live", description="The simulated test bench in real time.")
     parser.add_argument("machine", type=Path, help="bench recipe (TOML)")
     parser.add_argument("--database", type=Path, required=True, help="CAN database of the machine (DBC)")
     parser.add_argument("--pty", type=Path, required=True, help="link to make to the serial line that speaks slcan")

@@ -1,4 +1,4 @@
-"""The stand-in machine's end of a CAN bus: its database, and the frames as an slcan adapter carries them over a serial line.
+"""The simulated test bench's end of a CAN bus: its database, and frames as an slcan adapter carries them.
 
 Source of the lines: Lawicel, CANUSB manual, "ASCII commands".
 """

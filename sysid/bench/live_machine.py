@@ -1,4 +1,4 @@
-"""The stand-in machine while it runs: commands that come when they come, a watchdog of its own, sensors."""
+"""The simulated test bench while it runs: commands that come when they come, a watchdog of its own, sensors."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Fits of the named effects to noise-free runs of the stand-in machine: what an honest engineer knows, and what is hidden."""
+"""Fits of the named effects to noise-free runs of the simulated test bench: what an engineer knows, and what is hidden."""
 
 from __future__ import annotations
 

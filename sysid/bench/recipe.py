@@ -1,4 +1,4 @@
-"""The bench recipe: every number of the stand-in machine, as frozen settings filled from TOML.
+"""The bench recipe: every number of the simulated test bench, as frozen settings filled from TOML.
 
 Every feature has a neutral setting (its default), so that a recipe switches on exactly what it names.
 Effects carry the parameter conventions of ``docs/effects``: a dead-band takes ``positive`` and ``negative`` off the command and
@@ -279,7 +279,7 @@ class HiddenSettings:
 
 @dataclass(frozen=True)
 class BenchRecipe:
-    """The whole stand-in machine and the recordings to take with it; read by :func:`sysid.bench.recipe_file.load_recipe`."""
+    """The whole simulated test bench and the recordings to take; read by :func:`sysid.bench.recipe_file.load_recipe`."""
 
     __pydantic_config__ = STRICT
 

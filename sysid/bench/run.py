@@ -1,4 +1,4 @@
-"""One recording of the stand-in machine: what happened, and what its computer and the capture system saw of it."""
+"""One recording of the simulated test bench: what happened, and what its computer and the capture system saw of it."""
 
 from __future__ import annotations
 

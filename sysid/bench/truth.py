@@ -34,7 +34,7 @@ def without_hidden(recipe: BenchRecipe) -> BenchRecipe:
     """The same machine and recordings with every hidden effect at its neutral setting: nothing is left to be found.
 
     Raises:
-        SettingsError: the recipe hides an effect that the stand-in machine does not have.
+        SettingsError: the recipe hides an effect that the simulated test bench does not have.
     """
     axes = dict(recipe.axes)
     gripper = recipe.gripper

@@ -53,7 +53,7 @@ def fit(workspace: str, kind: str, reference: str, recipe: Path | None, json_fil
     try:
         report = validate_model(model, dataset, recipe=settings)
     except ExcitationError as reason:
-        report, unjudged = None, str(reason)
+        report, not_evaluated = None, str(reason)
     version = place.add_network(dataset, model, settings, report)
     out = Printer(json_file)
     if isinstance(model, StructuredForward) and isinstance(model.structure, Calibration):
@@ -62,7 +62,7 @@ def fit(workspace: str, kind: str, reference: str, recipe: Path | None, json_fil
         show_errors(out, report)
         show_directions(out, report)
     else:
-        out.line(f"Not judged: {unjudged}")
+        out.line(f"Not judged: {not_evaluated}")
     out.line(f"{version.reference} in {place.folder} ({seconds:.1f} s)")
     result = {"schema": 1, "model": version.reference, "dataset": dataset.reference, "seconds": seconds}
     write_json(json_file, {**result, "validation": report.to_json() if report is not None else None})

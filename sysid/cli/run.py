@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 @click.argument("recipe", type=click.Path(path_type=Path), metavar="RUNNER.toml")
 @click.option("--dry-run", is_flag=True, help="Check everything, and rehearse on the simulated machine; nothing is opened.")
 @click.option("--commission", is_flag=True, help="First motion of a machine: one axis at a time, compared with the plant.")
-@click.option("--unattended", is_flag=True, help="Arm and hold the dead-man switch by program; on stand-in machines alone.")
+@click.option("--unattended", is_flag=True, help="Arm and hold the dead-man switch by program; on simulated machines only.")
 @click.option("--seconds", type=click.FloatRange(0.1), default=None, help="End the run after so long at the latest.")
 @click.option("--view", is_flag=True, help="Show the run in Rerun while it goes on, a second behind.")
 @click.option("--log", "log", type=click.Path(file_okay=False, path_type=Path), default=None, help="Folder of recordings.")
@@ -55,7 +55,7 @@ def run(
     from sysid.runner.assemble import assemble
     from sysid.runner.clock import SECOND
     from sysid.runner.commissioning import keep_record, require_commissioned
-    from sysid.runner.dry_run import RangeRecorder, rehearse
+    from sysid.runner.dry_run import RangeRecorder, run_dry
     from sysid.runner.flight_log import FlightLog, provenance
     from sysid.runner.modes.commission import Commission
     from sysid.runner.operator import Interruptible, Operator, Unattended
@@ -77,10 +77,10 @@ def run(
     with _whoever_reads():
         _introduce(printer, assembly)
     if dry_run:
-        rehearsal = rehearse(assembly, seconds or 60.0)
-        printer.line(f"Dry run of {rehearsal.seconds:.0f} s on the simulated machine; nothing was opened or sent.")
-        _tell(printer, assembly, rehearsal.outcome, rehearsal.ranges)
-        write_json(json_file, {"schema": 1, "dry_run": True, **_figures(assembly, rehearsal.outcome, rehearsal.ranges)})
+        found = run_dry(assembly, seconds or 60.0)
+        printer.line(f"Dry run of {found.seconds:.0f} s on the simulated machine; nothing was opened or sent.")
+        _tell(printer, assembly, found.outcome, found.ranges)
+        write_json(json_file, {"schema": 1, "dry_run": True, **_figures(assembly, found.outcome, found.ranges)})
         return
     line = connect(assembly, registry)
     transport = line.transport

@@ -108,7 +108,7 @@ def show_calibration(out: Printer, calibration: Calibration) -> None:
 def show_localised(out: Printer, result: GapResult, dataset: Dataset) -> None:
     """Every stage that is measured at both ends, what each owns of the whole gap, and when it happens."""
     from sysid.reports.display import percent, quantity, ratio
-    from sysid.reports.sections.where import guilty, sentence, worth_telling
+    from sysid.reports.sections.where import guilty, sentence, significant
     from sysid.reports.words import owner_name, signal_name, stage_name
 
     rows = []
@@ -119,7 +119,7 @@ def show_localised(out: Printer, result: GapResult, dataset: Dataset) -> None:
         rows.append((item.stage, item.signal, *figures, ratio(times), quantity(item.free_run_rmse, unit)))
     out.table(("stage", "signal", "error", "noise floor", "times", "whole chain"), rows, right=(2, 3, 4, 5))
     shares = []
-    for end, of_end in reversed(worth_telling(result.shares, result.localised)):
+    for end, of_end in reversed(significant(result.shares, result.localised)):
         unit = dataset.units.get(f"{end}.x" if end in ("ee", "tool") else end, "m")
         for number, share in enumerate(s for s in of_end if abs(s.share) >= 0.01):
             what = f"{owner_name(end)} off by {quantity(share.rmse, unit)}" if number == 0 else ""

@@ -34,14 +34,14 @@ def validate(workspace: str, model: str, reference: str, json_file: str | None) 
     out = Printer(json_file)
     version = place.models.find(model)
     own = version.lineage.get("dataset_digest") == dataset.digest
-    report, drift, unjudged = None, None, ""
+    report, drift, not_evaluated = None, None, ""
     try:
         report = place.validation(model, dataset)
         _show(out, report)
     except ExcitationError as error:
         if own:
             raise
-        unjudged = str(error)  # a few new recordings need not be a dataset to fit on
+        not_evaluated = str(error)  # a few new recordings need not be a dataset to fit on
     if not own:
         try:
             drift = ModelVersions(place).drift(model, dataset)
@@ -50,8 +50,8 @@ def validate(workspace: str, model: str, reference: str, json_file: str | None) 
             if report is None:
                 raise
             out.line(f"Whether it still fits cannot be said: {error}")
-        if unjudged:
-            out.line(f"No error report: {unjudged}")
+        if not_evaluated:
+            out.line(f"No error report: {not_evaluated}")
     values = report.to_json() if report is not None else {"model": version.reference, "dataset": dataset.reference}
     write_json(json_file, {"schema": 1, **values, "drift": drift.to_json() if drift is not None else None})
 

@@ -13,7 +13,7 @@ import pandas as pd
 
 from sysid.datasets.channel import Channel
 from sysid.datasets.channels import Mounts, ReadRecording, concatenate, joined, read_channels, survey_mounts
-from sysid.datasets.clocks.records import Alignment, ClockAlignment, KnownSkew, aligned, by_source, machine_times
+from sysid.datasets.clocks.records import Alignment, KnownSkew, RecordingClocks, aligned, by_source, machine_times
 from sysid.datasets.discover import RecordingFiles, discover, unmatched
 from sysid.datasets.flags.collect import flag_rows
 from sysid.datasets.frames.degenerate import offset_notes
@@ -93,11 +93,11 @@ def _ingest(
         report(1.0, f"the same logs are {known.reference}")
         return known
 
-    walked = walk(found, plan, survey_mounts(found, description), report)
+    ingested = walk(found, plan, survey_mounts(found, description), report)
     settings = rules if rules is not None else IngestRecipe(schema=1)
-    parts, roles = split(walked.recordings, settings.splits, plan.where)
-    dataset = walked.dataset(title, digest, description, parts, roles, sources, part(report, *DESCRIBED))
-    saved = store.save(dataset, walked.channels, walked.made, part(report, *STORED))
+    parts, roles = split(ingested.recordings, settings.splits, plan.where)
+    dataset = ingested.dataset(title, digest, description, parts, roles, sources, part(report, *DESCRIBED))
+    saved = store.save(dataset, ingested.channels, ingested.made, part(report, *STORED))
     report(1.0, f"stored {saved.reference}")
     return saved
 
@@ -107,7 +107,7 @@ class IngestPass:
     """Logs on the machine's clock and grid, not yet split."""
 
     readings: Mapping[str, ReadRecording]
-    clocked: tuple[ClockAlignment, ...]
+    recording_clocks: tuple[RecordingClocks, ...]
     clocks: tuple[ClockRecord, ...]
     recordings: tuple[Recording, ...]
     made: PartRecord
@@ -147,7 +147,7 @@ class IngestPass:
                 "flags": list(self.flags),
                 "notes": list(self.notes),
             },
-            streams=_streams(self.clocked, parts),
+            streams=_streams(self.recording_clocks, parts),
         )
 
 
@@ -174,27 +174,27 @@ def walk(
         readings[files.name] = read_channels(files, plan.machine, mounts, part(report, begin, end))
         files.check_unchanged()
         before += size
-    clocked = tuple(ClockAlignment(files.name, files.kind, readings[files.name].channels) for files in found)
+    recording_clocks = tuple(RecordingClocks(files.name, files.kind, readings[files.name].channels) for files in found)
     report(_READ[1], "aligning clocks")
-    alignment = aligned(clocked, skews)
-    clocks, clocked = alignment.records, _placed(clocked, alignment, settings.splits)
+    alignment = aligned(recording_clocks, skews)
+    clocks, recording_clocks = alignment.records, _placed(recording_clocks, alignment, settings.splits)
     recordings = []
-    for number, recording in enumerate(clocked):
-        own = _share(report, _RESAMPLED, number, len(clocked))
+    for number, recording in enumerate(recording_clocks):
+        own = _share(report, _RESAMPLED, number, len(recording_clocks))
         recordings.append(_recording(recording, by_source(clocks, recording.name), plan.machine, settings, own))
     made = PartRecord(
         INGEST_VERSION, plan.rules.text if plan.rules is not None else "", settings_of(plan), shared_mounts(found, mounts)
     )
     flags = []
-    for number, recording in enumerate(clocked):
-        own = _share(report, _FLAGGED, number, len(clocked))
+    for number, recording in enumerate(recording_clocks):
+        own = _share(report, _FLAGGED, number, len(recording_clocks))
         flags += flag_rows(recording, clocks, plan.machine, settings.hold_s, own)
     notes = (*offset_notes(settings.streams, mounts, plan.machine), *unmatched(found, plan.rules), *_left_out(alignment))
-    readings = {recording.name: readings[recording.name] for recording in clocked}
-    return IngestPass(readings, clocked, clocks, tuple(recordings), made, tuple(flags), tuple(notes))
+    readings = {recording.name: readings[recording.name] for recording in recording_clocks}
+    return IngestPass(readings, recording_clocks, clocks, tuple(recordings), made, tuple(flags), tuple(notes))
 
 
-def _placed(recordings: Sequence[ClockAlignment], alignment: Alignment, splits: Splits) -> tuple[ClockAlignment, ...]:
+def _placed(recordings: Sequence[RecordingClocks], alignment: Alignment, splits: Splits) -> tuple[RecordingClocks, ...]:
     """The recordings that have a place in time.
 
     Raises:
@@ -219,7 +219,7 @@ def _share(report: Progress, step: tuple[float, float], number: int, count: int)
 
 
 def _recording(
-    recording: ClockAlignment,
+    recording: RecordingClocks,
     records: Mapping[str, Sequence[ClockRecord]],
     machine: Machine,
     rules: IngestRecipe,
@@ -262,7 +262,7 @@ def _recording(
     return Recording(recording.name, pd.DataFrame(columns, copy=False), machine.rate_hz, "motion", start)
 
 
-def _streams(recordings: Sequence[ClockAlignment], tables: Sequence[Recording]) -> dict[str, tuple[str, ...]]:
+def _streams(recordings: Sequence[RecordingClocks], tables: Sequence[Recording]) -> dict[str, tuple[str, ...]]:
     """File stem → the signals in the tables that came from it."""
     kept = {signal for table in tables for signal in table.signals}
     found: dict[str, dict[str, None]] = {}

@@ -2,8 +2,8 @@
 
 A repair is promoted where
 
-1. it names what it repairs: every effect in it has a name, no stand-in for several that tie (a residual network that was asked
-   for is marked as what it is);
+1. it names what it repairs: every effect in it has a name, no placeholder for several that tie (a requested residual network
+   is marked as what it is);
 2. the held-out gap of every stage at which something was named falls;
 3. the free-run gap of no held-out signal grows, and none is worse than that of the version promoted until now: by more than
    three standard deviations of what sensor noise alone makes of that signal's gap, counted from the noise floor upwards;
@@ -38,7 +38,7 @@ def names_check(named: Sequence[str], ties: Sequence[Sequence[tuple[str, str]]],
     """
     if ties:
         text = " / ".join(f"{name} on {target}" for name, target in ties[0])
-        return Check("names", "failed", f"it holds a stand-in for effects that cannot be told apart: {text}")
+        return Check("names", "failed", f"it holds a placeholder for effects that cannot be distinguished: {text}")
     if not named and not carried:
         return Check("names", "failed", "no effect was named: it only adjusts parameters too little for a name")
     return Check("names", "passed", ", ".join([*named, *(f"unnamed_residual at the {stage}" for stage in carried)]))

@@ -32,7 +32,7 @@ BOUND = 3.0
 #: It is kept where the loss on the recordings to select falls below this share.
 HELPS = 0.85
 #: Looks in a stretch without gaps that are worth learning from.
-MIN_LOOKS = 8
+MIN_WINDOWS = 8
 #: Looks in a piece that is trained at once, and before it to warm up: plays remember what lies further back.
 PIECE, WARM = 60, 20
 ROLES: tuple[Role, ...] = ("fit", "select")
@@ -151,12 +151,12 @@ def _memory(dataset: Dataset, static: ActuatorNetwork, direction: str, recipe: N
     rate = dataset.machine.rate_hz
     empty = Memory(max(1, round(settings.interval * rate)) / rate, 1.0, widths, {})
     signals = (source, target)
-    fit, select = (_looks(segments(dataset, role, signals), signals, predict, empty) for role in ROLES)
-    left = np.concatenate([looks.left for looks in fit]) if fit else np.empty(0)
+    fit, select = (_windows(segments(dataset, role, signals), signals, predict, empty) for role in ROLES)
+    left = np.concatenate([windows.left for windows in fit]) if fit else np.empty(0)
     spread = float(np.sqrt(np.nanmean(left**2))) if np.isfinite(left).any() else 0.0
     if not (spread > 0.0 and select):
         found = "no stretch of motion without gaps that is long enough to learn from and to select on"
-        raise ExcitationError(f"dataset {dataset.reference}: axis {static.axis!r} with history", found, f"{MIN_LOOKS} looks")
+        raise ExcitationError(f"dataset {dataset.reference}: axis {static.axis!r} with history", found, f"{MIN_WINDOWS} looks")
     bound = BOUND * spread
     trained = train_recurrent(fit, select, bound, empty.interval, False, settings_of(settings), recipe.seed, progress)
     weights = dict(trained.weights)
@@ -177,7 +177,7 @@ def settings_of(recipe: HistoryRecipe) -> RecurrentSettings:
     )
 
 
-def _looks(
+def _windows(
     parts: Sequence[RowRange], signals: Sequence[str], predict: Callable[[Array], Array], memory: Memory
 ) -> list[RecordingWindow]:
     """Stretches without a gap in the input: what the memory sees, and what the static map leaves until the next look."""
@@ -187,7 +187,7 @@ def _looks(
         values, truth = (segment.recording.values(signal)[segment.start : segment.stop] for signal in signals)
         for begin, end in stretches(np.isfinite(values)):
             count = (end - begin) // stride
-            if count < MIN_LOOKS:
+            if count < MIN_WINDOWS:
                 continue
             here = np.ascontiguousarray(values[begin : begin + count * stride])
             left = (truth[begin : begin + count * stride] - predict(here)).reshape(count, stride)

@@ -33,7 +33,7 @@ Array = npt.NDArray[np.float64]
 #: The network may correct by so many times what the geometry leaves (its root mean square).
 REACH = 4.0
 #: It stays only where it lowers the error on poses that it has not seen to this share.
-WORTH = 0.95
+MIN_GAIN = 0.95
 
 
 @dataclass(frozen=True)
@@ -182,7 +182,7 @@ def _rest(
     trained = train(members, recipe.forward.residual_hidden, recipe.forward.training, recipe.seed, progress, checkpoints)
     inputs = to_features(q_unseen, revolute, "sincos")
     said = np.mean([bounded(result.mlp.predict(inputs), bound) for result in trained], axis=0)
-    if np.sqrt(np.mean((unseen - said) ** 2)) > WORTH * np.sqrt(np.mean(unseen**2)):
+    if np.sqrt(np.mean((unseen - said) ** 2)) > MIN_GAIN * np.sqrt(np.mean(unseen**2)):
         return (), (), 0.0
     return tuple(result.mlp for result in trained), tuple(result.course for result in trained), bound
 

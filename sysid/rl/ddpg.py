@@ -37,7 +37,7 @@ SETTLE = 300
 NEAREST = 0.1
 
 #: ``told(kind, step, figures)``: an ``episode`` or ``evaluation`` that is over.
-Told = Callable[[str, int, Mapping[str, float]], None]
+Callback = Callable[[str, int, Mapping[str, float]], None]
 
 
 @dataclass(frozen=True)
@@ -98,7 +98,7 @@ class Trainer:
     def is_done(self) -> bool:
         return self.turn >= self.recipe.turns
 
-    def train(self, told: Told | None = None) -> Iterator[int]:
+    def train(self, told: Callback | None = None) -> Iterator[int]:
         """Train to the end; yields after every step, where it may be saved or left."""
         with _threads(self.recipe.threads):
             while not self.is_done:
@@ -182,7 +182,7 @@ class Trainer:
                 "Lower learning.actor_rate and critic_rate; the last checkpoint is from before that.",
             )
 
-    def _turn(self, told: Told) -> None:
+    def _turn(self, told: Callback) -> None:
         """One step of all copies, and the updates that belong to it."""
         learning, environment = self.recipe.learning, self.environment
         actions = self.explored()
@@ -226,7 +226,7 @@ class Trainer:
         observations[:count, target] = aims
         following[:count, target] = aims
 
-    def _keep_books(self, rewards: Array, final: Array, truncated: npt.NDArray[np.bool_], told: Told) -> None:
+    def _keep_books(self, rewards: Array, final: Array, truncated: npt.NDArray[np.bool_], told: Callback) -> None:
         size = self.environment.size
         self._returns += rewards
         self._away += np.linalg.norm(final[:, self.parts.ee] - final[:, self.parts.target], axis=1)

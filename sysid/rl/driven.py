@@ -90,7 +90,7 @@ class DrivenEnvironment(VectorEnvironment):
         self._controller = CylinderController(plant, tuning, copies=size, preview=preview)
         signals = [axis.driven for axis in plant.machine.axes]
         self._noise = np.array([plant.machine.noise.get(signal, 0.0) if noise else 0.0 for signal in signals])
-        self._judges: tuple[Stepper, CylinderController] | None = None
+        self._evaluations: tuple[Stepper, CylinderController] | None = None
         self.horizon = max(1, math.ceil(response_time(plant) * sampled) + 1)
         self.history = self.horizon if history is None else history
         self._target = np.full((size, 3), np.nan)
@@ -172,7 +172,7 @@ class DrivenEnvironment(VectorEnvironment):
         each, rest = divmod(len(wanted), self.size)
         if rest or not each:
             raise InputError("environment", f"{len(wanted)} candidates", f"as many for each of {self.size} copies")
-        stepper, controller = self._judged_by(len(wanted))
+        stepper, controller = self._evaluated_by(len(wanted))
         stepper.restore({name: np.repeat(values, each, axis=0) for name, values in self._stepper.state().items()})
         controller.restore({name: np.repeat(values, each, axis=0) for name, values in self._controller.state().items()})
         lane = _repeated(self._at(), each)
@@ -242,11 +242,11 @@ class DrivenEnvironment(VectorEnvironment):
         lane = self._at()
         return self._view.seen(lane.joints, lane.ee, self._target, lane.tool - lane.ee)
 
-    def _judged_by(self, count: int) -> tuple[Stepper, CylinderController]:
-        if self._judges is None or self._judges[0].lanes != count:
+    def _evaluated_by(self, count: int) -> tuple[Stepper, CylinderController]:
+        if self._evaluations is None or self._evaluations[0].lanes != count:
             controller = CylinderController(self.plant, self._controller.tuning, copies=count, preview=self.preview)
-            self._judges = Stepper(self.plant, self.plant.machine.rate_hz, count), controller
-        return self._judges
+            self._evaluations = Stepper(self.plant, self.plant.machine.rate_hz, count), controller
+        return self._evaluations
 
     def _put(self, which: Flags, joints: Array, targets: Array) -> None:
         self._lane = lane = self._stepper.reset(np.clip(joints, self.reach.low, self.reach.high), which=which)

@@ -29,7 +29,7 @@ from sysid.rl.task import Task
 from sysid.rl.versions import load_versions
 
 #: The actor is judged on so many copies, with the same starts and targets whatever the seed.
-JUDGED, JUDGE_SEED = 512, 2**31
+EVALUATION_COPIES, EVALUATION_SEED = 512, 2**31
 
 
 @dataclass(frozen=True)
@@ -118,7 +118,7 @@ def environments(
     *,
     reach: Reach | None = None,
     tuning: tuple[AxisTuning, ...] | None = None,
-    judged: int = JUDGED,
+    judged: int = EVALUATION_COPIES,
 ) -> tuple[Environment, Environment]:
     """What a policy is trained in, and what its actor alone is judged in.
 
@@ -138,11 +138,11 @@ def environments(
 
     return (
         environment(setting.copies, recipe.seed, setting.task, setting.repeat),
-        environment(judged, JUDGE_SEED, judged_task(setting.task), 1),
+        environment(judged, EVALUATION_SEED, evaluation_task(setting.task), 1),
     )
 
 
-def judged_task(task: Task) -> Task:
+def evaluation_task(task: Task) -> Task:
     """The same task, with one target and episodes that outlast an evaluation."""
     return replace(task, steps=max(task.steps, 2 * SETTLE + 1), targets=1)
 

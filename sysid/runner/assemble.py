@@ -89,11 +89,11 @@ class Assembly:
             if axis.driven not in transport.signals:
                 raise SettingsError("transport", f"no signal {axis.driven}", "what every command drives, measured")
         chain, checks = self.chain(), self.recipe.checks
-        senses = StateEstimator(self.loaded.plant, self.valves, self.dt, transport.signals, checks)
+        estimator = StateEstimator(self.loaded.plant, self.valves, self.dt, transport.signals, checks)
         inside = Domains(self.loaded.forward, self.loaded.actuators, axes) if checks.on("domain") else lambda seen: ""
-        supervisor = Supervisor(axes, self.limits, self.valves, senses.linkages, chain.tip, self.dt, checks, inside)
+        supervisor = Supervisor(axes, self.limits, self.valves, estimator.linkages, chain.tip, self.dt, checks, inside)
         mode = self.mode(self.recipe.mode, chain, supervisor.barrier)
-        loop = Loop(transport, chain, senses, supervisor, mode, recorder, operator, self.recipe.loop)
+        loop = Loop(transport, chain, estimator, supervisor, mode, recorder, operator, self.recipe.loop)
         loop.warm_up(self.middle)
         return loop
 

@@ -50,7 +50,7 @@ class CanSettings(BusSettings):
         interface, channel: of python-can: ``slcan`` and ``/dev/ttyACM0``, ``socketcan`` and ``can0``.
         options: further ones of that interface.
         listen: how long the bus is listened to before anything is sent [s].
-        control: pipe with the switches of a stand-in machine, where nobody stands at it.
+        control: pipe with the switches of a simulated test bench, where nobody stands at it.
     """
 
     interface: str = "slcan"
@@ -89,7 +89,7 @@ class CanTransport(MonotonicClock):
         self._commanded = False
         #: Frames that alive counters say were lost, those that are not as the database says, and those that it does not know.
         self.lost = self.malformed = 0
-        self.strange: set[tuple[int, bool]] = set()
+        self.unknown: set[tuple[int, bool]] = set()
         self._garbled = ""
 
     @property
@@ -148,8 +148,8 @@ class CanTransport(MonotonicClock):
             # The first frame counts as fresh whatever its counter.
             if heard.get(message.name, 0) < max(1, min(2, math.floor(due / 2))):
                 wrong.append(f"{message.name} does not come" if message.name not in heard else f"{message.name} repeats itself")
-        if self.strange:
-            wrong.append(f"the database does not know {names(self.strange)}")
+        if self.unknown:
+            wrong.append(f"the database does not know {names(self.unknown)}")
         if self._fault:
             wrong.insert(0, self._fault)
         if wrong:
@@ -193,7 +193,7 @@ class CanTransport(MonotonicClock):
             return None
         identity = (frame.arbitration_id, frame.is_extended_id)
         if identity not in self.machine.known:
-            self.strange.add(identity)
+            self.unknown.add(identity)
             return None
         try:
             item = self.machine.hear(*identity, bytes(frame.data))
@@ -256,19 +256,19 @@ class CanTransport(MonotonicClock):
             self._answers.sent(self.machine.sent_count, time.monotonic_ns())
 
     def set_inputs(self, dead_man: bool | None = None, emergency_stop: bool | None = None) -> None:
-        """Of a stand-in machine.
+        """Of a simulated test bench.
 
         Raises:
             SettingsError: a machine with people at it, who hold its switches.
         """
         if self.settings.control is None:
-            raise SettingsError(f"{self.where}: control", "none", "the control pipe of a stand-in machine")
+            raise SettingsError(f"{self.where}: control", "none", "the control pipe of a simulated test bench")
         lines = [f"{name} {int(value)}\n" for name, value in (("dead_man", dead_man), ("emergency_stop", emergency_stop))
                  if value is not None]  # fmt: skip
         self.tell("".join(lines))
 
     def tell(self, lines: str) -> None:
-        """Write ``lines`` to the control pipe of a stand-in machine."""
+        """Write ``lines`` to the control pipe of a simulated test bench."""
         assert self.settings.control is not None
         pipe = os.open(self.settings.control, os.O_WRONLY | os.O_NONBLOCK)
         try:

@@ -56,27 +56,29 @@ class CommandFilter:
         """The valves are neutral."""
         self.sent = np.zeros(len(self.valves))
 
-    def pass_on(self, asked: Array, drive: Array, reckonings: Sequence[DeadReckoning]) -> tuple[Array, list[Broken]]:
+    def pass_on(self, asked: Array, drive: Array, dead_reckonings: Sequence[DeadReckoning]) -> tuple[Array, list[Broken]]:
         """What may be sent (A,) of what is asked for (A,), and what was broken: (check, axis or −1, found, limit).
 
         Args:
             drive: what the sensors say of what is driven, (A,).
         """
         broken: list[Broken] = []
-        commands = np.array([self._one(i, float(asked[i]), float(drive[i]), reckonings[i], broken) for i in range(len(asked))])
+        commands = np.array(
+            [self._one(i, float(asked[i]), float(drive[i]), dead_reckonings[i], broken) for i in range(len(asked))]
+        )
         if self.limits.fenced:
-            commands = self._fenced(commands, drive, reckonings, broken)
+            commands = self._fenced(commands, drive, dead_reckonings, broken)
         self.sent = commands
         return commands.copy(), broken
 
-    def ramp(self, drive: Array, reckonings: Sequence[DeadReckoning]) -> Array:
+    def ramp(self, drive: Array, dead_reckonings: Sequence[DeadReckoning]) -> Array:
         """The commands (A,) of a stop: from those sent last towards neutral within the braking of each axis."""
         commands = np.zeros(len(self.valves))
         for i, valve in enumerate(self.valves):
             speed = valve.speed(float(self.sent[i]))
             left = max(0.0, abs(speed) - float(self.limits.braking[i]) * self.dt)
             commands[i] = valve.command(math.copysign(left, speed))
-        passed, _ = self.pass_on(commands, drive, reckonings)
+        passed, _ = self.pass_on(commands, drive, dead_reckonings)
         return passed
 
     def stopped(self, joints: Array, speeds: Array) -> Array:
@@ -102,7 +104,7 @@ class CommandFilter:
                 joints[:, i] = linkage.joint(joints[:, i])
         return joints
 
-    def _one(self, i: int, asked: float, drive: float, reckoning: DeadReckoning, broken: list[Broken]) -> float:
+    def _one(self, i: int, asked: float, drive: float, dead_reckoning: DeadReckoning, broken: list[Broken]) -> float:
         valve, most = self.valves[i], float(self.limits.command[i])
         if not math.isfinite(asked):
             broken.append(("command", i, asked, most))
@@ -117,28 +119,28 @@ class CommandFilter:
         if speed == 0.0:
             return command
         sign = math.copysign(1.0, speed)
-        places = [place for place in (drive, reckoning.position) if math.isfinite(place)]
+        places = [place for place in (drive, dead_reckoning.position) if math.isfinite(place)]
         if not places:
             return 0.0
         end = float(self.high[i] if sign > 0.0 else self.low[i])
-        room = min(sign * (end - place) for place in places) - SPREAD * reckoning.ahead(sign)
+        room = min(sign * (end - place) for place in places) - SPREAD * dead_reckoning.ahead(sign)
         allowed = braked(room, self.dt + UNSEEN_S, float(self.limits.braking[i]))
         if abs(speed) > allowed:
             broken.append(("position", i, places[0], end))
             return valve.command(sign * allowed / SPREAD)
         return command
 
-    def _fenced(self, commands: Array, drive: Array, reckonings: Sequence[DeadReckoning], broken: list[Broken]) -> Array:
+    def _fenced(self, commands: Array, drive: Array, dead_reckonings: Sequence[DeadReckoning], broken: list[Broken]) -> Array:
         """The greatest share of ``commands`` with which a stop ends within the fence, or further in than with none."""
         speeds = np.array([valve.speed(float(command)) for valve, command in zip(self.valves, commands, strict=True)])
         if not speeds.any():
             return commands
         ends = np.empty((len(SHARES), 2, len(speeds)))
-        for i, (valve, reckoning) in enumerate(zip(self.valves, reckonings, strict=True)):
-            coming = reckoning.ahead(1.0) - reckoning.ahead(-1.0)
+        for i, (valve, dead_reckoning) in enumerate(zip(self.valves, dead_reckonings, strict=True)):
+            coming = dead_reckoning.ahead(1.0) - dead_reckoning.ahead(-1.0)
             for k, share in enumerate(SHARES):
                 way = stopping(SPREAD * share * speeds[i], self.dt + UNSEEN_S, float(self.limits.braking[i]))
-                for n, place in enumerate((drive[i], reckoning.position)):
+                for n, place in enumerate((drive[i], dead_reckoning.position)):
                     ends[k, n, i] = min(max(place + SPREAD * coming + way, valve.low), valve.high)
         joints = self._joints(ends.reshape(-1, len(speeds)))
         left = outside(self.tip(joints), self.limits.fence_low, self.limits.fence_high).reshape(len(SHARES), 2).max(axis=1)

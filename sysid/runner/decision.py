@@ -53,14 +53,14 @@ class Decider:
     def __init__(
         self,
         chain: ControlChain,
-        senses: StateEstimator,
+        estimator: StateEstimator,
         supervisor: Supervisor,
         mode: Mode,
         operator: Operator,
         fallback: Literal["ik", "hold"],
         now_ns: Callable[[], int],
     ) -> None:
-        self.chain, self.senses, self.supervisor, self.mode = chain, senses, supervisor, mode
+        self.chain, self.estimator, self.supervisor, self.mode = chain, estimator, supervisor, mode
         self.operator, self.fallback, self._now_ns = operator, fallback, now_ns
         #: Of the turn before, (A,) of what the commands drive; None where there are none.
         self.drive_setpoints: Array | None = None
@@ -98,7 +98,7 @@ class Decider:
             verdicts += [] if held else broken  # standing still at once is nobody's wish: it is how a hold begins
             drive_setpoints, decision.commands_asked = self.chain.commands(decision.setpoints, seen.drive)
             decision.drive_setpoints = self.drive_setpoints = drive_setpoints
-        decision.commands, broken = self.supervisor.commands(decision.commands_asked, seen, self.senses.reckonings)
+        decision.commands, broken = self.supervisor.commands(decision.commands_asked, seen, self.estimator.dead_reckonings)
         verdicts += broken
         self.chain.took(decision.commands)
         if not held:
@@ -110,7 +110,7 @@ class Decider:
         decision = nothing(len(self.chain.axes))
         decision.source = "stop"
         if self.supervisor.barrier.sent.any():
-            decision.commands = self.supervisor.ramp(seen, self.senses.reckonings)
+            decision.commands = self.supervisor.ramp(seen, self.estimator.dead_reckonings)
             decision.enabled = True
         return decision
 
@@ -159,7 +159,7 @@ class Decider:
             self._distrusted = True
             self.chain.give_up()
             self.chain.solve_from(here)
-            self.operator.told(f"{wrong.text}: {'inverse kinematics goes on' if self.fallback == 'ik' else 'it holds'}")
+            self.operator.notify(f"{wrong.text}: {'inverse kinematics goes on' if self.fallback == 'ik' else 'it holds'}")
         return asked, wrong
 
     def _hold(self, here: Array) -> tuple[Array, str]:

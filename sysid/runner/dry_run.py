@@ -105,7 +105,7 @@ class DryRun:
     seconds: float
 
 
-def rehearse(assembly: Assembly, seconds: float = 60.0) -> DryRun:
+def run_dry(assembly: Assembly, seconds: float = 60.0) -> DryRun:
     """Run a recipe on the plant that its controller knows, for at most ``seconds`` of simulated time; nothing is opened."""
     recipe = assembly.recipe
     loop_settings = replace(recipe.loop, seconds=min(seconds, recipe.loop.seconds or seconds), priority=0, lock_memory=False)

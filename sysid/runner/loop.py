@@ -50,20 +50,20 @@ class Loop:
         self,
         transport: Transport,
         chain: ControlChain,
-        senses: StateEstimator,
+        estimator: StateEstimator,
         supervisor: Supervisor,
         mode: Mode,
         recorder: Recorder,
         operator: Operator,
         settings: LoopSettings | None = None,
     ) -> None:
-        self.transport, self.chain, self.senses, self.supervisor, self.mode = transport, chain, senses, supervisor, mode
+        self.transport, self.chain, self.estimator, self.supervisor, self.mode = transport, chain, estimator, supervisor, mode
         self.recorder, self.operator, self.settings = recorder, operator, settings or LoopSettings()
         self.dt = 1.0 / chain.plant.machine.rate_hz
         self.period_ns = round(SECOND * self.dt)
         self.states, self.outcome = States(), RunOutcome()
-        self.conduct = RunStateMachine(self.states, mode, operator, self.settings, self.dt, self.outcome)
-        self.decider = Decider(chain, senses, supervisor, mode, operator, self.settings.fallback, transport.now_ns)
+        self.state_machine = RunStateMachine(self.states, mode, operator, self.settings, self.dt, self.outcome)
+        self.decider = Decider(chain, estimator, supervisor, mode, operator, self.settings.fallback, transport.now_ns)
         self._zero = np.zeros(len(chain.axes))
         self._sent = self._zero
         self._readings: Mapping[str, Measurement] = {}
@@ -78,9 +78,9 @@ class Loop:
         self.chain.rest(drive, joints)
         ee = self.chain.tip(joints[None])[0]
         self.supervisor.begin(joints)
-        for reckoning, place in zip(self.senses.reckonings, drive, strict=True):
-            reckoning.reset(float(place))
-        seen = self.senses.see({}, NOBODY, 0)
+        for dead_reckoning, place in zip(self.estimator.dead_reckonings, drive, strict=True):
+            dead_reckoning.reset(float(place))
+        seen = self.estimator.see({}, NOBODY, 0)
         seen.ee = ee
         self.chain.moved(joints, self._zero)
         with contextlib.suppress(PolicyError):  # found out again where it counts, and the fallback goes on
@@ -89,10 +89,10 @@ class Loop:
         setpoints, _ = self.supervisor.setpoints(joints + 1e-3)
         _, commands = self.chain.commands(setpoints, drive)
         self.supervisor.look(seen, True, drive)
-        self.supervisor.commands(commands + 0.3, seen, self.senses.reckonings)
+        self.supervisor.commands(commands + 0.3, seen, self.estimator.dead_reckonings)
         self.supervisor.begin(joints)
         self.chain.rest(drive, joints)
-        self.senses.reset()
+        self.estimator.reset()
 
     def run(self, watch: Callable[[Cycle], None] | None = None) -> RunOutcome:
         """Open the transport, turn until the task is done, somebody says so, or a fault ends it, and let go, valves neutral.
@@ -108,7 +108,7 @@ class Loop:
         settings, outcome = self.settings, self.outcome
         with on_time(settings.priority, settings.lock_memory) as refused:
             for text in refused:
-                self.conduct.note(text)
+                self.state_machine.note(text)
             if self.chain.thread is not None:
                 raise_thread(self.chain.thread.native_id, settings.priority)
             try:
@@ -140,7 +140,7 @@ class Loop:
             cycle = self._one(due)
             if watch is not None:
                 watch(cycle)
-            if self.conduct.over(cycle.at_ns - begin, self.transport.now_ns()):
+            if self.state_machine.over(cycle.at_ns - begin, self.transport.now_ns()):
                 return
             due += self.period_ns
             late = self.transport.now_ns() - due
@@ -155,7 +155,7 @@ class Loop:
         frames = traceback.extract_tb(error.__traceback__)
         place = f" ({Path(frames[-1].filename).name}, line {frames[-1].lineno})" if frames else ""
         what = "interrupted" if isinstance(error, KeyboardInterrupt) else f"the runner failed: {described(error)}"
-        self.conduct.broken(what + place, self.transport.now_ns())
+        self.state_machine.broken(what + place, self.transport.now_ns())
 
     def _neutral(self, seconds: float) -> None:
         """Say that nobody commands, for ``seconds`` so that it is heard; where it is not, the machine's own time-out closes."""
@@ -178,24 +178,24 @@ class Loop:
         if not self.mode.moves:
             verdicts = [verdict for verdict in verdicts if verdict.check not in _OWN_MOTION]
         verdicts = self.supervisor.patience(verdicts)
-        self.conduct.react(verdicts, now)
-        if self.conduct.listen(verdicts, now):
-            self.senses.reset()
+        self.state_machine.react(verdicts, now)
+        if self.state_machine.listen(verdicts, now):
+            self.estimator.reset()
             self._line = ""
-        if self.conduct.advance(seen, verdicts, now):
+        if self.state_machine.advance(seen, verdicts, now):
             self.decider.begin(seen)
             if outside := self.supervisor.beyond(seen):
-                self.conduct.note(f"{outside}: only ways back inside are open")
+                self.state_machine.note(f"{outside}: only ways back inside are open")
         decision = self._decide(seen, verdicts, now)
         dropped = False
         if decision.enabled and (expired := self._expired(now)) is not None:
             verdicts.append(expired)
             dropped = self._drop(decision, expired, now)
         if self.mode.writes and not dropped and not self._send(decision.commands, decision.enabled):
-            self.conduct.fault(f"commands cannot be sent: {self._line}", now)
+            self.state_machine.fault(f"commands cannot be sent: {self._line}", now)
             decision.enabled = False
         moved = decision.commands if decision.enabled else self._zero
-        self.senses.step(moved)
+        self.estimator.step(moved)
         self._sent = moved
         done = self.transport.now_ns()
         cycle = Cycle(
@@ -215,9 +215,9 @@ class Loop:
             self._readings, inputs = self.transport.read()
         except Exception as error:  # a driver may raise anything; the fail-safe bits are sent all the same
             self._readings = {}
-            seen = self.senses.nothing(now, described(error))
+            seen = self.estimator.nothing(now, described(error))
         else:
-            seen = self.senses.see(self._readings, inputs, now, late_ns / SECOND, self._missed)
+            seen = self.estimator.see(self._readings, inputs, now, late_ns / SECOND, self._missed)
         if self._line and not seen.line:
             seen.line = self._line
         seen.recording = self.recorder.fault
@@ -228,23 +228,23 @@ class Loop:
 
     def _decide(self, seen: StateEstimate, verdicts: list[Violation], now: int) -> CycleDecision:
         decision = nothing(len(self._zero))
-        if self.states.state == "running" or (self.conduct.thinking and np.isfinite(seen.joints).all()):
+        if self.states.state == "running" or (self.state_machine.thinking and np.isfinite(seen.joints).all()):
             decision = self.decider.think(seen, verdicts, now + round(POLICY_SHARE * self.period_ns))
             if decision.ended is not None:
-                self.conduct.end(decision.ended, now)
+                self.state_machine.end(decision.ended, now)
                 if self.states.state == "stopping":
                     decision = self._slow_down(seen, now)
             else:
-                decision.enabled = self.mode.moves and self.conduct.allow(verdicts, now)
+                decision.enabled = self.mode.moves and self.state_machine.allow(verdicts, now)
         elif self.states.state == "stopping":
             decision = self._slow_down(seen, now)
-        if self.states.state != "running" and not self.conduct.thinking:
+        if self.states.state != "running" and not self.state_machine.thinking:
             self.decider.drive_setpoints = None
         return decision
 
     def _slow_down(self, seen: StateEstimate, now: int) -> CycleDecision:
         decision = self.decider.slow_down(seen)
-        self.conduct.slowing(not decision.enabled, seen, now)
+        self.state_machine.slowing(not decision.enabled, seen, now)
         return decision
 
     def _expired(self, now: int) -> Violation | None:
@@ -259,7 +259,7 @@ class Loop:
         That lasts until the next turn, ``checks.expired.gap_s`` at the most, and is less of a jolt than neutral valves are.
         """
         if expired.reaction == "fault":
-            self.conduct.fault(expired.text, now)
+            self.state_machine.fault(expired.text, now)
         still = expired.reaction != "fault" and self._moved_ns is not None
         decision.enabled = still
         decision.commands = self._sent.copy() if still else self._zero

@@ -29,7 +29,7 @@ class Operator(Protocol):
         """What was said since the last turn, of :data:`WORDS`; a reason may stand behind a colon."""
         ...
 
-    def told(self, text: str) -> None:
+    def notify(self, text: str) -> None:
         """One line for whoever stands there."""
         ...
 
@@ -65,7 +65,7 @@ class Unattended:
             self.machine.set_inputs(dead_man=True)
         return said
 
-    def told(self, text: str) -> None:
+    def notify(self, text: str) -> None:
         self.lines.append(text)
 
 
@@ -91,8 +91,8 @@ class Interruptible:
             self._said += 1
         return said
 
-    def told(self, text: str) -> None:
-        self.operator.told(text)
+    def notify(self, text: str) -> None:
+        self.operator.notify(text)
 
     def __enter__(self) -> Interruptible:
         # Signals that this system does not have, or lets nobody handle, are left as they are.
@@ -123,5 +123,5 @@ class Nobody:
     def words(self, state: State, now_ns: int) -> Sequence[str]:
         return ()
 
-    def told(self, text: str) -> None:
+    def notify(self, text: str) -> None:
         """Nobody listens."""

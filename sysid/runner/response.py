@@ -31,7 +31,10 @@ TIMES = 2
 #: True gain over the plant's.
 GAINS = (0.7, 1.4)
 #: True dead-band less the plant's, in commands, of each direction by itself.
-BANDS = (-0.08, 0.0, 0.08, 0.16)
+BANDS = tuple(0.02 * k for k in range(-4, 9))
+#: Every so manyth of them is compared with a late answer. A command that rises slowly crosses a wrong dead-band late: an
+#: answer in time has the finer steps.
+COARSE = 4
 #: Error that has to be explained, RMS, as time at top speed [s]; what noise and formula may leave of the better explanation.
 LEAST_S, FLOOR_S = 0.006, 0.0015
 #: The late explanation has to leave this share of the error or less.
@@ -129,6 +132,8 @@ class ResponseMonitor:
         if usual <= LEAST_S:
             self._found[i] = 0
             return None
+        few = travel[:, ::COARSE]
+        both = (few[0][:, None] + few[1][None]).reshape(few.shape[1] ** 2, -1)
         late = _errors(measured[own], both[:, turns[self._usual :]]).min(axis=0) / self._fastest[i]
         self._found[i] = self._found[i] + 1 if max(float(late.min()), FLOOR_S) < SHARE * usual else 0
         if self._found[i] < TIMES:

@@ -76,7 +76,7 @@ class StateEstimate:
     sensors: list[Sensor]
     drive: Array
     measured: npt.NDArray[np.bool_]
-    reckoned: Array
+    estimated_position: Array
     joints: Array
     ee: Array = field(default_factory=lambda: np.full(3, np.nan))
     line: str = ""
@@ -110,7 +110,7 @@ class StateEstimator:
                 steep = float(np.abs(np.gradient(linkage.joints, linkage.displacements)).max())
                 self.extra.append(Sensor(signal, i, False, reach, valves[i].fastest * steep))
         self.sensors = [*self.driven, *self.extra]
-        self.reckonings = [DeadReckoning(valve, dt, LEAN_S) for valve in valves]
+        self.dead_reckonings = [DeadReckoning(valve, dt, LEAN_S) for valve in valves]
         self.response = ResponseMonitor(valves, dt, settings.delay.after_s)
 
     def reset(self) -> None:
@@ -120,18 +120,18 @@ class StateEstimator:
         """
         for sensor in self.sensors:
             sensor.good, sensor.count, sensor.first_ns, sensor.still_since = math.nan, -1, None, 0.0
-        for reckoning in self.reckonings:
-            reckoning.reset(math.nan)
+        for dead_reckoning in self.dead_reckonings:
+            dead_reckoning.reset(math.nan)
         self.response.reset()
 
     def step(self, commands: Array) -> None:
         """The step with ``commands`` (A,) is over; neutral ones are zero."""
         self.response.step(commands)
-        for sensor, reckoning, command in zip(self.driven, self.reckonings, commands, strict=True):
-            before = reckoning.position
-            reckoning.step(float(command))
+        for sensor, dead_reckoning, command in zip(self.driven, self.dead_reckonings, commands, strict=True):
+            before = dead_reckoning.position
+            dead_reckoning.step(float(command))
             if not math.isnan(before):
-                sensor.still_since += abs(reckoning.position - before)
+                sensor.still_since += abs(dead_reckoning.position - before)
 
     def see(
         self, readings: Mapping[str, Measurement], inputs: MachineInputs, now_ns: int, lateness_s: float = 0.0, missed: int = 0
@@ -140,21 +140,21 @@ class StateEstimator:
         for sensor in self.sensors:
             self._look(sensor, readings.get(sensor.signal), now_ns)
         drive, joints = np.empty(len(self.driven)), np.empty(len(self.driven))
-        for i, (sensor, reckoning) in enumerate(zip(self.driven, self.reckonings, strict=True)):
+        for i, (sensor, dead_reckoning) in enumerate(zip(self.driven, self.dead_reckonings, strict=True)):
             if sensor.sound:
-                if math.isnan(reckoning.position):
-                    reckoning.position = sensor.value
-                reckoning.correct(sensor.value)
+                if math.isnan(dead_reckoning.position):
+                    dead_reckoning.position = sensor.value
+                dead_reckoning.correct(sensor.value)
                 drive[i] = sensor.value
             else:
-                drive[i] = reckoning.position
+                drive[i] = dead_reckoning.position
             linkage = self.linkages[i]
             joints[i] = drive[i] if linkage is None else _joint(linkage, drive[i])
         fresh = np.array([sensor.value if sensor.sound and sensor.fresh else math.nan for sensor in self.driven])
         self.response.look(fresh)
         return StateEstimate(
             now_ns, lateness_s, missed, inputs, self.sensors, drive, np.array([sensor.sound for sensor in self.driven]),
-            np.array([item.position for item in self.reckonings]), joints,
+            np.array([item.position for item in self.dead_reckonings]), joints,
             late=self.response.late,
         )  # fmt: skip
 

@@ -66,16 +66,16 @@ class RunStateMachine:
                 elif not self._tell(self.states.on("stop", now, reason or "the operator quits")):
                     self.note(reason or "the operator quits")
             elif word not in WORDS:
-                self.operator.told(f"{word!r} is none of {', '.join(WORDS)}")
+                self.operator.notify(f"{word!r} is none of {', '.join(WORDS)}")
             elif word == "reset" and at_least(verdicts, "fault"):
-                self.operator.told(f"not reset while it lasts: {next(v.text for v in verdicts if v.reaction == 'fault')}")
+                self.operator.notify(f"not reset while it lasts: {next(v.text for v in verdicts if v.reaction == 'fault')}")
             elif word == "arm" and not self.mode.moves:
-                self.operator.told(f"{self.mode.name} moves nothing: there is nothing to arm")
+                self.operator.notify(f"{self.mode.name} moves nothing: there is nothing to arm")
             else:
                 try:
                     self.states.demand("stop" if word == "stop" else word, now)  # type: ignore[arg-type]
                 except InputError as error:
-                    self.operator.told(str(error))
+                    self.operator.notify(str(error))
                     continue
                 if word == "stop":
                     self.states.why = "the operator says stop"
@@ -168,7 +168,7 @@ class RunStateMachine:
     def note(self, text: str) -> None:
         """For the operator, and kept."""
         self.outcome.notes.append(text)
-        self.operator.told(text)
+        self.operator.notify(text)
 
     def _halt(self, verdict: Violation, now: int) -> None:
         """A verdict stops the machine."""

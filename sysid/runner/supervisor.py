@@ -9,10 +9,10 @@ import numpy as np
 import numpy.typing as npt
 
 from sysid.machine import TabulatedLinkage
-from sysid.runner.checks.delay import judge_delay
-from sysid.runner.checks.machine import judge_machine
+from sysid.runner.checks.delay import check_delay
+from sysid.runner.checks.machine import check_machine
 from sysid.runner.checks.motion import MotionChecks
-from sysid.runner.checks.sensors import judge_sensors
+from sysid.runner.checks.sensors import check_sensors
 from sysid.runner.checks.settings import CheckSettings
 from sysid.runner.command_filter import Broken, CommandFilter, outside
 from sysid.runner.cycle import REACTIONS, Reaction, Violation
@@ -71,11 +71,11 @@ class Supervisor:
             moving: whether the valves are let move now.
             drive_setpoints: of the turn before, (A,) of what is driven; None where there are none.
         """
-        found = judge_machine(seen, self.checks)
-        found += judge_sensors(seen, self.checks, moving)
+        found = check_machine(seen, self.checks)
+        found += check_sensors(seen, self.checks, moving)
         found += self._motion.judge(seen, moving, drive_setpoints)
         if moving and self.checks.on("delay"):
-            found += judge_delay(seen, self.checks, self.axes)
+            found += check_delay(seen, self.checks, self.axes)
         return found
 
     def patience(self, verdicts: Sequence[Violation]) -> list[Violation]:
@@ -96,14 +96,16 @@ class Supervisor:
         passed, broken = self.limiter.step(asked)
         return passed, self._verdicts(broken)
 
-    def commands(self, asked: Array, seen: StateEstimate, reckonings: Sequence[DeadReckoning]) -> tuple[Array, list[Violation]]:
+    def commands(
+        self, asked: Array, seen: StateEstimate, dead_reckonings: Sequence[DeadReckoning]
+    ) -> tuple[Array, list[Violation]]:
         """Commands that may be sent (A,) for what is asked for (A,)."""
-        passed, broken = self.barrier.pass_on(asked, seen.drive, reckonings)
+        passed, broken = self.barrier.pass_on(asked, seen.drive, dead_reckonings)
         return passed, self._verdicts(broken)
 
-    def ramp(self, seen: StateEstimate, reckonings: Sequence[DeadReckoning]) -> Array:
+    def ramp(self, seen: StateEstimate, dead_reckonings: Sequence[DeadReckoning]) -> Array:
         """Commands of a stop, (A,)."""
-        return self.barrier.ramp(seen.drive, reckonings)
+        return self.barrier.ramp(seen.drive, dead_reckonings)
 
     def beyond(self, seen: StateEstimate) -> str:
         """Which limit the machine stands beyond, margins left out; "" where it is inside."""

@@ -112,7 +112,7 @@ class Terminal:
             said.append(f"quit: the terminal is closed ({self.console.gone})")
         return said
 
-    def told(self, text: str) -> None:
+    def notify(self, text: str) -> None:
         self.console.say(text + "\n")
 
     def _read(self) -> None:

@@ -96,7 +96,7 @@ class Transport(Protocol):
 
 @runtime_checkable
 class Settable(Protocol):
-    """A machine without people at it, whose switches a program holds: simulations and stand-ins."""
+    """A machine without people at it, whose switches a program holds: simulations."""
 
     def set_inputs(self, dead_man: bool | None = None, emergency_stop: bool | None = None) -> None:
         """Hold or release the dead-man switch, press or release the emergency stop; None leaves it."""

@@ -20,7 +20,7 @@ from sysid.runner.transport import Transport
 
 @dataclass(frozen=True)
 class OpenTransport:
-    """A transport, and whether nobody can be hurt at its other end: a simulated or stand-in machine with switches of ours.
+    """A transport, and whether nobody can be hurt at its other end: a simulated machine with switches of ours.
 
     Args:
         wired: there is a bus between, on which something may be swapped, turned round or out of scale.
@@ -94,7 +94,7 @@ def simulated(values: dict[str, Any], assembly: Assembly, registry: Registry) ->
 
 
 def can(values: dict[str, Any], assembly: Assembly, registry: Registry) -> OpenTransport:
-    """A machine on a CAN bus; one with a control pipe is a stand-in, whose switches the pipe holds."""
+    """A machine on a CAN bus; one with a control pipe is the simulated test bench, whose switches the pipe holds."""
     from sysid.runner.can import CanSettings, CanTransport
 
     where = "transport"

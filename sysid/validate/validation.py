@@ -60,7 +60,7 @@ def validate_actuator(
     for axis, network in networks.items():
         signals = (axis_signal(axis, "cylinder"), axis_signal(axis, "joint"))
         fit, _ = actuator_rows(dataset, axis, recipe or NetworkRecipe())
-        judged = _judged(dataset, role, signals, ("motion", "poses"))
+        judged = _rows_by_kind(dataset, role, signals, ("motion", "poses"))
         maps = tuple(
             EvaluatedOutput(
                 predict=lambda x, predict=predict: predict(x[:, 0]),  # type: ignore[misc]
@@ -110,7 +110,7 @@ def validate_forward(network: ForwardModel, dataset: Dataset, role: Role = "held
         )
         for number in range(3)
     )
-    judged = _judged(dataset, role, signals, ("poses", "motion"))
+    judged = _rows_by_kind(dataset, role, signals, ("poses", "motion"))
     outputs = [output_report(dataset, rows, kind, item) for kind, rows in judged.items() for item in maps]
     return ValidationReport("forward", name, dataset.reference, role, tuple(outputs))
 
@@ -121,7 +121,7 @@ def _joint_limits(dataset: Dataset, fitted: Ranges) -> Ranges:
     return {signal: ends if ends is not None and np.isfinite(ends).all() else fitted[signal] for signal, ends in limits.items()}
 
 
-def _judged(dataset: Dataset, role: Role, signals: tuple[str, ...], kinds: tuple[Kind, ...]) -> dict[Kind, SignalRows]:
+def _rows_by_kind(dataset: Dataset, role: Role, signals: tuple[str, ...], kinds: tuple[Kind, ...]) -> dict[Kind, SignalRows]:
     """Rows of ``role`` by kind of recording.
 
     Raises:

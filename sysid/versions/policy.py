@@ -238,7 +238,7 @@ def _quantity(value: str | float, where: str) -> tuple[float, str]:
     return factor * number, unit
 
 
-def judged_by(policy: PromotionPolicy, kind: str, path: Path | None, dataset: str) -> Mapping[str, Any]:
+def evaluated_by(policy: PromotionPolicy, kind: str, path: Path | None, dataset: str) -> Mapping[str, Any]:
     """What the record of a decision says of its judge."""
     name = path.name if path is not None else "default"
     rules = asdict(policy.of(kind))

@@ -13,7 +13,7 @@ from scipy.signal import butter, sosfiltfilt
 from sysid.datasets.channel import Channel
 from sysid.datasets.clocks.alignment import MAX_SKEW, Estimate, Pair, conditional, estimate
 from sysid.datasets.clocks.coarse import coarse_lag
-from sysid.datasets.clocks.records import ClockAlignment, align, machine_times
+from sysid.datasets.clocks.records import RecordingClocks, align, machine_times
 from sysid.errors import AlignmentError
 
 Array = npt.NDArray[np.float64]
@@ -150,14 +150,14 @@ EPOCH = 1_700_000_000_000_000_000
 
 def clocked(
     name: str, seconds: float, offset: float, skew: float, seed: int, other_epoch: int = 0, still: bool = False
-) -> ClockAlignment:
+) -> RecordingClocks:
     source = pair(seconds, offset, skew, seed)
     x = np.zeros(len(source.x)) if still else source.x
     machine = Channel(
         "slew.joint", "log.mcap", "machine", EPOCH + np.rint(source.x_times * 1e9).astype(np.int64), x, primary=False
     )
     stamps = other_epoch + np.rint(source.y_times * 1e9).astype(np.int64)
-    return ClockAlignment(name, "motion", (machine, Channel("slew.joint", "mocap.csv", "mocap", stamps, source.y)))
+    return RecordingClocks(name, "motion", (machine, Channel("slew.joint", "mocap.csv", "mocap", stamps, source.y)))
 
 
 def test_the_skew_of_a_device_is_shared_by_its_recordings() -> None:

@@ -16,7 +16,7 @@ from scipy.stats import t
 from sysid.datasets.channel import Channel
 from sysid.datasets.clocks.alignment import Pair, estimate
 from sysid.datasets.clocks.backlash import directions, turning_rows
-from sysid.datasets.clocks.records import ClockAlignment, align
+from sysid.datasets.clocks.records import RecordingClocks, align
 from sysid.datasets.clocks.residual import clock_residuals
 
 Array = npt.NDArray[np.float64]
@@ -123,10 +123,10 @@ def test_what_never_turns_has_one_direction() -> None:
     assert directions(np.linspace(1.0, 0.0, 50), 0.1)[0].tolist() == [-1.0] * 50
 
 
-def clocked(degrees: float) -> ClockAlignment:
+def clocked(degrees: float) -> RecordingClocks:
     source = pair(3, degrees, seconds=120.0)
     stamps = [np.rint(times * 1e9).astype(np.int64) for times in (source.x_times, source.y_times)]
-    return ClockAlignment(
+    return RecordingClocks(
         "log",
         "motion",
         (

@@ -9,7 +9,7 @@ import numpy.typing as npt
 import pytest
 
 from sysid.datasets.channel import Channel, in_order
-from sysid.datasets.clocks.records import ClockAlignment, align, by_source, machine_times
+from sysid.datasets.clocks.records import RecordingClocks, align, by_source, machine_times
 from sysid.datasets.clocks.set_clocks import continued, with_stamps_carried_on
 from sysid.errors import AlignmentError, InputError
 from sysid.logs import Stream
@@ -80,7 +80,7 @@ def test_all_topics_of_a_file_are_carried_on_and_the_machine_is_not() -> None:
 
 def set_clock(
     seconds: float, at: float, jump: float, pause: float = 0.0, bandwidth: float = 1.0, seed: int = 1, skew: float = 40e-6
-) -> tuple[ClockAlignment, Array]:
+) -> tuple[RecordingClocks, Array]:
     """slew.joint on both clocks; the other one begins 0.5 s later, at ``at`` stops for ``pause`` and its stamps step by
     ``jump`` beyond the even ones. True machine times beside."""
     rng = np.random.default_rng(seed)
@@ -96,7 +96,7 @@ def set_clock(
         Channel("slew.joint", "log.mcap", "machine", EPOCH + np.rint(x_times * 1e9).astype(np.int64), x, primary=False),
         Channel("slew.joint", "mocap.csv", "mocap", stamps, y),
     )
-    return ClockAlignment("take", "motion", channels), machine
+    return RecordingClocks("take", "motion", channels), machine
 
 
 @pytest.mark.parametrize(

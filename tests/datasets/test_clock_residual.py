@@ -10,12 +10,12 @@ import pandas as pd
 import pytest
 
 from sysid.datasets import ClockRecord
-from sysid.datasets.clocks.records import ClockAlignment, align
+from sysid.datasets.clocks.records import RecordingClocks, align
 from sysid.datasets.clocks.residual import clock_residuals
 from tests.datasets.test_clock_resets import set_clock
 
 
-def stored(recording: ClockAlignment) -> pd.DataFrame:
+def stored(recording: RecordingClocks) -> pd.DataFrame:
     """The raw channels as the store gives them."""
     return pd.concat(
         [

@@ -1,4 +1,4 @@
-"""The shipped logs, ingested by their recipe, against what the stand-in machine knows to be true."""
+"""The shipped logs, ingested by their recipe, against what the simulated test bench knows to be true."""
 
 from __future__ import annotations
 

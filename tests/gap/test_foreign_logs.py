@@ -107,7 +107,7 @@ def test_what_the_held_out_recording_does_not_have_gets_no_name() -> None:
 
 
 def test_friction_that_saturates_smoothly_is_not_viscous() -> None:
-    """It grows with the speed and then no more; a viscous friction alone would be a stand-in."""
+    """It grows with the speed and then no more; a viscous friction alone would be a substitute."""
     recordings = rubbed(lambda v, x: 22.0 * float(np.tanh(v / 0.15)), 8.0, seed=1)
     plant = nominal(machine=slide())
     found = find_gap(dataset(plant, recordings), plant)

@@ -141,7 +141,7 @@ def test_a_stand_in_for_a_tie_is_not_promoted(searched: Study, proof: Proof, reg
     unsure = replace(proof, outcome=tied)
     found = steps.promote(searched, unsure, registry, steps.store(searched, unsure, registry))
     assert found.reason.startswith(
-        "it holds a stand-in for effects that cannot be told apart: valve_deadband on boom / stiction on boom"
+        "it holds a placeholder for effects that cannot be distinguished: valve_deadband on boom / stiction on boom"
     )
 
 

@@ -1,4 +1,4 @@
-"""A stand-in machine in its own process, for tests that speak with it over its serial line."""
+"""A simulated test bench in its own process, for tests that speak with it over its serial line."""
 
 from __future__ import annotations
 

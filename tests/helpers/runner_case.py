@@ -181,9 +181,9 @@ def case(
     parts = valves(tune(PLANT), DT)
     bounds = limits_of(PLANT, parts, limits or LimitSettings(), "test")
     rules = checks or CheckSettings()
-    senses = StateEstimator(PLANT, parts, DT, transport.signals, rules)
-    supervisor = Supervisor(chain.axes, bounds, parts, senses.linkages, chain.tip, DT, rules)
+    estimator = StateEstimator(PLANT, parts, DT, transport.signals, rules)
+    supervisor = Supervisor(chain.axes, bounds, parts, estimator.linkages, chain.tip, DT, rules)
     memory, person = recorder or Memory(), operator(transport)
     values = {"priority": 0, "lock_memory": False, "settle_s": 0.1, **settings}
-    loop = Loop(transport, chain, senses, supervisor, mode(bounds, chain), memory, person, LoopSettings(**values))  # type: ignore[arg-type]
+    loop = Loop(transport, chain, estimator, supervisor, mode(bounds, chain), memory, person, LoopSettings(**values))  # type: ignore[arg-type]
     return Case(loop, machine, transport, memory, person, bounds)

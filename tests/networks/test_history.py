@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from sysid.datasets.recording import Dataset
 from sysid.errors import ExcitationError, InputError, SettingsError, StoreError
 from sysid.networks import HistoryNetwork, fit_history, from_files, parse_recipe, to_files
-from sysid.networks.history import _looks, stretches
+from sysid.networks.history import _windows, stretches
 from sysid.networks.memory import Memory
 from sysid.networks.split import RowRange
 from sysid.plant import nominal_plant
@@ -135,13 +135,13 @@ def test_sequences_stay_inside_recordings_blocks_and_gaps(data: Dataset, network
     joint[700:900] = np.nan
     holed = replace(run, table=run.table.assign(**{"boom.cylinder": cylinder, "boom.joint": joint}))
     memory = network.to_joint
-    found = _looks([RowRange(holed, 100, 1200)], ("boom.cylinder", "boom.joint"), network.static.joint, memory)
+    found = _windows([RowRange(holed, 100, 1200)], ("boom.cylinder", "boom.joint"), network.static.joint, memory)
     stride = memory.stride(RATE)
-    assert [len(looks.left) for looks in found] == [400 // stride, (1200 - 503) // stride]
-    for looks, begin in zip(found, (100, 503), strict=True):
-        assert np.isfinite(looks.inputs).all()
-        np.testing.assert_array_equal(looks.inputs[:, 0], cylinder[begin : begin + len(looks.left) * stride : stride])
-        assert looks.inputs[0, 1:].tolist() == [0.0] * (1 + len(memory.widths)), "nothing is known before"
+    assert [len(windows.left) for windows in found] == [400 // stride, (1200 - 503) // stride]
+    for windows, begin in zip(found, (100, 503), strict=True):
+        assert np.isfinite(windows.inputs).all()
+        np.testing.assert_array_equal(windows.inputs[:, 0], cylinder[begin : begin + len(windows.left) * stride : stride])
+        assert windows.inputs[0, 1:].tolist() == [0.0] * (1 + len(memory.widths)), "nothing is known before"
     assert int(np.isnan(found[1].left).sum()) == pytest.approx(200 / stride, abs=1), "passed through, not learned from"
     assert stretches(np.array([True, False, True, True])) == [(0, 1), (2, 4)]
 

@@ -1,4 +1,4 @@
-"""The plant against the stand-in machine: two rows are computed again, and the committed table covers every effect."""
+"""The plant against the simulated test bench: two rows are computed again, and the committed table covers every effect."""
 
 from __future__ import annotations
 

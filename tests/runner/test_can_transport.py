@@ -1,4 +1,4 @@
-"""The runner's CAN transport against the stand-in machine in its own process: real frames both ways, over a serial line."""
+"""The runner's CAN transport against the simulated test bench in its own process: real frames both ways, over a serial line."""
 
 from __future__ import annotations
 

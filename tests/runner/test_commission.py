@@ -228,7 +228,7 @@ def test_it_may_be_waived_with_a_reason(kept: Path) -> None:
     record_path(kept).unlink()
     with pytest.raises(SettingsError, match="it was never commissioned"):
         require_commissioned(assembly(kept.parent), kept)
-    reason = "the stand-in machine of the demo"
+    reason = "the simulated test bench of the demo"
     said = require_commissioned(assembly(kept.parent, commission={"waived": reason}), kept)
     assert said == f"NOT commissioned (it was never commissioned): {reason}"
     with pytest.raises(SettingsError, match="one sentence that says why"):

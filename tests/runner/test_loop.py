@@ -61,13 +61,13 @@ def test_the_line_is_opened_last(monkeypatch: pytest.MonkeyPatch) -> None:
         order.append("locked")
         yield ()
 
-    def told(name: str) -> None:
+    def notify(name: str) -> None:
         whole = getattr(made.transport, name)
         monkeypatch.setattr(made.transport, name, lambda *given: (order.append(name), whole(*given))[1])
 
     monkeypatch.setattr("sysid.runner.loop.on_time", slow)
     for name in ("open", "read", "close"):
-        told(name)
+        notify(name)
     made.loop.run()
     assert order[:3] == ["locked", "open", "read"]
     assert order.count("open") == order.count("close") == 1

@@ -64,7 +64,7 @@ def test_typed_lines_are_words(ends: tuple[int, int]) -> None:
         assert words(terminal, 1) == ["arm"]
         os.write(ends[0], b"op\n")
         assert words(terminal, 1) == ["stop"]
-        terminal.told("ready")
+        terminal.notify("ready")
         seen = b""
         while b"ready\r\n" not in seen:
             seen += os.read(ends[0], 1000)
@@ -94,10 +94,10 @@ def test_a_terminal_that_cannot_be_written_quits() -> None:
     os.close(reading)
     console = Console(writing)
     terminal = Terminal(console, typed)
-    terminal.told("anybody there?")
+    terminal.notify("anybody there?")
     assert words(terminal, 1) == ["quit: the terminal is closed (Broken pipe)"]
     assert not terminal.words("ready", 0)
-    terminal.told("nobody")
+    terminal.notify("nobody")
     assert console.lost == 1
     for descriptor in (writing, typing):
         os.close(descriptor)
@@ -138,7 +138,7 @@ def test_a_terminal_that_stops_opens_no_valve(ends: tuple[int, int], how: str) -
                 os.write(person, b"\x13")  # a person's Ctrl-S, or nobody who reads
                 reads.clear()
             if 20 < len(stopped) < 60:
-                made.operator.told(LINE)
+                made.operator.notify(LINE)
             if len(stopped) == 60:
                 os.write(person, b"\x11")
                 reads.set()

@@ -26,7 +26,7 @@ from sysid.scratch import pieces as sample_pieces
 
 Array = npt.NDArray[np.float64]
 
-__all__ = ["ClockAlignment", "KnownSkew", "align", "by_source", "known_skews", "machine_times"]
+__all__ = ["KnownSkew", "RecordingClocks", "align", "by_source", "known_skews", "machine_times"]
 
 _LATENCY = "a constant latency of this device is part of the offset: it cannot be told apart"
 #: A pause of the machine's stamps is taken for a step of its clock where the jump of another one agrees with it to this share.
@@ -34,7 +34,7 @@ _STEP_SHARE = 0.2
 
 
 @dataclass(frozen=True)
-class ClockAlignment:
+class RecordingClocks:
     """A recording whose clocks are to be aligned."""
 
     name: str
@@ -74,7 +74,7 @@ class Alignment:
     refused: Mapping[str, AlignmentError]
 
 
-def align(recordings: Sequence[ClockAlignment], known: Mapping[str, KnownSkew] | None = None) -> tuple[ClockRecord, ...]:
+def align(recordings: Sequence[RecordingClocks], known: Mapping[str, KnownSkew] | None = None) -> tuple[ClockRecord, ...]:
     """Clock records of all recordings; :func:`aligned` goes on without those that have no place in time.
 
     Raises:
@@ -86,7 +86,7 @@ def align(recordings: Sequence[ClockAlignment], known: Mapping[str, KnownSkew] |
     return found.records
 
 
-def aligned(recordings: Sequence[ClockAlignment], known: Mapping[str, KnownSkew] | None = None) -> Alignment:
+def aligned(recordings: Sequence[RecordingClocks], known: Mapping[str, KnownSkew] | None = None) -> Alignment:
     """Clock records of the recordings that have a place in time.
 
     The skew is a property of two crystals: where the estimates of the recordings of one device agree, their weighted mean is
@@ -163,7 +163,7 @@ def by_source(records: Sequence[ClockRecord], recording: str) -> dict[str, tuple
     return {source: tuple(own) for source, own in found.items()}
 
 
-def _pairs(recording: ClockAlignment, channels: Sequence[Channel]) -> tuple[Pair, ...]:
+def _pairs(recording: RecordingClocks, channels: Sequence[Channel]) -> tuple[Pair, ...]:
     return pairs_of(recording.machine, channels, recording.start_ns, _stream_start(channels))
 
 
@@ -185,7 +185,7 @@ def _domain(clock: str) -> str:
     return clock.partition(":")[0]
 
 
-def _check_machine(recording: ClockAlignment, found: Mapping[str, tuple[Piece, ...]]) -> None:
+def _check_machine(recording: RecordingClocks, found: Mapping[str, tuple[Piece, ...]]) -> None:
     """The machine's own clock must not have been set.
 
     Raises:
@@ -229,7 +229,7 @@ def _gap(channel: Channel, origin_ns: int, at_s: float, reach_s: float) -> float
 
 
 def _moving(
-    recording: ClockAlignment, channels: Sequence[Channel], parts: Sequence[Piece], shared: Skew | None
+    recording: RecordingClocks, channels: Sequence[Channel], parts: Sequence[Piece], shared: Skew | None
 ) -> list[ClockRecord]:
     records = []
     for number, piece in enumerate(parts):
@@ -276,7 +276,7 @@ def _play(found: Estimate) -> list[str]:
     ]
 
 
-def _static(recording: ClockAlignment, channels: Sequence[Channel], shared: Skew | None) -> list[ClockRecord]:
+def _static(recording: RecordingClocks, channels: Sequence[Channel], shared: Skew | None) -> list[ClockRecord]:
     """Static poses: bursts of samples are matched; nothing moves in them, so a fraction of a hold is near enough."""
     match = match_bursts(recording.machine, channels, recording.start_ns, _stream_start(channels))
     if match.refused:
@@ -304,7 +304,7 @@ def _static(recording: ClockAlignment, channels: Sequence[Channel], shared: Skew
     return [record]
 
 
-def _refused(recording: ClockAlignment, channels: Sequence[Channel], reason: str) -> ClockRecord:
+def _refused(recording: RecordingClocks, channels: Sequence[Channel], reason: str) -> ClockRecord:
     """No estimate. Stamps that overlap the machine's are taken as they are; others have no place in time."""
     start, end = _stream_start(channels), max(int(channel.stamps[-1]) for channel in channels)
     machine_end = max(int(channel.stamps[-1]) for channel in recording.machine)

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from sysid.datasets.channel import Channel, seconds
-from sysid.datasets.clocks.records import ClockAlignment, by_source, machine_times
+from sysid.datasets.clocks.records import RecordingClocks, by_source, machine_times
 from sysid.datasets.flags.flag import KINDS, Array, Flag, Mask
 from sysid.datasets.flags.stamps import dropouts, jitter
 from sysid.datasets.flags.stuck import SensorContext, saturation, stuck
@@ -57,7 +57,7 @@ def find_flags(timed: Sequence[Timed], machine: Machine, hold_s: float, progress
 
 
 def flag_rows(
-    recording: ClockAlignment,
+    recording: RecordingClocks,
     clocks: Sequence[ClockRecord],
     machine: Machine,
     hold_s: float = IngestRecipe.hold_s,

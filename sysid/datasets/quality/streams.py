@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from sysid.datasets.channel import Channel
 from sysid.datasets.channels import ReadRecording
-from sysid.datasets.clocks.records import ClockAlignment, machine_times
+from sysid.datasets.clocks.records import RecordingClocks, machine_times
 from sysid.datasets.in_pieces import absolute, copied, deviation, mean_square, median
 from sysid.datasets.quality.noise import noise_of
 from sysid.datasets.recording import ClockRecord
@@ -72,6 +72,6 @@ def _differences(times: Array, values: Array, at: Array, reference: Array) -> Ar
 def _on_machine(
     name: str, channel: Channel, reading: ReadRecording, clocks: Mapping[str, Sequence[ClockRecord]]
 ) -> tuple[Array, Array]:
-    start = ClockAlignment(name, "motion", reading.channels).start_ns
+    start = RecordingClocks(name, "motion", reading.channels).start_ns
     records = clocks.get(channel.source) if channel.domain != "machine" else None
     return machine_times(channel, start, records), channel.values

@@ -108,16 +108,16 @@ def _append(
         return known
 
     skews = known_skews([clock_from(item) for item in base["clocks"]], store.clock_domains(reference))
-    walked = walk(found, plan, _mounts(found, plan.machine, base), report, skews)
+    ingested = walk(found, plan, _mounts(found, plan.machine, base), report, skews)
     settings = plan.rules.splits if plan.rules is not None else Splits()
-    parts, roles = split(walked.recordings, _roles(walked.recordings, settings, role), plan.where)
-    addition = walked.dataset(name, digest, plan.machine, parts, roles, sources, stretch(report, *DESCRIBED))
+    parts, roles = split(ingested.recordings, _roles(ingested.recordings, settings, role), plan.where)
+    addition = ingested.dataset(name, digest, plan.machine, parts, roles, sources, stretch(report, *DESCRIBED))
     for signal, unit in addition.units.items():
         if base["units"].get(signal, unit) != unit:
             expected = f"[{base['units'][signal]}] as in {reference}"
             raise InputError(f"{plan.where}: {signal}", f"[{unit}]", expected, "Correct the unit in the recipe.")
     addition = replace(addition, quality=joined_quality(base["quality"], addition.quality))
-    saved = store.append(reference, addition, walked.channels, walked.made, "@" not in to, stretch(report, *STORED))
+    saved = store.append(reference, addition, ingested.channels, ingested.made, "@" not in to, stretch(report, *STORED))
     report(1.0, f"stored {saved.reference}")
     return saved
 

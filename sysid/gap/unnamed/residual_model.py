@@ -63,7 +63,7 @@ class _ResidualRecording:
     stride: int
     interval: float
 
-    def looks(self) -> RecordingWindow:
+    def windows(self) -> RecordingWindow:
         count = (len(self.left) - 1) // self.stride
         at = np.arange(count) * self.stride
         inputs = self.inputs[at].copy()
@@ -122,9 +122,9 @@ def _fit_stage(
     problem, model = _problem(plain, case.dataset, name, target)
     (signal,) = problem.signals
     parts = {r.name: _residual_recording(problem, model, r, case.dataset, period) for r in split.seen}
-    fit, select = ([parts[r.name].looks() for r in rs] for rs in (split.fit, split.select))
+    fit, select = ([parts[r.name].windows() for r in rs] for rs in (split.fit, split.select))
     interval = _interval(name, case.dataset.machine.rate_hz)
-    bound = _bound([parts[r.name].looks() for r in split.seen], problem.integrates, interval)
+    bound = _bound([parts[r.name].windows() for r in split.seen], problem.integrates, interval)
     held_out = float(stage_rmse(problem, model.theta, split.held_out)[0])
     floor = float(problem_floor(problem, model.theta, split.held_out, case.noise, case.seed)[0])
 
@@ -217,9 +217,9 @@ def _bound(parts: Sequence[RecordingWindow], integrates: bool, interval: float) 
         joined = joined[np.isfinite(joined)]
         return BOUND * robust_scale(joined) if len(joined) else 0.0
     lag, shares = max(1, round(SPEED_WINDOW / interval)), []
-    for looks in parts:
-        moved = interval * np.convolve(looks.size, np.ones(lag), mode="valid")[: len(looks.left) - lag]
-        rest = looks.left[lag:] - looks.left[:-lag]
+    for windows in parts:
+        moved = interval * np.convolve(windows.size, np.ones(lag), mode="valid")[: len(windows.left) - lag]
+        rest = windows.left[lag:] - windows.left[:-lag]
         moving = np.isfinite(rest) & (np.abs(moved) > MIN_SPEED * np.abs(moved).max(initial=0.0))
         shares.append(rest[moving] / moved[moving])
     joined = np.concatenate(shares)

@@ -68,7 +68,7 @@ def _cell(items: list[StageGap], inputs: ReportInputs, free: bool) -> dict[str, 
 # -- shares --------------------------------------------------------------------------------------------------------------
 
 
-def worth_telling(shares: Sequence[Share], localised: Sequence[StageGap]) -> list[tuple[str, list[Share]]]:
+def significant(shares: Sequence[Share], localised: Sequence[StageGap]) -> list[tuple[str, list[Share]]]:
     """End of the chain → its shares, the largest first; only ends whose error is above what sensor noise gives."""
     floors = {item.signal: item.noise_floor for item in localised}
     found = []
@@ -83,7 +83,7 @@ def worth_telling(shares: Sequence[Share], localised: Sequence[StageGap]) -> lis
 
 def _ends(gap: GapResult, inputs: ReportInputs) -> list[dict[str, Any]]:
     ends = []
-    for end, shares in reversed(worth_telling(gap.shares, gap.localised)):  # the tool first
+    for end, shares in reversed(significant(gap.shares, gap.localised)):  # the tool first
         unit = inputs.dataset.units.get(f"{end}.x" if end in ("ee", "tool") else end, "m")
         listed = [share for share in shares if abs(share.share) >= LEAST_SHARE]
         ends.append(

@@ -9,7 +9,7 @@ from sysid.runner.cycle import Violation
 from sysid.runner.state_estimator import StateEstimate
 
 
-def judge_delay(seen: StateEstimate, settings: CheckSettings, axes: Sequence[str]) -> list[Violation]:
+def check_delay(seen: StateEstimate, settings: CheckSettings, axes: Sequence[str]) -> list[Violation]:
     """One verdict for each axis that answers late while it moves."""
     rule, found = settings.delay, []
     for late in seen.late:

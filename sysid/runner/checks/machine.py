@@ -9,7 +9,7 @@ from sysid.runner.cycle import Violation
 from sysid.runner.state_estimator import StateEstimate
 
 
-def judge_machine(seen: StateEstimate, settings: CheckSettings) -> list[Violation]:
+def check_machine(seen: StateEstimate, settings: CheckSettings) -> list[Violation]:
     """What is wrong apart from signals; the dead-man switch is looked at where the machine moves, by the loop."""
     found = []
     inputs = seen.inputs

@@ -78,7 +78,7 @@ class MotionChecks:
     def _unexplained(self, seen: StateEstimate) -> list[Violation]:
         found, rule = [], self.settings.motion
         for i, (name, valve) in enumerate(zip(self.axes, self.valves, strict=True)):
-            away, limit = abs(float(seen.drive[i] - seen.reckoned[i])), rule.seconds * valve.fastest
+            away, limit = abs(float(seen.drive[i] - seen.estimated_position[i])), rule.seconds * valve.fastest
             if away > limit:
                 text = f"{name} is {away:.4g} from where its commands must have brought it"
                 found.append(Violation("motion", name, rule.reaction, away, limit, text))

@@ -12,7 +12,7 @@ from sysid.runner.state_estimator import Sensor, StateEstimate
 REPEATS = 4
 
 
-def judge_sensors(seen: StateEstimate, settings: CheckSettings, moving: bool) -> list[Violation]:
+def check_sensors(seen: StateEstimate, settings: CheckSettings, moving: bool) -> list[Violation]:
     """One verdict at most for each sensor, the first that holds."""
     return [verdict for sensor in seen.sensors if (verdict := _judge(sensor, settings, moving)) is not None]
 

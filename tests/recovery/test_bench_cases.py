@@ -1,4 +1,4 @@
-"""The stand-in machine, which shares no code with the plant: what its logs hide is named, else nothing is."""
+"""The simulated test bench, which shares no code with the plant: what its logs hide is named, else nothing is."""
 
 from __future__ import annotations
 
