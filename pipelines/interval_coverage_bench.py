@@ -2,8 +2,8 @@
 
     .venv/bin/python pipelines/interval_coverage_bench.py [--repeats 10]
 
-The simulated test bench computes spools, oil, seals and pendulums. An engineer's baseline is fitted to it without the feature
-and without noise; then the feature is on. The *true* parameters are those that ``bench_agreement.py`` found: the best fit without
+The test bench computes spools, oil, seals and pendulums. An engineer's baseline is fitted to it without the feature and
+without noise; then the feature is on. The *true* parameters are those that ``bench_agreement.py`` found: the best fit without
 noise, with everything else as it was. Recordings with noise and a disturbed flow are fitted in the right structure, nuisances
 free as in every fit, and the intervals are compared with that. The residual that is left, in noise floors, stands beside.
 """
