@@ -1,4 +1,4 @@
-"""How often the gap workflow is right: sealed cases, answered blind, then judged.
+"""How often the gap workflow is right: sealed cases, answered blind, then evaluated.
 
     .venv/bin/python pipelines/hidden_effects.py --tier smoke|quick|full [--bench own|foreign] [--seed N|commit]
                                                  [--only GROUP] [--workers N] [--limit N] [--answered] [--resume]
@@ -17,7 +17,7 @@ result stays in the work folder. A run that was stopped goes on where it was; wi
 the result file has of the same seed and tier.
 
 Order of reading of hidden/: seed, machines, kinds, cases (what is tried), limits, make (files), solve (the run, which sees the
-site's files alone), runner, judge, score, page; in foreign/ machines, mjcf, kinds, cases, limits, truth, make.
+site's files alone), runner, evaluate, score, page; in foreign/ machines, mjcf, kinds, cases, limits, truth, make.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ ROOT = Path(__file__).resolve().parents[1]
 
 
 def judged(specs: Sequence[CaseSpec], work: Path, earlier: Mapping[str, Judgement]) -> list[Judgement]:
-    """Every case that has an answer, and the others that were judged earlier."""
+    """Every case that has an answer, and the others that were evaluated earlier."""
     place = Place(work)
     found = []
     for spec in specs:
@@ -138,7 +138,7 @@ if __name__ == "__main__":
     parser.add_argument("--work", type=Path, default=ROOT / "workspace" / "hidden_effects", help="folder of cases and answers")
     parser.add_argument("--keep", action="store_true", help="keep the logs of the cases")
     parser.add_argument("--answered", action="store_true", help="run nothing, score the cases that have an answer")
-    parser.add_argument("--resume", action="store_true", help="take over what the result file has judged, of the same seed")
+    parser.add_argument("--resume", action="store_true", help="take over what the result file has evaluated, of the same seed")
     parser.add_argument("--list", action="store_true", help="show the cases and stop")
     given = parser.parse_args()
     try:

@@ -111,7 +111,7 @@ def simulated(plant: Plant, valve: Array, position: Array) -> Array:
 
 
 def by_direction(plant: Plant, valve: Array, position: Array) -> Plant:
-    """The plant with a speed for either sign of the valve, least squares on the first half: no search, no judgement."""
+    """The plant with a speed for either sign of the valve, least squares on the first half: no search, no evaluation."""
     command, speed = -valve[:HALF] / SPAN, np.gradient(position[:HALF]) * plant.machine.rate_hz
     sides = np.column_stack([np.maximum(command, 0.0), np.minimum(command, 0.0)])
     up, down = np.linalg.lstsq(sides, speed, rcond=None)[0]

@@ -3,8 +3,8 @@
     .venv/bin/python pipelines/networks.py [--workspace workspace] [--fresh]
 
 Forward models: poses from the crane's own forward kinematics, uniform over the full joint ranges and over a sub-space (slew
-±45°, the middle 70 % of the others), joints and tip with the noise of motion capture; five seeds, 1000 other poses to judge on.
-Actuator networks: the shipped logs, judged in a recording that nothing has learned from and against the true linkage. Every
+±45°, the middle 70 % of the others), joints and tip with the noise of motion capture; five seeds, 1000 other poses.
+Actuator networks: the shipped logs, evaluated in a recording that nothing has learned from and against the true linkage. Every
 part is kept in the workspace when it is done, and a run that was interrupted goes on where it was, within a training as well.
 Writes ``reports/networks/`` and the tables of ``docs/networks.md``.
 """

@@ -55,19 +55,19 @@ class ModelVersions:
     ) -> Promotion:
         """Let the name alone mean this version, if it passes; recorded with it either way.
 
-        A network is judged by the policy, on the held-out rows of one dataset version; a plant by the proof that is recorded
+        A network is evaluated by the policy, on the held-out rows of one dataset version; a plant by the proof that is recorded
         with it, and one that was in use before may be set back; a policy by how far off it stays from targets.
 
         Args:
             policy: for networks; default: no worse than the champion.
             path: the policy's file, for the record and for messages.
             word: promotes it whatever the checks say.
-            dataset: to judge networks on; default: the one that this version was fitted on.
+            dataset: to evaluate networks on; default: the one that this version was fitted on.
 
         Raises:
             StoreError: no such version, or a dataset that is gone.
             SettingsError: a policy that does not fit the version.
-            ExcitationError: the dataset has nothing to judge it on, and there is no word.
+            ExcitationError: the dataset has nothing to evaluate it on, and there is no word.
         """
         version = self.place.models.find(reference)
         until_now = self.place.models.promoted(version.name)
@@ -79,12 +79,12 @@ class ModelVersions:
         rules = policy or PromotionPolicy()
         try:
             data = self._dataset(version, dataset)
-            checks = self._judge(version, until_now, rules, data, path or "policy")
+            checks = self._evaluated(version, until_now, rules, data, path or "policy")
             judged = evaluated_by(rules, version.kind, path, data.reference)
         except (ExcitationError, StoreError) as reason:
             if not word:
                 raise
-            checks, judged = (Check("figures", "failed", f"not judged: {reason}"),), {"by": "nothing"}
+            checks, judged = (Check("figures", "failed", f"not evaluated: {reason}"),), {"by": "nothing"}
         return decide(self.place.models, version.reference, until_now, checks, judged, word)
 
     def lineage(self, reference: str) -> ModelLineage:
@@ -133,7 +133,7 @@ class ModelVersions:
         except (StoreError, ExcitationError):
             return None
 
-    def _judge(
+    def _evaluated(
         self, version: ModelVersion, until_now: ModelVersion | None, policy: PromotionPolicy, data: Dataset, where: object
     ) -> tuple[Check, ...]:
         rival = None
@@ -151,7 +151,7 @@ class ModelVersions:
             return self.place.dataset(reference)
         named, digest = version.lineage.get("dataset"), version.lineage.get("dataset_digest")
         if not isinstance(named, str):
-            raise StoreError(f"model {version.reference}", "its lineage names no dataset version", "one to judge it on")
+            raise StoreError(f"model {version.reference}", "its lineage names no dataset version", "one to evaluate it on")
         dataset = self.place.dataset(named)
         if digest not in (None, dataset.digest):
             found = f"{named} has digest {dataset.digest[:12]}… here"
@@ -189,7 +189,7 @@ def _off(version: ModelVersion) -> float | None:
     return math.sqrt(sum(value**2 for value in figures if value is not None)) if None not in figures else None
 
 
-_PLANTS = "Plants are judged by the proof of `sysid gap --add`."
+_PLANTS = "Plants are evaluated by the proof of `sysid gap --add`."
 
 
 def _proven(version: ModelVersion) -> tuple[Check, ...]:

@@ -163,7 +163,7 @@ class Workspace:
         return self.network_version(dataset, "actuator") or self.network_version(dataset, "history")
 
     def validation(self, reference: str, dataset: Dataset) -> ValidationReport:
-        """Judge a registered network on a dataset, with the recipe it was fitted by."""
+        """Evaluate a registered network on a dataset, with the recipe it was fitted by."""
         version = self.models.find(reference)
         values = version.lineage.get("recipe")
         recipe = parse_recipe(dict(values), reference) if isinstance(values, Mapping) else None

@@ -97,7 +97,7 @@ def memory_rows() -> list[dict[str, Any]]:
 
 
 def ingest_rows(repeats: int = 3) -> list[dict[str, Any]]:
-    """The hour: what stands between reading and judging."""
+    """The hour: what stands between reading and evaluating."""
     stages = [stage_seconds() for _ in range(repeats)]
     taken = [stage["align"] + stage["resample"] for stage in stages]
     others = ", ".join(

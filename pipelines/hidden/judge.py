@@ -1,4 +1,4 @@
-"""Judges one answer against what was sealed: right names and places, parameters, intervals, what closed."""
+"""Evaluates one answer against what was sealed: right names and places, parameters, intervals, what closed."""
 
 from __future__ import annotations
 

@@ -20,14 +20,14 @@ Change = Callable[[Tables, float, int], Tables]
 
 @dataclass(frozen=True)
 class Kind:
-    """One effect at one place of one family; ``effect`` None = nothing the catalogue knows, told apart by ``label``.
+    """One effect at one place of one family; ``effect`` None = nothing the catalogue knows, distinguished by ``label``.
 
     Args:
         change: what a magnitude does; ``most``, ``least``: the largest and the smallest plausible one.
         named: what a repaired plant calls it, (effect, target); empty for an unknown one.
         stage, target: where it shows.
         variants: of the family that can have it. excitation: recordings that show it.
-        judged: whether the bench knows its parameters.
+        evaluated: whether the bench knows its parameters.
         known: what the owner's machine has otherwise than the variant, so that the effect is what its name says.
     """
 

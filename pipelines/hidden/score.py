@@ -1,4 +1,4 @@
-"""Rates over many judged cases, with Wilson intervals, and the confusion matrix."""
+"""Rates over many evaluated cases, with Wilson intervals, and the confusion matrix."""
 
 from __future__ import annotations
 

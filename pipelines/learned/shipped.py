@@ -1,4 +1,4 @@
-"""Every recipe of a forward model on the shipped logs, judged as ``sysid validate`` does."""
+"""Every recipe of a forward model on the shipped logs, evaluated as ``sysid validate`` does."""
 
 from __future__ import annotations
 

@@ -51,8 +51,8 @@ class Arm:
 ARMS = (
     Arm(
         "tiago", "TIAGo", "qualysis_base_hand_calibration.csv", (10, 14, 18, 22, 27),
-        "all 34 poses fitted and judged: registration 4.7–4.8 mm, full calibration 2.6–3.6 mm RMS; sessions without "
-        "the fault of the clock, judged on other days: registration 4.2–4.9 mm, full calibration 2.4–3.1 mm",
+        "all 34 poses fitted and evaluated: registration 4.7–4.8 mm, full calibration 2.6–3.6 mm RMS; sessions without "
+        "the fault of the clock, evaluated on other days: registration 4.2–4.9 mm, full calibration 2.4–3.1 mm",
     ),
     Arm("ur10", "UR10", "ur10_calibration.csv", (10, 12, 14, 16, 18), "none"),
 )  # fmt: skip
@@ -196,7 +196,7 @@ def tables(arms: Mapping[str, Mapping[str, Any]]) -> str:
             cells = (arm["curve"][count][name] for count in counts)
             curve.append([name, *(f"{cell['distance_median']:.2f} ({cell['distance_rmse']:.2f})" for cell in cells)])
         parts += [
-            f"**{arm['title']}**, {arm['poses']} poses; each judged when it was left out, {arm['folds']} folds. "
+            f"**{arm['title']}**, {arm['poses']} poses; each evaluated when it was left out, {arm['folds']} folds. "
             f"Published: {arm['published']}.",
             markdown(["model", "RMSE x, y, z [mm]", "distance, RMSE", "median", "95 %", "max"], rows),
             markdown([f"{arm['title']}, poses learned from: median (RMSE) of the distance [mm]", *counts], curve),

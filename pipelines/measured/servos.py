@@ -1,4 +1,4 @@
-"""Command → motion of measured servos: learned on one-step errors, judged by free runs over whole recordings.
+"""Command → motion of measured servos: learned on one-step errors, evaluated by free runs over whole recordings.
 
 Fed back, a network says how far the joint moves in the next 20 ms, from the last 0.2 s of commands and 0.1 s of positions; in a
 free run it sees its own positions alone. From commands alone, it says where the joint is from the last second of commands, as
@@ -34,7 +34,7 @@ RATE_HZ = 50.0
 COMMANDS, POSITIONS = 10, 5
 #: Commands that a map without feedback sees: how many, and how many steps apart.
 SEEN, APART = 25, 2
-#: Rows that are given to all before they are judged.
+#: Rows that are given to all before they are evaluated.
 START = APART * SEEN
 MOST_ROWS = 6000
 SO101 = ("friction_gravity", "multisine", "step_response", "single_joint_elbow")

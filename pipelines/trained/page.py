@@ -76,7 +76,7 @@ def _driven(results: Results, inverse: Mapping[str, Sequence[Mapping[str, Any]]]
 
 
 def _choices(results: Results) -> Iterator[str]:
-    yield "| `quick.toml` | seeds | RMSE x/y/z, helix, mm (median; worst) | from afar, anywhere, mm | to the paper's accuracy |"
+    yield "| `quick.toml` | seeds | RMSE x/y/z, helix, mm (median; worst) | reaching, anywhere, mm | to the paper's accuracy |"
     yield "| --- | --- | --- | --- | --- |"
     for arm in CHOICES:
         if not (each := _arm(results, "choices", arm)):

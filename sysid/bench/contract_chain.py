@@ -1,4 +1,4 @@
-"""The named effects of the command stage, in their documented order, written once more for judging cases.
+"""The named effects of the command stage, in their documented order, written once more for evaluating cases.
 
 It is what an engineer would fit to the simulated test bench; it is not part of that simulation. One row of parameters an axis:
 

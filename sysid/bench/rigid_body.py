@@ -152,7 +152,7 @@ def rod_force(tool: Array, tip: Array, hanging: float) -> tuple[float, float]:
 
 @compiled
 def energy(joint: Array, speed: Array, bodies: RigidBodies) -> tuple[float, float]:
-    """Kinetic and potential energy [J] of booms and hanging mass, from M, J and the heights (for judging an integration)."""
+    """Kinetic and potential energy [J] of booms and hanging mass, from M, J and the heights (for evaluating an integration)."""
     mass = np.empty((3, 3))
     bias = np.empty(3)
     weight = np.empty(3)

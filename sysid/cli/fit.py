@@ -1,4 +1,4 @@
-"""``sysid fit actuator|motion|forward NAME``: networks of a dataset, fitted, judged and registered."""
+"""``sysid fit actuator|motion|forward NAME``: networks of a dataset, fitted, evaluated and registered."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ def fit(workspace: str, kind: str, reference: str, recipe: Path | None, json_fil
         show_errors(out, report)
         show_directions(out, report)
     else:
-        out.line(f"Not judged: {not_evaluated}")
+        out.line(f"Not evaluated: {not_evaluated}")
     out.line(f"{version.reference} in {place.folder} ({seconds:.1f} s)")
     result = {"schema": 1, "model": version.reference, "dataset": dataset.reference, "seconds": seconds}
     write_json(json_file, {**result, "validation": report.to_json() if report is not None else None})

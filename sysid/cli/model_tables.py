@@ -150,6 +150,6 @@ def show_drift(out: Printer, found: DriftReport) -> None:
         "fits": "fits: its errors are what they were, inside the ranges that it was fitted on.",
         "beyond its ranges": "fits where it was fitted, but is asked beyond its ranges. Fit it again with these recordings.",
         "drifted": f"no longer fits: larger errors in {', '.join(grown)}, beyond chance.",
-        "not comparable": "cannot be judged: too few rows of its own or of the new ones.",
+        "not comparable": "cannot be evaluated: too few rows of its own or of the new ones.",
     }[found.verdict]
     out.line(f"{found.model} on {found.dataset} {said}")

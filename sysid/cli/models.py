@@ -115,15 +115,15 @@ def repair(workspace: str, accept: bool, json_file: str | None) -> None:
     metavar="P.toml",
     help="What a network has to show. Default: no worse than the champion.",
 )
-@click.option("--on", "dataset", default=None, metavar="DATASET", help="Judge on its held-out rows. Default: that of the fit.")
+@click.option("--on", "dataset", default=None, metavar="DATASET", help="Use its held-out rows. Default: that of the fit.")
 @click.option("--anyway", "word", default="", metavar="WHY", help="Promote it whatever the checks say; WHY is recorded.")
 @json_option
 @click.pass_obj
 def promote(workspace: str, reference: str, policy: Path | None, dataset: str | None, word: str, json_file: str | None) -> None:
     """Let the name alone mean this version from now on, if it passes.
 
-    Networks are judged by a policy, plants by the proof that `sysid gap --add` recorded with them. The decision stays with the
-    version, also where it is refused; exit status 2 then.
+    Networks are evaluated by a policy, plants by the proof that `sysid gap --add` recorded with them. The decision stays with
+    the version, also where it is refused; exit status 2 then.
     """
     from dataclasses import asdict
 

@@ -101,7 +101,7 @@ def show_calibration(out: Printer, calibration: Calibration) -> None:
     out.table(("geometry", "differs from the URDF by", "95 % interval"), rows, right=(1, 2))
     for combination in calibration.open_combinations:
         names = ", ".join(name for name, _ in combination)
-        many = "cannot be told apart at these poses" if len(combination) > 1 else "does not move the tip"
+        many = "cannot be distinguished at these poses" if len(combination) > 1 else "does not move the tip"
         out.line(f"  {names}: {many}")
 
 
@@ -154,7 +154,7 @@ def show_gap(out: Printer, result: GapResult, dataset: Dataset) -> None:
     if rows:
         out.table(("effect", "target", "parameter", "value", "95 % interval", "share of gap"), rows, right=(3, 4, 5))
     for tie in result.ambiguous:
-        out.line("  cannot be told apart: " + " / ".join(f"{name} ({target})" for name, target in tie))
+        out.line("  cannot be distinguished: " + " / ".join(f"{name} ({target})" for name, target in tie))
     for item in result.unnamed:
         out.line(f"  left over without a name: {item.stage} of {item.target}, depends on {item.depends_on}: {item.form}")
     show_residual_models(out, result, dataset)

@@ -51,7 +51,7 @@ def train(
         with progress_bar(f"train {settings.name}, {len(recipes)} seeds") as progress:
             calls = [(workspace, entry, tensorboard, mlflow) for entry in recipes]
             results = side_by_side(_one, calls, workers, progress)
-    columns = ("policy", "seed", "from afar x/y/z", "staying x/y/z", "worst", "time", "CPU", "updates/s")
+    columns = ("policy", "seed", "reaching x/y/z", "staying x/y/z", "worst", "time", "CPU", "updates/s")
     out.table(columns, [_row(result) for result in results], right=(1, 5, 6, 7))
     out.line("The actor alone, root mean square error in mm, from 512 random poses to random targets, then staying there.")
     write_json(json_file, {"schema": 1, "policies": results})

@@ -143,7 +143,7 @@ def advice_on_tie(tie: Sequence[tuple[str, str]]) -> str:
     """What to record so that effects that fit equally well come apart: what shows the first, and what shows each rival."""
     names = " or ".join(f"{name} on {target}" for name, target in tie)
     wanted = dict.fromkeys(_wanted(name, target) for name, target in tie)
-    return f"{names} cannot be told apart. {' '.join(wanted)}"
+    return f"{names} cannot be distinguished. {' '.join(wanted)}"
 
 
 def _wanted(name: str, target: str) -> str:

@@ -153,7 +153,7 @@ def _bounds(unknowns: Sequence[Unknown]) -> tuple[Array, Array]:
 
 
 def _promising(data: Data, theta: Array, unknowns: Sequence[Unknown], starts: list[Array]) -> list[Array]:
-    """The best :data:`DESCENTS` starts, judged in one batch (distinct ones only).
+    """The best :data:`DESCENTS` starts, evaluated in one batch (distinct ones only).
 
     Where something is absent in all of them, slopes may say nothing about it: then the best in which all is present as well.
     """

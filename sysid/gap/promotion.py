@@ -99,7 +99,7 @@ def world_check(found: WorldGap | None, spread: Mapping[str, float], units: Mapp
 
 
 def first_promotion(registry: Registry, version: str) -> ModelVersion:
-    """What the name means before the first repair is judged: the promoted version, else from now on the questioned one."""
+    """What the name means before the first repair is evaluated: the promoted version, else from now on the questioned one."""
     name = version.partition("@")[0]
     until_now = registry.promoted(name)
     if until_now is None:

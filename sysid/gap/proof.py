@@ -46,7 +46,7 @@ class ProofOutcome:
     carried: list[ResidualModelResult] = field(default_factory=list)
 
 
-def judge(case: Case, stages: Sequence[Stage]) -> ProofOutcome:
+def evaluate(case: Case, stages: Sequence[Stage]) -> ProofOutcome:
     """Put what was found and proven into the plant, and say of the rest what it is."""
     outcome = ProofOutcome(case.plant)
     for coarse in case.coarse:

@@ -13,7 +13,7 @@ from sysid.gap.fit import Fit
 
 Array = npt.NDArray[np.float64]
 
-#: Starting points spread over the ranges of what is fitted; they are judged in one batch, the best are descended from.
+#: Starting points spread over the ranges of what is fitted; they are evaluated in one batch, the best are descended from.
 STARTS = 32
 
 

@@ -26,7 +26,7 @@ from sysid.gap.excitation import advice, advice_on_tie, excitation_of
 from sysid.gap.floor import floor_spread, run_floor
 from sysid.gap.lineage import lineage_of
 from sysid.gap.promotion import first_promotion, free_run_check, names_check, stages_check, world_check
-from sysid.gap.proof import ProofOutcome, held_out_score, judge, stage_gap, with_carried
+from sysid.gap.proof import ProofOutcome, evaluate, held_out_score, stage_gap, with_carried
 from sysid.gap.result import Check, Excitation, Gap, Promotion, StageGap, Traces, WorldGap
 from sysid.gap.stages import Forms, search_stages
 from sysid.gap.world_proof import world_gap
@@ -125,7 +125,7 @@ def search(study: Study, forms: Forms = "all", progress: Progress = silent) -> S
 
 
 def prove(study: Study, world: bool = False, progress: Progress = silent, *, carry: bool = False) -> Proof:
-    """Judge what was found on held-out recordings. Once: what is tuned after looking at them is no proof any more.
+    """Evaluate what was found on held-out recordings. Once: what is tuned after looking at them is no proof any more.
 
     Args:
         world: run the held-out commands in the PyBullet world as well.
@@ -136,7 +136,7 @@ def prove(study: Study, world: bool = False, progress: Progress = silent, *, car
     """
     if any(stage.finding is None for stage in study.stages):
         raise SettingsError("prove", "stages that were not searched", "a study that sysid.gap.steps.search returned")
-    outcome = judge(study.case, study.stages)
+    outcome = evaluate(study.case, study.stages)
     if carry:
         from sysid.gap.unnamed import residual_model  # torch is loaded only where something is trained
 
@@ -198,7 +198,7 @@ def store(study: Study, proof: Proof, registry: Registry) -> str:
     """The repaired plant as a version that remembers how it came about: ``name@version``.
 
     It is not promoted yet. Where nothing of its name is, the questioned plant is from now on: the name alone never means a
-    repair that was not judged.
+    repair that was not evaluated.
     """
     case, repaired = study.case, proof.outcome.repaired
     questioned = register(case, case.plant, registry, {})

@@ -75,7 +75,7 @@ class ActuatorNetwork:
         least as often as ``level`` wherever :meth:`inside` holds.
 
         Raises:
-            InputError: a level that the rows it was judged on cannot tell, or a version that does not know its intervals.
+            InputError: a level that the rows it was evaluated on cannot tell, or a version that does not know its intervals.
         """
         trust = known(self.trust.get(direction), f"actuator network of {self.axis}")
         reach = trust.intervals.reach(np.zeros((len(values), 1)), level)[:, 0]

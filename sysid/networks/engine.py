@@ -175,7 +175,7 @@ class _Run:
         self.rows = torch.from_numpy(np.stack(taken, axis=1).reshape(self.ahead, -1)).to(self.device)
 
     def check(self, due: list[int]) -> None:
-        """Judge these members on their validation rows."""
+        """Evaluate these members on their validation rows."""
         for k, validation, loss in zip(due, self._validation(due), self.loss[due].tolist(), strict=True):
             self.jobs[k].state.loss = loss
             self.jobs[k].judged(validation, lambda k=k: self.model.parameters.row(k))  # type: ignore[misc]

@@ -102,7 +102,7 @@ class ForwardNetwork:
         wherever :meth:`inside` holds.
 
         Raises:
-            InputError: a level that the rows it was judged on cannot tell, or a version that does not know its intervals.
+            InputError: a level that the rows it was evaluated on cannot tell, or a version that does not know its intervals.
         """
         middle, reach = self.predict(q), known(self.trust, "forward network").intervals.reach(self.spread(q), level)
         return middle - reach, middle + reach
@@ -237,7 +237,7 @@ def _still_phases(rows: SignalRows, joints: int) -> SignalRows:
     step = np.diff(rows.time)
     joined = (rows.recording[1:] == rows.recording[:-1]) & (np.diff(rows.row) == 1)
     speed = np.abs(np.diff(rows.values[:, :joints], axis=0)) / np.where(joined, step, np.inf)[:, None]
-    # Sensor noise makes single differences jump: judge their mean over the time that a still phase has to last.
+    # Sensor noise makes single differences jump: evaluate their mean over the time that a still phase has to last.
     typical = float(np.median(step[joined])) if joined.any() else 1.0
     width = max(1, round(STILL_S / typical))
     smooth = np.abs(rows.values[width:, :joints] - rows.values[:-width, :joints]) / (width * typical)

@@ -5,7 +5,7 @@ joint's reading may be stretched, and the tip may sit elsewhere on the last link
 
     tip = Π_j origin_j · Exp(δ_j) · motion_j((1 + scale_j)·q_j) · tip_offset
 
-Six numbers a joint describe any other geometry, more than can be told apart (all of a pose that no joint moves by itself): what
+Six numbers a joint describe any other geometry, more than are identifiable (all of a pose that no joint moves by itself): what
 the data leave open stays near zero under a prior, and :mod:`sysid.networks.calibration` says which combinations those are.
 
 Source: complete and redundant calibration models: Hollerbach, Khalil, Gautier, Springer Handbook of Robotics, ch. 8 (2016).

@@ -114,7 +114,7 @@ class MotionStretch:
         return MotionStretch(means, np.array(position, dtype=np.float64), stride)
 
     def starts(self, window: Window, ahead: int = 0) -> Index:
-        """Samples with what it takes to learn from them, or to run freely for ``ahead`` steps and to be judged at the end."""
+        """Samples with what it takes to learn from them, or to run freely for ``ahead`` steps and evaluate the end."""
         n, past, last = len(self.command), window.depth * self.stride, max(1, ahead)
         at = np.arange(past, max(past, n - last * self.stride))
         edges = range(window.edges[-1] + 1) if ahead else window.edges

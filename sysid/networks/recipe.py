@@ -132,7 +132,7 @@ class MotionRecipe:
         hidden: hidden layers.
         members: networks with other first weights whose speeds are averaged. They are trained with and without past speeds; the
             better free runs are kept.
-        horizons: seconds after which free runs are judged, besides whole recordings.
+        horizons: seconds after which free runs are evaluated, besides whole recordings.
         training: how.
     """
 

@@ -1,7 +1,7 @@
 """Trains the small recurrent network that carries what no effect explains: sequences in, weights out.
 
 One layer of long short-term memory behind a bound, ``r = bound·tanh(w·h + w₀)``, run by :mod:`sysid.networks.cell`. Where
-what it adds is integrated (a speed into a position), it is judged by the changes of the integral over several lengths of time
+what it adds is integrated (a speed into a position), it is fitted to changes of the integral over several lengths of time
 at once: short ones hold most of the detail, long ones are least disturbed by the sensor's noise.
 """
 

@@ -83,7 +83,7 @@ class StructuredForward:
         wherever :meth:`inside` holds.
 
         Raises:
-            InputError: a level that the rows it was judged on cannot tell, or a version that does not know its intervals.
+            InputError: a level that the rows it was evaluated on cannot tell, or a version that does not know its intervals.
         """
         middle, reach = self.predict(q), known(self.trust, "forward model").intervals.reach(self.spread(q), level)
         return middle - reach, middle + reach

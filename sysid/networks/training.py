@@ -1,7 +1,7 @@
 """One training engine for every network: members of equal layers are trained together as one batch of matrix products.
 
-Adam (Kingma & Ba 2015) on the mean squared error of normalised outputs. Every ``check_every`` epochs each member is judged on
-its own validation rows; its best weights are kept, and a member that has not improved for ``patience`` epochs is finished.
+Adam (Kingma & Ba 2015) on the mean squared error of normalised outputs. Every ``check_every`` epochs each member is evaluated
+on its own validation rows; its best weights are kept, and a member that has not improved for ``patience`` epochs is finished.
 Members share nothing but the batch: the initial weights and the order of rows of each follow from the seed and its name, and on
 a CPU its result has the same bits whoever else is trained, on however many threads, and with however many interruptions.
 """

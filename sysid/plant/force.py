@@ -1,4 +1,4 @@
-"""Force axes judged by the force at measured motion: inverse dynamics under one stated filter on both sides.
+"""Force axes evaluated by the force at measured motion: inverse dynamics under one stated filter on both sides.
 
 The position is low-passed forward and backward (Butterworth) and differentiated centrally; the same zero-phase low-pass
 runs over the measured and the model force, which are then decimated so that the samples are nearly independent

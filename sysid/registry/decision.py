@@ -28,7 +28,7 @@ class Promotion:
     """Whether a stored version became what its name alone means.
 
     Args:
-        version: that was judged, ``name@version``.
+        version: that was evaluated, ``name@version``.
         current: what the name alone means now.
         previous: what it meant before; empty where nothing had been promoted.
         checks: what was asked of it.
@@ -56,7 +56,7 @@ class PromotionDecision:
         checks: what was asked of it.
         reason: why it was not promoted, or what failed and was overruled.
         word: somebody's reason to promote it whatever the checks say; empty where the checks decided.
-        judged: what judged it, as plain JSON: the policy, the dataset version.
+        evaluated: what evaluated it, as plain JSON: the policy, the dataset version.
         decided_ms: when, milliseconds since 1970.
     """
 

@@ -28,7 +28,7 @@ def decide(
     Args:
         version: ``name@version``.
         until_now: what was promoted when the checks were made.
-        judged: what judged it, for the record.
+        evaluated: what evaluated it, for the record.
         word: promotes it whatever the checks say; recorded.
 
     Raises:

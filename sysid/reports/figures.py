@@ -13,7 +13,7 @@ from markupsafe import Markup
 
 Array = npt.NDArray[np.float64]
 
-#: More points than this cannot be told apart on a screen, and make the page heavy.
+#: More points than this cannot be distinguished on a screen, and make the page heavy.
 MAX_POINTS = 3000
 
 

@@ -21,7 +21,7 @@ from sysid.versions.outputs import shown
 
 STYLES = ("page.css", "models.css")
 #: Looks of the lines of a chart, one after the other, in the classes of the page's style sheet.
-LOOKS = ("c1", "c2", "c3", "c4", "after", "before", "measured")
+LINE_CLASSES = ("c1", "c2", "c3", "c4", "after", "before", "measured")
 
 
 def card_page(card: Card) -> str:
@@ -126,10 +126,10 @@ def _charts(versions: Sequence[ModelVersion]) -> list[str]:
         label = "mrad" if unit == "rad" else "mm"
         lines = [
             ChartCurve(np.array([1e3 * version.metrics.get(key, np.nan) for version in versions]), look, dots=True)
-            for key, look in zip(own, LOOKS, strict=False)
+            for key, look in zip(own, LINE_CLASSES, strict=False)
         ]
         legend = "".join(
-            f'<span class="line {look}"></span>{escape(_title(key))}' for key, look in zip(own, LOOKS, strict=False)
+            f'<span class="line {look}"></span>{escape(_title(key))}' for key, look in zip(own, LINE_CLASSES, strict=False)
         )
         drawn = chart(numbers, lines, ("version", f"RMSE [{label}]"), names=names, size=WIDE)
         found.append(f"<figure>{drawn}<figcaption>{legend}</figcaption></figure>")

@@ -16,7 +16,7 @@ Array = npt.NDArray[np.float64]
 
 #: Length of what is shown around a moment [s], and points that are drawn of it.
 WINDOW, POINTS = 8.0, 200
-#: Curves that differ by less than this share of how far the signal moves cannot be told apart.
+#: Curves that differ by less than this share of how far the signal moves cannot be distinguished.
 APART = 0.08
 
 

@@ -59,20 +59,20 @@ class Trainer:
 
     Args:
         environment: ``recipe.setting.copies`` copies; it is reset.
-        judge: another one, of the same machine (:func:`sysid.rl.training.environments`), on which the actor alone is judged.
+        evaluate: another one, of the same machine (:func:`sysid.rl.training.environments`), for the actor alone.
         recipe: how.
     """
 
-    def __init__(self, environment: Environment, judge: Environment, recipe: TrainingRecipe) -> None:
+    def __init__(self, environment: Environment, evaluation: Environment, recipe: TrainingRecipe) -> None:
         import torch
 
         learning, exploration = recipe.learning, recipe.exploration
         if recipe.device.startswith("cuda") and not torch.cuda.is_available():
             found = f"device = {recipe.device!r}, which torch does not find"
             raise SettingsError(f"recipe {recipe.name}", found, "a GPU", "Use device = 'cpu'.")
-        if judge.steps <= 2 * SETTLE:
-            raise SettingsError("judge of a policy", f"episodes of {judge.steps} steps", f"more than {2 * SETTLE}")
-        self.environment, self.judge, self.recipe = environment, judge, recipe
+        if evaluation.steps <= 2 * SETTLE:
+            raise SettingsError("evaluation environment", f"episodes of {evaluation.steps} steps", f"more than {2 * SETTLE}")
+        self.environment, self.evaluation, self.recipe = environment, evaluation, recipe
         self.parts = ObservationSlices.of(environment.actions)
         rngs = Generators.of(recipe.seed)
         self._actions, self._batches = rngs.actions, rngs.batches
@@ -89,8 +89,8 @@ class Trainer:
         self.episodes: list[dict[str, float]] = []
         self.evaluations: list[dict[str, float]] = []
         self._returns, self._away = np.zeros(environment.size), np.zeros(environment.size)
-        self._begin = judge.reset()
-        self._task = judge.state()
+        self._begin = evaluation.reset()
+        self._task = evaluation.state()
         environment.spread = self._spread()
         self._now = environment.reset()
 
@@ -126,15 +126,15 @@ class Trainer:
 
     def evaluate(self) -> dict[str, float]:
         """The actor alone: from random poses to random targets (``reach``), and then staying there (``hold``) [m]."""
-        judge = self.judge
-        judge.restore(self._task)
-        observations, wanted = self._begin, judge.targets(self._begin)
+        evaluation = self.evaluation
+        evaluation.restore(self._task)
+        observations, wanted = self._begin, evaluation.targets(self._begin)
         found: dict[str, float] = {}
         settle = SETTLE if self.recipe.setting.full else 1
         for phase in ("reach", "hold"):
             for _ in range(settle):
-                observations, _, _ = judge.step(self.greedy(observations))
-            error = judge.final[:, self.parts.ee] - wanted
+                observations, _, _ = evaluation.step(self.greedy(observations))
+            error = evaluation.final[:, self.parts.ee] - wanted
             for axis, name in enumerate("xyz"):
                 found[f"{phase}_rmse_{name}"] = float(np.sqrt(np.mean(error[:, axis] ** 2)))
             found[f"{phase}_max"] = float(np.linalg.norm(error, axis=1).max())

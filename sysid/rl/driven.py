@@ -44,7 +44,7 @@ class DrivenEnvironment(VectorEnvironment):
         history: how many past commands are seen; else as many as the longest dead time has steps.
         repeat: samples of the machine for which an action stays, one step of the environment; its reward is that of the last.
             For training: under delay and lag a single sample of 10 ms tells next to nothing about an action.
-        feedback: how candidates are judged: ``static``, by the forward model; ``plant``, by where the plant itself, from the
+        feedback: how candidates are evaluated: ``static``, by the forward model; ``plant``, by where the plant itself, from the
             state it is in, brings the end effector when a candidate is held for the longest dead time, or for ``repeat``.
         mover: ``compiled``, the chain of effects; ``pybullet``, the same plant with rigid bodies (:mod:`sysid.rl.bullet`).
         noise: the controller reads its sensors with the noise that the machine's description gives them.

@@ -56,7 +56,7 @@ def from_versions(
     full: bool = False,
     **settings: Any,
 ) -> Environment:
-    """The environment of a registered plant, judged by a registered forward model.
+    """The environment of a registered plant, evaluated by a registered forward model.
 
     Args:
         plant, forward: ``name``, ``name@3`` or ``name@champion``.

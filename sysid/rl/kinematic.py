@@ -24,7 +24,7 @@ class KinematicEnvironment(VectorEnvironment):
 
     Args:
         plant: where the end effector goes when the joints go somewhere.
-        forward: judges candidate actions.
+        forward: evaluates candidate actions.
         size: copies side by side.
         seed: of starts and targets.
         reach: limits, starts and targets; else those of plant and forward model.

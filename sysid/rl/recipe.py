@@ -23,7 +23,7 @@ class Setting:
     Args:
         copies: of the machine side by side; the paper has one.
         full: joint setpoints pass cylinder controllers, valves and plant; else joints follow at once, as in the paper.
-        feedback: how candidates are judged: ``static``, by the forward model, as in the paper; ``plant``, on the full path
+        feedback: how candidates are evaluated: ``static``, by the forward model, as in the paper; ``plant``, on the full path
             alone, by where the machine will be, delay and lag included.
         repeat: samples for which an action stays while training, on the full path alone; the policy acts at every sample.
         task: steps of an episode and its rewards.
@@ -129,7 +129,7 @@ class TrainingRecipe:
         name: of the policy in the registry.
         plant, forward: model versions: ``name``, ``name@3`` or ``name@champion``.
         seed: decides initial weights, starts, targets, noise and batches.
-        evaluations: how often the actor alone is judged.
+        evaluations: how often the actor alone is evaluated.
         device: of torch; ``threads``: its own, on a CPU. The bits of a result depend on both.
     """
 

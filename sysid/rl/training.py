@@ -28,7 +28,7 @@ from sysid.rl.recipe import TrainingRecipe
 from sysid.rl.task import Task
 from sysid.rl.versions import load_versions
 
-#: The actor is judged on so many copies, with the same starts and targets whatever the seed.
+#: The actor is evaluated on so many copies, with the same starts and targets whatever the seed.
 EVALUATION_COPIES, EVALUATION_SEED = 512, 2**31
 
 
@@ -120,12 +120,12 @@ def environments(
     tuning: tuple[AxisTuning, ...] | None = None,
     judged: int = EVALUATION_COPIES,
 ) -> tuple[Environment, Environment]:
-    """What a policy is trained in, and what its actor alone is judged in.
+    """What a policy is trained in, and what its actor alone is evaluated in.
 
     Args:
         reach: limits, starts and targets; else those of plant and forward model.
         tuning: of the cylinder controller, on the full path; else what the plant says.
-        judged: copies of the judge, the same for every seed.
+        evaluated: copies of the evaluation environment, the same for every seed.
 
     Raises:
         SettingsError: plant and forward model do not fit each other.

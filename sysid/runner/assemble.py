@@ -92,12 +92,12 @@ class Assembly:
         estimator = StateEstimator(self.loaded.plant, self.valves, self.dt, transport.signals, checks)
         inside = Domains(self.loaded.forward, self.loaded.actuators, axes) if checks.on("domain") else lambda seen: ""
         supervisor = Supervisor(axes, self.limits, self.valves, estimator.linkages, chain.tip, self.dt, checks, inside)
-        mode = self.mode(self.recipe.mode, chain, supervisor.barrier)
+        mode = self.mode(self.recipe.mode, chain, supervisor.command_filter)
         loop = Loop(transport, chain, estimator, supervisor, mode, recorder, operator, self.recipe.loop)
         loop.warm_up(self.middle)
         return loop
 
-    def mode(self, name: str, chain: ControlChain, barrier: CommandFilter) -> Mode:
+    def mode(self, name: str, chain: ControlChain, command_filter: CommandFilter) -> Mode:
         """The task ``name`` of the recipe."""
         recipe, limits, dt = self.recipe, self.limits, self.dt
         if name == "track":
@@ -109,13 +109,13 @@ class Assembly:
                 self.course.path, self.course.start, limits, dt, ahead=chain.ahead, ease_s=track.ease_s, laps=track.laps
             )
         if name == "commission":
-            return Commission(self.machine, self.valves, barrier.linkages, limits, chain.tip, dt, recipe.commission)
+            return Commission(self.machine, self.valves, command_filter.linkages, limits, chain.tip, dt, recipe.commission)
         if name == "hold":
             return Hold(dt, recipe.hold.seconds)
         if name == "collect":
             collect = recipe.collect
             return Collect(
-                collect.poses, SafeMoves(barrier), dt,
+                collect.poses, SafeMoves(command_filter), dt,
                 settle_s=collect.settle_s, record_s=collect.record_s, seed=collect.seed,
             )  # fmt: skip
         if name == "experiment":
@@ -123,7 +123,7 @@ class Assembly:
             return of_experiment(experiment, self.loaded.plant, limits, dt)
         if name == "replay":
             return of_file(self.folder / recipe.replay.file, self.machine, limits)
-        return Shadow(self.mode(recipe.shadow.of, chain, barrier)) if name == "shadow" else Teleop()
+        return Shadow(self.mode(recipe.shadow.of, chain, command_filter)) if name == "shadow" else Teleop()
 
 
 def assemble(recipe: RunnerRecipe, registry: Registry, path: Path) -> Assembly:

@@ -1,6 +1,6 @@
 """Sensors to valves: joints → end effector → policy or inverse kinematics → joint setpoints → cylinder controller → commands.
 
-The parts are those that policies are trained and judged with (:mod:`sysid.rl.driven`): the same forward version, observation
+The parts are those that policies are trained and evaluated with (:mod:`sysid.rl.driven`): the same forward version, observation
 and :class:`sysid.control.CylinderController`; only the supervisor stands between them here.
 """
 

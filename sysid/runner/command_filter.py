@@ -82,7 +82,7 @@ class CommandFilter:
         return passed
 
     def stopped(self, joints: Array, speeds: Array) -> Array:
-        """Where stops end that begin at ``joints`` (n, A) in motion at ``speeds`` (n, A), judged as commands are.
+        """Where stops end that begin at ``joints`` (n, A) in motion at ``speeds`` (n, A), evaluated as commands are.
 
         Returns:
             Joints (n, A).

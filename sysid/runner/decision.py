@@ -109,7 +109,7 @@ class Decider:
         """A turn of a stop; enabled while there is speed to be taken out."""
         decision = nothing(len(self.chain.axes))
         decision.source = "stop"
-        if self.supervisor.barrier.sent.any():
+        if self.supervisor.command_filter.sent.any():
             decision.commands = self.supervisor.ramp(seen, self.estimator.dead_reckonings)
             decision.enabled = True
         return decision

@@ -1,4 +1,4 @@
-"""The loop: one turn after the other on absolute deadlines, each of them read → believe → judge → decide → send → record."""
+"""The loop: one turn after the other on absolute deadlines, each of them read → believe → evaluate → decide → send → record."""
 
 from __future__ import annotations
 

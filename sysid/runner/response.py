@@ -22,7 +22,7 @@ Array = npt.NDArray[np.float64]
 
 #: Window of the comparison, and the longest delay that is looked for [s]: what is later than that, ``motion`` sees.
 WINDOW_S, LONGEST_S = 0.8, 0.4
-#: Delays are told apart by this, each axis is looked at this often, and every so often a reading is taken [s].
+#: Delays are distinguished by this, each axis is looked at this often, and every so often a reading is taken [s].
 STEP_S, EVERY_S, SAMPLE_S = 0.04, 0.05, 0.02
 #: A delay is there for longer than the window, or came so long ago [s].
 SINCE_S = (0.15, 0.3, 0.5)

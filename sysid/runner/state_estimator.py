@@ -59,7 +59,7 @@ class Sensor:
 
 @dataclass(slots=True)
 class StateEstimate:
-    """What the supervisor judges in one turn.
+    """What the supervisor evaluates in one turn.
 
     Args:
         sensors: driven ones first, in the order of axes; then joints of cylinders that have a sensor of their own.

@@ -1,4 +1,4 @@
-"""Separate from whatever asks for motion: judges what is seen, keeps what is asked within limits, says what has to follow."""
+"""Separate from whatever requests motion: checks the state estimate, limits commands, and says what has to follow."""
 
 from __future__ import annotations
 
@@ -53,14 +53,14 @@ class Supervisor:
     ) -> None:
         self.axes, self.limits, self.checks, self.dt = tuple(axes), limits, checks, dt
         self.limiter = SetpointLimiter(limits, dt)
-        self.barrier = CommandFilter(limits, valves, linkages, tip, dt)
+        self.command_filter = CommandFilter(limits, valves, linkages, tip, dt)
         self._motion = MotionChecks(self.axes, valves, linkages, dt, checks, inside)
         self._held_s = 0.0
 
     def begin(self, joints: Array) -> None:
         """The valves are let go at ``joints`` (A,)."""
         self.limiter.reset(joints)
-        self.barrier.reset()
+        self.command_filter.reset()
         self._motion.reset()
         self._held_s = 0.0
 
@@ -73,7 +73,7 @@ class Supervisor:
         """
         found = check_machine(seen, self.checks)
         found += check_sensors(seen, self.checks, moving)
-        found += self._motion.judge(seen, moving, drive_setpoints)
+        found += self._motion.check(seen, moving, drive_setpoints)
         if moving and self.checks.on("delay"):
             found += check_delay(seen, self.checks, self.axes)
         return found
@@ -100,12 +100,12 @@ class Supervisor:
         self, asked: Array, seen: StateEstimate, dead_reckonings: Sequence[DeadReckoning]
     ) -> tuple[Array, list[Violation]]:
         """Commands that may be sent (A,) for what is asked for (A,)."""
-        passed, broken = self.barrier.pass_on(asked, seen.drive, dead_reckonings)
+        passed, broken = self.command_filter.pass_on(asked, seen.drive, dead_reckonings)
         return passed, self._verdicts(broken)
 
     def ramp(self, seen: StateEstimate, dead_reckonings: Sequence[DeadReckoning]) -> Array:
         """Commands of a stop, (A,)."""
-        return self.barrier.ramp(seen.drive, dead_reckonings)
+        return self.command_filter.ramp(seen.drive, dead_reckonings)
 
     def beyond(self, seen: StateEstimate) -> str:
         """Which limit the machine stands beyond, margins left out; "" where it is inside."""
@@ -151,7 +151,7 @@ class Supervisor:
 
     def dropped(self, sent: Array) -> None:
         """The commands of this turn were not sent: the machine goes on with ``sent`` (A,)."""
-        self.barrier.sent = sent.copy()
+        self.command_filter.sent = sent.copy()
 
     def _verdicts(self, broken: Sequence[Broken]) -> list[Violation]:
         verdicts = []

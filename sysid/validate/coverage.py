@@ -11,7 +11,7 @@ import numpy.typing as npt
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
 
-#: The level at which intervals are judged, where there were rows enough to tell it.
+#: The level at which intervals are evaluated, where there were rows enough to tell it.
 LEVEL = 0.95
 THIRDS = ("lower", "middle", "upper")
 

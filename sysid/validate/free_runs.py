@@ -82,7 +82,7 @@ def validate_history(
 
 @dataclass(frozen=True)
 class _Runs:
-    """Free runs of one model, by stretch: rows where they are judged, rows they began at, and what was said."""
+    """Free runs of one model, by stretch: rows where they are evaluated, rows they began at, and what was said."""
 
     rows: list[Index]
     begins: list[Index]
@@ -103,7 +103,7 @@ def validate_motion(
     fitted by least squares on the same rows.
 
     Raises:
-        ExcitationError: nothing of that role is long enough to judge.
+        ExcitationError: nothing of that role is long enough to evaluate.
     """
     settings = (recipe or NetworkRecipe()).motion
     plant = nominal_plant(dataset.machine, streams=dataset.streams)
@@ -232,7 +232,7 @@ def _motion_report(
 
 
 def _rows(network: MotionNetwork, parts: tuple[tuple[Recording, MotionStretch], ...], runs: _Runs) -> SignalRows:
-    """Command and position where runs are judged."""
+    """Command and position where runs are evaluated."""
     signals = (network.command, network.driven)
     columns = [
         (

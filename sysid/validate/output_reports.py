@@ -37,7 +37,7 @@ SLOPE_ROWS = 500
 
 @dataclass(frozen=True)
 class EvaluatedOutput:
-    """One output of a network to judge.
+    """One output of a network to evaluate.
 
     Args:
         predict: inputs (n, d) → output (n,); ``simple``: baselines of the same kind, by name.

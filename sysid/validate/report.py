@@ -78,7 +78,7 @@ class OutputReport:
 
 @dataclass(frozen=True)
 class ValidationReport:
-    """A network judged on recordings it has not seen.
+    """A network evaluated on recordings it has not seen.
 
     Args:
         kind: of the network.

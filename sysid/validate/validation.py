@@ -49,7 +49,7 @@ def validate_actuator(
 
     Args:
         networks: axis → network, from ``fit_actuator``.
-        role: recordings to judge on.
+        role: recordings to evaluate on.
         recipe: that of the fit, so that the baselines learn from the same rows; default: the paper's.
         name: of the model, for the report.
 

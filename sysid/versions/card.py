@@ -1,4 +1,4 @@
-"""The card of a model version: what it is, what it reaches beside simple models, where it holds, whence it came, how to load.
+"""The card of a model version: what it is, what it reaches beside simple models, where it holds, its provenance, how to load.
 
 Everything in it is generated. Of what: ``card_block``; what it says of a network, of its error report and of a policy:
 ``card_network``, ``card_report``, ``card_policy``.
@@ -80,14 +80,14 @@ def decision_row(decision: PromotionDecision) -> tuple[str, str, str, str]:
     when = f"{datetime.fromtimestamp(decision.decided_ms / 1e3, UTC):%Y-%m-%d %H:%M}"
     instead = f" instead of {decision.instead_of}" if decision.promoted and decision.instead_of else ""
     what = f"promoted{instead}" if decision.promoted else f"not promoted, {decision.instead_of or 'nothing'} stays"
-    judge = str(decision.judged.get("policy") or decision.judged.get("by") or "–")
-    judge = f"policy {judge}" if decision.judged.get("by") == "policy" else judge
+    evaluated_by = str(decision.judged.get("policy") or decision.judged.get("by") or "–")
+    evaluated_by = f"policy {evaluated_by}" if decision.judged.get("by") == "policy" else evaluated_by
     if decision.word:
         overruled = f" (overruled: {decision.reason})" if decision.reason else ""
         return when, what, "explicit word", f"{decision.word}{overruled}"
     passed = sum(check.status == "passed" for check in decision.checks)
     told = f"all {passed} conditions hold" if passed else "; ".join(check.text for check in decision.checks)
-    return when, what, judge, decision.reason or str(decision.judged.get("as", "")) or told
+    return when, what, evaluated_by, decision.reason or str(decision.judged.get("as", "")) or told
 
 
 def _lineage(found: ModelLineage) -> CardBlock:

@@ -94,4 +94,4 @@ def network_limits(model: Model | None, report: ValidationReport | None) -> Iter
         for entry, spike in spikes[:3]:
             where = f"{spike.time:.2f} s of {spike.recording} ({spike.cause.replace('_', ' ')})"
             yield f"Among its largest errors: {entry.output} {shown(spike.error, entry.unit)} at {where}."
-    yield "It was judged on the machine as it was then: `sysid validate` with newer recordings says whether it still fits."
+    yield "It was evaluated on the machine as it was then: `sysid validate` with newer recordings says whether it still fits."

@@ -25,7 +25,7 @@ Array = npt.NDArray[np.float64]
 
 #: Points at which two networks are compared: along a line, and in more dimensions than one.
 LINE_POINTS, CLOUD_POINTS = 1001, 4096
-#: How far ahead command → motion is judged where it is judged row by row [s].
+#: How far ahead command → motion is evaluated where it is evaluated row by row [s].
 AHEAD = 1.0
 
 

@@ -1,7 +1,7 @@
 """What a network has to show before its name means it: a policy in TOML, limits with units (``docs/guide/models.md``).
 
-Both versions are judged on the held-out rows of one dataset version, that of the candidate: figures on different rows cannot be
-compared. The champion may have been fitted to some of them, which speaks for staying.
+Both versions are evaluated on the held-out rows of one dataset version, that of the candidate: figures on different rows cannot
+be compared. The champion may have been fitted to some of them, which speaks for staying.
 """
 
 from __future__ import annotations
@@ -239,7 +239,7 @@ def _quantity(value: str | float, where: str) -> tuple[float, str]:
 
 
 def evaluated_by(policy: PromotionPolicy, kind: str, path: Path | None, dataset: str) -> Mapping[str, Any]:
-    """What the record of a decision says of its judge."""
+    """What the record of a decision says of what it was evaluated by."""
     name = path.name if path is not None else "default"
     rules = asdict(policy.of(kind))
     rules["limits"] = {

@@ -105,9 +105,7 @@ def test_the_gate(place: Path, capsys: pytest.CaptureFixture[str]) -> None:
 def test_a_plant_needs_its_proof_or_a_word(place: Path, capsys: pytest.CaptureFixture[str]) -> None:
     ws = ("--workspace", place)
     assert run(*ws, "models", "promote", "crane@1") == 2
-    assert (
-        "nothing is recorded that speaks for crane@1; Plants are judged by the proof of `sysid gap" in capsys.readouterr().err
-    )
+    assert "nothing is recorded that speaks for crane@1; Plants are evaluated by the proof of `sysid" in capsys.readouterr().err
     assert run(*ws, "models", "promote", "crane@1", "--policy", place / "p.toml") == 2
     assert "p.toml: no such file" in capsys.readouterr().err
     (place / "p.toml").write_text("schema = 1")

@@ -31,7 +31,7 @@ FLOORS: tuple[tuple[str, ...], ...] = (
     ("runner",),
     ("cli",),
 )
-#: The stand-in machine is judged by the library, so it may share nothing with it but errors and settings.
+#: The stand-in machine is evaluated by the library, so it may share nothing with it but errors and settings.
 BENCH_MAY_IMPORT = {"errors", "config", "bench"}
 #: Half a second and more each, or a compiler: only loaded by the verb that needs them.
 HEAVY = (

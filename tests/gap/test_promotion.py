@@ -1,4 +1,4 @@
-"""What is added: judged, promoted or not and why, with what it remembers, and back again."""
+"""What is added: evaluated, promoted or not and why, with what it remembers, and back again."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ def status_of(checks: tuple[Check, ...]) -> dict[str, str]:
 def test_a_good_repair_is_promoted_and_set_back(searched: Study, proof: Proof, registry: Registry) -> None:
     version = steps.store(searched, proof, registry)
     assert version == "arm@2"
-    assert registry.find("arm").reference == "arm@1", "until it is judged the name means the questioned plant"
+    assert registry.find("arm").reference == "arm@1", "until it is evaluated the name means the questioned plant"
     found = steps.promote(searched, proof, registry, version)
     assert found.promoted
     assert (found.current, found.previous, found.reason) == ("arm@2", "arm@1", "")
@@ -238,7 +238,7 @@ def test_growth_is_judged_by_what_noise_does(before: float, after: float, status
     [
         ((0.02, 0.001), (0.02, 0.0018), "passed"),
         ((0.02, 0.001), (0.02, 0.0210), "failed"),
-        ((0.02, 0.025), (0.02, 0.0255), "passed"),  # the compiled plant accounts for it; the free run is judged elsewhere
+        ((0.02, 0.025), (0.02, 0.0255), "passed"),  # the compiled plant accounts for it; the free run is evaluated elsewhere
         ((0.001, 0.001), (0.005, 0.0051), "failed"),
         ((0.001, 0.0012), (0.005, 0.0052), "passed"),  # the two were as far apart before
     ],

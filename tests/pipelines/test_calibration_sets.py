@@ -1,4 +1,4 @@
-"""Measured poses and servos of other people: geometry is learned from few poses, networks are judged beside simple models."""
+"""Measured poses and servos of other people: geometry is learned from few poses, networks compared with simple models."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The calibration judges rightly: cases are what their list says, truth stays apart, figures are counted well."""
+"""The calibration evaluates rightly: cases are what their list says, truth stays apart, figures are counted well."""
 
 from __future__ import annotations
 
@@ -227,7 +227,7 @@ def test_step_that_fails_or_takes_too_long_says_so(hidden: dict[str, ModuleType]
     assert run(math.factorial, [30_000_000], 1.0) == "took more than 1 s"
 
 
-# ---- Judging ------------------------------------------------------------------------------------------------------------
+# ---- Evaluating ------------------------------------------------------------------------------------------------------------
 
 
 def sealed_case(hidden: dict[str, ModuleType], group: str, *names: tuple[str, str], factor: float = 5.0) -> dict[str, Any]:
@@ -347,7 +347,7 @@ def test_page_replaces_only_what_it_generated(hidden: dict[str, ModuleType], pip
 
 
 def test_a_committed_result_is_gone_on_from(hidden: dict[str, ModuleType], pipeline: ModuleType, tmp_path: Path) -> None:
-    """What was judged comes back as it was; a case that is another one by now does not."""
+    """What was evaluated comes back as it was; a case that is another one by now does not."""
     judge = hidden["judge"].judge
     specs = [hidden["cases"].case(group, 0, SEED) for group in ("none", "single")]
     sealed = [{"spec": spec.to_json(), "hidden": [], "effects": []} for spec in specs]

@@ -45,7 +45,7 @@ def test_parameters_come_back(truth: KnownEffect) -> None:
     for key, value in truth.parameters.items():
         true = np.atleast_1d(np.asarray(value, dtype=float))
         share = TOLERANCE.get(truth.name, {}).get(key, 0.01)
-        room = share * np.max(np.abs(true))  # a vector is judged as a whole: some of its components may be zero
+        room = share * np.max(np.abs(true))  # a vector is evaluated as a whole: some of its components may be zero
         assert np.allclose(found.parameters[key], true, rtol=0.0, atol=room), f"{key}: {found.parameters[key]} for {value}"
 
 
@@ -75,7 +75,7 @@ def test_nothing_is_named_where_nothing_is_missing(plant: Plant, seed: int) -> N
     result = find_gap(dataset_of(plant, 25.0, seed), plant)
     assert result.effects == ()
     assert result.verdict == "no_gap"
-    # A frictionless slide drifts by whatever its integrator rounds: it is judged by its force.
+    # A frictionless slide drifts by whatever its integrator rounds: it is evaluated by its force.
     gap = result.stage_gap if plant.machine.name == "slide" else result.gap
     assert gap.before
     for signal, before in gap.before.items():

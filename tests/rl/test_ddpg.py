@@ -287,7 +287,7 @@ def test_a_gpu_runs_the_same_code() -> None:
 
 
 def test_a_judge_whose_episodes_are_too_short_is_refused() -> None:
-    """It would judge the next episode's targets."""
+    """It would evaluate the next episode's targets."""
     each = trainer(recipe())
-    with pytest.raises(SettingsError, match=r"judge of a policy: episodes of 15 steps; expected more than 600"):
+    with pytest.raises(SettingsError, match=r"evaluation environment: episodes of 15 steps; expected more than 600"):
         Trainer(each.environment, each.environment, recipe())

@@ -1,4 +1,4 @@
-"""The full path: what is observed, exact resume, candidates judged by the plant, the same in PyBullet."""
+"""The full path: what is observed, exact resume, candidates evaluated by the plant, the same in PyBullet."""
 
 from __future__ import annotations
 

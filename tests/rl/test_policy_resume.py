@@ -189,7 +189,7 @@ def test_what_decides_the_result_is_in_the_name(tmp_path: Path) -> None:
 
 
 def test_the_full_path_goes_on_to_the_same_bits_too(tmp_path: Path) -> None:
-    """In the middle of an episode, with commands under way; candidates judged by the plant itself."""
+    """In the middle of an episode, with commands under way; candidates evaluated by the plant itself."""
     setting = {"copies": 2, "full": True, "feedback": "plant", "task": {"steps": 9}}
     settings = recipe(setting=setting, learning={"episodes": 4, "start": 16}, evaluations=1)
     whole = run(None, settings)

@@ -82,7 +82,7 @@ def test_a_stop_on_any_way_of_a_collection_ends_inside() -> None:
         move = Move(begin, end, LIMITS, DT)
         joints = np.array([move.at(k) for k in range(move.steps + 1)])
         speeds = np.gradient(joints, DT, axis=0)
-        stopped = known.barrier.stopped(joints, speeds)
+        stopped = known.command_filter.stopped(joints, speeds)
         assert not outside(TIP(joints), LIMITS.fence_low, LIMITS.fence_high).any()
         assert not outside(TIP(stopped), LIMITS.fence_low, LIMITS.fence_high).any()
 

@@ -1,4 +1,4 @@
-"""The tracking error of a run, by what its sensors say: against the target when they measured, in norms that are told apart."""
+"""The tracking error of a run, by what its sensors say: against the target when they measured, in distinct norms."""
 
 from __future__ import annotations
 

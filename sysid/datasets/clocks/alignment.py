@@ -11,7 +11,7 @@ the plant. A start comes from the cross-correlation of the rates. From there the
 the whole overlap, so that a skew that is not known yet never moves the ends of a long log out of the reach of a Gauss-Newton
 step; until the last steps on every sample, a thinned stream is enough.
 
-What is estimated is the offset of the *stamps*: a constant latency of the other device is part of it and cannot be told apart.
+What is estimated is the offset of the *stamps*: a constant latency of the other device is part of it, not identifiable.
 A play between the two signals (in the slewing drive, the pins of a boom) is allowed for: ``f_p`` then has an intercept for each
 direction of motion (:mod:`sysid.datasets.clocks.backlash`).
 

@@ -28,7 +28,7 @@ Array = npt.NDArray[np.float64]
 
 __all__ = ["KnownSkew", "RecordingClocks", "align", "by_source", "known_skews", "machine_times"]
 
-_LATENCY = "a constant latency of this device is part of the offset: it cannot be told apart"
+_LATENCY = "a constant latency of this device is part of the offset: it cannot be distinguished"
 #: A pause of the machine's stamps is taken for a step of its clock where the jump of another one agrees with it to this share.
 _STEP_SHARE = 0.2
 

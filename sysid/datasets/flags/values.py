@@ -1,7 +1,7 @@
 """Samples that no motion explains: spikes of a few samples, and steps from one sample to the next.
 
-Both are judged by the sensor's own noise and by the steps around: a motion has neighbours that move, too, whatever its speed;
-a spike or a jump stands alone.
+Both are compared with the sensor's own noise and the steps around: a motion has neighbours that move, whatever its speed; a
+spike or a jump stands alone.
 """
 
 from __future__ import annotations

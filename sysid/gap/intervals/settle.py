@@ -1,4 +1,4 @@
-"""The exact optimum: batches of values around the best ones so far, judged by the cost itself.
+"""The exact optimum: batches of values around the best ones so far, evaluated by the cost itself.
 
 Descents by slopes end early where the cost has steps and kinks, as those of thresholds and plays do. Here every round tries the
 Gauss–Newton step in several lengths and each stepwise parameter on a grid, all in one batch, and takes what costs least.

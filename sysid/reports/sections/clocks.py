@@ -12,7 +12,7 @@ from sysid.reports import display, words
 from sysid.reports.charts import ChartCurve, chart
 from sysid.reports.inputs import ReportInputs
 
-#: Points of a curve over time; more of them cannot be told apart.
+#: Points of a curve over time; more of them cannot be distinguished.
 POINTS = 300
 
 

@@ -46,7 +46,7 @@ class MotionChecks:
         """The valves are let go."""
         self._lasted.clear()
 
-    def judge(self, seen: StateEstimate, moving: bool, drive_setpoints: Array | None) -> list[Violation]:
+    def check(self, seen: StateEstimate, moving: bool, drive_setpoints: Array | None) -> list[Violation]:
         """What is wrong."""
         found = []
         settings = self.settings

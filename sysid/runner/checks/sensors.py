@@ -14,10 +14,10 @@ REPEATS = 4
 
 def check_sensors(seen: StateEstimate, settings: CheckSettings, moving: bool) -> list[Violation]:
     """One verdict at most for each sensor, the first that holds."""
-    return [verdict for sensor in seen.sensors if (verdict := _judge(sensor, settings, moving)) is not None]
+    return [verdict for sensor in seen.sensors if (verdict := _check(sensor, settings, moving)) is not None]
 
 
-def _judge(sensor: Sensor, settings: CheckSettings, moving: bool) -> Violation | None:
+def _check(sensor: Sensor, settings: CheckSettings, moving: bool) -> Violation | None:
     name = sensor.signal
     if sensor.age_s > settings.stale.after_s:
         text = f"{name} does not come" if math.isinf(sensor.age_s) else f"{name} is {1e3 * sensor.age_s:.0f} ms old"

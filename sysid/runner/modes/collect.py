@@ -26,8 +26,8 @@ class SafeMoves:
         barrier: of the machine.
     """
 
-    def __init__(self, barrier: CommandFilter) -> None:
-        self.barrier, self.limits = barrier, barrier.limits
+    def __init__(self, command_filter: CommandFilter) -> None:
+        self.command_filter, self.limits = command_filter, command_filter.limits
 
     def outside(self, begin: Array, end: Array) -> float:
         """How far the move from ``begin`` to ``end`` (A,), or a stop from it, leaves the fence less a clearance [m].
@@ -36,8 +36,8 @@ class SafeMoves:
         """
         if not self.limits.fenced:
             return 0.0
-        joints, speeds = Move(begin, end, self.limits, self.barrier.dt).along(_LOOKED_AT)
-        ends = self.barrier.tip(np.concatenate([joints, self.barrier.stopped(joints, speeds)]))
+        joints, speeds = Move(begin, end, self.limits, self.command_filter.dt).along(_LOOKED_AT)
+        ends = self.command_filter.tip(np.concatenate([joints, self.command_filter.stopped(joints, speeds)]))
         left = outside(ends, self.limits.fence_low + CLEARANCE, self.limits.fence_high - CLEARANCE)
         return max(float(left[len(joints) - 1]), float(left.max()) - float(left[0]))
 

@@ -30,7 +30,7 @@ from sysid.signals import axis_signal
 Array = npt.NDArray[np.float64]
 
 #: Directions of the strokes of an axis; it ends where it began. Those to the same side as the one before find play taken up: by
-#: them gains are judged.
+#: them gains are evaluated.
 ORDER = (1, -1, -1, 1, 1, -1)
 #: A command that rises takes so long from the beginning of motion to the speed of the recipe, on the fastest axis [s].
 RISE_S = 1.0
@@ -86,7 +86,7 @@ class StrokeResult:
         axis: that was commanded; ``direction``: the sign of its command.
         command: the greatest one. moved: axis → how far its reading went [m or rad].
         tip: how far the boom tip went by it [m].
-        judged: play was taken up before it, so that gain and delay can be told.
+        evaluated: play was taken up before it, so that gain and delay can be told.
         gain: measured over the plant's. dead_band: beyond the plant's [command]. delay: beyond the plant's dead time [s].
         wrong: what does not fit, "" where all does.
     """

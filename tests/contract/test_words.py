@@ -1,0 +1,71 @@
+"""Words that were replaced by terms of the field do not come back, and the glossary's files exist."""
+
+from __future__ import annotations
+
+import io
+import re
+import tokenize
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+
+#: Parts of identifiers (``snake_case`` and ``CamelCase`` alike) → the term. The standard of each is docs/glossary.md.
+RETIRED = {
+    "likeness": "surrogate",
+    "leeway": "half-width of the region of practical equivalence",
+    "crumbs": "compensating parameters",
+    "makeshift": "compensating parameters",
+    "misshapen": "nonparametric alternative",
+    "droops": "steady-state error",
+    "senses": "estimator",
+    "conduct": "state machine",
+    "barrier": "command filter",
+    "rehearse": "dry run",
+    "rehearsal": "dry run",
+    "whence": "provenance",
+    "walked": "ingested",
+    "clocked": "recording clocks",
+    "looks": "windows",
+    "unjudged": "not evaluated",
+    "judge": "evaluate, check",
+}
+#: Where such a part is a word of its own field, or of a file format that was written before.
+KEPT = {"looks_apart"}
+#: In the text of documentation, console and comments.
+PHRASES = ("stand-in machine", "told apart", "from afar", "whence")
+CODE = sorted((ROOT / "sysid").rglob("*.py"))
+TEXT = sorted([*(ROOT / "docs").rglob("*.md"), ROOT / "README.md"])
+
+
+def parts(identifier: str) -> set[str]:
+    return {part.lower() for part in re.findall(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+", identifier)}
+
+
+@pytest.mark.parametrize("path", CODE, ids=lambda path: str(path.relative_to(ROOT)))
+def test_no_retired_word_is_part_of_a_name(path: Path) -> None:
+    tokens = tokenize.generate_tokens(io.StringIO(path.read_text("utf-8")).readline)
+    names = {token.string: token.start[0] for token in tokens if token.type == tokenize.NAME and token.string not in KEPT}
+    found = [
+        f"line {line}: {name} (use: {RETIRED[word]})" for name, line in names.items() for word in parts(name) & RETIRED.keys()
+    ]
+    assert not found, f"{path.relative_to(ROOT)}: {'; '.join(found)}"
+
+
+@pytest.mark.parametrize("path", [*TEXT, *CODE], ids=lambda path: str(path.relative_to(ROOT)))
+def test_no_retired_phrase_is_in_the_text(path: Path) -> None:
+    text = path.read_text("utf-8")
+    assert [phrase for phrase in PHRASES if phrase in text] == []
+
+
+def test_files_that_the_glossary_names_exist() -> None:
+    named = re.findall(r"`(sysid/[\w/.]+)`", (ROOT / "docs" / "glossary.md").read_text("utf-8"))
+    assert len(named) > 40
+    assert [name for name in named if not (ROOT / name).exists()] == []
+
+
+def test_parts_of_names() -> None:
+    assert parts("StateEstimator") == {"state", "estimator"}
+    assert parts("_MIN_LOOKS") == {"min", "looks"}
+    assert parts("URDFFile2") == {"urdf", "file"}
