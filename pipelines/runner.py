@@ -239,7 +239,7 @@ def _environment() -> dict[str, str]:
 def fly(
     options: argparse.Namespace, path: str, policy: str, seconds: float, fault: str = "", turns: int = TURNS, **change: str
 ) -> Flown:
-    """One run, with a fault where one is named, ``turns`` turns after tracking began."""
+    """One run, with a fault where one is named, ``turns`` cycles after tracking began."""
     outside = OUTSIDE.get(fault, Outside())
     with tempfile.TemporaryDirectory(prefix="runner-") as name:
         folder = Path(name)
@@ -362,13 +362,13 @@ def _opened(truth: dict[str, Array]) -> npt.NDArray[np.bool_]:
 
 
 def _begun(flown: Flown) -> Array:
-    """When each turn began, on the monotonic clock [ns]; the log is dated, the first line says when the first turn began."""
+    """When each cycle began, on the monotonic clock [ns]; the log is dated, the first line says when the first cycle began."""
     begun = flown.cycles["due_ns"] + flown.cycles["lateness_ns"]
     return np.asarray(begun - (begun[0] - flown.lines[0][1]))
 
 
 def _off(flown: Flown, first_ns: float, last_ns: float) -> Array:
-    """Boom tip less its target in the turns between, (n, 3) [m]; a target is for the end of its turn."""
+    """Boom tip less its target in the cycles between, (n, 3) [m]; a target is for the end of its cycle."""
     targets = np.stack([flown.cycles[f"target[{k}]"] for k in range(3)], axis=1)
     at = _begun(flown) + 1e7
     own = (at >= first_ns) & (at <= last_ns) & np.isfinite(targets[:, 0])
@@ -382,7 +382,7 @@ def timing(flown: Flown) -> dict[str, Any]:
     truth, cycles = flown.truth, flown.cycles
     if not cycles:
         raise RuntimeError(f"the run did not come about: {flown.outcome.get('why')}")
-    # The n-th set of commands has the counter n + 1; when it arrived is in the truth, as is when each turn began.
+    # The n-th set of commands has the counter n + 1; when it arrived is in the truth, as is when each cycle began.
     begun = _begun(flown)
     fresh = np.flatnonzero(np.diff(truth["counter"]) != 0) + 1
     turns = (truth["counter"][fresh].astype(int) - 1) % 256
@@ -431,7 +431,7 @@ def judged(name: str, flown: Flown) -> dict[str, Any]:
     moving = np.flatnonzero(after & opened)
     neutral = float((at[moving[-1]] - t0) * 1e-6) if len(moving) and moving[-1] + 30 < len(at) else 0.0
     again = _reopened(opened[at >= t0])
-    # A clamp is everyday: setpoints of a policy that sees noise are held within their acceleration in every other turn.
+    # A clamp is everyday: setpoints of a policy that sees noise are held within their acceleration in every other cycle.
     verdicts = [
         (ns, text) for word, ns, text in flown.lines if word == "verdict" and ns >= t0 and text.split(" ")[1] != "clamp"
     ]
@@ -585,8 +585,8 @@ def runs_table(result: dict[str, Any]) -> str:
          "" if row["ended"] == "time" else row["why"]]
         for row in result["runs"]
     ]  # fmt: skip
-    head = ["run", "busy processes", "turns", "lateness p50 / p99 / max, µs", "deadlines missed",
-            "turn begins → command at the valve, µs", "true tracking error, RMSE x / y / z, mm", "ended early"]  # fmt: skip
+    head = ["run", "busy processes", "cycles", "lateness p50 / p99 / max, µs", "deadlines missed",
+            "cycle begins → command at the valve, µs", "true tracking error, RMSE x / y / z, mm", "ended early"]  # fmt: skip
     return markdown(head, runs)
 
 

@@ -54,7 +54,7 @@ from sysid.runner.transports import connect
 
 Array = npt.NDArray[np.float64]
 
-#: Faults come so many turns after tracking began.
+#: Faults come so many cycles after tracking began.
 TURNS = 150
 SENSOR = "boom.cylinder"
 #: What the commands drive.
@@ -121,7 +121,7 @@ POLICY: dict[str, Callable[[Array], Any]] = {
     "policy computes for ever": _never,
     "policy waits for ever": _waits,
 }
-#: So much is told in every turn while the terminal is tried.
+#: So much is told in every cycle while the terminal is tried.
 CHATTER = {"terminal stopped for 2 s (Ctrl-S)", "terminal closed", "standard error closed"}
 #: In the runner itself.
 LOOP = "exception in the loop"
@@ -137,7 +137,7 @@ class Flight:
         recipe: of the runner; log and outcome go into its folder.
         fault: of ``LINE`` or ``POLICY``, ``LOOP``, ``disk full``, or another one where it comes from outside; of
             :func:`wiring` in a commissioning.
-        turns: it comes so many after tracking began.
+        cycles: it comes so many after tracking began.
     """
 
     recipe: Path

@@ -6,7 +6,7 @@ machine would do (dead-man switch, emergency stop, a cable pulled) is written to
 
     dead_man 0|1 · emergency_stop 0|1 · drop MESSAGE COUNT · stuck MESSAGE 0|1 · unplug MESSAGE 0|1 · quit
 
-The truth goes to a file as it happens, a row of ``COLUMNS`` in float64 a cycle behind one line of JSON: evaluations of a run read
+The truth goes to a file as it happens, a row of ``COLUMNS`` in float64 a cycle behind one line of JSON: an evaluation reads
 what the machine did and not what anybody believes it did.
 """
 

@@ -259,19 +259,19 @@ def _tell(out: Printer, assembly: Assembly, outcome: RunOutcome, ranges: RangeRe
         ]
         out.table(("axis", "went over", "greatest command"), rows, right=(1, 2))
         ends = ", ".join(f"{a} {low:.3f} … {high:.3f}" for a, low, high in zip("xyz", *ranges.ee, strict=True))
-        out.line(f"end effector: {ends} m; {ranges.moving} turns in motion: "
+        out.line(f"end effector: {ends} m; {ranges.moving} cycles in motion: "
                  + ", ".join(f"{phase} {count}" for phase, count in ranges.phases.items()))  # fmt: skip
     if ranges.rmse is not None:
         rmse, worst = (" / ".join(f"{1e3 * value:.2f}" for value in values) for values in (ranges.rmse, ranges.worst))
         far = {norm: f"{1e3 * value:.2f}" for norm, value in ranges.distance.items()}
-        out.line(f"tracking error of {_tracked(assembly)}, over {ranges.tracked} turns: distance mean {far['mean']}, "
+        out.line(f"tracking error of {_tracked(assembly)}, over {ranges.tracked} cycles: distance mean {far['mean']}, "
                  f"RMSE {far['rmse']}, max {far['max']} mm; x / y / z: RMSE {rmse}, max {worst} mm")  # fmt: skip
     late, spent = outcome.lateness, outcome.latency
-    out.line(f"{outcome.turns} turns, {outcome.missed} deadlines missed; lateness p50 {late.percentile(0.5):.0f}, "
-             f"p99 {late.percentile(0.99):.0f}, max {late.largest_us:.0f} µs; a turn took p50 {spent.percentile(0.5):.0f}, "
+    out.line(f"{outcome.turns} cycles, {outcome.missed} deadlines missed; lateness p50 {late.percentile(0.5):.0f}, "
+             f"p99 {late.percentile(0.99):.0f}, max {late.largest_us:.0f} µs; a cycle took p50 {spent.percentile(0.5):.0f}, "
              f"p99 {spent.percentile(0.99):.0f}, max {spent.largest_us:.0f} µs")  # fmt: skip
     for check, count in outcome.verdicts.most_common():
-        out.line(f"  {check} objected in {count} turns")
+        out.line(f"  {check} objected in {count} cycles")
     for text in outcome.notes:
         out.line(f"  {text}")
     out.line(f"ended: {outcome.ended}; state {outcome.state}" + (f": {outcome.why}" if outcome.why else ""))

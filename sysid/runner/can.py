@@ -38,7 +38,7 @@ STATUS_TIME_OUT_NS = 100_000_000
 _BUS_OFF = 0x40
 #: Longest that a frame may wait for its place in the adapter [s]; half of what the machine waits for commands.
 _SEND = 0.05
-#: At the most so many frames are taken in one turn: a bus that never falls silent may not hold up the loop.
+#: At the most so many frames are taken in one cycle: a bus that never falls silent may not hold up the loop.
 _FRAMES = 256
 
 
@@ -243,7 +243,7 @@ class CanTransport(MonotonicClock):
         if self._bus is None or self._deaf:
             raise OSError(self._deaf or "the bus is not open")
         self._commanded = True
-        # They answer what was read in this turn: a turn that was held up since says so to the machine.
+        # They answer what was read in this cycle: a cycle that was held up since says so to the machine.
         answered = self._clock.now(self._read_ns)
         try:
             for identifier, data in self.machine.say([float(command) for command in commands], enabled, answered):

@@ -1,4 +1,4 @@
-"""Everything that one turn of the loop saw, decided and did: what the flight log keeps."""
+"""Everything that one cycle of the loop saw, decided and did: what the flight log keeps."""
 
 from __future__ import annotations
 
@@ -42,12 +42,12 @@ class Violation:
 
 @dataclass(frozen=True, slots=True)
 class Cycle:
-    """One turn of the loop. Arrays belong to it; NaN where something is not known.
+    """One cycle of the loop. Arrays belong to it; NaN where something is not known.
 
     Args:
-        number: of the turn, from 0.
+        number: of the cycle, from 0.
         at_ns: when it began, on the transport's clock; ``due_ns`` when it should have.
-        state: of the machine of states after this turn.
+        state: of the machine of states after this cycle.
         inputs: switches and faults of the machine's side.
         readings: newest of each signal.
         joints: as believed, (A,) [rad or m].
@@ -61,7 +61,7 @@ class Cycle:
         enabled: whether the valves were let move.
         verdicts: what the supervisor found.
         source: whose setpoints these were: policy, fallback, hold, stop, none …
-        lateness_ns: how much later than due the turn began.
+        lateness_ns: how much later than due the cycle began.
         latency_ns: from its beginning until the commands were out.
     """
 

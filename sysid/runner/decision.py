@@ -1,4 +1,4 @@
-"""One turn's decision: what the mode wants, whose setpoints those become, and which commands the supervisor lets through."""
+"""One cycle's decision: what the mode wants, whose setpoints those become, and which commands the supervisor lets through."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ class Decider:
     Args:
         chain, senses, supervisor, mode, operator: of the run.
         fallback: what sets where the policy is not trusted.
-        now_ns: clock of the turns.
+        now_ns: clock of the cycles.
     """
 
     def __init__(
@@ -62,7 +62,7 @@ class Decider:
     ) -> None:
         self.chain, self.estimator, self.supervisor, self.mode = chain, estimator, supervisor, mode
         self.operator, self.fallback, self._now_ns = operator, fallback, now_ns
-        #: Of the turn before, (A,) of what the commands drive; None where there are none.
+        #: Of the cycle before, (A,) of what the commands drive; None where there are none.
         self.drive_setpoints: Array | None = None
         self._k, self._distrusted, self._late = 0, False, 0
         self._held_at: Array | None = None
@@ -75,7 +75,7 @@ class Decider:
         self._k, self._distrusted, self._late, self._held_at, self.drive_setpoints = 0, False, 0, None, None
 
     def think(self, seen: StateEstimate, verdicts: list[Violation], until_ns: int) -> CycleDecision:
-        """A turn of the task; what the supervisor finds in it is added to ``verdicts``.
+        """A cycle of the task; what the supervisor finds in it is added to ``verdicts``.
 
         Args:
             until_ns: when a policy has to have answered.
@@ -106,7 +106,7 @@ class Decider:
         return decision
 
     def slow_down(self, seen: StateEstimate) -> CycleDecision:
-        """A turn of a stop; enabled while there is speed to be taken out."""
+        """A cycle of a stop; enabled while there is speed to be taken out."""
         decision = nothing(len(self.chain.axes))
         decision.source = "stop"
         if self.supervisor.command_filter.sent.any():
@@ -140,7 +140,7 @@ class Decider:
     def _policy(self, goal: Goal, seen: StateEstimate, until_ns: int) -> tuple[Array, Violation | None]:
         """What the policy asks for, and what is wrong with it.
 
-        One that is late is asked again in the next turn, until it was late in too many turns in a row; one that fails is not.
+        One that is late is asked again in the next cycle, until it was late in too many cycles in a row; one that fails is not.
         """
         error, late, here = "", False, self.supervisor.limiter.position
         asked = here

@@ -26,7 +26,7 @@ class RangeRecorder:
 
     Args:
         axes: how many.
-        period_ns: of a turn: a target is for its end.
+        period_ns: of a cycle: a target is for its end.
     """
 
     fault = ""
@@ -39,7 +39,7 @@ class RangeRecorder:
         self.phases: dict[str, int] = {}
         self._period_ns = period_ns
         self._targets: deque[tuple[int, Array]] = deque(maxlen=64)
-        #: Turns in which the tracking error is known.
+        #: Cycles in which the tracking error is known.
         self.tracked = 0
         self._squares, self._worst = np.zeros(3), np.zeros(3)
         self._far, self._farthest = 0.0, 0.0

@@ -36,7 +36,7 @@ float64 value
 int64 received_ns
 uint64 count
 {_HEADER}"""
-CYCLE_TYPE = f"""# One turn of the loop, stamped at its beginning. Axes in the order of name; NaN where something is not known.
+CYCLE_TYPE = f"""# One cycle of the loop, stamped at its beginning. Axes in the order of name; NaN where something is not known.
 std_msgs/Header header
 uint64 number
 string state
@@ -118,7 +118,7 @@ class OutgoingMessage:
 
 @dataclass
 class MessagePublisher:
-    """Turns cycles into messages.
+    """Cycles cycles into messages.
 
     Args:
         axes: names in the order of the arrays.

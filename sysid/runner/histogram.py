@@ -1,4 +1,4 @@
-"""Times of many turns in bins that are there from the beginning: nothing is allocated while they are counted."""
+"""Times of many cycles in bins that are there from the beginning: nothing is allocated while they are counted."""
 
 from __future__ import annotations
 

@@ -26,7 +26,7 @@ SPEED_UP_S, JERK_S = 0.2, 0.05
 BRAKING = 0.5
 #: A setpoint that was held back closes what is left at this rate [1/s]: slower than jerk allows, so that it does not ring.
 CATCH_UP = 8.0
-#: Share by which the target's own speed is renewed each turn.
+#: Share by which the target's own speed is renewed each cycle.
 SMOOTH = 0.1
 
 

@@ -11,9 +11,9 @@ from sysid.runner.clock import SECOND
 #: 500 ppm) goes beyond that for as long as it takes, and looks like a delay of three fifths of the correction at the most.
 DRIFT = 200e-6
 #: An answer later than this says that the line is late [s]. A command waits for the machine's next status (one cycle), which
-#: waits for the runner's next turn (another): 25 ms at 100 Hz where all is well.
+#: waits for the runner's next cycle (another): 25 ms at 100 Hz where all is well.
 ANSWER_S = 0.06
-#: So many answers in a row have to be late: what holds up one turn of this computer is the business of other checks.
+#: So many answers in a row have to be late: what holds up one cycle of this computer is the business of other checks.
 ANSWERS = 8
 #: No answer at all for so long is one that is late [s].
 SILENCE_S = 0.15

@@ -41,7 +41,7 @@ def show_flight(path: Path, machine: Machine, out: Path | None = None, idle_s: f
         out: write an ``.rrd`` file instead of opening the viewer.
 
     Returns:
-        The number of turns shown.
+        The number of cycles shown.
 
     Raises:
         InputError: it is no flight log.
@@ -103,7 +103,7 @@ class _Screen:
                 self._curve(f"axes/{axis}/{name}", style.colour, label)
             self._curve(f"commands/{axis}", colour, axis)
         self._curve("timing/lateness", STYLES["before"].colour, "lateness [µs]")
-        self._curve("timing/turn", STYLES["after"].colour, "a turn took [µs]")
+        self._curve("timing/turn", STYLES["after"].colour, "a cycle took [µs]")
 
     def show(self, messages: Sequence[LogMessage]) -> None:
         """Draw ``messages``, in their order."""

@@ -1,4 +1,4 @@
-"""The loop: one turn after the other on absolute deadlines, each of them read → believe → evaluate → decide → send → record."""
+"""The control loop, cycles on absolute deadlines: read → estimate → check → decide → filter → send → record."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ Array = npt.NDArray[np.float64]
 
 #: Of checks on motion that the runner did not ask for, nothing can be said.
 _OWN_MOTION = ("restless", "following", "motion", "frozen")
-#: A policy has this share of a turn, from its beginning on, to answer: what comes after it takes the rest.
+#: A policy has this share of a cycle, from its beginning on, to answer: what comes after it takes the rest.
 POLICY_SHARE = 0.6
 
 
@@ -40,10 +40,10 @@ class Loop:
 
     Args:
         transport, chain, senses, supervisor, mode: of the machine and the task.
-        recorder: takes every turn.
+        recorder: takes every cycle.
         operator: arms, stops, resets.
         settings: of the recipe.
-        period_s: of a turn.
+        period_s: of a cycle.
     """
 
     def __init__(
@@ -73,7 +73,7 @@ class Loop:
         self._moved_ns: int | None = None
 
     def warm_up(self, joints: Array) -> None:
-        """Compile and load what the first turns would else wait for; nothing is read or sent."""
+        """Compile and load what the first cycles would else wait for; nothing is read or sent."""
         drive = self.chain.controller.drive(joints)[0]
         self.chain.rest(drive, joints)
         ee = self.chain.tip(joints[None])[0]
@@ -100,7 +100,7 @@ class Loop:
         Whatever fails on the way, an interrupt included, is how the run ended and not an exception: see the outcome.
 
         Args:
-            watch: shown every turn, for live views and tests.
+            watch: shown every cycle, for live views and tests.
 
         Raises:
             InputError, SettingsError: the transport cannot be opened.
@@ -145,7 +145,7 @@ class Loop:
             due += self.period_ns
             late = self.transport.now_ns() - due
             self._missed = self._missed + 1 if late > 0 else 0
-            skipped = max(0, late) // self.period_ns  # turns that are past are left out, never made up for
+            skipped = max(0, late) // self.period_ns  # cycles that are past are left out, never made up for
             self.outcome.missed += skipped + (late > 0)
             due += skipped * self.period_ns
 
@@ -248,15 +248,15 @@ class Loop:
         return decision
 
     def _expired(self, now: int) -> Violation | None:
-        """Why this turn, which began at ``now``, is too old to open valves: the last thing that is asked before it is sent."""
+        """Why this cycle, which began at ``now``, is too old to open valves: the last thing that is asked before it is sent."""
         then = self.transport.now_ns()
         gap = 0 if self._moved_ns is None else then - self._moved_ns
         return self.supervisor.expired((then - now) / SECOND, gap / SECOND)
 
     def _drop(self, decision: CycleDecision, expired: Violation, now: int) -> bool:
-        """What becomes of a turn that is too old; whether nothing at all is sent: the machine goes on with what it has.
+        """What becomes of a cycle that is too old; whether nothing at all is sent: the machine goes on with what it has.
 
-        That lasts until the next turn, ``checks.expired.gap_s`` at the most, and is less of a jolt than neutral valves are.
+        That lasts until the next cycle, ``checks.expired.gap_s`` at the most, and is less of a jolt than neutral valves are.
         """
         if expired.reaction == "fault":
             self.state_machine.fault(expired.text, now)

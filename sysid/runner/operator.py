@@ -20,13 +20,13 @@ IGNORED = ("SIGTTIN", "SIGTTOU", "SIGPIPE", "SIGXFSZ")
 
 
 class Operator(Protocol):
-    """Asked in every turn; nothing here may wait for a person, a terminal or a file."""
+    """Asked in every cycle; nothing here may wait for a person, a terminal or a file."""
 
     #: Stays after a stop or a fault, for somebody to arm or reset; else the run is over then.
     stays: bool
 
     def words(self, state: State, now_ns: int) -> Sequence[str]:
-        """What was said since the last turn, of :data:`WORDS`; a reason may stand behind a colon."""
+        """What was said since the last cycle, of :data:`WORDS`; a reason may stand behind a colon."""
         ...
 
     def notify(self, text: str) -> None:
@@ -39,7 +39,7 @@ class Unattended:
 
     Args:
         machine: whose switches a program holds.
-        script: (seconds since the first turn, word) to say besides.
+        script: (seconds since the first cycle, word) to say besides.
     """
 
     stays = False

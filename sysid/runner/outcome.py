@@ -17,9 +17,9 @@ class RunOutcome:
 
     Args:
         ended: why it is over; ``state``, ``why``: of the machine of states then.
-        turns: made; ``missed``: deadlines that passed before their turn began.
-        lateness, latency: of all turns.
-        verdicts: check → turns in which it objected.
+        cycles: made; ``missed``: deadlines that passed before their cycle began.
+        lateness, latency: of all cycles.
+        verdicts: check → cycles in which it objected.
         notes: what the operating system refused, and what the operator was told.
         error: where the runner itself failed, for whoever mends it; "" where it did not.
     """

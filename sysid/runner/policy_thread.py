@@ -1,9 +1,9 @@
-"""A policy in a thread of its own, with a deadline: it answers within its turn, or the turn goes on without it.
+"""A policy in a thread of its own, with a deadline: it answers within its cycle, or the cycle goes on without it.
 
 Whatever it raises or returns ends no run. An answer that comes late is dropped. Python code that never ends is ended by an
 exception in its thread; native code that never ends is left behind, and does not keep the process from ending. Native code that
-also keeps the interpreter for itself stops the loop: the machine's own time-out closes the valves then, and the turn is too old
-to be sent when it goes on (:class:`sysid.runner.checks.settings.ExpiredCheck`).
+also keeps the interpreter for itself stops the loop: the machine's own time-out closes the valves then, and the cycle is too
+old to be sent when it goes on (:class:`sysid.runner.checks.settings.ExpiredCheck`).
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ class PolicyError(Exception):
     """The policy gave no answer that can be used; the text says why.
 
     Args:
-        late: because it was not there in time, and may be in another turn.
+        late: because it was not there in time, and may be in another cycle.
     """
 
     def __init__(self, why: str, *, late: bool = False) -> None:
@@ -84,7 +84,7 @@ class PolicyThread:
             self._thread = threading.Thread(target=self._work, name="policy", daemon=True)
             self._thread.start()
         if self._busy:
-            raise PolicyError("the policy is still at an earlier turn", late=True)
+            raise PolicyError("the policy is still at an earlier cycle", late=True)
         self._asked += 1
         self._questions.put((self._asked, observations.copy()))
         answer = self._wait(until_ns, now_ns)
@@ -111,9 +111,9 @@ class PolicyThread:
             except Empty:
                 waits += 1 if now_ns() == begin else 2  # time passes by itself, or stands still while somebody computes
             else:
-                if number == self._asked:  # not one of a turn that is over
+                if number == self._asked:  # not one of a cycle that is over
                     return answer
-        return PolicyError("the policy does not answer within its turn", late=True)
+        return PolicyError("the policy does not answer within its cycle", late=True)
 
     def _work(self) -> None:
         while True:

@@ -56,7 +56,7 @@ class ResponseMonitor:
 
     Args:
         valves: of the axes, by the plant.
-        dt: of a turn [s].
+        dt: of a cycle [s].
         accepted: delay beyond the plant's dead time [s].
     """
 
@@ -82,9 +82,9 @@ class ResponseMonitor:
         bands = np.array(BANDS)[:, None]
         self._positive = np.maximum(np.array([valve.positive for valve in valves]) + bands, 0.0)
         self._negative = np.maximum(np.array([valve.negative for valve in valves]) + bands, 0.0)
-        #: Travel forwards and backwards by the commands, (2, bands, A, turns), the newest last.
+        #: Travel forwards and backwards by the commands, (2, bands, A, cycles), the newest last.
         self._travel = np.zeros((2, len(BANDS), axes, self._window + longest))
-        #: Speeds that are still in the dead time, (2, bands, A, turns), the newest first.
+        #: Speeds that are still in the dead time, (2, bands, A, cycles), the newest first.
         late_by = [valve.late for valve in valves]
         self._coming = np.zeros((2, len(BANDS), axes, max(late_by)))
         self._arrives = np.arange(axes), np.array(late_by) - 1

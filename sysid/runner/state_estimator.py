@@ -59,7 +59,7 @@ class Sensor:
 
 @dataclass(slots=True)
 class StateEstimate:
-    """What the supervisor evaluates in one turn.
+    """What the supervisor evaluates in one cycle.
 
     Args:
         sensors: driven ones first, in the order of axes; then joints of cylinders that have a sensor of their own.
@@ -114,7 +114,7 @@ class StateEstimator:
         self.response = ResponseMonitor(valves, dt, settings.delay.after_s)
 
     def reset(self) -> None:
-        """Forget what was learned: after a fault, and before the first turn.
+        """Forget what was learned: after a fault, and before the first cycle.
 
         Not the smallest delay so far: one that has grown would else be the usual one after each reset.
         """
@@ -136,7 +136,7 @@ class StateEstimator:
     def see(
         self, readings: Mapping[str, Measurement], inputs: MachineInputs, now_ns: int, lateness_s: float = 0.0, missed: int = 0
     ) -> StateEstimate:
-        """Readings of this turn, believed where they can be."""
+        """Readings of this cycle, believed where they can be."""
         for sensor in self.sensors:
             self._look(sensor, readings.get(sensor.signal), now_ns)
         drive, joints = np.empty(len(self.driven)), np.empty(len(self.driven))
@@ -159,7 +159,7 @@ class StateEstimator:
         )  # fmt: skip
 
     def nothing(self, now_ns: int, line: str) -> StateEstimate:
-        """What a turn sees whose line is dead."""
+        """What a cycle sees whose line is dead."""
         seen = self.see({}, NOBODY, now_ns)
         seen.line = line
         return seen

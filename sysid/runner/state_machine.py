@@ -108,7 +108,7 @@ class RunStateMachine:
         return False
 
     def allow(self, verdicts: Sequence[Violation], now: int) -> bool:
-        """Whether the valves may still move after what a turn's own setpoints and commands were found to be."""
+        """Whether the valves may still move after what a cycle's own setpoints and commands were found to be."""
         worst = sternest(verdicts)
         if worst is not None and worst.reaction == "stop":
             self._halt(worst, now)
@@ -124,7 +124,7 @@ class RunStateMachine:
         self._tell(self.states.on("stop", now, goal.stop))
 
     def slowing(self, neutral: bool, seen: StateEstimate, now: int) -> None:
-        """A turn of a stop, with or without neutral valves."""
+        """A cycle of a stop, with or without neutral valves."""
         self._neutral_s = self._neutral_s + self.dt if neutral else 0.0
         still = np.isfinite(seen.drive).all() and bool(seen.measured.all())
         if self._neutral_s >= self.settings.rest_s and self._latch:

@@ -69,7 +69,7 @@ class Supervisor:
 
         Args:
             moving: whether the valves are let move now.
-            drive_setpoints: of the turn before, (A,) of what is driven; None where there are none.
+            drive_setpoints: of the cycle before, (A,) of what is driven; None where there are none.
         """
         found = check_machine(seen, self.checks)
         found += check_sensors(seen, self.checks, moving)
@@ -130,7 +130,7 @@ class Supervisor:
         return None
 
     def no_answer(self, text: str, reaction: Reaction | None = None) -> Violation:
-        """Nobody gives setpoints in this turn; ``reaction``: another one than that of ``checks.policy``."""
+        """Nobody gives setpoints in this cycle; ``reaction``: another one than that of ``checks.policy``."""
         return Violation("policy", "machine", reaction or self.checks.policy.reaction, math.nan, math.nan, text)
 
     def expired(self, age_s: float, gap_s: float) -> Violation | None:
@@ -150,7 +150,7 @@ class Supervisor:
         return None
 
     def dropped(self, sent: Array) -> None:
-        """The commands of this turn were not sent: the machine goes on with ``sent`` (A,)."""
+        """The commands of this cycle were not sent: the machine goes on with ``sent`` (A,)."""
         self.command_filter.sent = sent.copy()
 
     def _verdicts(self, broken: Sequence[Broken]) -> list[Violation]:

@@ -23,7 +23,7 @@ STEP = 2 * MS
 
 
 def run(database: Path, late: Callable[[int], int], turns: int = 150) -> tuple[list[int], np.ndarray, Watchdog]:
-    """Each turn sends a command of its own, which comes ``late(turn)`` cycles later, 1 ms after the machine's cycle began.
+    """Each cycle sends a command of its own, which comes ``late(cycle)`` cycles later, 1 ms after the machine's cycle began.
 
     Returns:
         How late each command was that was executed [ns], and each row of the machine's truth.
@@ -42,7 +42,7 @@ def run(database: Path, late: Callable[[int], int], turns: int = 150) -> tuple[l
             heard = bus.hear(frame.identifier, frame.extended, frame.data)
             if heard is not None and heard.message == "MACHINE_STATUS":
                 clock.tick(heard.values["time"], end)
-        # One step of the valve a turn: each value is of one turn alone.
+        # One step of the valve a cycle: each value is of one cycle alone.
         said = bus.say([(turn + 1) / 250.0] * 4, True, clock.now(end + MS))
         waits.setdefault(turn + late(turn), []).extend(CanFrame(number, True, data) for number, data in said)
         process.heard(waits.pop(turn, []), end + MS)
@@ -58,7 +58,7 @@ def run(database: Path, late: Callable[[int], int], turns: int = 150) -> tuple[l
 
 @pytest.mark.parametrize("turns", [7, 10, 11, 50])
 def test_commands_that_are_held_up_are_not_executed(tmp_path: Path, turns: int) -> None:
-    """From turn 50 on the line holds them up; before, it works. They were executed 100 to 500 ms late."""
+    """From cycle 50 on the line holds them up; before, it works. They were executed 100 to 500 ms late."""
     late, table, watchdog = run(DATABASE, lambda turn: turns if turn >= 50 else 0)
     assert len(late) == 50
     assert max(late) <= CYCLE

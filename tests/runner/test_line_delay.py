@@ -72,7 +72,7 @@ def test_a_clock_that_was_set_begins_anew(to: float) -> None:
 
 
 def answered(late: Callable[[int], int], turns: int, hear: Callable[[int], bool] = lambda turn: True) -> list[str]:
-    """What is said of a line each turn of 10 ms on which the answer to turn k comes ``late(k)`` turns after it."""
+    """What is said of a line each cycle of 10 ms on which the answer to cycle k comes ``late(k)`` cycles after it."""
     trip, said, echo = CommandRoundTrip(), [], 200
     trip.heard(echo, 0)  # of a runner before this one
     for turn in range(1, turns):

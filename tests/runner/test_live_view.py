@@ -78,7 +78,7 @@ def test_a_flight_becomes_a_recording(tmp_path: Path, capsys: pytest.CaptureFixt
     with pytest.raises(SystemExit) as ended:
         sysid(["view", str(log), "--out", str(out)])
     assert ended.value.code == 0
-    assert "250 turns" in capsys.readouterr().out
+    assert "250 cycles" in capsys.readouterr().out
     shown = curves(out)
     assert {"/axes/boom/joint", "/axes/boom/setpoint", "/timing/lateness", "/log", "/machine/target"} <= set(shown)
     times, values = shown["/commands/boom"]

@@ -20,7 +20,7 @@ LATE = f.Delayed(0.2, stamped=False)
 
 
 def answers(late: int, gain: float = 1.0, band: float = 0.0, seconds: float = 6.0) -> list[float]:
-    """Seconds of delay found each turn, 0 where none is, on axes that go to and fro and answer ``late`` turns late."""
+    """Seconds of delay found each cycle, 0 where none is, on axes that go to and fro and answer ``late`` cycles late."""
     response, rng = ResponseMonitor(VALVES, DT, 0.08), np.random.default_rng(0)
     drive, past, found = np.zeros(4), [np.zeros(4)] * 100, []
     for k in range(round(seconds / DT)):

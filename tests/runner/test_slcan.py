@@ -177,7 +177,7 @@ def test_no_byte_ends_the_reading(machine: tuple[Adapter, CanTransport, LiveBus]
 
 
 def test_an_adapter_that_acknowledges(adapter: Adapter) -> None:
-    """After each frame that it has sent it says so; the machine's frames are all read in the turn in which they came."""
+    """After each frame that it has sent it says so; the machine's frames are all read in the cycle in which they came."""
     spoken = LiveBus(DATABASE, survey=False)
     transport = CanTransport(CanSettings(DATABASE, SIGNALS, VALVES, channel=adapter.channel, listen=0.0))
     transport._bus = SlcanBus(adapter.channel, bitrate=250_000, sleep_after_open=0.0, timeout=0.0)
@@ -190,7 +190,7 @@ def test_an_adapter_that_acknowledges(adapter: Adapter) -> None:
         time.sleep(0.002)
         readings, inputs = transport.read()
         if turn > 2:
-            assert readings["slew.joint"].count >= turn - 1, "nothing waits for the next turn"
+            assert readings["slew.joint"].count >= turn - 1, "nothing waits for the next cycle"
         assert not inputs.fault.startswith("bus")
     transport.close()
 

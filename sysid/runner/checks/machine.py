@@ -23,10 +23,10 @@ def check_machine(seen: StateEstimate, settings: CheckSettings) -> list[Violatio
         found.append(_plain("recording", settings, f"the log: {seen.recording}"))
     rule = settings.overrun
     if seen.lateness_s > rule.late_s:
-        text = f"a turn began {1e3 * seen.lateness_s:.0f} ms late"
+        text = f"a cycle began {1e3 * seen.lateness_s:.0f} ms late"
         found.append(Violation("overrun", "machine", rule.reaction, seen.lateness_s, rule.late_s, text))
     elif seen.missed >= rule.turns:
-        text = f"{seen.missed} turns in a row missed their deadline"
+        text = f"{seen.missed} cycles in a row missed their deadline"
         found.append(Violation("overrun", "machine", rule.reaction, float(seen.missed), float(rule.turns), text))
     return found
 

@@ -109,7 +109,7 @@ class FollowingCheck:
 
 @dataclass(frozen=True)
 class OverrunCheck:
-    """A turn begins ``late_s`` late, or ``turns`` in a row miss their deadline."""
+    """A cycle begins ``late_s`` late, or ``turns`` in a row miss their deadline."""
 
     __pydantic_config__ = STRICT
     reaction: Reaction = "stop"
@@ -119,7 +119,7 @@ class OverrunCheck:
 
 @dataclass(frozen=True)
 class ExpiredCheck:
-    """A command is ready only ``age_s`` after the readings that it comes from were taken: it is dropped, and the next turn has
+    """A command is ready only ``age_s`` after the readings that it comes from were taken: it is dropped, and the next cycle has
     the word. ``gap_s`` after the last command that let the valves move none is sent any more: the machine's watchdog may have
     closed them, and nothing opens them again before a person has looked. ``reaction`` is what follows from the latter."""
 
@@ -131,9 +131,9 @@ class ExpiredCheck:
 
 @dataclass(frozen=True)
 class PolicyAnswerCheck:
-    """The policy fails, answers with what are no setpoints, jumps by ``share`` of a joint's range within a turn, or is late in
-    ``late_turns`` turns in a row; ``hold`` means that the fallback takes over for the rest of the run. In a single turn that it
-    is late the fallback stands in."""
+    """The policy fails, answers with what are no setpoints, jumps by ``share`` of a joint's range within a cycle, or is late in
+    ``late_turns`` cycles in a row; ``hold`` means that the fallback takes over for the rest of the run. In a single cycle
+    that it is late the fallback stands in."""
 
     __pydantic_config__ = STRICT
     reaction: Reaction = "hold"
@@ -280,13 +280,13 @@ BOUNDS: dict[str, ThresholdBounds] = {
     "following.seconds": ThresholdBounds(1.0, "a setpoint that is 1 s at full speed ahead is not followed"),
     "following.for_s": ThresholdBounds(1.0, "the setpoint runs away for so long"),
     "overrun.late_s": ThresholdBounds(WATCHDOG_S, _WATCHED),
-    "overrun.turns": ThresholdBounds(10, "ten turns of 10 ms are what the machine waits for commands"),
+    "overrun.turns": ThresholdBounds(10, "ten cycles of 10 ms are what the machine waits for commands"),
     "expired.age_s": ThresholdBounds(
         0.06, "a machine that checks the stamp of a command takes none that answers older readings"
     ),
     "expired.gap_s": ThresholdBounds(0.09, f"{_WATCHED}, within a cycle of 10 ms; a later command would open them again"),
     "policy.share": ThresholdBounds(1.0, "no setpoint can jump by more than the whole range"),
-    "policy.late_turns": ThresholdBounds(10, "ten turns without the policy are what the machine waits for commands"),
+    "policy.late_turns": ThresholdBounds(10, "ten cycles without the policy are what the machine waits for commands"),
     "restless.share": ThresholdBounds(0.5, "half of full speed with neutral valves is a valve that is open"),
     "restless.after_s": ThresholdBounds(2.0, "valves close in a tenth of a second"),
 }

@@ -104,7 +104,7 @@ class StrokeResult:
 
 
 class Commission:
-    """The mode; :meth:`watch` has to be shown every turn of the loop.
+    """The mode; :meth:`watch` has to be shown every cycle of the loop.
 
     Args:
         machine, valves, linkages, limits, dt: of the machine; ``tip``: joints (n, A) → end effector (n, 3) [m].
@@ -147,7 +147,7 @@ class Commission:
         )
 
     def watch(self, cycle: Cycle) -> None:
-        """A turn of the loop is over."""
+        """A cycle of the loop is over."""
         row = [cycle.readings[signal].value if signal in cycle.readings else math.nan for signal in self.driven]
         self._rows.append((np.array(row), cycle.commands))
         for signal, reading in cycle.readings.items():

@@ -1,4 +1,4 @@
-"""What a mode wants in a turn, and smooth moves from joints to joints that most of them begin with."""
+"""What a mode wants in a cycle, and smooth moves from joints to joints that most of them begin with."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ def _nowhere() -> Array:
 
 @dataclass(frozen=True)
 class Goal:
-    """One turn: a target for the policy, or joints, or valve commands; the first of commands, joints, aim that is there.
+    """One cycle: a target for the policy, or joints, or valve commands; the first of commands, joints, aim that is there.
 
     Args:
         phase: for people and the log.
-        target: where the end effector should be after this turn, (3,) [m].
+        target: where the end effector should be after this cycle, (3,) [m].
         aim: what the policy is shown: the target, or one further ahead.
         joints: setpoints (A,).
         commands: valve commands (A,), open loop.
@@ -82,7 +82,7 @@ class Move:
 
     Args:
         limits: of which :data:`SHARE` is used.
-        dt: of a turn.
+        dt: of a cycle.
     """
 
     def __init__(self, begin: Array, end: Array, limits: Limits, dt: float) -> None:
@@ -97,7 +97,7 @@ class Move:
         self._seconds = self.steps * dt
 
     def at(self, k: int) -> Array:
-        """Joints (A,) ``k`` turns after the beginning; the last ones beyond the end."""
+        """Joints (A,) ``k`` cycles after the beginning; the last ones beyond the end."""
         s = min(max(k / self.steps, 0.0), 1.0)
         return np.asarray(self.begin + (self.end - self.begin) * _quintic(s))
 
@@ -129,11 +129,11 @@ class Approach:
 
     @property
     def steps(self) -> int:
-        """Turns it takes."""
+        """Cycles it takes."""
         assert self._move is not None
         return self._move.steps + self._settle
 
     def goal(self, k: int) -> Goal:
-        """Turn ``k`` of it."""
+        """Cycle ``k`` of it."""
         assert self._move is not None
         return Goal("approach", joints=self._move.at(k + 1))

@@ -21,7 +21,7 @@ Array = npt.NDArray[np.float64]
 
 
 class ReplayJoints:
-    """Joint setpoints (n, A), one a turn; the machine goes to the first ones before."""
+    """Joint setpoints (n, A), one a cycle; the machine goes to the first ones before."""
 
     name, moves, writes, thinks = "replay", True, True, True
 
@@ -39,7 +39,7 @@ class ReplayJoints:
 
 
 class ReplayCommands:
-    """Valve commands (n, A), one a turn, open loop.
+    """Valve commands (n, A), one a cycle, open loop.
 
     Args:
         commands: (n, A) in [-1, 1].

@@ -30,7 +30,7 @@ def eased(path: Path, ease_s: float) -> Array:
     if ease < 1 or 2 * ease > last:
         return path.points.copy()
     up = 0.5 - 0.5 * np.cos(np.pi * (np.arange(ease) + 0.5) / ease)
-    steps = np.concatenate([up, np.ones(last - ease), up[::-1]])  # steps of the path a turn; they sum up to `last`
+    steps = np.concatenate([up, np.ones(last - ease), up[::-1]])  # steps of the path a cycle; they sum up to `last`
     place = np.concatenate([[0.0], np.cumsum(steps)])
     return np.column_stack([np.interp(place, np.arange(last + 1), column) for column in path.points.T])
 
@@ -42,7 +42,7 @@ class TrackPath:
         path: in the base frame.
         start: joints (A,) at its beginning.
         limits, dt: of the machine.
-        ahead: how many turns further on the target lies that the policy is shown.
+        ahead: how many cycles further on the target lies that the policy is shown.
         ease_s: over which the path comes up to its speed.
         laps: how often it is followed; a path that does not close is followed there and back.
     """
@@ -82,7 +82,7 @@ class TrackLive:
     Args:
         port: on 127.0.0.1.
         speed: greatest, of the target [m/s].
-        dt: of a turn.
+        dt: of a cycle.
         seconds: the run ends after so long; None: never.
 
     Raises:
