@@ -125,13 +125,13 @@ class Effect:
     source: str
     excited_by: str
     need: Need
-    beside: Mapping[str, str] = field(default_factory=dict)
-    confused_with: Mapping[str, str] = field(default_factory=dict)
+    beside: Mapping[str, str] = field(default_factory=dict, hash=False)
+    confused_with: Mapping[str, str] = field(default_factory=dict, hash=False)
     actuations: tuple[Actuation, ...] = ()
     memory: Callable[[float], int] = lambda dt: 0
     sides: tuple[Literal["drive", "structure"], ...] = ()
     generalises: tuple[str, ...] = ()
-    example: Mapping[str, float | list[float]] = field(default_factory=dict)
+    example: Mapping[str, float | list[float]] = field(default_factory=dict, hash=False)
     exempt: tuple[Promise, ...] = ()
     rate_independent: bool = False
     fitted: bool = True

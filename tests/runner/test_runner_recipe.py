@@ -205,7 +205,8 @@ def test_a_path_that_leaves_the_fence_is_refused_before_anything_is_opened(works
 
 
 def test_a_run_that_ends_in_a_fault_says_so_by_its_exit_status(workspace: Path) -> None:
-    path = write(workspace, "[collect]\nposes = 1\n[checks.motion]\nseconds = 1e-5\n", mode='"collect"')
+    loop = "[loop]\npriority = 0\nlock_memory = false\n"
+    path = write(workspace, f"[collect]\nposes = 1\n[checks.motion]\nseconds = 1e-5\n{loop}", mode='"collect"')
     arguments = ["--workspace", str(workspace / "ws"), "run", str(path), "--log", str(workspace / "faults")]
     assert run_command(arguments) == 1
     assert run_command([*arguments[:-2], "--dry-run"]) == 0
