@@ -80,5 +80,5 @@ def _flight(log: Path, path: Path | None, out: Printer, json_file: str | None) -
     if not log.is_file():
         raise InputError(str(log), "no such file", "a flight log of the runner")
     turns = show_flight(log, load_machine(log.parent.parent / "machine.toml"), path)
-    out.line(f"{path or 'viewer'}  ({turns} turns of {log.parent.name})")
+    out.line(f"{path or 'viewer'}  ({turns} cycles of {log.parent.name})")
     write_json(json_file, {"schema": 1, "file": path, "log": str(log), "turns": turns})
