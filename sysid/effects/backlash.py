@@ -1,4 +1,4 @@
-"""``backlash``: play between drive and structure; the output waits while the input crosses the play."""
+"""``backlash``: backlash between drive and structure: the output stands still while the input crosses it."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ from sysid.effects.effect import Effect, Form, Need, Parameter, Slot
 EFFECT = Effect(
     name="backlash",
     title="Backlash",
-    sentences=("The {target} has a play of {width}: at each reversal its drive moves and the joint waits.",),
+    sentences=("The {target} has a backlash of {width}: at each reversal the drive moves by that much before the joint does.",),
     part="joint",
     stage="joint",
     target="axis",
     slots=(Slot("width"),),
-    forms=(Form((Parameter("width", "drive", (0.0, 0.1), (0.002, 0.01, 0.03), 2e-4, "full width of the play"),)),),
+    forms=(Form((Parameter("width", "drive", (0.0, 0.1), (0.002, 0.01, 0.03), 2e-4, "full width of the backlash"),)),),
     equation="y = min(max(y, x − width/2), x + width/2)",
     source="Nordin & Gutman, Automatica 38 (2002); pins 0.05–0.3°, slewing rack 0.2–0.8° (machine facts)",
     excited_by="reversals of the axis, slow ones above all",

@@ -8,7 +8,7 @@ from sysid.effects.effect import Effect, Form, Need, Parameter, Slot
 EFFECT = Effect(
     name="joint_compliance",
     title="Joint compliance",
-    sentences=("The {target} gives way under the weight that it carries ({compliance}).",),
+    sentences=("The {target} deflects under the gravity moment that it carries ({compliance}).",),
     part="joint",
     stage="joint",
     target="axis",

@@ -1,4 +1,4 @@
-"""``sensor_bias``: a sensor reads the same amount too much everywhere."""
+"""``sensor_bias``: constant error of a sensor, the same at every reading."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from sysid.effects.effect import Effect, Form, Need, Parameter, Slot
 EFFECT = Effect(
     name="sensor_bias",
     title="Sensor bias",
-    sentences=("The sensor {target} reads {bias} too much.",),
+    sentences=("The sensor {target} has a bias of {bias}.",),
     part="sensor",
     stage="sensor",
     target="signal",

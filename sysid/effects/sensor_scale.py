@@ -1,4 +1,4 @@
-"""``sensor_scale``: a sensor reads in proportion too much (a wrong drum radius, a wrong factor)."""
+"""``sensor_scale``: scale error of a sensor (a wrong drum radius, a wrong factor)."""
 
 from __future__ import annotations
 

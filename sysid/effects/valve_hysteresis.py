@@ -1,4 +1,4 @@
-"""``valve_hysteresis``: friction and magnetic remanence of the spool; the opening lags the command by a play of commands."""
+"""``valve_hysteresis``: friction and magnetic remanence of the spool; the opening follows the command with backlash."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from sysid.effects.effect import Effect, Form, Need, Parameter, Slot
 EFFECT = Effect(
     name="valve_hysteresis",
     title="Spool hysteresis",
-    sentences=("The spool of the {target} lags its command by a play of {width}.",),
+    sentences=("The spool of the {target} has a hysteresis of {width} of its command.",),
     part="valve",
     stage="command",
     target="axis",

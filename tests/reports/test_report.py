@@ -115,7 +115,7 @@ def test_plot_library_is_in_once(crane: Dataset, gap: GapResult) -> None:
 def test_verdict_in_plain_words(page: Page) -> None:
     assert "Three effects are missing from the simulation." in page.text
     assert "The boom does not move until its command exceeds +0.0808 in one direction or −0.0493 in the other." in page.text
-    assert "The slew has a play of 0.603°" in page.text
+    assert "The slew has a backlash of 0.603°" in page.text
     assert "The tool swings on a pendulum of 220 mm" in page.text
 
 
