@@ -20,7 +20,7 @@ EFFECT = Effect(
     confused_with={
         "joint_offset": "a biased joint sensor also disagrees with the cylinder through the linkage; an offset with the "
         "structure alone",
-        "base_misalignment": "a shift of a measured point cannot be told from one of the base: it is reported as the base's",
+        "base_misalignment": "a shift of a measured point is not distinguishable from one of the base, and reported as that",
         "internal_leakage": "leakage creeps as long as the axis rests; a bias is there at once",
         "sensor_scale": "the same everywhere, or growing with the reading",
     },

@@ -32,7 +32,7 @@ TIMES = 2
 GAINS = (0.7, 1.4)
 #: True dead-band less the plant's, in commands, of each direction by itself.
 BANDS = tuple(0.02 * k for k in range(-4, 9))
-#: Every so manyth of them is compared with a late answer. A command that rises slowly crosses a wrong dead-band late: an
+#: Every fourth of them is compared with a late answer. A command that rises slowly crosses a wrong dead-band late: an
 #: answer in time has the finer steps.
 COARSE = 4
 #: Error that has to be explained, RMS, as time at top speed [s]; what noise and formula may leave of the better explanation.
@@ -126,19 +126,23 @@ class ResponseMonitor:
         if own.mean() < ENOUGH or np.ptp(travel[:, 0], axis=1).max() < LEAST_S * self._fastest[i]:
             self._found[i] = 0
             return None
-        both = (travel[0][:, None] + travel[1][None]).reshape(len(BANDS) ** 2, -1)
+        both = _sums(travel)
         turns = self._turns[:, own]
         usual = float(_errors(measured[own], both[:, turns[: self._usual]]).min()) / self._fastest[i]
         if usual <= LEAST_S:
             self._found[i] = 0
             return None
-        few = travel[:, ::COARSE]
-        both = (few[0][:, None] + few[1][None]).reshape(few.shape[1] ** 2, -1)
+        both = _sums(travel[:, ::COARSE])
         late = _errors(measured[own], both[:, turns[self._usual :]]).min(axis=0) / self._fastest[i]
         self._found[i] = self._found[i] + 1 if max(float(late.min()), FLOOR_S) < SHARE * usual else 0
         if self._found[i] < TIMES:
             return None
         return LateAxis(i, float(self._delays[self._usual + int(np.argmin(late)), -1]) * self.dt)
+
+
+def _sums(travel: Array) -> Array:
+    """Travel (bands², cycles) for each pair of dead-bands, from that forwards and backwards (2, bands, cycles)."""
+    return np.asarray(travel[0][:, None] + travel[1][None]).reshape(travel.shape[1] ** 2, -1)
 
 
 def _errors(measured: Array, travel: Array) -> Array:
