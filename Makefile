@@ -1,6 +1,8 @@
 # demo · test · test-slow · fuzz · lint · bench · hidden-effects · report · clean. Each makes .venv by itself when it is missing.
 .PHONY: demo test test-slow fuzz lint bench hidden-effects report clean
 .DEFAULT_GOAL := demo
+# Bytecode is kept even where the environment says otherwise: tests start many processes, and each would compile sysid again.
+unexport PYTHONDONTWRITEBYTECODE
 
 PYTHON ?= $(shell command -v python3.11 || command -v python3)
 VENV := .venv

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections import Counter
 from pathlib import Path
 
 import pytest
@@ -33,3 +34,11 @@ def shared_data() -> Path:
 def datasets_folder() -> Path:
     """``datasets/`` of this repository."""
     return ROOT / "datasets"
+
+
+def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
+    """One line at the end for each reason for which tests were skipped."""
+    places = [report.longrepr for report in terminalreporter.stats.get("skipped", [])]
+    reasons = Counter(str(place[2]).removeprefix("Skipped: ") for place in places if isinstance(place, tuple))
+    for reason, count in reasons.most_common():
+        terminalreporter.write_line(f"{count} tests were skipped: {reason}")

@@ -1,4 +1,4 @@
-"""Imports point one way, the stand-in machine stands alone, and starting up is cheap."""
+"""Imports point one way, the simulated test bench stands alone, and starting up is cheap."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ FLOORS: tuple[tuple[str, ...], ...] = (
     ("runner",),
     ("cli",),
 )
-#: The stand-in machine is evaluated by the library, so it may share nothing with it but errors and settings.
+#: The simulated test bench has its own physics: it shares nothing with the library but errors and settings.
 BENCH_MAY_IMPORT = {"errors", "config", "bench"}
 #: Half a second and more each, or a compiler: only loaded by the verb that needs them.
 HEAVY = (

@@ -55,7 +55,8 @@ def rubbed(friction: Callable[[float, float], float], seconds: float, seed: int,
 # -- nothing hidden ---------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("seed", [3, pytest.param(4, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [3, 4])
 def test_a_random_disturbance_is_no_gap(seed: int) -> None:
     """Two percent of the speed, at random: nothing is missing in the plant, and nothing is reported as unnamed."""
     plant = nominal()
@@ -82,7 +83,7 @@ def test_a_random_disturbance_is_no_gap(seed: int) -> None:
 # -- what is named is there -------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("force", [0.003, 0.01, 0.03, 0.1])
+@pytest.mark.parametrize("force", [pytest.param(force, marks=pytest.mark.slow) for force in (0.003, 0.01, 0.1)] + [0.03])
 def test_no_interval_of_a_name_contains_its_absence(force: float) -> None:
     """Friction from far below what shows up to what does."""
     true = nominal(KnownEffect("coulomb_friction", "slide", {"force": force}), machine=slide())
@@ -106,6 +107,7 @@ def test_what_the_held_out_recording_does_not_have_gets_no_name() -> None:
     assert any("held-out" in note for note in found.notes)
 
 
+@pytest.mark.slow
 def test_friction_that_saturates_smoothly_is_not_viscous() -> None:
     """It grows with the speed and then no more; a viscous friction alone would be a substitute."""
     recordings = rubbed(lambda v, x: 22.0 * float(np.tanh(v / 0.15)), 8.0, seed=1)
@@ -114,6 +116,7 @@ def test_friction_that_saturates_smoothly_is_not_viscous() -> None:
     assert ("viscous_friction", "slide") not in names(found)
 
 
+@pytest.mark.slow
 def test_inertia_gets_no_name_where_friction_has_a_memory() -> None:
     """Dahl's friction: the force follows the travel after each reversal, as a spring does at first."""
     state = {"z": 0.0, "x": 0.0}
@@ -132,6 +135,7 @@ def test_inertia_gets_no_name_where_friction_has_a_memory() -> None:
 # -- effects that are not distinguishable -----------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_two_splits_of_smooth_motion_do_not_give_two_names() -> None:
     """A servo that is late, asked for slow sines alone: a lag and a dead time do the same."""
     true = nominal(KnownEffect("first_order_lag", "wrist", {"time_constant": 0.08}))
@@ -149,6 +153,7 @@ def test_two_splits_of_smooth_motion_do_not_give_two_names() -> None:
     assert {name for found in answers for name in names(found)} <= {("first_order_lag", "wrist")}
 
 
+@pytest.mark.slow
 def test_intervals_of_one_joint_from_two_sets_overlap() -> None:
     """The friction is none of the catalogue: what formulas cannot do is in the intervals."""
 

@@ -56,6 +56,7 @@ def shifted(dataset: Dataset, times: float, rng: np.random.Generator) -> Dataset
     )
 
 
+@pytest.mark.slow
 def test_what_all_recordings_share_is_in_the_interval() -> None:
     """Zeros and mounts are off alike in all recordings, so that their scatter says nothing about it."""
     truth = KnownEffect("joint_offset", "boom", {"offset": 0.01})

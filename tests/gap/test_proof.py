@@ -103,6 +103,7 @@ def test_a_release_that_no_recording_shows_is_not_given() -> None:
     assert low <= 0.02 <= high
 
 
+@pytest.mark.slow
 def test_the_damping_of_a_swing_is_given() -> None:
     """A secondary parameter that is known to a quarter."""
     true = nominal(KnownEffect("gripper_sway", "tool", {"length": 0.2, "damping_ratio": 0.04}))

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import pytest
 from plant_data import CAPTURE, dataset_of, nominal
 
 from sysid.gap import find_gap
 from sysid.machine import KnownEffect
 
 
+@pytest.mark.slow
 def test_a_clock_that_shows_at_every_stage_is_named_once() -> None:
     """Cylinder against joint, joints against tip, tip against tool: the capture is late in all of them."""
     plant = nominal(streams=CAPTURE)

@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 from c3d_writer import PROCESSORS, Writer, trial
+from examples import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -184,7 +185,7 @@ def test_headers_that_do_not_fit_the_file(at: int, value: int, reason: str, tmp_
         read(path)
 
 
-@settings(max_examples=150, deadline=2000)
+@settings(max_examples=examples(150), deadline=2000)
 @given(data=st.data())
 def test_damage_is_reported_never_a_crash(data: st.DataObject, tmp_path_factory: pytest.TempPathFactory) -> None:
     path = tmp_path_factory.getbasetemp() / "damaged.c3d"

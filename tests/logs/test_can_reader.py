@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from cantools.database.can import Message, Signal
 from cantools.database.conversion import BaseConversion
+from examples import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -82,7 +83,7 @@ def messages(draw: st.DrawFn) -> Message:
     return Message(1, "M", size, [signal])
 
 
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=examples(300), deadline=None)
 @given(messages(), st.data())
 def test_any_signal_is_decoded_as_by_cantools(described: Message, data: st.DataObject) -> None:
     payloads = data.draw(st.lists(st.binary(min_size=described.length, max_size=described.length), min_size=1, max_size=4))
@@ -276,7 +277,7 @@ def test_an_object_without_a_size_does_not_hang(tmp_path: Path) -> None:
             read(path)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=examples(60), deadline=None)
 @given(data=st.data())
 def test_damage_is_reported_never_a_crash(data: st.DataObject, tmp_path_factory: pytest.TempPathFactory) -> None:
     folder = tmp_path_factory.mktemp("damage")

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 from attempts import attempt
+from examples import examples
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
@@ -342,7 +343,7 @@ def damaged_text(draw: Callable[[Any], Any], text: bytes) -> bytes:
     return b"\n".join(lines)[: draw(st.integers(1, len(text) + 50))]
 
 
-@settings(max_examples=250, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=examples(250), deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(
     data=st.data(),
     sample=st.sampled_from(
@@ -368,7 +369,7 @@ def test_any_damage_to_a_text_export_ends_in_streams_or_a_reason(
         assert all(len(values) == len(stream) for values in stream.columns.values())
 
 
-@settings(max_examples=100, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=examples(100), deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(data=st.data())
 def test_any_damage_to_a_qualisys_export_ends_in_streams_or_a_reason(tmp_path: Path, data: st.DataObject) -> None:
     text = "\n".join([*qualisys_3d(), "1\t2\t3\t4\t5\t6", "1\t2\t3\t4\t5\t6", ""]).replace("\t", ",").encode()

@@ -16,6 +16,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from attempts import attempt
+from examples import examples
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from mcap.writer import Writer as McapWriter
@@ -125,7 +126,7 @@ def check(path: Path, name: str, data: bytes) -> None:
     assert seen.streams or name in seen.refusal
 
 
-@settings(max_examples=120, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=examples(120), deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(name=st.sampled_from(sorted(set(LOGS) - {"log.mf4"})), steps=st.lists(BYTES_STEP, min_size=1, max_size=3))
 def test_any_damage_to_any_format_ends_in_streams_or_a_reason(
     tmp_path: Path, name: str, steps: list[tuple[str, int, int, int, bytes]]
@@ -133,7 +134,7 @@ def test_any_damage_to_any_format_ends_in_streams_or_a_reason(
     check(tmp_path / name, name, damaged_bytes(original(name), steps))
 
 
-@settings(max_examples=80, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=examples(80), deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(
     name=st.sampled_from([name for name in sorted(LOGS) if Path(name).suffix in TEXT]),
     steps=st.lists(TEXT_STEP, min_size=1, max_size=4),

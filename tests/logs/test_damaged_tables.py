@@ -8,6 +8,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from attempts import attempt
+from examples import examples
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from scipy.io import savemat
@@ -31,7 +32,7 @@ def samples(tmp_path_factory: pytest.TempPathFactory) -> dict[str, bytes]:
     return {path.name: path.read_bytes() for path in folder.iterdir()}
 
 
-@settings(max_examples=400, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=examples(400), deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(data=st.data(), name=st.sampled_from(["a.csv", "a.parquet", "a.mat", "packed.mat", "old.mat"]))
 def test_any_damage_to_a_table_ends_in_a_stream_or_a_reason(
     tmp_path: Path, samples: dict[str, bytes], data: st.DataObject, name: str
@@ -50,7 +51,7 @@ def test_any_damage_to_a_table_ends_in_a_stream_or_a_reason(
     assert inspect_file(path).streams or inspect_file(path).refusal
 
 
-@settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=examples(150), deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(text=st.text(alphabet="time,x[]\"'\n\r;\t 0123.-e#µ", max_size=80))
 def test_any_text_is_a_table_or_refused(tmp_path: Path, text: str) -> None:
     path = tmp_path / "a.csv"
@@ -59,7 +60,7 @@ def test_any_text_is_a_table_or_refused(tmp_path: Path, text: str) -> None:
     assert streams is not None or "a.csv" in refusal
 
 
-@settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=examples(150), deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(data=st.data())
 def test_any_damage_to_json_records_ends_in_a_stream_or_a_reason(tmp_path: Path, data: st.DataObject) -> None:
     damaged = bytearray(b'{"gain": 2, "log": [{"time": 0, "q": [1.5, -2e3], "on": true}, {"time": 0.5, "arm": {"u": null}}]}')

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from examples import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from mcap.records import Schema
@@ -201,7 +202,7 @@ def columns_of(
 
 
 @pytest.mark.parametrize("packed", [False, True], ids=["ros2", "ros1"])
-@settings(max_examples=150)
+@settings(max_examples=examples(150))
 @given(types=definitions(), seed=st.integers(0, 2**32))
 def test_nothing_is_misread_whatever_changes_between_messages(types: Types, seed: int, packed: bool) -> None:
     rng = random.Random(seed)

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from examples import examples
 from google.protobuf import descriptor_pb2, descriptor_pool, message_factory, timestamp_pb2
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
@@ -166,7 +167,7 @@ def test_an_unknown_encoding_is_a_loss_or_an_error(tmp_path: Path) -> None:
         McapReader().read(path, ReadOptions(streams=frozenset({"/flat"})))
 
 
-@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=examples(60), deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(rows, st.sets(st.sampled_from(["count", "fixed[1]", "position[0]", "position[2]", "position[a]", "position[bb]"])))
 def test_wanted_fields_are_those_of_the_whole_read(
     tmp_path: Path, messages: list[tuple[int, list[str], list[float], str]], wanted: set[str]

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import zstandard
 from attempts import attempt
+from examples import examples
 from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 from mcap.writer import CompressionType
@@ -73,7 +74,7 @@ def good_file(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathF
     return path.read_bytes()
 
 
-@settings(max_examples=120, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=examples(120), deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(data=st.data())
 def test_any_damage_ends_in_streams_or_a_reason(tmp_path: Path, good_file: bytes, data: st.DataObject) -> None:
     damaged = bytearray(good_file)
@@ -90,7 +91,7 @@ def test_any_damage_ends_in_streams_or_a_reason(tmp_path: Path, good_file: bytes
         assert all(len(values) == len(stream) for values in (*stream.columns.values(), *stream.stamps.values()))
 
 
-@settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=examples(150), deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(st.binary(max_size=300))
 @example(struct.pack("<BQ", 5, 2**63) + b"x")
 def test_any_bytes_behind_the_magic_end_in_a_reason(tmp_path: Path, body: bytes) -> None:
@@ -103,7 +104,7 @@ def test_any_bytes_behind_the_magic_end_in_a_reason(tmp_path: Path, body: bytes)
 KINDS = ["uint8", "float64", "string", "float32[]", "string[]", "int16[3]", "Inner", "Inner[]", "bool[<=4]", "wstring"]
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=examples(200), deadline=None)
 @given(st.lists(st.sampled_from(KINDS), max_size=6), st.binary(max_size=120), st.booleans())
 def test_any_message_of_any_type_is_walked_or_refused(kinds: list[str], body: bytes, little: bool) -> None:
     members = "\n".join(f"{kind} m{number}" for number, kind in enumerate(kinds))
@@ -169,21 +170,21 @@ def test_a_schema_of_other_types_alone_is_refused() -> None:
         parse_definition("p/msg/M", "MSG: p/A\nuint8 x\n", "log.mcap")
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=examples(150), deadline=None)
 @given(st.text(alphabet="abM/[]<=3 \n#=:.uint8strng", max_size=120))
 def test_any_text_is_a_schema_or_refused(text: str) -> None:
     definition, refusal = attempt(InputError, lambda: parse_definition("p/msg/M", text, "log.mcap"))
     assert refusal.startswith("log.mcap: schema") if definition is None else definition.root == "p/M"
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=examples(60), deadline=None)
 @given(st.text(alphabet="module struct {}<>;:\"'@() \nxdouble", max_size=80))
 def test_any_text_is_idl_or_refused(text: str) -> None:
     with pytest.raises(InputError, match=r"log\.mcap: schema p/msg/M"):
         parse_idl("p/msg/M", text, "log.mcap")
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=examples(100), deadline=None)
 @given(st.binary(max_size=80))
 def test_any_bytes_are_a_message_or_refused(data: bytes) -> None:
     with pytest.raises(InputError, match="a protobuf schema that cannot be read"):
@@ -197,7 +198,7 @@ def test_deep_json_does_not_exhaust_the_stack() -> None:
         parse_json(b"[" * 200_000)
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=examples(100), deadline=None)
 @given(st.sampled_from(["zstd", "lz4"]), st.binary(max_size=60), st.integers(0, 2**64 - 1), st.booleans())
 def test_any_packed_bytes_are_unpacked_or_refused(compression: str, packed: bytes, size: int, cut_off: bool) -> None:
     records, refusal = attempt(ValueError, lambda: unpack(packed, compression, size, Budget.of(len(packed)), cut_off))

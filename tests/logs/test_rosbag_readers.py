@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 from attempts import attempt
+from examples import examples
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from rosbags.highlevel import AnyReader
@@ -182,7 +183,7 @@ def test_a_bag_that_unpacks_without_end_is_refused(tmp_path: Path) -> None:
             Ros1Reader().read(path, options)
 
 
-@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=examples(60), deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(data=st.data())
 def test_any_damage_to_a_bag_ends_in_streams_or_a_reason(tmp_path: Path, data: st.DataObject) -> None:
     path = tmp_path / "log.bag"

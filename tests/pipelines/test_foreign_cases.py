@@ -137,7 +137,13 @@ def test_logs_are_read(foreign: dict[str, ModuleType], family: str, tmp_path: Pa
 
 
 @pytest.mark.parametrize(
-    ("family", "variant"), [("mujoco_crane", 0), ("mujoco_crane", 3), ("mujoco_arm", 0), ("bullet_arm", 1)]
+    ("family", "variant"),
+    [
+        ("mujoco_crane", 3),
+        ("mujoco_arm", 0),
+        pytest.param("mujoco_crane", 0, marks=pytest.mark.slow),
+        pytest.param("bullet_arm", 1, marks=pytest.mark.slow),
+    ],
 )
 def test_with_nothing_hidden_the_owners_plant_is_right(foreign: dict[str, ModuleType], family: str, variant: int) -> None:
     """The truth is a truth: free runs of what the owner fitted meet recordings that he has not seen."""
@@ -166,6 +172,7 @@ def test_with_nothing_hidden_the_force_is_right(foreign: dict[str, ModuleType], 
     assert off < CLOSE
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("short")
 def test_site_holds_nothing_of_what_is_sealed(foreign: dict[str, ModuleType], tmp_path: Path) -> None:
     needs("mujoco_arm")

@@ -43,6 +43,7 @@ def test_nothing_leaves_the_fence_in_a_thousand_runs() -> None:
         check(seed)
 
 
+@pytest.mark.slow
 def test_without_the_barrier_it_does(monkeypatch: pytest.MonkeyPatch) -> None:
     """The runs above would show it: with the barrier taken out several of the first ten leave."""
 

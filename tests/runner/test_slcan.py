@@ -11,6 +11,7 @@ from collections.abc import Iterator
 import can
 import numpy as np
 import pytest
+from examples import examples
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from live_machine import DATABASE, SIGNALS, VALVES
@@ -154,7 +155,7 @@ _PIECES = st.one_of(
 )
 
 
-@settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=examples(150), deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(st.lists(_PIECES, max_size=8).map(b"".join))
 def test_no_byte_ends_the_reading(machine: tuple[Adapter, CanTransport, LiveBus], noise: bytes) -> None:
     """Whatever came before, what comes behind the next end of a line is read, and no noise is a fault of the line."""

@@ -47,7 +47,7 @@ def modelled(rate: Rate, period: float = 0.0) -> ProofOutcome:
     return fit_residual_models(study.case, study.stages, ProofOutcome(BASE, unnamed=[unnamed(period=period)]), QUICK)
 
 
-@pytest.mark.parametrize(("rate", "period"), [(heavy, 0.0), (ripple, 0.03)])
+@pytest.mark.parametrize(("rate", "period"), [(heavy, 0.0), pytest.param(ripple, 0.03, marks=pytest.mark.slow)])
 def test_held_out_errors_fall(rate: Rate, period: float) -> None:
     outcome = modelled(rate, period)
     (item,) = outcome.carried
@@ -74,6 +74,7 @@ def test_its_bound_is_estimated_from_the_data() -> None:
     assert residual.period == 0.03
 
 
+@pytest.mark.slow
 def test_it_records_its_provenance_and_uses_no_held_out_data() -> None:
     (residual,) = modelled(heavy).repaired.residuals
     assert residual.origin["dataset"] == "arm@1"
@@ -89,6 +90,7 @@ def test_it_records_its_provenance_and_uses_no_held_out_data() -> None:
     assert again.carried[0].before != modelled(heavy).carried[0].before
 
 
+@pytest.mark.slow
 def test_the_same_seed_gives_the_same_network() -> None:
     study = steps.open_study(data(ripple), BASE)
     again = fit_residual_models(study.case, study.stages, ProofOutcome(BASE, unnamed=[unnamed(period=0.03)]), QUICK)
