@@ -3,17 +3,23 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Callable
 from pathlib import Path
 from types import ModuleType
 from typing import Any
 
+import numpy as np
 import pytest
 from short_logs import shortened
 
 from sysid.networks import parse_recipe
+from sysid.pictures import PictureCurve, svg
+from sysid.workspace import open_workspace
 
-AUTOLOG = Path(__file__).parents[2] / "datasets" / "autolog"
+ROOT = Path(__file__).parents[2]
+AUTOLOG = ROOT / "datasets" / "autolog"
+PICTURE = ROOT / "docs" / "images" / "demo.svg"
 SECONDS = {"manual-01": 30.0, "manual-02": 30.0, "manual-06": 30.0, "poses": 800.0}
 QUICK = {
     "actuator": {"samples": 400, "training": {"epochs": 150, "learning_rate": 1e-3}},
@@ -72,3 +78,37 @@ def test_every_station_says_how_long_it_took_and_leaves_its_file(result: dict[st
     assert result["gap"]["plant"] == {"before": "autolog@1", "after": "autolog@2"}
     assert "Three effects are missing" in Path(result["files"]["report"]).read_text("utf-8")
     assert Path(result["files"]["rerun"]).stat().st_size > 100_000
+
+
+def picture(result: dict[str, Any]) -> str:
+    """Height of the boom tip on the held-out recording: measured, and simulated before and after the repair."""
+    place = open_workspace(Path(result["files"]["report"]).parents[1])
+    dataset, (name,) = place.dataset("autolog"), result["gap"]["held_out_recordings"]
+    runs, recording, signal = place.predictions(dataset, name), dataset.recording(name), "ee.z"
+    time = recording.values("time") - recording.values("time")[0]
+    rms = {key: f"{1e3 * result['gap']['gap'][key][signal]:.3g} mm" for key in ("before", "after", "noise_floor")}
+    curves = [
+        PictureCurve("simulated before", time, runs["before"][signal].to_numpy(), "#d9822b"),
+        PictureCurve("measured", time, recording.values(signal), "#30363c"),
+        PictureCurve("simulated after", time, runs["after"][signal].to_numpy(), "#1a7f64", dashed=True),
+    ]
+    errors = f"RMS {rms['before']} → {rms['after']}; noise {rms['noise_floor']}"
+    return svg(
+        f"Height of the boom tip: {errors}",
+        f"time [s] of a recording that no fit has seen · {errors}",
+        "height of the boom tip [m]",
+        curves,
+    )
+
+
+def test_the_picture_in_the_readme_is_that_of_today(result: dict[str, Any], tmp_path: Path) -> None:
+    """Texts are equal, and curves to half a pixel."""
+    (tmp_path / PICTURE.name).write_text(picture(result), "utf-8")
+    numbers, words = [], []
+    for path in (PICTURE, tmp_path / PICTURE.name):
+        text = path.read_text("utf-8")
+        curves = " ".join(re.findall(r'points="([^"]*)"', text))
+        numbers.append(np.array(re.split("[ ,]", curves), dtype=float))
+        words.append(re.sub(r'points="[^"]*"', "", text))
+    assert words[0] == words[1], f"the demo's figures have changed: look at {tmp_path / PICTURE.name} and copy it to {PICTURE}"
+    np.testing.assert_allclose(numbers[1], numbers[0], rtol=0.0, atol=0.5)
