@@ -39,7 +39,7 @@ def test_backlash_that_too_few_reversals_did_not_excite() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("noise", "lag", "seconds"), [(1e-4, 0.05, 20.0), (6e-4, 0.15, 10.0)])
+@pytest.mark.parametrize(("noise", "lag", "seconds"), [(1e-4, 0.05, 20.0), (4e-4, 0.1, 10.0)])
 def test_a_lag_that_slow_ramps_do_not_separate_from_a_delay(noise: float, lag: float, seconds: float) -> None:
     plant = nominal(machine=coarse_arm(noise))
     truth = plant.with_effect(KnownEffect("first_order_lag", "boom", {"time_constant": lag}))
