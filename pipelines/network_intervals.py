@@ -153,17 +153,17 @@ def tables(models: Mapping[str, list[dict[str, Any]]]) -> str:
         return f"{factor * float(np.mean(values)):.{1 if factor == 100.0 else 2}f}" if values else "–"
 
     names = ("not flagged", "flagged", *REGIONS)
-    asked = [f"{100.0 * share:g} %" for share in LEVELS]
-    header = ["tips inside their intervals [%], asked for", *asked, *(f"{asked[-1]}, {name}" for name in names)]
+    levels = [f"{100.0 * share:g} %" for share in LEVELS]
+    header = ["coverage [%] at a nominal level of", *levels, *(f"{levels[-1]}, {name}" for name in names)]
     rows = [
         [title, *(mean(runs, "like", "held", f"{share:g}", "all") for share in LEVELS)]
         + [mean(runs, "like", "held", level, name) for name in names]
         + [mean(runs, "like", "held", WIDTH, factor=1e3)]
         for title, runs in models.items()
     ]
-    first = markdown([*header, f"half width at {asked[-1]} [mm]"], rows)
-    kinds = {"like": "like those learned from", "beyond": "beyond a joint's range", "corner": "in the corner left out"}
-    whats = ("flagged [%],", "RMSE [mm],", f"{asked[-1]} hold [%],")
+    first = markdown([*header, f"half-width at {levels[-1]} [mm]"], rows)
+    kinds = {"like": "as in training", "beyond": "beyond a joint's range", "corner": "in the omitted corner"}
+    whats = ("flagged [%],", "RMSE [mm],", f"coverage at {levels[-1]} [%],")
     header = ["poses", *(f"{what} {kind}" for kind in kinds.values() for what in whats)]
     rows = [
         [title]
