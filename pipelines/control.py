@@ -44,7 +44,7 @@ def stages(course: TrackingTask, before: Tuning) -> list[tuple[str, Tuning, floa
         ("+ inverse of the valve", inverse, 0.0),
         ("+ gain from the dead time", gains, 0.0),
         ("+ speed fed forward", fed, 0.0),
-        ("+ way across the play", played, 0.0),
+        ("+ backlash compensation", played, 0.0),
         ("+ integral: the tuned controller", full, 0.0),
         ("+ look-ahead by the dead time", full, course.dead_time),
         ("tuned controller of the simulation before the gap was named", before, 0.0),
