@@ -22,7 +22,7 @@ import pandas as pd
 from committed import markdown, provenance, write_result, write_tables
 from sysid.datasets import Dataset, Recording
 from sysid.machine import Machine, load_machine
-from sysid.networks import AnyForward, ForwardRecipe, NetworkRecipe, fit_forward
+from sysid.networks import ForwardModel, ForwardRecipe, NetworkRecipe, fit_forward
 from sysid.signals import axis_signal, point_signals
 
 Array = npt.NDArray[np.float64]
@@ -88,13 +88,13 @@ def judged(machine: Machine, forward: ForwardRecipe, seed: int) -> dict[str, Any
     }
 
 
-def learned(machine: Machine, forward: ForwardRecipe, seed: int, q: Array, rng: np.random.Generator) -> AnyForward:
+def learned(machine: Machine, forward: ForwardRecipe, seed: int, q: Array, rng: np.random.Generator) -> ForwardModel:
     """A model of the poses ``q``."""
     dataset = Dataset.of(machine, (measured(machine, q, rng),))
     return fit_forward(dataset, NetworkRecipe(seed=seed, forward=forward))
 
 
-def regions(model: AnyForward, machine: Machine, q: Array, rng: np.random.Generator) -> tuple[float, dict[str, Any]]:
+def regions(model: ForwardModel, machine: Machine, q: Array, rng: np.random.Generator) -> tuple[float, dict[str, Any]]:
     """Share of ``q`` inside the data; shares of measured tips inside their intervals, by level, flag and region."""
     poses = measured(machine, q, rng)
     said = np.column_stack([poses.values(signal) for signal in model.joints])

@@ -104,7 +104,7 @@ def history(width: float) -> dict[str, Any]:
             found["outputs"][signals[target]] = {
                 "unit": entry.unit,
                 "noise": entry.noise_floor,
-                "silent": memory.silent,
+                "silent": memory.inactive,
                 "static": _figures(entry.baselines[STATIC]) | {"by_direction": list(theirs.rmse)},
                 "history": _figures(entry.metrics) | {"by_direction": list(ours.rmse)},
             }
@@ -200,8 +200,8 @@ def second_half(network: MotionNetwork, valve: Array, oil: Array) -> float:
 def tables(result: Mapping[str, Any]) -> str:
     """What docs/networks.md shows."""
     lines = [
-        f"Simulated test bench, {RECORDINGS - 2} recordings of one minute to fit, one to select, one held out. RMSE, static → with "
-        "history, by direction of the input.",
+        f"Simulated test bench, {RECORDINGS - 2} recordings of one minute to fit, one to select, one held out. RMSE, static → "
+        "with history, by direction of the input.",
         "",
         "| output | backlash | falling | still | rising | all | sensor noise |",
         "| --- | --- | ---: | ---: | ---: | ---: | ---: |",
@@ -233,11 +233,11 @@ def tables(result: Mapping[str, Any]) -> str:
         tried = "; ".join(f"{title} {entry['rms']:.3f}" for title, entry in said["inputs"].items())
         lines += [
             "",
-            "Oil pressure of the hydraulic actuator from its valve, RMS error of the free run over the second half (512 samples; "
-            f"fitted on samples 1 … {CUT}, selected on {CUT + 1} … {HALF}): **{said['rms']:.3f}** ({said['kept']}). "
-            f"Literature, same halves: {others}. Candidate inputs: {tried}. This is not a blind result: layers and training were "
-            "fixed after trial runs (10, 16, 64 and 32-32 units, single and averaged) whose errors on the second half were known "
-            "(0.53 … 1.61).",
+            "Oil pressure of the hydraulic actuator from its valve, RMS error of the free run over the second half (512 "
+            f"samples; fitted on samples 1 … {CUT}, selected on {CUT + 1} … {HALF}): **{said['rms']:.3f}** ({said['kept']}). "
+            f"Literature, same halves: {others}. Candidate inputs: {tried}. This is not a blind result: layers and training "
+            "were fixed after trial runs (10, 16, 64 and 32-32 units, single and averaged) whose errors on the second half "
+            "were known (0.53 … 1.61).",
         ]
     return "\n".join(lines)
 

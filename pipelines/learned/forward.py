@@ -21,7 +21,7 @@ from sysid.networks import (
     fit_chain,
     train,
 )
-from sysid.networks.chain import SPARE, products
+from sysid.networks.chain import SPARE_POSES, products
 from sysid.networks.forward import feature_names, to_features
 from sysid.networks.mlp import Rectifier
 from sysid.networks.recipe import Features
@@ -159,7 +159,7 @@ def structures(reach: str, count: int) -> dict[str, list[Predict]]:
             for seed, each in zip(SEEDS, sets, strict=True)
         ]
     }
-    if count >= products(np.zeros((1, len(ANGLES))), ANGLES).shape[1] + SPARE:
+    if count >= products(np.zeros((1, len(ANGLES))), ANGLES).shape[1] + SPARE_POSES:
         found["chain"] = [fit_chain(each.captured, each.seen_tip, ANGLES).predict for each in sets]
     return found
 

@@ -19,9 +19,9 @@ ASKED = {"joints": "true", "captured": "motion capture's", "own": "the machine's
 def tables(result: Mapping[str, Any]) -> str:
     return "\n\n".join(
         [
-            "500 training poses, errors of x / y / z on 1000 test poses [mm]: mean of five seeds, in brackets the worst seed.",
+            "500 training poses, errors of x / y / z on 1000 test poses [mm]; mean of five seeds (worst seed).",
             *(_variants(result["variants"], reach) for reach in RANGES),
-            "The same models, evaluated at measured joint values: largest error / 95 % of the errors, the worst of x, y, z [mm].",
+            "The same models, evaluated at measured joint values: largest / 95 % error, the worst of x, y, z [mm].",
             _asked(result["variants"]),
             "![Learning curves of the forward models](../reports/networks/forward.svg)",
             f"Actuator networks of the shipped logs, {SIZES[-1]} rows, mean of {len(SEEDS)} seeds: in held-out motion against"

@@ -196,8 +196,7 @@ def tables(arms: Mapping[str, Mapping[str, Any]]) -> str:
             cells = (arm["curve"][count][name] for count in counts)
             curve.append([name, *(f"{cell['distance_median']:.2f} ({cell['distance_rmse']:.2f})" for cell in cells)])
         parts += [
-            f"**{arm['title']}**, {arm['poses']} poses, {arm['folds']}-fold cross-validation. "
-            f"Published: {arm['published']}.",
+            f"**{arm['title']}**, {arm['poses']} poses, {arm['folds']}-fold cross-validation. Published: {arm['published']}.",
             markdown(["model", "RMSE x, y, z [mm]", "distance, RMSE", "median", "95 %", "max"], rows),
             markdown([f"{arm['title']}, training poses: median (RMSE) of the distance [mm]", *counts], curve),
         ]

@@ -18,7 +18,7 @@ Array = npt.NDArray[np.float64]
 #: Points of the tables joint → cylinder.
 _POINTS = 2048
 #: Nobody looks further ahead than this [s].
-LONGEST = 5.0
+MAX_PREVIEW = 5.0
 
 
 class CylinderController:
@@ -46,8 +46,8 @@ class CylinderController:
         where = f"cylinder controller of {plant.machine.name}"
         if copies < 1:
             raise SettingsError(where, f"{copies} copies", "at least one")
-        if not 0.0 <= preview <= LONGEST:
-            raise SettingsError(where, f"preview = {preview} s", f"0 to {LONGEST:g} s")
+        if not 0.0 <= preview <= MAX_PREVIEW:
+            raise SettingsError(where, f"preview = {preview} s", f"0 to {MAX_PREVIEW:g} s")
         self.plant, self.copies, self.preview = plant, copies, preview
         self.tuning = tuple(tuning) if tuning is not None else tune(plant)
         self.dt = 1.0 / (rate_hz or plant.machine.rate_hz)
@@ -104,7 +104,7 @@ class CylinderController:
         """The commands given last, (n, A)."""
         return self._state[:, :, LAST].copy()
 
-    def took(self, commands: npt.ArrayLike) -> None:
+    def override(self, commands: npt.ArrayLike) -> None:
         """What was really sent, (A,) or (n, A), where that is not what :meth:`commands` gave: the next ones follow it."""
         self._state[:, :, LAST] = np.asarray(commands, dtype=np.float64)
 

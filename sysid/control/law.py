@@ -13,15 +13,15 @@ import math
 
 import numpy as np
 
-from sysid.control.tuning import INTEGRAL_SHARE, STILL, AxisTuning
+from sysid.control.tuning import INTEGRAL_SHARE, REST_SHARE, AxisTuning
 from sysid.effects.compiled import inlined, kernel
 
 (
-    SERVO, UP, DOWN, EXPONENT, POSITIVE, NEGATIVE, LIMIT, CREEP, PLAY, LEAD, PROPORTIONAL, INTEGRAL, FEED, RATE, LOW, HIGH,
+    SERVO, UP, DOWN, EXPONENT, POSITIVE, NEGATIVE, LIMIT, CREEP, BACKLASH, LEAD, PROPORTIONAL, INTEGRAL, FEED, RATE, LOW, HIGH,
 ) = range(len(AxisTuning.__dataclass_fields__))  # fmt: skip
 
 #: State of an axis: integral [speed], last command, place in the play; then the ring of setpoints, the newest first.
-SUM, LAST, PLACE, RING = range(4)
+INTEGRAL_SUM, LAST, POSITION, RING = range(4)
 
 
 @inlined
@@ -46,7 +46,7 @@ def _effective(v, a):
 @inlined
 def _with_deadband(x, v, a):
     """A command that leaves ``x`` behind the dead-band; across it in proportion while the axis hardly moves."""
-    still = STILL * min(a[UP], a[DOWN])
+    still = REST_SHARE * min(a[UP], a[DOWN])
     share = min(1.0, abs(v) / still)
     return x + share * (a[POSITIVE] if v > 0.0 else -a[NEGATIVE])
 
@@ -71,9 +71,9 @@ def fill(about, state, which, drive):
     for row in range(len(which)):
         for i in range(len(about)):
             s = state[which[row], i]
-            s[SUM] = 0.0
+            s[INTEGRAL_SUM] = 0.0
             s[LAST] = drive[row, i] if about[i, SERVO] != 0.0 else 0.0
-            s[PLACE] = 0.0
+            s[POSITION] = 0.0
             s[RING:] = drive[row, i]
 
 
@@ -102,22 +102,22 @@ def command(about, state, setpoints, measured, preview, dt, out):
             error = _past(s, preview / dt + 1.0) - measured[lane, i]
             early = max(0.0, preview - a[LEAD]) / dt
             fed = (_past(s, early) - _past(s, early + 1.0)) / dt
-            v = a[FEED] * min(max(fed, -top), top) + a[PROPORTIONAL] * error + s[SUM] + a[CREEP]
-            if a[PLAY] > 0.0:
-                half = 0.5 * a[PLAY]
-                if abs(fed) > STILL * top and fed * v > 0.0:  # of a setpoint that stands, noise would ask to and fro
-                    left = math.copysign(half, v) - s[PLACE]
+            v = a[FEED] * min(max(fed, -top), top) + a[PROPORTIONAL] * error + s[INTEGRAL_SUM] + a[CREEP]
+            if a[BACKLASH] > 0.0:
+                half = 0.5 * a[BACKLASH]
+                if abs(fed) > REST_SHARE * top and fed * v > 0.0:  # of a setpoint that stands, noise would ask to and fro
+                    left = math.copysign(half, v) - s[POSITION]
                     v += min(max(left / dt, -top), top)
-                s[PLACE] = min(max(s[PLACE] + min(max(v, -top), top) * dt, -half), half)
+                s[POSITION] = min(max(s[POSITION] + min(max(v, -top), top) * dt, -half), half)
             x = _effective(v, a)
             wanted = _with_deadband(x, v, a)
             reach = a[RATE] * dt
             u = min(max(wanted, -1.0, s[LAST] - reach), 1.0, s[LAST] + reach)
             if s[RING] <= a[LOW] or s[RING] >= a[HIGH]:
-                s[SUM] = 0.0  # against an end stop nothing would ever take it back
+                s[INTEGRAL_SUM] = 0.0  # against an end stop nothing would ever take it back
             elif u == wanted or (wanted - u) * error < 0.0:  # an integral that pushes into a limit would have to come back
                 bound = INTEGRAL_SHARE * top
-                s[SUM] = min(max(s[SUM] + a[INTEGRAL] * error * dt, -bound), bound)
+                s[INTEGRAL_SUM] = min(max(s[INTEGRAL_SUM] + a[INTEGRAL] * error * dt, -bound), bound)
             s[LAST] = u
             out[lane, i] = u
 

@@ -23,11 +23,11 @@ Array = npt.NDArray[np.float64]
 #: Commands may change this fast [1/s] where the plant says nothing of it: a dead-band is crossed within a step at 100 Hz.
 RATE = 40.0
 #: Below this share of the top speed the dead-band is crossed in proportion instead of in a jump, so that nothing chatters.
-STILL = 0.01
+REST_SHARE = 0.01
 #: The integral may ask for this share of the top speed.
 INTEGRAL_SHARE = 0.2
 #: Closed loop of an axis without dead time [1/s].
-FASTEST = 20.0
+MAX_PROPORTIONAL = 20.0
 
 
 @dataclass(frozen=True)
@@ -41,7 +41,7 @@ class AxisTuning:
         positive, negative: dead-band (command).
         limit: effective command above which speed no longer rises.
         creep: speed that leaks away at zero command.
-        play: between the drive and the sensor, full width.
+        backlash: between the drive and the sensor, full width.
         lead: dead time from command to motion [s].
         proportional, integral: [1/s] and [1/s²].
         feed: share of the setpoint's own speed that is fed forward, 1.0 or 0.0.
@@ -57,7 +57,7 @@ class AxisTuning:
     negative: float
     limit: float
     creep: float
-    play: float
+    backlash: float
     lead: float
     proportional: float
     integral: float
@@ -93,7 +93,7 @@ def simple(plant: Plant, proportional: float = 2.0) -> tuple[AxisTuning, ...]:
     for axis, item in zip(plant.machine.axes, tune(plant), strict=True):
         values = {field.name: getattr(item, field.name) for field in fields(item)}
         plain = {"up": axis.gain, "down": axis.gain, "exponent": 1.0, "positive": 0.0, "negative": 0.0, "limit": math.inf}
-        rest = {"creep": 0.0, "play": 0.0, "feed": 0.0, "integral": 0.0, "proportional": proportional}
+        rest = {"creep": 0.0, "backlash": 0.0, "feed": 0.0, "integral": 0.0, "proportional": proportional}
         found.append(AxisTuning(**{**values, **plain, **rest}))
     return tuple(found)
 
@@ -116,7 +116,7 @@ def _tuned(plant: Plant, theta: Array, i: int) -> AxisTuning:
     lead = float(theta[b + AT.input_delay] + theta[b + AT.first_order_lag])
     dead = lead + 0.5 / plant.machine.rate_hz
     up = axis.gain * float(theta[b + AT.gain_error])
-    proportional = min(1.0 / (2.0 * dead), FASTEST)
+    proportional = min(1.0 / (2.0 * dead), MAX_PROPORTIONAL)
     return AxisTuning(
         servo=0.0,
         up=up,
@@ -126,7 +126,7 @@ def _tuned(plant: Plant, theta: Array, i: int) -> AxisTuning:
         negative=float(theta[b + AT.valve_deadband + 1]),
         limit=float(theta[b + AT.flow_saturation]),
         creep=float(theta[b + AT.internal_leakage]),
-        play=float(theta[b + AT.backlash_drive]) if axis.drives == "joint" else 0.0,
+        backlash=float(theta[b + AT.backlash_drive]) if axis.drives == "joint" else 0.0,
         lead=lead,
         proportional=proportional,
         integral=proportional / (8.0 * dead),

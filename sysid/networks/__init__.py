@@ -2,11 +2,10 @@
 
 from sysid.networks.actuator import ActuatorNetwork, RoundTripError, fit_actuator
 from sysid.networks.artifacts import Model, from_files, history_networks, motion_networks, static_networks, to_files
-from sysid.networks.calibration import Calibrated, Calibration, calibrate
+from sysid.networks.calibration import CalibratedParameter, Calibration, calibrate
 from sysid.networks.chain import FittedChain, fit_chain
 from sysid.networks.checkpoint import Checkpoints
 from sysid.networks.forward import ForwardModel, ForwardNetwork, learn_forward
-from sysid.networks.forward_models import AnyForward, fit_forward
 from sysid.networks.geometry import Geometry, GeometryParameter
 from sysid.networks.history import HistoryNetwork, fit_history
 from sysid.networks.member import EnsembleMember, LearningCurve, TrainedMember, TrainingSettings
@@ -22,7 +21,7 @@ from sysid.networks.recipe import (
     load_recipe,
     parse_recipe,
 )
-from sysid.networks.structured import StructuredForward, fit_structured
+from sysid.networks.structured import StructuredForward, fit_forward, fit_structured
 from sysid.networks.training import train
 from sysid.networks.uncertainty import Intervals, NetworkUncertainty, TrainingDomain
 
@@ -30,8 +29,7 @@ __all__ = [
     "PAPER_MAX",
     "ActuatorNetwork",
     "ActuatorRecipe",
-    "AnyForward",
-    "Calibrated",
+    "CalibratedParameter",
     "Calibration",
     "Checkpoints",
     "EnsembleMember",

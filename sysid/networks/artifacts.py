@@ -1,4 +1,4 @@
-"""Networks ↔ files of a model version: numbers in safetensors, structure in JSON; nothing in them is executed on reading."""
+"""Networks ↔ files of a model version: arrays in safetensors, structure in JSON; reading executes nothing."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ import numpy.typing as npt
 from sysid.errors import StoreError, nearest
 from sysid.machine.kinematics import Kinematics
 from sysid.networks.actuator import DIRECTIONS, ActuatorNetwork
-from sysid.networks.along_files import put_memories, put_motions, take_memories, take_motions
 from sysid.networks.calibration import Calibration
 from sysid.networks.chain import FittedChain, products
+from sysid.networks.dynamic_files import put_memories, put_motions, take_memories, take_motions
 from sysid.networks.forward import ForwardNetwork
 from sysid.networks.geometry import Geometry
-from sysid.networks.history import HistoryNetwork, statics
+from sysid.networks.history import HistoryNetwork, static_maps
 from sysid.networks.member import LearningCurve
 from sysid.networks.mlp import Mlp, Normalisation, Rectifier
 from sysid.networks.motion import MotionNetwork
@@ -49,13 +49,15 @@ def to_files(model: Model) -> tuple[str, dict[str, bytes]]:
         kind = "forward"
         for number, member in enumerate(model.members):
             put_mlp(tensors, f"member.{number}", member)
-        tensors |= {"low": model.low, "high": model.high} | (model.trust.tensors("trust") if model.trust is not None else {})
+        tensors |= {"low": model.low, "high": model.high} | (
+            model.uncertainty.tensors("trust") if model.uncertainty is not None else {}
+        )
         structure = {
             "joints": list(model.joints),
             "revolute": list(model.revolute),
             "members": [len(member.weights) for member in model.members],
             "rectifier": model.members[0].rectifier if model.members else "relu",
-            "courses": [course.to_json() for course in model.courses],
+            "courses": [curve.to_json() for curve in model.learning_curves],
         }
         if isinstance(model, ForwardNetwork):
             structure["features"] = model.features
@@ -71,14 +73,14 @@ def to_files(model: Model) -> tuple[str, dict[str, bytes]]:
         for axis, network in static_networks(model).items():
             put_mlp(tensors, f"{axis}.to_joint", network.to_joint)
             put_mlp(tensors, f"{axis}.to_cylinder", network.to_cylinder)
-            for direction, trust in network.trust.items():
-                tensors |= trust.tensors(f"{axis}.{direction}.trust")
+            for direction, uncertainty in network.uncertainty.items():
+                tensors |= uncertainty.tensors(f"{axis}.{direction}.trust")
             axes[axis] = {
                 "layers": {direction: len(getattr(network, direction).weights) for direction in DIRECTIONS},
                 "rectifier": network.to_joint.rectifier,
                 "displacements": list(network.displacements),
                 "joints": list(network.joints),
-                "courses": {direction: course.to_json() for direction, course in network.courses.items()},
+                "courses": {direction: curve.to_json() for direction, curve in network.learning_curves.items()},
             }
         structure = {"axes": axes}
         if histories := history_networks(model):
@@ -89,13 +91,13 @@ def to_files(model: Model) -> tuple[str, dict[str, bytes]]:
 
 
 def from_files(files: Mapping[str, bytes], where: object) -> Model:
-    """The model whose :func:`to_files` these are.
+    """Inverse of :func:`to_files`.
 
     Args:
         where: the model version, for messages.
 
     Raises:
-        StoreError: a file is missing, is not what it should be, or the layers do not fit together.
+        StoreError: a file is missing or invalid, or the layers do not fit together.
     """
     from safetensors import SafetensorError
     from safetensors.numpy import load
@@ -112,7 +114,7 @@ def from_files(files: Mapping[str, bytes], where: object) -> Model:
             return _forward(structure, tensors, where)
         if structure["kind"] == "motion":
             return take_motions(
-                structure["axes"], lambda prefix, count: take_mlp(tensors, prefix, count, where), _course, where
+                structure["axes"], lambda prefix, count: take_mlp(tensors, prefix, count, where), _learning_curve, where
             )
         static = {axis: _actuator(axis, entry, tensors, where) for axis, entry in structure["axes"].items()}
         return take_memories(structure["memories"], static, tensors, where) if structure["kind"] == "history" else static
@@ -121,28 +123,28 @@ def from_files(files: Mapping[str, bytes], where: object) -> Model:
 
 
 def motion_networks(model: Model) -> dict[str, MotionNetwork]:
-    """The model, where it is command → motion; else nothing."""
+    """Axis → command → motion network; empty for other models."""
     if isinstance(model, ForwardNetwork | StructuredForward):
         return {}
     return {axis: network for axis, network in model.items() if isinstance(network, MotionNetwork)}
 
 
 def history_networks(model: Model) -> dict[str, HistoryNetwork]:
-    """The model, where it is actuators with history; else nothing."""
+    """Axis → actuator network with history; empty for other models."""
     if isinstance(model, ForwardNetwork | StructuredForward):
         return {}
     return {axis: network for axis, network in model.items() if isinstance(network, HistoryNetwork)}
 
 
 def static_networks(model: Model) -> dict[str, ActuatorNetwork]:
-    """The static maps between cylinders and joints: actuators themselves, or the static parts of those with history."""
+    """Axis → static map of cylinder and joint: actuator networks, or the static parts of those with history."""
     if isinstance(model, ForwardNetwork | StructuredForward):
         return {}
-    return statics({axis: network for axis, network in model.items() if not isinstance(network, MotionNetwork)})
+    return static_maps({axis: network for axis, network in model.items() if not isinstance(network, MotionNetwork)})
 
 
 def _put_structure(model: StructuredForward) -> tuple[Tensors, dict[str, Any]]:
-    """Tensors of a structure, and what they do not say; parameters are named for people who read the file."""
+    """Tensors of a structure, and its entries for JSON; parameter names are for readers of the file."""
     found = model.structure
     if isinstance(found, FittedChain):
         return {key: getattr(found, key) for key in CHAIN}, {"kind": "chain"}
@@ -152,7 +154,7 @@ def _put_structure(model: StructuredForward) -> tuple[Tensors, dict[str, Any]]:
         "urdf": model.urdf,
         "actuated": list(kinematics.actuated),
         "tip": kinematics.tip,
-        "open": [[list(part) for part in combination] for combination in found.open_combinations],
+        "open": [[list(part) for part in combination] for combination in found.non_identifiable],
         "parameters": [parameter.key for parameter in found.geometry.parameters],
     }
 
@@ -178,38 +180,25 @@ def _take_structure(
     return Calibration(geometry, own["values"], own["covariance"], float(own["noise"][0]), combinations)
 
 
-def _structured(structure: dict[str, Any], tensors: Tensors, where: object) -> StructuredForward:
-    revolute = tuple(structure["revolute"])
-    layers = enumerate(structure["members"])
-    rectifier = _rectifier(structure, where)
-    return StructuredForward(
-        joints=tuple(structure["joints"]),
-        revolute=revolute,
-        structure=_take_structure(structure["structure"], revolute, tensors, where),
-        urdf=structure["structure"].get("urdf", ""),
-        members=tuple(take_mlp(tensors, f"member.{number}", count, where, rectifier) for number, count in layers),
-        bound=float(tensors["bound"][0]),
-        low=tensors["low"],
-        high=tensors["high"],
-        courses=tuple(_course(course) for course in structure["courses"]),
-        trust=NetworkUncertainty.from_tensors(tensors, "trust", len(structure["joints"]), 3, where),
-    )
-
-
 def _forward(structure: dict[str, Any], tensors: Tensors, where: object) -> ForwardNetwork | StructuredForward:
-    if "structure" in structure:
-        return _structured(structure, tensors, where)
-    layers = enumerate(structure["members"])
     rectifier = _rectifier(structure, where)
-    return ForwardNetwork(
-        joints=tuple(structure["joints"]),
-        revolute=tuple(structure["revolute"]),
-        features=structure["features"],
-        members=tuple(take_mlp(tensors, f"member.{number}", count, where, rectifier) for number, count in layers),
-        low=tensors["low"],
-        high=tensors["high"],
-        courses=tuple(_course(course) for course in structure["courses"]),
-        trust=NetworkUncertainty.from_tensors(tensors, "trust", len(structure["joints"]), 3, where),
+    layers = enumerate(structure["members"])
+    common: dict[str, Any] = {
+        "joints": tuple(structure["joints"]),
+        "revolute": tuple(structure["revolute"]),
+        "members": tuple(take_mlp(tensors, f"member.{number}", count, where, rectifier) for number, count in layers),
+        "low": tensors["low"],
+        "high": tensors["high"],
+        "learning_curves": tuple(_learning_curve(curve) for curve in structure["courses"]),
+        "uncertainty": NetworkUncertainty.from_tensors(tensors, "trust", len(structure["joints"]), 3, where),
+    }
+    if "structure" not in structure:
+        return ForwardNetwork(features=structure["features"], **common)
+    return StructuredForward(
+        structure=_take_structure(structure["structure"], common["revolute"], tensors, where),
+        urdf=structure["structure"].get("urdf", ""),
+        bound=float(tensors["bound"][0]),
+        **common,
     )
 
 
@@ -222,24 +211,24 @@ def _actuator(axis: str, entry: dict[str, Any], tensors: Tensors, where: object)
         to_cylinder=networks["to_cylinder"],
         displacements=(float(entry["displacements"][0]), float(entry["displacements"][1])),
         joints=(float(entry["joints"][0]), float(entry["joints"][1])),
-        courses={direction: _course(course) for direction, course in entry["courses"].items()},
-        trust={
-            direction: trust
+        learning_curves={direction: _learning_curve(curve) for direction, curve in entry["courses"].items()},
+        uncertainty={
+            direction: uncertainty
             for direction in DIRECTIONS
-            if (trust := NetworkUncertainty.from_tensors(tensors, f"{axis}.{direction}.trust", 1, 1, where)) is not None
+            if (uncertainty := NetworkUncertainty.from_tensors(tensors, f"{axis}.{direction}.trust", 1, 1, where)) is not None
         },
     )
 
 
-def _course(entry: dict[str, Any]) -> LearningCurve:
+def _learning_curve(entry: dict[str, Any]) -> LearningCurve:
     values: dict[str, Any] = {key: tuple(value) if isinstance(value, list) else value for key, value in entry.items()}
     return LearningCurve(**values)
 
 
 def put_mlp(tensors: Tensors, prefix: str, mlp: Mlp) -> None:
-    """Numbers of a perceptron, by names that begin with ``prefix``."""
+    """Arrays of a perceptron, with names that begin with ``prefix``."""
     for layer, (weight, bias) in enumerate(zip(mlp.weights, mlp.biases, strict=True)):
-        # float32 is what training produced: nothing is lost.
+        # Training produces float32.
         tensors[f"{prefix}.weight.{layer}"] = weight.astype(np.float32)
         tensors[f"{prefix}.bias.{layer}"] = bias.astype(np.float32)
     for role, scaler in (("inputs", mlp.inputs), ("outputs", mlp.outputs)):
@@ -248,7 +237,7 @@ def put_mlp(tensors: Tensors, prefix: str, mlp: Mlp) -> None:
 
 
 def _rectifier(entry: dict[str, Any], where: object) -> Rectifier:
-    """Files of before there was a choice do not name theirs."""
+    """``relu`` where the file has no entry (earlier releases)."""
     name: Rectifier = entry.get("rectifier", "relu")
     if name not in get_args(Rectifier):
         raise StoreError(where, f"rectifier {name!r}", nearest(str(name), get_args(Rectifier)), "Update the toolkit.")
@@ -256,7 +245,7 @@ def _rectifier(entry: dict[str, Any], where: object) -> Rectifier:
 
 
 def take_mlp(tensors: Tensors, prefix: str, layers: int, where: object, rectifier: Rectifier = "relu") -> Mlp:
-    """What :func:`put_mlp` put, between whose layers stands ``rectifier``, which tensors do not say.
+    """Inverse of :func:`put_mlp`; the tensors do not contain ``rectifier``.
 
     Raises:
         StoreError: the layers do not fit together.

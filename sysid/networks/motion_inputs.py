@@ -1,7 +1,7 @@
-"""What a command → motion network looks at: commands and speeds over a stated history, on a grid of whole steps.
+"""Inputs of a command → motion network: commands and speeds over a configured history, on a grid of whole steps.
 
-A command is its mean over a step, so that nothing between two looks is lost; the first one is that of the step to come. Speeds
-are means between the edges of the history. All a free run needs is what it made itself: positions on the grid, and commands.
+A command is its mean over a step; the first one is that of the predicted step. Speeds are means between the edges of the
+history. A free run needs only commands and its own positions on the grid.
 """
 
 from __future__ import annotations
@@ -25,10 +25,10 @@ class Window:
 
     Args:
         step: seconds from one prediction to the next.
-        commands: whole steps before the one to come at which commands are looked at, rising from 0 on.
-        edges: whole steps before now between which mean speeds are taken, rising from 0 on; (0,) for none.
-        position: whether it sees where it is.
-        follows: whether commands are positions to go to: they are then seen from where it is.
+        commands: lags of the commands, whole steps before the predicted one, increasing from 0.
+        edges: whole steps before now between which mean speeds are taken, increasing from 0; (0,) for none.
+        position: whether the position is an input.
+        follows: whether commands are position setpoints; they are then relative to the current position.
     """
 
     step: float
@@ -43,10 +43,10 @@ class Window:
         return max(self.commands[-1], self.edges[-1])
 
     def stride(self, rate_hz: float) -> int:
-        """Samples a step.
+        """Samples per step.
 
         Raises:
-            SettingsError: a step is no whole number of samples.
+            SettingsError: a step is not a whole number of samples.
         """
         stride = round(self.step * rate_hz)
         if stride < 1 or abs(stride - self.step * rate_hz) > 1e-3 * stride:
@@ -55,7 +55,7 @@ class Window:
         return stride
 
     def names(self, command: str, driven: str) -> tuple[str, ...]:
-        """Of the columns, for messages and files."""
+        """Names of the columns, for messages and files."""
         seen = f"{command} from {driven}" if self.follows else command
         columns = [f"{seen} {lag * self.step:g} s before" for lag in self.commands]
         columns += [f"speed of {driven} up to {self.edges[k] * self.step:g} s before" for k in range(len(self.edges) - 1)]
@@ -78,7 +78,7 @@ def window_of(
     """A window from times in seconds: the step is rounded to whole samples, times to whole steps; equal ones count once.
 
     Raises:
-        SettingsError: times that do not rise, or begin too early.
+        SettingsError: times that do not increase, or start too early.
     """
     step = max(1, round(step * rate_hz)) / rate_hz
     for key, times, fine in (
@@ -86,7 +86,7 @@ def window_of(
         ("speeds", speeds, not speeds or speeds[0] > 0.0),
     ):
         if not fine or any(b <= a for a, b in itertools.pairwise(times)):
-            expected = "times that rise, " + ("from 0 on" if key == "history" else "above 0")
+            expected = "increasing times, " + ("from 0 on" if key == "history" else "above 0")
             raise SettingsError(f"recipe: motion.{key}", str(list(times)), expected)
     commands = tuple(dict.fromkeys(round(time / step) for time in history))
     return Window(step, commands, tuple(dict.fromkeys([0, *(round(time / step) for time in speeds)])), position, follows)
@@ -94,12 +94,12 @@ def window_of(
 
 @dataclass(frozen=True)
 class MotionStretch:
-    """One stretch of a recording on its own samples; NaN where nothing was measured.
+    """Signals of one recording at its own samples; NaN where nothing was measured.
 
     Args:
         command: mean over the step that begins at each sample, (n,).
         position: (n,).
-        stride: samples a step.
+        stride: samples per step.
     """
 
     command: Array
@@ -114,7 +114,7 @@ class MotionStretch:
         return MotionStretch(means, np.array(position, dtype=np.float64), stride)
 
     def starts(self, window: Window, ahead: int = 0) -> Index:
-        """Samples with what it takes to learn from them, or to run freely for ``ahead`` steps and evaluate the end."""
+        """Samples with complete inputs and target, or with all that a free run of ``ahead`` steps and its evaluation need."""
         n, past, last = len(self.command), window.depth * self.stride, max(1, ahead)
         at = np.arange(past, max(past, n - last * self.stride))
         edges = range(window.edges[-1] + 1) if ahead else window.edges
@@ -127,7 +127,7 @@ class MotionStretch:
         return at[good]
 
     def rows(self, window: Window, at: Index) -> tuple[Array, Array]:
-        """Inputs (n, d) and mean speeds over the step to come (n, 1) at samples ``at``."""
+        """Inputs (n, d) and mean speeds over the next step (n, 1) at samples ``at``."""
         commands = self.command[at[:, None] - np.array(window.commands) * self.stride]
         positions = self.position[at[:, None] - np.array(window.edges) * self.stride]
         speed = (self.position[at + self.stride] - self.position[at]) / window.step

@@ -1,4 +1,4 @@
-"""A policy as plain arrays: observations to joint setpoints, in NumPy without torch."""
+"""A policy as arrays: observations → joint setpoints, in NumPy without torch."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from sysid.parse import parse_json
 
 Array = npt.NDArray[np.float64]
 
-#: How training went, for reports; nothing else reads it.
+#: Training curves, for reports only.
 CURVES = "curves.json"
 
 
@@ -26,11 +26,11 @@ class PolicyNetwork:
     """``a = centre + half·tanh(perceptron(observation))``, centre and half of the limits of each setpoint.
 
     Args:
-        inputs: what the columns of an observation are.
+        inputs: names of the columns of an observation.
         outputs: joint signals of the setpoints.
-        mlp: with the normalisation of observations in it.
-        low, high: of each setpoint, (A,) [rad or m].
-        full: it was trained on the full path, behind valves and plant; else joints followed at once.
+        mlp: with the normalisation of observations.
+        low, high: limits of each setpoint, (A,) [rad or m].
+        full: whether it was trained on the full path (valves and plant); else joints follow at once.
     """
 
     inputs: tuple[str, ...]
@@ -41,7 +41,7 @@ class PolicyNetwork:
     full: bool = False
 
     def act(self, observations: npt.ArrayLike) -> Array:
-        """Setpoints (n, A) [rad or m] for observations (n, O) [SI]; within their limits whatever is observed.
+        """Setpoints (n, A) [rad or m], within their limits, for observations (n, O) [SI].
 
         Raises:
             InputError: observations of another width.
@@ -50,7 +50,7 @@ class PolicyNetwork:
         np.tanh(shares, out=shares)
         shares *= self._half
         shares += self._centre
-        return np.clip(shares, self.low, self.high, out=shares)  # a rounding may be beyond
+        return np.clip(shares, self.low, self.high, out=shares)  # rounding may exceed the limits
 
     @cached_property
     def _half(self) -> Array:
@@ -83,10 +83,10 @@ def policy_to_files(policy: PolicyNetwork, curves: Mapping[str, object]) -> dict
 
 
 def policy_from_files(files: Mapping[str, bytes], where: object) -> PolicyNetwork:
-    """The policy whose :func:`policy_to_files` these are; ``where`` is the version, for messages.
+    """Inverse of :func:`policy_to_files`; ``where`` is the version, for messages.
 
     Raises:
-        StoreError: a file is missing, is not what it should be, or the layers do not fit together.
+        StoreError: a file is missing or invalid, or the layers do not fit together.
     """
     from safetensors import SafetensorError
     from safetensors.numpy import load

@@ -1,4 +1,4 @@
-"""Free runs of command → motion models, many at once: each step goes on from what the model itself said before."""
+"""Free runs of command → motion models, many in parallel: each step starts from the model's own previous prediction."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ Speed = Callable[[Array], Array]
 
 @dataclass(frozen=True)
 class MotionBounds:
-    """What a free run stays within: ``speeds`` and ``positions``, (lowest, highest) each [SI]."""
+    """Bounds of a free run: ``speeds`` and ``positions``, (lowest, highest) each [SI]."""
 
     speeds: tuple[float, float]
     positions: tuple[float, float]
@@ -26,9 +26,9 @@ def roll(speed: Speed, window: Window, bounds: MotionBounds, commands: Array, po
     """Free runs of one length from measured histories.
 
     Args:
-        speed: inputs (b, d) → mean speed over the step to come (b,).
-        commands: mean over each step, (b, depth + steps): those of the history first.
-        positions: at the beginning of those steps, (b, depth + 1): the last one is where the runs start.
+        speed: inputs (b, d) → mean speed over the next step (b,).
+        commands: mean over each step, (b, depth + steps), the history first.
+        positions: at the start of the steps of the history, (b, depth + 1); the runs start at the last one.
 
     Returns:
         Positions at the start and after every step, (b, steps + 1).
@@ -39,24 +39,24 @@ def roll(speed: Speed, window: Window, bounds: MotionBounds, commands: Array, po
     run[:, : depth + 1] = positions
     seen, edges = -np.array(window.commands), -np.array(window.edges)
     for k in range(depth, depth + steps):
-        said = np.clip(speed(window.features(commands[:, k + seen], run[:, k + edges])), *bounds.speeds)
-        run[:, k + 1] = np.clip(run[:, k] + window.step * said, *bounds.positions)
+        predicted = np.clip(speed(window.features(commands[:, k + seen], run[:, k + edges])), *bounds.speeds)
+        run[:, k + 1] = np.clip(run[:, k] + window.step * predicted, *bounds.positions)
     return run[:, depth:]
 
 
 def horizon_errors(
-    speed: Speed, window: Window, bounds: MotionBounds, motions: Sequence[MotionStretch], seconds: float, apart: float
+    speed: Speed, window: Window, bounds: MotionBounds, motions: Sequence[MotionStretch], seconds: float, interval: float
 ) -> list[tuple[Index, Array, Array]]:
-    """Errors of free runs ``seconds`` after their starts, which lie ``apart`` seconds from each other, all runs at once.
+    """End points of free runs of ``seconds``, whose starts are ``interval`` seconds apart, all runs at once.
 
     Returns:
-        For each motion: samples at which the runs end, positions predicted and measured there, (b,) each.
+        For each motion: samples at which the runs end, predicted and measured positions there, (b,) each.
     """
     ahead = max(1, round(seconds / window.step))
     begins, commands, positions = [], [], []
     for motion in motions:
         found = motion.starts(window, ahead)
-        at = _spaced(found, max(1, round(apart / window.step)) * motion.stride)
+        at = _spaced(found, max(1, round(interval / window.step)) * motion.stride)
         begins.append(at)
         grid = at[:, None] + np.arange(-window.depth, ahead) * motion.stride
         commands.append(motion.command[grid])
@@ -64,14 +64,14 @@ def horizon_errors(
     joined = roll(speed, window, bounds, np.concatenate(commands), np.concatenate(positions))[:, -1]
     parts = np.split(joined, np.cumsum([len(at) for at in begins])[:-1])
     ends = [at + ahead * motion.stride for at, motion in zip(begins, motions, strict=True)]
-    return [(end, said, motion.position[end]) for end, said, motion in zip(ends, parts, motions, strict=True)]
+    return [(end, predicted, motion.position[end]) for end, predicted, motion in zip(ends, parts, motions, strict=True)]
 
 
 def whole_run(speed: Speed, window: Window, bounds: MotionBounds, motion: MotionStretch) -> Array:
-    """A free run of a whole recording on its own samples, (n,).
+    """A free run of a whole recording at its own samples, (n,).
 
-    It starts where history and commands are first complete, goes on without looking at what is measured, and starts again only
-    behind a gap of the commands. NaN before and in between.
+    It starts where history and commands are first complete and restarts only after a gap of the commands; NaN before and in
+    between.
     """
     n, stride, depth = len(motion.command), motion.stride, window.depth
     out = np.full(n, np.nan)
@@ -91,11 +91,11 @@ def whole_run(speed: Speed, window: Window, bounds: MotionBounds, motion: Motion
     return out
 
 
-def _spaced(at: Index, apart: int) -> Index:
-    """Of rising samples those that are ``apart`` or more from the one taken before."""
-    kept, last = [], -apart
+def _spaced(at: Index, interval: int) -> Index:
+    """Of increasing samples those at least ``interval`` after the previous one taken."""
+    kept, last = [], -interval
     for sample in at.tolist():
-        if sample - last >= apart:
+        if sample - last >= interval:
             kept.append(sample)
             last = sample
     return np.array(kept, dtype=np.int64)

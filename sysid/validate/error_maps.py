@@ -14,9 +14,9 @@ from sysid.validate.binning import Cut, edges_of, explained, places_in
 Array = npt.NDArray[np.float64]
 
 #: Bins a side at most, and rows that a bin has on average at least.
-MOST_BINS, ROWS_A_BIN = 10, 6
+MAX_BINS, ROWS_A_BIN = 10, 6
 #: Maps that are kept of an output, the most telling ones.
-MOST_MAPS = 6
+MAX_MAPS = 6
 
 
 @dataclass(frozen=True)
@@ -57,7 +57,7 @@ class ErrorMap:
 
 
 def error_maps(errors: Array, axes: Sequence[MapAxis], pairs: Sequence[tuple[str, str]] | None = None) -> tuple[ErrorMap, ...]:
-    """Maps of ``errors`` (n,) over pairs of axes, the most telling ones first, at most :data:`MOST_MAPS`.
+    """Maps of ``errors`` (n,) over pairs of axes, the most telling ones first, at most :data:`MAX_MAPS`.
 
     Args:
         pairs: names of the axes to pair; all pairs where left out. A variable that does not vary has no map.
@@ -65,13 +65,13 @@ def error_maps(errors: Array, axes: Sequence[MapAxis], pairs: Sequence[tuple[str
     named: Mapping[str, MapAxis] = {axis.name: axis for axis in axes}
     chosen = list(combinations(named, 2)) if pairs is None else pairs
     found = [item for a, b in chosen if (item := error_map(errors, named[a], named[b])) is not None]
-    return tuple(sorted(found, key=lambda item: -item.explains)[:MOST_MAPS])
+    return tuple(sorted(found, key=lambda item: -item.explains)[:MAX_MAPS])
 
 
 def error_map(errors: Array, first: MapAxis, second: MapAxis) -> ErrorMap | None:
     """Errors over two variables; None where one of them does not vary or too few rows know both."""
     there = np.isfinite(first.values) & np.isfinite(second.values)
-    bins = min(MOST_BINS, int(np.sqrt(there.sum() / ROWS_A_BIN)))
+    bins = min(MAX_BINS, int(np.sqrt(there.sum() / ROWS_A_BIN)))
     if bins < 2:
         return None
     edges = [edges_of(axis.values[there], axis.cut, bins) for axis in (first, second)]

@@ -12,7 +12,7 @@ from sysid.datasets.recording import Dataset, Recording, Role
 from sysid.errors import ExcitationError
 from sysid.networks.actuator import RoundTripError, actuator_rows
 from sysid.networks.history import HistoryNetwork
-from sysid.networks.motion import APART, MotionNetwork, motion_rows, motions, window_for
+from sysid.networks.motion import START_INTERVAL_S, MotionNetwork, motion_rows, motions, window_for
 from sysid.networks.motion_inputs import Index, MotionStretch, Window
 from sysid.networks.recipe import NetworkRecipe
 from sysid.networks.rollout import Speed, horizon_errors, whole_run
@@ -67,7 +67,7 @@ def validate_history(
                 simple=simple_models(fit.values[:, [source]], fit.values[:, target])
                 | {"linkage geometry": linkage_geometry(fit.values[:, 0], fit.values[:, 1], target == 1)}
                 | {STATIC: lambda x, still=still: still(x[:, 0])},
-                trust=None,
+                uncertainty=None,
                 sources=(source,),
                 target=target,
                 ends={signals[0]: axis_ends(dataset, axis, static)},
@@ -151,7 +151,7 @@ def _runs(
     """Of a model within the network's bounds."""
     found = [motion for _, motion in parts]
     if horizon is not None:
-        ends = horizon_errors(speed, window, network.bounds, found, horizon, APART)
+        ends = horizon_errors(speed, window, network.bounds, found, horizon, START_INTERVAL_S)
         back = max(1, round(horizon / window.step))
         begins = [rows - back * motion.stride for (rows, _, _), motion in zip(ends, found, strict=True)]
         return _Runs([rows for rows, _, _ in ends], begins, [said for _, said, _ in ends])

@@ -41,7 +41,7 @@ class EvaluatedOutput:
 
     Args:
         predict: inputs (n, d) → output (n,); ``simple``: baselines of the same kind, by name.
-        trust: of the network; None for a version that has none.
+        uncertainty: of the network; None for a version that has none.
         sources, target: columns of the rows.
         ends: signals whose ends can explain a spike; ``fitted``: inputs and the ranges that were learned.
         spread: of the members, where there are several; ``number``: of this output among those of the network.
@@ -49,7 +49,7 @@ class EvaluatedOutput:
 
     predict: Predict
     simple: Mapping[str, Predict]
-    trust: NetworkUncertainty | None
+    uncertainty: NetworkUncertainty | None
     sources: tuple[int, ...]
     target: int
     ends: Ranges
@@ -65,7 +65,7 @@ def output_report(
     inputs, truth, output = rows.values[:, list(item.sources)], rows.values[:, item.target], rows.signals[item.target]
     unit, predicted = _unit(dataset, output), item.predict(inputs) if along is None else along
     errors = predicted - truth
-    profiles, maps = _where(dataset, rows, errors, item.sources, kind)
+    profiles, maps = _profiles_and_maps(dataset, rows, errors, item.sources, kind)
     shown = np.linspace(0, len(rows) - 1, min(len(rows), TRACE_ROWS)).round().astype(np.int64)
     trace = Trace(
         recording=rows.recording[shown],
@@ -91,7 +91,7 @@ def output_report(
     )
 
 
-def _where(
+def _profiles_and_maps(
     dataset: Dataset, rows: SignalRows, errors: Array, sources: tuple[int, ...], kind: Kind
 ) -> tuple[tuple[Profile, ...], tuple[ErrorMap, ...]]:
     """Errors against each input, its speed and direction, and the loads; and against two of them at a time."""
@@ -136,16 +136,16 @@ def _loads(dataset: Dataset, rows: SignalRows) -> dict[str, tuple[str, Array]]:
 
 
 def _coverage(rows: SignalRows, inputs: Array, truth: Array, predicted: Array, item: EvaluatedOutput) -> Coverage | None:
-    trust = item.trust
-    if trust is None:
+    uncertainty = item.uncertainty
+    if uncertainty is None:
         return None
-    spread = np.zeros((len(rows), len(trust.intervals.floor)))
+    spread = np.zeros((len(rows), len(uncertainty.intervals.floor)))
     if item.spread is not None:
         spread[:, item.number] = item.spread(inputs)
-    level = min(LEVEL, trust.intervals.most_level)
-    reach = trust.intervals.reach(spread, level)[:, item.number]
+    level = min(LEVEL, uncertainty.intervals.max_level)
+    reach = uncertainty.intervals.reach(spread, level)[:, item.number]
     names = [rows.signals[source] for source in item.sources]
-    inside = trust.domain.inside(inputs)
+    inside = uncertainty.domain.inside(inputs)
     return coverage_of(truth, (predicted - reach, predicted + reach), inside, inputs, names, FALSE_FLAGS, level)
 
 

@@ -60,13 +60,13 @@ def validate_actuator(
     for axis, network in networks.items():
         signals = (axis_signal(axis, "cylinder"), axis_signal(axis, "joint"))
         fit, _ = actuator_rows(dataset, axis, recipe or NetworkRecipe())
-        judged = _rows_by_kind(dataset, role, signals, ("motion", "poses"))
+        rows_by_kind = _rows_by_kind(dataset, role, signals, ("motion", "poses"))
         maps = tuple(
             EvaluatedOutput(
                 predict=lambda x, predict=predict: predict(x[:, 0]),  # type: ignore[misc]
                 simple=simple_models(fit.values[:, [source]], fit.values[:, target])
                 | {"linkage geometry": linkage_geometry(fit.values[:, 0], fit.values[:, 1], target == 1)},
-                trust=network.trust.get(direction),
+                uncertainty=network.uncertainty.get(direction),
                 sources=(source,),
                 target=target,
                 ends={signals[0]: axis_ends(dataset, axis, network)},
@@ -77,7 +77,7 @@ def validate_actuator(
                 ("to_cylinder", 1, 0, network.displacement),
             )
         )
-        outputs += [output_report(dataset, rows, kind, item) for kind, rows in judged.items() for item in maps]
+        outputs += [output_report(dataset, rows, kind, item) for kind, rows in rows_by_kind.items() for item in maps]
     round_trips = {axis: network.round_trip() for axis, network in networks.items()}
     return ValidationReport("actuator", name, dataset.reference, role, tuple(outputs), round_trips)
 
@@ -100,7 +100,7 @@ def validate_forward(network: ForwardModel, dataset: Dataset, role: Role = "held
         EvaluatedOutput(
             predict=lambda q, number=number: network.predict(q)[:, number],  # type: ignore[misc]
             simple={title: lambda q, each=each, number=number: each(q)[:, number] for title, each in simple.items()},  # type: ignore[misc]
-            trust=network.trust,
+            uncertainty=network.uncertainty,
             sources=tuple(range(count)),
             target=count + number,
             ends=_joint_limits(dataset, fitted),
@@ -110,8 +110,8 @@ def validate_forward(network: ForwardModel, dataset: Dataset, role: Role = "held
         )
         for number in range(3)
     )
-    judged = _rows_by_kind(dataset, role, signals, ("poses", "motion"))
-    outputs = [output_report(dataset, rows, kind, item) for kind, rows in judged.items() for item in maps]
+    rows_by_kind = _rows_by_kind(dataset, role, signals, ("poses", "motion"))
+    outputs = [output_report(dataset, rows, kind, item) for kind, rows in rows_by_kind.items() for item in maps]
     return ValidationReport("forward", name, dataset.reference, role, tuple(outputs))
 
 

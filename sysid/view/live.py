@@ -59,13 +59,13 @@ def show_live(dataset: Dataset, recording: str, plant: Plant, path: Path | None 
                 path.parent.mkdir(parents=True, exist_ok=True)
                 stream.save(str(files.enter_context(written_whole(path))), default_blueprint=layout)
             stream.send_recording_name(f"{dataset.reference} {recording}, {plant.reference or 'nominal plant'} in PyBullet")
-            shown = _play(stream, world, source, dataset.units, 0.0 if path is not None else 1.0 / speed)
+            shown = _replay(stream, world, source, dataset.units, 0.0 if path is not None else 1.0 / speed)
             stream.flush()
             stream.disconnect()
     return shown
 
 
-def _play(stream: Any, world: World, source: Recording, units: Mapping[str, str], pace: float) -> int:
+def _replay(stream: Any, world: World, source: Recording, units: Mapping[str, str], pace: float) -> int:
     """Show the run; ``pace`` is seconds of waiting a second of the machine, zero for none."""
     rr = sdk()
     machine = world.plant.machine
@@ -86,7 +86,7 @@ def _play(stream: Any, world: World, source: Recording, units: Mapping[str, str]
     picture_every = every * max(1, round(source.rate_hz / CAMERA_HZ / every))
     begin, first, shown = time.monotonic(), None, 0
     times = source.values("time")
-    for row, state in world.play(source):
+    for row, state in world.replay(source):
         if row % every:
             continue
         first = float(times[row]) if first is None else first

@@ -10,15 +10,15 @@ import numpy as np
 from sysid.gap.result import Map
 
 #: Maps of an output that are shown, and what they have to account for.
-SHOWN, TELLING = 3, 0.15
+SHOWN, MIN_EXPLAINED = 3, 0.15
 
 
-def telling(maps: Sequence[Map]) -> list[Map]:
+def informative(maps: Sequence[Map]) -> list[Map]:
     """The maps of each output that account for most of its disagreement, in the order of the outputs."""
     found = []
     for signal in dict.fromkeys(item.signal for item in maps):
         of_signal = sorted((item for item in maps if item.signal == signal), key=lambda item: -item.explains)
-        found += [item for item in of_signal if item.explains > TELLING][:SHOWN]
+        found += [item for item in of_signal if item.explains > MIN_EXPLAINED][:SHOWN]
     return found
 
 
@@ -38,7 +38,7 @@ def log_maps(
     """
     import rerun as rr
 
-    for item in telling(maps):
+    for item in informative(maps):
         factor, _ = units.get(item.error_unit.removesuffix("/s"), (1.0, ""))
         across, _ = units.get(item.unit.removesuffix("/s"), (1.0, ""))
         at = across * np.array(item.at)
@@ -52,7 +52,7 @@ def map_views(maps: Sequence[Map]) -> list[Any]:
     """One tab for each output that has telling maps."""
     import rerun.blueprint as rrb
 
-    shown = telling(maps)
+    shown = informative(maps)
     return [
         rrb.Vertical(
             *(

@@ -49,7 +49,7 @@ _STRUCTURE_MASS = 10.0
 #: Link of a tool that the machine's URDF does not have.
 _TOOL = "swaying_tool"
 #: A shorter pendulum [m] is none, as in the compiled step.
-_SHORTEST = 1e-3
+_MIN_LENGTH = 1e-3
 
 
 @dataclass(frozen=True)
@@ -112,7 +112,7 @@ def build_bodies(plant: Plant, gripper: Gripper = "rigid") -> WorldUrdf:
     if machine.tool is not None and machine.tool != machine.tip:
         path = path_to(kinematics, machine.tool)
         values = {key: float(np.asarray(value)) for key, value in (sway.parameters if sway is not None else {}).items()}
-        if values.get("length", 0.0) >= _SHORTEST:
+        if values.get("length", 0.0) >= _MIN_LENGTH:
             hanging = _hang(root, kinematics, path, values["length"], values["damping_ratio"], gripper)
         elif any(joint.kind != "fixed" for joint in path):
             # A plant that does not know how the tool hangs predicts it at the tip: nothing is drawn below.

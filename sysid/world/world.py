@@ -153,7 +153,7 @@ class World:
         """
         machine = self.plant.machine
         values = np.full((len(recording), 2 * len(machine.axes) + 6), np.nan)
-        for row, state in self.play(recording):
+        for row, state in self.replay(recording):
             values[row] = np.concatenate([state.drive, state.joints, state.ee, state.tool])
         joints = [axis_signal(name, "joint") for name in machine.axis_names]
         points = [*point_signals("ee"), *point_signals("tool")]
@@ -163,7 +163,7 @@ class World:
         said = {name: model.sensed(model.theta[None], name, table[name][None], dt)[0] for name in self._in_order(recording)}
         return pd.DataFrame({"time": recording.values("time"), **said})
 
-    def play(self, recording: Recording) -> Iterator[tuple[int, WorldState]]:
+    def replay(self, recording: Recording) -> Iterator[tuple[int, WorldState]]:
         """The recorded commands in the world, one state at a time: row of the recording and state."""
         self._check_open()
         if recording.rate_hz != self.rate_hz:

@@ -126,7 +126,7 @@ def test_at_rest_nothing_chatters() -> None:
 
 
 def test_a_noisy_sensor_opens_no_valve_while_a_setpoint_stands() -> None:
-    """Nor the way across the play: noise has either sign, and would ask for it to and fro."""
+    """Nor the way across the backlash: noise has either sign, and would ask for it to and fro."""
     rng = np.random.default_rng(0)
     tuning = tune(PLANT)
     controller = CylinderController(PLANT, tuning)

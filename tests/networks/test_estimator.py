@@ -36,7 +36,7 @@ def test_it_learns_and_says_how_sure_it_is() -> None:
     assert model.score(x[300:], y[300:]) > 0.98
     assert model.predict(x[300:]).shape == model.spread(x[300:]).shape == (100, 2)
     assert (model.spread(10.0 * x[300:]).mean(axis=0) > 3.0 * model.spread(x[300:]).mean(axis=0)).all()
-    assert [course.rows for course in model.courses_] == [(270, 30)] * 3
+    assert [curve.rows for curve in model.learning_curves_] == [(270, 30)] * 3
     flat = quick().fit(x, y[:, 0])
     assert flat.predict(x).shape == (400,)
 

@@ -27,7 +27,7 @@ from sysid.networks import (
 )
 from sysid.networks.actuator import actuator_rows
 from sysid.networks.forward import feature_names, forward_rows
-from sysid.networks.split import gather, segments, spread_sample
+from sysid.networks.split import gather, segments, stratified_sample
 
 QUICK = parse_recipe(
     {
@@ -151,7 +151,7 @@ def test_files_bring_back_the_same_network(actuators: dict[str, ActuatorNetwork]
     assert kind == "actuator"
     assert isinstance(loaded, dict)
     np.testing.assert_array_equal(loaded["stick"].joint(displacement), actuators["stick"].joint(displacement))
-    assert loaded["boom"].courses["to_joint"].to_json() == actuators["boom"].courses["to_joint"].to_json()
+    assert loaded["boom"].learning_curves["to_joint"].to_json() == actuators["boom"].learning_curves["to_joint"].to_json()
     kind, files = to_files(forward)
     again = from_files(files, "crane-forward@1")
     assert kind == "forward"
@@ -222,7 +222,7 @@ def test_blocks_stand_in_for_missing_roles() -> None:
     values=st.lists(st.floats(-1e3, 1e3), min_size=1, max_size=300), count=st.integers(1, 300), seed=st.integers(0, 2**32 - 1)
 )
 def test_a_spread_sample_has_distinct_rows_of_the_asked_number(values: list[float], count: int, seed: int) -> None:
-    chosen = spread_sample(np.array(values), count, np.random.default_rng(seed))
+    chosen = stratified_sample(np.array(values), count, np.random.default_rng(seed))
     assert len(chosen) == min(count, len(values))
     assert len(set(chosen.tolist())) == len(chosen)
     assert (np.diff(chosen) > 0).all()
@@ -230,7 +230,7 @@ def test_a_spread_sample_has_distinct_rows_of_the_asked_number(values: list[floa
 
 def test_a_spread_sample_takes_all_rare_rows() -> None:
     values = np.r_[np.zeros(1000), np.linspace(0.1, 1.0, 50)]
-    chosen = spread_sample(values, 200, np.random.default_rng(0))
+    chosen = stratified_sample(values, 200, np.random.default_rng(0))
     assert set(range(1000, 1050)) <= set(chosen.tolist())
 
 

@@ -96,7 +96,7 @@ def test_a_report_counts_the_intervals_of_a_model_that_has_them() -> None:
     assert 1e-4 < entry.coverage.half_width < 3e-3
     values = entry.coverage.regions
     assert {"inside the data", "slew.joint, lower third"} <= {region.name for region in values}
-    blind = validate_forward(replace(model, trust=None), data).output("ee.x", "poses")
+    blind = validate_forward(replace(model, uncertainty=None), data).output("ee.x", "poses")
     assert blind.coverage is None
 
 

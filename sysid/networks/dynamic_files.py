@@ -1,4 +1,4 @@
-"""What files of a model version hold of networks that run along a motion: memories of actuators, and command → motion."""
+"""Files of networks with a state: corrections of actuator networks with history, and command → motion networks."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from sysid.errors import StoreError
 from sysid.networks import cell
 from sysid.networks.actuator import DIRECTIONS, ActuatorNetwork
 from sysid.networks.history import HistoryNetwork
+from sysid.networks.history_correction import HistoryCorrection
 from sysid.networks.member import LearningCurve
-from sysid.networks.memory import Memory
 from sysid.networks.mlp import Mlp
-from sysid.networks.motion import MotionNetwork, TriedInputs
+from sysid.networks.motion import InputCandidate, MotionNetwork
 from sysid.networks.motion_inputs import Window
 from sysid.networks.rollout import MotionBounds
 
@@ -26,33 +26,38 @@ Tensors = dict[str, npt.NDArray[Any]]
 
 
 def put_memories(model: Mapping[str, HistoryNetwork], tensors: Tensors) -> dict[str, Any]:
-    """Weights of the memories into ``tensors``; returns what these do not say."""
-    said: dict[str, Any] = {}
+    """Weights of the corrections into ``tensors``; returns their structure for JSON."""
+    structure: dict[str, Any] = {}
     for axis, network in model.items():
-        said[axis] = {}
+        structure[axis] = {}
         for direction in DIRECTIONS:
-            memory: Memory = getattr(network, direction)
+            memory: HistoryCorrection = getattr(network, direction)
             tensors |= {f"{axis}.{direction}.memory.{name}": memory.weights[name] for name in cell.TENSORS}
             tensors[f"{axis}.{direction}.memory.widths"] = memory.widths
             loss = memory.loss if math.isfinite(memory.loss) else None
-            said[axis][direction] = {"interval": memory.interval, "bound": memory.bound, "loss": loss, "epochs": memory.epochs}
-    return said
+            structure[axis][direction] = {
+                "interval": memory.interval,
+                "bound": memory.bound,
+                "loss": loss,
+                "epochs": memory.epochs,
+            }
+    return structure
 
 
 def take_memories(
-    said: Mapping[str, Any], static: Mapping[str, ActuatorNetwork], tensors: Tensors, where: object
+    structure: Mapping[str, Any], static: Mapping[str, ActuatorNetwork], tensors: Tensors, where: object
 ) -> dict[str, HistoryNetwork]:
-    """Networks with history from their static parts and what :func:`put_memories` made.
+    """Networks with history from their static parts and the output of :func:`put_memories`.
 
     Raises:
-        StoreError: arrays that do not fit together.
-        KeyError: something is missing.
+        StoreError: arrays of inconsistent shapes.
+        KeyError: an entry is missing.
     """
     found = {}
     for axis, network in static.items():
         memories = {}
         for direction in DIRECTIONS:
-            prefix, entry = f"{axis}.{direction}.memory", said[axis][direction]
+            prefix, entry = f"{axis}.{direction}.memory", structure[axis][direction]
             weights = {name: np.asarray(tensors[f"{prefix}.{name}"], dtype=np.float64) for name in cell.TENSORS}
             widths = np.asarray(tensors[f"{prefix}.widths"], dtype=np.float64)
             F, H = 2 + len(widths), len(weights["w"])
@@ -61,13 +66,13 @@ def take_memories(
                 if weights[name].shape != shape or not np.isfinite(weights[name]).all():
                     raise StoreError(f"{where}: {prefix}.{name}", f"shape {weights[name].shape}", f"finite numbers of {shape}")
             loss = math.nan if entry["loss"] is None else float(entry["loss"])
-            memories[direction] = Memory(entry["interval"], entry["bound"], widths, weights, loss, entry["epochs"])
+            memories[direction] = HistoryCorrection(entry["interval"], entry["bound"], widths, weights, loss, entry["epochs"])
         found[axis] = HistoryNetwork(network, **memories)
     return found
 
 
 def put_motions(model: Mapping[str, MotionNetwork], put: Callable[[str, Mlp], None]) -> dict[str, Any]:
-    """Networks through ``put``; returns what these do not say."""
+    """Networks through ``put``; returns their structure for JSON."""
     axes = {}
     for axis, network in model.items():
         for number, mlp in enumerate(network.members):
@@ -80,20 +85,20 @@ def put_motions(model: Mapping[str, MotionNetwork], put: Callable[[str, Mlp], No
             "members": [len(mlp.weights) for mlp in network.members],
             "bounds": asdict(network.bounds),
             "commands": list(network.commands),
-            "courses": [course.to_json() for course in network.courses],
+            "courses": [curve.to_json() for curve in network.learning_curves],
             "candidates": [asdict(candidate) for candidate in network.candidates],
         }
     return axes
 
 
 def take_motions(
-    axes: Mapping[str, Any], take: Callable[[str, int], Mlp], course: Callable[[dict[str, Any]], LearningCurve], where: object
+    axes: Mapping[str, Any], take: Callable[[str, int], Mlp], curve: Callable[[dict[str, Any]], LearningCurve], where: object
 ) -> dict[str, MotionNetwork]:
-    """Networks from what :func:`put_motions` made.
+    """Networks from the output of :func:`put_motions`.
 
     Raises:
-        StoreError: a network that does not have the inputs of its window.
-        KeyError: something is missing.
+        StoreError: a network whose inputs are not those of its window.
+        KeyError: an entry is missing.
     """
     found = {}
     for axis, entry in axes.items():
@@ -115,8 +120,8 @@ def take_motions(
             members=members,
             bounds=MotionBounds(**{key: _tuple(value) for key, value in entry["bounds"].items()}),
             commands=_tuple(entry["commands"]),
-            courses=tuple(course(item) for item in entry["courses"]),
-            candidates=tuple(TriedInputs(**candidate) for candidate in entry["candidates"]),
+            learning_curves=tuple(curve(item) for item in entry["courses"]),
+            candidates=tuple(InputCandidate(**candidate) for candidate in entry["candidates"]),
         )
     return found
 
