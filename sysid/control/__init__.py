@@ -1,4 +1,4 @@
-"""The low-level controller between joint setpoints and valve commands. No torch; one machine or many copies side by side."""
+"""Low-level controller between joint setpoints and valve commands, for one machine or many copies; without torch."""
 
 from sysid.control.cylinder import CylinderController
 from sysid.control.tuning import AxisTuning, response_time, simple, tune

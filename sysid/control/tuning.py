@@ -1,7 +1,7 @@
-"""What the cylinder controller knows of each axis: the inverse of its valve, its dead time and the gains that follow from it.
+"""Tuning of the cylinder controller from the plant: inverse of the valve, dead time, and the gains that follow from it.
 
-An axis moved by a valve is an integrator behind a dead time θ = delay + lag (+ half a sample of hold). The gains are those of
-the SIMC rule for it with a closed-loop time of θ: ``Kp = 1/(2θ)``, ``Ti = 8θ``.
+A valve axis is an integrator with a dead time θ = delay + lag (+ half a sample of hold). The gains follow from the SIMC rule
+with a closed-loop time constant of θ: ``Kp = 1/(2θ)``, ``Ti = 8θ``.
 
 Source: Skogestad, Journal of Process Control 13 (2003), §4.3; dead-band inverse: Tao & Kokotović, IEEE TAC 39 (1994).
 """
@@ -20,33 +20,33 @@ from sysid.plant.layout import AT, AXIS_WIDTH
 
 Array = npt.NDArray[np.float64]
 
-#: Commands may change this fast [1/s] where the plant says nothing of it: a dead-band is crossed within a step at 100 Hz.
+#: Largest rate of the command [1/s] if the plant has no lower one: a dead-band is crossed within a step at 100 Hz.
 RATE = 40.0
-#: Below this share of the top speed the dead-band is crossed in proportion instead of in a jump, so that nothing chatters.
+#: Below this share of the top speed the dead-band is added in proportion to the speed, to avoid chatter.
 REST_SHARE = 0.01
-#: The integral may ask for this share of the top speed.
+#: Bound of the integral, as a share of the top speed.
 INTEGRAL_SHARE = 0.2
-#: Closed loop of an axis without dead time [1/s].
+#: Proportional gain of an axis without dead time [1/s].
 MAX_PROPORTIONAL = 20.0
 
 
 @dataclass(frozen=True)
 class AxisTuning:
-    """One axis. Speeds are of what the command drives [m/s or rad/s], positions [m or rad].
+    """One axis, in the driven coordinate: speeds [m/s or rad/s], positions [m or rad].
 
     Args:
-        servo: 1.0 where the command is a position and passes through; everything else is then unused.
+        servo: 1.0 where the command is a position and passes through; all other values are then unused.
         up, down: speed at effective command +1 and −1, magnitudes.
         exponent: effective command = sign·\\|command\\|^exponent.
         positive, negative: dead-band (command).
         limit: effective command above which speed no longer rises.
-        creep: speed that leaks away at zero command.
+        creep: speed of the internal leakage at zero command.
         backlash: between the drive and the sensor, full width.
         lead: dead time from command to motion [s].
         proportional, integral: [1/s] and [1/s²].
         feed: share of the setpoint's own speed that is fed forward, 1.0 or 0.0.
         rate: of the command [1/s].
-        low, high: setpoints are kept within.
+        low, high: limits of the setpoints.
     """
 
     servo: float
@@ -68,7 +68,7 @@ class AxisTuning:
 
     @property
     def fastest(self) -> float:
-        """The lower one of the top speeds of both directions."""
+        """The lower of the top speeds of both directions."""
         ends = (self.up, self.positive), (self.down, self.negative)
         return min(float(speed * min(self.limit, max(0.0, 1.0 - band) ** self.exponent)) for speed, band in ends)
 
@@ -78,17 +78,17 @@ class AxisTuning:
 
 
 def tune(plant: Plant) -> tuple[AxisTuning, ...]:
-    """The controller that follows from what the plant says of each axis.
+    """The tuning of each axis from the effects of the plant.
 
     Raises:
-        SettingsError: an axis that is moved by force, or a cylinder without stroke.
+        SettingsError: a force axis, or a cylinder without stroke.
     """
     theta = plant.vector()
     return tuple(_tuned(plant, theta, i) for i in range(len(plant.machine.axes)))
 
 
 def simple(plant: Plant, proportional: float = 2.0) -> tuple[AxisTuning, ...]:
-    """What is tried first by hand: proportional alone, no inverse of the valve, no feed-forward. For comparison."""
+    """A proportional controller without inverse of the valve and feed-forward, for comparison."""
     found = []
     for axis, item in zip(plant.machine.axes, tune(plant), strict=True):
         values = {field.name: getattr(item, field.name) for field in fields(item)}
@@ -99,7 +99,7 @@ def simple(plant: Plant, proportional: float = 2.0) -> tuple[AxisTuning, ...]:
 
 
 def response_time(plant: Plant) -> float:
-    """The longest dead time of any axis, delay and lag together [s]: how far ahead a path must be known to be followed."""
+    """The largest dead time of any axis, delay plus lag [s]."""
     return max(item.lead for item in tune(plant))
 
 

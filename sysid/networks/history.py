@@ -19,7 +19,7 @@ from sysid.networks.actuator import DIRECTIONS, ActuatorNetwork, RoundTripError,
 from sysid.networks.checkpoint import Checkpoints
 from sysid.networks.history_correction import HistoryCorrection
 from sysid.networks.recipe import HistoryRecipe, NetworkRecipe
-from sysid.networks.recurrent import RecordingWindow, RecurrentSettings, train_recurrent
+from sysid.networks.recurrent import RecordingWindow, RecurrentSettings, interval_means, train_recurrent
 from sysid.networks.split import RowRange, segments
 from sysid.progress import Progress, part, silent
 from sysid.signals import axis_signal
@@ -190,8 +190,12 @@ def recording_windows(
             if count < MIN_UPDATES:
                 continue
             here = np.ascontiguousarray(values[begin : begin + count * stride])
-            residual = (truth[begin : begin + count * stride] - predict(here)).reshape(count, stride)
-            found.append(RecordingWindow(correction.inputs(here, stride, stride / rate), _mean(residual), np.ones(count)))
+            residual = truth[begin : begin + count * stride] - predict(here)
+            found.append(
+                RecordingWindow(
+                    correction.inputs(here, stride, stride / rate), interval_means(residual, stride), np.ones(count)
+                )
+            )
     return found
 
 
@@ -199,13 +203,6 @@ def runs_of(mask: npt.NDArray[np.bool_]) -> list[tuple[int, int]]:
     """Begin and end (excluded) of every run of True."""
     edges = np.flatnonzero(np.diff(np.r_[False, mask, False].astype(np.int8)))
     return [(int(a), int(b)) for a, b in edges.reshape(-1, 2)]
-
-
-def _mean(blocks: Array) -> Array:
-    """Means of the rows without their NaN; NaN for a row of NaN."""
-    there = np.isfinite(blocks)
-    total = np.where(there, blocks, 0.0).sum(axis=1) / np.maximum(there.sum(axis=1), 1)
-    return np.where(there.any(axis=1), total, np.nan)
 
 
 def static_maps(networks: Mapping[str, ActuatorNetwork | HistoryNetwork]) -> dict[str, ActuatorNetwork]:

@@ -171,6 +171,14 @@ def _scales(parts: Sequence[RecordingWindow], bound: float, interval: float, int
     return tuple(max(_rms(values), 1e-6 * bound * interval) for values in lagged)
 
 
+def interval_means(values: Array, stride: int) -> Array:
+    """Means over intervals of ``stride`` samples without NaN, (n / stride,); NaN where nothing was measured."""
+    blocks = values.reshape(-1, stride)
+    measured = np.isfinite(blocks)
+    total = np.where(measured, blocks, 0.0).sum(axis=1) / np.maximum(measured.sum(axis=1), 1)
+    return np.where(measured.any(axis=1), total, np.nan)
+
+
 def _rms(values: Array) -> float:
     there = values[np.isfinite(values)]
     return float(np.sqrt(np.mean(there**2))) if len(there) else 0.0

@@ -1,4 +1,4 @@
-"""One output of a network, evaluated: errors, baselines, noise floor, where it errs, coverage of its intervals."""
+"""Evaluation of one output of a network: errors, baselines, noise floor, profiles, maps, spikes, coverage."""
 
 from __future__ import annotations
 
@@ -27,11 +27,9 @@ from sysid.validate.report import OutputReport, Trace
 
 Array = npt.NDArray[np.float64]
 
-#: Rows kept for plots.
+#: Largest number of rows kept for plots.
 TRACE_ROWS = 2000
-
-
-#: Rows that the slopes for the noise floor are taken at.
+#: Largest number of rows at which the slopes for the noise floor are computed.
 SLOPE_ROWS = 500
 
 
@@ -41,10 +39,10 @@ class EvaluatedOutput:
 
     Args:
         predict: inputs (n, d) → output (n,); ``simple``: baselines of the same kind, by name.
-        uncertainty: of the network; None for a version that has none.
+        uncertainty: of the network; None for a version without.
         sources, target: columns of the rows.
-        ends: signals whose ends can explain a spike; ``fitted``: inputs and the ranges that were learned.
-        spread: of the members, where there are several; ``number``: of this output among those of the network.
+        ends: signals whose ends are possible causes of a spike; ``fitted``: inputs and their fitted ranges.
+        spread: of the ensemble; ``number``: index of this output in the network.
     """
 
     predict: Predict
@@ -59,11 +57,11 @@ class EvaluatedOutput:
 
 
 def output_report(
-    dataset: Dataset, rows: SignalRows, kind: Kind, item: EvaluatedOutput, along: Array | None = None
+    dataset: Dataset, rows: SignalRows, kind: Kind, item: EvaluatedOutput, stateful: Array | None = None
 ) -> OutputReport:
-    """``along``: what a network with a memory said at ``rows``; its map is what it says without one."""
+    """Report of one output; ``stateful``: predictions of a network with a state at ``rows``, in place of ``item.predict``."""
     inputs, truth, output = rows.values[:, list(item.sources)], rows.values[:, item.target], rows.signals[item.target]
-    unit, predicted = _unit(dataset, output), item.predict(inputs) if along is None else along
+    unit, predicted = _unit(dataset, output), item.predict(inputs) if stateful is None else stateful
     errors = predicted - truth
     profiles, maps = _profiles_and_maps(dataset, rows, errors, item.sources, kind)
     shown = np.linspace(0, len(rows) - 1, min(len(rows), TRACE_ROWS)).round().astype(np.int64)
@@ -81,7 +79,7 @@ def output_report(
         recordings=tuple(dict.fromkeys(str(name) for name in rows.recording)),
         metrics=error_metrics(truth, predicted, unit),
         baselines={title: error_metrics(truth, predict(inputs), unit) for title, predict in item.simple.items()},
-        # A static pose is the mean of many samples: the noise of one sample says nothing about it.
+        # A static pose is the mean of many samples, so the noise of one sample does not apply.
         noise_floor=_noise_floor(dataset, rows, item) if kind == "motion" else None,
         profiles=profiles,
         spikes=spikes(dataset, rows, errors, item.ends, item.fitted, kind == "motion"),
@@ -94,7 +92,7 @@ def output_report(
 def _profiles_and_maps(
     dataset: Dataset, rows: SignalRows, errors: Array, sources: tuple[int, ...], kind: Kind
 ) -> tuple[tuple[Profile, ...], tuple[ErrorMap, ...]]:
-    """Errors against each input, its speed and direction, and the loads; and against two of them at a time."""
+    """Profiles against each input, its speed and direction, and the loads; maps over two of them."""
     profiles: list[Profile] = []
     axes: list[MapAxis] = []
     moving: list[tuple[str, str]] = []
@@ -117,7 +115,7 @@ def _profiles_and_maps(
 
 
 def _loads(dataset: Dataset, rows: SignalRows) -> dict[str, tuple[str, Array]]:
-    """Joint → unit and gravity load at every row, for those joints that ``rows`` are about and that carry any."""
+    """Joint → unit and gravity load at every row, for joints of ``rows`` whose load varies."""
     if dataset.machine.kinematics() is None:
         return {}
     found: dict[str, tuple[str, Array]] = {}
@@ -150,7 +148,7 @@ def _coverage(rows: SignalRows, inputs: Array, truth: Array, predicted: Array, i
 
 
 def _noise_floor(dataset: Dataset, rows: SignalRows, item: EvaluatedOutput) -> float | None:
-    """√(σ_out² + Σ (∂f/∂x · σ_in)²), the slopes taken from the network itself; None where a σ is not stated."""
+    """√(σ_out² + Σ (∂f/∂x · σ_in)²) with the slopes of the network; None where a σ is not stated."""
     noise, sources = dataset.machine.noise, item.sources
     if any(rows.signals[column] not in noise for column in (*sources, item.target)):
         return None
@@ -166,7 +164,7 @@ def _noise_floor(dataset: Dataset, rows: SignalRows, item: EvaluatedOutput) -> f
 
 
 def axis_ends(dataset: Dataset, axis: str, network: ActuatorNetwork) -> tuple[float, float]:
-    """End stops of the cylinder, or what was fitted where the machine's description gives none."""
+    """End stops of the cylinder, or the fitted range where the machine's description has none."""
     return dataset.machine.axis(axis).stroke or network.displacements
 
 

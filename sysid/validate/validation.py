@@ -1,4 +1,4 @@
-"""Evaluate networks on recordings that had no part in fitting them."""
+"""Evaluation of networks on held-out recordings."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ Array = npt.NDArray[np.float64]
 def validate_model(
     model: Model, dataset: Dataset, role: Role = "held_out", recipe: NetworkRecipe | None = None, name: str = ""
 ) -> ValidationReport:
-    """:func:`validate_actuator`, :func:`validate_forward`, or one of those for networks that run along a motion."""
+    """:func:`validate_actuator`, :func:`validate_forward`, :func:`validate_history` or :func:`validate_motion`, by the model."""
     if isinstance(model, ForwardNetwork | StructuredForward):
         return validate_forward(model, dataset, role, name)
     if motions := motion_networks(model):
@@ -50,7 +50,7 @@ def validate_actuator(
     Args:
         networks: axis → network, from ``fit_actuator``.
         role: recordings to evaluate on.
-        recipe: that of the fit, so that the baselines learn from the same rows; default: the paper's.
+        recipe: of the fit, so that the baselines are fitted on the same rows; default: the paper's.
         name: of the model, for the report.
 
     Raises:
@@ -83,7 +83,7 @@ def validate_actuator(
 
 
 def validate_forward(network: ForwardModel, dataset: Dataset, role: Role = "held_out", name: str = "") -> ValidationReport:
-    """End effector on the static poses of ``role``, and on its motion where that was measured as well.
+    """End effector on the static poses of ``role``, and on its motion if it was measured.
 
     Raises:
         ExcitationError: neither poses nor motion of that role have all joints and the end effector.
@@ -116,7 +116,7 @@ def validate_forward(network: ForwardModel, dataset: Dataset, role: Role = "held
 
 
 def _joint_limits(dataset: Dataset, fitted: Ranges) -> Ranges:
-    """Limits of every joint, or the range that was fitted where the machine's description gives none."""
+    """Limits of every joint, or the fitted range where the machine's description has none."""
     limits = {axis_signal(axis.name, "joint"): axis.limits for axis in dataset.machine.axes}
     return {signal: ends if ends is not None and np.isfinite(ends).all() else fitted[signal] for signal, ends in limits.items()}
 

@@ -1,4 +1,4 @@
-"""How a machine looks in Rerun: colours, the shapes of its links, their poses and the trails of its points over time."""
+"""A machine in Rerun: colours, shapes and poses of its links, and the trails of its points."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ TIMELINE = "time"
 
 @dataclass(frozen=True)
 class Style:
-    """Colour (RGB) of one version of the machine, and whether its links are drawn solid."""
+    """Colour (RGB) of one version of the machine, and whether its links are solid or wire frames."""
 
     colour: tuple[int, int, int]
     solid: bool
 
 
-#: What was measured is solid; simulations are wire frames around it, so that they stay apart where they agree.
+#: The measurement is solid; simulations are wire frames, so that both are visible where they agree.
 STYLES = {
     "measured": Style((138, 148, 158), True),
     "before": Style((222, 104, 52), False),
@@ -42,7 +42,7 @@ SHOWN = {"m": (1e3, "mm"), "rad": (180.0 / np.pi, "°")}
 
 
 def sdk() -> Any:
-    """The SDK, imported late: it takes half a second. Only its viewer counts usage; writing a file starts no viewer."""
+    """The SDK, imported late (half a second), with its telemetry off."""
     os.environ.setdefault("TELEMETRY_ENABLED", "false")
     import rerun
 
@@ -55,13 +55,13 @@ def styles_of(names: Mapping[str, Any]) -> list[Style]:
 
 
 def log_machine(stream: Any, root: str, machine: Machine, kinematics: Kinematics, table: pd.DataFrame, style: Style) -> None:
-    """Poses of all links over time, and once their shapes. Rows in which a joint is unknown are left out."""
+    """Poses of all links over time, and their shapes. Rows with an unknown joint are omitted."""
     if log_poses(stream, root, machine, kinematics, table):
         log_shapes(stream, root, machine, kinematics, style)
 
 
 def log_shapes(stream: Any, root: str, machine: Machine, kinematics: Kinematics, style: Style) -> None:
-    """What the links look like, at all times."""
+    """Shapes of the links, valid at all times."""
     rr = sdk()
     for link, shapes in link_shapes(machine.urdf_text or "", kinematics).items():
         for number, shape in enumerate(shapes):
@@ -69,7 +69,7 @@ def log_shapes(stream: Any, root: str, machine: Machine, kinematics: Kinematics,
 
 
 def log_poses(stream: Any, root: str, machine: Machine, kinematics: Kinematics, table: pd.DataFrame) -> bool:
-    """Where the links are in the rows of ``table`` in which every joint is known; whether there are any."""
+    """Poses of the links in the rows of ``table`` with all joints; returns whether there are any."""
     rr = sdk()
     columns = [axis_signal(axis.name, "joint") for axis in machine.axes]
     if not set(columns) <= set(table.columns):
@@ -93,7 +93,7 @@ def drawn(shape: Shape, style: Style) -> list[Any]:
     turn = rr.Quaternion(xyzw=Rotation.from_matrix(shape.pose[:3, :3]).as_quat())
     place = rr.Transform3D(translation=shape.pose[:3, 3], quaternion=turn)
     if shape.kind == "box":
-        # A little smaller than its simulations, so that where all agree the wire frames stay visible.
+        # Wire frames are slightly larger than solids, so that they stay visible where both agree.
         scale = 1.0 if style.solid else 1.02
         half_sizes = [[0.5 * scale * side for side in shape.size]]
         return [place, rr.Boxes3D(half_sizes=half_sizes, colors=[colour], fill_mode=mode, radii=0.0015)]
@@ -106,7 +106,7 @@ def drawn(shape: Shape, style: Style) -> list[Any]:
 
 
 def log_points(stream: Any, root: str, machine: Machine, table: pd.DataFrame, style: Style) -> None:
-    """Boom tip and tool as points (their last seconds make the trail) and the line between the two."""
+    """Boom tip and tool as points, whose last seconds are the trail, and the line between them."""
     rr = sdk()
     time = table["time"].to_numpy(dtype=np.float64)
     found: dict[str, Array] = {}

@@ -1,4 +1,4 @@
-"""A plant in its PyBullet world, shown in Rerun while it moves."""
+"""Live view in Rerun of a plant in its PyBullet world."""
 
 from __future__ import annotations
 
@@ -22,19 +22,19 @@ from sysid.view.layout import blueprint
 from sysid.view.visuals import link_shapes
 from sysid.world import World, WorldState
 
-#: Pictures of the world's camera a second of the machine's time, and their size.
+#: Camera pictures per second of the machine's time, and their size.
 CAMERA_HZ, CAMERA = 5.0, (320, 240)
-#: States shown a second of the machine's time.
+#: States per second of the machine's time.
 SHOWN_HZ = 50.0
 
 
 def show_live(dataset: Dataset, recording: str, plant: Plant, path: Path | None = None, speed: float = 1.0) -> int:
-    """Step the world through the commands of a recording and show each state as it comes.
+    """Step the world through the commands of a recording and show each state.
 
     Args:
-        plant: what moves; its machine needs a URDF.
-        path: write an ``.rrd`` file instead of opening the viewer, as fast as it goes.
-        speed: how much faster than the machine it shall run in the viewer.
+        plant: its machine needs a URDF.
+        path: write an ``.rrd`` file at full speed instead of opening the viewer.
+        speed: speed in the viewer relative to the machine's time.
 
     Returns:
         The number of states shown.
@@ -66,7 +66,7 @@ def show_live(dataset: Dataset, recording: str, plant: Plant, path: Path | None 
 
 
 def _replay(stream: Any, world: World, source: Recording, units: Mapping[str, str], pace: float) -> int:
-    """Show the run; ``pace`` is seconds of waiting a second of the machine, zero for none."""
+    """Show the run; ``pace`` is seconds of wall time per second of the machine's time, zero for full speed."""
     rr = sdk()
     machine = world.plant.machine
     kinematics = machine.kinematics()

@@ -1,4 +1,4 @@
-"""Writes a Rerun recording (``.rrd``): moving machine, trails, signals, and the layout that shows them."""
+"""Writes a Rerun recording (``.rrd``): moving machine, trails, signals, and their layout."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ def write_rerun(
     """Write one recording with its simulations.
 
     Args:
-        path: the ``.rrd`` file; folders are made as needed.
+        path: the ``.rrd`` file; its folder is made if needed.
         recording: name of the recording in ``dataset``.
         predictions: name (``before``, ``after``) → ``time`` [s] and one column a signal (SI), as rollouts return them.
-        maps: of the disagreement, as :class:`sysid.gap.GapResult` holds them; the telling ones become bar charts.
+        maps: of a :class:`sysid.gap.GapResult`; the informative ones become bar charts.
 
     Returns:
         ``path``.
@@ -39,7 +39,7 @@ def write_rerun(
     rr = sdk()
     path.parent.mkdir(parents=True, exist_ok=True)
     with written_whole(path) as half:
-        # The same dataset version and recording are the same recording for the viewer, however often they are written.
+        # Equal dataset versions and recordings have the same identity in the viewer.
         stream = rr.RecordingStream("sysid", recording_id=f"{dataset.reference}/{recording}/{dataset.digest[:16]}")
         stream.save(str(half), default_blueprint=blueprint(dataset, source, tables, TIMELINE, maps))
         stream.send_recording_name(f"{dataset.reference} {recording}")
@@ -60,7 +60,7 @@ def write_rerun(
 def _log_signals(
     stream: Any, dataset: Dataset, source: Recording, tables: Mapping[str, pd.DataFrame], styles: Mapping[str, Style]
 ) -> None:
-    """Every signal as a curve a version, in mm, degrees or as it is; commands once."""
+    """Every signal as one curve per version, in display units; commands once."""
     rr = sdk()
     commands = dict(zip((s for s in source.signals if s.endswith(".command")), OTHERS * len(source.signals), strict=False))
     for signal in source.signals:

@@ -1,4 +1,4 @@
-"""A Rerun recording of how a path was followed: path, machines, errors and commands."""
+"""Rerun recording of path tracking: path, machines, errors and commands."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ _PATH = (230, 60, 90)
 
 
 def write_tracks(path: Path, machine: Machine, target: Array, rows: Mapping[str, pd.DataFrame], name: str) -> Path:
-    """Write how one path was followed by one policy or several.
+    """Write the tracking of one path by one or several policies.
 
     Args:
         path: the ``.rrd`` file.
-        target: where the end effector should be, (n, 3) [m], in the rows of the tables.
-        rows: policy → ``time`` [s], joints, ``ee``, and ``tool`` and commands where there are any (SI).
+        target: end-effector targets, (n, 3) [m], in the rows of the tables.
+        rows: policy → ``time`` [s], joints, ``ee``, and ``tool`` and commands if any (SI).
         name: of the recording.
     """
     rr = sdk()

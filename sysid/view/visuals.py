@@ -1,7 +1,7 @@
-"""Shapes of the links from the URDF's <visual> elements, to draw the machine with.
+"""Shapes of the links from the URDF's <visual> elements.
 
-Source: URDF specification (ROS wiki, ``urdf/XML/link``). Meshes are files that a dataset version does not carry: a link
-that has only a mesh is drawn as a bar to its next joint, like a link without any visual.
+Source: URDF specification (ROS wiki, ``urdf/XML/link``). A dataset version does not contain mesh files: a link with a mesh only,
+or without any visual, is a bar to its next joint.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ class Shape:
 
 
 def link_shapes(urdf: str, kinematics: Kinematics) -> dict[str, tuple[Shape, ...]]:
-    """Shapes of every link of the chain; each link has at least one unless it carries nothing."""
+    """Shapes of every link of the chain: at least one, except for a last link without visuals."""
     from defusedxml.ElementTree import fromstring
 
     root: Element = fromstring(urdf, forbid_dtd=True)
@@ -65,7 +65,7 @@ def _shape(visual: Element) -> tuple[Shape, ...]:
 
 
 def _bar(link: str, kinematics: Kinematics) -> tuple[Shape, ...]:
-    """A bar from the link's frame to the joint that it carries; nothing where the two coincide."""
+    """A bar from the link's frame to its child joint; empty where the two coincide."""
     for joint in kinematics.chain:
         if joint.parent == link:
             end = joint.origin[:3, 3]

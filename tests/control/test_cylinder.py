@@ -185,7 +185,7 @@ def test_mistakes_are_named() -> None:
     with pytest.raises(InputError, match="a copy was never reset"):
         controller.commands(BEGIN, BEGIN)
     controller.reset(controller.drive(BEGIN)[0])
-    with pytest.raises(InputError, match="setpoints with a value that is no finite number"):
+    with pytest.raises(InputError, match="setpoints with a value that is not finite"):
         controller.commands([np.nan, 0.0, 0.0, 0.0], BEGIN)
     with pytest.raises(InputError, match=r"measured of shape \(1, 3\); expected \(1, 4\)"):
         controller.commands(BEGIN, BEGIN[:3])
