@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from typing import Any, get_args
 
 import numpy as np
@@ -99,15 +100,7 @@ def from_files(files: Mapping[str, bytes], where: object) -> Model:
     Raises:
         StoreError: a file is missing or invalid, or the layers do not fit together.
     """
-    from safetensors import SafetensorError
-    from safetensors.numpy import load
-
-    for name in (WEIGHTS, STRUCTURE):
-        if name not in files:
-            raise StoreError(where, f"no file {name}", f"{WEIGHTS} and {STRUCTURE}", "Is it a network?")
-    try:
-        structure = parse_json(files[STRUCTURE])
-        tensors = load(files[WEIGHTS])
+    with reading(files, where, "a network") as (structure, tensors):
         if structure["schema"] != 1:
             raise StoreError(f"{where}: {STRUCTURE}", f"schema {structure['schema']!r}", "schema 1", "Update the toolkit.")
         if structure["kind"] == "forward":
@@ -118,29 +111,47 @@ def from_files(files: Mapping[str, bytes], where: object) -> Model:
             )
         static = {axis: _actuator(axis, entry, tensors, where) for axis, entry in structure["axes"].items()}
         return take_memories(structure["memories"], static, tensors, where) if structure["kind"] == "history" else static
+
+
+@contextmanager
+def reading(files: Mapping[str, bytes], where: object, what: str) -> Iterator[tuple[dict[str, Any], Tensors]]:
+    """Structure and tensors of a version; errors of their content, also in the body of the ``with``, become StoreErrors.
+
+    Args:
+        what: the expected content with its article, for messages.
+
+    Raises:
+        StoreError: a file is missing or invalid.
+    """
+    from safetensors import SafetensorError
+    from safetensors.numpy import load
+
+    for name in (WEIGHTS, STRUCTURE):
+        if name not in files:
+            raise StoreError(where, f"no file {name}", f"{WEIGHTS} and {STRUCTURE}", f"Is it {what}?")
+    try:
+        yield parse_json(files[STRUCTURE]), load(files[WEIGHTS])
     except (ValueError, KeyError, TypeError, AttributeError, IndexError, SafetensorError) as error:
-        raise StoreError(where, f"not a network ({type(error).__name__}: {error})", f"{WEIGHTS} and {STRUCTURE}") from None
+        raise StoreError(where, f"not {what} ({type(error).__name__}: {error})", f"{WEIGHTS} and {STRUCTURE}") from None
 
 
 def motion_networks(model: Model) -> dict[str, MotionNetwork]:
     """Axis → command → motion network; empty for other models."""
-    if isinstance(model, ForwardNetwork | StructuredForward):
-        return {}
-    return {axis: network for axis, network in model.items() if isinstance(network, MotionNetwork)}
+    return {axis: network for axis, network in _by_axis(model).items() if isinstance(network, MotionNetwork)}
 
 
 def history_networks(model: Model) -> dict[str, HistoryNetwork]:
     """Axis → actuator network with history; empty for other models."""
-    if isinstance(model, ForwardNetwork | StructuredForward):
-        return {}
-    return {axis: network for axis, network in model.items() if isinstance(network, HistoryNetwork)}
+    return {axis: network for axis, network in _by_axis(model).items() if isinstance(network, HistoryNetwork)}
 
 
 def static_networks(model: Model) -> dict[str, ActuatorNetwork]:
     """Axis → static map of cylinder and joint: actuator networks, or the static parts of those with history."""
-    if isinstance(model, ForwardNetwork | StructuredForward):
-        return {}
-    return static_maps({axis: network for axis, network in model.items() if not isinstance(network, MotionNetwork)})
+    return static_maps({axis: network for axis, network in _by_axis(model).items() if not isinstance(network, MotionNetwork)})
+
+
+def _by_axis(model: Model) -> Mapping[str, ActuatorNetwork | HistoryNetwork | MotionNetwork]:
+    return {} if isinstance(model, ForwardNetwork | StructuredForward) else model
 
 
 def _put_structure(model: StructuredForward) -> tuple[Tensors, dict[str, Any]]:

@@ -8,8 +8,8 @@ well, in which the tip of any open chain is linear (:mod:`sysid.networks.chain`)
 from __future__ import annotations
 
 import functools
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -36,41 +36,25 @@ STILL_SPEED = 0.02
 STILL_S = 0.2
 
 
-class ForwardModel(Protocol):
-    """Interface of every model of joints → end effector; shapes and units as in :class:`ForwardNetwork`."""
-
-    @property
-    def joints(self) -> tuple[str, ...]: ...
-
-    @property
-    def low(self) -> Array: ...
-
-    @property
-    def high(self) -> Array: ...
-
-    @property
-    def uncertainty(self) -> NetworkUncertainty | None: ...
-
-    def predict(self, q: npt.ArrayLike) -> Array: ...
-
-    def spread(self, q: npt.ArrayLike) -> Array: ...
-
-    def predict_interval(self, q: npt.ArrayLike, level: float = 0.95) -> tuple[Array, Array]: ...
-
-    def inside(self, q: npt.ArrayLike) -> Mask: ...
-
-
-class ForwardIntervals:
-    """Prediction intervals and training domain, the same for every fitted forward model."""
+class ForwardModel(ABC):
+    """A fitted model of joints → end effector; fields as in :class:`ForwardNetwork`."""
 
     joints: tuple[str, ...]
+    low: Array
+    high: Array
     uncertainty: NetworkUncertainty | None
 
+    @abstractmethod
     def predict(self, q: npt.ArrayLike) -> Array:
-        raise NotImplementedError
+        """End-effector positions (n, 3) [m] at joint values ``q`` (n, n_axes) [rad or m].
 
+        Raises:
+            InputError: another number of joints.
+        """
+
+    @abstractmethod
     def spread(self, q: npt.ArrayLike) -> Array:
-        raise NotImplementedError
+        """Standard deviation of the prediction, (n, 3) [m]."""
 
     def predict_interval(self, q: npt.ArrayLike, level: float = 0.95) -> tuple[Array, Array]:
         """Lower and upper bounds, (n, 3) [m] each, that contain a measured end effector with probability ``level`` or more
@@ -96,7 +80,7 @@ class ForwardIntervals:
 
 
 @dataclass(frozen=True)
-class ForwardNetwork(ForwardIntervals):
+class ForwardNetwork(ForwardModel):
     """Joint values → end effector in the base frame.
 
     Args:
@@ -119,11 +103,6 @@ class ForwardNetwork(ForwardIntervals):
     uncertainty: NetworkUncertainty | None = None
 
     def predict(self, q: npt.ArrayLike) -> Array:
-        """End-effector positions (n, 3) [m] at joint values ``q`` (n, n_axes) [rad or m].
-
-        Raises:
-            InputError: another number of joints.
-        """
         each = self._every(q)
         return np.asarray(each[0] if len(each) == 1 else each.mean(axis=0))
 

@@ -66,10 +66,6 @@ class HistoryNetwork:
         """Displacement → joint, sample by sample."""
         return HistoryStream(self.static.joint, self.to_joint, rate_hz)
 
-    def displacement_stream(self, rate_hz: float) -> HistoryStream:
-        """Joint → displacement, sample by sample."""
-        return HistoryStream(self.static.displacement, self.to_cylinder, rate_hz)
-
     def round_trip(self, displacement: Array, joint: Array, rate_hz: float) -> RoundTripError:
         """Whether the directions, which are fitted separately, invert each other along a recorded motion, (n,) each.
 
@@ -104,8 +100,8 @@ def fit_history(
 ) -> dict[str, HistoryNetwork]:
     """The static networks as :func:`sysid.networks.fit_actuator` fits them, then a correction for each direction.
 
-    Corrections are fitted along the motion of the ``fit`` recordings; the ``select`` recordings decide early stopping. Gaps in the
-    input and ends of recordings and blocks reset the state; samples without the output have no loss.
+    Corrections are fitted along the motion of the ``fit`` recordings; the ``select`` recordings decide early stopping. Gaps in
+    the input and ends of recordings and blocks reset the state; samples without the output have no loss.
 
     Args:
         checkpoints: of the static networks; the corrections have none.
@@ -180,7 +176,7 @@ def recurrent_settings(recipe: HistoryRecipe) -> RecurrentSettings:
 def recording_windows(
     parts: Sequence[RowRange], signals: Sequence[str], predict: Callable[[Array], Array], correction: HistoryCorrection
 ) -> list[RecordingWindow]:
-    """Sequences without a gap in the input: inputs of the correction, and mean residual of the static map until the next update."""
+    """Sequences without a gap in the input: inputs of the correction, and mean residual until the next update."""
     found = []
     for segment in parts:
         rate, stride = segment.recording.rate_hz, correction.stride(segment.recording.rate_hz)

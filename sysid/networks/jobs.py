@@ -42,8 +42,8 @@ class Job:
         sizes: (d_in, hidden…, d_out) without padding.
         x, y: fit rows, (n, padded d).
         x_validation, y_validation: (v, padded d).
-        width: rows per update, at size n.
-        cosine, patience, check_every, epochs: as in the settings.
+        width: rows per update, at most n.
+        settings: with the member's own learning rate.
         file: name of the checkpoint.
     """
 
@@ -54,12 +54,8 @@ class Job:
     x_validation: Floats
     y_validation: Floats
     order: ShuffleOrder
-    learning_rate: float
     width: int
-    epochs: int
-    patience: int
-    check_every: int
-    cosine: bool
+    settings: TrainingSettings
     state: State
     file: str = ""
     rectifier: Rectifier = "relu"
@@ -67,7 +63,7 @@ class Job:
     @property
     def updates(self) -> int:
         """Largest number of updates."""
-        return math.ceil(self.epochs * len(self.x) / self.width)
+        return math.ceil(self.settings.epochs * len(self.x) / self.width)
 
     @property
     def shape(self) -> tuple[object, ...]:
@@ -81,18 +77,19 @@ class Job:
 
     def rate(self, step: int) -> float:
         """Learning rate of update ``step``, counted from 1: constant, or a cosine down to a hundredth."""
-        if not self.cosine:
-            return self.learning_rate
+        if self.settings.schedule == "constant":
+            return self.settings.learning_rate
         share = 0.5 * (1.0 + math.cos(math.pi * (step - 1) / max(1, self.updates - 1)))
-        return self.learning_rate * (0.01 + 0.99 * share)
+        return self.settings.learning_rate * (0.01 + 0.99 * share)
 
     def epoch(self, step: int) -> int:
         """Whole passes after ``step`` updates."""
-        return min(self.epochs, step * self.width // len(self.x))
+        return min(self.settings.epochs, step * self.width // len(self.x))
 
     def is_due(self, step: int) -> bool:
         """Whether the member is evaluated after update ``step``."""
-        return self.epoch(step) // self.check_every > self.epoch(step - 1) // self.check_every or step >= self.updates
+        every = self.settings.check_every
+        return self.epoch(step) // every > self.epoch(step - 1) // every or step >= self.updates
 
     def record_check(self, validation: float, row: Callable[[], Floats]) -> None:
         """Record an evaluation: its ``validation`` loss, and the parameters ``row()`` if it is the best.
@@ -106,7 +103,7 @@ class Job:
                 f"network {self.name}",
                 f"the loss became {fit if math.isfinite(validation) else validation} by epoch {epoch}",
                 "a finite loss",
-                f"Lower learning_rate (now {self.learning_rate:g}).",
+                f"Lower learning_rate (now {self.settings.learning_rate:g}).",
             )
         state.epochs.append(epoch)
         state.fit.append(fit)
@@ -114,14 +111,15 @@ class Job:
         state.loss, state.seen = 0.0, 0
         if validation < state.best_loss:
             state.best_loss, state.best_epoch, state.best = validation, epoch, row()
-        state.finished = state.step >= self.updates or epoch - state.best_epoch >= self.patience
+        state.finished = state.step >= self.updates or epoch - state.best_epoch >= self.settings.patience
 
 
 def batches(jobs: Sequence[Job], workers: int, device: torch.device) -> list[list[Job]]:
     """Batches of jobs with one shape, as large as the caches allow and small enough to occupy every worker."""
     found = []
     waiting = sorted(
-        (job for job in jobs if not job.state.finished), key=lambda job: (str(job.shape), job.learning_rate, len(job.x))
+        (job for job in jobs if not job.state.finished),
+        key=lambda job: (str(job.shape), job.settings.learning_rate, len(job.x)),
     )
     for _, group in itertools.groupby(waiting, key=lambda job: job.shape):
         members = list(group)
@@ -194,12 +192,8 @@ def job_of(
         x_validation=rows[2],
         y_validation=rows[3],
         order=ShuffleOrder(seed, member.name, len(rows[0])),
-        learning_rate=rate,
         width=min(settings.batch, len(rows[0])),
-        epochs=settings.epochs,
-        patience=settings.patience,
-        check_every=settings.check_every,
-        cosine=settings.schedule == "cosine",
+        settings=own,
         state=saved or State.at_start(initial_row(seed, member.name, sizes)),
         file=file,
         rectifier=member.rectifier,

@@ -16,6 +16,14 @@ from sysid.networks.mlp import Mlp, Rectifier
 Array = npt.NDArray[np.float64]
 
 
+def require_positive(where: object, settings: object, *keys: str) -> None:
+    """Raises SettingsError if one of the attributes ``keys`` is not a positive finite number."""
+    for key in keys:
+        value = getattr(settings, key)
+        if not (math.isfinite(value) and value > 0):
+            raise SettingsError(where, f"{key} = {value}", "a positive number")
+
+
 @dataclass(frozen=True)
 class TrainingSettings:
     """How a network is trained.
@@ -44,10 +52,7 @@ class TrainingSettings:
 
     def check(self, where: object) -> None:
         """Raises SettingsError for a value that cannot be used."""
-        for key in ("learning_rate", "batch", "epochs", "patience", "check_every"):
-            value = getattr(self, key)
-            if not (math.isfinite(value) and value > 0):
-                raise SettingsError(where, f"{key} = {value}", "a positive number")
+        require_positive(where, self, "learning_rate", "batch", "epochs", "patience", "check_every")
         if self.threads < 0:
             raise SettingsError(where, f"threads = {self.threads}", "a number from 0 on (0: every core)")
 

@@ -23,7 +23,7 @@ from sysid.networks.mlp import Mlp
 from sysid.networks.motion_inputs import MotionStretch, Window, window_of
 from sysid.networks.recipe import MotionRecipe, NetworkRecipe
 from sysid.networks.rollout import MotionBounds, horizon_errors, roll, whole_run
-from sysid.networks.split import RowRange, measures, segments
+from sysid.networks.split import RowRange, evenly_spaced, measures, segments
 from sysid.networks.training import train
 from sysid.progress import Progress
 from sysid.signals import axis_signal
@@ -237,7 +237,7 @@ def motion_rows(dataset: Dataset, axis: Axis, window: Window, role: Role, sample
         remedy = "Record more motion, or shorten motion.history."
         raise ExcitationError(f"dataset {dataset.reference}: axis {axis.name!r}", found, f"at least {MIN_ROWS}", remedy)
     if len(x) > samples:
-        chosen = np.linspace(0, len(x) - 1, samples).round().astype(np.int64)
+        chosen = evenly_spaced(len(x), samples)
         x, y = x[chosen], y[chosen]
     return x, y
 

@@ -11,9 +11,8 @@ import numpy as np
 import numpy.typing as npt
 
 from sysid.errors import StoreError
-from sysid.networks.artifacts import STRUCTURE, WEIGHTS, Tensors, put_mlp, take_mlp
+from sysid.networks.artifacts import STRUCTURE, WEIGHTS, Tensors, put_mlp, reading, take_mlp
 from sysid.networks.mlp import Mlp
-from sysid.parse import parse_json
 
 Array = npt.NDArray[np.float64]
 
@@ -88,14 +87,7 @@ def policy_from_files(files: Mapping[str, bytes], where: object) -> PolicyNetwor
     Raises:
         StoreError: a file is missing or invalid, or the layers do not fit together.
     """
-    from safetensors import SafetensorError
-    from safetensors.numpy import load
-
-    for name in (WEIGHTS, STRUCTURE):
-        if name not in files:
-            raise StoreError(where, f"no file {name}", f"{WEIGHTS} and {STRUCTURE}", "Is it a policy?")
-    try:
-        structure, tensors = parse_json(files[STRUCTURE]), load(files[WEIGHTS])
+    with reading(files, where, "a policy") as (structure, tensors):
         if structure["schema"] != 1 or structure["kind"] != "policy":
             found = f"{structure['kind']} of schema {structure['schema']!r}"
             raise StoreError(f"{where}: {STRUCTURE}", found, "a policy of schema 1", "Update the toolkit.")
@@ -107,8 +99,6 @@ def policy_from_files(files: Mapping[str, bytes], where: object) -> PolicyNetwor
             high=tensors["high"],
             full=bool(structure["full"]),
         )
-    except (ValueError, KeyError, TypeError, AttributeError, IndexError, SafetensorError) as error:
-        raise StoreError(where, f"not a policy ({type(error).__name__}: {error})", f"{WEIGHTS} and {STRUCTURE}") from None
     widths = (len(policy.mlp.weights[0]), policy.mlp.weights[-1].shape[1])
     if widths != (len(policy.inputs), len(policy.outputs)) or not policy.low.shape == policy.high.shape == (widths[1],):
         found = f"{widths[0]} inputs and {widths[1]} outputs"

@@ -14,7 +14,7 @@ from typing import Any, Literal
 
 from sysid.config import STRICT, parse_settings, read_toml
 from sysid.errors import SettingsError, nearest
-from sysid.networks.member import TrainingSettings
+from sysid.networks.member import TrainingSettings, require_positive
 from sysid.networks.mlp import Rectifier
 
 Features = Literal["joints", "sincos", "products"]
@@ -50,10 +50,7 @@ class HistoryRecipe:
 
     def check(self, where: object) -> None:
         """Raises SettingsError for a value that cannot be used."""
-        for key in ("interval", "units", "learning_rate", "epochs", "check_every", "patience"):
-            value = getattr(self, key)
-            if not (math.isfinite(value) and value > 0):
-                raise SettingsError(where, f"{key} = {value}", "a positive number")
+        require_positive(where, self, "interval", "units", "learning_rate", "epochs", "check_every", "patience")
         if not all(0.0 < share < 1.0 for share in self.plays):
             raise SettingsError(where, f"plays = {list(self.plays)}", "shares of the range between 0 and 1, as in [0.01]")
 

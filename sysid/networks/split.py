@@ -18,6 +18,8 @@ Index = npt.NDArray[np.int64]
 BLOCK_SHARES: dict[Kind, tuple[float, float]] = {"motion": (0.15, 0.15), "poses": (0.1, 0.1)}
 #: Width of the guard between two blocks of a motion recording, whose rows belong to neither [s].
 GUARD_S = 1.0
+#: Bins of a stratified sample.
+BINS = 50
 
 
 @dataclass(frozen=True)
@@ -110,14 +112,14 @@ def measures(dataset: Dataset, signals: Sequence[str], kind: Kind) -> bool:
     return any(_measured(recording, signals).any() for recording in dataset.of_kind(kind))
 
 
-def stratified_sample(values: Array, count: int, rng: np.random.Generator, bins: int = 50) -> npt.NDArray[np.intp]:
+def stratified_sample(values: Array, count: int, rng: np.random.Generator) -> npt.NDArray[np.intp]:
     """``count`` row numbers that cover the range of ``values`` (n,) as evenly as the data allow, sorted.
 
-    The same number of rows is drawn from each of ``bins`` equal bins; the shortfall of sparse bins is distributed over the others.
+    The same number of rows is drawn from each of :data:`BINS` equal bins; the shortfall of sparse bins is distributed over the others.
     """
     if count >= len(values):
         return np.arange(len(values))
-    width = max(float(np.ptp(values)), 1e-300)
+    bins, width = BINS, max(float(np.ptp(values)), 1e-300)
     owner = np.minimum(((values - values.min()) / width * bins).astype(int), bins - 1)
     stock = np.bincount(owner, minlength=bins)
     quota = np.zeros(bins, dtype=int)
@@ -131,11 +133,14 @@ def stratified_sample(values: Array, count: int, rng: np.random.Generator, bins:
     return np.sort(np.concatenate(chosen))
 
 
+def evenly_spaced(length: int, count: int) -> Index:
+    """At most ``count`` of the indices 0 … ``length`` − 1, evenly spaced."""
+    return np.linspace(0, length - 1, min(length, count)).round().astype(np.int64)
+
+
 def thin(rows: SignalRows, count: int) -> SignalRows:
     """At most ``count`` rows, evenly spaced in their order."""
-    if len(rows) <= count:
-        return rows
-    return rows.take(np.linspace(0, len(rows) - 1, count).round().astype(np.int64))
+    return rows if len(rows) <= count else rows.take(evenly_spaced(len(rows), count))
 
 
 def _measured(recording: Recording, signals: Sequence[str]) -> npt.NDArray[np.bool_]:

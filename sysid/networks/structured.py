@@ -19,7 +19,7 @@ from sysid.networks.calibration import Calibration, calibrate
 from sysid.networks.chain import FittedChain, fit_chain
 from sysid.networks.checkpoint import Checkpoints
 from sysid.networks.forward import (
-    ForwardIntervals,
+    ForwardModel,
     ForwardNetwork,
     feature_names,
     forward_joints,
@@ -46,7 +46,7 @@ MAX_ERROR_SHARE = 0.95
 
 
 @dataclass(frozen=True)
-class StructuredForward(ForwardIntervals):
+class StructuredForward(ForwardModel):
     """Joint values → end effector in the base frame.
 
     Args:
@@ -73,11 +73,6 @@ class StructuredForward(ForwardIntervals):
     uncertainty: NetworkUncertainty | None = None
 
     def predict(self, q: npt.ArrayLike) -> Array:
-        """End-effector positions (n, 3) [m] at joint values ``q`` (n, n_axes) [rad or m].
-
-        Raises:
-            InputError: another number of joints.
-        """
         values = self._checked(q)
         rest = self._rest(values)
         return np.asarray(self.structure.predict(values) + (rest[0] if len(rest) == 1 else rest.mean(axis=0)))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -11,19 +11,18 @@ import pandas as pd
 
 from sysid.datasets.recording import Dataset, Recording, Role
 from sysid.errors import ExcitationError
-from sysid.networks.actuator import RoundTripError, actuator_rows
+from sysid.networks.actuator import DIRECTIONS, RoundTripError, actuator_rows
 from sysid.networks.history import HistoryNetwork
 from sysid.networks.motion import START_INTERVAL_S, MotionNetwork, motion_rows, motions, window_for
 from sysid.networks.motion_inputs import Index, MotionStretch, Window
 from sysid.networks.recipe import NetworkRecipe
 from sysid.networks.rollout import Speed, horizon_errors, whole_run
-from sysid.networks.split import SignalRows, gather, segments
+from sysid.networks.split import SignalRows, evenly_spaced, gather, segments
 from sysid.plant import free_run, nominal_plant
 from sysid.signals import axis_signal
-from sysid.validate.baselines import linkage_geometry, simple_models
 from sysid.validate.error_analysis import direction_profile, profile, speeds, spikes
 from sysid.validate.metrics import error_metrics
-from sysid.validate.output_reports import TRACE_ROWS, EvaluatedOutput, axis_ends, output_report
+from sysid.validate.output_reports import TRACE_ROWS, actuator_output, output_report
 from sysid.validate.report import OutputReport, Trace, ValidationReport
 
 Array = npt.NDArray[np.float64]
@@ -53,27 +52,14 @@ def validate_history(
         if not len(rows):
             found = f"no {role} rows that measure {' and '.join(signals)} at the same time"
             raise ExcitationError(f"dataset {dataset.reference}", found, "at least one")
-        static = network.static
-        for source, target, along, still in (
-            (0, 1, network.joint_along, static.joint),
-            (1, 0, network.displacement_along, static.displacement),
-        ):
+        for direction, along in zip(DIRECTIONS, (network.joint_along, network.displacement_along), strict=True):
+            item = actuator_output(dataset, network.static, direction, fit)
             predicted = []
             for part in parts:
-                values = part.recording.values(signals[source])[part.start : part.stop]
+                values = part.recording.values(signals[item.sources[0]])[part.start : part.stop]
                 mine = rows.recording == part.recording.name
                 predicted.append(along(values, part.recording.rate_hz)[rows.row[mine] - part.start])
-            item = EvaluatedOutput(
-                predict=lambda x, still=still: still(x[:, 0]),  # type: ignore[misc]
-                simple=simple_models(fit.values[:, [source]], fit.values[:, target])
-                | {"linkage geometry": linkage_geometry(fit.values[:, 0], fit.values[:, 1], target == 1)}
-                | {STATIC: lambda x, still=still: still(x[:, 0])},
-                uncertainty=None,
-                sources=(source,),
-                target=target,
-                ends={signals[0]: axis_ends(dataset, axis, static)},
-                fitted={signals[source]: (static.displacements, static.joints)[source]},
-            )
+            item = replace(item, uncertainty=None, simple={**item.simple, STATIC: item.predict})
             outputs.append(output_report(dataset, rows, "motion", item, np.concatenate(predicted)))
         longest = max(parts, key=lambda part: part.stop - part.start)
         cylinder, joint = (longest.recording.values(signal)[longest.start : longest.stop] for signal in signals)
@@ -214,7 +200,7 @@ def _motion_report(
             profile(errors, np.abs(speed), f"speed of {network.command}", f"{unit}/s"),
             direction_profile(errors, speed, f"direction of {network.command}", f"{unit}/s"),
         ]
-    shown = np.linspace(0, len(rows) - 1, min(len(rows), TRACE_ROWS)).round().astype(np.int64)
+    shown = evenly_spaced(len(rows), TRACE_ROWS)
     inputs = {network.command: rows.values[shown, 0]}
     return OutputReport(
         output=output_name(network.driven, horizon),

@@ -13,11 +13,11 @@ import numpy.typing as npt
 from sysid.datasets.recording import Dataset, Kind
 from sysid.networks.actuator import ActuatorNetwork
 from sysid.networks.forward import is_angle
-from sysid.networks.split import SignalRows, thin
+from sysid.networks.split import SignalRows, evenly_spaced, thin
 from sysid.networks.uncertainty import FALSE_FLAGS, NetworkUncertainty
 from sysid.plant import gravity_load
 from sysid.signals import axis_signal
-from sysid.validate.baselines import Predict
+from sysid.validate.baselines import Predict, linkage_geometry, simple_models
 from sysid.validate.binning import per_second
 from sysid.validate.coverage import LEVEL, Coverage, coverage_of
 from sysid.validate.error_analysis import Profile, Ranges, direction_profile, profile, speeds, spikes
@@ -56,6 +56,23 @@ class EvaluatedOutput:
     number: int = 0
 
 
+def actuator_output(dataset: Dataset, network: ActuatorNetwork, direction: str, fit: SignalRows) -> EvaluatedOutput:
+    """One direction of a static actuator network, with baselines fitted on ``fit``, rows of (cylinder, joint)."""
+    source, target = (0, 1) if direction == "to_joint" else (1, 0)
+    predict = (network.joint, network.displacement)[source]
+    return EvaluatedOutput(
+        predict=lambda x: predict(x[:, 0]),
+        simple=simple_models(fit.values[:, [source]], fit.values[:, target])
+        | {"linkage geometry": linkage_geometry(fit.values[:, 0], fit.values[:, 1], target == 1)},
+        uncertainty=network.uncertainty.get(direction),
+        sources=(source,),
+        target=target,
+        # End stops of the cylinder, or the fitted range where the machine's description has none.
+        ends={fit.signals[0]: dataset.machine.axis(network.axis).stroke or network.displacements},
+        fitted={fit.signals[source]: (network.displacements, network.joints)[source]},
+    )
+
+
 def output_report(
     dataset: Dataset, rows: SignalRows, kind: Kind, item: EvaluatedOutput, stateful: Array | None = None
 ) -> OutputReport:
@@ -64,7 +81,7 @@ def output_report(
     unit, predicted = _unit(dataset, output), item.predict(inputs) if stateful is None else stateful
     errors = predicted - truth
     profiles, maps = _profiles_and_maps(dataset, rows, errors, item.sources, kind)
-    shown = np.linspace(0, len(rows) - 1, min(len(rows), TRACE_ROWS)).round().astype(np.int64)
+    shown = evenly_spaced(len(rows), TRACE_ROWS)
     trace = Trace(
         recording=rows.recording[shown],
         time=rows.time[shown],
@@ -161,11 +178,6 @@ def _noise_floor(dataset: Dataset, rows: SignalRows, item: EvaluatedOutput) -> f
         slope = (item.predict(inputs + step) - item.predict(inputs - step)) / (2.0 * step[position])
         variance += (slope * noise[rows.signals[source]]) ** 2
     return float(np.sqrt(variance.mean()))
-
-
-def axis_ends(dataset: Dataset, axis: str, network: ActuatorNetwork) -> tuple[float, float]:
-    """End stops of the cylinder, or the fitted range where the machine's description has none."""
-    return dataset.machine.axis(axis).stroke or network.displacements
 
 
 def _unit(dataset: Dataset, signal: str) -> Literal["m", "rad"]:

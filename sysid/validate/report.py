@@ -116,20 +116,7 @@ class ValidationReport:
             "dataset": self.dataset,
             "role": self.role,
             "outputs": [
-                {
-                    "output": entry.output,
-                    "inputs": list(entry.inputs),
-                    "rows": entry.rows,
-                    "recordings": list(entry.recordings),
-                    "unit": entry.unit,
-                    "metrics": asdict(entry.metrics),
-                    "baselines": {name: asdict(metrics) for name, metrics in entry.baselines.items()},
-                    "noise_floor": entry.noise_floor,
-                    "profiles": [asdict(profile) for profile in entry.profiles],
-                    "spikes": [asdict(spike) for spike in entry.spikes],
-                    "maps": [asdict(item) for item in entry.maps],
-                    "coverage": asdict(entry.coverage) if entry.coverage is not None else None,
-                }
+                {key: value for key, value in asdict(entry).items() if key != "trace"} | {"unit": entry.unit}
                 for entry in self.outputs
             ],
             "round_trips": {axis: asdict(trip) for axis, trip in self.round_trips.items()},

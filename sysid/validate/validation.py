@@ -9,17 +9,17 @@ import numpy.typing as npt
 
 from sysid.datasets.recording import Dataset, Kind, Role
 from sysid.errors import ExcitationError
-from sysid.networks.actuator import ActuatorNetwork, actuator_rows
+from sysid.networks.actuator import DIRECTIONS, ActuatorNetwork, actuator_rows
 from sysid.networks.artifacts import Model, history_networks, motion_networks, static_networks
 from sysid.networks.forward import ForwardModel, ForwardNetwork, forward_rows
 from sysid.networks.recipe import NetworkRecipe
 from sysid.networks.split import SignalRows, gather, measures, segments
 from sysid.networks.structured import StructuredForward
 from sysid.signals import axis_signal, point_signals
-from sysid.validate.baselines import linkage_geometry, simple_models, urdf_kinematics
+from sysid.validate.baselines import simple_models, urdf_kinematics
 from sysid.validate.error_analysis import Ranges
 from sysid.validate.free_runs import validate_history, validate_motion
-from sysid.validate.output_reports import EvaluatedOutput, axis_ends, output_report
+from sysid.validate.output_reports import EvaluatedOutput, actuator_output, output_report
 from sysid.validate.report import ValidationReport
 
 Array = npt.NDArray[np.float64]
@@ -61,22 +61,7 @@ def validate_actuator(
         signals = (axis_signal(axis, "cylinder"), axis_signal(axis, "joint"))
         fit, _ = actuator_rows(dataset, axis, recipe or NetworkRecipe())
         rows_by_kind = _rows_by_kind(dataset, role, signals, ("motion", "poses"))
-        maps = tuple(
-            EvaluatedOutput(
-                predict=lambda x, predict=predict: predict(x[:, 0]),  # type: ignore[misc]
-                simple=simple_models(fit.values[:, [source]], fit.values[:, target])
-                | {"linkage geometry": linkage_geometry(fit.values[:, 0], fit.values[:, 1], target == 1)},
-                uncertainty=network.uncertainty.get(direction),
-                sources=(source,),
-                target=target,
-                ends={signals[0]: axis_ends(dataset, axis, network)},
-                fitted={signals[source]: (network.displacements, network.joints)[source]},
-            )
-            for direction, source, target, predict in (
-                ("to_joint", 0, 1, network.joint),
-                ("to_cylinder", 1, 0, network.displacement),
-            )
-        )
+        maps = [actuator_output(dataset, network, direction, fit) for direction in DIRECTIONS]
         outputs += [output_report(dataset, rows, kind, item) for kind, rows in rows_by_kind.items() for item in maps]
     round_trips = {axis: network.round_trip() for axis, network in networks.items()}
     return ValidationReport("actuator", name, dataset.reference, role, tuple(outputs), round_trips)

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -12,6 +14,7 @@ import numpy.typing as npt
 import pandas as pd
 from scipy.spatial.transform import Rotation
 
+from sysid.files import written_whole
 from sysid.machine import Kinematics, Machine
 from sysid.signals import axis_signal, point_signals
 from sysid.view.visuals import Shape, link_shapes
@@ -49,6 +52,34 @@ def sdk() -> Any:
     return rerun
 
 
+@contextmanager
+def rerun_file(path: Path, identity: str, layout: Any, name: str) -> Iterator[Any]:
+    """A Rerun stream into ``path``, written whole or not at all; equal identities are one recording for the viewer."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with written_whole(path) as temporary:
+        stream = sdk().RecordingStream("sysid", recording_id=identity)
+        stream.save(str(temporary), default_blueprint=layout)
+        stream.send_recording_name(name)
+        yield stream
+        stream.flush()
+        stream.disconnect()
+
+
+def log_curve(
+    stream: Any, entity: str, time: Array, values: Array, colour: tuple[int, int, int], label: str, width: float = 1.0
+) -> None:
+    """A curve (n,) over time (n,) [s], in display units."""
+    rr = sdk()
+    rr.log(entity, rr.SeriesLines(colors=[colour], names=[label], widths=[width]), static=True, recording=stream)
+    send_columns(stream, entity, time, rr.Scalars.columns(scalars=values))
+
+
+def send_columns(stream: Any, entity: str, time: Array, columns: Any) -> None:
+    """Values of an entity at times (n,) [s]."""
+    rr = sdk()
+    rr.send_columns(entity, indexes=[rr.TimeColumn(TIMELINE, duration=time)], columns=columns, recording=stream)
+
+
 def styles_of(names: Mapping[str, Any]) -> list[Style]:
     others = iter(Style(colour, False) for colour in OTHERS * (1 + len(names)))
     return [STYLES[name] if name in STYLES else next(others) for name in names]
@@ -78,11 +109,11 @@ def log_poses(stream: Any, root: str, machine: Machine, kinematics: Kinematics, 
     known = np.isfinite(joints).all(axis=1)
     if not known.any():
         return False
-    times = [rr.TimeColumn(TIMELINE, duration=table["time"].to_numpy(dtype=np.float64)[known])]
+    time = table["time"].to_numpy(dtype=np.float64)[known]
     for link, pose in kinematics.link_poses(joints[known]).items():
         turn = Rotation.from_matrix(pose[:, :3, :3]).as_quat()
         place = rr.Transform3D.columns(translation=pose[:, :3, 3], quaternion=turn)
-        rr.send_columns(f"{root}/{link}", indexes=times, columns=place, recording=stream)
+        send_columns(stream, f"{root}/{link}", time, place)
     return True
 
 
@@ -119,16 +150,11 @@ def log_points(stream: Any, root: str, machine: Machine, table: pd.DataFrame, st
             continue
         radius = 0.008 if point == "tool" else 0.005
         rr.log(f"{root}/{point}", rr.Points3D.from_fields(colors=[style.colour], radii=[radius]), static=True, recording=stream)
-        times = [rr.TimeColumn(TIMELINE, duration=time[known])]
-        rr.send_columns(
-            f"{root}/{point}", indexes=times, columns=rr.Points3D.columns(positions=values[known]), recording=stream
-        )
+        send_columns(stream, f"{root}/{point}", time[known], rr.Points3D.columns(positions=values[known]))
     if set(found) == {"ee", "tool"}:
         known = np.isfinite(np.hstack([found["ee"], found["tool"]])).all(axis=1)
         strips = np.stack([found["ee"][known], found["tool"][known]], axis=1)
         if len(strips):
             look = rr.LineStrips3D.from_fields(colors=[style.colour], radii=[0.002])
             rr.log(f"{root}/cable", look, static=True, recording=stream)
-            times = [rr.TimeColumn(TIMELINE, duration=time[known])]
-            lines = rr.LineStrips3D.columns(strips=list(strips))
-            rr.send_columns(f"{root}/cable", indexes=times, columns=lines, recording=stream)
+            send_columns(stream, f"{root}/cable", time[known], rr.LineStrips3D.columns(strips=list(strips)))
