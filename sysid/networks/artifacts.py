@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import asdict
 from typing import Any, get_args
 
 import numpy as np
@@ -12,16 +14,18 @@ import numpy.typing as npt
 
 from sysid.errors import StoreError, nearest
 from sysid.machine.kinematics import Kinematics
+from sysid.networks import cell
 from sysid.networks.actuator import DIRECTIONS, ActuatorNetwork
 from sysid.networks.calibration import Calibration
 from sysid.networks.chain import FittedChain, products
-from sysid.networks.dynamic_files import put_memories, put_motions, take_memories, take_motions
 from sysid.networks.forward import ForwardNetwork
 from sysid.networks.geometry import Geometry
 from sysid.networks.history import HistoryNetwork, static_maps
+from sysid.networks.history_correction import HistoryCorrection
 from sysid.networks.member import LearningCurve
 from sysid.networks.mlp import Mlp, Normalisation, Rectifier
-from sysid.networks.motion import MotionNetwork
+from sysid.networks.motion import InputCandidate, MotionNetwork
+from sysid.networks.motion_inputs import MotionBounds, Window
 from sysid.networks.structured import StructuredForward
 from sysid.networks.uncertainty import NetworkUncertainty
 from sysid.parse import parse_json
@@ -67,7 +71,7 @@ def to_files(model: Model) -> tuple[str, dict[str, bytes]]:
             tensors |= {f"structure.{name}": values for name, values in own.items()} | {"bound": np.array([model.bound])}
     elif motions := motion_networks(model):
         kind = "motion"
-        structure = {"axes": put_motions(motions, lambda prefix, mlp: put_mlp(tensors, prefix, mlp))}
+        structure = {"axes": _put_motions(motions, tensors)}
     else:
         kind = "actuator"
         axes = {}
@@ -86,7 +90,7 @@ def to_files(model: Model) -> tuple[str, dict[str, bytes]]:
         structure = {"axes": axes}
         if histories := history_networks(model):
             kind = "history"
-            structure["memories"] = put_memories(histories, tensors)
+            structure["memories"] = _put_corrections(histories, tensors)
     text = json.dumps({"schema": 1, "kind": kind, **structure}, sort_keys=True, indent=1)
     return kind, {WEIGHTS: save(tensors), STRUCTURE: text.encode("utf-8")}
 
@@ -106,11 +110,9 @@ def from_files(files: Mapping[str, bytes], where: object) -> Model:
         if structure["kind"] == "forward":
             return _forward(structure, tensors, where)
         if structure["kind"] == "motion":
-            return take_motions(
-                structure["axes"], lambda prefix, count: take_mlp(tensors, prefix, count, where), _learning_curve, where
-            )
+            return _take_motions(structure["axes"], tensors, where)
         static = {axis: _actuator(axis, entry, tensors, where) for axis, entry in structure["axes"].items()}
-        return take_memories(structure["memories"], static, tensors, where) if structure["kind"] == "history" else static
+        return _take_corrections(structure["memories"], static, tensors, where) if structure["kind"] == "history" else static
 
 
 @contextmanager
@@ -231,9 +233,101 @@ def _actuator(axis: str, entry: dict[str, Any], tensors: Tensors, where: object)
     )
 
 
+def _put_corrections(model: Mapping[str, HistoryNetwork], tensors: Tensors) -> dict[str, Any]:
+    """Weights of the corrections into ``tensors``; returns their structure for JSON."""
+    structure: dict[str, Any] = {}
+    for axis, network in model.items():
+        structure[axis] = {}
+        for direction in DIRECTIONS:
+            correction: HistoryCorrection = getattr(network, direction)
+            tensors |= {f"{axis}.{direction}.memory.{name}": correction.weights[name] for name in cell.TENSORS}
+            tensors[f"{axis}.{direction}.memory.widths"] = correction.widths
+            loss = correction.loss if math.isfinite(correction.loss) else None
+            structure[axis][direction] = {
+                "interval": correction.interval,
+                "bound": correction.bound,
+                "loss": loss,
+                "epochs": correction.epochs,
+            }
+    return structure
+
+
+def _take_corrections(
+    structure: Mapping[str, Any], static: Mapping[str, ActuatorNetwork], tensors: Tensors, where: object
+) -> dict[str, HistoryNetwork]:
+    found = {}
+    for axis, network in static.items():
+        corrections = {}
+        for direction in DIRECTIONS:
+            prefix, entry = f"{axis}.{direction}.memory", structure[axis][direction]
+            weights = {name: np.asarray(tensors[f"{prefix}.{name}"], dtype=np.float64) for name in cell.TENSORS}
+            widths = np.asarray(tensors[f"{prefix}.widths"], dtype=np.float64)
+            F, H = 2 + len(widths), len(weights["w"])
+            shapes = {"mean": (F,), "scale": (F,), "W": (4 * H, F), "U": (4 * H, H), "b": (4 * H,), "w": (H,), "w0": (1,)}
+            for name, shape in shapes.items():
+                if weights[name].shape != shape or not np.isfinite(weights[name]).all():
+                    raise StoreError(f"{where}: {prefix}.{name}", f"shape {weights[name].shape}", f"finite numbers of {shape}")
+            loss = math.nan if entry["loss"] is None else float(entry["loss"])
+            corrections[direction] = HistoryCorrection(
+                entry["interval"], entry["bound"], widths, weights, loss, entry["epochs"]
+            )
+        found[axis] = HistoryNetwork(network, **corrections)
+    return found
+
+
+def _put_motions(model: Mapping[str, MotionNetwork], tensors: Tensors) -> dict[str, Any]:
+    """Weights of the networks into ``tensors``; returns their structure for JSON."""
+    axes = {}
+    for axis, network in model.items():
+        for number, mlp in enumerate(network.members):
+            put_mlp(tensors, f"{axis}.{number}", mlp)
+        axes[axis] = {
+            "command": network.command,
+            "driven": network.driven,
+            "unit": network.unit,
+            "window": asdict(network.window),
+            "members": [len(mlp.weights) for mlp in network.members],
+            "bounds": asdict(network.bounds),
+            "commands": list(network.commands),
+            "courses": [curve.to_json() for curve in network.learning_curves],
+            "candidates": [asdict(candidate) for candidate in network.candidates],
+        }
+    return axes
+
+
+def _take_motions(axes: Mapping[str, Any], tensors: Tensors, where: object) -> dict[str, MotionNetwork]:
+    found = {}
+    for axis, entry in axes.items():
+        window = Window(**{key: _tupled(value) for key, value in entry["window"].items()})
+        members = tuple(take_mlp(tensors, f"{axis}.{number}", layers, where) for number, layers in enumerate(entry["members"]))
+        count = len(window.names("", ""))
+        for mlp in members:
+            if len(mlp.inputs.mean) != count or len(mlp.outputs.mean) != 1:
+                shape = f"{len(mlp.inputs.mean)} inputs and {len(mlp.outputs.mean)} outputs"
+                raise StoreError(f"{where}: {axis}", shape, f"{count} inputs and one output, as its window has")
+        if not members:
+            raise StoreError(f"{where}: {axis}", "no network", "at least one")
+        found[axis] = MotionNetwork(
+            axis=axis,
+            command=entry["command"],
+            driven=entry["driven"],
+            unit=entry["unit"],
+            window=window,
+            members=members,
+            bounds=MotionBounds(**{key: _tupled(value) for key, value in entry["bounds"].items()}),
+            commands=_tupled(entry["commands"]),
+            learning_curves=tuple(_learning_curve(item) for item in entry["courses"]),
+            candidates=tuple(InputCandidate(**candidate) for candidate in entry["candidates"]),
+        )
+    return found
+
+
 def _learning_curve(entry: dict[str, Any]) -> LearningCurve:
-    values: dict[str, Any] = {key: tuple(value) if isinstance(value, list) else value for key, value in entry.items()}
-    return LearningCurve(**values)
+    return LearningCurve(**{key: _tupled(value) for key, value in entry.items()})
+
+
+def _tupled(value: Any) -> Any:
+    return tuple(value) if isinstance(value, list) else value
 
 
 def put_mlp(tensors: Tensors, prefix: str, mlp: Mlp) -> None:

@@ -20,9 +20,8 @@ from sysid.networks.checkpoint import Checkpoints
 from sysid.networks.forward import is_angle
 from sysid.networks.member import EnsembleMember, LearningCurve, TrainedMember
 from sysid.networks.mlp import Mlp
-from sysid.networks.motion_inputs import MotionStretch, Window, window_of
+from sysid.networks.motion_inputs import MotionBounds, MotionStretch, Window, horizon_errors, roll, whole_run, window_of
 from sysid.networks.recipe import MotionRecipe, NetworkRecipe
-from sysid.networks.rollout import MotionBounds, horizon_errors, roll, whole_run
 from sysid.networks.split import RowRange, evenly_spaced, measures, segments
 from sysid.networks.training import train
 from sysid.progress import Progress

@@ -1,8 +1,8 @@
 """Training of a small bounded recurrent network, of a plant's residual or an actuator network with history.
 
 One LSTM layer, ``r = bound·tanh(w·h + w₀)``, evaluated by :mod:`sysid.networks.cell`. If its output is integrated (a speed into
-a position), it is fitted to changes of the integral over several lags at once: short lags contain the detail, long lags have the
-best signal-to-noise ratio.
+a position), it is fitted to changes of the integral over several lags at once: short lags contain the detail, long lags have
+the best signal-to-noise ratio.
 """
 
 from __future__ import annotations

@@ -115,7 +115,7 @@ def measures(dataset: Dataset, signals: Sequence[str], kind: Kind) -> bool:
 def stratified_sample(values: Array, count: int, rng: np.random.Generator) -> npt.NDArray[np.intp]:
     """``count`` row numbers that cover the range of ``values`` (n,) as evenly as the data allow, sorted.
 
-    The same number of rows is drawn from each of :data:`BINS` equal bins; the shortfall of sparse bins is distributed over the others.
+    Equal numbers of rows are drawn from :data:`BINS` equal bins; the shortfall of sparse bins is distributed over the others.
     """
     if count >= len(values):
         return np.arange(len(values))

@@ -14,9 +14,8 @@ from sysid.errors import ExcitationError
 from sysid.networks.actuator import DIRECTIONS, RoundTripError, actuator_rows
 from sysid.networks.history import HistoryNetwork
 from sysid.networks.motion import START_INTERVAL_S, MotionNetwork, motion_rows, motions, window_for
-from sysid.networks.motion_inputs import Index, MotionStretch, Window
+from sysid.networks.motion_inputs import Index, MotionStretch, Speed, Window, horizon_errors, whole_run
 from sysid.networks.recipe import NetworkRecipe
-from sysid.networks.rollout import Speed, horizon_errors, whole_run
 from sysid.networks.split import SignalRows, evenly_spaced, gather, segments
 from sysid.plant import free_run, nominal_plant
 from sysid.signals import axis_signal

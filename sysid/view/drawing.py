@@ -66,11 +66,12 @@ def rerun_file(path: Path, identity: str, layout: Any, name: str) -> Iterator[An
 
 
 def log_curve(
-    stream: Any, entity: str, time: Array, values: Array, colour: tuple[int, int, int], label: str, width: float = 1.0
+    stream: Any, entity: str, time: Array, values: Array, colour: tuple[int, int, int], label: str, width: float | None = None
 ) -> None:
     """A curve (n,) over time (n,) [s], in display units."""
     rr = sdk()
-    rr.log(entity, rr.SeriesLines(colors=[colour], names=[label], widths=[width]), static=True, recording=stream)
+    widths = None if width is None else [width]
+    rr.log(entity, rr.SeriesLines(colors=[colour], names=[label], widths=widths), static=True, recording=stream)
     send_columns(stream, entity, time, rr.Scalars.columns(scalars=values))
 
 

@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 from sysid.errors import SettingsError
 from sysid.machine import Kinematics
-from sysid.machine.kinematics import rotation_about
+from sysid.machine.kinematics import origin_pose
 
 Array = npt.NDArray[np.float64]
 
@@ -53,7 +53,7 @@ def link_shapes(urdf: str, kinematics: Kinematics) -> dict[str, tuple[Shape, ...
 
 
 def _shape(visual: Element) -> tuple[Shape, ...]:
-    pose = _pose(visual.find("origin"))
+    pose = origin_pose(visual.find("origin"))
     box, cylinder, sphere = (visual.find(f"geometry/{kind}") for kind in ("box", "cylinder", "sphere"))
     if box is not None:
         return (Shape("box", _numbers(box.get("size", "")), pose),)
@@ -72,15 +72,6 @@ def _bar(link: str, kinematics: Kinematics) -> tuple[Shape, ...]:
             if float(np.linalg.norm(end)) > 1e-6:
                 return (Shape("bar", (float(end[0]), float(end[1]), float(end[2])), np.eye(4)),)
     return ()
-
-
-def _pose(origin: Element | None) -> Array:
-    pose = np.eye(4)
-    if origin is not None:
-        pose[:3, 3] = _numbers(origin.get("xyz", "0 0 0"))
-        for axis, angle in zip(np.eye(3), _numbers(origin.get("rpy", "0 0 0")), strict=True):
-            pose[:3, :3] = rotation_about(axis, np.array([angle]))[0] @ pose[:3, :3]
-    return pose
 
 
 def _numbers(text: str) -> tuple[float, ...]:

@@ -17,8 +17,7 @@ from sysid.errors import ExcitationError, SettingsError, StoreError
 from sysid.networks import Mlp, MotionNetwork, Normalisation, fit_motion, from_files, parse_recipe, to_files
 from sysid.networks.member import LearningCurve
 from sysid.networks.motion import free_run_rmse, motion_rows, window_for
-from sysid.networks.motion_inputs import MotionStretch, Window, window_of
-from sysid.networks.rollout import MotionBounds, horizon_errors, whole_run
+from sysid.networks.motion_inputs import MotionBounds, MotionStretch, Window, horizon_errors, whole_run, window_of
 from sysid.validate import validate_model
 from sysid.validate.free_runs import ARX, PLANT, output_name
 

@@ -15,8 +15,7 @@ from sysid.errors import SettingsError
 from sysid.networks import ActuatorNetwork, HistoryNetwork, Mlp, Model, MotionNetwork, Normalisation, to_files
 from sysid.networks.history_correction import HistoryCorrection
 from sysid.networks.member import LearningCurve
-from sysid.networks.motion_inputs import Window
-from sysid.networks.rollout import MotionBounds
+from sysid.networks.motion_inputs import MotionBounds, Window
 from sysid.registry import Registry
 from sysid.validate import validate_model
 from sysid.versions import card_of, diff_versions, drift_of, policy_checks
