@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from committed import provenance, write_result, write_tables
-from sysid.control import AxisTuning, simple, tune
+from sysid.control import AxisTuning, proportional_tuning, tune
 from sysid.pictures import PictureCurve, svg
 from sysid.plant import plant_from_files
 from sysid.registry import Registry
@@ -31,7 +31,7 @@ Tuning = tuple[AxisTuning, ...]
 
 def stages(course: TrackingTask, before: Tuning) -> list[tuple[str, Tuning, float]]:
     """Name, tuning and look-ahead of each row, each with one thing more than the one above it."""
-    full, plain = course.tuning, simple(course.plant)
+    full, plain = course.tuning, proportional_tuning(course.plant)
     inverse = tuple(
         replace(item, proportional=poor.proportional, integral=0.0, feed=0.0, play=0.0)
         for item, poor in zip(full, plain, strict=True)

@@ -26,7 +26,7 @@ from sysid.networks.forward import feature_names, to_features
 from sysid.networks.mlp import Rectifier
 from sysid.networks.recipe import Features
 from sysid.signals import point_signals
-from sysid.validate.baselines import simple_models
+from sysid.validate.baselines import baseline_models
 
 Array = npt.NDArray[np.float64]
 Predict = Callable[[Array], Array]
@@ -91,7 +91,7 @@ def curve(known: Sequence[Mapping[str, Any]], checkpoints: Checkpoints | None = 
     for reach in RANGES:
         for size in SIZES:
             models = structures(reach, size)
-            simple = [simple_models(each.captured, each.seen_tip) for each in taught(reach, size)]
+            simple = [baseline_models(each.captured, each.seen_tip) for each in taught(reach, size)]
             models |= {name: [each[name] for each in simple] for name in simple[0]}
             found = {name: figures(reach, each) for name, each in models.items()}
             if size < POSES:

@@ -23,7 +23,7 @@ from sysid.networks import Geometry, calibrate
 from sysid.networks.estimator import NetworkRegressor, cross_validate
 from sysid.networks.forward import to_features
 from sysid.signals import axis_signal, point_signals
-from sysid.validate.baselines import simple_models
+from sysid.validate.baselines import baseline_models
 
 Array = npt.NDArray[np.float64]
 Predict = Callable[[Array], Array]
@@ -101,7 +101,7 @@ def read(arm: Arm, machine: Machine, folder: Path) -> tuple[Array, Array]:
 def models(machine: Machine, q: Array, tip: Array) -> dict[str, Predict]:
     """Geometry, with and without its calibration, and the simple models, all of the same poses."""
     revolute = angles(machine)
-    simple = simple_models(to_features(q, revolute, "sincos"), tip)
+    simple = baseline_models(to_features(q, revolute, "sincos"), tip)
     found = {
         name: lambda x, each=each: each(to_features(x, revolute, "sincos"))  # type: ignore[misc]
         for name, each in simple.items()

@@ -54,7 +54,7 @@ class CylinderController:
         axes = len(plant.machine.axes)
         if len(self.tuning) != axes:
             raise SettingsError(where, f"tuning of {len(self.tuning)} axes", f"{axes}")
-        self._about = np.array([item.row() for item in self.tuning])
+        self._parameters = np.array([item.row() for item in self.tuning])
         self._tables, self._starts, self._steps = _tables(plant, where)
         self._state = np.full((copies, axes, RING + ring_size(preview, self.dt)), np.nan)
         #: Which axes are measured as a cylinder; the others as a joint.
@@ -71,7 +71,7 @@ class CylinderController:
         """Set to rest at the driven coordinates ``measured``, (A,) or (rows, A): all copies, or those of a mask or indices."""
         lanes = np.arange(self.copies) if which is None else np.arange(self.copies)[np.asarray(which)]
         rows = np.broadcast_to(np.asarray(measured, dtype=np.float64), (len(lanes), len(self.tuning)))
-        fill(self._about, self._state, lanes, np.ascontiguousarray(rows))
+        fill(self._parameters, self._state, lanes, np.ascontiguousarray(rows))
 
     def commands(self, setpoints: npt.ArrayLike, measured: npt.ArrayLike) -> Array:
         """Valve commands for the next step.
@@ -96,7 +96,7 @@ class CylinderController:
         if np.isnan(self._state[:, 0, 0]).any():
             raise InputError("cylinder controller", "a copy was never reset", "reset(measured) before the first step")
         out = np.empty(shape)
-        command(self._about, self._state, self.drive(wanted), np.ascontiguousarray(seen), self.preview, self.dt, out)
+        command(self._parameters, self._state, self.drive(wanted), np.ascontiguousarray(seen), self.preview, self.dt, out)
         return out
 
     @property

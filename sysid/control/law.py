@@ -66,31 +66,31 @@ def look_up(tables, starts, steps, joints, out):
 
 
 @kernel
-def fill(about, state, which, drive):
+def fill(tuning, state, which, drive):
     """Set the lanes ``which`` to rest at ``drive`` (len(which), A)."""
     for row in range(len(which)):
-        for i in range(len(about)):
+        for i in range(len(tuning)):
             s = state[which[row], i]
             s[INTEGRAL_SUM] = 0.0
-            s[LAST] = drive[row, i] if about[i, SERVO] != 0.0 else 0.0
+            s[LAST] = drive[row, i] if tuning[i, SERVO] != 0.0 else 0.0
             s[POSITION] = 0.0
             s[RING:] = drive[row, i]
 
 
 @kernel
-def command(about, state, setpoints, measured, preview, dt, out):
+def command(tuning, state, setpoints, measured, preview, dt, out):
     """One step of all copies.
 
     Args:
-        about: (A, 16), rows of :class:`sysid.control.tuning.AxisTuning`.
+        tuning: (A, 16), rows of :class:`sysid.control.tuning.AxisTuning`.
         state: (n, A, RING + setpoints kept), in and out.
         setpoints, measured: of the driven coordinates, (n, A).
         preview: time from the end of the step to that of the setpoints [s].
         out: commands, (n, A).
     """
     for lane in range(len(setpoints)):
-        for i in range(len(about)):
-            a, s = about[i], state[lane, i]
+        for i in range(len(tuning)):
+            a, s = tuning[i], state[lane, i]
             for k in range(len(s) - 1, RING, -1):
                 s[k] = s[k - 1]
             s[RING] = min(max(setpoints[lane, i], a[LOW]), a[HIGH])

@@ -87,13 +87,13 @@ def tune(plant: Plant) -> tuple[AxisTuning, ...]:
     return tuple(_tuned(plant, theta, i) for i in range(len(plant.machine.axes)))
 
 
-def simple(plant: Plant, proportional: float = 2.0) -> tuple[AxisTuning, ...]:
+def proportional_tuning(plant: Plant) -> tuple[AxisTuning, ...]:
     """A proportional controller without inverse of the valve and feed-forward, for comparison."""
     found = []
     for axis, item in zip(plant.machine.axes, tune(plant), strict=True):
         values = {field.name: getattr(item, field.name) for field in fields(item)}
         plain = {"up": axis.gain, "down": axis.gain, "exponent": 1.0, "positive": 0.0, "negative": 0.0, "limit": math.inf}
-        rest = {"creep": 0.0, "backlash": 0.0, "feed": 0.0, "integral": 0.0, "proportional": proportional}
+        rest = {"creep": 0.0, "backlash": 0.0, "feed": 0.0, "integral": 0.0, "proportional": 2.0}
         found.append(AxisTuning(**{**values, **plain, **rest}))
     return tuple(found)
 

@@ -5,7 +5,7 @@ from sysid.networks.artifacts import Model, from_files, history_networks, motion
 from sysid.networks.calibration import Calibration, calibrate
 from sysid.networks.chain import FittedChain, fit_chain
 from sysid.networks.checkpoint import Checkpoints
-from sysid.networks.forward import ForwardModel, ForwardNetwork, learn_forward
+from sysid.networks.forward import ForwardModel, ForwardNetwork, fit_forward_network
 from sysid.networks.geometry import Geometry
 from sysid.networks.history import HistoryNetwork, fit_history
 from sysid.networks.member import EnsembleMember, TrainedMember, TrainingSettings
@@ -47,11 +47,11 @@ __all__ = [
     "fit_actuator",
     "fit_chain",
     "fit_forward",
+    "fit_forward_network",
     "fit_history",
     "fit_motion",
     "from_files",
     "history_networks",
-    "learn_forward",
     "load_recipe",
     "motion_networks",
     "parse_recipe",

@@ -115,7 +115,7 @@ class ForwardNetwork(ForwardModel):
         return np.array([member.predict(inputs) for member in self.members])
 
 
-def learn_forward(
+def fit_forward_network(
     dataset: Dataset, recipe: NetworkRecipe, progress: Progress | None = None, checkpoints: Checkpoints | None = None
 ) -> ForwardNetwork:
     """Fit the forward network on the dataset's ``poses`` recordings; without any, on the still phases of its motion.

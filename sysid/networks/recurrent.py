@@ -7,8 +7,7 @@ the best signal-to-noise ratio.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -17,6 +16,7 @@ import numpy.typing as npt
 
 from sysid.errors import SettingsError
 from sysid.networks.cell import REACH
+from sysid.networks.training import one_thread
 from sysid.progress import Progress, silent
 
 if TYPE_CHECKING:
@@ -60,7 +60,6 @@ class RecurrentSettings:
     check_every: int = 10
     patience: int = 8
     decay: float = 1e-4
-    threads: int = 1
     piece: int = 160
     warm: int = 40
 
@@ -102,7 +101,8 @@ def train_recurrent(
         )
     mean, spread = joined.mean(axis=0), joined.std(axis=0)
     scale = np.where(spread > 1e-9 * np.maximum(np.abs(mean), 1e-12), 1.0 / np.maximum(spread, 1e-300), 0.0)
-    with _seeded(seed, settings.threads):
+    with one_thread(), torch.random.fork_rng(devices=[]):
+        torch.manual_seed(seed)
         cell = torch.nn.LSTM(joined.shape[1], settings.units, batch_first=True, dtype=torch.float64)
         head = torch.nn.Linear(settings.units, 1, dtype=torch.float64)
         with torch.no_grad():  # the initial output is nearly zero
@@ -203,18 +203,3 @@ def _sequences(
             counts.append(np.arange(begin, begin + whole) >= (first if first else 0))
     made = [torch.from_numpy(np.array(values)) for values in (inputs, residual, counts, size)]
     return made[0], made[1], made[2], made[3]
-
-
-@contextmanager
-def _seeded(seed: int, threads: int) -> Iterator[None]:
-    """Seed torch and set its threads; both are restored for the caller."""
-    import torch
-
-    before = torch.get_num_threads()
-    torch.set_num_threads(threads)
-    try:
-        with torch.random.fork_rng(devices=[]):
-            torch.manual_seed(seed)
-            yield
-    finally:
-        torch.set_num_threads(before)

@@ -22,9 +22,9 @@ from sysid.networks.forward import (
     ForwardModel,
     ForwardNetwork,
     feature_names,
+    fit_forward_network,
     forward_joints,
     is_angle,
-    learn_forward,
     to_features,
     training_rows,
 )
@@ -184,12 +184,12 @@ def _unbounded(values: Array, bound: float) -> Array:
 def fit_forward(
     dataset: Dataset, recipe: NetworkRecipe, progress: Progress | None = None, checkpoints: Checkpoints | None = None
 ) -> ForwardNetwork | StructuredForward:
-    """:func:`learn_forward` or :func:`fit_structured`, as ``recipe.forward.model`` says, with its intervals and training domain.
+    """:func:`fit_forward_network` or :func:`fit_structured`, by ``recipe.forward.model``, with intervals and training domain.
 
     Raises:
         ExcitationError, SettingsError: as those.
     """
-    learn = learn_forward if recipe.forward.model == "network" else fit_structured
+    learn = fit_forward_network if recipe.forward.model == "network" else fit_structured
     model = learn(dataset, recipe, progress, checkpoints)
     fit, select = training_rows(dataset, recipe)
     count = len(model.joints)

@@ -69,7 +69,7 @@ def train(
     workers = (settings.threads or len(os.sched_getaffinity(0))) if device.type == "cpu" else 1
     files = {job.file for job in jobs}
     try:
-        with _one_thread(), _interruptible(checkpoints is not None):
+        with one_thread(), _interruptible(checkpoints is not None):
             work = batches(jobs, workers, device)
             train_batches(work, workers, device, Control(checkpoints), progress or silent)
     except SettingsError:  # diverged: resuming would diverge again
@@ -100,8 +100,8 @@ def _remove(checkpoints: Checkpoints | None, files: set[str]) -> None:
 
 
 @contextmanager
-def _one_thread() -> Iterator[None]:
-    """Disable torch's own threads, since batches are trained in parallel."""
+def one_thread() -> Iterator[None]:
+    """Set torch to one thread; restored for the caller."""
     import torch
 
     before = torch.get_num_threads()

@@ -16,7 +16,7 @@ Array = npt.NDArray[np.float64]
 Predict = Callable[[Array], Array]
 
 
-def simple_models(inputs: Array, outputs: Array) -> dict[str, Predict]:
+def baseline_models(inputs: Array, outputs: Array) -> dict[str, Predict]:
     """Name → prediction of baselines that are fitted on the network's fit rows, (n, d) → (n,) or (n, d_out).
 
     The last fits are cached, since versions that are compared have the same fit rows.
@@ -47,8 +47,8 @@ def _fitted(inputs: bytes, in_shape: tuple[int, ...], outputs: bytes, out_shape:
 def linkage_geometry(displacements: Array, joints: Array, to_joint: bool) -> Predict:
     """The triangle of two levers and a cylinder (law of cosines), its four lengths and angles fitted to rows (n,).
 
-    The residual is that of the joint for ``to_joint``, else of the displacement. For another linkage, such as a four-bar drive, the
-    result is the best triangle.
+    The residual is that of the joint for ``to_joint``, else of the displacement. For another linkage, such as a four-bar drive,
+    the result is the best triangle.
     """
     from scipy.optimize import least_squares
 

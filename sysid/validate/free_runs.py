@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
-import pandas as pd
 
 from sysid.datasets.recording import Dataset, Recording, Role
 from sysid.errors import ExcitationError
@@ -58,7 +57,7 @@ def validate_history(
                 values = part.recording.values(signals[item.sources[0]])[part.start : part.stop]
                 mine = rows.recording == part.recording.name
                 predicted.append(along(values, part.recording.rate_hz)[rows.row[mine] - part.start])
-            item = replace(item, uncertainty=None, simple={**item.simple, STATIC: item.predict})
+            item = replace(item, uncertainty=None, baselines={**item.baselines, STATIC: item.predict})
             outputs.append(output_report(dataset, rows, "motion", item, np.concatenate(predicted)))
         longest = max(parts, key=lambda part: part.stop - part.start)
         cylinder, joint = (longest.recording.values(signal)[longest.start : longest.stop] for signal in signals)
@@ -84,8 +83,8 @@ def validate_motion(
 ) -> ValidationReport:
     """Free runs of every axis on ``role``: to horizons, from starts all along the recordings, and of whole recordings.
 
-    Baselines on the same rows: the nominal simulation of ``machine.toml``, a free run of the whole recording (its error at the start
-    is subtracted for axes whose command is a speed or a force), and a linear model of the same inputs, fitted by least squares.
+    Baselines on the same rows: the nominal simulation of ``machine.toml``, a free run of the whole recording (its error at the
+    start is subtracted for axes whose command is a speed or a force), and a linear least-squares model of the same inputs.
 
     Raises:
         ExcitationError: no recording of that role is long enough.
@@ -235,4 +234,7 @@ def _rows(network: MotionNetwork, parts: tuple[tuple[Recording, MotionStretch], 
 def _at(rows: list[Index], other: _Runs) -> Iterator[Array]:
     """Prediction of another model at ``rows``; NaN where it has none."""
     for wanted, present, predicted in zip(rows, other.rows, other.predicted, strict=True):
-        yield pd.Series(predicted, index=present).reindex(wanted).to_numpy()
+        found: Array = np.full(len(wanted), np.nan, dtype=np.float64)
+        _, at, of = np.intersect1d(wanted, present, assume_unique=True, return_indices=True)
+        found[at] = predicted[of]
+        yield found

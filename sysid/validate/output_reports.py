@@ -17,7 +17,7 @@ from sysid.networks.split import SignalRows, evenly_spaced, thin
 from sysid.networks.uncertainty import FALSE_FLAGS, NetworkUncertainty
 from sysid.plant import gravity_load
 from sysid.signals import axis_signal
-from sysid.validate.baselines import Predict, linkage_geometry, simple_models
+from sysid.validate.baselines import Predict, baseline_models, linkage_geometry
 from sysid.validate.binning import per_second
 from sysid.validate.coverage import LEVEL, Coverage, coverage_of
 from sysid.validate.error_analysis import Profile, Ranges, direction_profile, profile, speeds, spikes
@@ -38,7 +38,7 @@ class EvaluatedOutput:
     """One output of a network to evaluate.
 
     Args:
-        predict: inputs (n, d) → output (n,); ``simple``: baselines of the same kind, by name.
+        predict: inputs (n, d) → output (n,); ``baselines``: of the same kind, by name.
         uncertainty: of the network; None for a version without.
         sources, target: columns of the rows.
         ends: signals whose ends are possible causes of a spike; ``fitted``: inputs and their fitted ranges.
@@ -46,7 +46,7 @@ class EvaluatedOutput:
     """
 
     predict: Predict
-    simple: Mapping[str, Predict]
+    baselines: Mapping[str, Predict]
     uncertainty: NetworkUncertainty | None
     sources: tuple[int, ...]
     target: int
@@ -62,7 +62,7 @@ def actuator_output(dataset: Dataset, network: ActuatorNetwork, direction: str, 
     predict = (network.joint, network.displacement)[source]
     return EvaluatedOutput(
         predict=lambda x: predict(x[:, 0]),
-        simple=simple_models(fit.values[:, [source]], fit.values[:, target])
+        baselines=baseline_models(fit.values[:, [source]], fit.values[:, target])
         | {"linkage geometry": linkage_geometry(fit.values[:, 0], fit.values[:, 1], target == 1)},
         uncertainty=network.uncertainty.get(direction),
         sources=(source,),
@@ -95,7 +95,7 @@ def output_report(
         rows=kind,
         recordings=tuple(dict.fromkeys(str(name) for name in rows.recording)),
         metrics=error_metrics(truth, predicted, unit),
-        baselines={title: error_metrics(truth, predict(inputs), unit) for title, predict in item.simple.items()},
+        baselines={title: error_metrics(truth, predict(inputs), unit) for title, predict in item.baselines.items()},
         # A static pose is the mean of many samples, so the noise of one sample does not apply.
         noise_floor=_noise_floor(dataset, rows, item) if kind == "motion" else None,
         profiles=profiles,

@@ -16,7 +16,7 @@ from sysid.networks.recipe import NetworkRecipe
 from sysid.networks.split import SignalRows, gather, measures, segments
 from sysid.networks.structured import StructuredForward
 from sysid.signals import axis_signal, point_signals
-from sysid.validate.baselines import simple_models, urdf_kinematics
+from sysid.validate.baselines import baseline_models, urdf_kinematics
 from sysid.validate.error_analysis import Ranges
 from sysid.validate.free_runs import validate_history, validate_motion
 from sysid.validate.output_reports import EvaluatedOutput, actuator_output, output_report
@@ -28,7 +28,7 @@ Array = npt.NDArray[np.float64]
 def validate_model(
     model: Model, dataset: Dataset, role: Role = "held_out", recipe: NetworkRecipe | None = None, name: str = ""
 ) -> ValidationReport:
-    """:func:`validate_actuator`, :func:`validate_forward`, :func:`validate_history` or :func:`validate_motion`, by the model."""
+    """Report of any model; the other functions of this package are for one kind."""
     if isinstance(model, ForwardNetwork | StructuredForward):
         return validate_forward(model, dataset, role, name)
     if motions := motion_networks(model):
@@ -77,14 +77,14 @@ def validate_forward(network: ForwardModel, dataset: Dataset, role: Role = "held
     count = len(network.joints)
     fit = forward_rows(dataset, "fit")
     fitted = dict(zip(network.joints, zip(network.low.tolist(), network.high.tolist(), strict=True), strict=True))
-    simple = simple_models(fit.values[:, :count], fit.values[:, count:])
+    baselines = baseline_models(fit.values[:, :count], fit.values[:, count:])
     urdf = urdf_kinematics(dataset)
     if urdf is not None:
-        simple["URDF kinematics"] = urdf
+        baselines["URDF kinematics"] = urdf
     maps = tuple(
         EvaluatedOutput(
             predict=lambda q, number=number: network.predict(q)[:, number],  # type: ignore[misc]
-            simple={title: lambda q, each=each, number=number: each(q)[:, number] for title, each in simple.items()},  # type: ignore[misc]
+            baselines={title: lambda q, each=each, number=number: each(q)[:, number] for title, each in baselines.items()},  # type: ignore[misc]
             uncertainty=network.uncertainty,
             sources=tuple(range(count)),
             target=count + number,

@@ -38,10 +38,10 @@ STYLES = {
     "before": Style((222, 104, 52), False),
     "after": Style((20, 160, 150), False),
 }
-OTHERS = ((70, 130, 190), (200, 150, 40), (160, 100, 200), (120, 160, 60))
+OTHER_COLOURS = ((70, 130, 190), (200, 150, 40), (160, 100, 200), (120, 160, 60))
 
 #: SI unit → factor and unit in the plots.
-SHOWN = {"m": (1e3, "mm"), "rad": (180.0 / np.pi, "°")}
+DISPLAY_UNITS = {"m": (1e3, "mm"), "rad": (180.0 / np.pi, "°")}
 
 
 def sdk() -> Any:
@@ -82,7 +82,7 @@ def send_columns(stream: Any, entity: str, time: Array, columns: Any) -> None:
 
 
 def styles_of(names: Mapping[str, Any]) -> list[Style]:
-    others = iter(Style(colour, False) for colour in OTHERS * (1 + len(names)))
+    others = iter(Style(colour, False) for colour in OTHER_COLOURS * (1 + len(names)))
     return [STYLES[name] if name in STYLES else next(others) for name in names]
 
 
@@ -97,7 +97,7 @@ def log_shapes(stream: Any, root: str, machine: Machine, kinematics: Kinematics,
     rr = sdk()
     for link, shapes in link_shapes(machine.urdf_text or "", kinematics).items():
         for number, shape in enumerate(shapes):
-            rr.log(f"{root}/{link}/shape-{number}", *drawn(shape, style), static=True, recording=stream)
+            rr.log(f"{root}/{link}/shape-{number}", *primitives(shape, style), static=True, recording=stream)
 
 
 def log_poses(stream: Any, root: str, machine: Machine, kinematics: Kinematics, table: pd.DataFrame) -> bool:
@@ -118,7 +118,7 @@ def log_poses(stream: Any, root: str, machine: Machine, kinematics: Kinematics, 
     return True
 
 
-def drawn(shape: Shape, style: Style) -> list[Any]:
+def primitives(shape: Shape, style: Style) -> list[Any]:
     rr = sdk()
     mode = "Solid" if style.solid else "MajorWireframe"
     colour = [*style.colour, 255]

@@ -17,7 +17,7 @@ from sysid.files import written_whole
 from sysid.machine import Machine
 from sysid.plant import Plant
 from sysid.signals import axis_signal, point_signals
-from sysid.view.drawing import SHOWN, STYLES, TIMELINE, log_shapes, sdk
+from sysid.view.drawing import DISPLAY_UNITS, STYLES, TIMELINE, log_shapes, sdk
 from sysid.view.layout import blueprint
 from sysid.view.visuals import link_shapes
 from sysid.world import World, WorldState
@@ -25,7 +25,7 @@ from sysid.world import World, WorldState
 #: Camera pictures per second of the machine's time, and their size.
 CAMERA_HZ, CAMERA = 5.0, (320, 240)
 #: States per second of the machine's time.
-SHOWN_HZ = 50.0
+STATE_HZ = 50.0
 
 
 def show_live(dataset: Dataset, recording: str, plant: Plant, path: Path | None = None, speed: float = 1.0) -> int:
@@ -76,13 +76,13 @@ def _replay(stream: Any, world: World, source: Recording, units: Mapping[str, st
     factors = {}
     for signal in source.signals:
         unit = units.get(signal, "1")
-        factors[signal], shown_as = SHOWN.get(unit, (1.0, unit))
+        factors[signal], shown_as = DISPLAY_UNITS.get(unit, (1.0, unit))
         for name, style in (("measured", STYLES["measured"]), ("world", STYLES["after"])):
             label = name if shown_as in ("", "1") else f"{name} [{shown_as}]"
             look = rr.SeriesLines(colors=[style.colour], names=[label])
             rr.log(f"signals/{signal}/{name}", look, static=True, recording=stream)
     log_shapes(stream, "machine/world", machine, kinematics, STYLES["measured"])
-    every = max(1, round(source.rate_hz / SHOWN_HZ))
+    every = max(1, round(source.rate_hz / STATE_HZ))
     picture_every = every * max(1, round(source.rate_hz / CAMERA_HZ / every))
     begin, first, shown = time.monotonic(), None, 0
     times = source.values("time")

@@ -10,7 +10,7 @@ import numpy as np
 from sysid.gap.result import Map
 
 #: Largest number of maps per output, and the least share of the variance that they explain.
-SHOWN, MIN_EXPLAINED = 3, 0.15
+MAX_MAPS, MIN_EXPLAINED = 3, 0.15
 
 
 def informative(maps: Sequence[Map]) -> list[Map]:
@@ -18,7 +18,7 @@ def informative(maps: Sequence[Map]) -> list[Map]:
     found = []
     for signal in dict.fromkeys(item.signal for item in maps):
         of_signal = sorted((item for item in maps if item.signal == signal), key=lambda item: -item.explains)
-        found += [item for item in of_signal if item.explains > MIN_EXPLAINED][:SHOWN]
+        found += [item for item in of_signal if item.explains > MIN_EXPLAINED][:MAX_MAPS]
     return found
 
 

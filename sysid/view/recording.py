@@ -12,8 +12,8 @@ import pandas as pd
 from sysid.datasets.recording import Dataset, Recording
 from sysid.gap.result import Map
 from sysid.view.drawing import (
-    OTHERS,
-    SHOWN,
+    DISPLAY_UNITS,
+    OTHER_COLOURS,
     STYLES,
     TIMELINE,
     Style,
@@ -60,7 +60,7 @@ def write_rerun(
                 log_machine(stream, f"machine/{name}", dataset.machine, kinematics, table, styles[name])
                 log_points(stream, f"machine/{name}", dataset.machine, table, styles[name])
         _log_signals(stream, dataset, source, tables, styles)
-        log_maps(stream, maps, {name: STYLES[name].colour for name in ("before", "after")}, SHOWN)
+        log_maps(stream, maps, {name: STYLES[name].colour for name in ("before", "after")}, DISPLAY_UNITS)
     return path
 
 
@@ -68,9 +68,11 @@ def _log_signals(
     stream: Any, dataset: Dataset, source: Recording, tables: Mapping[str, pd.DataFrame], styles: Mapping[str, Style]
 ) -> None:
     """Every signal as one curve per version, in display units; commands once."""
-    commands = dict(zip((s for s in source.signals if s.endswith(".command")), OTHERS * len(source.signals), strict=False))
+    commands = dict(
+        zip((s for s in source.signals if s.endswith(".command")), OTHER_COLOURS * len(source.signals), strict=False)
+    )
     for signal in source.signals:
-        factor, unit = SHOWN.get(dataset.units.get(signal, "1"), (1.0, dataset.units.get(signal, "")))
+        factor, unit = DISPLAY_UNITS.get(dataset.units.get(signal, "1"), (1.0, dataset.units.get(signal, "")))
         for name, table in tables.items():
             if signal not in table.columns or (signal.endswith(".command") and name != "measured"):
                 continue

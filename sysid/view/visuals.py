@@ -1,7 +1,7 @@
 """Shapes of the links from the URDF's <visual> elements.
 
-Source: URDF specification (ROS wiki, ``urdf/XML/link``). A dataset version does not contain mesh files: a link with a mesh only,
-or without any visual, is a bar to its next joint.
+Source: URDF specification (ROS wiki, ``urdf/XML/link``). A dataset version does not contain mesh files: a link with a mesh
+only, or without any visual, is a bar to its next joint.
 """
 
 from __future__ import annotations

@@ -10,7 +10,7 @@ import pytest
 from crane_model import crane_plant
 from plant_data import slide
 
-from sysid.control import AxisTuning, CylinderController, response_time, simple, tune
+from sysid.control import AxisTuning, CylinderController, proportional_tuning, response_time, tune
 from sysid.errors import InputError, SettingsError
 from sysid.machine import KnownEffect
 from sysid.plant import Plant, nominal_plant
@@ -53,7 +53,7 @@ def test_tuned_it_follows_and_untuned_it_does_not() -> None:
     path = waves()
     span = np.ptp(path, axis=0)
     tuned, _ = follow(PLANT, path)
-    untuned, _ = follow(PLANT, path, simple(PLANT))
+    untuned, _ = follow(PLANT, path, proportional_tuning(PLANT))
     error, worse = (np.sqrt(np.mean((joints - path[1:]) ** 2, axis=0)) / span for joints in (tuned, untuned))
     assert (error < 0.015).all()
     assert (worse > 8.0 * error).all()

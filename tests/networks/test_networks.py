@@ -19,8 +19,8 @@ from sysid.networks import (
     ForwardNetwork,
     NetworkRecipe,
     fit_actuator,
+    fit_forward_network,
     from_files,
-    learn_forward,
     load_recipe,
     parse_recipe,
     to_files,
@@ -50,7 +50,7 @@ def actuators(data: Dataset) -> dict[str, ActuatorNetwork]:
 
 @pytest.fixture(scope="module")
 def forward(data: Dataset) -> ForwardNetwork:
-    return learn_forward(data, QUICK)
+    return fit_forward_network(data, QUICK)
 
 
 def test_actuator_networks_learn_both_linkages_both_ways(actuators: dict[str, ActuatorNetwork]) -> None:
@@ -89,7 +89,7 @@ def test_the_forward_network_learns_the_kinematics(forward: ForwardNetwork, data
 
 def test_sine_and_cosine_inputs_and_several_members(data: Dataset) -> None:
     recipe = parse_recipe({"forward": {"features": "sincos", "members": 2, "training": {"epochs": 20}}}, "test")
-    network = learn_forward(data, recipe)
+    network = fit_forward_network(data, recipe)
     q = np.random.default_rng(6).uniform(LOW, HIGH, (20, 4))
     turned = q + np.array([2 * np.pi, -2 * np.pi, 0.0, 0.0])
     np.testing.assert_allclose(network.predict(q), network.predict(turned), atol=1e-9)
@@ -104,7 +104,7 @@ def test_products_of_sines_and_cosines_and_smooth_rectifiers(data: Dataset) -> N
     """What the tip is made of goes in, and the network has no corners: more accurate from the same poses, in less training."""
     training = {"epochs": 60, "batch": 32}
     plain, better = (
-        learn_forward(data, parse_recipe({"forward": {**own, "training": training}}, "test"))
+        fit_forward_network(data, parse_recipe({"forward": {**own, "training": training}}, "test"))
         for own in ({}, {"features": "products", "rectifier": "smooth"})
     )
     kinematics = crane().kinematics()
@@ -137,7 +137,7 @@ def test_only_fit_and_select_rows_matter(data: Dataset, actuators: dict[str, Act
         ),
     )
     assert to_files(fit_actuator(changed, QUICK)) == to_files(actuators)
-    assert to_files(learn_forward(changed, QUICK)) == to_files(forward)
+    assert to_files(fit_forward_network(changed, QUICK)) == to_files(forward)
 
 
 def test_the_seed_decides(data: Dataset, actuators: dict[str, ActuatorNetwork]) -> None:
@@ -292,7 +292,7 @@ def test_data_that_cannot_teach_an_actuator_are_refused(data: Dataset, broken, m
 )
 def test_data_that_cannot_teach_the_forward_network_are_refused(data: Dataset, broken, message: str) -> None:  # type: ignore[no-untyped-def]
     with pytest.raises(ExcitationError, match=message):
-        learn_forward(broken(data), QUICK)
+        fit_forward_network(broken(data), QUICK)
 
 
 # --- recipe
