@@ -9,7 +9,7 @@ Source: Skogestad, Journal of Process Control 13 (2003), §4.3; dead-band invers
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -89,13 +89,13 @@ def tune(plant: Plant) -> tuple[AxisTuning, ...]:
 
 def proportional_tuning(plant: Plant) -> tuple[AxisTuning, ...]:
     """A proportional controller without inverse of the valve and feed-forward, for comparison."""
-    found = []
-    for axis, item in zip(plant.machine.axes, tune(plant), strict=True):
-        values = {field.name: getattr(item, field.name) for field in fields(item)}
-        plain = {"up": axis.gain, "down": axis.gain, "exponent": 1.0, "positive": 0.0, "negative": 0.0, "limit": math.inf}
-        rest = {"creep": 0.0, "backlash": 0.0, "feed": 0.0, "integral": 0.0, "proportional": 2.0}
-        found.append(AxisTuning(**{**values, **plain, **rest}))
-    return tuple(found)
+    return tuple(
+        replace(
+            item, up=axis.gain, down=axis.gain, exponent=1.0, positive=0.0, negative=0.0, limit=math.inf, creep=0.0,
+            backlash=0.0, proportional=2.0, integral=0.0, feed=0.0,
+        )
+        for axis, item in zip(plant.machine.axes, tune(plant), strict=True)
+    )  # fmt: skip
 
 
 def response_time(plant: Plant) -> float:

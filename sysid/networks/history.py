@@ -18,7 +18,7 @@ from sysid.errors import ExcitationError
 from sysid.networks.actuator import DIRECTIONS, ActuatorNetwork, RoundTripError, fit_actuator
 from sysid.networks.checkpoint import Checkpoints
 from sysid.networks.history_correction import HistoryCorrection
-from sysid.networks.recipe import HistoryRecipe, NetworkRecipe
+from sysid.networks.recipe import NetworkRecipe
 from sysid.networks.recurrent import RecordingWindow, RecurrentSettings, interval_means, train_recurrent
 from sysid.networks.split import RowRange, segments
 from sysid.progress import Progress, part, silent
@@ -154,23 +154,20 @@ def _correction(
             f"dataset {dataset.reference}: axis {static.axis!r} with history", found, f"{MIN_UPDATES} updates"
         )
     bound = BOUND_SIGMAS * spread
-    trained = train_recurrent(fit, select, bound, empty.interval, False, recurrent_settings(settings), recipe.seed, progress)
+    own = RecurrentSettings(
+        units=settings.units,
+        learning_rate=settings.learning_rate,
+        epochs=settings.epochs,
+        check_every=settings.check_every,
+        patience=max(1, settings.patience // settings.check_every),
+        piece=SEQUENCE,
+        warm=WARM_UP,
+    )
+    trained = train_recurrent(fit, select, bound, empty.interval, False, own, recipe.seed, progress)
     weights = dict(trained.weights)
     if not trained.loss < MAX_LOSS_RATIO:
         weights |= {"w": np.zeros_like(weights["w"]), "w0": np.zeros(1)}
     return replace(empty, bound=bound, weights=weights, loss=trained.loss, epochs=trained.epochs)
-
-
-def recurrent_settings(recipe: HistoryRecipe) -> RecurrentSettings:
-    return RecurrentSettings(
-        units=recipe.units,
-        learning_rate=recipe.learning_rate,
-        epochs=recipe.epochs,
-        check_every=recipe.check_every,
-        patience=max(1, recipe.patience // recipe.check_every),
-        piece=SEQUENCE,
-        warm=WARM_UP,
-    )
 
 
 def recording_windows(

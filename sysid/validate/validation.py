@@ -28,7 +28,7 @@ Array = npt.NDArray[np.float64]
 def validate_model(
     model: Model, dataset: Dataset, role: Role = "held_out", recipe: NetworkRecipe | None = None, name: str = ""
 ) -> ValidationReport:
-    """Report of any model; the other functions of this package are for one kind."""
+    """Report of a model of any kind, by the function for its kind."""
     if isinstance(model, ForwardNetwork | StructuredForward):
         return validate_forward(model, dataset, role, name)
     if motions := motion_networks(model):

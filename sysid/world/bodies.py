@@ -70,7 +70,7 @@ class HangingTool:
 
 @dataclass(frozen=True)
 class WorldUrdf:
-    """A URDF for the world; ``effort`` are the limits of the driven joints [N or N·m] in the machine's URDF, ``ground`` a height [m]."""
+    """A URDF for the world, effort limits of the driven joints [N or N·m], the tool, and the height of the ground [m]."""
 
     urdf: str
     effort: tuple[float, ...]
