@@ -17,7 +17,7 @@ from sysid.control.tuning import INTEGRAL_SHARE, REST_SHARE, AxisTuning
 from sysid.effects.compiled import inlined, kernel
 
 (
-    SERVO, UP, DOWN, EXPONENT, POSITIVE, NEGATIVE, LIMIT, CREEP, BACKLASH, LEAD, PROPORTIONAL, INTEGRAL, FEED, RATE, LOW, HIGH,
+    SERVO, UP, DOWN, EXPONENT, POSITIVE, NEGATIVE, LIMIT, CREEP, BACKLASH, DEAD_TIME, PROPORTIONAL, INTEGRAL, FEED, RATE, LOW, HIGH,
 ) = range(len(AxisTuning.__dataclass_fields__))  # fmt: skip
 
 #: State of an axis: integral [speed], last command, position in the backlash; then past setpoints, the newest first.
@@ -100,7 +100,7 @@ def command(tuning, state, setpoints, measured, preview, dt, out):
                 continue
             top = min(a[UP], a[DOWN])
             error = _past(s, preview / dt + 1.0) - measured[lane, i]
-            early = max(0.0, preview - a[LEAD]) / dt
+            early = max(0.0, preview - a[DEAD_TIME]) / dt
             fed = (_past(s, early) - _past(s, early + 1.0)) / dt
             v = a[FEED] * min(max(fed, -top), top) + a[PROPORTIONAL] * error + s[INTEGRAL_SUM] + a[CREEP]
             if a[BACKLASH] > 0.0:

@@ -42,7 +42,7 @@ class AxisTuning:
         limit: effective command above which speed no longer rises.
         creep: speed of the internal leakage at zero command.
         backlash: between the drive and the sensor, full width.
-        lead: dead time from command to motion [s].
+        dead_time: from command to motion [s].
         proportional, integral: [1/s] and [1/s²].
         feed: share of the setpoint's own speed that is fed forward, 1.0 or 0.0.
         rate: of the command [1/s].
@@ -58,7 +58,7 @@ class AxisTuning:
     limit: float
     creep: float
     backlash: float
-    lead: float
+    dead_time: float
     proportional: float
     integral: float
     feed: float
@@ -100,7 +100,7 @@ def proportional_tuning(plant: Plant) -> tuple[AxisTuning, ...]:
 
 def response_time(plant: Plant) -> float:
     """The largest dead time of any axis, delay plus lag [s]."""
-    return max(item.lead for item in tune(plant))
+    return max(item.dead_time for item in tune(plant))
 
 
 def _tuned(plant: Plant, theta: Array, i: int) -> AxisTuning:
@@ -113,8 +113,8 @@ def _tuned(plant: Plant, theta: Array, i: int) -> AxisTuning:
     rate = float(theta[b + AT.command_rate_limit])
     if axis.actuation == "position":
         return AxisTuning(1.0, 1, 1, 1, 0, 0, math.inf, 0, 0, 0, 0, 0, 1, math.inf, low, high)
-    lead = float(theta[b + AT.input_delay] + theta[b + AT.first_order_lag])
-    dead = lead + 0.5 / plant.machine.rate_hz
+    dead_time = float(theta[b + AT.input_delay] + theta[b + AT.first_order_lag])
+    dead = dead_time + 0.5 / plant.machine.rate_hz
     up = axis.gain * float(theta[b + AT.gain_error])
     proportional = min(1.0 / (2.0 * dead), MAX_PROPORTIONAL)
     return AxisTuning(
@@ -127,7 +127,7 @@ def _tuned(plant: Plant, theta: Array, i: int) -> AxisTuning:
         limit=float(theta[b + AT.flow_saturation]),
         creep=float(theta[b + AT.internal_leakage]),
         backlash=float(theta[b + AT.backlash_drive]) if axis.drives == "joint" else 0.0,
-        lead=lead,
+        dead_time=dead_time,
         proportional=proportional,
         integral=proportional / (8.0 * dead),
         feed=1.0,
