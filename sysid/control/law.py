@@ -17,7 +17,8 @@ from sysid.control.tuning import INTEGRAL_SHARE, REST_SHARE, AxisTuning
 from sysid.effects.compiled import inlined, kernel
 
 (
-    SERVO, UP, DOWN, EXPONENT, POSITIVE, NEGATIVE, LIMIT, CREEP, BACKLASH, DEAD_TIME, PROPORTIONAL, INTEGRAL, FEED, RATE, LOW, HIGH,
+    SERVO, UP, DOWN, EXPONENT, POSITIVE, NEGATIVE, LIMIT, CREEP, BACKLASH, DEAD_TIME, PROPORTIONAL, INTEGRAL, FEED, RATE,
+    LOW, HIGH,
 ) = range(len(AxisTuning.__dataclass_fields__))  # fmt: skip
 
 #: State of an axis: integral [speed], last command, position in the backlash; then past setpoints, the newest first.
