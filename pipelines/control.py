@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from committed import provenance, write_result, write_tables
-from sysid.control import AxisTuning, simple, tune
+from sysid.control import AxisTuning, proportional_tuning, tune
 from sysid.pictures import PictureCurve, svg
 from sysid.plant import plant_from_files
 from sysid.registry import Registry
@@ -31,20 +31,20 @@ Tuning = tuple[AxisTuning, ...]
 
 def stages(course: TrackingTask, before: Tuning) -> list[tuple[str, Tuning, float]]:
     """Name, tuning and look-ahead of each row, each with one thing more than the one above it."""
-    full, plain = course.tuning, simple(course.plant)
+    full, plain = course.tuning, proportional_tuning(course.plant)
     inverse = tuple(
-        replace(item, proportional=poor.proportional, integral=0.0, feed=0.0, play=0.0)
+        replace(item, proportional=poor.proportional, integral=0.0, feed=0.0, backlash=0.0)
         for item, poor in zip(full, plain, strict=True)
     )
     gains = tuple(replace(item, proportional=good.proportional) for item, good in zip(inverse, full, strict=True))
     fed = tuple(replace(item, feed=1.0) for item in gains)
-    played = tuple(replace(item, play=good.play) for item, good in zip(fed, full, strict=True))
+    compensated = tuple(replace(item, backlash=good.backlash) for item, good in zip(fed, full, strict=True))
     return [
         ("proportional, 2/s, on the bare valve", plain, 0.0),
         ("+ inverse of the valve", inverse, 0.0),
         ("+ gain from the dead time", gains, 0.0),
         ("+ speed fed forward", fed, 0.0),
-        ("+ way across the play", played, 0.0),
+        ("+ backlash compensation", compensated, 0.0),
         ("+ integral: the tuned controller", full, 0.0),
         ("+ look-ahead by the dead time", full, course.dead_time),
         ("tuned controller of the simulation before the gap was named", before, 0.0),
@@ -78,7 +78,7 @@ def main(workspace: Path, plant: str, before: str, forward: str) -> None:
         "path": {"name": "helix", "begin": course.path.points[0].tolist(), "speed": course.path.speed},
         "tuning": {
             axis: {
-                "lead_s": t.lead,
+                "lead_s": t.dead_time,
                 "proportional": t.proportional,
                 "integral": t.integral,
                 "deadband": [t.positive, t.negative],

@@ -22,7 +22,7 @@ import pandas as pd
 from committed import markdown, provenance, write_result, write_tables
 from sysid.datasets import Dataset, Recording
 from sysid.machine import Machine, load_machine
-from sysid.networks import AnyForward, ForwardRecipe, NetworkRecipe, fit_forward
+from sysid.networks import ForwardModel, ForwardRecipe, NetworkRecipe, fit_forward
 from sysid.signals import axis_signal, point_signals
 
 Array = npt.NDArray[np.float64]
@@ -88,13 +88,13 @@ def judged(machine: Machine, forward: ForwardRecipe, seed: int) -> dict[str, Any
     }
 
 
-def learned(machine: Machine, forward: ForwardRecipe, seed: int, q: Array, rng: np.random.Generator) -> AnyForward:
+def learned(machine: Machine, forward: ForwardRecipe, seed: int, q: Array, rng: np.random.Generator) -> ForwardModel:
     """A model of the poses ``q``."""
     dataset = Dataset.of(machine, (measured(machine, q, rng),))
     return fit_forward(dataset, NetworkRecipe(seed=seed, forward=forward))
 
 
-def regions(model: AnyForward, machine: Machine, q: Array, rng: np.random.Generator) -> tuple[float, dict[str, Any]]:
+def regions(model: ForwardModel, machine: Machine, q: Array, rng: np.random.Generator) -> tuple[float, dict[str, Any]]:
     """Share of ``q`` inside the data; shares of measured tips inside their intervals, by level, flag and region."""
     poses = measured(machine, q, rng)
     said = np.column_stack([poses.values(signal) for signal in model.joints])
@@ -153,17 +153,17 @@ def tables(models: Mapping[str, list[dict[str, Any]]]) -> str:
         return f"{factor * float(np.mean(values)):.{1 if factor == 100.0 else 2}f}" if values else "–"
 
     names = ("not flagged", "flagged", *REGIONS)
-    asked = [f"{100.0 * share:g} %" for share in LEVELS]
-    header = ["tips inside their intervals [%], asked for", *asked, *(f"{asked[-1]}, {name}" for name in names)]
+    levels = [f"{100.0 * share:g} %" for share in LEVELS]
+    header = ["coverage [%] at a nominal level of", *levels, *(f"{levels[-1]}, {name}" for name in names)]
     rows = [
         [title, *(mean(runs, "like", "held", f"{share:g}", "all") for share in LEVELS)]
         + [mean(runs, "like", "held", level, name) for name in names]
         + [mean(runs, "like", "held", WIDTH, factor=1e3)]
         for title, runs in models.items()
     ]
-    first = markdown([*header, f"half width at {asked[-1]} [mm]"], rows)
-    kinds = {"like": "like those learned from", "beyond": "beyond a joint's range", "corner": "in the corner left out"}
-    whats = ("flagged [%],", "RMSE [mm],", f"{asked[-1]} hold [%],")
+    first = markdown([*header, f"half-width at {levels[-1]} [mm]"], rows)
+    kinds = {"like": "as in training", "beyond": "beyond a joint's range", "corner": "in the omitted corner"}
+    whats = ("flagged [%],", "RMSE [mm],", f"coverage at {levels[-1]} [%],")
     header = ["poses", *(f"{what} {kind}" for kind in kinds.values() for what in whats)]
     rows = [
         [title]

@@ -17,7 +17,7 @@ from sysid.networks.actuator import actuator_rows
 from sysid.networks.mlp import Rectifier
 from sysid.networks.recipe import parse_recipe
 from sysid.networks.split import gather, segments, thin
-from sysid.validate.baselines import Predict, linkage_geometry, simple_models
+from sysid.validate.baselines import Predict, baseline_models, linkage_geometry
 
 Array = npt.NDArray[np.float64]
 
@@ -66,7 +66,7 @@ def curve(dataset: Dataset, checkpoints: Checkpoints | None = None) -> list[dict
         every = tasks(dataset, size)
         models = networks(every, size, checkpoints)
         for task in every:
-            models[task.name] |= simple_models(task.x, task.y[:, 0])
+            models[task.name] |= baseline_models(task.x, task.y[:, 0])
             to_joint = task.direction == "to_joint"
             cylinder, joint = (task.x, task.y) if to_joint else (task.y, task.x)
             models[task.name]["linkage geometry"] = linkage_geometry(cylinder[:, 0], joint[:, 0], to_joint)

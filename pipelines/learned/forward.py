@@ -21,12 +21,12 @@ from sysid.networks import (
     fit_chain,
     train,
 )
-from sysid.networks.chain import SPARE, products
+from sysid.networks.chain import SPARE_POSES, products
 from sysid.networks.forward import feature_names, to_features
 from sysid.networks.mlp import Rectifier
 from sysid.networks.recipe import Features
 from sysid.signals import point_signals
-from sysid.validate.baselines import simple_models
+from sysid.validate.baselines import baseline_models
 
 Array = npt.NDArray[np.float64]
 Predict = Callable[[Array], Array]
@@ -91,7 +91,7 @@ def curve(known: Sequence[Mapping[str, Any]], checkpoints: Checkpoints | None = 
     for reach in RANGES:
         for size in SIZES:
             models = structures(reach, size)
-            simple = [simple_models(each.captured, each.seen_tip) for each in taught(reach, size)]
+            simple = [baseline_models(each.captured, each.seen_tip) for each in taught(reach, size)]
             models |= {name: [each[name] for each in simple] for name in simple[0]}
             found = {name: figures(reach, each) for name, each in models.items()}
             if size < POSES:
@@ -159,7 +159,7 @@ def structures(reach: str, count: int) -> dict[str, list[Predict]]:
             for seed, each in zip(SEEDS, sets, strict=True)
         ]
     }
-    if count >= products(np.zeros((1, len(ANGLES))), ANGLES).shape[1] + SPARE:
+    if count >= products(np.zeros((1, len(ANGLES))), ANGLES).shape[1] + SPARE_POSES:
         found["chain"] = [fit_chain(each.captured, each.seen_tip, ANGLES).predict for each in sets]
     return found
 

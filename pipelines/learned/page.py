@@ -7,7 +7,6 @@ from typing import Any
 
 from learned.actuators import AXES, DIRECTIONS, SEEDS, SIZES
 from learned.forward import BEST, NO_NETWORKS, PAPER
-from learned.forward import SIZES as POSES
 from learned.pictures import ACTUATOR, FORWARD, TITLES
 from learned.poses import RANGES
 from sysid.networks import PAPER_MAX
@@ -20,20 +19,16 @@ ASKED = {"joints": "true", "captured": "motion capture's", "own": "the machine's
 def tables(result: Mapping[str, Any]) -> str:
     return "\n\n".join(
         [
-            "500 poses, errors of x / y / z on 1000 others [mm]; means of five seeds, in brackets the worst of them.",
+            "500 training poses, errors of x / y / z on 1000 test poses [mm]; mean of five seeds (worst seed).",
             *(_variants(result["variants"], reach) for reach in RANGES),
-            "The same 500 poses, asked at joint values that were measured: largest and 95 % error of x, y, z [mm].",
+            "The same models, evaluated at measured joint values: largest / 95 % error, the worst of x, y, z [mm].",
             _asked(result["variants"]),
-            "Largest error of x, y, z [mm] over the number of poses, mean of five seeds.",
-            *(_curve(result["forward"], reach) for reach in RANGES),
             "![Learning curves of the forward models](../reports/networks/forward.svg)",
             f"Actuator networks of the shipped logs, {SIZES[-1]} rows, mean of {len(SEEDS)} seeds: in held-out motion against"
-            " what was measured, and over the whole stroke against the crane's true linkage [mrad, mm].",
+            " the measurement, and over the whole stroke against the crane's true linkage [mrad, mm].",
             _actuators(result["actuators"]),
-            "RMSE over the true stroke by the number of rows [mrad, mm].",
-            _actuator_curve(result["actuators"]),
             "![Learning curves of the actuator networks](../reports/networks/actuators.svg)",
-            "Forward models of the shipped logs, seed 0, against what was measured [mm]; held out: the last 50 of 500"
+            "Forward models of the shipped logs, seed 0, against the measurement [mm]; held out: the last 50 of 500"
             " poses, and recording `manual-06`.",
             _shipped(result["shipped"]),
         ]
@@ -65,16 +60,8 @@ def _asked(rows: Sequence[Row]) -> str:
     return "\n".join(lines)
 
 
-def _curve(rows: Sequence[Row], reach: str) -> str:
-    lines = [f"| {TITLES[reach]} | {' | '.join(map(str, POSES))} |", "| --- |" + " ---: |" * len(POSES)]
-    for model in dict.fromkeys((*FORWARD, *(row["model"] for row in rows))):
-        found = {row["poses"]: _mm(max(row["max"])) for row in rows if (row["range"], row["model"]) == (reach, model)}
-        lines.append(f"| {FORWARD.get(model, model)} | {' | '.join(found.get(size, '–') for size in POSES)} |")
-    return "\n".join(lines)
-
-
 def _actuators(rows: Sequence[Row]) -> str:
-    head = ["RMSE, motion", "95 %, motion", "max, motion", "noise of the sensors", "RMSE, stroke", "max, stroke"]
+    head = ["RMSE, motion", "95 %, motion", "max, motion", "sensor noise", "RMSE, stroke", "max, stroke"]
     lines = [f"| | | {' | '.join(head)} |", "| --- | --- |" + " ---: |" * len(head)]
     keys = ("motion_rmse", "motion_p95", "motion_max", "sensors", "stroke_rmse", "stroke_max")
     for axis in AXES:
@@ -83,17 +70,6 @@ def _actuators(rows: Sequence[Row]) -> str:
             for row in own:
                 cells = " | ".join(_mm(row[key]) for key in keys)
                 lines.append(f"| {axis} {direction.replace('_', ' ')} | {ACTUATOR.get(row['model'], row['model'])} | {cells} |")
-    return "\n".join(lines)
-
-
-def _actuator_curve(rows: Sequence[Row]) -> str:
-    lines = [f"| | | {' | '.join(map(str, SIZES))} |", "| --- | --- |" + " ---: |" * len(SIZES)]
-    for axis in AXES:
-        for direction in DIRECTIONS:
-            for model, label in ACTUATOR.items():
-                own = [r for r in rows if (r["axis"], r["direction"], r["model"]) == (axis, direction, model)]
-                cells = " | ".join(_mm(row["stroke_rmse"]) for row in own)
-                lines.append(f"| {axis} {direction.replace('_', ' ')} | {label} | {cells} |")
     return "\n".join(lines)
 
 

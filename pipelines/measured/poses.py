@@ -23,7 +23,7 @@ from sysid.networks import Geometry, calibrate
 from sysid.networks.estimator import NetworkRegressor, cross_validate
 from sysid.networks.forward import to_features
 from sysid.signals import axis_signal, point_signals
-from sysid.validate.baselines import simple_models
+from sysid.validate.baselines import baseline_models
 
 Array = npt.NDArray[np.float64]
 Predict = Callable[[Array], Array]
@@ -101,7 +101,7 @@ def read(arm: Arm, machine: Machine, folder: Path) -> tuple[Array, Array]:
 def models(machine: Machine, q: Array, tip: Array) -> dict[str, Predict]:
     """Geometry, with and without its calibration, and the simple models, all of the same poses."""
     revolute = angles(machine)
-    simple = simple_models(to_features(q, revolute, "sincos"), tip)
+    simple = baseline_models(to_features(q, revolute, "sincos"), tip)
     found = {
         name: lambda x, each=each: each(to_features(x, revolute, "sincos"))  # type: ignore[misc]
         for name, each in simple.items()
@@ -196,9 +196,8 @@ def tables(arms: Mapping[str, Mapping[str, Any]]) -> str:
             cells = (arm["curve"][count][name] for count in counts)
             curve.append([name, *(f"{cell['distance_median']:.2f} ({cell['distance_rmse']:.2f})" for cell in cells)])
         parts += [
-            f"**{arm['title']}**, {arm['poses']} poses; each evaluated when it was left out, {arm['folds']} folds. "
-            f"Published: {arm['published']}.",
+            f"**{arm['title']}**, {arm['poses']} poses, {arm['folds']}-fold cross-validation. Published: {arm['published']}.",
             markdown(["model", "RMSE x, y, z [mm]", "distance, RMSE", "median", "95 %", "max"], rows),
-            markdown([f"{arm['title']}, poses learned from: median (RMSE) of the distance [mm]", *counts], curve),
+            markdown([f"{arm['title']}, training poses: median (RMSE) of the distance [mm]", *counts], curve),
         ]
     return "\n\n".join(parts)

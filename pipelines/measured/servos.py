@@ -220,10 +220,11 @@ def rmse(position: Array, run: Run) -> float:
 
 def table(found: Sequence[Mapping[str, Any]]) -> str:
     """Free-run errors by servo, joint and recording, in Markdown."""
-    names = list(found[0]["rmse"])
+    titles = {"as told": "setpoint", "as told, late": "delayed setpoint"}
+    names = [titles.get(name, name.replace("fed back", "autoregressive")) for name in found[0]["rmse"]]
     rows = []
     for item in found:
         best = min(item["rmse"].values())
         cells = (f"**{value:.1f}**" if value == best else f"{value:.1f}" for value in item["rmse"].values())
         rows.append([f"{item['servo']}, {item['joint']}", item["held"], f"{item['moves']:.0f}", *cells])
-    return markdown(["free-run RMSE [mrad]", "left out", "it moves", *names], rows)
+    return markdown(["free-run RMSE [mrad]", "left-out recording", "SD of the motion", *names], rows)

@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sysid.config import read_toml
-from sysid.control import simple
+from sysid.control import proportional_tuning
 from sysid.files import json_text, plain, written_whole
 from sysid.networks.forward import ForwardModel
 from sysid.plant import Plant
@@ -134,7 +134,7 @@ def _trained(workspace: str, folder: Path, run: Run, progress: Progress) -> dict
 
 def _course(plant: Plant, forward: ForwardModel, driven: str | None = None) -> TrackingTask:
     """The helix where joints follow at once, or above a controller of :data:`DRIVEN`."""
-    tuning = simple(plant) if driven == DRIVEN[0] else None
+    tuning = proportional_tuning(plant) if driven == DRIVEN[0] else None
     return lay_out(plant, forward, "helix", full=driven is not None, tuning=tuning)
 
 

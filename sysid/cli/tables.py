@@ -93,13 +93,13 @@ def show_calibration(out: Printer, calibration: Calibration) -> None:
 
     rows = []
     for found in calibration.parameters:
-        if found.known:
+        if found.identified:
             low, high = found.interval95
             texts = (quantity(value, found.parameter.unit, digits_for(low, high)) for value in (found.value, low, high))
             value, *ends = texts
             rows.append((found.parameter.key, value, " … ".join(ends)))
     out.table(("geometry", "differs from the URDF by", "95 % interval"), rows, right=(1, 2))
-    for combination in calibration.open_combinations:
+    for combination in calibration.non_identifiable:
         names = ", ".join(name for name, _ in combination)
         many = "cannot be distinguished at these poses" if len(combination) > 1 else "does not move the tip"
         out.line(f"  {names}: {many}")

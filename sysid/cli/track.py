@@ -66,7 +66,7 @@ def track(
     POLICY is a policy version, or one of the baselines: ik (bounded least-squares inverse kinematics on calibrated kinematics)
     and ik-lookahead (the same, with targets ahead by the dead time of the machine).
     """
-    from sysid.control import simple
+    from sysid.control import proportional_tuning
     from sysid.errors import SettingsError
     from sysid.names import check_file_name
     from sysid.rl.policy import CandidateSearchPolicy, load_policy
@@ -91,7 +91,7 @@ def track(
     with progress_bar("track") as progress:
         progress(0.0, f"a place for {path}")
         course: TrackingTask = lay_out(
-            simulation, model, path, full=full, centre=centre, tuning=simple(simulation) if untuned else None
+            simulation, model, path, full=full, centre=centre, tuning=proportional_tuning(simulation) if untuned else None
         )
         progress(0.3, policy)
         runs = [

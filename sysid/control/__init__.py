@@ -1,6 +1,6 @@
-"""The low-level controller between joint setpoints and valve commands. No torch; one machine or many copies side by side."""
+"""Low-level controller between joint setpoints and valve commands, for one machine or many copies; without torch."""
 
 from sysid.control.cylinder import CylinderController
-from sysid.control.tuning import AxisTuning, response_time, simple, tune
+from sysid.control.tuning import AxisTuning, proportional_tuning, response_time, tune
 
-__all__ = ["AxisTuning", "CylinderController", "response_time", "simple", "tune"]
+__all__ = ["AxisTuning", "CylinderController", "proportional_tuning", "response_time", "tune"]

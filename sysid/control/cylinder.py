@@ -17,21 +17,21 @@ Array = npt.NDArray[np.float64]
 
 #: Points of the tables joint → cylinder.
 _POINTS = 2048
-#: Nobody looks further ahead than this [s].
-LONGEST = 5.0
+#: Largest preview [s].
+MAX_PREVIEW = 5.0
 
 
 class CylinderController:
-    """``copies`` of one controller; the same code holds one machine or thousands of simulated ones.
+    """``copies`` of one controller, for one machine or thousands of simulated ones.
 
     Args:
-        plant: its linkages turn joint setpoints into cylinder positions; its effects tune the controller.
-        tuning: of each axis; else :func:`sysid.control.tune`.
-        rate_hz: calls a second; by default the machine's.
-        preview: how long after the end of a step a setpoint is meant [s]. Zero: the setpoint is for the next sample.
+        plant: its linkages map joint setpoints to cylinder positions; its effects tune the controller.
+        tuning: of each axis; default: :func:`sysid.control.tune`.
+        rate_hz: calls per second; default: the machine's.
+        preview: time from the end of a step to that of its setpoint [s]; zero: the setpoint is for the next sample.
 
     Raises:
-        SettingsError: a cylinder without linkage, an axis moved by force, a preview out of range, no copy.
+        SettingsError: a cylinder without linkage, a force axis, a preview out of range, no copy.
     """
 
     def __init__(
@@ -46,45 +46,45 @@ class CylinderController:
         where = f"cylinder controller of {plant.machine.name}"
         if copies < 1:
             raise SettingsError(where, f"{copies} copies", "at least one")
-        if not 0.0 <= preview <= LONGEST:
-            raise SettingsError(where, f"preview = {preview} s", f"0 to {LONGEST:g} s")
+        if not 0.0 <= preview <= MAX_PREVIEW:
+            raise SettingsError(where, f"preview = {preview} s", f"0 to {MAX_PREVIEW:g} s")
         self.plant, self.copies, self.preview = plant, copies, preview
         self.tuning = tuple(tuning) if tuning is not None else tune(plant)
         self.dt = 1.0 / (rate_hz or plant.machine.rate_hz)
         axes = len(plant.machine.axes)
         if len(self.tuning) != axes:
             raise SettingsError(where, f"tuning of {len(self.tuning)} axes", f"{axes}")
-        self._about = np.array([item.row() for item in self.tuning])
+        self._parameters = np.array([item.row() for item in self.tuning])
         self._tables, self._starts, self._steps = _tables(plant, where)
         self._state = np.full((copies, axes, RING + ring_size(preview, self.dt)), np.nan)
         #: Which axes are measured as a cylinder; the others as a joint.
         self.cylinders = np.array([axis.drives == "cylinder" for axis in plant.machine.axes])
 
     def drive(self, joints: npt.ArrayLike) -> Array:
-        """What the commands drive, (n, A), at joints (n, A)."""
+        """Driven coordinate (cylinder or joint), (n, A), at joints (n, A)."""
         rows = np.ascontiguousarray(np.atleast_2d(np.asarray(joints, dtype=np.float64)))
         out = np.empty_like(rows)
         look_up(self._tables, self._starts, self._steps, rows, out)
         return out
 
     def reset(self, measured: npt.ArrayLike, which: npt.ArrayLike | None = None) -> None:
-        """At rest at ``measured`` (A,) or (rows, A) of what the commands drive; all copies, or those of a mask or indices."""
+        """Set to rest at the driven coordinates ``measured``, (A,) or (rows, A): all copies, or those of a mask or indices."""
         lanes = np.arange(self.copies) if which is None else np.arange(self.copies)[np.asarray(which)]
         rows = np.broadcast_to(np.asarray(measured, dtype=np.float64), (len(lanes), len(self.tuning)))
-        fill(self._about, self._state, lanes, np.ascontiguousarray(rows))
+        fill(self._parameters, self._state, lanes, np.ascontiguousarray(rows))
 
     def commands(self, setpoints: npt.ArrayLike, measured: npt.ArrayLike) -> Array:
-        """Valve commands for the step that begins now.
+        """Valve commands for the next step.
 
         Args:
             setpoints: joints (A,) or (n, A) [rad or m].
-            measured: what the commands drive now, cylinder [m] or joint [rad or m], of the same shape.
+            measured: driven coordinates now, cylinder [m] or joint [rad or m], of the same shape.
 
         Returns:
             Commands in [-1, 1], (n, A); positions for servo axes.
 
         Raises:
-            InputError: another shape, a number that is not finite, or a copy that was never reset.
+            InputError: another shape, a number that is not finite, or a copy that was not reset.
         """
         shape = self.copies, len(self.tuning)
         wanted, seen = (np.atleast_2d(np.asarray(values, dtype=np.float64)) for values in (setpoints, measured))
@@ -92,28 +92,32 @@ class CylinderController:
             if values.shape != shape:
                 raise InputError("cylinder controller", f"{name} of shape {values.shape}", f"{shape}")
             if not np.isfinite(values).all():
-                raise InputError("cylinder controller", f"{name} with a value that is no finite number", "numbers [rad or m]")
+                raise InputError("cylinder controller", f"{name} with a value that is not finite", "numbers [rad or m]")
         if np.isnan(self._state[:, 0, 0]).any():
             raise InputError("cylinder controller", "a copy was never reset", "reset(measured) before the first step")
         out = np.empty(shape)
-        command(self._about, self._state, self.drive(wanted), np.ascontiguousarray(seen), self.preview, self.dt, out)
+        command(self._parameters, self._state, self.drive(wanted), np.ascontiguousarray(seen), self.preview, self.dt, out)
         return out
 
     @property
     def last(self) -> Array:
-        """The commands given last, (n, A)."""
+        """The last commands, (n, A)."""
         return self._state[:, :, LAST].copy()
 
-    def took(self, commands: npt.ArrayLike) -> None:
-        """What was really sent, (A,) or (n, A), where that is not what :meth:`commands` gave: the next ones follow it."""
+    def override(self, commands: npt.ArrayLike) -> None:
+        """Replace the last commands by those that were sent, (A,) or (n, A), as after a command filter."""
         self._state[:, :, LAST] = np.asarray(commands, dtype=np.float64)
 
     def state(self) -> dict[str, Any]:
-        """What the next commands depend on."""
+        """State of the controller."""
         return {"controller": self._state.copy()}
 
     def restore(self, state: Mapping[str, Any]) -> None:
-        """Go on exactly where :meth:`state` was taken."""
+        """Restore a :meth:`state`, exactly.
+
+        Raises:
+            InputError: a state of another shape.
+        """
         kept = np.asarray(state["controller"], dtype=np.float64)
         if kept.shape != self._state.shape:
             raise InputError("cylinder controller", f"a state of shape {kept.shape}", f"one of shape {self._state.shape}")
@@ -121,7 +125,7 @@ class CylinderController:
 
 
 def _tables(plant: Plant, where: str) -> tuple[Array, Array, Array]:
-    """Cylinder over an even grid of the joint, (A, points), its first joint and step; NaN steps where no cylinder is driven."""
+    """Cylinder over an even grid of the joint, (A, points), first joint and step of the grid; NaN steps for joint axes."""
     axes = plant.machine.axes
     tables, starts, steps = np.zeros((len(axes), _POINTS)), np.zeros(len(axes)), np.full(len(axes), np.nan)
     for i, axis in enumerate(axes):

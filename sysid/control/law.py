@@ -1,10 +1,10 @@
-"""The law of the cylinder controller, compiled: setpoints and measured positions of all copies → valve commands.
+"""The control law, compiled: setpoints and measured positions of all copies → valve commands.
 
-    e = r(t) − y(t);  v = feed·ṙ(t + θ) + Kp·e + I  (+ the way across the play where the setpoint turns round)
+    e = r(t) − y(t);  v = feed·ṙ(t + θ) + Kp·e + I  (+ backlash compensation where the setpoint reverses)
     effective = (v/gain)^(1/exponent);  command = effective + dead-band of that direction, limited in rate and range
 
-The setpoint given in a step is meant for ``preview`` after the end of the step. With preview the speed is fed forward θ before
-it is due, so that the axis is on time instead of θ late.
+The setpoint of a step is for ``preview`` after the end of the step. With preview the speed is fed forward by the dead time θ,
+so that the axis is not late.
 """
 
 from __future__ import annotations
@@ -13,20 +13,21 @@ import math
 
 import numpy as np
 
-from sysid.control.tuning import INTEGRAL_SHARE, STILL, AxisTuning
+from sysid.control.tuning import INTEGRAL_SHARE, REST_SHARE, AxisTuning
 from sysid.effects.compiled import inlined, kernel
 
 (
-    SERVO, UP, DOWN, EXPONENT, POSITIVE, NEGATIVE, LIMIT, CREEP, PLAY, LEAD, PROPORTIONAL, INTEGRAL, FEED, RATE, LOW, HIGH,
+    SERVO, UP, DOWN, EXPONENT, POSITIVE, NEGATIVE, LIMIT, CREEP, BACKLASH, DEAD_TIME, PROPORTIONAL, INTEGRAL, FEED, RATE,
+    LOW, HIGH,
 ) = range(len(AxisTuning.__dataclass_fields__))  # fmt: skip
 
-#: State of an axis: integral [speed], last command, place in the play; then the ring of setpoints, the newest first.
-SUM, LAST, PLACE, RING = range(4)
+#: State of an axis: integral [speed], last command, position in the backlash; then past setpoints, the newest first.
+INTEGRAL_SUM, LAST, POSITION, RING = range(4)
 
 
 @inlined
 def _past(s, steps):
-    """The setpoint that was given so many steps ago, between two of them."""
+    """The setpoint ``steps`` ago, linearly interpolated."""
     whole = math.floor(steps)
     part = steps - whole
     y = s[RING + whole]
@@ -35,7 +36,7 @@ def _past(s, steps):
 
 @inlined
 def _effective(v, a):
-    """The command behind the dead-band that asks for the speed ``v``."""
+    """The effective command (behind the dead-band) for the speed ``v``."""
     x = v / a[UP] if v >= 0.0 else v / a[DOWN]
     x = min(max(x, -a[LIMIT]), a[LIMIT])
     if a[EXPONENT] != 1.0 and x != 0.0:
@@ -45,15 +46,15 @@ def _effective(v, a):
 
 @inlined
 def _with_deadband(x, v, a):
-    """A command that leaves ``x`` behind the dead-band; across it in proportion while the axis hardly moves."""
-    still = STILL * min(a[UP], a[DOWN])
+    """Add the dead-band to the effective command ``x``, in proportion near rest."""
+    still = REST_SHARE * min(a[UP], a[DOWN])
     share = min(1.0, abs(v) / still)
     return x + share * (a[POSITIVE] if v > 0.0 else -a[NEGATIVE])
 
 
 @kernel
 def look_up(tables, starts, steps, joints, out):
-    """Joints (n, A) → what the commands drive, by even tables (A, points), extended along their end slopes."""
+    """Joints (n, A) → driven coordinates by even tables (A, points), extrapolated linearly."""
     last = tables.shape[1] - 1
     for lane in range(len(joints)):
         for i in range(joints.shape[1]):
@@ -66,31 +67,31 @@ def look_up(tables, starts, steps, joints, out):
 
 
 @kernel
-def fill(about, state, which, drive):
-    """At rest with the setpoint where the axis is: ``which`` lanes, ``drive`` (len(which), A)."""
+def fill(tuning, state, which, drive):
+    """Set the lanes ``which`` to rest at ``drive`` (len(which), A)."""
     for row in range(len(which)):
-        for i in range(len(about)):
+        for i in range(len(tuning)):
             s = state[which[row], i]
-            s[SUM] = 0.0
-            s[LAST] = drive[row, i] if about[i, SERVO] != 0.0 else 0.0
-            s[PLACE] = 0.0
+            s[INTEGRAL_SUM] = 0.0
+            s[LAST] = drive[row, i] if tuning[i, SERVO] != 0.0 else 0.0
+            s[POSITION] = 0.0
             s[RING:] = drive[row, i]
 
 
 @kernel
-def command(about, state, setpoints, measured, preview, dt, out):
+def command(tuning, state, setpoints, measured, preview, dt, out):
     """One step of all copies.
 
     Args:
-        about: (A, 16), rows of :class:`sysid.control.tuning.AxisTuning`.
+        tuning: (A, 16), rows of :class:`sysid.control.tuning.AxisTuning`.
         state: (n, A, RING + setpoints kept), in and out.
-        setpoints, measured: of what the commands drive, (n, A).
-        preview: how far after the end of the step the setpoints are meant [s].
+        setpoints, measured: of the driven coordinates, (n, A).
+        preview: time from the end of the step to that of the setpoints [s].
         out: commands, (n, A).
     """
     for lane in range(len(setpoints)):
-        for i in range(len(about)):
-            a, s = about[i], state[lane, i]
+        for i in range(len(tuning)):
+            a, s = tuning[i], state[lane, i]
             for k in range(len(s) - 1, RING, -1):
                 s[k] = s[k - 1]
             s[RING] = min(max(setpoints[lane, i], a[LOW]), a[HIGH])
@@ -100,28 +101,28 @@ def command(about, state, setpoints, measured, preview, dt, out):
                 continue
             top = min(a[UP], a[DOWN])
             error = _past(s, preview / dt + 1.0) - measured[lane, i]
-            early = max(0.0, preview - a[LEAD]) / dt
+            early = max(0.0, preview - a[DEAD_TIME]) / dt
             fed = (_past(s, early) - _past(s, early + 1.0)) / dt
-            v = a[FEED] * min(max(fed, -top), top) + a[PROPORTIONAL] * error + s[SUM] + a[CREEP]
-            if a[PLAY] > 0.0:
-                half = 0.5 * a[PLAY]
-                if abs(fed) > STILL * top and fed * v > 0.0:  # of a setpoint that stands, noise would ask to and fro
-                    left = math.copysign(half, v) - s[PLACE]
+            v = a[FEED] * min(max(fed, -top), top) + a[PROPORTIONAL] * error + s[INTEGRAL_SUM] + a[CREEP]
+            if a[BACKLASH] > 0.0:
+                half = 0.5 * a[BACKLASH]
+                if abs(fed) > REST_SHARE * top and fed * v > 0.0:  # at rest, noise would cause reversals
+                    left = math.copysign(half, v) - s[POSITION]
                     v += min(max(left / dt, -top), top)
-                s[PLACE] = min(max(s[PLACE] + min(max(v, -top), top) * dt, -half), half)
+                s[POSITION] = min(max(s[POSITION] + min(max(v, -top), top) * dt, -half), half)
             x = _effective(v, a)
             wanted = _with_deadband(x, v, a)
             reach = a[RATE] * dt
             u = min(max(wanted, -1.0, s[LAST] - reach), 1.0, s[LAST] + reach)
             if s[RING] <= a[LOW] or s[RING] >= a[HIGH]:
-                s[SUM] = 0.0  # against an end stop nothing would ever take it back
-            elif u == wanted or (wanted - u) * error < 0.0:  # an integral that pushes into a limit would have to come back
+                s[INTEGRAL_SUM] = 0.0  # an integral against an end stop would not unwind
+            elif u == wanted or (wanted - u) * error < 0.0:  # anti-windup
                 bound = INTEGRAL_SHARE * top
-                s[SUM] = min(max(s[SUM] + a[INTEGRAL] * error * dt, -bound), bound)
+                s[INTEGRAL_SUM] = min(max(s[INTEGRAL_SUM] + a[INTEGRAL] * error * dt, -bound), bound)
             s[LAST] = u
             out[lane, i] = u
 
 
 def ring_size(preview: float, dt: float) -> int:
-    """Setpoints to keep: back to the one that is due now, and one more to interpolate."""
+    """Number of setpoints to keep: those within the preview, and more to interpolate."""
     return int(np.ceil(preview / dt)) + 4

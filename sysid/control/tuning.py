@@ -1,7 +1,7 @@
-"""What the cylinder controller knows of each axis: the inverse of its valve, its dead time and the gains that follow from it.
+"""Tuning of the cylinder controller from the plant: inverse of the valve, dead time, and the gains that follow from it.
 
-An axis moved by a valve is an integrator behind a dead time θ = delay + lag (+ half a sample of hold). The gains are those of
-the SIMC rule for it with a closed-loop time of θ: ``Kp = 1/(2θ)``, ``Ti = 8θ``.
+A valve axis is an integrator with a dead time θ = delay + lag (+ half a sample of hold). The gains follow from the SIMC rule
+with a closed-loop time constant of θ: ``Kp = 1/(2θ)``, ``Ti = 8θ``.
 
 Source: Skogestad, Journal of Process Control 13 (2003), §4.3; dead-band inverse: Tao & Kokotović, IEEE TAC 39 (1994).
 """
@@ -9,7 +9,7 @@ Source: Skogestad, Journal of Process Control 13 (2003), §4.3; dead-band invers
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -20,33 +20,33 @@ from sysid.plant.layout import AT, AXIS_WIDTH
 
 Array = npt.NDArray[np.float64]
 
-#: Commands may change this fast [1/s] where the plant says nothing of it: a dead-band is crossed within a step at 100 Hz.
+#: Largest rate of the command [1/s] if the plant has no lower one: a dead-band is crossed within a step at 100 Hz.
 RATE = 40.0
-#: Below this share of the top speed the dead-band is crossed in proportion instead of in a jump, so that nothing chatters.
-STILL = 0.01
-#: The integral may ask for this share of the top speed.
+#: Below this share of the top speed the dead-band is added in proportion to the speed, to avoid chatter.
+REST_SHARE = 0.01
+#: Bound of the integral, as a share of the top speed.
 INTEGRAL_SHARE = 0.2
-#: Closed loop of an axis without dead time [1/s].
-FASTEST = 20.0
+#: Proportional gain of an axis without dead time [1/s].
+MAX_PROPORTIONAL = 20.0
 
 
 @dataclass(frozen=True)
 class AxisTuning:
-    """One axis. Speeds are of what the command drives [m/s or rad/s], positions [m or rad].
+    """One axis, in the driven coordinate: speeds [m/s or rad/s], positions [m or rad].
 
     Args:
-        servo: 1.0 where the command is a position and passes through; everything else is then unused.
+        servo: 1.0 where the command is a position and passes through; all other values are then unused.
         up, down: speed at effective command +1 and −1, magnitudes.
         exponent: effective command = sign·\\|command\\|^exponent.
         positive, negative: dead-band (command).
         limit: effective command above which speed no longer rises.
-        creep: speed that leaks away at zero command.
-        play: between the drive and the sensor, full width.
-        lead: dead time from command to motion [s].
+        creep: speed of the internal leakage at zero command.
+        backlash: between the drive and the sensor, full width.
+        dead_time: from command to motion [s].
         proportional, integral: [1/s] and [1/s²].
         feed: share of the setpoint's own speed that is fed forward, 1.0 or 0.0.
         rate: of the command [1/s].
-        low, high: setpoints are kept within.
+        low, high: limits of the setpoints.
     """
 
     servo: float
@@ -57,8 +57,8 @@ class AxisTuning:
     negative: float
     limit: float
     creep: float
-    play: float
-    lead: float
+    backlash: float
+    dead_time: float
     proportional: float
     integral: float
     feed: float
@@ -68,7 +68,7 @@ class AxisTuning:
 
     @property
     def fastest(self) -> float:
-        """The lower one of the top speeds of both directions."""
+        """The lower of the top speeds of both directions."""
         ends = (self.up, self.positive), (self.down, self.negative)
         return min(float(speed * min(self.limit, max(0.0, 1.0 - band) ** self.exponent)) for speed, band in ends)
 
@@ -78,29 +78,29 @@ class AxisTuning:
 
 
 def tune(plant: Plant) -> tuple[AxisTuning, ...]:
-    """The controller that follows from what the plant says of each axis.
+    """The tuning of each axis from the effects of the plant.
 
     Raises:
-        SettingsError: an axis that is moved by force, or a cylinder without stroke.
+        SettingsError: a force axis, or a cylinder without stroke.
     """
     theta = plant.vector()
     return tuple(_tuned(plant, theta, i) for i in range(len(plant.machine.axes)))
 
 
-def simple(plant: Plant, proportional: float = 2.0) -> tuple[AxisTuning, ...]:
-    """What is tried first by hand: proportional alone, no inverse of the valve, no feed-forward. For comparison."""
-    found = []
-    for axis, item in zip(plant.machine.axes, tune(plant), strict=True):
-        values = {field.name: getattr(item, field.name) for field in fields(item)}
-        plain = {"up": axis.gain, "down": axis.gain, "exponent": 1.0, "positive": 0.0, "negative": 0.0, "limit": math.inf}
-        rest = {"creep": 0.0, "play": 0.0, "feed": 0.0, "integral": 0.0, "proportional": proportional}
-        found.append(AxisTuning(**{**values, **plain, **rest}))
-    return tuple(found)
+def proportional_tuning(plant: Plant) -> tuple[AxisTuning, ...]:
+    """A proportional controller without inverse of the valve and feed-forward, for comparison."""
+    return tuple(
+        replace(
+            item, up=axis.gain, down=axis.gain, exponent=1.0, positive=0.0, negative=0.0, limit=math.inf, creep=0.0,
+            backlash=0.0, proportional=2.0, integral=0.0, feed=0.0,
+        )
+        for axis, item in zip(plant.machine.axes, tune(plant), strict=True)
+    )  # fmt: skip
 
 
 def response_time(plant: Plant) -> float:
-    """The longest dead time of any axis, delay and lag together [s]: how far ahead a path must be known to be followed."""
-    return max(item.lead for item in tune(plant))
+    """The largest dead time of any axis, delay plus lag [s]."""
+    return max(item.dead_time for item in tune(plant))
 
 
 def _tuned(plant: Plant, theta: Array, i: int) -> AxisTuning:
@@ -113,10 +113,10 @@ def _tuned(plant: Plant, theta: Array, i: int) -> AxisTuning:
     rate = float(theta[b + AT.command_rate_limit])
     if axis.actuation == "position":
         return AxisTuning(1.0, 1, 1, 1, 0, 0, math.inf, 0, 0, 0, 0, 0, 1, math.inf, low, high)
-    lead = float(theta[b + AT.input_delay] + theta[b + AT.first_order_lag])
-    dead = lead + 0.5 / plant.machine.rate_hz
+    dead_time = float(theta[b + AT.input_delay] + theta[b + AT.first_order_lag])
+    dead = dead_time + 0.5 / plant.machine.rate_hz
     up = axis.gain * float(theta[b + AT.gain_error])
-    proportional = min(1.0 / (2.0 * dead), FASTEST)
+    proportional = min(1.0 / (2.0 * dead), MAX_PROPORTIONAL)
     return AxisTuning(
         servo=0.0,
         up=up,
@@ -126,8 +126,8 @@ def _tuned(plant: Plant, theta: Array, i: int) -> AxisTuning:
         negative=float(theta[b + AT.valve_deadband + 1]),
         limit=float(theta[b + AT.flow_saturation]),
         creep=float(theta[b + AT.internal_leakage]),
-        play=float(theta[b + AT.backlash_drive]) if axis.drives == "joint" else 0.0,
-        lead=lead,
+        backlash=float(theta[b + AT.backlash_drive]) if axis.drives == "joint" else 0.0,
+        dead_time=dead_time,
         proportional=proportional,
         integral=proportional / (8.0 * dead),
         feed=1.0,

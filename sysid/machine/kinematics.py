@@ -160,11 +160,19 @@ def _parse_joint(element: Element) -> Joint:
     low, high = -math.inf, math.inf
     if limit is not None and kind in ("revolute", "prismatic"):
         low, high = (number(limit.get(end, "0"), Finite, f"urdf: joint {name!r}: {end}") for end in ("lower", "upper"))
-    origin = element.find("origin")
+    return Joint(name, kind, ends["parent"], ends["child"], origin_pose(element.find("origin")), axis / norm, (low, high))
+
+
+def origin_pose(origin: Element | None) -> Array:
+    """Pose of an <origin> element, (4, 4) [m]; the identity without one.
+
+    Raises:
+        SettingsError: entries that are not three finite numbers.
+    """
     pose = np.eye(4)
     pose[:3, 3] = _vector(origin, "xyz", "0 0 0")
     pose[:3, :3] = _from_rpy(_vector(origin, "rpy", "0 0 0"))
-    return Joint(name, kind, ends["parent"], ends["child"], pose, axis / norm, (low, high))
+    return pose
 
 
 def _vector(element: Element | None, key: str, default: str) -> Array:

@@ -1,7 +1,7 @@
-"""Actuator networks: cylinder displacement ↔ joint angle, one network a direction, learned from manual operation.
+"""Actuator networks: cylinder displacement ↔ joint angle, one network per direction, fitted on manual operation.
 
-Source: the paper's actuator networks 2 and 3. Motion capture measures the joint, a draw wire the cylinder; both are sampled at
-any speed, so the map is the mean over speeds and directions.
+Source: the paper's actuator networks 2 and 3. Motion capture measures the joint, a draw wire the cylinder; the rows have any
+speed, so the map is the mean over speeds and directions.
 """
 
 from __future__ import annotations
@@ -18,27 +18,37 @@ from sysid.networks.checkpoint import Checkpoints
 from sysid.networks.member import EnsembleMember, LearningCurve, TrainedMember
 from sysid.networks.mlp import Mlp
 from sysid.networks.recipe import NetworkRecipe
-from sysid.networks.split import SignalRows, gather, joined, measures, segments, spread_sample, thin
+from sysid.networks.split import SignalRows, gather, joined, measures, segments, stratified_sample, thin
 from sysid.networks.training import train
-from sysid.networks.uncertainty import Mask, NetworkUncertainty, known
+from sysid.networks.uncertainty import Mask, NetworkUncertainty, required
 from sysid.progress import Progress
 from sysid.signals import axis_signal
 
 Array = npt.NDArray[np.float64]
 
-#: Fewer rows than this cannot fill the stroke.
+#: Least number of rows of each role.
 MIN_ROWS = 100
 DIRECTIONS = ("to_joint", "to_cylinder")
 
 
 @dataclass(frozen=True)
 class RoundTripError:
-    """How far a value is from where it went: joint → cylinder → joint [rad] and back [m], evenly over the fitted range."""
+    """Errors of joint → cylinder → joint [rad] and of cylinder → joint → cylinder [m]."""
 
     joint_rmse: float
     joint_max: float
     cylinder_rmse: float
     cylinder_max: float
+
+    @staticmethod
+    def of(joint_error: Array, cylinder_error: Array) -> RoundTripError:
+        """From the errors of the rows, (n,) [rad] and (m,) [m]."""
+        return RoundTripError(
+            joint_rmse=float(np.sqrt(np.mean(joint_error**2))),
+            joint_max=float(np.abs(joint_error).max()),
+            cylinder_rmse=float(np.sqrt(np.mean(cylinder_error**2))),
+            cylinder_max=float(np.abs(cylinder_error).max()),
+        )
 
 
 @dataclass(frozen=True)
@@ -46,12 +56,12 @@ class ActuatorNetwork:
     """Both directions of one axis; satisfies :class:`sysid.machine.CylinderJointMap`.
 
     Args:
-        axis: whose cylinder.
+        axis: its name.
         to_joint: displacement [m] → joint [rad].
         to_cylinder: joint [rad] → displacement [m].
-        displacements, joints: range of the rows it was fitted on; beyond it a network extrapolates in straight lines.
-        courses: direction → how its training went.
-        trust: direction → intervals, and where the data were; nothing for a version that does not know them.
+        displacements, joints: range of the fit rows; outside it a network extrapolates linearly.
+        learning_curves: by direction.
+        uncertainty: direction → intervals and training domain; empty for a version of an earlier release.
     """
 
     axis: str
@@ -59,8 +69,8 @@ class ActuatorNetwork:
     to_cylinder: Mlp
     displacements: tuple[float, float]
     joints: tuple[float, float]
-    courses: Mapping[str, LearningCurve] = field(default_factory=dict)
-    trust: Mapping[str, NetworkUncertainty] = field(default_factory=dict)
+    learning_curves: Mapping[str, LearningCurve] = field(default_factory=dict)
+    uncertainty: Mapping[str, NetworkUncertainty] = field(default_factory=dict)
 
     def joint(self, displacement: Array) -> Array:
         """Displacement [m] → joint angle [rad], same shape."""
@@ -71,33 +81,28 @@ class ActuatorNetwork:
         return _apply(self.to_cylinder, joint)
 
     def predict_interval(self, direction: str, values: Array, level: float = 0.95) -> tuple[Array, Array]:
-        """Lower and upper ends for ``to_joint`` [rad] or ``to_cylinder`` [m], (n,) each, between which a measurement lies at
-        least as often as ``level`` wherever :meth:`inside` holds.
+        """Lower and upper bounds for ``to_joint`` [rad] or ``to_cylinder`` [m], (n,) each, that contain a measurement with
+        probability ``level`` or more where :meth:`inside` is true.
 
         Raises:
-            InputError: a level that the rows it was evaluated on cannot tell, or a version that does not know its intervals.
+            InputError: a level that the calibration rows do not support, or a version without intervals.
         """
-        trust = known(self.trust.get(direction), f"actuator network of {self.axis}")
-        reach = trust.intervals.reach(np.zeros((len(values), 1)), level)[:, 0]
+        uncertainty = required(self.uncertainty.get(direction), f"actuator network of {self.axis}")
+        reach = uncertainty.intervals.reach(np.zeros((len(values), 1)), level)[:, 0]
         middle = self.joint(values) if direction == "to_joint" else self.displacement(values)
         return middle - reach, middle + reach
 
     def inside(self, direction: str, values: Array) -> Mask:
-        """Whether displacements (``to_joint``) or joint angles (``to_cylinder``), (n,), lie where the data were, (n,)."""
-        trust = known(self.trust.get(direction), f"actuator network of {self.axis}")
-        return trust.domain.inside(np.asarray(values, dtype=np.float64).reshape(-1, 1))
+        """Whether displacements (``to_joint``) or joint angles (``to_cylinder``), (n,), lie in the training domain, (n,)."""
+        uncertainty = required(self.uncertainty.get(direction), f"actuator network of {self.axis}")
+        return uncertainty.domain.inside(np.asarray(values, dtype=np.float64).reshape(-1, 1))
 
     def round_trip(self, points: int = 512) -> RoundTripError:
-        """Whether the two directions, which were learned apart, are inverses of each other."""
+        """Whether the two directions, which are fitted separately, invert each other, evenly over the fitted range."""
         joints, displacements = np.linspace(*self.joints, points), np.linspace(*self.displacements, points)
         joint_error = self.joint(self.displacement(joints)) - joints
         cylinder_error = self.displacement(self.joint(displacements)) - displacements
-        return RoundTripError(
-            joint_rmse=float(np.sqrt(np.mean(joint_error**2))),
-            joint_max=float(np.abs(joint_error).max()),
-            cylinder_rmse=float(np.sqrt(np.mean(cylinder_error**2))),
-            cylinder_max=float(np.abs(cylinder_error).max()),
-        )
+        return RoundTripError.of(joint_error, cylinder_error)
 
 
 def fit_actuator(
@@ -105,11 +110,11 @@ def fit_actuator(
 ) -> dict[str, ActuatorNetwork]:
     """Fit both directions for every axis whose cylinder and joint were measured together.
 
-    Rows to learn from: ``samples`` of the ``fit`` recordings and of the first static poses, spread over the stroke; as many
-    of the ``select`` recordings, and the poses after those, decide when to stop. ``held_out`` rows are not looked at.
+    Fit rows: ``samples`` of the ``fit`` recordings and the first static poses, stratified over the stroke. Early-stopping rows:
+    as many of the ``select`` recordings, and the next poses. ``held_out`` rows are not read.
 
     Args:
-        checkpoints: where a fit that is interrupted is kept; the same fit goes on from there.
+        checkpoints: folder from which the same fit resumes after an interruption.
 
     Returns:
         Axis → network, in kinematic order.
@@ -155,21 +160,23 @@ def fit_actuator(
             to_cylinder=trained[axis, "to_cylinder"].mlp,
             displacements=ranges[axis][0],
             joints=ranges[axis][1],
-            courses={direction: trained[axis, direction].course for direction in DIRECTIONS},
-            trust=_trusted({direction: (members[axis, direction], trained[axis, direction]) for direction in DIRECTIONS}),
+            learning_curves={direction: trained[axis, direction].curve for direction in DIRECTIONS},
+            uncertainty=_uncertainty(
+                {direction: (members[axis, direction], trained[axis, direction]) for direction in DIRECTIONS}
+            ),
         )
         for axis in axes
     }
 
 
-def _trusted(results: Mapping[str, tuple[EnsembleMember, TrainedMember]]) -> dict[str, NetworkUncertainty]:
-    """From the rows that decided when to stop: those that taught are reproduced better than any other."""
+def _uncertainty(results: Mapping[str, tuple[EnsembleMember, TrainedMember]]) -> dict[str, NetworkUncertainty]:
+    """Calibrated on the early-stopping rows, since errors on the fit rows are too small."""
     found = {}
     for direction, (member, trained) in results.items():
         errors = member.validation_outputs - trained.mlp.predict(member.validation_inputs)
-        trust = NetworkUncertainty.of(member.inputs, errors, np.zeros(errors.shape))
-        if trust is not None:
-            found[direction] = trust
+        uncertainty = NetworkUncertainty.of(member.inputs, errors, np.zeros(errors.shape))
+        if uncertainty is not None:
+            found[direction] = uncertainty
     return found
 
 
@@ -180,7 +187,7 @@ def cylinder_axes(dataset: Dataset) -> tuple[str, ...]:
 
 
 def actuator_rows(dataset: Dataset, axis: str, recipe: NetworkRecipe) -> tuple[SignalRows, SignalRows]:
-    """The rows (cylinder, joint) that one axis is fitted and validated on.
+    """Fit rows and select rows (cylinder, joint) of one axis.
 
     Raises:
         ExcitationError: fewer than ``MIN_ROWS`` of either.
@@ -201,7 +208,7 @@ def actuator_rows(dataset: Dataset, axis: str, recipe: NetworkRecipe) -> tuple[S
         fit = joined(fit, gather(segments(dataset, "fit", signals, "poses"), signals))
         select = joined(select, gather(segments(dataset, "select", signals, "poses"), signals))
     rng = np.random.default_rng([recipe.seed, dataset.machine.axis_names.index(axis)])
-    return fit.take(spread_sample(fit.values[:, 0], recipe.actuator.samples, rng)), select
+    return fit.take(stratified_sample(fit.values[:, 0], recipe.actuator.samples, rng)), select
 
 
 def _apply(mlp: Mlp, values: Array) -> Array:

@@ -1,13 +1,12 @@
-"""Several perceptrons of equal shape as one batch of matrix products, with their gradient written out.
+"""Several perceptrons of equal shape as one batch of matrix products, with an explicit gradient.
 
 For layers ``h_l = f(h_{l−1} W_l + b_l)``, f a rectifier, and the error ``e = h_L − y`` of n rows, with ``D_L = 2e/(n·d_out)``:
 ``∂W_l = h_{l−1}ᵀ D_l``, ``∂b_l = Σ D_l`` and ``D_{l−1} = (D_l W_lᵀ) ∘ f′``. The slope f′ follows from the rectifier's output
-alone: [h > 0], or 1 − 1/((h + 1)² + 1) of the smooth one. Written out it takes two thirds of the time of autograd, since the
-layers are so small that bookkeeping counts.
+alone: [h > 0], or 1 − 1/((h + 1)² + 1) of the smooth one. For layers this small it takes two thirds of the time of autograd.
 
-Every width is filled up with zeros to a multiple of :data:`LANE`. Such units start at zero, get no gradient, since f(0) = 0,
-and stay at zero, so nothing changes but this: every matrix begins at the same alignment and none is a vector, and a product
-then gives a member the same bits whoever else is in the batch (on a CPU; the tests hold it to that).
+Every width is padded with zeros to a multiple of :data:`LANE`. Padding units start at zero, have no gradient, since f(0) = 0,
+and stay at zero. All matrices then have the same alignment and none is a vector, so on a CPU a member's result has the same
+bits whatever else is in the batch (tested).
 """
 
 from __future__ import annotations
@@ -33,7 +32,7 @@ LANE = 8
 
 
 def padded(sizes: Sequence[int]) -> tuple[int, ...]:
-    """``sizes`` (d_in, hidden…, d_out) filled up to whole lanes."""
+    """``sizes`` (d_in, hidden…, d_out) rounded up to multiples of :data:`LANE`."""
     return tuple(-(-size // LANE) * LANE for size in sizes)
 
 
@@ -44,10 +43,10 @@ def parameters(sizes: Sequence[int]) -> int:
 
 @dataclass(frozen=True)
 class Stack:
-    """Numbers of all parameters of m members, one contiguous block a layer, so that products can write into them.
+    """Parameters of m members, one contiguous block per layer, into which products can write.
 
     Args:
-        flat: all of them, (m·P,).
+        flat: all parameters, (m·P,).
         layers: views of ``flat``, the weights (m, in, out) and biases (m, 1, out) of each layer in turn.
     """
 
@@ -72,7 +71,7 @@ class Stack:
 
     @staticmethod
     def of_rows(sizes: tuple[int, ...], rows: Sequence[Floats], device: torch.device | str = "cpu") -> Stack:
-        """The members whose parameters these are, (P,) each."""
+        """From the parameters of each member, (P,) each."""
         import torch
 
         stack = Stack.zeros(sizes, len(rows), device)
@@ -84,11 +83,11 @@ class Stack:
         return stack
 
     def row(self, member: int) -> Floats:
-        """Parameters of one member, (P,), weights and biases of its layers in turn."""
+        """Parameters of one member, (P,): weights and biases, layer by layer."""
         return np.concatenate([layer[member].reshape(-1).cpu().numpy() for layer in self.layers])
 
     def kept(self, sizes: tuple[int, ...], members: Sequence[int]) -> Stack:
-        """A copy of these members alone."""
+        """A copy with these members only."""
         import torch
 
         return Stack.over(sizes, len(members), torch.cat([layer[list(members)].reshape(-1) for layer in self.layers]))
@@ -102,7 +101,7 @@ class BatchedMlp:
     parameters: Stack
     gradients: Stack
     rectifier: Rectifier = "relu"
-    _room: dict[int, tuple[list[torch.Tensor], list[torch.Tensor]]] = field(default_factory=dict, repr=False)
+    _buffers: dict[int, tuple[list[torch.Tensor], list[torch.Tensor]]] = field(default_factory=dict, repr=False)
 
     @staticmethod
     def of_rows(
@@ -111,58 +110,57 @@ class BatchedMlp:
         return BatchedMlp(sizes, Stack.of_rows(sizes, rows, device), Stack.zeros(sizes, len(rows), device), rectifier)
 
     def predict(self, x: torch.Tensor, members: Sequence[int] | None = None) -> torch.Tensor:
-        """(m, n, d_in) → (m, n, d_out), of ``members`` alone where they are named."""
+        """(m, n, d_in) → (m, n, d_out), of all or of ``members``."""
         import torch
 
         layers = self.parameters.layers if members is None else tuple(layer[list(members)] for layer in self.parameters.layers)
         for weight, bias in zip(layers[:-2:2], layers[1:-2:2], strict=True):
             x = torch.baddbmm(bias, x, weight)
-            x = x.relu_() if self.rectifier == "relu" else _rounded(x, torch.empty_like(x))
+            x = x.relu_() if self.rectifier == "relu" else _squareplus(x, torch.empty_like(x))
         return torch.baddbmm(layers[-1], x, layers[-2])
 
     def accumulate(self, x: torch.Tensor, y: torch.Tensor, outputs: torch.Tensor) -> torch.Tensor:
-        """Fill ``gradients`` with those of each member's mean squared error on (m, n, d); returns the errors, (m,).
+        """Write the gradients of each member's mean squared error on (m, n, d); returns the errors, (m,).
 
         Args:
-            outputs: how many of the padded columns of ``y`` are outputs, (m, 1, 1).
+            outputs: number of columns of ``y`` that are no padding, (m, 1, 1).
         """
         import torch
 
         rows = x.shape[1]
         out = self.forward(x)
-        delta = torch.sub(out, y, out=self._rooms(rows)[1][-1])
+        delta = torch.sub(out, y, out=self._buffers_for(rows)[1][-1])
         share = 1.0 / (outputs * rows)
         losses = torch.mul(delta, delta, out=out).sum(dim=1).sum(dim=1).mul_(share[:, 0, 0])
         self.backward(x, delta.mul_(2.0 * share))
         return losses
 
     def forward(self, x: torch.Tensor) -> torch.Tensor:
-        """Like :meth:`predict`, in rooms that are kept for :meth:`backward`: the next call for as many rows overwrites them."""
+        """Like :meth:`predict`, in buffers that :meth:`backward` uses; the next call with as many rows overwrites them."""
         import torch
 
         weights, biases = self.parameters.layers[::2], self.parameters.layers[1::2]
-        outs, rooms = self._rooms(x.shape[1])
-        for weight, bias, out, room in zip(weights, biases, outs, rooms, strict=True):
+        outs, buffers = self._buffers_for(x.shape[1])
+        for weight, bias, out, buffer in zip(weights, biases, outs, buffers, strict=True):
             x = torch.baddbmm(bias, x, weight, out=out)
             if out is not outs[-1]:
-                x = out.relu_() if self.rectifier == "relu" else _rounded(out, room)
+                x = out.relu_() if self.rectifier == "relu" else _squareplus(out, buffer)
         return x
 
     def backward(
         self, x: torch.Tensor, delta: torch.Tensor, of: Literal["parameters", "inputs"] = "parameters"
     ) -> torch.Tensor:
-        """From the gradient with respect to the outputs of the last :meth:`forward` to that of the parameters, into
-        ``gradients``, or to that of the inputs, which is returned, (m, n, d_in); never both, so that nothing is worked out
-        in vain.
+        """Back-propagate the gradient with respect to the outputs of the last :meth:`forward`: to the parameters, into
+        ``gradients``, or to the inputs, returned, (m, n, d_in).
 
         Args:
             x: the inputs of that call.
-            delta: (m, n, d_out).
+            delta: gradient with respect to the outputs, (m, n, d_out).
         """
         import torch
 
         weights = self.parameters.layers[::2]
-        outs, deltas = self._rooms(x.shape[1])
+        outs, deltas = self._buffers_for(x.shape[1])
         for layer in range(len(weights) - 1, -1, -1):
             before = outs[layer - 1] if layer else x
             if of == "parameters":
@@ -176,28 +174,28 @@ class BatchedMlp:
                     delta.mul_(before.add(1.0).square_().add_(1.0).reciprocal_().neg_().add_(1.0))
         return delta if of == "parameters" else torch.bmm(delta, weights[0].transpose(1, 2))
 
-    def _rooms(self, rows: int) -> tuple[list[torch.Tensor], list[torch.Tensor]]:
-        """Where the layers' outputs and their gradients go, made once: new memory at every update costs a sixth of its time."""
+    def _buffers_for(self, rows: int) -> tuple[list[torch.Tensor], list[torch.Tensor]]:
+        """Buffers of the layers' outputs and their gradients, allocated once: allocation takes a sixth of an update."""
         import torch
 
-        if rows not in self._room:
+        if rows not in self._buffers:
             like = self.parameters.flat
             shapes = [(len(self.parameters.layers[0]), rows, size) for size in self.sizes[1:]]
             made = [[torch.empty(shape, dtype=like.dtype, device=like.device) for shape in shapes] for _ in range(2)]
-            self._room[rows] = (made[0], made[1])
-        return self._room[rows]
+            self._buffers[rows] = (made[0], made[1])
+        return self._buffers[rows]
 
 
-def _rounded(x: torch.Tensor, room: torch.Tensor) -> torch.Tensor:
-    """The smooth rectifier of ``x``, in its place: one rounding an operation, the same wherever in memory a number lies."""
+def _squareplus(x: torch.Tensor, buffer: torch.Tensor) -> torch.Tensor:
+    """The smooth rectifier, in place: one rounding per operation, whatever the memory alignment."""
     import torch
 
-    torch.mul(x, x, out=room).add_(4.0).sqrt_()
-    return x.add_(room).mul_(0.5).sub_(1.0)
+    torch.mul(x, x, out=buffer).add_(4.0).sqrt_()
+    return x.add_(buffer).mul_(0.5).sub_(1.0)
 
 
 class BatchedAdam:
-    """Adam (Kingma & Ba 2015) on a :class:`BatchedMlp`, with a learning rate a member."""
+    """Adam (Kingma & Ba 2015) on a :class:`BatchedMlp`, with one learning rate per member."""
 
     def __init__(self, first: Stack, second: Stack, steps: int) -> None:
         import torch
@@ -206,7 +204,7 @@ class BatchedAdam:
         self._count = torch.tensor(float(steps), device=first.flat.device)
 
     def step(self, model: BatchedMlp, rates: Sequence[float]) -> None:
-        """One update from the gradients that lie in the model, with the learning rate of each member."""
+        """One update from the gradients of the model, with the learning rate of each member."""
         import torch
         from torch.optim.adam import adam
 
@@ -226,14 +224,14 @@ class BatchedAdam:
 
     @staticmethod
     def _part(stack: Stack, begin: int, end: int) -> list[torch.Tensor]:
-        """The members from ``begin`` to ``end`` as few tensors as they lie in."""
+        """The members ``begin`` to ``end`` (excluded) as views."""
         if (begin, end) == (0, len(stack.layers[0])):
             return [stack.flat]
         return [layer[begin:end] for layer in stack.layers]
 
 
 def pack(sizes: tuple[int, ...], weights: Sequence[Floats], biases: Sequence[Floats]) -> Floats:
-    """One member's row (P,) with padding from its weights (in, out) and biases (out,)."""
+    """Weights (in, out) and biases (out,) of one member → padded parameters (P,)."""
     parts = []
     for (d_in, d_out), weight, bias in zip(itertools.pairwise(padded(sizes)), weights, biases, strict=True):
         whole = np.zeros((d_in + 1, d_out), dtype=np.float32)
@@ -243,7 +241,7 @@ def pack(sizes: tuple[int, ...], weights: Sequence[Floats], biases: Sequence[Flo
 
 
 def unpack(sizes: tuple[int, ...], row: Floats) -> tuple[tuple[Array, ...], tuple[Array, ...]]:
-    """Weights (in, out) and biases (out,) without padding of one member from its row (P,)."""
+    """Inverse of :func:`pack`."""
     weights, biases, offset = [], [], 0
     for (d_in, d_out), (rows, columns) in zip(itertools.pairwise(sizes), itertools.pairwise(padded(sizes)), strict=True):
         whole = row[offset : offset + (rows + 1) * columns].reshape(rows + 1, columns).astype(np.float64)

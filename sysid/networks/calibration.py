@@ -1,8 +1,9 @@
-"""Geometry from poses: a URDF's lengths, angles, zeros, frame and marker, with intervals, and what no pose can tell apart.
+"""Kinematic calibration from poses: lengths, angles, zeros, frame and marker of a URDF with intervals and identifiability.
 
-Maximum a posteriori: the prior of :mod:`sysid.networks.geometry` keeps what the poses leave open near the drawing, soft-L1
-forgives mistaken poses, and every coordinate of a pose counts by the noise that its own sensors and those of the joints cause
-there. The posterior covariance gives the intervals; where it is hardly narrower than the prior, a value says nothing.
+Maximum a posteriori: the prior of :mod:`sysid.networks.geometry` keeps non-identifiable combinations near the URDF, a soft-L1
+loss reduces the weight of outliers, and each coordinate is weighted by the noise that its own sensors and those of the joints
+cause there. The posterior covariance gives the intervals; a parameter whose posterior is hardly narrower than its prior is not
+identified.
 
 Source: Hollerbach, Khalil, Gautier, Springer Handbook of Robotics, ch. 8 (2016); weights by the propagated noise of the joints
 are those of total least squares to first order (Fuller, Measurement Error Models, 1987).
@@ -23,55 +24,55 @@ from sysid.networks.geometry import Geometry, GeometryParameter
 
 Array = npt.NDArray[np.float64]
 
-#: Fewer poses than this cannot tell noise from geometry.
+#: Least number of poses.
 MIN_POSES = 10
-#: Perfect poses still count as if their sensors had this share of the noise that they are said to have.
-LEAST = 1e-3
-#: A parameter is known where the poses narrow its prior to less than this share.
-KNOWN = 0.5
-#: A combination counts as open where the poses say less about it than the prior does.
-OPEN = 1.0
-#: Parts of a combination that are smaller than this share of its largest are left out of its name.
-PART = 0.1
+#: Lower bound of the estimated noise, as a share of the stated noise.
+MIN_NOISE_SCALE = 1e-3
+#: A parameter is identified where its posterior standard deviation is less than this share of the prior's.
+IDENTIFIED_SHARE = 0.5
+#: A combination is non-identifiable where the information of the poses is less than that of the prior.
+MAX_INFORMATION = 1.0
+#: Components of a combination below this share of the largest are not listed.
+MIN_COMPONENT = 0.1
 _QUANTILE = 1.959964
 
 
 @dataclass(frozen=True)
-class Calibrated:
-    """One parameter after calibration: departure from the URDF, its 95 % interval, whether the poses say anything of it."""
+class CalibratedParameter:
+    """One parameter after calibration: departure from the URDF, its 95 % interval, and whether it is identified."""
 
     parameter: GeometryParameter
     value: float
     interval95: tuple[float, float]
-    known: bool
+    identified: bool
 
 
 @dataclass(frozen=True)
 class Calibration:
-    """What the poses say of a geometry.
+    """A calibrated geometry.
 
     Args:
         values: (P,), in the order of ``geometry.parameters``.
-        covariance: of them, (P, P).
-        noise: standard deviation of a tip coordinate that is left [m], joint noise included.
-        open_combinations: groups of parameters with weights (in m, rad) that move the tip alike at all these poses.
+        covariance: of the values, (P, P).
+        noise: standard deviation of the residuals of a tip coordinate [m], joint noise included.
+        non_identifiable: combinations of parameters, with weights [m, rad], that do not move the tip at any of these poses.
     """
 
     geometry: Geometry
     values: Array
     covariance: Array
     noise: float
-    open_combinations: tuple[tuple[tuple[str, float], ...], ...]
+    non_identifiable: tuple[tuple[tuple[str, float], ...], ...]
 
     @property
-    def parameters(self) -> tuple[Calibrated, ...]:
+    def parameters(self) -> tuple[CalibratedParameter, ...]:
         errors = np.sqrt(np.diag(self.covariance))
         return tuple(
-            Calibrated(
+            CalibratedParameter(
                 parameter,
                 float(value),
                 (float(value - _QUANTILE * error), float(value + _QUANTILE * error)),
-                bool(error < KNOWN * parameter.prior),
+                bool(error < IDENTIFIED_SHARE * parameter.prior),
             )
             for parameter, value, error in zip(self.geometry.parameters, self.values, errors, strict=True)
         )
@@ -85,7 +86,7 @@ class Calibration:
         return self.geometry.folded(self.values)
 
     def spread(self, q: Array) -> Array:
-        """Standard deviation of the prediction by what the poses leave open of the geometry, (n, 3) [m]."""
+        """Standard deviation of the prediction from the parameter covariance, (n, 3) [m]."""
         slopes = self.geometry.slopes(q, self.values)
         return np.asarray(np.sqrt(np.einsum("ncp,pk,nck->nc", slopes, self.covariance, slopes)))
 
@@ -96,8 +97,8 @@ def calibrate(geometry: Geometry, q: Array, tip: Array, joint_noise: Array, tip_
     Args:
         q: joint values, (n, n_axes) [rad or m].
         tip: measured tips in the base frame, (n, 3) [m].
-        joint_noise, tip_noise: standard deviations of the sensors, (n_axes,) and (3,); NaN where unknown. Their ratio matters,
-            not their size: the scale of the noise is estimated from what is left.
+        joint_noise, tip_noise: standard deviations of the sensors, (n_axes,) and (3,); NaN where unknown. Only their ratio
+            matters: the noise level is estimated from the residuals.
 
     Raises:
         ExcitationError: fewer than :data:`MIN_POSES` poses.
@@ -113,77 +114,77 @@ def calibrate(geometry: Geometry, q: Array, tip: Array, joint_noise: Array, tip_
         )
     priors = geometry.priors
     values = np.zeros(len(priors))
-    scale = 1.0  # of the noise, in what the sensors are said to have
+    scale = 1.0  # estimated noise over stated noise
     for _ in range(4):
         sigma = _noise(geometry, q, values, joint_noise, tip_noise)
 
         def errors(scaled: Array, sigma: Array = sigma, scale: float = scale) -> Array:
-            left = (tip - geometry.tip(q, scaled * priors)) / (scale * sigma)
-            return np.concatenate([_forgiven(left).ravel(), scaled])
+            residual = (tip - geometry.tip(q, scaled * priors)) / (scale * sigma)
+            return np.concatenate([_soft_l1_residual(residual).ravel(), scaled])
 
         def slopes(scaled: Array, sigma: Array = sigma, scale: float = scale) -> Array:
-            left = (tip - geometry.tip(q, scaled * priors)) / (scale * sigma)
-            rows = -geometry.slopes(q, scaled * priors) * priors * (_slope(left) / (scale * sigma))[:, :, None]
+            residual = (tip - geometry.tip(q, scaled * priors)) / (scale * sigma)
+            rows = -geometry.slopes(q, scaled * priors) * priors * (_soft_l1_derivative(residual) / (scale * sigma))[:, :, None]
             return np.vstack([rows.reshape(-1, len(priors)), np.eye(len(priors))])
 
         values = priors * least_squares(errors, values / priors, slopes).x
-        left = (tip - geometry.tip(q, values)) / sigma
+        residual = (tip - geometry.tip(q, values)) / sigma
         information = _information(geometry, q, values, scale * sigma)
         used = float(np.trace(np.linalg.solve(information + np.eye(len(priors)), information)))
-        free = max(left.size - used, 0.25 * left.size)
-        # The median: a pose that is mistaken by a hand's breadth says nothing about the noise of the others.
-        scale = max(1.4826 * float(np.median(np.abs(left))) * math.sqrt(left.size / free), LEAST)
+        free = max(residual.size - used, 0.25 * residual.size)
+        # The median is robust against outliers.
+        scale = max(1.4826 * float(np.median(np.abs(residual))) * math.sqrt(residual.size / free), MIN_NOISE_SCALE)
     information = _information(geometry, q, values, scale * sigma)
     covariance = np.linalg.inv(information + np.eye(len(priors))) * np.outer(priors, priors)
     noise = scale * float(np.sqrt(np.mean(sigma**2)))
-    return Calibration(geometry, values, covariance, noise, _open(geometry, information))
+    return Calibration(geometry, values, covariance, noise, _non_identifiable(geometry, information))
 
 
 def _noise(geometry: Geometry, q: Array, values: Array, joint_noise: Array, tip_noise: Array) -> Array:
-    """Standard deviation of every tip coordinate, (n, 3), up to a common factor."""
+    """Standard deviation of every tip coordinate, (n, 3), up to a common factor: sensor noise and propagated joint noise."""
     own = np.where(np.isnan(tip_noise), 1e-3, tip_noise)
     slopes = geometry.joint_slopes(q, values)
     return np.asarray(np.sqrt(own**2 + np.sum((slopes * np.nan_to_num(joint_noise)) ** 2, axis=2)))
 
 
-def _forgiven(left: Array) -> Array:
+def _soft_l1_residual(residual: Array) -> Array:
     """Residuals whose square is the soft-L1 loss with its knee at three standard deviations."""
     knee = 3.0
-    return np.asarray(np.sign(left) * knee * np.sqrt(2.0 * (np.sqrt(1.0 + (left / knee) ** 2) - 1.0)))
+    return np.asarray(np.sign(residual) * knee * np.sqrt(2.0 * (np.sqrt(1.0 + (residual / knee) ** 2) - 1.0)))
 
 
-def _slope(left: Array) -> Array:
-    """Derivative of :func:`_forgiven`."""
+def _soft_l1_derivative(residual: Array) -> Array:
+    """Derivative of :func:`_soft_l1_residual`."""
     knee = 3.0
-    root = np.sqrt(1.0 + (left / knee) ** 2)
+    root = np.sqrt(1.0 + (residual / knee) ** 2)
     return np.asarray(np.sqrt((root + 1.0) / 2.0) / root)
 
 
 def _information(geometry: Geometry, q: Array, values: Array, sigma: Array) -> Array:
-    """What the poses say about the parameters in units of their priors, (P, P)."""
+    """Fisher information of the poses about the parameters in units of their priors, (P, P)."""
     slopes = geometry.slopes(q, values) * geometry.priors / sigma[:, :, None]
     flat = slopes.reshape(-1, slopes.shape[2])
     return np.asarray(flat.T @ flat)
 
 
-def _open(geometry: Geometry, information: Array) -> tuple[tuple[tuple[str, float], ...], ...]:
-    """Combinations that the poses leave open, each with as few parameters as can be."""
+def _non_identifiable(geometry: Geometry, information: Array) -> tuple[tuple[tuple[str, float], ...], ...]:
+    """Basis of the non-identifiable combinations, in reduced echelon form so that each has few parameters."""
     strengths, directions = np.linalg.eigh(information)
-    basis = directions[:, strengths < OPEN].T.copy()
+    basis = directions[:, strengths < MAX_INFORMATION].T.copy()
     found = []
-    for row in _echelon(basis):
+    for row in _reduced_echelon(basis):
         weights = row * geometry.priors
         named = [
             (parameter.key, float(weight))
             for parameter, weight, part in zip(geometry.parameters, weights, row, strict=True)
-            if abs(part) >= PART * np.abs(row).max()
+            if abs(part) >= MIN_COMPONENT * np.abs(row).max()
         ]
         found.append(tuple(named))
     return tuple(found)
 
 
-def _echelon(basis: Array) -> Array:
-    """The same space by rows that have a parameter each which no other row has (reduced echelon form, pivots by size)."""
+def _reduced_echelon(basis: Array) -> Array:
+    """Reduced row echelon form with pivots by size: each row has a parameter that no other row has."""
     rows = basis.copy()
     taken: list[int] = []
     for at in range(len(rows)):

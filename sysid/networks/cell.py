@@ -1,11 +1,11 @@
-"""One look of a small recurrent network, compiled: long short-term memory behind a bound, from flat arrays of weights.
+"""One step of a small long short-term memory (LSTM) with one output, compiled, from flat arrays of weights.
 
 Gates in the order input, forget, cell, output (Hochreiter & Schmidhuber, Neural Computation 9, 1997)::
 
     i, f, o = σ(W·x + U·h + b),  g = tanh(W·x + U·h + b),  c ← f·c + i·g,  h ← o·tanh(c),  r = w·h + w₀
 
-The network that carries what no effect explains (:mod:`sysid.plant.residual`) and actuator networks with history
-(:mod:`sysid.networks.history`) both run on it; :mod:`sysid.networks.recurrent` trains it.
+Used by the residual network of a plant (:mod:`sysid.plant.residual`) and by actuator networks with history
+(:mod:`sysid.networks.history_correction`); trained by :mod:`sysid.networks.recurrent`.
 """
 
 from __future__ import annotations
@@ -20,35 +20,36 @@ from sysid.compiled import inlined
 
 Array = npt.NDArray[np.float64]
 
-#: Inputs are drawn in to this many standard deviations: beyond what was recorded a network says what it says at its edge.
+#: Inputs are clipped to this many standard deviations, so that the output is constant beyond the recorded range.
 REACH = 4.0
 #: Arrays of a trained network: of the inputs (F,), then (4H, F), (4H, H), (4H,), (H,), (1,).
 TENSORS = ("mean", "scale", "W", "U", "b", "w", "w0")
 
 
-def flat(weights: Mapping[str, Array]) -> Array:
-    """W, U, b, w and w₀ as :func:`look` takes them, one after the other."""
+def flat_weights(weights: Mapping[str, Array]) -> Array:
+    """W, U, b, w and w₀ as :func:`lstm_step` takes them, one after the other."""
     return np.concatenate([np.ravel(weights[name]) for name in TENSORS[2:]])
 
 
-def room(inputs: int, units: int) -> int:
-    """Numbers that a network keeps: h, c, the next h, and its inputs."""
+def state_size(inputs: int, units: int) -> int:
+    """Size of the state: h, c, the next h, and the inputs."""
     return 3 * units + inputs
 
 
 @inlined
-def drawn_in(value, mean, scale):
-    """An input in standard deviations, within ±:data:`REACH`."""
+def standardised(value, mean, scale):
+    """An input in standard deviations, clipped to ±:data:`REACH`."""
     return min(max((value - mean) * scale, -REACH), REACH)
 
 
 @inlined
-def look(weights, inputs, units, s, h):
-    """One look at ``inputs`` numbers that stand, drawn in, at the end of what the network keeps; returns r.
+def lstm_step(weights, inputs, units, s, h):
+    """One step of the network; returns r.
 
     Args:
-        weights: from :func:`flat`.
-        s, h: what it keeps, from place ``h`` on: h, c, room for the next h, inputs (:func:`room`).
+        weights: from :func:`flat_weights`.
+        inputs, units: their numbers.
+        s, h: array whose entries from index ``h`` on are the state (:func:`state_size`): h, c, the next h, standardised inputs.
     """
     c, new, x = h + units, h + 2 * units, h + 3 * units
     U, b = 4 * units * inputs, 4 * units * (inputs + units)

@@ -1,12 +1,10 @@
-"""The tip of any open chain, without knowing the chain: linear in products of sines and cosines of its joints.
+"""Forward kinematics of any open chain without a URDF: linear in products of sines and cosines of its joints.
 
-Every joint moves what follows it by a transform that is linear in ``(1, sin q, cos q)`` of an angle or ``(1, q)`` of a
-displacement, whatever the geometry. The tip is therefore *exactly* linear in their products, one factor a joint: 53 of them for
-three angles and a slide. Their weights are fitted by ridge regression whose strength leave-one-out errors decide: no URDF, no
-iteration, and with more poses than products hardly more error than the noise.
+Every joint transforms what follows it linearly in ``(1, sin q, cos q)`` of an angle or ``(1, q)`` of a displacement, whatever
+the geometry. The tip is therefore *exactly* linear in their products, one factor per joint: 53 for three angles and a slide.
+Their coefficients are fitted by ridge regression whose strength minimises the leave-one-out error.
 
-Source: that each joint's transform is affine in these follows from Rodrigues' formula; leave-one-out for ridge: Golub, Heath,
-Wahba, Technometrics 21 (1979).
+Source: the linearity follows from Rodrigues' formula; leave-one-out for ridge: Golub, Heath, Wahba, Technometrics 21 (1979).
 """
 
 from __future__ import annotations
@@ -25,12 +23,12 @@ from sysid.errors import ExcitationError, SettingsError
 Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.int64]
 
-#: More products than this are not offered: poses to match them would take days.
-MOST = 400
-#: So many poses more than products tell noise from geometry.
-SPARE = 20
-#: Strengths of the ridge that are tried, relative to products that vary by one.
-STRENGTHS = tuple(10.0**k for k in range(-8, 3))
+#: Largest number of products: more would require days of pose recording.
+MAX_PRODUCTS = 400
+#: Required number of poses beyond the number of products.
+SPARE_POSES = 20
+#: Candidate ridge strengths, per pose and for products of unit variance.
+RIDGE_STRENGTHS = tuple(10.0**k for k in range(-8, 3))
 
 
 @dataclass(frozen=True)
@@ -39,10 +37,10 @@ class FittedChain:
 
     Args:
         revolute: which joints are angles.
-        mean, scale: of the products in the poses that it was fitted on, (P,).
-        weights, level: of the standardised products, (P, 3), and the tip where all are at their mean, (3,) [m].
-        covariance: of the weights and, last, the level, for noise of one, (P + 1, P + 1).
-        noise: standard deviation of a tip coordinate that is left, (3,) [m].
+        mean, scale: of the products in the fit poses, (P,).
+        weights, level: coefficients of the standardised products, (P, 3) [m], and the intercept, (3,) [m].
+        covariance: of weights and, last, intercept, for unit noise, (P + 1, P + 1).
+        noise: standard deviation of the residuals of each tip coordinate, (3,) [m].
     """
 
     revolute: tuple[bool, ...]
@@ -60,17 +58,15 @@ class FittedChain:
 
     @cached_property
     def _folded(self) -> tuple[Array, Array]:
-        """Weights of the products as they are, and the level that belongs to them."""
+        """Coefficients and intercept of the products without standardisation."""
         weights = self.weights / self.scale[:, None]
         return weights, self.level - self.mean @ weights
 
     def spread(self, q: Array) -> Array:
-        """Standard deviation of the prediction by what the poses leave open, (n, 3) [m]."""
-        rows = np.column_stack([self._standard(q), np.ones(len(q))])
+        """Standard deviation of the prediction from the covariance of the coefficients, (n, 3) [m]."""
+        standard = (products(q, self.revolute) - self.mean) / self.scale
+        rows = np.column_stack([standard, np.ones(len(q))])
         return np.asarray(np.sqrt(np.einsum("np,pk,nk->n", rows, self.covariance, rows))[:, None] * self.noise)
-
-    def _standard(self, q: Array) -> Array:
-        return np.asarray((products(q, self.revolute) - self.mean) / self.scale)
 
 
 def fit_chain(q: Array, tip: Array, revolute: tuple[bool, ...]) -> FittedChain:
@@ -81,23 +77,23 @@ def fit_chain(q: Array, tip: Array, revolute: tuple[bool, ...]) -> FittedChain:
         tip: measured tips, (n, 3) [m].
 
     Raises:
-        ExcitationError: fewer poses than products and :data:`SPARE` more.
-        SettingsError: a chain of so many joints that its products outnumber any calibration routine.
+        ExcitationError: fewer poses than products plus :data:`SPARE_POSES`.
+        SettingsError: a chain of so many joints that it has more than :data:`MAX_PRODUCTS` products.
     """
     from sklearn.linear_model import RidgeCV
 
-    count = _count(revolute)
-    if count > MOST:
+    count = math.prod(3 if angle else 2 for angle in revolute) - 1
+    if count > MAX_PRODUCTS:
         found = f"{len(revolute)} joints make {count} products"
-        raise SettingsError("recipe: forward.model = 'chain'", found, f"at most {MOST}", "Use another model.")
-    if len(q) < count + SPARE:
-        found, expected = f"{len(q)} poses for {count} products of joints", f"at least {count + SPARE}"
+        raise SettingsError("recipe: forward.model = 'chain'", found, f"at most {MAX_PRODUCTS}", "Use another model.")
+    if len(q) < count + SPARE_POSES:
+        found, expected = f"{len(q)} poses for {count} products of joints", f"at least {count + SPARE_POSES}"
         raise ExcitationError("chain", found, expected, "Record more static poses, or use 'structured' with a URDF.")
     rows = products(q, revolute)
     mean, spread = rows.mean(axis=0), rows.std(axis=0)
-    scale = np.where(spread > 1e-9 * np.maximum(np.abs(mean), 1.0), spread, np.inf)  # what never varies says nothing
+    scale = np.where(spread > 1e-9 * np.maximum(np.abs(mean), 1.0), spread, np.inf)  # a constant product has no coefficient
     standard = (rows - mean) / scale
-    strengths = np.array(STRENGTHS) * len(q)
+    strengths = np.array(RIDGE_STRENGTHS) * len(q)
     ridge = RidgeCV(strengths).fit(standard, tip)
     weights, level = np.asarray(ridge.coef_).T, np.asarray(ridge.intercept_)
     penalty = np.append(np.full(count, float(ridge.alpha_)), 0.0)
@@ -110,8 +106,8 @@ def fit_chain(q: Array, tip: Array, revolute: tuple[bool, ...]) -> FittedChain:
 
 
 def products(q: Array, revolute: tuple[bool, ...]) -> Array:
-    """All products with one of (1, sin q, cos q) or (1, q) from each joint but the one of ones alone, (n, P)."""
-    slides, places = _places(revolute)
+    """All products of one factor (1, sin q, cos q) or (1, q) per joint, except the constant one, (n, P)."""
+    slides, places = _factor_indices(revolute)
     factors = np.ones((len(q), len(revolute), 3))
     np.sin(q, out=factors[:, :, 1])
     np.cos(q, out=factors[:, :, 2])
@@ -125,20 +121,16 @@ def products(q: Array, revolute: tuple[bool, ...]) -> Array:
 
 
 @functools.lru_cache(maxsize=64)
-def _places(revolute: tuple[bool, ...]) -> tuple[Index, tuple[Index, ...]]:
-    """Which joints slide, and for each joint which of all factors stands in each of the products, (P,)."""
+def _factor_indices(revolute: tuple[bool, ...]) -> tuple[Index, tuple[Index, ...]]:
+    """Indices of the prismatic joints, and for each joint the index of its factor in every product, (P,)."""
     own = np.meshgrid(*(np.arange(3 if angle else 2) for angle in revolute), indexing="ij")
     return np.flatnonzero(~np.array(revolute)), tuple(3 * k + each.ravel()[1:] for k, each in enumerate(own))
 
 
 def product_names(joints: Sequence[str], revolute: Sequence[bool]) -> tuple[str, ...]:
-    """What the columns of :func:`products` are, for messages: ``sin(boom.joint)·telescope.joint``."""
+    """Names of the columns of :func:`products`, for messages: ``sin(boom.joint)·telescope.joint``."""
     names: list[tuple[str, ...]] = [()]
     for joint, angle in zip(joints, revolute, strict=True):
         own = ((), (f"sin({joint})",), (f"cos({joint})",)) if angle else ((), (joint,))
         names = [(*before, *factor) for before in names for factor in own]
     return tuple("·".join(factors) for factors in names[1:])
-
-
-def _count(revolute: tuple[bool, ...]) -> int:
-    return math.prod(3 if angle else 2 for angle in revolute) - 1

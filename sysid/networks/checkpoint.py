@@ -1,7 +1,7 @@
-"""Where a member's training stands, and files that keep it: safetensors with a JSON header, one a member, replaced atomically.
+"""Training state of a member and its checkpoint: safetensors with a JSON header, one file per member, replaced atomically.
 
-A file is named after all that decides the result: settings, layers, seed, rows, versions of the libraries. Training that
-differs in any of it does not find the file; training that does not goes on to the bits it would have reached without a break.
+The file name is a digest of all that decides the result: settings, layers, seed, rows, versions of the libraries. Only equal
+training resumes from a file, and it then ends with the same bits as without an interruption.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from sysid.errors import StoreError
 from sysid.files import write_durably
 from sysid.networks.batch import Floats
 
-#: Of the files; another one is another name.
+#: Format of the files, part of their names.
 FORMAT = 1
 REMEDY = "Make room; training goes on from the last checkpoint that was written."
 _ARRAYS = ("row", "first", "second", "best")
@@ -31,11 +31,11 @@ class State:
 
     Args:
         row, first, second: parameters and the two moments of Adam, (P,).
-        best: parameters of the best check so far; empty before the first.
-        step: updates made.
-        loss, seen: sum of the losses of the updates since the last check, and how many they are.
-        epochs, fit, validation: of the checks so far.
-        finished: nothing is left to do.
+        best: parameters at the best check; empty before the first.
+        step: number of updates.
+        loss, seen: sum and number of the losses of the updates since the last check.
+        epochs, fit, validation: epoch and losses of the checks.
+        finished: whether training has ended.
     """
 
     row: Floats
@@ -59,18 +59,22 @@ class State:
 
 @dataclass(frozen=True)
 class Checkpoints:
-    """Files of training that is under way; they go when it is done, and stay when it is interrupted.
+    """Checkpoint files of a training run; they are removed on success and stay after an interruption.
 
     Args:
-        folder: where; made when it is missing.
-        every: seconds between two looks at the clock that write.
+        folder: made when it is missing.
+        every: seconds between two checkpoints.
     """
 
     folder: Path
     every: float = 30.0
 
     def save(self, name: str, state: State) -> None:
-        """Raises StorageError where the disk is full or fails; the file that was there before stays whole."""
+        """Write a checkpoint.
+
+        Raises:
+            StorageError: the disk is full or fails; the previous file stays whole.
+        """
         from safetensors.numpy import save
 
         header = json.dumps({key: getattr(state, key) for key in _NUMBERS})
@@ -78,10 +82,10 @@ class Checkpoints:
         write_durably(self.path(name), content, "checkpoint", REMEDY)
 
     def load(self, name: str, size: int) -> State | None:
-        """What was saved under ``name``, None where nothing was.
+        """The checkpoint ``name``, or None.
 
         Raises:
-            StoreError: a file that is no checkpoint of ``size`` parameters.
+            StoreError: a file that is not a checkpoint of ``size`` parameters.
         """
         from safetensors import SafetensorError, safe_open
 
@@ -101,8 +105,8 @@ class Checkpoints:
         return state
 
     def remove(self, name: str) -> None:
-        """Forget one member; the folder goes with the last of its files."""
-        for pattern in (f"{name}.safetensors", f".{name}.safetensors.*"):  # and what a crash left of it
+        """Remove the files of one member, and the folder when it is empty."""
+        for pattern in (f"{name}.safetensors", f".{name}.safetensors.*"):  # also temporary files of a crash
             for path in self.folder.glob(pattern):
                 path.unlink(missing_ok=True)
         if self.folder.is_dir() and not any(self.folder.iterdir()):

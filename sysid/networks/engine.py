@@ -1,4 +1,4 @@
-"""Trains batches of members step by step, several of them side by side."""
+"""Training loop: batches of members, several batches in parallel."""
 
 from __future__ import annotations
 
@@ -15,22 +15,22 @@ import numpy as np
 
 from sysid.networks.batch import BatchedAdam, BatchedMlp, Floats, Stack, padded
 from sysid.networks.checkpoint import Checkpoints
-from sysid.networks.jobs import Job, work_of
+from sysid.networks.jobs import Job, remaining_work
 
 if TYPE_CHECKING:
     import torch
 
-#: Validation rows are predicted so many at a time: a shape that does not depend on the other members.
+#: Rows per block of the validation prediction: a shape that does not depend on the other members.
 BLOCK = 128
 
 
-class TrainingStopped(Exception):  # noqa: N818  (no error: it was asked to)
-    """Training was told to stop and has saved where it stands."""
+class TrainingStopped(Exception):  # noqa: N818  (requested, not an error)
+    """Training was stopped on request after writing its checkpoints."""
 
 
 @dataclass
 class Control:
-    """What connects a batch to those who wait for it."""
+    """Checkpoint folder and stop flag, shared by all batches."""
 
     checkpoints: Checkpoints | None = None
     stop: threading.Event = field(default_factory=threading.Event)
@@ -41,42 +41,42 @@ def train_batches(
     workers: int,
     device: torch.device,
     control: Control,
-    tell: Callable[[float, str], None],
+    report: Callable[[float, str], None],
 ) -> None:
-    """Train every batch, ``workers`` at a time; the states of the jobs are what they come to.
+    """Train every batch, ``workers`` at a time; results are in the states of the jobs.
 
     Raises:
-        What a batch raises, or an interrupt of the caller: the other batches have then saved where they stand.
+        The first error of a batch, or an interrupt of the caller; the other batches have then written their checkpoints.
     """
     import torch
 
-    cost, done = [work_of(batch) for batch in work], [0.0] * len(work)
+    cost, done = [remaining_work(batch) for batch in work], [0.0] * len(work)
     share = [each / sum(cost) for each in cost]
-    news: queue.SimpleQueue[tuple[int, float, BaseException | None]] = queue.SimpleQueue()
+    messages: queue.SimpleQueue[tuple[int, float, BaseException | None]] = queue.SimpleQueue()
 
     def one(number: int) -> None:
         try:
             if not control.stop.is_set():
-                train_batch(work[number], device, control, lambda part: news.put((number, part, None)))
-            news.put((number, 1.0, None))
+                train_batch(work[number], device, control, lambda part: messages.put((number, part, None)))
+            messages.put((number, 1.0, None))
         except BaseException as error:
             control.stop.set()
-            news.put((number, 1.0, error))
+            messages.put((number, 1.0, error))
 
-    # Threads, one core each: torch frees the interpreter while it computes, and its own threads would wait for one another
-    # at every small product. The caller's thread listens, so that progress and signals stay there.
+    # One thread and core per batch: torch releases the GIL, and its own threads would synchronise at every small product.
+    # Progress and signals are handled in the caller's thread.
     with ThreadPoolExecutor(workers, "training", lambda: torch.set_num_threads(1)) as pool:
         try:
             left = len([pool.submit(one, number) for number in range(len(work))])
             failed: BaseException | None = None
             while left:
-                number, part, error = news.get()
+                number, part, error = messages.get()
                 left -= part == 1.0
                 failed = failed or (None if isinstance(error, TrainingStopped) else error)
                 done[number] = max(done[number], part)
                 if not failed:
                     whole = math.fsum(a * b for a, b in zip(share, done, strict=True)) if left else 1.0
-                    tell(min(1.0, whole), _names(work[number]))
+                    report(min(1.0, whole), _names(work[number]))
         finally:
             control.stop.set()
     if failed:
@@ -88,24 +88,24 @@ def _names(batch: Sequence[Job]) -> str:
     return first if len(batch) <= 4 else f"{first} and {len(batch) - 4} more"
 
 
-def train_batch(jobs: Sequence[Job], device: torch.device, control: Control, tell: Callable[[float], None]) -> None:
-    """Train jobs of one shape until each of them is finished.
+def train_batch(jobs: Sequence[Job], device: torch.device, control: Control, report: Callable[[float], None]) -> None:
+    """Train jobs of one shape until all are finished.
 
     Raises:
         SettingsError: a loss that is not finite.
-        StorageError: the disk refused a checkpoint.
-        Stopped: ``control`` asked for it.
+        StorageError: a checkpoint cannot be written.
+        TrainingStopped: ``control.stop`` is set.
     """
     import torch
 
     with torch.no_grad():
-        run, clock = _Run(list(jobs), device), time.monotonic()
+        run, clock = _Batch(list(jobs), device), time.monotonic()
         while run.jobs:
             step = run.step()
             due = [k for k, job in enumerate(run.jobs) if job.is_due(step)]
             if due:
                 run.check(due)
-                tell(min(0.999, max(step / job.updates for job in run.jobs)))
+                report(min(0.999, max(step / job.updates for job in run.jobs)))
             if control.checkpoints and (control.stop.is_set() or time.monotonic() - clock >= control.checkpoints.every):
                 run.save(control.checkpoints)
                 clock = time.monotonic()
@@ -117,7 +117,7 @@ def train_batch(jobs: Sequence[Job], device: torch.device, control: Control, tel
                 raise TrainingStopped
 
 
-class _Run:
+class _Batch:
     """Jobs of one shape on a device."""
 
     def __init__(self, jobs: list[Job], device: torch.device, moved: tuple[BatchedMlp, BatchedAdam] | None = None) -> None:
@@ -141,18 +141,18 @@ class _Run:
         self.loss = torch.tensor([state.loss for state in states], dtype=torch.float64, device=device)
         self.width = jobs[0].width
         self.chosen = [values.new_empty((len(jobs) * self.width, values.shape[1])) for values in (self.x, self.y)]
-        self.ahead = max(1, math.ceil(max(len(job.x) for job in jobs) / self.width))
-        self.known = (0, 0)
+        self.prefetch = max(1, math.ceil(max(len(job.x) for job in jobs) / self.width))
+        self.prefetched = (0, 0)
 
     def step(self) -> int:
-        """One update of all of them; returns its number."""
+        """One update of all members; returns its number."""
         import torch
 
         before = self.adam.steps
-        if not self.known[0] <= before < self.known[1]:
-            self.known = (before, before + self.ahead)
-            self._look_ahead()
-        chosen = self.rows[before - self.known[0]]
+        if not self.prefetched[0] <= before < self.prefetched[1]:
+            self.prefetched = (before, before + self.prefetch)
+            self._prefetch_rows()
+        chosen = self.rows[before - self.prefetched[0]]
         shape = (len(self.jobs), self.width, -1)
         torch.index_select(self.x, 0, chosen, out=self.chosen[0])
         torch.index_select(self.y, 0, chosen, out=self.chosen[1])
@@ -163,22 +163,22 @@ class _Run:
             job.state.seen += 1
         return before + 1
 
-    def _look_ahead(self) -> None:
-        """Row numbers of the next updates, (ahead, m·width), moved to the device at once."""
+    def _prefetch_rows(self) -> None:
+        """Row numbers of the next updates, (prefetch, m·width), moved to the device at once."""
         import torch
 
-        begin, end = (at * self.width for at in self.known)
+        begin, end = (at * self.width for at in self.prefetched)
         taken = [
             job.order.take(begin, end).reshape(-1, self.width) + offset
             for job, offset in zip(self.jobs, self.begins, strict=True)
         ]
-        self.rows = torch.from_numpy(np.stack(taken, axis=1).reshape(self.ahead, -1)).to(self.device)
+        self.rows = torch.from_numpy(np.stack(taken, axis=1).reshape(self.prefetch, -1)).to(self.device)
 
     def check(self, due: list[int]) -> None:
-        """Evaluate these members on their validation rows."""
+        """Evaluate the members ``due`` on their validation rows."""
         for k, validation, loss in zip(due, self._validation(due), self.loss[due].tolist(), strict=True):
             self.jobs[k].state.loss = loss
-            self.jobs[k].judged(validation, lambda k=k: self.model.parameters.row(k))  # type: ignore[misc]
+            self.jobs[k].record_check(validation, lambda k=k: self.model.parameters.row(k))  # type: ignore[misc]
         self.loss[due] = 0.0
 
     def _validation(self, due: list[int]) -> list[float]:
@@ -187,20 +187,20 @@ class _Run:
 
         totals = dict.fromkeys(due, 0.0)
         for begin in range(0, max(len(self.jobs[k].x_validation) for k in due), BLOCK):
-            there = [k for k in due if begin < len(self.jobs[k].x_validation)]
+            present = [k for k in due if begin < len(self.jobs[k].x_validation)]
             parts = [
-                [_block(values, begin) for values in (self.jobs[k].x_validation, self.jobs[k].y_validation)] for k in there
+                [_block(values, begin) for values in (self.jobs[k].x_validation, self.jobs[k].y_validation)] for k in present
             ]
             x, y = (torch.from_numpy(np.stack(values)).to(self.device) for values in zip(*parts, strict=True))
-            error = self.model.predict(x, None if len(there) == len(self.jobs) else there).sub_(y)
-            for row, k in enumerate(there):
+            error = self.model.predict(x, None if len(present) == len(self.jobs) else present).sub_(y)
+            for row, k in enumerate(present):
                 error[row, len(self.jobs[k].x_validation) - begin :] = 0.0
-            for k, total in zip(there, error.square().sum(dim=1).double().sum(dim=1).tolist(), strict=True):
+            for k, total in zip(present, error.square().sum(dim=1).double().sum(dim=1).tolist(), strict=True):
                 totals[k] += total
         return [totals[k] / self.jobs[k].x_validation.shape[0] / self.jobs[k].sizes[-1] for k in due]
 
     def save(self, checkpoints: Checkpoints, members: Sequence[int] | None = None) -> None:
-        """Bring the states of ``members``, all by default, up to date and into files."""
+        """Update the states of ``members`` (default: all) and write their checkpoints."""
         losses = self.loss.tolist()
         for k in range(len(self.jobs)) if members is None else members:
             state = self.jobs[k].state
@@ -210,23 +210,21 @@ class _Run:
             state.loss = losses[k]
             checkpoints.save(self.jobs[k].file, state)
 
-    def without_finished(self) -> _Run:
-        """The others, who go on exactly as they would have."""
+    def without_finished(self) -> _Batch:
+        """The batch of the other members; their results do not change."""
         stay = [k for k, job in enumerate(self.jobs) if not job.state.finished]
         if not stay:
-            return _Run([], self.device)
+            return _Batch([], self.device)
         for k, loss in zip(stay, self.loss[stay].tolist(), strict=True):
             self.jobs[k].state.loss = loss
         sizes = self.model.sizes
         room = Stack.zeros(sizes, len(stay), self.device)
         model = BatchedMlp(sizes, self.model.parameters.kept(sizes, stay), room, self.model.rectifier)
         adam = BatchedAdam(self.adam.first.kept(sizes, stay), self.adam.second.kept(sizes, stay), self.adam.steps)
-        return _Run([self.jobs[k] for k in stay], self.device, (model, adam))
+        return _Batch([self.jobs[k] for k in stay], self.device, (model, adam))
 
 
 def _block(values: Floats, begin: int) -> Floats:
-    """Rows ``begin`` to ``begin + BLOCK``, filled up with zeros."""
+    """Rows ``begin`` to ``begin + BLOCK``, padded with zeros."""
     part = values[begin : begin + BLOCK]
-    return (
-        part if len(part) == BLOCK else np.concatenate([part, np.zeros((BLOCK - len(part), part.shape[1]), dtype=np.float32)])
-    )
+    return np.pad(part, ((0, BLOCK - len(part)), (0, 0)))

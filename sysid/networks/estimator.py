@@ -1,13 +1,14 @@
-"""The engine by scikit-learn's conventions: an estimator for its tools, and a cross-validation that trains all folds at once.
+"""Networks as a scikit-learn estimator, and a cross-validation that trains all folds at once.
 
-``cross_validate`` of scikit-learn fits one fold after the other; :func:`cross_validate` here puts all folds and members into
-one training and returns the same scores, since a member's result does not depend on what it is trained beside.
+:func:`cross_validate` trains all folds and members together and returns the same scores as that of scikit-learn, since a
+member's result does not depend on the other members.
 """
 
 from __future__ import annotations
 
 import time
 from collections.abc import Sequence
+from dataclasses import fields
 from typing import Any, Literal, Self
 
 import numpy as np
@@ -30,14 +31,14 @@ class NetworkRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
 
     Args:
         hidden: units of the hidden layers.
-        members: networks with different initial weights and orders of rows.
+        members: networks with different initial weights and shuffle orders.
         learning_rate, batch, epochs, patience, check_every, schedule, threads, device: as in :class:`TrainingSettings`.
-        validation_fraction: share of the rows that stop the training; whole groups where ``fit`` is given ``groups``.
-        random_state: seed of the split, the weights and the orders.
+        validation_fraction: share of the rows for early stopping; whole groups where ``fit`` gets ``groups``.
+        random_state: seed of the split, the weights and the shuffle orders.
         rectifier: between the layers, ``relu`` or ``smooth``.
 
     Attributes:
-        networks_: one :class:`Mlp` a member. ``courses_``: how the training of each went.
+        networks_: one :class:`Mlp` per member; ``learning_curves_``: one :class:`LearningCurve` per member.
     """
 
     def __init__(
@@ -72,14 +73,14 @@ class NetworkRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         self.rectifier = rectifier
 
     def fit(self, X: npt.ArrayLike, y: npt.ArrayLike, groups: npt.ArrayLike | None = None) -> Self:
-        """Learn ``y`` (n,) or (n, d_out) from ``X`` (n, d_in), both in SI units.
+        """Fit ``y`` (n,) or (n, d_out) to ``X`` (n, d_in), both in SI units.
 
         Args:
-            groups: (n,), e.g. recordings: none of them is split between rows that teach and rows that stop.
+            groups: (n,), e.g. recordings: no group is split between fit and early-stopping rows.
 
         Raises:
-            ValueError: rows that scikit-learn's estimators do not take either (NaN, no rows, unequal lengths).
-            SysidError: what :func:`sysid.networks.train` refuses: a constant column, a setting, a training that diverges.
+            ValueError: rows that no scikit-learn estimator accepts (NaN, no rows, unequal lengths).
+            SysidError: as :func:`sysid.networks.train`: a constant column, an invalid setting, divergence.
         """
         fit_together([(self, X, y, groups)])
         return self
@@ -105,19 +106,10 @@ class NetworkRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         return tags
 
     def _settings(self) -> TrainingSettings:
-        return TrainingSettings(
-            learning_rate=self.learning_rate,
-            batch=self.batch,
-            epochs=self.epochs,
-            patience=self.patience,
-            check_every=self.check_every,
-            schedule=self.schedule,
-            threads=self.threads,
-            device=self.device,
-        )
+        return TrainingSettings(**{field.name: getattr(self, field.name) for field in fields(TrainingSettings)})
 
     def _members(self, X: npt.ArrayLike, y: npt.ArrayLike, groups: npt.ArrayLike | None) -> list[EnsembleMember]:
-        """The rows of each member, checked by scikit-learn's own rules."""
+        """The rows of each member, checked by scikit-learn's rules."""
         if self.members < 1:
             raise SettingsError("estimator", f"members = {self.members}", "a positive number")
         inputs, outputs = validate_data(self, X, y, dtype=np.float64, multi_output=True, y_numeric=True, ensure_min_samples=2)
@@ -144,18 +136,18 @@ class NetworkRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
             for number in range(self.members)
         ]
 
-    def _take(self, networks: tuple[Mlp, ...], courses: tuple[LearningCurve, ...]) -> None:
-        self.networks_, self.courses_ = networks, courses
+    def _take(self, networks: tuple[Mlp, ...], learning_curves: tuple[LearningCurve, ...]) -> None:
+        self.networks_, self.learning_curves_ = networks, learning_curves
 
 
-#: An estimator, the rows it learns, and their groups.
+#: An estimator, its rows X and y, and their groups.
 Task = tuple[NetworkRegressor, npt.ArrayLike, npt.ArrayLike, npt.ArrayLike | None]
 
 
 def fit_together(tasks: Sequence[Task]) -> None:
-    """Fit every estimator on its rows, those of equal settings in one training; learning rates and layers may differ.
+    """Fit every estimator on its rows, those with equal settings together; learning rates and layers may differ.
 
-    The result of each is that of its own ``fit``.
+    Each result is that of the estimator's own ``fit``.
     """
     alike: dict[tuple[Any, ...], list[tuple[NetworkRegressor, list[EnsembleMember]]]] = {}
     for estimator, X, y, groups in tasks:
@@ -168,7 +160,7 @@ def fit_together(tasks: Sequence[Task]) -> None:
         trained = iter(train(whole, tuple(first.hidden), first._settings(), first.random_state))
         for estimator, members in group:
             results = [next(trained) for _ in members]
-            estimator._take(tuple(one.mlp for one in results), tuple(one.course for one in results))
+            estimator._take(tuple(one.mlp for one in results), tuple(one.curve for one in results))
 
 
 def cross_validate(
@@ -184,11 +176,11 @@ def cross_validate(
 
     Args:
         estimators: one, or several, e.g. with other learning rates; they are cloned.
-        groups, cv, scoring: as there; ``groups`` also go to ``fit``.
+        groups, cv, scoring: as in scikit-learn; ``groups`` are also passed to ``fit``.
 
     Returns:
-        ``test_score`` (k,), ``estimator`` (k fitted ones), ``indices`` and ``fit_time`` (of all of it) by name; a list of
-        these for a list of estimators.
+        ``test_score`` (k,), ``estimator`` (k fitted ones), ``indices`` and ``fit_time`` (total) by name; a list of these for
+        several estimators.
     """
     several = [estimators] if isinstance(estimators, NetworkRegressor) else list(estimators)
     inputs, outputs = np.asarray(X), np.asarray(y)

@@ -1,6 +1,6 @@
-"""A chain of joints whose geometry no longer changes: everything fixed is multiplied out once, and a pose takes microseconds.
+"""Forward kinematics of a chain with a constant geometry: constant transforms are multiplied in advance.
 
-From the tip to the base, with all that is fixed before joint j as a rotation R and a translation t, axis k and reading θ::
+From the tip to the base, with the constant rotation R and translation t before joint j, its axis k and reading θ::
 
     p ← t + R·(k kᵀ + cos θ·(I − k kᵀ) + sin θ·[k]×)·p        revolute
     p ← t + R·(p + θ·k)                                        prismatic
@@ -19,14 +19,14 @@ Array = npt.NDArray[np.float64]
 
 @dataclass(frozen=True)
 class FoldedJoint:
-    """One joint with what is fixed before it.
+    """One joint with the constant transform before it.
 
     Args:
         column: of the joint values.
-        stretch: of its reading.
-        prismatic: whether it slides.
+        stretch: factor of its reading.
+        prismatic: whether it is a prismatic joint.
         shift: t, (3, 1).
-        factors: what the point is multiplied by; revolute (9, 3): constant, cos and sin part; prismatic (3, 3): R.
+        factors: factors of the point; revolute (9, 3): constant, cos and sin part; prismatic (3, 3): R.
         slide: R·k, (3, 1).
     """
 
@@ -43,20 +43,19 @@ class FoldedJoint:
         x, y, z = axis
         cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
         parts = [rotation] if prismatic else [rotation @ along, rotation @ (np.eye(3) - along), rotation @ cross]
-        factors = np.vstack(parts)
-        return FoldedJoint(column, stretch, prismatic, shift[:, None], factors, (rotation @ axis)[:, None])
+        return FoldedJoint(column, stretch, prismatic, shift[:, None], np.vstack(parts), (rotation @ axis)[:, None])
 
 
 @dataclass(frozen=True)
 class FoldedChain:
-    """The joints from base to tip, and the tip in the frame of the last one, (3, 1)."""
+    """The joints from base to tip, and the tip in the frame of the last joint, (3, 1)."""
 
     joints: tuple[FoldedJoint, ...]
     last: Array
 
     @cached_property
     def _readings(self) -> tuple[npt.NDArray[np.int64], Array]:
-        """Columns of the joint values in the order of the chain, and their stretches."""
+        """Columns of the joint values in the order of the chain, and the factors of their readings."""
         return np.array([joint.column for joint in self.joints], dtype=np.int64), np.array([[j.stretch] for j in self.joints])
 
     def tip(self, q: Array) -> Array:

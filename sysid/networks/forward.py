@@ -1,15 +1,15 @@
 """The forward network: joint values → end-effector position, learned from static poses.
 
 Source: the paper's forward network (256-128 hidden units, ReLU, Adam, 500 random poses). With ``features = "sincos"`` a
-revolute joint enters as sine and cosine, which spares the network from learning that angles are periodic; with ``"products"``
-their products enter as well, in which the tip of any open chain is linear (:mod:`sysid.networks.chain`).
+revolute joint enters as sine and cosine, so the model is periodic in the angle; with ``"products"`` their products enter as
+well, in which the tip of any open chain is linear (:mod:`sysid.networks.chain`).
 """
 
 from __future__ import annotations
 
 import functools
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -23,46 +23,64 @@ from sysid.networks.mlp import Mlp
 from sysid.networks.recipe import Features, NetworkRecipe
 from sysid.networks.split import SignalRows, gather, segments, thin
 from sysid.networks.training import train
-from sysid.networks.uncertainty import Mask, NetworkUncertainty, known
+from sysid.networks.uncertainty import Mask, NetworkUncertainty, required
 from sysid.progress import Progress
 from sysid.signals import axis_signal, point_signals
 
 Array = npt.NDArray[np.float64]
 
-#: Fewer poses than this say nothing about a whole workspace.
+#: Least number of poses to fit.
 MIN_POSES = 30
-#: A machine is still where no joint moves faster than this share of its own 99th percentile of speed …
+#: A machine is at rest where no joint is faster than this share of its 99th percentile of speed, for at least this time [s].
 STILL_SPEED = 0.02
-#: … for at least this long [s].
 STILL_S = 0.2
 
 
-class ForwardModel(Protocol):
-    """What every model of joints → end effector has, learned or calibrated."""
+class ForwardModel(ABC):
+    """A fitted model of joints → end effector; fields as in :class:`ForwardNetwork`."""
 
-    @property
-    def joints(self) -> tuple[str, ...]: ...
+    joints: tuple[str, ...]
+    low: Array
+    high: Array
+    uncertainty: NetworkUncertainty | None
 
-    @property
-    def low(self) -> Array: ...
+    @abstractmethod
+    def predict(self, q: npt.ArrayLike) -> Array:
+        """End-effector positions (n, 3) [m] at joint values ``q`` (n, n_axes) [rad or m].
 
-    @property
-    def high(self) -> Array: ...
+        Raises:
+            InputError: another number of joints.
+        """
 
-    @property
-    def trust(self) -> NetworkUncertainty | None: ...
+    @abstractmethod
+    def spread(self, q: npt.ArrayLike) -> Array:
+        """Standard deviation of the prediction, (n, 3) [m]."""
 
-    def predict(self, q: npt.ArrayLike) -> Array: ...
+    def predict_interval(self, q: npt.ArrayLike, level: float = 0.95) -> tuple[Array, Array]:
+        """Lower and upper bounds, (n, 3) [m] each, that contain a measured end effector with probability ``level`` or more
+        where :meth:`inside` is true.
 
-    def spread(self, q: npt.ArrayLike) -> Array: ...
+        Raises:
+            InputError: a level that the calibration rows do not support, or a version without intervals.
+        """
+        reach = required(self.uncertainty, "forward model").intervals.reach(self.spread(q), level)
+        middle = self.predict(q)
+        return middle - reach, middle + reach
 
-    def predict_interval(self, q: npt.ArrayLike, level: float = 0.95) -> tuple[Array, Array]: ...
+    def inside(self, q: npt.ArrayLike) -> Mask:
+        """Whether joint values (n, n_axes) lie in the training domain, (n,)."""
+        return required(self.uncertainty, "forward model").domain.inside(self._checked(q))
 
-    def inside(self, q: npt.ArrayLike) -> Mask: ...
+    def _checked(self, q: npt.ArrayLike) -> Array:
+        values = np.atleast_2d(np.asarray(q, dtype=np.float64))
+        if values.shape[1] != len(self.joints):
+            expected = f"{len(self.joints)}: {', '.join(self.joints)}"
+            raise InputError("forward model", f"{values.shape[1]} joint values", expected)
+        return values
 
 
 @dataclass(frozen=True)
-class ForwardNetwork:
+class ForwardNetwork(ForwardModel):
     """Joint values → end effector in the base frame.
 
     Args:
@@ -71,8 +89,8 @@ class ForwardNetwork:
         features: how they enter the network.
         members: networks whose predictions are averaged.
         low, high: range of each joint in the rows it was fitted on, (n_axes,) [rad or m].
-        courses: how each member's training went.
-        trust: intervals, and where the data were; None for a version that does not know them.
+        learning_curves: of the members.
+        uncertainty: intervals and training domain; None for a version of an earlier release.
     """
 
     joints: tuple[str, ...]
@@ -81,47 +99,23 @@ class ForwardNetwork:
     members: tuple[Mlp, ...]
     low: Array
     high: Array
-    courses: tuple[LearningCurve, ...] = ()
-    trust: NetworkUncertainty | None = None
+    learning_curves: tuple[LearningCurve, ...] = ()
+    uncertainty: NetworkUncertainty | None = None
 
     def predict(self, q: npt.ArrayLike) -> Array:
-        """End-effector positions (n, 3) [m] at joint values ``q`` (n, n_axes) [rad or m].
-
-        Raises:
-            InputError: another number of joints.
-        """
         each = self._every(q)
         return np.asarray(each[0] if len(each) == 1 else each.mean(axis=0))
 
     def spread(self, q: npt.ArrayLike) -> Array:
-        """Standard deviation between the members, (n, 3) [m]: large where they guess; zero for a single one."""
+        """Standard deviation between the members, (n, 3) [m]; zero for a single one."""
         return np.asarray(self._every(q).std(axis=0))
 
-    def predict_interval(self, q: npt.ArrayLike, level: float = 0.95) -> tuple[Array, Array]:
-        """Lower and upper ends, (n, 3) [m] each, between which a measured end effector lies at least as often as ``level``
-        wherever :meth:`inside` holds.
-
-        Raises:
-            InputError: a level that the rows it was evaluated on cannot tell, or a version that does not know its intervals.
-        """
-        middle, reach = self.predict(q), known(self.trust, "forward network").intervals.reach(self.spread(q), level)
-        return middle - reach, middle + reach
-
-    def inside(self, q: npt.ArrayLike) -> Mask:
-        """Whether joint values (n, n_axes) lie where the data were, (n,)."""
-        return known(self.trust, "forward network").domain.inside(np.atleast_2d(np.asarray(q, dtype=np.float64)))
-
     def _every(self, q: npt.ArrayLike) -> Array:
-        values = np.atleast_2d(np.asarray(q, dtype=np.float64))
-        if values.shape[1] != len(self.joints):
-            raise InputError(
-                "forward network", f"{values.shape[1]} joint values", f"{len(self.joints)}: {', '.join(self.joints)}"
-            )
-        inputs = to_features(values, self.revolute, self.features)
+        inputs = to_features(self._checked(q), self.revolute, self.features)
         return np.array([member.predict(inputs) for member in self.members])
 
 
-def learn_forward(
+def fit_forward_network(
     dataset: Dataset, recipe: NetworkRecipe, progress: Progress | None = None, checkpoints: Checkpoints | None = None
 ) -> ForwardNetwork:
     """Fit the forward network on the dataset's ``poses`` recordings; without any, on the still phases of its motion.
@@ -130,7 +124,7 @@ def learn_forward(
         ExcitationError: a joint or the end effector was not measured, too few poses, a joint that did not move.
         SettingsError: training diverges.
     """
-    fit, select = taught_rows(dataset, recipe)
+    fit, select = training_rows(dataset, recipe)
     joints = forward_joints(dataset)
     count = len(joints)
     revolute = tuple(is_angle(dataset, signal) for signal in joints)
@@ -156,18 +150,18 @@ def learn_forward(
         members=tuple(result.mlp for result in trained),
         low=fit.values[:, :count].min(axis=0),
         high=fit.values[:, :count].max(axis=0),
-        courses=tuple(result.course for result in trained),
+        learning_curves=tuple(result.curve for result in trained),
     )
 
 
-def taught_rows(dataset: Dataset, recipe: NetworkRecipe) -> tuple[SignalRows, SignalRows]:
-    """The rows that a forward model learns from and those that decide when it stops, as many as the recipe says.
+def training_rows(dataset: Dataset, recipe: NetworkRecipe) -> tuple[SignalRows, SignalRows]:
+    """Fit rows and select rows of a forward model, at most as many as the recipe says.
 
     Raises:
         ExcitationError: too few of either, or a joint or the end effector that was not measured.
     """
     fit, select = forward_rows(dataset, "fit"), forward_rows(dataset, "select")
-    for rows, role, need in ((fit, "to fit", MIN_POSES), (select, "to decide when to stop", MIN_POSES // 10)):
+    for rows, role, need in ((fit, "to fit", MIN_POSES), (select, "for early stopping", MIN_POSES // 10)):
         if len(rows) < need:
             raise ExcitationError(
                 f"dataset {dataset.reference}",
@@ -231,13 +225,13 @@ def feature_names(joints: tuple[str, ...], revolute: tuple[bool, ...], features:
 
 
 def _still_phases(rows: SignalRows, joints: int) -> SignalRows:
-    """One row, the mean, for every stretch of consecutive rows in which no joint moves."""
+    """The mean row of every sequence of consecutive rows in which no joint moves."""
     if len(rows) < 2:
         return rows
     step = np.diff(rows.time)
     joined = (rows.recording[1:] == rows.recording[:-1]) & (np.diff(rows.row) == 1)
     speed = np.abs(np.diff(rows.values[:, :joints], axis=0)) / np.where(joined, step, np.inf)[:, None]
-    # Sensor noise makes single differences jump: evaluate their mean over the time that a still phase has to last.
+    # Single differences are dominated by sensor noise: use the mean speed over the least duration of a still phase.
     typical = float(np.median(step[joined])) if joined.any() else 1.0
     width = max(1, round(STILL_S / typical))
     smooth = np.abs(rows.values[width:, :joints] - rows.values[:-width, :joints]) / (width * typical)

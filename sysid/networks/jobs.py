@@ -1,8 +1,8 @@
-"""Members made ready to train, and which of them share a batch.
+"""Members prepared for training, and their grouping into batches.
 
-Every member has its own order of rows, learning rate and clock: its epoch is a pass over its own rows, and it takes whole
-batches from the endless sequence of its passes. So all matrices of an update have one shape however many rows a member has:
-nothing is padded or masked, no small last batch weighs as much as a large one, and shapes (hence bits) do not depend on others.
+Every member has its own shuffle order, learning rate and epochs: an epoch is a pass over its own rows, and whole batches are
+taken from the endless sequence of passes. All matrices of an update therefore have one shape, whatever the numbers of rows:
+rows are not padded or masked, there is no small last batch, and shapes (hence bits) do not depend on other members.
 """
 
 from __future__ import annotations
@@ -30,21 +30,21 @@ if TYPE_CHECKING:
 
 Array = npt.NDArray[np.float64]
 
-#: What one batch on a CPU may take of its caches [bytes]: more members at once spare calls, but only while they stay there.
+#: Largest working set of one batch on a CPU [bytes]: more members per batch save calls while they fit the caches.
 CACHE = 6_000_000
 
 
 @dataclass(frozen=True)
 class Job:
-    """One member, ready to train: rows are normalised, columns padded.
+    """One member: normalised rows, padded columns, settings and state.
 
     Args:
         sizes: (d_in, hidden…, d_out) without padding.
-        x, y: rows to learn from, (n, padded d).
+        x, y: fit rows, (n, padded d).
         x_validation, y_validation: (v, padded d).
-        width: rows of one update, at most n.
-        cosine, patience, check_every, epochs: as in the settings.
-        file: name of its checkpoint.
+        width: rows per update, at most n.
+        settings: with the member's own learning rate.
+        file: name of the checkpoint.
     """
 
     name: str
@@ -54,55 +54,56 @@ class Job:
     x_validation: Floats
     y_validation: Floats
     order: ShuffleOrder
-    learning_rate: float
     width: int
-    epochs: int
-    patience: int
-    check_every: int
-    cosine: bool
+    settings: TrainingSettings
     state: State
     file: str = ""
     rectifier: Rectifier = "relu"
 
     @property
     def updates(self) -> int:
-        """At most."""
-        return math.ceil(self.epochs * len(self.x) / self.width)
+        """Largest number of updates."""
+        return math.ceil(self.settings.epochs * len(self.x) / self.width)
 
     @property
     def shape(self) -> tuple[object, ...]:
-        """Jobs that are equal in this can share a batch."""
+        """Jobs with equal values can share a batch."""
         return (padded(self.sizes), self.rectifier, self.width, self.state.step)
 
     @property
     def bytes(self) -> int:
-        """Parameters, gradients and moments, and the activations of an update with their gradients."""
+        """Size of parameters, gradients, moments, and activations with their gradients."""
         return 16 * len(self.state.row) + 8 * self.width * sum(padded(self.sizes))
 
     def rate(self, step: int) -> float:
         """Learning rate of update ``step``, counted from 1: constant, or a cosine down to a hundredth."""
-        if not self.cosine:
-            return self.learning_rate
+        if self.settings.schedule == "constant":
+            return self.settings.learning_rate
         share = 0.5 * (1.0 + math.cos(math.pi * (step - 1) / max(1, self.updates - 1)))
-        return self.learning_rate * (0.01 + 0.99 * share)
+        return self.settings.learning_rate * (0.01 + 0.99 * share)
 
     def epoch(self, step: int) -> int:
         """Whole passes after ``step`` updates."""
-        return min(self.epochs, step * self.width // len(self.x))
+        return min(self.settings.epochs, step * self.width // len(self.x))
 
     def is_due(self, step: int) -> bool:
-        """Whether the validation rows are looked at after update ``step``."""
-        return self.epoch(step) // self.check_every > self.epoch(step - 1) // self.check_every or step >= self.updates
+        """Whether the member is evaluated after update ``step``."""
+        every = self.settings.check_every
+        return self.epoch(step) // every > self.epoch(step - 1) // every or step >= self.updates
 
-    def judged(self, validation: float, row: Callable[[], Floats]) -> None:
-        """Note a check; the state is finished when this was the last."""
+    def record_check(self, validation: float, row: Callable[[], Floats]) -> None:
+        """Record an evaluation: its ``validation`` loss, and the parameters ``row()`` if it is the best.
+
+        Raises:
+            SettingsError: a loss that is not finite.
+        """
         state, epoch, fit = self.state, self.epoch(self.state.step), self.state.loss / self.state.seen
         if not (math.isfinite(validation) and math.isfinite(fit)):
             raise SettingsError(
                 f"network {self.name}",
                 f"the loss became {fit if math.isfinite(validation) else validation} by epoch {epoch}",
                 "a finite loss",
-                f"Lower learning_rate (now {self.learning_rate:g}).",
+                f"Lower learning_rate (now {self.settings.learning_rate:g}).",
             )
         state.epochs.append(epoch)
         state.fit.append(fit)
@@ -110,32 +111,33 @@ class Job:
         state.loss, state.seen = 0.0, 0
         if validation < state.best_loss:
             state.best_loss, state.best_epoch, state.best = validation, epoch, row()
-        state.finished = state.step >= self.updates or epoch - state.best_epoch >= self.patience
+        state.finished = state.step >= self.updates or epoch - state.best_epoch >= self.settings.patience
 
 
 def batches(jobs: Sequence[Job], workers: int, device: torch.device) -> list[list[Job]]:
-    """Jobs that are trained together: of one shape, as many as the caches hold and as leave every worker something to do."""
+    """Batches of jobs with one shape, as large as the caches allow and small enough to occupy every worker."""
     found = []
     waiting = sorted(
-        (job for job in jobs if not job.state.finished), key=lambda job: (str(job.shape), job.learning_rate, len(job.x))
+        (job for job in jobs if not job.state.finished),
+        key=lambda job: (str(job.shape), job.settings.learning_rate, len(job.x)),
     )
     for _, group in itertools.groupby(waiting, key=lambda job: job.shape):
         members = list(group)
-        most = len(members)
+        size = len(members)
         if device.type == "cpu":
-            most = max(1, min(CACHE // members[0].bytes, math.ceil(most / workers)))
-        count = math.ceil(len(members) / most)
+            size = max(1, min(CACHE // members[0].bytes, math.ceil(size / workers)))
+        count = math.ceil(len(members) / size)
         parts = [members[number * len(members) // count : (number + 1) * len(members) // count] for number in range(count)]
         found += [part for part in parts if part]
-    return sorted(found, key=work_of, reverse=True)  # the longest first, so that no worker is left alone with it at the end
+    return sorted(found, key=remaining_work, reverse=True)  # the longest first, to balance the workers
 
 
-def work_of(batch: Sequence[Job]) -> float:
+def remaining_work(batch: Sequence[Job]) -> float:
     return float(sum((job.updates - job.state.step) * job.bytes for job in batch))
 
 
 def layers_of(member: EnsembleMember, hidden: tuple[int, ...]) -> tuple[int, ...]:
-    """(d_in, hidden…, d_out) of a member whose arrays fit together and are finite."""
+    """(d_in, hidden…, d_out) of a member, after checks of its arrays and settings."""
     (n, d_in), (v, _), d_out = member.inputs.shape, member.validation_inputs.shape, member.outputs.shape[1]
     expected = {"inputs": (n, d_in), "outputs": (n, d_out), "validation_inputs": (v, d_in), "validation_outputs": (v, d_out)}
     for key, shape in expected.items():
@@ -158,9 +160,8 @@ def layers_of(member: EnsembleMember, hidden: tuple[int, ...]) -> tuple[int, ...
 
 def scalers_of(member: EnsembleMember) -> tuple[Normalisation, Normalisation]:
     where = f"network {member.name}"
-    return Normalisation.of(member.inputs, member.input_names, where), Normalisation.of(
-        member.outputs, member.output_names, where
-    )
+    inputs = Normalisation.of(member.inputs, member.input_names, where)
+    return inputs, Normalisation.of(member.outputs, member.output_names, where)
 
 
 def job_of(
@@ -174,14 +175,14 @@ def job_of(
 ) -> Job:
     inputs, outputs = scalers
     rows = [
-        _columns(inputs.apply(member.inputs), sizes[0]),
-        _columns(outputs.apply(member.outputs), sizes[-1]),
-        _columns(inputs.apply(member.validation_inputs), sizes[0]),
-        _columns(outputs.apply(member.validation_outputs), sizes[-1]),
+        _padded_columns(inputs.apply(member.inputs), sizes[0]),
+        _padded_columns(outputs.apply(member.outputs), sizes[-1]),
+        _padded_columns(inputs.apply(member.validation_inputs), sizes[0]),
+        _padded_columns(outputs.apply(member.validation_outputs), sizes[-1]),
     ]
     rate = settings.learning_rate if member.learning_rate is None else member.learning_rate
     own = replace(settings, learning_rate=rate)
-    file = _file(member, sizes, own, seed, device, rows) if checkpoints else ""
+    file = _checkpoint_name(member, sizes, own, seed, device, rows) if checkpoints else ""
     saved = checkpoints.load(file, parameters(padded(sizes))) if checkpoints else None
     return Job(
         name=member.name,
@@ -191,29 +192,25 @@ def job_of(
         x_validation=rows[2],
         y_validation=rows[3],
         order=ShuffleOrder(seed, member.name, len(rows[0])),
-        learning_rate=rate,
         width=min(settings.batch, len(rows[0])),
-        epochs=settings.epochs,
-        patience=settings.patience,
-        check_every=settings.check_every,
-        cosine=settings.schedule == "cosine",
+        settings=own,
         state=saved or State.at_start(initial_row(seed, member.name, sizes)),
         file=file,
         rectifier=member.rectifier,
     )
 
 
-def _columns(values: Array, columns: int) -> Floats:
-    """(n, d) with columns of zeros up to a whole lane."""
+def _padded_columns(values: Array, columns: int) -> Floats:
+    """(n, d) with columns padded by zeros to a whole lane."""
     filled = np.zeros((len(values), padded((columns,))[0]), dtype=np.float32)
     filled[:, :columns] = values
     return filled
 
 
-def _file(
+def _checkpoint_name(
     member: EnsembleMember, sizes: tuple[int, ...], settings: TrainingSettings, seed: int, device: str, rows: Sequence[Floats]
 ) -> str:
-    """A name for a member's checkpoint that changes with all that its result follows from."""
+    """Name of a member's checkpoint: a digest of all that its result depends on."""
     import torch
 
     decides = asdict(settings) | {

@@ -1,4 +1,4 @@
-"""What goes into training and what comes out of it."""
+"""Inputs and results of training."""
 
 from __future__ import annotations
 
@@ -16,19 +16,27 @@ from sysid.networks.mlp import Mlp, Rectifier
 Array = npt.NDArray[np.float64]
 
 
+def require_positive(where: object, settings: object, *keys: str) -> None:
+    """Raises SettingsError if one of the attributes ``keys`` is not a positive finite number."""
+    for key in keys:
+        value = getattr(settings, key)
+        if not (math.isfinite(value) and value > 0):
+            raise SettingsError(where, f"{key} = {value}", "a positive number")
+
+
 @dataclass(frozen=True)
 class TrainingSettings:
     """How a network is trained.
 
     Args:
-        learning_rate: of Adam, at the start; a member may have its own.
-        batch: rows of one update; a member with fewer rows uses all of them each time.
-        epochs: passes over the rows at most.
-        patience: epochs without improvement on the validation rows before a member is finished.
-        check_every: epochs between two looks at the validation rows.
+        learning_rate: initial rate of Adam; a member may have its own.
+        batch: rows per update; a member with fewer rows uses all of them.
+        epochs: largest number of passes over the rows.
+        patience: epochs without improvement on the validation rows after which a member is finished.
+        check_every: epochs between two evaluations on the validation rows.
         schedule: ``constant``, or ``cosine`` down to a hundredth at the last update.
-        threads: batches that are trained at the same time, one core each; 0 means every core. Results do not depend on it.
-        device: ``auto`` is a GPU where there is one and the work is worth it. The last bits of a result depend on the device.
+        threads: batches that are trained in parallel, one core each; 0 means every core. Results do not depend on it.
+        device: ``auto`` is a GPU if there is one and it is faster. The last bits of a result depend on the device.
     """
 
     __pydantic_config__ = STRICT
@@ -44,10 +52,7 @@ class TrainingSettings:
 
     def check(self, where: object) -> None:
         """Raises SettingsError for a value that cannot be used."""
-        for key in ("learning_rate", "batch", "epochs", "patience", "check_every"):
-            value = getattr(self, key)
-            if not (math.isfinite(value) and value > 0):
-                raise SettingsError(where, f"{key} = {value}", "a positive number")
+        require_positive(where, self, "learning_rate", "batch", "epochs", "patience", "check_every")
         if self.threads < 0:
             raise SettingsError(where, f"threads = {self.threads}", "a number from 0 on (0: every core)")
 
@@ -57,12 +62,12 @@ class EnsembleMember:
     """One network to train: rows in SI units.
 
     Args:
-        name: decides, with the seed, the initial weights and the order of samples; shown in messages.
-        inputs, outputs: rows to learn from, (n, d_in) and (n, d_out).
-        validation_inputs, validation_outputs: rows that decide when to stop, (v, d_in) and (v, d_out).
+        name: determines, with the seed, the initial weights and the shuffle order; used in messages.
+        inputs, outputs: fit rows, (n, d_in) and (n, d_out).
+        validation_inputs, validation_outputs: early-stopping rows, (v, d_in) and (v, d_out).
         input_names, output_names: of the columns, for messages.
-        hidden: units of the hidden layers, where they are not those of the others.
-        learning_rate: where it is not that of the settings.
+        hidden: units of the hidden layers; None: those of the call.
+        learning_rate: None: that of the settings.
         rectifier: between its layers.
     """
 
@@ -80,16 +85,16 @@ class EnsembleMember:
 
 @dataclass(frozen=True)
 class LearningCurve:
-    """How a training went.
+    """Learning curve of a member.
 
     Args:
-        rows: learned from and validated on.
+        rows: numbers of fit and validation rows.
         epochs: passes over its rows until it was finished.
-        best_epoch: the one whose weights were kept.
+        best_epoch: the one whose weights are kept.
         validation_rmse: per output at ``best_epoch`` [SI].
         checked_epochs, fit_loss, validation_loss: (k,) each; losses are mean squared errors of normalised outputs, the former
             over the updates since the last check.
-        seconds: wall time of all that was trained together.
+        seconds: wall time of the whole training.
     """
 
     rows: tuple[int, int]
@@ -102,13 +107,13 @@ class LearningCurve:
     seconds: float = 0.0
 
     def to_json(self) -> dict[str, Any]:
-        """Without the wall time, which differs between runs that are otherwise equal."""
+        """Without the wall time, so that equal runs give equal values."""
         return {key: value for key, value in asdict(self).items() if key != "seconds"}
 
 
 @dataclass(frozen=True)
 class TrainedMember:
-    """A trained member: the network with the weights of its best epoch, and how it came about."""
+    """The network with the weights of its best epoch, and its learning curve."""
 
     mlp: Mlp
-    course: LearningCurve
+    curve: LearningCurve

@@ -1,4 +1,4 @@
-"""A multi-layer perceptron as plain arrays: normalisation inside, inference in NumPy without torch."""
+"""A multi-layer perceptron as arrays, with its normalisation: inference in NumPy without torch."""
 
 from __future__ import annotations
 
@@ -14,15 +14,14 @@ from sysid.errors import ExcitationError, InputError
 
 Array = npt.NDArray[np.float64]
 
-#: What stands between two layers: ``relu`` is max(0, x); ``smooth`` is (x + √(x² + 4))/2 − 1, the same with its corner rounded
-#: (squareplus: Barron 2021, arXiv:2112.11687; less one, so that zero stays zero). It takes a root and no exponential, so it has
-#: the same bits wherever it is computed.
+#: Activation between two layers: ``relu`` is max(0, x); ``smooth`` is squareplus less one, (x + √(x² + 4))/2 − 1 (Barron 2021,
+#: arXiv:2112.11687), so that f(0) = 0. It has no exponential, so its bits are the same on every platform.
 Rectifier = Literal["relu", "smooth"]
 
 
 @dataclass(frozen=True)
 class Normalisation:
-    """``normalised = (value − mean) / scale``, one mean and scale a column, each (d,), in the column's SI unit."""
+    """``normalised = (value − mean) / scale``, with mean and scale of each column, (d,), in its SI unit."""
 
     mean: Array
     scale: Array
@@ -32,7 +31,7 @@ class Normalisation:
         """Mean and standard deviation of the columns of ``values`` (n, d).
 
         Raises:
-            ExcitationError: a column does not vary, so nothing can be learned from or about it.
+            ExcitationError: a column is constant.
         """
         mean, scale = values.mean(axis=0), values.std(axis=0)
         for name, centre, spread in zip(names, mean, scale, strict=True):
@@ -97,14 +96,14 @@ class Mlp:
                 root = h * h
                 root += 4.0
                 np.sqrt(root, out=root)
-                h += root  # half of it, less one, is in the weights of the next layer
+                h += root  # the factor ½ and the −1 are in the next layer
         h = h.dot(weights[-1])
         h += biases[-1]
         return np.asarray(h)
 
     @cached_property
     def _folded(self) -> tuple[tuple[Array, ...], tuple[Array, ...]]:
-        """Weights and biases with both normalisations, and what is linear of the rectifier, in them."""
+        """Weights and biases that include both normalisations and the linear part of the rectifier."""
         weights, biases = list(self.weights), list(self.biases)
         if self.rectifier == "smooth":
             biases[1:] = [bias - weight.sum(axis=0) for weight, bias in zip(weights[1:], biases[1:], strict=True)]

@@ -1,4 +1,4 @@
-"""A policy as plain arrays: observations to joint setpoints, in NumPy without torch."""
+"""A policy as arrays: observations → joint setpoints, in NumPy without torch."""
 
 from __future__ import annotations
 
@@ -11,13 +11,12 @@ import numpy as np
 import numpy.typing as npt
 
 from sysid.errors import StoreError
-from sysid.networks.artifacts import STRUCTURE, WEIGHTS, Tensors, put_mlp, take_mlp
+from sysid.networks.artifacts import STRUCTURE, WEIGHTS, Tensors, put_mlp, reading, take_mlp
 from sysid.networks.mlp import Mlp
-from sysid.parse import parse_json
 
 Array = npt.NDArray[np.float64]
 
-#: How training went, for reports; nothing else reads it.
+#: Training curves, for reports only.
 CURVES = "curves.json"
 
 
@@ -26,11 +25,11 @@ class PolicyNetwork:
     """``a = centre + half·tanh(perceptron(observation))``, centre and half of the limits of each setpoint.
 
     Args:
-        inputs: what the columns of an observation are.
+        inputs: names of the columns of an observation.
         outputs: joint signals of the setpoints.
-        mlp: with the normalisation of observations in it.
-        low, high: of each setpoint, (A,) [rad or m].
-        full: it was trained on the full path, behind valves and plant; else joints followed at once.
+        mlp: with the normalisation of observations.
+        low, high: limits of each setpoint, (A,) [rad or m].
+        full: whether it was trained on the full path (valves and plant); else joints follow at once.
     """
 
     inputs: tuple[str, ...]
@@ -41,7 +40,7 @@ class PolicyNetwork:
     full: bool = False
 
     def act(self, observations: npt.ArrayLike) -> Array:
-        """Setpoints (n, A) [rad or m] for observations (n, O) [SI]; within their limits whatever is observed.
+        """Setpoints (n, A) [rad or m], within their limits, for observations (n, O) [SI].
 
         Raises:
             InputError: observations of another width.
@@ -50,7 +49,7 @@ class PolicyNetwork:
         np.tanh(shares, out=shares)
         shares *= self._half
         shares += self._centre
-        return np.clip(shares, self.low, self.high, out=shares)  # a rounding may be beyond
+        return np.clip(shares, self.low, self.high, out=shares)  # rounding may exceed the limits
 
     @cached_property
     def _half(self) -> Array:
@@ -83,19 +82,12 @@ def policy_to_files(policy: PolicyNetwork, curves: Mapping[str, object]) -> dict
 
 
 def policy_from_files(files: Mapping[str, bytes], where: object) -> PolicyNetwork:
-    """The policy whose :func:`policy_to_files` these are; ``where`` is the version, for messages.
+    """Inverse of :func:`policy_to_files`; ``where`` is the version, for messages.
 
     Raises:
-        StoreError: a file is missing, is not what it should be, or the layers do not fit together.
+        StoreError: a file is missing or invalid, or the layers do not fit together.
     """
-    from safetensors import SafetensorError
-    from safetensors.numpy import load
-
-    for name in (WEIGHTS, STRUCTURE):
-        if name not in files:
-            raise StoreError(where, f"no file {name}", f"{WEIGHTS} and {STRUCTURE}", "Is it a policy?")
-    try:
-        structure, tensors = parse_json(files[STRUCTURE]), load(files[WEIGHTS])
+    with reading(files, where, "a policy") as (structure, tensors):
         if structure["schema"] != 1 or structure["kind"] != "policy":
             found = f"{structure['kind']} of schema {structure['schema']!r}"
             raise StoreError(f"{where}: {STRUCTURE}", found, "a policy of schema 1", "Update the toolkit.")
@@ -107,8 +99,6 @@ def policy_from_files(files: Mapping[str, bytes], where: object) -> PolicyNetwor
             high=tensors["high"],
             full=bool(structure["full"]),
         )
-    except (ValueError, KeyError, TypeError, AttributeError, IndexError, SafetensorError) as error:
-        raise StoreError(where, f"not a policy ({type(error).__name__}: {error})", f"{WEIGHTS} and {STRUCTURE}") from None
     widths = (len(policy.mlp.weights[0]), policy.mlp.weights[-1].shape[1])
     if widths != (len(policy.inputs), len(policy.outputs)) or not policy.low.shape == policy.high.shape == (widths[1],):
         found = f"{widths[0]} inputs and {widths[1]} outputs"

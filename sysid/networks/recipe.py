@@ -1,7 +1,7 @@
-"""What is fitted and how: a frozen recipe, by default that of the paper, of which a TOML file overrides single keys.
+"""Fitting recipe: frozen settings, by default the paper's, whose keys a TOML file overrides.
 
 Architectures, optimiser, learning rate of the actuator networks and numbers of samples are the paper's. Its forward learning
-rate, batch sizes, numbers of epochs and schedules are not published: those here are ours (``docs/networks.md``).
+rate, batch sizes, numbers of epochs and schedules are not published; those were chosen here (``docs/networks.md``).
 """
 
 from __future__ import annotations
@@ -14,12 +14,12 @@ from typing import Any, Literal
 
 from sysid.config import STRICT, parse_settings, read_toml
 from sysid.errors import SettingsError, nearest
-from sysid.networks.member import TrainingSettings
+from sysid.networks.member import TrainingSettings, require_positive
 from sysid.networks.mlp import Rectifier
 
 Features = Literal["joints", "sincos", "products"]
 
-#: Largest error of the paper's forward network, learned from 500 poses, by output [m]. It does not say on which rows.
+#: Largest error of the paper's forward network with 500 training poses, by output [m]. The paper does not state the test rows.
 PAPER_MAX = {"ee.x": 15.9e-3, "ee.y": 20.5e-3, "ee.z": 13.6e-3}
 
 _ACTUATOR_TRAINING = TrainingSettings(learning_rate=1e-4, batch=64, epochs=800, patience=100, check_every=5, schedule="cosine")
@@ -29,13 +29,13 @@ _FORWARD_TRAINING = TrainingSettings(learning_rate=3e-3, batch=16, epochs=500, p
 
 @dataclass(frozen=True)
 class HistoryRecipe:
-    """The memory on top of each static map (``[actuator] model = "history"``).
+    """The correction of each static map (``[actuator] model = "history"``).
 
     Args:
-        interval: seconds between two looks.
-        units: of its long short-term memory.
-        plays: widths of the plays that it sees, as shares of the fitted range; none: position and speed alone.
-        epochs, check_every, patience: as in :class:`TrainingSettings`; one update an epoch.
+        interval: seconds between two updates.
+        units: of the LSTM.
+        plays: widths of the play operators, as shares of the fitted range; none: inputs are position and speed.
+        epochs, check_every, patience: as in :class:`TrainingSettings`; one parameter update per epoch.
     """
 
     __pydantic_config__ = STRICT
@@ -50,10 +50,7 @@ class HistoryRecipe:
 
     def check(self, where: object) -> None:
         """Raises SettingsError for a value that cannot be used."""
-        for key in ("interval", "units", "learning_rate", "epochs", "check_every", "patience"):
-            value = getattr(self, key)
-            if not (math.isfinite(value) and value > 0):
-                raise SettingsError(where, f"{key} = {value}", "a positive number")
+        require_positive(where, self, "interval", "units", "learning_rate", "epochs", "check_every", "patience")
         if not all(0.0 < share < 1.0 for share in self.plays):
             raise SettingsError(where, f"plays = {list(self.plays)}", "shares of the range between 0 and 1, as in [0.01]")
 
@@ -63,14 +60,14 @@ class ActuatorRecipe:
     """Both directions of every cylinder-joint map.
 
     Args:
-        model: ``static`` (the paper), or ``history``: with a memory of where the cylinder came from.
-        samples: rows learned from, spread over the stroke.
-        rows: where they come from. Poses reach the ends of the stroke, which an operator avoids and a network cannot guess.
+        model: ``static`` (the paper), or ``history``: with a correction for backlash and hysteresis.
+        samples: fit rows, stratified over the stroke.
+        rows: kinds of recordings. Poses reach the ends of the stroke, which an operator avoids.
         hidden: hidden layers of an axis that ``hidden_of`` does not name.
         hidden_of: axis → hidden layers.
-        rectifier: between them: ``relu`` (the paper), or ``smooth``: the same with its corner rounded.
-        training: how.
-        history: the memory of ``history``.
+        rectifier: ``relu`` (the paper), or ``smooth``: squareplus.
+        training: settings.
+        history: settings of the correction.
     """
 
     __pydantic_config__ = STRICT
@@ -93,16 +90,16 @@ class ForwardRecipe:
     """Joint values → end effector.
 
     Args:
-        poses: static poses used at most, those to learn from and those that stop the training together.
+        poses: largest number of static poses, fit and early-stopping poses together.
         hidden: hidden layers.
         features: ``joints`` (the paper); ``sincos``: sine and cosine of every revolute joint instead of its angle;
             ``products``: their products as well, one factor a joint, in which the tip of any open chain is linear.
-        rectifier: between the layers: ``relu`` (the paper), or ``smooth``: the same with its corner rounded.
+        rectifier: ``relu`` (the paper), or ``smooth``: squareplus.
         members: networks with different initial weights whose predictions are averaged (the paper: one).
-        training: how.
-        model: ``network`` (the paper), or ``structured``: the URDF's kinematics with its geometry calibrated on the poses,
-            or ``chain``: any open chain, linear in products of sines and cosines, where there is no URDF.
-        residual: whether a small network may correct what the calibrated geometry leaves; ``residual_hidden``: its layers.
+        training: settings.
+        model: ``network`` (the paper), or ``structured``: the URDF with its geometry calibrated on the poses, or ``chain``: any
+            open chain, linear in products of sines and cosines, without a URDF.
+        residual: whether a small network may correct the residual of the geometry; ``residual_hidden``: its layers.
     """
 
     __pydantic_config__ = STRICT
@@ -123,17 +120,17 @@ class MotionRecipe:
     """Command → motion of every axis, after Hwangbo et al., Science Robotics 4 (2019).
 
     Args:
-        step: seconds from one prediction to the next, rounded to whole samples: long enough that the sensor's noise is small
-            against the motion.
-        history: when commands are looked at, seconds before the step to come; 0 is the command of that step.
-        speeds: edges of the past speeds that are looked at, seconds before now. All times are rounded to whole steps.
-        position: whether the network sees where the axis is.
-        samples: rows learned from and stopped on, each at most, evenly spaced.
+        step: seconds from one prediction to the next, rounded to whole samples; long enough that sensor noise is small against
+            the motion.
+        history: lags of the commands, seconds before the predicted step; 0 is the command of that step.
+        speeds: edges of the past speeds, seconds before now. All times are rounded to whole steps.
+        position: whether the position is an input.
+        samples: largest numbers of fit and of early-stopping rows, evenly spaced.
         hidden: hidden layers.
-        members: networks with other first weights whose speeds are averaged. They are trained with and without past speeds; the
-            better free runs are kept.
+        members: networks with different initial weights whose speeds are averaged, with and without past speeds; the candidate
+            with the better free runs is selected.
         horizons: seconds after which free runs are evaluated, besides whole recordings.
-        training: how.
+        training: settings.
     """
 
     __pydantic_config__ = STRICT
@@ -164,7 +161,7 @@ class MotionRecipe:
 
 @dataclass(frozen=True)
 class NetworkRecipe:
-    """The whole recipe; ``seed`` decides samples, initial weights and order of samples."""
+    """The whole recipe; ``seed`` determines samples, initial weights and shuffle order."""
 
     __pydantic_config__ = STRICT
 
@@ -175,7 +172,7 @@ class NetworkRecipe:
     motion: MotionRecipe = MotionRecipe()
 
     def to_json(self) -> dict[str, Any]:
-        """For lineage records; :func:`parse_recipe` takes it back."""
+        """For lineage records; :func:`parse_recipe` is its inverse."""
         return asdict(self)
 
     def check_axes(self, axes: Iterable[str]) -> None:
@@ -187,10 +184,10 @@ class NetworkRecipe:
 
 
 def load_recipe(path: Path | None = None) -> NetworkRecipe:
-    """The recipe in ``path``; keys that it leaves out, and None, mean the paper's.
+    """The recipe in ``path``, over the paper's; None: the paper's.
 
     Raises:
-        SettingsError: unknown keys, wrong types, impossible values.
+        SettingsError: unknown keys, wrong types, invalid values.
     """
     return NetworkRecipe() if path is None else parse_recipe(read_toml(path), path)
 

@@ -1,7 +1,7 @@
-"""What chance decides about a member: its initial weights and the order in which it sees its rows.
+"""Random numbers of a member: initial weights and shuffle order.
 
-Both follow from the seed and the member's name alone, by a generator that counts (Philox; Salmon et al. 2011): any place of the
-order can be had without what came before, so a checkpoint needs to hold no state of it, and it is the same on every device.
+Both follow from the seed and the member's name by a counter-based generator (Philox; Salmon et al. 2011), so any part of the
+order is available without the previous ones: a checkpoint holds no generator state, and the order is the same on every device.
 """
 
 from __future__ import annotations
@@ -17,14 +17,14 @@ from sysid.networks.batch import Floats, pack
 
 
 def generator(seed: int, name: str, pass_: int) -> np.random.Generator:
-    """Random numbers of one member and one pass over its rows; pass 0 is for the initial weights."""
-    # Not Python's hash(), which differs between processes.
+    """Generator of one member and one pass over its rows; pass 0 is for the initial weights."""
+    # Python's hash() differs between processes.
     key = int.from_bytes(hashlib.blake2b(f"{seed} {name}".encode(), digest_size=16).digest(), "little")
     return np.random.Generator(np.random.Philox(key=key, counter=[0, 0, 0, pass_]))
 
 
 def initial_row(seed: int, name: str, sizes: tuple[int, ...]) -> Floats:
-    """Weights and biases, uniform in ±1/√in as ``torch.nn.Linear`` draws them, (P,) with padding."""
+    """Initial weights and biases, uniform in ±1/√in as in ``torch.nn.Linear``, (P,) with padding."""
     rng = generator(seed, name, 0)
     weights, biases = [], []
     for d_in, d_out in itertools.pairwise(sizes):
@@ -35,21 +35,21 @@ def initial_row(seed: int, name: str, sizes: tuple[int, ...]) -> Floats:
 
 
 class ShuffleOrder:
-    """The endless sequence of a member's rows: one permutation after the other."""
+    """The endless shuffled sequence of a member's rows: one permutation per pass."""
 
     def __init__(self, seed: int, name: str, rows: int) -> None:
         self._seed, self._name, self._rows = seed, name, rows
         self._pass, self._permutation = 0, np.empty(0, dtype=np.int64)
 
     def take(self, begin: int, end: int) -> npt.NDArray[np.int64]:
-        """The row numbers at places ``begin`` to ``end`` of the sequence."""
+        """The row numbers at positions ``begin`` to ``end`` (excluded) of the sequence."""
         parts = []
         for pass_ in range(begin // self._rows, -(-end // self._rows)):
             first = pass_ * self._rows
-            parts.append(self._of(pass_ + 1)[max(begin - first, 0) : end - first])
+            parts.append(self._permutation_of(pass_ + 1)[max(begin - first, 0) : end - first])
         return np.concatenate(parts)
 
-    def _of(self, pass_: int) -> npt.NDArray[np.int64]:
+    def _permutation_of(self, pass_: int) -> npt.NDArray[np.int64]:
         if pass_ != self._pass:
             self._pass, self._permutation = pass_, generator(self._seed, self._name, pass_).permutation(self._rows)
         return self._permutation

@@ -1,4 +1,4 @@
-"""Which rows may teach, stop and test a network: by whole recording, else by contiguous block with a guard, never by sample."""
+"""Fit, select and held-out rows of networks: whole recordings, else contiguous blocks with a guard, never single samples."""
 
 from __future__ import annotations
 
@@ -14,10 +14,12 @@ from sysid.errors import ExcitationError
 Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.int64]
 
-#: Shares of a recording that are taken from its end where no recording has that role: (select, held out).
+#: Shares of a recording, from its end, that take a role which no recording has: (select, held out).
 BLOCK_SHARES: dict[Kind, tuple[float, float]] = {"motion": (0.15, 0.15), "poses": (0.1, 0.1)}
-#: Rows of a motion recording within this time of another block belong to neither [s].
+#: Width of the guard between two blocks of a motion recording, whose rows belong to neither [s].
 GUARD_S = 1.0
+#: Bins of a stratified sample.
+BINS = 50
 
 
 @dataclass(frozen=True)
@@ -31,7 +33,7 @@ class RowRange:
 
 @dataclass(frozen=True)
 class SignalRows:
-    """Rows of one or more recordings in which every signal was measured.
+    """Rows of one or more recordings with all signals.
 
     Args:
         signals: names of the columns.
@@ -57,11 +59,11 @@ class SignalRows:
 def segments(dataset: Dataset, role: Role, signals: Sequence[str], kind: Kind = "motion") -> tuple[RowRange, ...]:
     """The parts of the dataset that have ``role`` for a network over ``signals``.
 
-    Only recordings that measured all the signals at once count. Where none of them is ``select`` or ``held_out``, the ends of
-    the ``fit`` recordings stand in. Poses without a role in the dataset are ``fit``: ingest gives roles to motion alone.
+    Only recordings with all signals at the same time count. If none of them is ``select`` or ``held_out``, the ends of the
+    ``fit`` recordings take the role. Poses without a role are ``fit``, since ingest assigns roles to motion only.
 
     Raises:
-        ExcitationError: no recording to learn from has all signals.
+        ExcitationError: no ``fit`` recording has all signals.
     """
     usable = [r for r in dataset.of_kind(kind) if _measured(r, signals).any()]
     default: Role | None = "fit" if kind == "poses" else None
@@ -90,44 +92,34 @@ def segments(dataset: Dataset, role: Role, signals: Sequence[str], kind: Kind = 
 
 
 def gather(parts: Sequence[RowRange], signals: Sequence[str]) -> SignalRows:
-    """All rows of ``parts`` in which every signal was measured, in order."""
-    values, names, rows, times = [], [], [], []
+    """All rows of ``parts`` with every signal, in order."""
+    columns = []
     for part in parts:
         chosen = np.flatnonzero(_measured(part.recording, signals)[part.start : part.stop]) + part.start
-        values.append(np.column_stack([part.recording.values(signal)[chosen] for signal in signals]))
-        names.append(np.full(len(chosen), part.recording.name))
-        rows.append(chosen)
-        times.append(part.recording.values("time")[chosen])
-    return SignalRows(
-        tuple(signals), np.concatenate(values), np.concatenate(names), np.concatenate(rows), np.concatenate(times)
-    )
+        values = np.column_stack([part.recording.values(signal)[chosen] for signal in signals])
+        columns.append((values, np.full(len(chosen), part.recording.name), chosen, part.recording.values("time")[chosen]))
+    return SignalRows(tuple(signals), *map(np.concatenate, zip(*columns, strict=True)))
 
 
 def joined(first: SignalRows, second: SignalRows) -> SignalRows:
     """The rows of both, in order."""
-    return SignalRows(
-        first.signals,
-        np.concatenate([first.values, second.values]),
-        np.concatenate([first.recording, second.recording]),
-        np.concatenate([first.row, second.row]),
-        np.concatenate([first.time, second.time]),
-    )
+    columns = ([getattr(rows, key) for rows in (first, second)] for key in ("values", "recording", "row", "time"))
+    return SignalRows(first.signals, *(np.concatenate(column) for column in columns))
 
 
 def measures(dataset: Dataset, signals: Sequence[str], kind: Kind) -> bool:
-    """Whether some recording of ``kind`` has a row with all the signals."""
+    """Whether a recording of ``kind`` has a row with all signals."""
     return any(_measured(recording, signals).any() for recording in dataset.of_kind(kind))
 
 
-def spread_sample(values: Array, count: int, rng: np.random.Generator, bins: int = 50) -> npt.NDArray[np.intp]:
-    """``count`` row numbers, drawn so that ``values`` (n,) is covered as evenly as the data allow; sorted.
+def stratified_sample(values: Array, count: int, rng: np.random.Generator) -> npt.NDArray[np.intp]:
+    """``count`` row numbers that cover the range of ``values`` (n,) as evenly as the data allow, sorted.
 
-    The range is cut into equal bins that give the same number of rows each; what thin bins cannot give is shared out among the
-    others. An operator dwells at some positions and rushes through others, and a uniform draw would copy that.
+    Equal numbers of rows are drawn from :data:`BINS` equal bins; the shortfall of sparse bins is distributed over the others.
     """
     if count >= len(values):
         return np.arange(len(values))
-    width = max(float(np.ptp(values)), 1e-300)
+    bins, width = BINS, max(float(np.ptp(values)), 1e-300)
     owner = np.minimum(((values - values.min()) / width * bins).astype(int), bins - 1)
     stock = np.bincount(owner, minlength=bins)
     quota = np.zeros(bins, dtype=int)
@@ -141,11 +133,14 @@ def spread_sample(values: Array, count: int, rng: np.random.Generator, bins: int
     return np.sort(np.concatenate(chosen))
 
 
+def evenly_spaced(length: int, count: int) -> Index:
+    """At most ``count`` of the indices 0 … ``length`` − 1, evenly spaced."""
+    return np.linspace(0, length - 1, min(length, count)).round().astype(np.int64)
+
+
 def thin(rows: SignalRows, count: int) -> SignalRows:
     """At most ``count`` rows, evenly spaced in their order."""
-    if len(rows) <= count:
-        return rows
-    return rows.take(np.linspace(0, len(rows) - 1, count).round().astype(np.int64))
+    return rows if len(rows) <= count else rows.take(evenly_spaced(len(rows), count))
 
 
 def _measured(recording: Recording, signals: Sequence[str]) -> npt.NDArray[np.bool_]:
@@ -153,7 +148,7 @@ def _measured(recording: Recording, signals: Sequence[str]) -> npt.NDArray[np.bo
 
 
 def _block(recording: Recording, low: float, high: float, kind: Kind) -> RowRange:
-    """Rows from ``low`` to ``high`` (shares), without half the guard at each cut."""
+    """Rows from ``low`` to ``high`` (shares), without half of the guard at each cut."""
     n = len(recording)
     half = round(0.5 * GUARD_S * recording.rate_hz) if kind == "motion" else 0
     start = 0 if low == 0.0 else round(low * n) + half

@@ -1,9 +1,8 @@
-"""One training engine for every network: members of equal layers are trained together as one batch of matrix products.
+"""Training of all networks: members with equal layers are trained together as one batch of matrix products.
 
 Adam (Kingma & Ba 2015) on the mean squared error of normalised outputs. Every ``check_every`` epochs each member is evaluated
 on its own validation rows; its best weights are kept, and a member that has not improved for ``patience`` epochs is finished.
-Members share nothing but the batch: the initial weights and the order of rows of each follow from the seed and its name, and on
-a CPU its result has the same bits whoever else is trained, on however many threads, and with however many interruptions.
+On a CPU a member's result has the same bits whatever the other members, the number of threads and the interruptions.
 """
 
 from __future__ import annotations
@@ -30,8 +29,8 @@ from sysid.progress import Progress, silent
 if TYPE_CHECKING:
     import torch
 
-#: Multiply-adds of an update from which a GPU is worth its calls and copies.
-WORTH_A_GPU = 20_000_000
+#: Multiply-adds per update from which a GPU is faster.
+MIN_GPU_WORK = 20_000_000
 
 
 def train(
@@ -42,22 +41,22 @@ def train(
     progress: Progress | None = None,
     checkpoints: Checkpoints | None = None,
 ) -> tuple[TrainedMember, ...]:
-    """Train every member; those of equal layers run in one batch, whatever their rows and learning rates.
+    """Train every member; those with equal layers share a batch, whatever their rows and learning rates.
 
     Args:
-        hidden: units of the hidden layers of members that do not name their own.
-        progress: called from this thread at every check with the share of the work that is done, and who is being trained.
-        checkpoints: where training that is interrupted (Ctrl-C, SIGTERM, a crash) is kept; calling this again with the same
-            arguments goes on from there and ends with the same bits. On success nothing is left of them.
+        hidden: units of the hidden layers of members without their own.
+        progress: called in this thread at every evaluation with the completed share and the names of the members.
+        checkpoints: of an interrupted training (Ctrl-C, SIGTERM, crash); the same call resumes and ends with the same bits.
+            They are removed on success and on divergence.
 
     Returns:
-        One result a member, in their order.
+        One result per member, in their order.
 
     Raises:
-        InputError: rows that are not finite, or whose numbers do not match.
-        ExcitationError: a column that does not vary.
-        SettingsError: settings that cannot be used, or with which training diverges.
-        StorageError: a checkpoint that cannot be written; the one before stays.
+        InputError: rows that are not finite, or of different numbers.
+        ExcitationError: a constant column.
+        SettingsError: invalid settings, or divergence.
+        StorageError: a checkpoint cannot be written; the previous one stays.
     """
     from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]
 
@@ -70,20 +69,20 @@ def train(
     workers = (settings.threads or len(os.sched_getaffinity(0))) if device.type == "cpu" else 1
     files = {job.file for job in jobs}
     try:
-        with _one_thread(), _terminable(checkpoints is not None):
+        with one_thread(), _interruptible(checkpoints is not None):
             work = batches(jobs, workers, device)
             train_batches(work, workers, device, Control(checkpoints), progress or silent)
-    except SettingsError:  # diverged: there is nothing to go on with
-        _forget(checkpoints, files)
+    except SettingsError:  # diverged: resuming would diverge again
+        _remove(checkpoints, files)
         raise
-    _forget(checkpoints, files)
+    _remove(checkpoints, files)
     seconds = time.perf_counter() - start
-    with threadpool_limits(1, "blas"):  # NumPy's own threads would wait for one another at products as small as these
+    with threadpool_limits(1, "blas"):  # threads of the BLAS are slower for products this small
         return tuple(_result(*each, seconds) for each in zip(members, jobs, scalers, strict=True))
 
 
 def _device(settings: TrainingSettings, members: Sequence[EnsembleMember], layers: Sequence[tuple[int, ...]]) -> torch.device:
-    """Where to train: multiply-adds of one update of all members decide about ``auto``."""
+    """Device of the training; for ``auto`` the multiply-adds of one update of all members decide."""
     import torch
 
     if settings.device == "cuda" and not torch.cuda.is_available():
@@ -91,18 +90,18 @@ def _device(settings: TrainingSettings, members: Sequence[EnsembleMember], layer
     if settings.device != "auto":
         return torch.device(settings.device)
     each = (min(settings.batch, len(m.inputs)) * parameters(padded(sizes)) for m, sizes in zip(members, layers, strict=True))
-    return torch.device("cuda" if torch.cuda.is_available() and sum(each) >= WORTH_A_GPU else "cpu")
+    return torch.device("cuda" if torch.cuda.is_available() and sum(each) >= MIN_GPU_WORK else "cpu")
 
 
-def _forget(checkpoints: Checkpoints | None, files: set[str]) -> None:
+def _remove(checkpoints: Checkpoints | None, files: set[str]) -> None:
     if checkpoints is not None:
         for file in files:
             checkpoints.remove(file)
 
 
 @contextmanager
-def _one_thread() -> Iterator[None]:
-    """Torch's own threads are left out: batches are trained side by side instead."""
+def one_thread() -> Iterator[None]:
+    """Set torch to one thread; restored for the caller."""
     import torch
 
     before = torch.get_num_threads()
@@ -114,8 +113,8 @@ def _one_thread() -> Iterator[None]:
 
 
 @contextmanager
-def _terminable(wanted: bool) -> Iterator[None]:
-    """SIGTERM ends the process as Ctrl-C does, with all that is put in order on the way; a handler of the program stays."""
+def _interruptible(wanted: bool) -> Iterator[None]:
+    """Make SIGTERM raise SystemExit, so that checkpoints are written; an existing handler of the program stays."""
     here = threading.current_thread() is threading.main_thread()
     if not (wanted and here and signal.getsignal(signal.SIGTERM) is signal.SIG_DFL):
         yield
@@ -135,7 +134,7 @@ def _result(member: EnsembleMember, job: Job, scalers: tuple[Normalisation, Norm
     state = job.state
     mlp = Mlp(*unpack(job.sizes, state.best), *scalers, job.rectifier)
     residual = mlp.predict(member.validation_inputs) - member.validation_outputs
-    course = LearningCurve(
+    curve = LearningCurve(
         rows=(len(member.inputs), len(member.validation_inputs)),
         epochs=state.epochs[-1],
         best_epoch=state.best_epoch,
@@ -145,4 +144,4 @@ def _result(member: EnsembleMember, job: Job, scalers: tuple[Normalisation, Norm
         validation_loss=tuple(state.validation),
         seconds=seconds,
     )
-    return TrainedMember(mlp, course)
+    return TrainedMember(mlp, curve)

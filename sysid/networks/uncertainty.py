@@ -1,9 +1,9 @@
-"""How far a prediction can be trusted: intervals that hold as often as they say, and queries that lie outside the data.
+"""Prediction intervals with a guaranteed coverage, and a flag for queries outside the training domain.
 
-Intervals are split-conformal: on rows that taught nothing the error is divided by a scale, the spread of the members beside a
-floor that they share, and an interval reaches as many scales as that share of these rows needed. For rows like these it then
-holds at least as often as asked, whatever the network and its errors are like; it is about measurements, noise of the sensor
-included. Far from all data nothing can be promised: such queries are flagged instead, by their distance to the nearest rows.
+Intervals are split-conformal: on calibration rows that were not fitted, the error is divided by a scale, the ensemble spread
+combined with a common floor; an interval is the scale times a quantile of these scores. For exchangeable rows the coverage is
+at least the nominal level for any network; it is that of measurements, sensor noise included. There is no guarantee far from
+the data: such queries are flagged by their distance to the nearest rows.
 
 Source: Lei, G'Sell, Rinaldo, Tibshirani, Wasserman, JASA 113 (2018); the distance to the k-th neighbour as a measure of
 novelty: Ramaswamy, Rastogi, Shim, SIGMOD (2000), its threshold by leaving one out.
@@ -25,14 +25,14 @@ from sysid.errors import InputError, StoreError
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
 
-#: Rows count as outside a range beyond this share of it: its ends are the extremes of a sample.
+#: Margin of a range as a share of it, since its ends are sample extremes.
 END_SHARE = 0.02
-#: So many rows like those that were learned from are flagged by their distance all the same.
+#: Share of rows like the training rows that are flagged by their distance (false-positive rate).
 FALSE_FLAGS = 0.01
-#: The neighbour whose distance counts.
-NEIGHBOUR = 3
-#: Rows of the data that are kept to measure distances to.
-MOST_ROWS = 2000
+#: The distance is that to this nearest neighbour.
+NEIGHBOURS = 3
+#: Largest number of training rows that are stored for distances.
+MAX_REFERENCE_ROWS = 2000
 _DOMAIN = ("rows", "mean", "scale", "low", "high", "threshold")
 _INTERVALS = ("floor", "scores")
 
@@ -45,14 +45,14 @@ def within(values: Array, low: Array, high: Array) -> Mask:
 
 @dataclass(frozen=True)
 class TrainingDomain:
-    """Where the data are.
+    """Region of the inputs that the training data cover.
 
     Args:
-        rows: of the data, standardised, (n, d).
-        mean, scale: by which, (d,).
-        low, high: range of each input in the data, (d,).
-        threshold: distance to the :data:`NEIGHBOUR`-th row that all but :data:`FALSE_FLAGS` of the rows keep to the others, or
-            less; never shorter than :data:`END_SHARE` of the ranges.
+        rows: standardised training rows, (n, d).
+        mean, scale: of the standardisation, (d,).
+        low, high: range of each input, (d,).
+        threshold: quantile 1 − :data:`FALSE_FLAGS` of the distances of the rows to their :data:`NEIGHBOURS`-th neighbour, at
+            least :data:`END_SHARE` of the ranges.
     """
 
     rows: Array
@@ -64,25 +64,25 @@ class TrainingDomain:
 
     @staticmethod
     def of(inputs: Array) -> TrainingDomain:
-        """Of the rows that a network learned from, (n, d) with n > :data:`NEIGHBOUR`."""
+        """Of the training rows, (n, d) with n > :data:`NEIGHBOURS`."""
         from scipy.spatial import KDTree
 
         low, high = inputs.min(axis=0), inputs.max(axis=0)
-        kept = inputs[np.linspace(0, len(inputs) - 1, min(len(inputs), MOST_ROWS)).round().astype(int)]
+        kept = inputs[np.linspace(0, len(inputs) - 1, min(len(inputs), MAX_REFERENCE_ROWS)).round().astype(int)]
         mean, spread = kept.mean(axis=0), kept.std(axis=0)
         scale = np.where(spread > 0.0, spread, 1.0)
         rows = (kept - mean) / scale
-        apart = _distances(KDTree(rows), rows, NEIGHBOUR + 1)  # the first is the row itself
+        apart = _distances(KDTree(rows), rows, NEIGHBOURS + 1)  # the first is the row itself
         usual = np.sort(apart)[min(_rank(len(rows), 1.0 - FALSE_FLAGS), len(rows)) - 1]
-        narrow = END_SHARE * np.linalg.norm((high - low) / scale)  # dense rows: a gap like this is none
+        narrow = END_SHARE * np.linalg.norm((high - low) / scale)  # lower bound for dense rows
         return TrainingDomain(rows, mean, scale, low, high, float(max(usual, narrow)))
 
     def distance(self, values: Array) -> Array:
-        """Distance of queries (n, d) to the data in units of what is usual among them: beyond 1 lies outside, (n,)."""
-        return np.asarray(_distances(self._tree, (values - self.mean) / self.scale, NEIGHBOUR) / max(self.threshold, 1e-12))
+        """Distance of queries (n, d) to the training rows in units of the threshold, (n,): above 1 is outside."""
+        return np.asarray(_distances(self._tree, (values - self.mean) / self.scale, NEIGHBOURS) / max(self.threshold, 1e-12))
 
     def inside(self, values: Array) -> Mask:
-        """Whether queries (n, d) lie where the data are: within their ranges and not far from all of them, (n,)."""
+        """Whether queries (n, d) are within the ranges and the threshold distance, (n,)."""
         return np.asarray(within(values, self.low, self.high) & (self.distance(values) <= 1.0))
 
     @cached_property
@@ -94,11 +94,11 @@ class TrainingDomain:
 
 @dataclass(frozen=True)
 class Intervals:
-    """How large errors are where nothing was learned.
+    """Split-conformal intervals.
 
     Args:
-        floor: what an output is uncertain by where the members agree, (d_out,).
-        scores: errors of the rows that taught nothing, each divided by its scale, sorted, (m, d_out).
+        floor: uncertainty of an output where the members agree, (d_out,).
+        scores: magnitudes of the errors on the calibration rows, divided by their scales, sorted, (m, d_out).
     """
 
     floor: Array
@@ -106,48 +106,48 @@ class Intervals:
 
     @staticmethod
     def of(errors: Array, spread: Array) -> Intervals:
-        """From errors on rows that taught nothing, and the spread of the members there, (m, d_out) each."""
+        """From errors on the calibration rows and the ensemble spread there, (m, d_out) each."""
         floor = np.array([_floor(e, s) for e, s in zip(errors.T, spread.T, strict=True)])
         return Intervals(floor, np.sort(np.abs(errors) / np.hypot(spread, floor), axis=0))
 
     @property
-    def most_level(self) -> float:
-        """The highest level that so many rows can tell, to three digits."""
+    def max_level(self) -> float:
+        """The highest level that the number of calibration rows supports, to three digits."""
         count = len(self.scores)
         return math.floor(1000.0 * count / (count + 1)) / 1000.0
 
     def reach(self, spread: Array, level: float) -> Array:
-        """Half widths of intervals at a level, (n, d_out), where the members spread by ``spread`` (n, d_out).
+        """Half-widths of the intervals at ``level``, (n, d_out), for an ensemble spread (n, d_out).
 
         Raises:
-            InputError: a level that is no share, or more than that many rows can tell.
+            InputError: a level outside (0, 1), or higher than the number of calibration rows supports.
         """
         count = len(self.scores)
         if not 0.0 < level < 1.0:
             raise InputError("interval", f"level {level:g}", "a share between 0 and 1, as 0.95")
         rank = _rank(count, level)
         if rank > count:
-            expected = f"at most {self.most_level:g}"
+            expected = f"at most {self.max_level:g}"
             raise InputError(
-                "interval", f"level {level:g} from {count} rows", expected, "Record more, or ask for a lower level."
+                "interval", f"level {level:g} from {count} rows", expected, "Record more, or request a lower level."
             )
         return np.asarray(self.scores[rank - 1] * np.hypot(spread, self.floor))
 
 
 @dataclass(frozen=True)
 class NetworkUncertainty:
-    """What a version knows about its own limits."""
+    """Training domain and intervals of a version."""
 
     domain: TrainingDomain
     intervals: Intervals
 
     @staticmethod
     def of(inputs: Array, errors: Array, spread: Array) -> NetworkUncertainty | None:
-        """From the inputs that were learned from (n, d), and errors and spread on rows that taught nothing (m, d_out).
+        """From the training inputs (n, d), and errors and spread on the calibration rows (m, d_out).
 
-        None where there are too few of either to say anything.
+        None if there are too few of either.
         """
-        if len(inputs) <= NEIGHBOUR or not len(errors):
+        if len(inputs) <= NEIGHBOURS or not len(errors):
             return None
         return NetworkUncertainty(TrainingDomain.of(inputs), Intervals.of(errors, spread))
 
@@ -160,7 +160,7 @@ class NetworkUncertainty:
     def from_tensors(
         tensors: Mapping[str, npt.NDArray[Any]], prefix: str, width: int, outputs: int, where: object
     ) -> NetworkUncertainty | None:
-        """What :meth:`tensors` gave; None where a version has none, as those of earlier releases.
+        """Inverse of :meth:`tensors`; None for a version of an earlier release.
 
         Raises:
             StoreError: arrays that do not fit the network.
@@ -178,16 +178,16 @@ class NetworkUncertainty:
         return NetworkUncertainty(domain, Intervals(own["floor"], own["scores"]))
 
 
-def known(trust: NetworkUncertainty | None, what: str) -> NetworkUncertainty:
-    """``trust``, or an error that says how to get it.
+def required(uncertainty: NetworkUncertainty | None, what: str) -> NetworkUncertainty:
+    """``uncertainty``, or an error if it is None.
 
     Raises:
-        InputError: the version does not have it.
+        InputError: the version has no intervals and training domain.
     """
-    if trust is None:
-        found = "a version that knows neither intervals nor where its data were"
-        raise InputError(what, found, "one that was fitted by this release", "Fit it again, with rows to select on.")
-    return trust
+    if uncertainty is None:
+        found = "a version without intervals and training domain"
+        raise InputError(what, found, "one that was fitted by this release", "Fit it again, with select rows.")
+    return uncertainty
 
 
 def _distances(tree: Any, values: Array, neighbour: int) -> Array:
@@ -195,12 +195,12 @@ def _distances(tree: Any, values: Array, neighbour: int) -> Array:
 
 
 def _rank(count: int, level: float) -> int:
-    """How many of ``count`` rows an interval has to hold so that it holds for the next one at ``level``."""
+    """Rank of the conformal quantile: how many of ``count`` rows an interval has to contain for coverage ``level``."""
     return math.ceil((count + 1) * level - 1e-9)
 
 
 def _floor(errors: Array, spread: Array) -> float:
-    """The floor beside which the spread explains the sizes of the errors best (normal likelihood, their scale profiled)."""
+    """The floor that maximises the normal likelihood of the errors given the spread, with the common scale profiled out."""
     size = max(float(np.sqrt(np.mean(errors**2))), 1e-12)
     if not np.any(spread > 0.0):
         return size

@@ -143,7 +143,7 @@ def nets_of(machine: Machine, residuals: Sequence[Residual]) -> ResidualArrays |
     """Networks as the kernels take them; None where there are none."""
     if not residuals:
         return None
-    flat = [cell.flat(vars(item)) for item in residuals]
+    flat = [cell.flat_weights(vars(item)) for item in residuals]
     weights = np.zeros((len(residuals), max(map(len, flat))))
     about = np.zeros((len(residuals), 6))
     for row, (item, values) in enumerate(zip(residuals, flat, strict=True)):
@@ -155,7 +155,7 @@ def nets_of(machine: Machine, residuals: Sequence[Residual]) -> ResidualArrays |
 
 def memory_of(nets: ResidualArrays) -> Array:
     """Memory of networks that have not begun, (R, M)."""
-    memory = np.zeros((len(nets.about), STATES + cell.room(nets.mean.shape[1], int(nets.about[:, UNITS].max()))))
+    memory = np.zeros((len(nets.about), STATES + cell.state_size(nets.mean.shape[1], int(nets.about[:, UNITS].max()))))
     memory[:, SINCE] = np.nan
     return memory
 
@@ -231,8 +231,8 @@ def look(nets, r, s, command, x, load, dt):
     s[at + axes + 3] = math.sin(turn)
     s[at + axes + 4] = math.cos(turn)
     for j in range(inputs):
-        s[at + j] = cell.drawn_in(s[at + j], nets.mean[r, j], nets.scale[r, j])
-    s[ADDS] = nets.about[r, BOUND] * math.tanh(cell.look(nets.weights[r], inputs, units, s, STATES))
+        s[at + j] = cell.standardised(s[at + j], nets.mean[r, j], nets.scale[r, j])
+    s[ADDS] = nets.about[r, BOUND] * math.tanh(cell.lstm_step(nets.weights[r], inputs, units, s, STATES))
     return s[ADDS]
 
 

@@ -134,9 +134,9 @@ class ControlChain:
         """Setpoints of what is driven, and valve commands, (A,) each; ``setpoints`` are joints, ``drive`` (A,) is measured."""
         return self.controller.drive(setpoints)[0], self.controller.commands(setpoints, drive)[0]
 
-    def took(self, commands: Array) -> None:
+    def override(self, commands: Array) -> None:
         """What was really sent, (A,)."""
-        self.controller.took(commands)
+        self.controller.override(commands)
 
     def _check(self, policy: SignalPolicy) -> None:
         where = f"policy for {self.plant.machine.name}"

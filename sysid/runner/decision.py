@@ -100,7 +100,7 @@ class Decider:
             decision.drive_setpoints = self.drive_setpoints = drive_setpoints
         decision.commands, broken = self.supervisor.commands(decision.commands_asked, seen, self.estimator.dead_reckonings)
         verdicts += broken
-        self.chain.took(decision.commands)
+        self.chain.override(decision.commands)
         if not held:
             self._k += 1
         return decision

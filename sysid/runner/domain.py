@@ -25,16 +25,16 @@ class Domains:
     """
 
     def __init__(self, forward: ForwardModel, actuators: Mapping[str, ActuatorNetwork], axes: tuple[str, ...]) -> None:
-        if forward.trust is None:
+        if forward.uncertainty is None:
             raise SettingsError(
                 "checks.domain",
                 "the forward version does not know where its data were",
                 "one that was fitted by this release",
                 'Fit it again, or leave the check out: [checks.without] domain = "why".',
             )
-        self._forward = forward.trust.domain
-        columns = [(axis, axes.index(axis), network.trust.get("to_joint")) for axis, network in actuators.items()]
-        self._actuators = [(axis, i, trust.domain) for axis, i, trust in columns if trust is not None]
+        self._forward = forward.uncertainty.domain
+        columns = [(axis, axes.index(axis), network.uncertainty.get("to_joint")) for axis, network in actuators.items()]
+        self._actuators = [(axis, i, uncertainty.domain) for axis, i, uncertainty in columns if uncertainty is not None]
         self._before: dict[str, float] = {}
 
     def __call__(self, seen: StateEstimate) -> str:

@@ -21,7 +21,7 @@ from sysid.machine import Machine
 from sysid.runner.flight_messages import CYCLES, VERDICTS
 from sysid.runner.tail import LogMessage, Tail
 from sysid.signals import axis_signal, point_signals
-from sysid.view.drawing import OTHERS, SHOWN, STYLES, TIMELINE, log_points, log_poses, log_shapes, sdk
+from sysid.view.drawing import DISPLAY_UNITS, OTHER_COLOURS, STYLES, TIMELINE, log_points, log_poses, log_shapes, sdk
 from sysid.view.layout import machine_view, screen
 
 Array = npt.NDArray[np.float64]
@@ -95,8 +95,8 @@ class _Screen:
         if self._kinematics is not None:
             log_shapes(stream, "machine/now", machine, self._kinematics, STYLES["measured"])
         self._factors = []
-        for axis, colour in zip(machine.axis_names, OTHERS * len(machine.axis_names), strict=False):
-            factor, unit = SHOWN.get(machine.expected_unit(axis_signal(axis, "joint")) or "", (1.0, ""))
+        for axis, colour in zip(machine.axis_names, OTHER_COLOURS * len(machine.axis_names), strict=False):
+            factor, unit = DISPLAY_UNITS.get(machine.expected_unit(axis_signal(axis, "joint")) or "", (1.0, ""))
             self._factors.append(factor)
             for name, style in (("joint", STYLES["measured"]), ("setpoint", STYLES["after"])):
                 label = f"{name} [{unit}]" if unit else name

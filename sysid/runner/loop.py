@@ -265,7 +265,7 @@ class Loop:
         decision.commands = self._sent.copy() if still else self._zero
         decision.source = "dropped"
         self.supervisor.dropped(decision.commands)
-        self.chain.took(decision.commands)
+        self.chain.override(decision.commands)
         return still
 
     def _send(self, commands: Array, enabled: bool) -> bool:

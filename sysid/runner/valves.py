@@ -36,7 +36,7 @@ class AxisValve:
         self.low, self.high = tuning.low, tuning.high
         self.fastest = tuning.fastest
         #: Steps from a command to its motion.
-        self.late = max(1, math.ceil(tuning.lead / dt - 1e-9))
+        self.late = max(1, math.ceil(tuning.dead_time / dt - 1e-9))
         self.rate = tuning.rate
 
     def speed(self, command: float) -> float:

@@ -1,24 +1,16 @@
-"""Error reports of networks on recordings they have not seen: figures, baselines, where the errors are, spikes."""
+"""Error reports of networks on held-out recordings: metrics, baselines, error profiles and maps, spikes, coverage."""
 
-from sysid.validate.coverage import Coverage, Region
-from sysid.validate.error_analysis import Profile, Spike
 from sysid.validate.error_maps import ErrorMap
 from sysid.validate.folds import folds
+from sysid.validate.free_runs import validate_history, validate_motion
 from sysid.validate.metrics import ErrorMetrics, error_metrics
-from sysid.validate.report import OutputReport, Trace, ValidationReport
-from sysid.validate.validation import validate_actuator, validate_forward, validate_model  # first: `along` builds on it
-
-from sysid.validate.free_runs import validate_history, validate_motion  # isort: skip
+from sysid.validate.report import OutputReport, ValidationReport
+from sysid.validate.validation import validate_actuator, validate_forward, validate_model
 
 __all__ = [
-    "Coverage",
     "ErrorMap",
     "ErrorMetrics",
     "OutputReport",
-    "Profile",
-    "Region",
-    "Spike",
-    "Trace",
     "ValidationReport",
     "error_metrics",
     "folds",

@@ -1,4 +1,4 @@
-"""What a network has to beat: polynomials, boosted trees, the nearest recorded row, and geometry where it is known."""
+"""Baselines of networks: polynomials, boosted trees, nearest neighbour, and the geometry where it is known."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ Array = npt.NDArray[np.float64]
 Predict = Callable[[Array], Array]
 
 
-def simple_models(inputs: Array, outputs: Array) -> dict[str, Predict]:
-    """Baselines fitted on the rows that the network learned from, (n, d) → (n,) or (n, d_out): name → prediction.
+def baseline_models(inputs: Array, outputs: Array) -> dict[str, Predict]:
+    """Name → prediction of baselines that are fitted on the network's fit rows, (n, d) → (n,) or (n, d_out).
 
-    Versions that are compared learned from the same rows: what was fitted to them is kept for the next one.
+    The last fits are cached, since versions that are compared have the same fit rows.
     """
     return dict(_fitted(inputs.tobytes(), inputs.shape, outputs.tobytes(), outputs.shape))
 
@@ -47,8 +47,8 @@ def _fitted(inputs: bytes, in_shape: tuple[int, ...], outputs: bytes, out_shape:
 def linkage_geometry(displacements: Array, joints: Array, to_joint: bool) -> Predict:
     """The triangle of two levers and a cylinder (law of cosines), its four lengths and angles fitted to rows (n,).
 
-    The joint is what is fitted for ``to_joint``, else the displacement. A linkage that is no triangle, a four-bar drive,
-    is fitted as well as a triangle can.
+    The residual is that of the joint for ``to_joint``, else of the displacement. For another linkage, such as a four-bar drive,
+    the result is the best triangle.
     """
     from scipy.optimize import least_squares
 
@@ -59,7 +59,7 @@ def linkage_geometry(displacements: Array, joints: Array, to_joint: bool) -> Pre
     best: tuple[float, TriangleLinkage] | None = None
     for sense in (1, -1):
         for lever in (0.7, 2.0):
-            # The lever angle runs around a right angle, where a triangle is most nearly linear.
+            # Start with the lever angle around a right angle, where a triangle is nearly linear.
             middle = 0.5 * (joints.min() + joints.max())
             a, b = lever * stroke, 2.0 * lever * stroke
             start = np.array([a, b, 0.5 * np.pi * sense - middle, np.hypot(a, b) - float(displacements.mean())])
@@ -70,8 +70,9 @@ def linkage_geometry(displacements: Array, joints: Array, to_joint: bool) -> Pre
 
             def errors(v: Array, triangle: Any = triangle) -> Array:
                 found = triangle(v)
-                left = found.joint(displacements) - joints if to_joint else found.displacement(joints) - displacements
-                return np.asarray(left)
+                return np.asarray(
+                    found.joint(displacements) - joints if to_joint else found.displacement(joints) - displacements
+                )
 
             fit = least_squares(errors, start, x_scale=np.maximum(np.abs(start), 1e-2), max_nfev=60)
             if best is None or fit.cost < best[0]:

@@ -1,4 +1,4 @@
-"""Bins: how a variable is cut, and how much of an error its bins explain. Maps of errors and of the gap are made of them."""
+"""Bins of a variable, and the share of an error's variance that they explain; used by maps of errors and of the gap."""
 
 from __future__ import annotations
 
@@ -9,21 +9,21 @@ import numpy.typing as npt
 
 Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.int64]
-#: A range of values; values with a sign, of which one bin holds zero; a direction, −1, 0 or +1.
+#: ``range``: equal bins; ``signed``: symmetric bins, one of which contains zero; ``sign``: a direction, −1, 0 or +1.
 Cut = Literal["range", "signed", "sign"]
 
-#: Bins of what has a sign (odd: one of them holds zero), and of what has none.
+#: Number of bins of a signed variable (odd: one of them contains zero), and of others.
 SIGNED_BINS, BINS = 31, 20
 #: Speeds are differences over this time [s]: long against sensor noise, short against a stroke.
 SPEED_WINDOW = 0.2
-#: Below this share of the largest speed an axis counts as standing.
+#: Below this share of the largest speed an axis counts as at rest.
 STANDING = 0.02
 
 
 def edges_of(values: Array, cut: Cut = "range", bins: int | None = None) -> Array | None:
-    """Edges of the bins, (bins + 1,); None where there is nothing to tell apart.
+    """Edges of the bins, (bins + 1,); None where ``values`` (n,) do not vary.
 
-    What lies beyond the 0.5 and 99.5 % percentiles of ``values`` (n,) counts to the bins at the ends.
+    Values beyond the 0.5 and 99.5 % percentiles belong to the bins at the ends.
     """
     if cut == "sign":
         return np.array([-1.5, -0.5, 0.5, 1.5])
@@ -36,12 +36,12 @@ def edges_of(values: Array, cut: Cut = "range", bins: int | None = None) -> Arra
 
 
 def places_in(edges: Array, values: Array) -> Index:
-    """The bin of every value, (n,)."""
+    """Index of the bin of every value, (n,)."""
     return np.clip(np.searchsorted(edges, values, side="right") - 1, 0, len(edges) - 2)
 
 
 def explained(error: Array, place: Index, count: Index) -> float:
-    """Share of the variance of the error that the means of the bins take away (correlation ratio η², 0 … 1)."""
+    """Share of the variance of the error that the means of the bins explain (correlation ratio η², 0 … 1)."""
     sums = np.bincount(place, weights=error, minlength=len(count))
     total = float(np.sum((error - error.mean()) ** 2))
     between = float(np.sum(sums**2 / np.maximum(count, 1)) - error.sum() ** 2 / len(error))
@@ -58,7 +58,7 @@ def speed_of(values: Array, rate_hz: float, window: float = SPEED_WINDOW) -> Arr
 
 
 def direction_of(speed: Array) -> Array:
-    """−1, 0 (standing) or +1; NaN where the speed is not known."""
+    """−1, 0 (at rest) or +1; NaN where the speed is NaN."""
     least = STANDING * float(np.nanmax(np.abs(speed), initial=0.0))
     return np.where(np.isnan(speed), np.nan, np.where(np.abs(speed) > least, np.sign(speed), 0.0))
 

@@ -1,4 +1,4 @@
-"""Chance in series that are correlated in time: means of blocks drawn with replacement.
+"""Stationary bootstrap of the mean of a series that is correlated in time.
 
 Source: stationary bootstrap: Politis & Romano, JASA 89 (1994); length of the blocks: Politis & White, Econometric Reviews 23
 (2004), corrected 28 (2009).
@@ -16,7 +16,7 @@ def bootstrap_means(series: Array, seed: int, draws: int = 1000, least: int = 5)
     """Means of ``draws`` stationary-bootstrap samples of ``series`` (n,), (draws,).
 
     Args:
-        least: of the mean length of a block; 1 where rows are independent of one another.
+        least: lower bound of the mean block length; 1 for independent rows.
     """
     from arch.bootstrap import StationaryBootstrap, optimal_block_length
 

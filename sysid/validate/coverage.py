@@ -1,4 +1,4 @@
-"""Do the intervals hold, and is the flag for queries outside the data right? Counted on rows that nothing was learned from."""
+"""Coverage of prediction intervals and of the extrapolation flag on held-out rows."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ import numpy.typing as npt
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
 
-#: The level at which intervals are evaluated, where there were rows enough to tell it.
+#: Level at which intervals are evaluated, if there are enough calibration rows.
 LEVEL = 0.95
 THIRDS = ("lower", "middle", "upper")
 
 
 @dataclass(frozen=True)
 class Region:
-    """Rows of one kind: how many, the share of them inside their intervals, and how large the errors are there."""
+    """Rows of one region: their number, the share of them inside their intervals, and their RMSE."""
 
     name: str
     count: int
@@ -28,14 +28,14 @@ class Region:
 
 @dataclass(frozen=True)
 class Coverage:
-    """Intervals and flag of one output on rows that it has not seen.
+    """Coverage and flagged rows of one output on held-out rows.
 
     Args:
-        level: asked for.
+        level: nominal level.
         covered: share of the rows inside their intervals.
-        half_width: median of the intervals' half widths, in the unit of the output.
-        flagged: share of the rows that are flagged as outside the data; ``expected`` of rows like those that were learned from.
-        regions: inside and outside the data, and each third of every input's range.
+        half_width: median half-width of the intervals, in the unit of the output.
+        flagged: share of the rows outside the training domain; ``expected``: that of rows like the training rows.
+        regions: inside and outside the training domain, and each third of every input's range.
     """
 
     level: float
@@ -55,13 +55,13 @@ def coverage_of(
     expected: float,
     level: float = LEVEL,
 ) -> Coverage:
-    """Count how often intervals hold.
+    """Coverage of intervals whose middle is the prediction.
 
     Args:
-        truth: (n,); ``interval``: lower and upper ends, (n,) each, of a prediction in their middle.
-        inside: rows that are not flagged, (n,).
+        truth: (n,); ``interval``: lower and upper bounds, (n,) each.
+        inside: rows in the training domain, (n,).
         inputs: (n, d), columns named ``names``.
-        expected: share of rows like those that were learned from that are flagged.
+        expected: share of flagged rows among rows like the training rows.
     """
     low, high = interval
     holds = (truth >= low) & (truth <= high)

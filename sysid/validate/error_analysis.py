@@ -1,4 +1,4 @@
-"""Where the errors are: against position, speed and direction, and each spike with what happened nearest to it."""
+"""Error profiles against position, speed and direction, and spikes with their nearest cause."""
 
 from __future__ import annotations
 
@@ -21,19 +21,18 @@ Ranges = Mapping[str, tuple[float, float]]
 SPIKE_SIGMAS = 6.0
 #: Spikes closer together than this are one [s].
 SPIKE_APART_S = 0.5
-#: Causes are looked for within this time [s] …
+#: Causes are searched within this time [s], and within this share of a range from its ends.
 CAUSE_WITHIN_S = 0.3
-#: … and an end of a range within this share of it.
 END_SHARE = 0.02
-#: Half width of the difference that estimates a speed [s].
+#: Half-width of the difference that estimates a speed [s].
 SPEED_HALF_S = 0.05
-#: Below this share of its 99th percentile a speed counts as standing still.
+#: Below this share of its 99th percentile a speed counts as at rest.
 STILL_SHARE = 0.05
 
 
 @dataclass(frozen=True)
 class Profile:
-    """Error against one variable, bin by bin.
+    """Error against one variable, in bins.
 
     Args:
         variable: ``boom.cylinder``, ``speed of boom.cylinder``, ``direction of boom.cylinder``.
@@ -53,13 +52,13 @@ class Profile:
 
 @dataclass(frozen=True)
 class Spike:
-    """One error that stands out.
+    """One error beyond :data:`SPIKE_SIGMAS`.
 
     Args:
-        recording, time: where [s since the recording's start].
+        recording, time: of its peak [s since the recording's start].
         error: predicted − truth at its peak.
         sigmas: its size in robust standard deviations.
-        cause: the nearest explanation found, or ``unexplained``.
+        cause: the nearest cause, or ``unexplained``.
     """
 
     recording: str
@@ -78,7 +77,7 @@ def profile(errors: Array, against: Array, variable: str, unit: str, bins: int =
 
 
 def direction_profile(errors: Array, speed: Array, variable: str, unit: str) -> Profile:
-    """Error statistics while moving down, standing still and moving up."""
+    """Error statistics of negative motion, rest and positive motion."""
     known = np.isfinite(speed)
     limit = STILL_SHARE * float(np.percentile(np.abs(speed[known]), 99))
     top = max(float(np.abs(speed[known]).max()), 2.0 * limit, 1e-12)
@@ -122,11 +121,11 @@ def spikes(
     """The largest spikes of ``errors`` (n,), each with the nearest cause.
 
     Args:
-        rows: where the errors are.
-        ends: signals whose end stops and reversals can explain a spike.
-        fitted: inputs of the network → the range it learned; beyond it, it extrapolates.
-        is_motion: rows follow one another in time; else every row stands alone and only ends of ranges can explain it.
-        most: how many to return.
+        rows: of the errors.
+        ends: signals whose end stops and reversals are possible causes.
+        fitted: inputs of the network → fitted range; outside it, it extrapolates.
+        is_motion: rows are consecutive in time; else only ends of ranges are possible causes.
+        most: largest number to return.
     """
     centre = float(np.median(errors))
     sigma = 1.4826 * float(np.median(np.abs(errors - centre)))
@@ -176,7 +175,7 @@ def _cause(
     clocks = [record for record in dataset.clocks if record.recording in (name, name.rpartition("#")[0])]
     now = float(recording.values("time")[row])
     for record in clocks:
-        # The later pieces of a stream begin where its clock was set; their offset is that moment on the machine's clock.
+        # Later pieces of a stream start at a clock reset; their offset is that time on the machine's clock.
         if record.recording == name and record.reason.startswith("piece ") and abs(record.offset_s - now) < CAUSE_WITHIN_S:
             return f"clock of {record.stream} set"
     for signal in ends:
@@ -191,7 +190,7 @@ def _cause(
 
 
 def _reverses(steps: Array) -> bool:
-    """Whether the signal turns round: it travels both ways, each a good part of the whole."""
+    """Whether the signal reverses: it travels both ways, each a substantial part of the whole."""
     up, down = float(steps[steps > 0].sum()), float(-steps[steps < 0].sum())
     travel = np.cumsum(steps)
     turn = float(max(travel.max(), 0.0) - min(travel.min(), 0.0)) - abs(float(travel[-1]))

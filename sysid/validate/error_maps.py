@@ -13,15 +13,15 @@ from sysid.validate.binning import Cut, edges_of, explained, places_in
 
 Array = npt.NDArray[np.float64]
 
-#: Bins a side at most, and rows that a bin has on average at least.
-MOST_BINS, ROWS_A_BIN = 10, 6
-#: Maps that are kept of an output, the most telling ones.
-MOST_MAPS = 6
+#: Largest number of bins per variable, and least average number of rows per bin.
+MAX_BINS, ROWS_A_BIN = 10, 6
+#: Largest number of maps of an output: those that explain most.
+MAX_MAPS = 6
 
 
 @dataclass(frozen=True)
 class MapAxis:
-    """One variable of a map: its values (n,), NaN where it is not known, its unit, and how it is cut."""
+    """One variable of a map: its unit, its values (n,) with NaN where unknown, and its kind of bins."""
 
     name: str
     unit: str
@@ -37,7 +37,7 @@ class ErrorMap:
         over, units: the two variables, and their units.
         edges: of the bins of each, (a + 1,) and (b + 1,).
         count, rmse, bias: a rows of b bins; NaN in an empty bin, in the unit of the output.
-        explains: share of the error's variance that the means of the bins take away, 0 … 1.
+        explains: share of the error's variance that the means of the bins explain, 0 … 1.
     """
 
     over: tuple[str, str]
@@ -57,21 +57,21 @@ class ErrorMap:
 
 
 def error_maps(errors: Array, axes: Sequence[MapAxis], pairs: Sequence[tuple[str, str]] | None = None) -> tuple[ErrorMap, ...]:
-    """Maps of ``errors`` (n,) over pairs of axes, the most telling ones first, at most :data:`MOST_MAPS`.
+    """Maps of ``errors`` (n,) over pairs of axes, those that explain most first, at most :data:`MAX_MAPS`.
 
     Args:
-        pairs: names of the axes to pair; all pairs where left out. A variable that does not vary has no map.
+        pairs: names of the axes to pair; default: all pairs. A constant variable has no map.
     """
     named: Mapping[str, MapAxis] = {axis.name: axis for axis in axes}
     chosen = list(combinations(named, 2)) if pairs is None else pairs
     found = [item for a, b in chosen if (item := error_map(errors, named[a], named[b])) is not None]
-    return tuple(sorted(found, key=lambda item: -item.explains)[:MOST_MAPS])
+    return tuple(sorted(found, key=lambda item: -item.explains)[:MAX_MAPS])
 
 
 def error_map(errors: Array, first: MapAxis, second: MapAxis) -> ErrorMap | None:
-    """Errors over two variables; None where one of them does not vary or too few rows know both."""
+    """Errors over two variables; None where one of them is constant or too few rows have both."""
     there = np.isfinite(first.values) & np.isfinite(second.values)
-    bins = min(MOST_BINS, int(np.sqrt(there.sum() / ROWS_A_BIN)))
+    bins = min(MAX_BINS, int(np.sqrt(there.sum() / ROWS_A_BIN)))
     if bins < 2:
         return None
     edges = [edges_of(axis.values[there], axis.cut, bins) for axis in (first, second)]

@@ -1,4 +1,4 @@
-"""Folds that are honest about recordings: whole ones, or blocks of time with a guard between, by scikit-learn's splitters."""
+"""Cross-validation folds by whole recordings, or by blocks of time with a guard, with scikit-learn's splitters."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ def folds(
 ) -> list[tuple[Index, Index]]:
     """Indices (fit, held out) of each fold, for ``cv=`` of scikit-learn's tools and of ``sysid.networks.estimator``.
 
-    Every row is held out exactly once. Neighbours in time know each other's errors, so no row is split from its own.
+    Every row is held out exactly once. Rows are not split at random, since neighbours in time have correlated errors.
 
     Args:
-        count: of folds.
-        by: ``recording``: whole ones; ``block``: each recording is cut into ``count`` stretches of time.
-        guard_s: rows within this time of a held-out one teach nothing in that fold [s]; whole recordings need none.
+        count: number of folds.
+        by: ``recording``: whole recordings; ``block``: each recording is split into ``count`` blocks of time.
+        guard_s: rows within this time of a held-out row are not fitted in that fold [s]; for blocks only.
 
     Raises:
         SettingsError: fewer than two folds.
@@ -36,19 +36,19 @@ def folds(
     names, of_recording = np.unique(rows.recording, return_inverse=True)
     if by == "recording" and len(names) < count:
         have, expected = f"{len(names)} recordings", f"at least {count}, one a fold"
-        raise ExcitationError("folds", have, expected, "Ask for fewer folds, or cut recordings into blocks (by = 'block').")
+        raise ExcitationError("folds", have, expected, "Use fewer folds, or split recordings into blocks (by = 'block').")
     if len(rows) < count:
         raise ExcitationError("folds", f"{len(rows)} rows", f"at least {count}")
     groups = of_recording if by == "recording" else _blocks(rows, of_recording, count)
     found = []
     for fit, held in GroupKFold(count).split(rows.values, groups=groups):
-        taught = fit[~_near(rows, fit, held, guard_s)] if by == "block" else fit
-        found.append((taught.astype(np.int64), held.astype(np.int64)))
+        kept = fit[~_near(rows, fit, held, guard_s)] if by == "block" else fit
+        found.append((kept.astype(np.int64), held.astype(np.int64)))
     return found
 
 
 def _blocks(rows: SignalRows, of_recording: npt.NDArray[np.intp], count: int) -> Index:
-    """Number of the stretch that each row lies in: as many rows a stretch, in order of time."""
+    """Block of each row: blocks of equal numbers of rows, in order of time."""
     block = np.empty(len(rows), dtype=np.int64)
     for number in range(int(of_recording.max()) + 1):
         mine = np.flatnonzero(of_recording == number)
@@ -58,7 +58,7 @@ def _blocks(rows: SignalRows, of_recording: npt.NDArray[np.intp], count: int) ->
 
 
 def _near(rows: SignalRows, fit: npt.NDArray[np.intp], held: npt.NDArray[np.intp], guard_s: float) -> npt.NDArray[np.bool_]:
-    """Which rows of ``fit`` lie within the guard of a held-out row of their own recording."""
+    """Which rows of ``fit`` are within the guard of a held-out row of their recording."""
     near = np.zeros(len(fit), dtype=bool)
     for name in np.unique(rows.recording[held]):
         times = np.sort(rows.time[held[rows.recording[held] == name]])

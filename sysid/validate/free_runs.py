@@ -1,33 +1,31 @@
-"""Evaluate recurrent networks: actuators with history, and command → motion by its free runs."""
+"""Evaluation of networks with a state: actuators with history, and command → motion by free runs."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
 
 from sysid.datasets.recording import Dataset, Recording, Role
 from sysid.errors import ExcitationError
-from sysid.networks.actuator import RoundTripError, actuator_rows
+from sysid.networks.actuator import DIRECTIONS, RoundTripError, actuator_rows
 from sysid.networks.history import HistoryNetwork
-from sysid.networks.motion import APART, MotionNetwork, motion_rows, motions, window_for
-from sysid.networks.motion_inputs import Index, MotionStretch, Window
+from sysid.networks.motion import START_INTERVAL_S, MotionNetwork, motion_rows, motions, window_for
+from sysid.networks.motion_inputs import Index, MotionStretch, Speed, Window, horizon_errors, whole_run
 from sysid.networks.recipe import NetworkRecipe
-from sysid.networks.rollout import Speed, horizon_errors, whole_run
-from sysid.networks.split import SignalRows, gather, segments
+from sysid.networks.split import SignalRows, evenly_spaced, gather, segments
 from sysid.plant import free_run, nominal_plant
 from sysid.signals import axis_signal
-from sysid.validate.baselines import linkage_geometry, simple_models
 from sysid.validate.error_analysis import direction_profile, profile, speeds, spikes
 from sysid.validate.metrics import error_metrics
-from sysid.validate.output_reports import TRACE_ROWS, EvaluatedOutput, axis_ends, output_report
+from sysid.validate.output_reports import TRACE_ROWS, actuator_output, output_report
 from sysid.validate.report import OutputReport, Trace, ValidationReport
 
 Array = npt.NDArray[np.float64]
 
-#: Names of what these networks have to beat.
+#: Names of the baselines.
 STATIC, PLANT, ARX = "static network", "nominal simulation", "linear ARX"
 
 
@@ -38,7 +36,7 @@ def validate_history(
     recipe: NetworkRecipe | None = None,
     name: str = "",
 ) -> ValidationReport:
-    """Both directions of every axis along the recorded motion of ``role``, beside their static parts and simpler models.
+    """Both directions of every axis along the recorded motion of ``role``, with their static parts and other baselines.
 
     Raises:
         ExcitationError: no rows of that role have both signals of an axis.
@@ -52,27 +50,14 @@ def validate_history(
         if not len(rows):
             found = f"no {role} rows that measure {' and '.join(signals)} at the same time"
             raise ExcitationError(f"dataset {dataset.reference}", found, "at least one")
-        static = network.static
-        for source, target, along, still in (
-            (0, 1, network.joint_along, static.joint),
-            (1, 0, network.displacement_along, static.displacement),
-        ):
+        for direction, along in zip(DIRECTIONS, (network.joint_along, network.displacement_along), strict=True):
+            item = actuator_output(dataset, network.static, direction, fit)
             predicted = []
             for part in parts:
-                values = part.recording.values(signals[source])[part.start : part.stop]
+                values = part.recording.values(signals[item.sources[0]])[part.start : part.stop]
                 mine = rows.recording == part.recording.name
                 predicted.append(along(values, part.recording.rate_hz)[rows.row[mine] - part.start])
-            item = EvaluatedOutput(
-                predict=lambda x, still=still: still(x[:, 0]),  # type: ignore[misc]
-                simple=simple_models(fit.values[:, [source]], fit.values[:, target])
-                | {"linkage geometry": linkage_geometry(fit.values[:, 0], fit.values[:, 1], target == 1)}
-                | {STATIC: lambda x, still=still: still(x[:, 0])},
-                trust=None,
-                sources=(source,),
-                target=target,
-                ends={signals[0]: axis_ends(dataset, axis, static)},
-                fitted={signals[source]: (static.displacements, static.joints)[source]},
-            )
+            item = replace(item, uncertainty=None, baselines={**item.baselines, STATIC: item.predict})
             outputs.append(output_report(dataset, rows, "motion", item, np.concatenate(predicted)))
         longest = max(parts, key=lambda part: part.stop - part.start)
         cylinder, joint = (longest.recording.values(signal)[longest.start : longest.stop] for signal in signals)
@@ -82,11 +67,11 @@ def validate_history(
 
 @dataclass(frozen=True)
 class _Runs:
-    """Free runs of one model, by stretch: rows where they are evaluated, rows they began at, and what was said."""
+    """Free runs of one model, per part of a recording: evaluated rows, rows of their starts, and predictions."""
 
     rows: list[Index]
     begins: list[Index]
-    said: list[Array]
+    predicted: list[Array]
 
 
 def validate_motion(
@@ -96,14 +81,13 @@ def validate_motion(
     recipe: NetworkRecipe | None = None,
     name: str = "",
 ) -> ValidationReport:
-    """Free runs of every axis on ``role``: some seconds after starts all along the recordings, and whole recordings.
+    """Free runs of every axis on ``role``: to horizons, from starts all along the recordings, and of whole recordings.
 
-    Beside each, on the same rows: the nominal simulation of ``machine.toml``, running freely through the whole recording (what
-    it was off by at the start is taken from axes whose command is a speed or a force), and a linear model of the same inputs,
-    fitted by least squares on the same rows.
+    Baselines on the same rows: the nominal simulation of ``machine.toml``, a free run of the whole recording (its error at the
+    start is subtracted for axes whose command is a speed or a force), and a linear least-squares model of the same inputs.
 
     Raises:
-        ExcitationError: nothing of that role is long enough to evaluate.
+        ExcitationError: no recording of that role is long enough.
     """
     settings = (recipe or NetworkRecipe()).motion
     plant = nominal_plant(dataset.machine, streams=dataset.streams)
@@ -121,8 +105,8 @@ def validate_motion(
         for horizon in (*settings.horizons, None):
             runs = _runs(network, network.speed, network.window, parts, horizon)
             baselines = {ARX: _runs(network, linear, window, parts, horizon)}
-            said = _simulated(simulated, network.driven, about.actuation == "position", parts, runs)
-            entry = _motion_report(dataset, network, parts, horizon, runs, baselines, said)
+            nominal = _simulated(simulated, network.driven, about.actuation == "position", parts, runs)
+            entry = _motion_report(dataset, network, parts, horizon, runs, baselines, nominal)
             outputs += [entry] if entry is not None else []
     if not outputs:
         found = f"no {role} motion as long as the history of a network"
@@ -136,7 +120,7 @@ def output_name(driven: str, horizon: float | None) -> str:
 
 
 def _linear(x: Array, y: Array) -> Speed:
-    """Least squares of the same inputs."""
+    """Linear model of the same inputs, by least squares."""
     weights = np.linalg.lstsq(np.column_stack([x, np.ones(len(x))]), y[:, 0], rcond=None)[0]
     return lambda inputs: np.asarray(inputs @ weights[:-1] + weights[-1])
 
@@ -148,22 +132,22 @@ def _runs(
     parts: tuple[tuple[Recording, MotionStretch], ...],
     horizon: float | None,
 ) -> _Runs:
-    """Of a model within the network's bounds."""
+    """Free runs of a model within the network's bounds."""
     found = [motion for _, motion in parts]
     if horizon is not None:
-        ends = horizon_errors(speed, window, network.bounds, found, horizon, APART)
+        ends = horizon_errors(speed, window, network.bounds, found, horizon, START_INTERVAL_S)
         back = max(1, round(horizon / window.step))
         begins = [rows - back * motion.stride for (rows, _, _), motion in zip(ends, found, strict=True)]
-        return _Runs([rows for rows, _, _ in ends], begins, [said for _, said, _ in ends])
-    rows, begins, said = [], [], []
+        return _Runs([rows for rows, _, _ in ends], begins, [predicted for _, predicted, _ in ends])
+    rows, begins, predicted = [], [], []
     for motion in found:
         run = whole_run(speed, window, network.bounds, motion)
         here = np.flatnonzero(np.isfinite(run) & np.isfinite(motion.position))
         first = np.flatnonzero(np.isfinite(run) & ~np.r_[False, np.isfinite(run[:-1])])
         rows.append(here)
         begins.append(first[np.searchsorted(first, here, side="right") - 1])
-        said.append(run[here])
-    return _Runs(rows, begins, said)
+        predicted.append(run[here])
+    return _Runs(rows, begins, predicted)
 
 
 def _simulated(
@@ -173,7 +157,7 @@ def _simulated(
     parts: tuple[tuple[Recording, MotionStretch], ...],
     runs: _Runs,
 ) -> list[Array]:
-    """What the nominal simulation says at the same rows, (b,) for each stretch; NaN where it says nothing."""
+    """Prediction of the nominal simulation at the same rows, (b,) per part; NaN where it has none."""
     found = []
     for (recording, motion), rows, begins in zip(parts, runs.rows, runs.begins, strict=True):
         run = simulated[recording.name].get(driven)
@@ -194,12 +178,12 @@ def _motion_report(
     others: Mapping[str, _Runs],
     simulated: list[Array],
 ) -> OutputReport | None:
-    """Figures over the rows at which the network and every baseline say something; None where there are none."""
+    """Report over the rows that the network and every baseline predict; None where there are none."""
     rows = _rows(network, parts, runs)
-    predicted, truth = np.concatenate(runs.said), rows.values[:, 1]
+    predicted, truth = np.concatenate(runs.predicted), rows.values[:, 1]
     baselines = {title: np.concatenate(list(_at(runs.rows, other))) for title, other in others.items()}
     baselines[PLANT] = np.concatenate(simulated)
-    baselines = {title: said for title, said in baselines.items() if np.isfinite(said).any()}
+    baselines = {title: values for title, values in baselines.items() if np.isfinite(values).any()}
     common = np.all([np.isfinite(values) for values in (predicted, truth, *baselines.values())], axis=0)
     if not common.any():
         return None
@@ -214,7 +198,7 @@ def _motion_report(
             profile(errors, np.abs(speed), f"speed of {network.command}", f"{unit}/s"),
             direction_profile(errors, speed, f"direction of {network.command}", f"{unit}/s"),
         ]
-    shown = np.linspace(0, len(rows) - 1, min(len(rows), TRACE_ROWS)).round().astype(np.int64)
+    shown = evenly_spaced(len(rows), TRACE_ROWS)
     inputs = {network.command: rows.values[shown, 0]}
     return OutputReport(
         output=output_name(network.driven, horizon),
@@ -222,8 +206,8 @@ def _motion_report(
         rows="motion",
         recordings=tuple(dict.fromkeys(map(str, rows.recording))),
         metrics=error_metrics(truth, predicted, unit),
-        baselines={title: error_metrics(truth, said[common], unit) for title, said in baselines.items()},
-        # The run starts from a measured position and is compared with one.
+        baselines={title: error_metrics(truth, values[common], unit) for title, values in baselines.items()},
+        # Both the start of a run and the position at its end are measured.
         noise_floor=None if sigma is None else float(np.sqrt(2.0) * sigma),
         profiles=tuple(profiles),
         spikes=spikes(dataset, rows, errors, {}, {network.command: network.commands}, True),
@@ -232,7 +216,7 @@ def _motion_report(
 
 
 def _rows(network: MotionNetwork, parts: tuple[tuple[Recording, MotionStretch], ...], runs: _Runs) -> SignalRows:
-    """Command and position where runs are evaluated."""
+    """Command and position at the evaluated rows."""
     signals = (network.command, network.driven)
     columns = [
         (
@@ -248,7 +232,9 @@ def _rows(network: MotionNetwork, parts: tuple[tuple[Recording, MotionStretch], 
 
 
 def _at(rows: list[Index], other: _Runs) -> Iterator[Array]:
-    """What another model said at ``rows``; NaN where it said nothing."""
-    for wanted, there, said in zip(rows, other.rows, other.said, strict=True):
-        found = dict(zip(there.tolist(), said.tolist(), strict=True))
-        yield np.array([found.get(row, np.nan) for row in wanted.tolist()])
+    """Prediction of another model at ``rows``; NaN where it has none."""
+    for wanted, present, predicted in zip(rows, other.rows, other.predicted, strict=True):
+        found: Array = np.full(len(wanted), np.nan, dtype=np.float64)
+        _, at, of = np.intersect1d(wanted, present, assume_unique=True, return_indices=True)
+        found[at] = predicted[of]
+        yield found

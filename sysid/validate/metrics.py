@@ -1,4 +1,4 @@
-"""How large the errors of a prediction are, in one row of figures."""
+"""Error metrics of a prediction."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ Array = npt.NDArray[np.float64]
 
 @dataclass(frozen=True)
 class ErrorMetrics:
-    """Figures of ``error = predicted − truth`` over ``count`` rows, in ``unit``.
+    """Metrics of ``error = predicted − truth`` over ``count`` rows, in ``unit``.
 
     ``max`` and the percentiles are of the error's magnitude; ``bias`` is the mean error.
     """
@@ -33,7 +33,7 @@ def error_metrics(truth: Array, predicted: Array, unit: str) -> ErrorMetrics:
     """Compare two arrays (n,), both in ``unit``.
 
     Raises:
-        InputError: nothing to compare, different lengths, or numbers that are not finite.
+        InputError: no rows, different lengths, or numbers that are not finite.
     """
     from sklearn.metrics import max_error, root_mean_squared_error
 

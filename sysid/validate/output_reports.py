@@ -1,4 +1,4 @@
-"""One output of a network, evaluated: errors, baselines, noise floor, where it errs, coverage of its intervals."""
+"""Evaluation of one output of a network: errors, baselines, noise floor, profiles, maps, spikes, coverage."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ import numpy.typing as npt
 from sysid.datasets.recording import Dataset, Kind
 from sysid.networks.actuator import ActuatorNetwork
 from sysid.networks.forward import is_angle
-from sysid.networks.split import SignalRows, thin
+from sysid.networks.split import SignalRows, evenly_spaced, thin
 from sysid.networks.uncertainty import FALSE_FLAGS, NetworkUncertainty
 from sysid.plant import gravity_load
 from sysid.signals import axis_signal
-from sysid.validate.baselines import Predict
+from sysid.validate.baselines import Predict, baseline_models, linkage_geometry
 from sysid.validate.binning import per_second
 from sysid.validate.coverage import LEVEL, Coverage, coverage_of
 from sysid.validate.error_analysis import Profile, Ranges, direction_profile, profile, speeds, spikes
@@ -27,11 +27,9 @@ from sysid.validate.report import OutputReport, Trace
 
 Array = npt.NDArray[np.float64]
 
-#: Rows kept for plots.
+#: Largest number of rows kept for plots.
 TRACE_ROWS = 2000
-
-
-#: Rows that the slopes for the noise floor are taken at.
+#: Largest number of rows at which the slopes for the noise floor are computed.
 SLOPE_ROWS = 500
 
 
@@ -40,16 +38,16 @@ class EvaluatedOutput:
     """One output of a network to evaluate.
 
     Args:
-        predict: inputs (n, d) → output (n,); ``simple``: baselines of the same kind, by name.
-        trust: of the network; None for a version that has none.
+        predict: inputs (n, d) → output (n,); ``baselines``: of the same kind, by name.
+        uncertainty: of the network; None for a version without.
         sources, target: columns of the rows.
-        ends: signals whose ends can explain a spike; ``fitted``: inputs and the ranges that were learned.
-        spread: of the members, where there are several; ``number``: of this output among those of the network.
+        ends: signals whose ends are possible causes of a spike; ``fitted``: inputs and their fitted ranges.
+        spread: of the ensemble; ``number``: index of this output in the network.
     """
 
     predict: Predict
-    simple: Mapping[str, Predict]
-    trust: NetworkUncertainty | None
+    baselines: Mapping[str, Predict]
+    uncertainty: NetworkUncertainty | None
     sources: tuple[int, ...]
     target: int
     ends: Ranges
@@ -58,15 +56,32 @@ class EvaluatedOutput:
     number: int = 0
 
 
+def actuator_output(dataset: Dataset, network: ActuatorNetwork, direction: str, fit: SignalRows) -> EvaluatedOutput:
+    """One direction of a static actuator network, with baselines fitted on ``fit``, rows of (cylinder, joint)."""
+    source, target = (0, 1) if direction == "to_joint" else (1, 0)
+    predict = (network.joint, network.displacement)[source]
+    return EvaluatedOutput(
+        predict=lambda x: predict(x[:, 0]),
+        baselines=baseline_models(fit.values[:, [source]], fit.values[:, target])
+        | {"linkage geometry": linkage_geometry(fit.values[:, 0], fit.values[:, 1], target == 1)},
+        uncertainty=network.uncertainty.get(direction),
+        sources=(source,),
+        target=target,
+        # End stops of the cylinder, or the fitted range where the machine's description has none.
+        ends={fit.signals[0]: dataset.machine.axis(network.axis).stroke or network.displacements},
+        fitted={fit.signals[source]: (network.displacements, network.joints)[source]},
+    )
+
+
 def output_report(
-    dataset: Dataset, rows: SignalRows, kind: Kind, item: EvaluatedOutput, along: Array | None = None
+    dataset: Dataset, rows: SignalRows, kind: Kind, item: EvaluatedOutput, stateful: Array | None = None
 ) -> OutputReport:
-    """``along``: what a network with a memory said at ``rows``; its map is what it says without one."""
+    """Report of one output; ``stateful``: predictions of a network with a state at ``rows``, in place of ``item.predict``."""
     inputs, truth, output = rows.values[:, list(item.sources)], rows.values[:, item.target], rows.signals[item.target]
-    unit, predicted = _unit(dataset, output), item.predict(inputs) if along is None else along
+    unit, predicted = _unit(dataset, output), item.predict(inputs) if stateful is None else stateful
     errors = predicted - truth
-    profiles, maps = _where(dataset, rows, errors, item.sources, kind)
-    shown = np.linspace(0, len(rows) - 1, min(len(rows), TRACE_ROWS)).round().astype(np.int64)
+    profiles, maps = _profiles_and_maps(dataset, rows, errors, item.sources, kind)
+    shown = evenly_spaced(len(rows), TRACE_ROWS)
     trace = Trace(
         recording=rows.recording[shown],
         time=rows.time[shown],
@@ -80,8 +95,8 @@ def output_report(
         rows=kind,
         recordings=tuple(dict.fromkeys(str(name) for name in rows.recording)),
         metrics=error_metrics(truth, predicted, unit),
-        baselines={title: error_metrics(truth, predict(inputs), unit) for title, predict in item.simple.items()},
-        # A static pose is the mean of many samples: the noise of one sample says nothing about it.
+        baselines={title: error_metrics(truth, predict(inputs), unit) for title, predict in item.baselines.items()},
+        # A static pose is the mean of many samples, so the noise of one sample does not apply.
         noise_floor=_noise_floor(dataset, rows, item) if kind == "motion" else None,
         profiles=profiles,
         spikes=spikes(dataset, rows, errors, item.ends, item.fitted, kind == "motion"),
@@ -91,10 +106,10 @@ def output_report(
     )
 
 
-def _where(
+def _profiles_and_maps(
     dataset: Dataset, rows: SignalRows, errors: Array, sources: tuple[int, ...], kind: Kind
 ) -> tuple[tuple[Profile, ...], tuple[ErrorMap, ...]]:
-    """Errors against each input, its speed and direction, and the loads; and against two of them at a time."""
+    """Profiles against each input, its speed and direction, and the loads; maps over two of them."""
     profiles: list[Profile] = []
     axes: list[MapAxis] = []
     moving: list[tuple[str, str]] = []
@@ -117,7 +132,7 @@ def _where(
 
 
 def _loads(dataset: Dataset, rows: SignalRows) -> dict[str, tuple[str, Array]]:
-    """Joint → unit and gravity load at every row, for those joints that ``rows`` are about and that carry any."""
+    """Joint → unit and gravity load at every row, for joints of ``rows`` whose load varies."""
     if dataset.machine.kinematics() is None:
         return {}
     found: dict[str, tuple[str, Array]] = {}
@@ -136,21 +151,21 @@ def _loads(dataset: Dataset, rows: SignalRows) -> dict[str, tuple[str, Array]]:
 
 
 def _coverage(rows: SignalRows, inputs: Array, truth: Array, predicted: Array, item: EvaluatedOutput) -> Coverage | None:
-    trust = item.trust
-    if trust is None:
+    uncertainty = item.uncertainty
+    if uncertainty is None:
         return None
-    spread = np.zeros((len(rows), len(trust.intervals.floor)))
+    spread = np.zeros((len(rows), len(uncertainty.intervals.floor)))
     if item.spread is not None:
         spread[:, item.number] = item.spread(inputs)
-    level = min(LEVEL, trust.intervals.most_level)
-    reach = trust.intervals.reach(spread, level)[:, item.number]
+    level = min(LEVEL, uncertainty.intervals.max_level)
+    reach = uncertainty.intervals.reach(spread, level)[:, item.number]
     names = [rows.signals[source] for source in item.sources]
-    inside = trust.domain.inside(inputs)
+    inside = uncertainty.domain.inside(inputs)
     return coverage_of(truth, (predicted - reach, predicted + reach), inside, inputs, names, FALSE_FLAGS, level)
 
 
 def _noise_floor(dataset: Dataset, rows: SignalRows, item: EvaluatedOutput) -> float | None:
-    """√(σ_out² + Σ (∂f/∂x · σ_in)²), the slopes taken from the network itself; None where a σ is not stated."""
+    """√(σ_out² + Σ (∂f/∂x · σ_in)²) with the slopes of the network; None where a σ is not stated."""
     noise, sources = dataset.machine.noise, item.sources
     if any(rows.signals[column] not in noise for column in (*sources, item.target)):
         return None
@@ -163,11 +178,6 @@ def _noise_floor(dataset: Dataset, rows: SignalRows, item: EvaluatedOutput) -> f
         slope = (item.predict(inputs + step) - item.predict(inputs - step)) / (2.0 * step[position])
         variance += (slope * noise[rows.signals[source]]) ** 2
     return float(np.sqrt(variance.mean()))
-
-
-def axis_ends(dataset: Dataset, axis: str, network: ActuatorNetwork) -> tuple[float, float]:
-    """End stops of the cylinder, or what was fitted where the machine's description gives none."""
-    return dataset.machine.axis(axis).stroke or network.displacements
 
 
 def _unit(dataset: Dataset, signal: str) -> Literal["m", "rad"]:

@@ -1,4 +1,4 @@
-"""What validation found, as frozen values: figures for tables and JSON, arrays for plots."""
+"""Validation reports as frozen values: metrics for tables and JSON, arrays for plots."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ Array = npt.NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Trace:
-    """Sub-sampled rows for plots, in order; all (m,).
+    """Subsampled rows for plots, in order; all (m,).
 
     Args:
         recording: name of each row's recording.
@@ -45,17 +45,17 @@ class OutputReport:
     Args:
         output: the predicted signal, ``boom.joint`` or ``ee.x``.
         inputs: the signals it is predicted from.
-        rows: ``motion`` or ``poses``: what was predicted.
-        recordings: which ones.
+        rows: ``motion`` or ``poses``.
+        recordings: their names.
         metrics: of the network.
-        baselines: name → the same figures of a simpler model fitted on the same rows.
-        noise_floor: RMSE that a perfect map would show, from the sensor noise of inputs and output in ``machine.toml``;
-            None where it is not stated for all of them, and for poses, which are means of many samples.
+        baselines: name → metrics of a baseline fitted on the same rows.
+        noise_floor: RMSE of a perfect map, from the sensor noise of inputs and output in ``machine.toml``; None where it is not
+            stated for all of them, and for poses, which are means of many samples.
         profiles: error against position, speed, direction and load.
-        spikes: the largest errors that stand out, largest first.
+        spikes: largest first.
         trace: for plots.
-        maps: error over two inputs, or an input and its speed, the most telling ones first.
-        coverage: whether its intervals hold; None for a version that does not know any.
+        maps: error over two inputs, or an input and its speed, those that explain most first.
+        coverage: of the intervals; None for a version without intervals.
     """
 
     output: str
@@ -78,15 +78,15 @@ class OutputReport:
 
 @dataclass(frozen=True)
 class ValidationReport:
-    """A network evaluated on recordings it has not seen.
+    """A network evaluated on held-out recordings.
 
     Args:
         kind: of the network.
         model: name and version, empty for a model that is not registered.
         dataset: name and version.
-        role: of the rows: ``held_out`` unless asked otherwise.
-        outputs: one entry an output and kind of recordings.
-        round_trips: axis → how well the two directions of an actuator network undo each other.
+        role: of the rows.
+        outputs: one entry per output and kind of recordings.
+        round_trips: axis → errors of joint → cylinder → joint and back of an actuator network.
     """
 
     kind: Literal["actuator", "history", "motion", "forward"]
@@ -97,11 +97,11 @@ class ValidationReport:
     round_trips: Mapping[str, RoundTripError] = field(default_factory=dict)
 
     def output(self, name: str, rows: Kind | None = None) -> OutputReport:
-        """The entry of one output; of one kind of recordings if given."""
+        """The first entry of one output, and of one kind of recordings if given."""
         return next(entry for entry in self.outputs if entry.output == name and rows in (None, entry.rows))
 
     def metrics(self) -> dict[str, float]:
-        """Flat figures for the model registry: ``boom.joint.motion.rmse`` → value in SI."""
+        """Flat metrics for the model registry: ``boom.joint.motion.rmse`` → value in SI."""
         return {
             f"{entry.output}.{entry.rows}.{key}": float(getattr(entry.metrics, key))
             for entry in self.outputs
@@ -109,27 +109,14 @@ class ValidationReport:
         }
 
     def to_json(self) -> dict[str, Any]:
-        """Everything but the traces, as plain JSON values (NaN becomes null)."""
+        """All but the traces, as plain JSON values (NaN becomes null)."""
         values: dict[str, Any] = {
             "kind": self.kind,
             "model": self.model,
             "dataset": self.dataset,
             "role": self.role,
             "outputs": [
-                {
-                    "output": entry.output,
-                    "inputs": list(entry.inputs),
-                    "rows": entry.rows,
-                    "recordings": list(entry.recordings),
-                    "unit": entry.unit,
-                    "metrics": asdict(entry.metrics),
-                    "baselines": {name: asdict(metrics) for name, metrics in entry.baselines.items()},
-                    "noise_floor": entry.noise_floor,
-                    "profiles": [asdict(profile) for profile in entry.profiles],
-                    "spikes": [asdict(spike) for spike in entry.spikes],
-                    "maps": [asdict(item) for item in entry.maps],
-                    "coverage": asdict(entry.coverage) if entry.coverage is not None else None,
-                }
+                {key: value for key, value in asdict(entry).items() if key != "trace"} | {"unit": entry.unit}
                 for entry in self.outputs
             ],
             "round_trips": {axis: asdict(trip) for axis, trip in self.round_trips.items()},

@@ -1,4 +1,4 @@
-"""Evaluate networks on recordings that had no part in fitting them."""
+"""Evaluation of networks on held-out recordings."""
 
 from __future__ import annotations
 
@@ -9,17 +9,17 @@ import numpy.typing as npt
 
 from sysid.datasets.recording import Dataset, Kind, Role
 from sysid.errors import ExcitationError
-from sysid.networks.actuator import ActuatorNetwork, actuator_rows
+from sysid.networks.actuator import DIRECTIONS, ActuatorNetwork, actuator_rows
 from sysid.networks.artifacts import Model, history_networks, motion_networks, static_networks
 from sysid.networks.forward import ForwardModel, ForwardNetwork, forward_rows
 from sysid.networks.recipe import NetworkRecipe
 from sysid.networks.split import SignalRows, gather, measures, segments
 from sysid.networks.structured import StructuredForward
 from sysid.signals import axis_signal, point_signals
-from sysid.validate.baselines import linkage_geometry, simple_models, urdf_kinematics
+from sysid.validate.baselines import baseline_models, urdf_kinematics
 from sysid.validate.error_analysis import Ranges
 from sysid.validate.free_runs import validate_history, validate_motion
-from sysid.validate.output_reports import EvaluatedOutput, axis_ends, output_report
+from sysid.validate.output_reports import EvaluatedOutput, actuator_output, output_report
 from sysid.validate.report import ValidationReport
 
 Array = npt.NDArray[np.float64]
@@ -28,7 +28,7 @@ Array = npt.NDArray[np.float64]
 def validate_model(
     model: Model, dataset: Dataset, role: Role = "held_out", recipe: NetworkRecipe | None = None, name: str = ""
 ) -> ValidationReport:
-    """:func:`validate_actuator`, :func:`validate_forward`, or one of those for networks that run along a motion."""
+    """Report of a model of any kind, by the function for its kind."""
     if isinstance(model, ForwardNetwork | StructuredForward):
         return validate_forward(model, dataset, role, name)
     if motions := motion_networks(model):
@@ -50,7 +50,7 @@ def validate_actuator(
     Args:
         networks: axis → network, from ``fit_actuator``.
         role: recordings to evaluate on.
-        recipe: that of the fit, so that the baselines learn from the same rows; default: the paper's.
+        recipe: of the fit, so that the baselines are fitted on the same rows; default: the paper's.
         name: of the model, for the report.
 
     Raises:
@@ -60,30 +60,15 @@ def validate_actuator(
     for axis, network in networks.items():
         signals = (axis_signal(axis, "cylinder"), axis_signal(axis, "joint"))
         fit, _ = actuator_rows(dataset, axis, recipe or NetworkRecipe())
-        judged = _rows_by_kind(dataset, role, signals, ("motion", "poses"))
-        maps = tuple(
-            EvaluatedOutput(
-                predict=lambda x, predict=predict: predict(x[:, 0]),  # type: ignore[misc]
-                simple=simple_models(fit.values[:, [source]], fit.values[:, target])
-                | {"linkage geometry": linkage_geometry(fit.values[:, 0], fit.values[:, 1], target == 1)},
-                trust=network.trust.get(direction),
-                sources=(source,),
-                target=target,
-                ends={signals[0]: axis_ends(dataset, axis, network)},
-                fitted={signals[source]: (network.displacements, network.joints)[source]},
-            )
-            for direction, source, target, predict in (
-                ("to_joint", 0, 1, network.joint),
-                ("to_cylinder", 1, 0, network.displacement),
-            )
-        )
-        outputs += [output_report(dataset, rows, kind, item) for kind, rows in judged.items() for item in maps]
+        rows_by_kind = _rows_by_kind(dataset, role, signals, ("motion", "poses"))
+        maps = [actuator_output(dataset, network, direction, fit) for direction in DIRECTIONS]
+        outputs += [output_report(dataset, rows, kind, item) for kind, rows in rows_by_kind.items() for item in maps]
     round_trips = {axis: network.round_trip() for axis, network in networks.items()}
     return ValidationReport("actuator", name, dataset.reference, role, tuple(outputs), round_trips)
 
 
 def validate_forward(network: ForwardModel, dataset: Dataset, role: Role = "held_out", name: str = "") -> ValidationReport:
-    """End effector on the static poses of ``role``, and on its motion where that was measured as well.
+    """End effector on the static poses of ``role``, and on its motion if it was measured.
 
     Raises:
         ExcitationError: neither poses nor motion of that role have all joints and the end effector.
@@ -92,15 +77,15 @@ def validate_forward(network: ForwardModel, dataset: Dataset, role: Role = "held
     count = len(network.joints)
     fit = forward_rows(dataset, "fit")
     fitted = dict(zip(network.joints, zip(network.low.tolist(), network.high.tolist(), strict=True), strict=True))
-    simple = simple_models(fit.values[:, :count], fit.values[:, count:])
+    baselines = baseline_models(fit.values[:, :count], fit.values[:, count:])
     urdf = urdf_kinematics(dataset)
     if urdf is not None:
-        simple["URDF kinematics"] = urdf
+        baselines["URDF kinematics"] = urdf
     maps = tuple(
         EvaluatedOutput(
             predict=lambda q, number=number: network.predict(q)[:, number],  # type: ignore[misc]
-            simple={title: lambda q, each=each, number=number: each(q)[:, number] for title, each in simple.items()},  # type: ignore[misc]
-            trust=network.trust,
+            baselines={title: lambda q, each=each, number=number: each(q)[:, number] for title, each in baselines.items()},  # type: ignore[misc]
+            uncertainty=network.uncertainty,
             sources=tuple(range(count)),
             target=count + number,
             ends=_joint_limits(dataset, fitted),
@@ -110,13 +95,13 @@ def validate_forward(network: ForwardModel, dataset: Dataset, role: Role = "held
         )
         for number in range(3)
     )
-    judged = _rows_by_kind(dataset, role, signals, ("poses", "motion"))
-    outputs = [output_report(dataset, rows, kind, item) for kind, rows in judged.items() for item in maps]
+    rows_by_kind = _rows_by_kind(dataset, role, signals, ("poses", "motion"))
+    outputs = [output_report(dataset, rows, kind, item) for kind, rows in rows_by_kind.items() for item in maps]
     return ValidationReport("forward", name, dataset.reference, role, tuple(outputs))
 
 
 def _joint_limits(dataset: Dataset, fitted: Ranges) -> Ranges:
-    """Limits of every joint, or the range that was fitted where the machine's description gives none."""
+    """Limits of every joint, or the fitted range where the machine's description has none."""
     limits = {axis_signal(axis.name, "joint"): axis.limits for axis in dataset.machine.axes}
     return {signal: ends if ends is not None and np.isfinite(ends).all() else fitted[signal] for signal, ends in limits.items()}
 

@@ -48,7 +48,7 @@ def what_network(model: Model | None) -> Iterator[str]:
     elif model is not None:
         for axis, item in history_networks(model).items():
             memories = (item.to_joint, item.to_cylinder)
-            quiet = [way for way, memory in zip(("joint", "cylinder"), memories, strict=True) if memory.silent]
+            quiet = [way for way, memory in zip(("joint", "cylinder"), memories, strict=True) if memory.inactive]
             said = f"; silent towards {' and '.join(quiet)}, where it did not help" if quiet else ""
             yield f"{axis}: a memory of {memories[0].units} units that looks every {memories[0].interval:g} s{said}."
         sizes = (f"{axis} {'-'.join(map(str, network.to_joint.hidden))}" for axis, network in static_networks(model).items())

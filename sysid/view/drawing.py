@@ -1,10 +1,12 @@
-"""How a machine looks in Rerun: colours, the shapes of its links, their poses and the trails of its points over time."""
+"""A machine in Rerun: colours, shapes and poses of its links, and the trails of its points."""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -12,6 +14,7 @@ import numpy.typing as npt
 import pandas as pd
 from scipy.spatial.transform import Rotation
 
+from sysid.files import written_whole
 from sysid.machine import Kinematics, Machine
 from sysid.signals import axis_signal, point_signals
 from sysid.view.visuals import Shape, link_shapes
@@ -23,53 +26,82 @@ TIMELINE = "time"
 
 @dataclass(frozen=True)
 class Style:
-    """Colour (RGB) of one version of the machine, and whether its links are drawn solid."""
+    """Colour (RGB) of one version of the machine, and whether its links are solid or wire frames."""
 
     colour: tuple[int, int, int]
     solid: bool
 
 
-#: What was measured is solid; simulations are wire frames around it, so that they stay apart where they agree.
+#: The measurement is solid; simulations are wire frames, so that both are visible where they agree.
 STYLES = {
     "measured": Style((138, 148, 158), True),
     "before": Style((222, 104, 52), False),
     "after": Style((20, 160, 150), False),
 }
-OTHERS = ((70, 130, 190), (200, 150, 40), (160, 100, 200), (120, 160, 60))
+OTHER_COLOURS = ((70, 130, 190), (200, 150, 40), (160, 100, 200), (120, 160, 60))
 
 #: SI unit → factor and unit in the plots.
-SHOWN = {"m": (1e3, "mm"), "rad": (180.0 / np.pi, "°")}
+DISPLAY_UNITS = {"m": (1e3, "mm"), "rad": (180.0 / np.pi, "°")}
 
 
 def sdk() -> Any:
-    """The SDK, imported late: it takes half a second. Only its viewer counts usage; writing a file starts no viewer."""
+    """The SDK, imported late (half a second), with its telemetry off."""
     os.environ.setdefault("TELEMETRY_ENABLED", "false")
     import rerun
 
     return rerun
 
 
+@contextmanager
+def rerun_file(path: Path, identity: str, layout: Any, name: str) -> Iterator[Any]:
+    """A Rerun stream into ``path``, written whole or not at all; equal identities are one recording for the viewer."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with written_whole(path) as temporary:
+        stream = sdk().RecordingStream("sysid", recording_id=identity)
+        stream.save(str(temporary), default_blueprint=layout)
+        stream.send_recording_name(name)
+        yield stream
+        stream.flush()
+        stream.disconnect()
+
+
+def log_curve(
+    stream: Any, entity: str, time: Array, values: Array, colour: tuple[int, int, int], label: str, width: float | None = None
+) -> None:
+    """A curve (n,) over time (n,) [s], in display units."""
+    rr = sdk()
+    widths = None if width is None else [width]
+    rr.log(entity, rr.SeriesLines(colors=[colour], names=[label], widths=widths), static=True, recording=stream)
+    send_columns(stream, entity, time, rr.Scalars.columns(scalars=values))
+
+
+def send_columns(stream: Any, entity: str, time: Array, columns: Any) -> None:
+    """Values of an entity at times (n,) [s]."""
+    rr = sdk()
+    rr.send_columns(entity, indexes=[rr.TimeColumn(TIMELINE, duration=time)], columns=columns, recording=stream)
+
+
 def styles_of(names: Mapping[str, Any]) -> list[Style]:
-    others = iter(Style(colour, False) for colour in OTHERS * (1 + len(names)))
+    others = iter(Style(colour, False) for colour in OTHER_COLOURS * (1 + len(names)))
     return [STYLES[name] if name in STYLES else next(others) for name in names]
 
 
 def log_machine(stream: Any, root: str, machine: Machine, kinematics: Kinematics, table: pd.DataFrame, style: Style) -> None:
-    """Poses of all links over time, and once their shapes. Rows in which a joint is unknown are left out."""
+    """Poses of all links over time, and their shapes. Rows with an unknown joint are omitted."""
     if log_poses(stream, root, machine, kinematics, table):
         log_shapes(stream, root, machine, kinematics, style)
 
 
 def log_shapes(stream: Any, root: str, machine: Machine, kinematics: Kinematics, style: Style) -> None:
-    """What the links look like, at all times."""
+    """Shapes of the links, valid at all times."""
     rr = sdk()
     for link, shapes in link_shapes(machine.urdf_text or "", kinematics).items():
         for number, shape in enumerate(shapes):
-            rr.log(f"{root}/{link}/shape-{number}", *drawn(shape, style), static=True, recording=stream)
+            rr.log(f"{root}/{link}/shape-{number}", *primitives(shape, style), static=True, recording=stream)
 
 
 def log_poses(stream: Any, root: str, machine: Machine, kinematics: Kinematics, table: pd.DataFrame) -> bool:
-    """Where the links are in the rows of ``table`` in which every joint is known; whether there are any."""
+    """Poses of the links in the rows of ``table`` with all joints; returns whether there are any."""
     rr = sdk()
     columns = [axis_signal(axis.name, "joint") for axis in machine.axes]
     if not set(columns) <= set(table.columns):
@@ -78,22 +110,22 @@ def log_poses(stream: Any, root: str, machine: Machine, kinematics: Kinematics, 
     known = np.isfinite(joints).all(axis=1)
     if not known.any():
         return False
-    times = [rr.TimeColumn(TIMELINE, duration=table["time"].to_numpy(dtype=np.float64)[known])]
+    time = table["time"].to_numpy(dtype=np.float64)[known]
     for link, pose in kinematics.link_poses(joints[known]).items():
         turn = Rotation.from_matrix(pose[:, :3, :3]).as_quat()
         place = rr.Transform3D.columns(translation=pose[:, :3, 3], quaternion=turn)
-        rr.send_columns(f"{root}/{link}", indexes=times, columns=place, recording=stream)
+        send_columns(stream, f"{root}/{link}", time, place)
     return True
 
 
-def drawn(shape: Shape, style: Style) -> list[Any]:
+def primitives(shape: Shape, style: Style) -> list[Any]:
     rr = sdk()
     mode = "Solid" if style.solid else "MajorWireframe"
     colour = [*style.colour, 255]
     turn = rr.Quaternion(xyzw=Rotation.from_matrix(shape.pose[:3, :3]).as_quat())
     place = rr.Transform3D(translation=shape.pose[:3, 3], quaternion=turn)
     if shape.kind == "box":
-        # A little smaller than its simulations, so that where all agree the wire frames stay visible.
+        # Wire frames are slightly larger than solids, so that they stay visible where both agree.
         scale = 1.0 if style.solid else 1.02
         half_sizes = [[0.5 * scale * side for side in shape.size]]
         return [place, rr.Boxes3D(half_sizes=half_sizes, colors=[colour], fill_mode=mode, radii=0.0015)]
@@ -106,7 +138,7 @@ def drawn(shape: Shape, style: Style) -> list[Any]:
 
 
 def log_points(stream: Any, root: str, machine: Machine, table: pd.DataFrame, style: Style) -> None:
-    """Boom tip and tool as points (their last seconds make the trail) and the line between the two."""
+    """Boom tip and tool as points, whose last seconds are the trail, and the line between them."""
     rr = sdk()
     time = table["time"].to_numpy(dtype=np.float64)
     found: dict[str, Array] = {}
@@ -119,16 +151,11 @@ def log_points(stream: Any, root: str, machine: Machine, table: pd.DataFrame, st
             continue
         radius = 0.008 if point == "tool" else 0.005
         rr.log(f"{root}/{point}", rr.Points3D.from_fields(colors=[style.colour], radii=[radius]), static=True, recording=stream)
-        times = [rr.TimeColumn(TIMELINE, duration=time[known])]
-        rr.send_columns(
-            f"{root}/{point}", indexes=times, columns=rr.Points3D.columns(positions=values[known]), recording=stream
-        )
+        send_columns(stream, f"{root}/{point}", time[known], rr.Points3D.columns(positions=values[known]))
     if set(found) == {"ee", "tool"}:
         known = np.isfinite(np.hstack([found["ee"], found["tool"]])).all(axis=1)
         strips = np.stack([found["ee"][known], found["tool"][known]], axis=1)
         if len(strips):
             look = rr.LineStrips3D.from_fields(colors=[style.colour], radii=[0.002])
             rr.log(f"{root}/cable", look, static=True, recording=stream)
-            times = [rr.TimeColumn(TIMELINE, duration=time[known])]
-            lines = rr.LineStrips3D.columns(strips=list(strips))
-            rr.send_columns(f"{root}/cable", indexes=times, columns=lines, recording=stream)
+            send_columns(stream, f"{root}/cable", time[known], rr.LineStrips3D.columns(strips=list(strips)))

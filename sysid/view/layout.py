@@ -1,4 +1,4 @@
-"""The layout of the viewer: the machine on the left, its signals in tabs on the right, the commands below."""
+"""Layout of the viewer: the machine on the left, its signals in tabs on the right, the commands below."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ TRAIL_S = 3.0
 def blueprint(
     dataset: Dataset, recording: Recording, tables: Mapping[str, pd.DataFrame], timeline: str, maps: Sequence[Map] = ()
 ) -> Any:
-    """A Rerun blueprint for one recording and its simulations, with maps of the disagreement in tabs of their own."""
+    """Rerun blueprint for one recording and its simulations, with maps of the gap in separate tabs."""
     import rerun.blueprint as rrb
 
     signals = [name for name in recording.signals if not name.endswith(".command") and recording.table[name].notna().any()]
@@ -44,7 +44,7 @@ def blueprint(
 
 
 def screen(views: Any, timeline: str) -> Any:
-    """A blueprint of ``views`` alone, everything around them folded away."""
+    """A blueprint of ``views`` with all panels collapsed."""
     import rerun.blueprint as rrb
 
     return rrb.Blueprint(
@@ -68,7 +68,7 @@ def machine_view(points: Sequence[str], timeline: str) -> Any:
 
 
 def _active(tables: Mapping[str, pd.DataFrame], signals: list[str], owners: list[str]) -> int:
-    """The tab in which the first simulation is worst, relative to how much the signal moves."""
+    """The tab with the largest error of the first simulation, relative to the standard deviation of the signal."""
     simulated = next((table for name, table in tables.items() if name != "measured"), None)
     if simulated is None or not owners:
         return 0

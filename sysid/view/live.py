@@ -1,4 +1,4 @@
-"""A plant in its PyBullet world, shown in Rerun while it moves."""
+"""Live view in Rerun of a plant in its PyBullet world."""
 
 from __future__ import annotations
 
@@ -17,24 +17,24 @@ from sysid.files import written_whole
 from sysid.machine import Machine
 from sysid.plant import Plant
 from sysid.signals import axis_signal, point_signals
-from sysid.view.drawing import SHOWN, STYLES, TIMELINE, log_shapes, sdk
+from sysid.view.drawing import DISPLAY_UNITS, STYLES, TIMELINE, log_shapes, sdk
 from sysid.view.layout import blueprint
 from sysid.view.visuals import link_shapes
 from sysid.world import World, WorldState
 
-#: Pictures of the world's camera a second of the machine's time, and their size.
+#: Camera pictures per second of the machine's time, and their size.
 CAMERA_HZ, CAMERA = 5.0, (320, 240)
-#: States shown a second of the machine's time.
-SHOWN_HZ = 50.0
+#: States per second of the machine's time.
+STATE_HZ = 50.0
 
 
 def show_live(dataset: Dataset, recording: str, plant: Plant, path: Path | None = None, speed: float = 1.0) -> int:
-    """Step the world through the commands of a recording and show each state as it comes.
+    """Step the world through the commands of a recording and show each state.
 
     Args:
-        plant: what moves; its machine needs a URDF.
-        path: write an ``.rrd`` file instead of opening the viewer, as fast as it goes.
-        speed: how much faster than the machine it shall run in the viewer.
+        plant: its machine needs a URDF.
+        path: write an ``.rrd`` file at full speed instead of opening the viewer.
+        speed: speed in the viewer relative to the machine's time.
 
     Returns:
         The number of states shown.
@@ -59,14 +59,14 @@ def show_live(dataset: Dataset, recording: str, plant: Plant, path: Path | None 
                 path.parent.mkdir(parents=True, exist_ok=True)
                 stream.save(str(files.enter_context(written_whole(path))), default_blueprint=layout)
             stream.send_recording_name(f"{dataset.reference} {recording}, {plant.reference or 'nominal plant'} in PyBullet")
-            shown = _play(stream, world, source, dataset.units, 0.0 if path is not None else 1.0 / speed)
+            shown = _replay(stream, world, source, dataset.units, 0.0 if path is not None else 1.0 / speed)
             stream.flush()
             stream.disconnect()
     return shown
 
 
-def _play(stream: Any, world: World, source: Recording, units: Mapping[str, str], pace: float) -> int:
-    """Show the run; ``pace`` is seconds of waiting a second of the machine, zero for none."""
+def _replay(stream: Any, world: World, source: Recording, units: Mapping[str, str], pace: float) -> int:
+    """Show the run; ``pace`` is seconds of wall time per second of the machine's time, zero for full speed."""
     rr = sdk()
     machine = world.plant.machine
     kinematics = machine.kinematics()
@@ -76,17 +76,17 @@ def _play(stream: Any, world: World, source: Recording, units: Mapping[str, str]
     factors = {}
     for signal in source.signals:
         unit = units.get(signal, "1")
-        factors[signal], shown_as = SHOWN.get(unit, (1.0, unit))
+        factors[signal], shown_as = DISPLAY_UNITS.get(unit, (1.0, unit))
         for name, style in (("measured", STYLES["measured"]), ("world", STYLES["after"])):
             label = name if shown_as in ("", "1") else f"{name} [{shown_as}]"
             look = rr.SeriesLines(colors=[style.colour], names=[label])
             rr.log(f"signals/{signal}/{name}", look, static=True, recording=stream)
     log_shapes(stream, "machine/world", machine, kinematics, STYLES["measured"])
-    every = max(1, round(source.rate_hz / SHOWN_HZ))
+    every = max(1, round(source.rate_hz / STATE_HZ))
     picture_every = every * max(1, round(source.rate_hz / CAMERA_HZ / every))
     begin, first, shown = time.monotonic(), None, 0
     times = source.values("time")
-    for row, state in world.play(source):
+    for row, state in world.replay(source):
         if row % every:
             continue
         first = float(times[row]) if first is None else first

@@ -1,4 +1,4 @@
-"""Maps of the disagreement as bar charts of the viewer: mean of each bin, before and after the repair."""
+"""Maps of the gap as bar charts of the viewer: mean of each bin, before and after the repair."""
 
 from __future__ import annotations
 
@@ -9,36 +9,36 @@ import numpy as np
 
 from sysid.gap.result import Map
 
-#: Maps of an output that are shown, and what they have to account for.
-SHOWN, TELLING = 3, 0.15
+#: Largest number of maps per output, and the least share of the variance that they explain.
+MAX_MAPS, MIN_EXPLAINED = 3, 0.15
 
 
-def telling(maps: Sequence[Map]) -> list[Map]:
-    """The maps of each output that account for most of its disagreement, in the order of the outputs."""
+def informative(maps: Sequence[Map]) -> list[Map]:
+    """The maps of each output that explain most of its gap, in the order of the outputs."""
     found = []
     for signal in dict.fromkeys(item.signal for item in maps):
         of_signal = sorted((item for item in maps if item.signal == signal), key=lambda item: -item.explains)
-        found += [item for item in of_signal if item.explains > TELLING][:SHOWN]
+        found += [item for item in of_signal if item.explains > MIN_EXPLAINED][:MAX_MAPS]
     return found
 
 
 def entity(item: Map) -> str:
-    """Where a map lies in the recording."""
+    """Entity path of a map."""
     return "/".join(("maps", item.signal, item.quantity.replace(" ", "_"), item.over.replace(" ", "_")))
 
 
 def log_maps(
     stream: Any, maps: Sequence[Map], colours: dict[str, tuple[int, int, int]], units: dict[str, tuple[float, str]]
 ) -> None:
-    """Log telling maps, the same at all times.
+    """Log the informative maps, valid at all times.
 
     Args:
         colours: of ``before`` and ``after``.
-        units: SI unit → factor and unit that are shown.
+        units: SI unit → display factor and unit.
     """
     import rerun as rr
 
-    for item in telling(maps):
+    for item in informative(maps):
         factor, _ = units.get(item.error_unit.removesuffix("/s"), (1.0, ""))
         across, _ = units.get(item.unit.removesuffix("/s"), (1.0, ""))
         at = across * np.array(item.at)
@@ -49,10 +49,10 @@ def log_maps(
 
 
 def map_views(maps: Sequence[Map]) -> list[Any]:
-    """One tab for each output that has telling maps."""
+    """One tab for each output with informative maps."""
     import rerun.blueprint as rrb
 
-    shown = telling(maps)
+    shown = informative(maps)
     return [
         rrb.Vertical(
             *(

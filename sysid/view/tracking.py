@@ -1,4 +1,4 @@
-"""A Rerun recording of how a path was followed: path, machines, errors and commands."""
+"""Rerun recording of path tracking: path, machines, errors and commands."""
 
 from __future__ import annotations
 
@@ -9,10 +9,9 @@ import numpy as np
 import numpy.typing as npt
 import pandas as pd
 
-from sysid.files import written_whole
 from sysid.machine import Machine
 from sysid.signals import axis_signal, point_signals
-from sysid.view.drawing import TIMELINE, Style, log_machine, log_points, sdk, styles_of
+from sysid.view.drawing import TIMELINE, Style, log_curve, log_machine, log_points, rerun_file, sdk, styles_of
 from sysid.view.layout import machine_view, screen
 
 Array = npt.NDArray[np.float64]
@@ -20,20 +19,16 @@ _PATH = (230, 60, 90)
 
 
 def write_tracks(path: Path, machine: Machine, target: Array, rows: Mapping[str, pd.DataFrame], name: str) -> Path:
-    """Write how one path was followed by one policy or several.
+    """Write the tracking of one path by one or several policies.
 
     Args:
         path: the ``.rrd`` file.
-        target: where the end effector should be, (n, 3) [m], in the rows of the tables.
-        rows: policy → ``time`` [s], joints, ``ee``, and ``tool`` and commands where there are any (SI).
+        target: end-effector targets, (n, 3) [m], in the rows of the tables.
+        rows: policy → ``time`` [s], joints, ``ee``, and ``tool`` and commands if any (SI).
         name: of the recording.
     """
     rr = sdk()
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with written_whole(path) as half:
-        stream = rr.RecordingStream("sysid", recording_id=name)
-        stream.save(str(half), default_blueprint=_layout(list(rows)))
-        stream.send_recording_name(name)
+    with rerun_file(path, name, _layout(list(rows)), name) as stream:
         rr.log("machine", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True, recording=stream)
         rr.log("machine/path", rr.LineStrips3D([target], colors=[_PATH], radii=0.0015), static=True, recording=stream)
         styles = [Style((138, 148, 158), True), *styles_of(rows)]
@@ -42,7 +37,6 @@ def write_tracks(path: Path, machine: Machine, target: Array, rows: Mapping[str,
             if kinematics is not None:
                 log_machine(stream, f"machine/{policy}", machine, kinematics, table, style)
             log_points(stream, f"machine/{policy}", machine, table, style)
-            times = [rr.TimeColumn(TIMELINE, duration=table["time"].to_numpy(dtype=np.float64))]
             error = 1e3 * (table[list(point_signals("ee"))].to_numpy(dtype=np.float64) - target)
             commands = [axis_signal(axis, "command") for axis in machine.axis_names]
             curves = {f"error/{axis}/{policy}": (error[:, k], f"{policy} [mm]") for k, axis in enumerate("xyz")}
@@ -50,10 +44,7 @@ def write_tracks(path: Path, machine: Machine, target: Array, rows: Mapping[str,
                 if signal in table and table[signal].notna().any():
                     curves[f"commands/{signal}/{policy}"] = (table[signal].to_numpy(dtype=np.float64), policy)
             for entity, (values, label) in curves.items():
-                rr.log(entity, rr.SeriesLines(colors=[style.colour], names=[label]), static=True, recording=stream)
-                rr.send_columns(entity, indexes=times, columns=rr.Scalars.columns(scalars=values), recording=stream)
-        stream.flush()
-        stream.disconnect()
+                log_curve(stream, entity, table["time"].to_numpy(dtype=np.float64), values, style.colour, label)
     return path
 
 

@@ -1,7 +1,7 @@
-"""Shapes of the links from the URDF's <visual> elements, to draw the machine with.
+"""Shapes of the links from the URDF's <visual> elements.
 
-Source: URDF specification (ROS wiki, ``urdf/XML/link``). Meshes are files that a dataset version does not carry: a link
-that has only a mesh is drawn as a bar to its next joint, like a link without any visual.
+Source: URDF specification (ROS wiki, ``urdf/XML/link``). A dataset version does not contain mesh files: a link with a mesh
+only, or without any visual, is a bar to its next joint.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 from sysid.errors import SettingsError
 from sysid.machine import Kinematics
-from sysid.machine.kinematics import rotation_about
+from sysid.machine.kinematics import origin_pose
 
 Array = npt.NDArray[np.float64]
 
@@ -36,7 +36,7 @@ class Shape:
 
 
 def link_shapes(urdf: str, kinematics: Kinematics) -> dict[str, tuple[Shape, ...]]:
-    """Shapes of every link of the chain; each link has at least one unless it carries nothing."""
+    """Shapes of every link of the chain: at least one, except for a last link without visuals."""
     from defusedxml.ElementTree import fromstring
 
     root: Element = fromstring(urdf, forbid_dtd=True)
@@ -53,7 +53,7 @@ def link_shapes(urdf: str, kinematics: Kinematics) -> dict[str, tuple[Shape, ...
 
 
 def _shape(visual: Element) -> tuple[Shape, ...]:
-    pose = _pose(visual.find("origin"))
+    pose = origin_pose(visual.find("origin"))
     box, cylinder, sphere = (visual.find(f"geometry/{kind}") for kind in ("box", "cylinder", "sphere"))
     if box is not None:
         return (Shape("box", _numbers(box.get("size", "")), pose),)
@@ -65,22 +65,13 @@ def _shape(visual: Element) -> tuple[Shape, ...]:
 
 
 def _bar(link: str, kinematics: Kinematics) -> tuple[Shape, ...]:
-    """A bar from the link's frame to the joint that it carries; nothing where the two coincide."""
+    """A bar from the link's frame to its child joint; empty where the two coincide."""
     for joint in kinematics.chain:
         if joint.parent == link:
             end = joint.origin[:3, 3]
             if float(np.linalg.norm(end)) > 1e-6:
                 return (Shape("bar", (float(end[0]), float(end[1]), float(end[2])), np.eye(4)),)
     return ()
-
-
-def _pose(origin: Element | None) -> Array:
-    pose = np.eye(4)
-    if origin is not None:
-        pose[:3, 3] = _numbers(origin.get("xyz", "0 0 0"))
-        for axis, angle in zip(np.eye(3), _numbers(origin.get("rpy", "0 0 0")), strict=True):
-            pose[:3, :3] = rotation_about(axis, np.array([angle]))[0] @ pose[:3, :3]
-    return pose
 
 
 def _numbers(text: str) -> tuple[float, ...]:

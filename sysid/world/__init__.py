@@ -1,4 +1,4 @@
-"""The PyBullet world: a plant version as rigid bodies that hang, touch the ground and can be photographed."""
+"""PyBullet simulation of a plant version: rigid bodies with a hanging tool, contact with ground and logs, and a camera."""
 
 from sysid.world.scene import Log
 from sysid.world.world import World, WorldState

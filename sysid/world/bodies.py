@@ -1,8 +1,7 @@
-"""The machine's URDF as the world loads it: lengths of the plant, unlimited driven joints, a tool that hangs as identified."""
+"""The machine's URDF for the world: lengths of the plant, driven joints without limits, a hanging tool as identified."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import Literal
 from xml.etree.ElementTree import Element, SubElement, tostring
@@ -18,6 +17,7 @@ from sysid.machine.kinematics import Joint
 from sysid.plant import Plant
 from sysid.world.urdf import (
     MASS,
+    chained,
     complete_inertia,
     drop_meshes,
     effort_limit,
@@ -33,7 +33,6 @@ from sysid.world.urdf import (
     path_to,
     pose_of,
     remove_below,
-    rotation,
     scale_origin,
     set_inertia,
     unlimit,
@@ -42,14 +41,14 @@ from sysid.world.urdf import (
 Array = npt.NDArray[np.float64]
 Gripper = Literal["rigid", "point"]
 
-#: Mass [kg] of a tool for which the URDF gives none; a free swing does not depend on it.
+#: Mass [kg] of a tool without one in the URDF; a free swing does not depend on it.
 _TOOL_MASS = 1.0
-#: Mass and inertia [kg, kg·m²] of driven links without any: heavy beside a tool, whose reaction then moves no joint.
+#: Mass and inertia [kg, kg·m²] of driven links without any: heavy compared with a tool, so that its reaction moves no joint.
 _STRUCTURE_MASS = 10.0
-#: Link of a tool that the machine's URDF does not have.
+#: Name of the link that is added for a tool without one in the URDF.
 _TOOL = "swaying_tool"
-#: A shorter pendulum [m] is none, as in the compiled step.
-_SHORTEST = 1e-3
+#: A pendulum shorter than this [m] is omitted, as in the compiled step.
+_MIN_LENGTH = 1e-3
 
 
 @dataclass(frozen=True)
@@ -60,7 +59,7 @@ class HangingTool:
         joints: from the tip downwards.
         reach: pivot → tool in the frame of the last of them, (3,) [m].
         damping: of each joint [N·m·s/rad].
-        tool: the link that hangs.
+        tool: the hanging link.
     """
 
     joints: tuple[Joint, Joint]
@@ -71,7 +70,7 @@ class HangingTool:
 
 @dataclass(frozen=True)
 class WorldUrdf:
-    """A URDF for the world. ``effort`` limits the driven joints [N or N·m] where the machine's own URDF does."""
+    """A URDF for the world, effort limits of the driven joints [N or N·m], the tool, and the height of the ground [m]."""
 
     urdf: str
     effort: tuple[float, ...]
@@ -80,11 +79,11 @@ class WorldUrdf:
 
 
 def build_bodies(plant: Plant, gripper: Gripper = "rigid") -> WorldUrdf:
-    """Rebuild the URDF of the plant's machine.
+    """Build the URDF for the world from that of the plant's machine.
 
     Args:
-        gripper: ``rigid`` keeps masses and inertias of the URDF below the tip; ``point`` puts all of that mass into the
-            tool's origin, as the equation of ``gripper_sway`` has it.
+        gripper: ``rigid`` keeps masses and inertias of the URDF below the tip; ``point`` moves all of that mass to the tool's
+            origin, as in the equation of ``gripper_sway``.
 
     Raises:
         SettingsError: the machine has no URDF.
@@ -112,10 +111,10 @@ def build_bodies(plant: Plant, gripper: Gripper = "rigid") -> WorldUrdf:
     if machine.tool is not None and machine.tool != machine.tip:
         path = path_to(kinematics, machine.tool)
         values = {key: float(np.asarray(value)) for key, value in (sway.parameters if sway is not None else {}).items()}
-        if values.get("length", 0.0) >= _SHORTEST:
+        if values.get("length", 0.0) >= _MIN_LENGTH:
             hanging = _hang(root, kinematics, path, values["length"], values["damping_ratio"], gripper)
         elif any(joint.kind != "fixed" for joint in path):
-            # A plant that does not know how the tool hangs predicts it at the tip: nothing is drawn below.
+            # Without gripper_sway the plant predicts the tool at the tip.
             remove_below(root, kinematics.tip)
     for link in root.findall("link"):
         complete_inertia(link, _STRUCTURE_MASS, _STRUCTURE_MASS)
@@ -125,7 +124,7 @@ def build_bodies(plant: Plant, gripper: Gripper = "rigid") -> WorldUrdf:
 def _hang(
     root: Element, kinematics: Kinematics, path: tuple[Joint, ...], length: float, ratio: float, gripper: Gripper
 ) -> HangingTool:
-    """Make the tool hang on two crossed joints at the tip, ``length`` below them."""
+    """Attach the tool to two crossed joints at the tip, ``length`` below them."""
     tool = path[-1].child
     movable = [joint for joint in path if joint.kind != "fixed"]
     if not _crossed(path, movable):
@@ -158,7 +157,7 @@ def _hang(
 
 
 def _add_tool(root: Element, tip: str) -> None:
-    """A link at the tip for the tool of a machine whose description has none: the plant alone knows that it swings."""
+    """Add a link at the tip for the tool of a machine whose URDF has none."""
     SubElement(root, "link", name=_TOOL)
     joint = SubElement(root, "joint", name=f"{_TOOL}_joint", type="fixed")
     SubElement(joint, "parent", link=tip)
@@ -185,18 +184,18 @@ def _damping(root: Element, tip: str, joints: tuple[Joint, Joint], reach: Array,
 
 
 def _crossed(path: tuple[Joint, ...], movable: list[Joint]) -> bool:
-    """Whether the URDF's own joints are what the equation means: two axes that cross at the tip, the tool away from them."""
+    """Whether the URDF's joints match the equation: two axes that cross at the tip, and the tool at a distance."""
     if len(movable) != 2 or any(joint.prismatic for joint in movable):
         return False
     last = path.index(movable[1])
     to_pivot = np.linalg.norm(offset(path[: last + 1]))
-    second_in_first = rotation(path[path.index(movable[0]) + 1 : last + 1]) @ movable[1].axis
+    second_in_first = chained(path[path.index(movable[0]) + 1 : last + 1])[:3, :3] @ movable[1].axis
     parallel = abs(float(movable[0].axis @ second_in_first))
     return bool(to_pivot < 1e-6 and last == 1 and parallel < 0.1 and np.linalg.norm(offset(path[2:])) > 1e-3)
 
 
 def _insert_joints(root: Element, path: tuple[Joint, ...], length: float) -> None:
-    """Replace the way from tip to tool by two joints about y and x of the tip and a rod."""
+    """Replace the chain from tip to tool by two joints about y and x of the tip and a rod."""
     tip, tool = path[0].parent, path[-1].child
     for joint in path:
         root.remove(joint_element(root, joint.name))
@@ -205,9 +204,8 @@ def _insert_joints(root: Element, path: tuple[Joint, ...], length: float) -> Non
         root.remove(link_element(root, joint.child))
     names = ("sway_pitch", "sway_roll", "sway_rod")
     links = (tip, "sway_hook", "sway_hanger", tool)
-    for k, (name, kind, axis) in enumerate(
-        zip(names, ("continuous", "continuous", "fixed"), ("0 1 0", "1 0 0", "0 0 1"), strict=True)
-    ):
+    kinds, axes = ("continuous", "continuous", "fixed"), ("0 1 0", "1 0 0", "0 0 1")
+    for k, (name, kind, axis) in enumerate(zip(names, kinds, axes, strict=True)):
         if k < 2:
             SubElement(root, "link", name=links[k + 1])
         element = SubElement(root, "joint", name=name, type=kind)
@@ -218,7 +216,7 @@ def _insert_joints(root: Element, path: tuple[Joint, ...], length: float) -> Non
 
 
 def _stretch(root: Element, plant: Plant, kinematics: Kinematics) -> None:
-    """``link_length_error``: the way from each driven joint to the next (or the tip) longer by the error."""
+    """Apply ``link_length_error`` to the distance from each driven joint to the next, or to the tip."""
     errors = {
         plant.machine.axis(item.target).joint: float(np.asarray(item.parameters["error"]))
         for item in plant.effects
@@ -238,18 +236,14 @@ def _stretch(root: Element, plant: Plant, kinematics: Kinematics) -> None:
 
 
 def _lowest(root: Element, kinematics: Kinematics) -> float:
-    """Where the ground is: the lowest point of the first link's shapes, or zero."""
-    first = kinematics.chain[0].parent if kinematics.chain else kinematics.tip
-    heights = list(_bottoms(link_element(root, first)))
-    return min(heights, default=0.0)
-
-
-def _bottoms(link: Element) -> Iterator[float]:
-    for visual in link.findall("visual"):
+    """Height of the ground: the lowest point of the first link's shapes, or zero."""
+    heights = []
+    for visual in link_element(root, kinematics.chain[0].parent if kinematics.chain else kinematics.tip).findall("visual"):
         origin = visual.find("origin")
         z = numbers(origin.get("xyz", "0 0 0"))[2] if origin is not None else 0.0
         box, cylinder = visual.find("geometry/box"), visual.find("geometry/cylinder")
         if box is not None:
-            yield z - 0.5 * numbers(box.get("size", ""))[2]
+            heights.append(z - 0.5 * numbers(box.get("size", ""))[2])
         elif cylinder is not None:
-            yield z - 0.5 * float(cylinder.get("length", "0"))
+            heights.append(z - 0.5 * float(cylinder.get("length", "0")))
+    return min(heights, default=0.0)

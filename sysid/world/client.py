@@ -1,4 +1,4 @@
-"""PyBullet itself: found or not, loaded quietly, one client a world."""
+"""Import of PyBullet without its start-up output, and one client per world."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ def pybullet() -> Any:
     Raises:
         SettingsError: it is not installed.
     """
-    if "pybullet" in sys.modules and sys.modules["pybullet"] is not None:
+    if sys.modules.get("pybullet") is not None:
         return sys.modules["pybullet"]
     try:
         with _quiet():
@@ -32,14 +32,14 @@ def pybullet() -> Any:
 
 
 def connect(window: bool) -> int:
-    """A new client of its own.
+    """A new client.
 
     Raises:
-        SettingsError: a window is wanted where there is no display, or no further client can be had.
+        SettingsError: a window without a display, or no further client available.
     """
     p = pybullet()
     if window and sys.platform == "linux" and not os.environ.get("DISPLAY"):
-        # Asked for a window without one, PyBullet ends the whole process.
+        # Without a display PyBullet would end the whole process.
         raise SettingsError("PyBullet world", "no display for a window", "DISPLAY", "Leave `window` out and take pictures.")
     client = int(p.connect(p.GUI if window else p.DIRECT))
     if client < 0:
@@ -48,7 +48,7 @@ def connect(window: bool) -> int:
 
 
 def disconnect(client: int) -> None:
-    """End a client; again is no harm."""
+    """End a client; repeated calls have no effect."""
     p = pybullet()
     if p.isConnected(client):
         p.disconnect(client)
@@ -56,7 +56,7 @@ def disconnect(client: int) -> None:
 
 @contextmanager
 def _quiet() -> Iterator[None]:
-    """PyBullet greets on the C level when it is loaded: keep that out of what a program prints."""
+    """Redirect the start-up message that PyBullet prints in C."""
     sys.stdout.flush()
     sys.stderr.flush()
     kept = [os.dup(1), os.dup(2)]

@@ -1,4 +1,4 @@
-"""How the passive joints stand when the tool is where the compiled plant has it."""
+"""Inverse kinematics of the passive joints for the tool position of the compiled plant."""
 
 from __future__ import annotations
 
@@ -11,13 +11,16 @@ from sysid.world.bodies import HangingTool
 
 Array = npt.NDArray[np.float64]
 
+#: Initial angles of the upper joint [rad].
+_STARTS = np.linspace(-np.pi, np.pi, 4, endpoint=False) + 0.1
+
 
 def passive_joints(hanging: HangingTool, tip: Array, reach: Array, speed: Array) -> tuple[Array, Array]:
     """Angles and rates of the two passive joints.
 
     Args:
         tip: orientation of the tip in the world, 3×3.
-        reach: horizontal place (x, y) of the tool relative to the tip, world directions [m].
+        reach: horizontal position (x, y) of the tool relative to the tip, world directions [m].
         speed: its rate [m/s].
 
     Returns:
@@ -41,16 +44,13 @@ def passive_joints(hanging: HangingTool, tip: Array, reach: Array, speed: Array)
     def away(angles: Array) -> Array:
         return np.asarray(place(angles) - goal)
 
-    # Either joint may be turned by π: of the two ways to reach the goal, the one with the lower joint less bent.
+    # Of the two solutions, take the one with the smaller angle of the lower joint.
     trials = [least_squares(away, [start, 0.0], xtol=1e-15, ftol=1e-15, gtol=1e-15) for start in _STARTS]
     best = min(trials, key=lambda trial: (round(float(np.sqrt(trial.cost)) / length, 6), abs(_wrapped(trial.x[1]))))
     angles = _wrapped(best.x)
     step = 1e-6
     jacobian = np.column_stack([(place(angles + step * e) - place(angles - step * e)) / (2.0 * step) for e in np.eye(2)])
     return angles, np.linalg.lstsq(jacobian, rate, rcond=None)[0]
-
-
-_STARTS = np.linspace(-np.pi, np.pi, 4, endpoint=False) + 0.1
 
 
 def _wrapped(angle: Array) -> Array:

@@ -1,4 +1,4 @@
-"""What lies around the machine: the ground and logs, as simple bodies."""
+"""The surroundings of the machine: ground and logs, as simple bodies."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ GROUND = (25.0, 0.05)
 
 @dataclass(frozen=True)
 class Log:
-    """A loose log, lying; a cylinder of even density.
+    """A loose horizontal log; a cylinder of constant density.
 
     Args:
         position: its centre in the machine's frame [m].
-        yaw: direction of its length about the vertical [rad].
+        yaw: direction of its axis about the vertical [rad].
         density: [kg/m³]; 700 is fresh pine.
     """
 
@@ -32,7 +32,7 @@ class Log:
 
 
 def add_ground(p: Any, client: int, height: float) -> int:
-    """A wide flat box whose top is at ``height`` [m]."""
+    """Add a wide flat box whose top is at ``height`` [m]; returns the body."""
     side, thick = GROUND
     half = [side, side, 0.5 * thick]
     shape = p.createCollisionShape(p.GEOM_BOX, halfExtents=half, physicsClientId=client)
@@ -43,7 +43,7 @@ def add_ground(p: Any, client: int, height: float) -> int:
 
 
 def add_log(p: Any, client: int, log: Log) -> int:
-    """The log at rest."""
+    """Add a log at rest; returns the body."""
     shape = p.createCollisionShape(p.GEOM_CYLINDER, radius=log.radius, height=log.length, physicsClientId=client)
     look = p.createVisualShape(
         p.GEOM_CYLINDER, radius=log.radius, length=log.length, rgbaColor=[0.55, 0.40, 0.25, 1.0], physicsClientId=client

@@ -1,4 +1,4 @@
-"""A URDF as a tree that can be read and changed: the edits that the world's bodies are made by."""
+"""Queries and edits of a URDF tree, for the bodies of the world."""
 
 from __future__ import annotations
 
@@ -14,13 +14,11 @@ from sysid.machine.kinematics import Joint, parse_urdf
 
 Array = npt.NDArray[np.float64]
 
-#: For links that the URDF gives no mass [kg, kg·m²]: too little to be felt by what hangs on them.
+#: For links without mass in the URDF [kg, kg·m²]: negligible for what hangs on them.
 MASS, _INERTIA = 1e-3, 1e-6
 #: Density [kg/m³].
 WATER = 1000.0
-
-
-# -- the tree -------------------------------------------------------------------------------------------------------
+_KEYS = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
 
 
 def parsed(root: Element) -> dict[str, Joint]:
@@ -43,7 +41,7 @@ def path_to(source: Kinematics | dict[str, Joint], link: str, tip: str = "") -> 
 
 
 def pose_of(joints: dict[str, Joint], link: str, ancestor: str) -> Array:
-    """Pose of ``link`` in the frame of ``ancestor`` with all joints at zero; of a link above it, the identity."""
+    """Pose of ``link`` in the frame of ``ancestor`` with all joints at zero; the identity if it is not below it."""
     by_child = {joint.child: joint for joint in joints.values()}
     pose = np.eye(4)
     at = link
@@ -72,21 +70,17 @@ def remove_below(root: Element, link: str) -> None:
             root.remove(element)
 
 
-def offset(joints: Sequence[Joint]) -> Array:
+def chained(joints: Sequence[Joint]) -> Array:
+    """Product of the origins of ``joints``, (4, 4)."""
     pose = np.eye(4)
     for joint in joints:
         pose = pose @ joint.origin
-    return np.asarray(pose[:3, 3])
+    return pose
 
 
-def rotation(joints: Sequence[Joint]) -> Array:
-    rotation = np.eye(3)
-    for joint in joints:
-        rotation = rotation @ joint.origin[:3, :3]
-    return rotation
-
-
-# -- elements -------------------------------------------------------------------------------------------------------
+def offset(joints: Sequence[Joint]) -> Array:
+    """Translation of :func:`chained`, (3,)."""
+    return np.asarray(chained(joints)[:3, 3])
 
 
 def _named(root: Element, tag: str, name: str) -> Element:
@@ -116,7 +110,7 @@ def effort_limit(root: Element, joint: str) -> float:
 
 
 def unlimit(joint: Element) -> None:
-    """No end stops and no damping: the compiled chain has its own."""
+    """Remove end stops and damping, which the compiled chain contains."""
     for tag in ("limit", "dynamics", "mimic", "safety_controller"):
         for element in joint.findall(tag):
             joint.remove(element)
@@ -127,7 +121,7 @@ def unlimit(joint: Element) -> None:
 
 
 def drop_meshes(root: Element) -> None:
-    """A plant carries its URDF alone, so shapes in other files cannot be drawn."""
+    """Remove mesh shapes, since a plant does not contain other files than its URDF."""
     for link in root.findall("link"):
         for element in (*link.findall("visual"), *link.findall("collision")):
             if element.find("geometry/mesh") is not None:
@@ -135,7 +129,7 @@ def drop_meshes(root: Element) -> None:
 
 
 def make_touchable(link: Element) -> None:
-    """What is drawn can be touched, where the URDF has no collision shapes of its own."""
+    """Use the visual shapes for collisions if the link has no collision shapes."""
     if link.find("collision") is None:
         for visual in link.findall("visual"):
             shape = SubElement(link, "collision")
@@ -145,7 +139,7 @@ def make_touchable(link: Element) -> None:
 
 
 def complete_inertia(link: Element, mass: float = MASS, inertia: float = _INERTIA) -> None:
-    """Give the link a mass where it has none, and the inertia of a ball of water where it has a mass alone."""
+    """Set mass and inertia of a link without mass; for a mass without inertia, set that of a ball of water."""
     own = mass_of(link)
     if own <= 0.0:
         set_inertia(link, mass, inertia)
@@ -161,7 +155,7 @@ def mass_of(link: Element) -> float:
 
 
 def set_inertia(link: Element, mass: float, inertia: float) -> None:
-    """A ball of this mass at the link's origin."""
+    """Replace the inertial element by a ball of this mass and inertia at the link's origin."""
     for element in link.findall("inertial"):
         link.remove(element)
     inertial = SubElement(link, "inertial")
@@ -172,13 +166,10 @@ def set_inertia(link: Element, mass: float, inertia: float) -> None:
 
 
 def inertial_of(link: Element) -> tuple[float, Array, Array]:
-    """Mass, centre of mass and inertia about it, in the link's frame (no turned inertial frames)."""
+    """Mass, centre of mass and inertia about it, in the link's frame (rotated inertial frames are not supported)."""
     element = link.find("inertial/inertia")
     origin = link.find("inertial/origin")
     centre = np.array(numbers(origin.get("xyz", "0 0 0")) if origin is not None else [0.0, 0.0, 0.0])
     values = {key: float(element.get(key, "0")) if element is not None else 0.0 for key in _KEYS}
     xx, yy, zz, xy, xz, yz = (values[key] for key in _KEYS)
     return mass_of(link), centre, np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
-
-
-_KEYS = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")

@@ -1,4 +1,4 @@
-"""A plant version as a PyBullet simulation: the compiled chain moves the driven joints, rigid bodies do the rest."""
+"""A plant version in PyBullet: the compiled chain moves the driven joints, rigid-body dynamics the tool and the logs."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from sysid.world.scene import Log, add_ground, add_log
 Array = npt.NDArray[np.float64]
 Mode = Literal["kinematic", "dynamic"]
 
-#: Force of a drive that nothing stops [N or N·m].
+#: Force of a drive without limit [N or N·m].
 _UNLIMITED = 1e9
 
 
@@ -38,8 +38,8 @@ class WorldState:
     """The machine at one sample.
 
     Args:
-        drive: what the commands move, cylinder [m] or joint [rad or m], (axes,), from the compiled chain.
-        joints: as the joint sensors would read them, from the bodies, (axes,).
+        drive: driven coordinates, cylinder [m] or joint [rad or m], (axes,), from the compiled chain.
+        joints: at the joint sensors, from the bodies, (axes,).
         ee, tool: from the bodies, (3,) [m].
     """
 
@@ -50,17 +50,17 @@ class WorldState:
 
 
 class World:
-    """One machine in a world of its own. Close it, or use it in a ``with`` statement.
+    """One machine in its own PyBullet client. Close it, or use it in a ``with`` statement.
 
     Args:
         plant: any plant version whose machine has a URDF and whose axes all have a linkage or drive their joint.
-        rate_hz: steps a second; by default the machine's.
-        substeps: of the rigid bodies in a step.
-        mode: ``kinematic``: the driven joints do exactly what the chain says, whatever is in their way;
-            ``dynamic``: they are held to it by no more than the effort limits of the URDF.
+        rate_hz: steps per second; default: the machine's.
+        substeps: of the rigid bodies per step.
+        mode: ``kinematic``: the driven joints follow the chain exactly, whatever obstructs them;
+            ``dynamic``: the drives are limited to the effort limits of the URDF.
         gripper: ``rigid`` with the URDF's masses and inertias, ``point`` with all mass in the tool's origin.
-        logs: loose bodies that lie around.
-        ground: height of the ground in the machine's frame [m]; by default under the first link.
+        logs: loose bodies.
+        ground: height of the ground in the machine's frame [m]; default: under the first link.
         window: show PyBullet's own window.
 
     Raises:
@@ -84,13 +84,8 @@ class World:
                 raise SettingsError("PyBullet world", f"{name} = {value!r}", nearest(value, valid))
         if substeps < 1:
             raise SettingsError("PyBullet world", f"substeps = {substeps}", "at least 1")
-        self.plant, self.rate_hz, self.substeps, self.mode, self.logs = (
-            plant,
-            rate_hz or plant.machine.rate_hz,
-            substeps,
-            mode,
-            logs,
-        )
+        self.plant, self.substeps, self.mode, self.logs = plant, substeps, mode, logs
+        self.rate_hz = rate_hz or plant.machine.rate_hz
         self._bodies = build_bodies(plant, gripper)
         for axis in plant.machine.axes:
             if axis.drives == "cylinder" and axis.name not in plant.linkages:
@@ -107,8 +102,6 @@ class World:
         self._target = np.zeros(len(plant.machine.axes))
         self._load()
 
-    # -- life ---------------------------------------------------------------------------------------------------
-
     def __enter__(self) -> Self:
         return self
 
@@ -116,17 +109,15 @@ class World:
         self.close()
 
     def close(self) -> None:
-        """Give PyBullet's client back; again is no harm."""
+        """Release PyBullet's client; repeated calls have no effect."""
         self._finish()
 
     @property
     def closed(self) -> bool:
         return not self._finish.alive
 
-    # -- motion -------------------------------------------------------------------------------------------------
-
     def reset(self, joints: npt.ArrayLike, commands: npt.ArrayLike | None = None) -> WorldState:
-        """At rest with these joint values (axes,); logs are back in their places. ``commands`` were held before, else zero."""
+        """Set to rest at joint values (axes,), with the logs at their positions and ``commands``, default zero, held before."""
         self._check_open()
         return self._place(self._stepper.reset(joints, commands=commands))
 
@@ -134,7 +125,7 @@ class World:
         """Hold ``commands`` (axes,) for one step.
 
         Raises:
-            SettingsError: closed, never reset, or another number of commands.
+            SettingsError: closed, not reset, or another number of commands.
         """
         self._check_open()
         if not self._begun:
@@ -144,27 +135,27 @@ class World:
         return self._read(state)
 
     def rollout(self, recording: Recording) -> pd.DataFrame:
-        """The recorded commands in the world.
+        """Run of the world with the recorded commands.
 
-        Starts and restarts where :func:`sysid.plant.free_run` does; rows in which any axis has no command are NaN.
+        It starts and restarts where :func:`sysid.plant.free_run` does; rows without a command of any axis are NaN.
 
         Returns:
-            The columns of the free run on the recording's rows, as the plant's sensors read them.
+            The columns of the free run on the recording's rows, with the sensor effects of the plant.
         """
         machine = self.plant.machine
         values = np.full((len(recording), 2 * len(machine.axes) + 6), np.nan)
-        for row, state in self.play(recording):
+        for row, state in self.replay(recording):
             values[row] = np.concatenate([state.drive, state.joints, state.ee, state.tool])
         joints = [axis_signal(name, "joint") for name in machine.axis_names]
         points = [*point_signals("ee"), *point_signals("tool")]
         names = [*(axis.driven for axis in machine.axes), *joints, *points]
-        table = dict(zip(names, values.T, strict=True))  # where the drive is the joint, the joint of the bodies is kept
+        table = dict(zip(names, values.T, strict=True))  # where the drive is the joint, that of the bodies is used
         model, dt = self._stepper.model, 1.0 / self.rate_hz
-        said = {name: model.sensed(model.theta[None], name, table[name][None], dt)[0] for name in self._in_order(recording)}
-        return pd.DataFrame({"time": recording.values("time"), **said})
+        sensed = {name: model.sensed(model.theta[None], name, table[name][None], dt)[0] for name in self._in_order(recording)}
+        return pd.DataFrame({"time": recording.values("time"), **sensed})
 
-    def play(self, recording: Recording) -> Iterator[tuple[int, WorldState]]:
-        """The recorded commands in the world, one state at a time: row of the recording and state."""
+    def replay(self, recording: Recording) -> Iterator[tuple[int, WorldState]]:
+        """Run with the recorded commands: row of the recording and state, one at a time."""
         self._check_open()
         if recording.rate_hz != self.rate_hz:
             raise SettingsError(f"recording {recording.name}", f"{recording.rate_hz} Hz", f"{self.rate_hz} Hz, as the world")
@@ -176,8 +167,6 @@ class World:
                 yield k, self._place(self._stepper.begin(recording, k))
             else:
                 yield k, self.step(steps[k - 1])
-
-    # -- pictures -----------------------------------------------------------------------------------------------
 
     def picture(
         self,
@@ -192,9 +181,9 @@ class World:
         """A camera picture, RGB (height, width, 3).
 
         Args:
-            target: point that the camera looks at; else halfway between foot and tip.
-            distance: from there [m]; else so that the machine fits.
-            yaw, pitch: from where, about the vertical and from above [rad].
+            target: centre of the picture; default: halfway between base and tip.
+            distance: of the camera from it [m]; default: so that the machine fits.
+            yaw, pitch: direction of the camera, about the vertical and from above [rad].
         """
         self._check_open()
         p = self._p
@@ -210,7 +199,7 @@ class World:
         return np.array(np.reshape(pixels, (height, width, 4))[:, :, :3], dtype=np.uint8)
 
     def link_poses(self) -> dict[str, tuple[Array, Array]]:
-        """Place (3,) [m] and orientation (x, y, z, w) of every link of the machine, by name."""
+        """Position (3,) [m] and orientation (x, y, z, w) of every link of the machine, by name."""
         self._check_open()
         found = {self._root: self._base}
         for name, link in self._links.items():
@@ -225,14 +214,12 @@ class World:
         return np.array(found, dtype=np.float64).reshape(-1, 3)
 
     def contacts(self) -> int:
-        """Points at which the machine touches something."""
+        """Number of contact points of the machine."""
         self._check_open()
         return len(self._p.getContactPoints(bodyA=self._machine, physicsClientId=self._client))
 
-    # -- inside -------------------------------------------------------------------------------------------------
-
     def _load(self) -> None:
-        """Everything anew, so that two runs from the same start are the same to the last bit."""
+        """Load all bodies again, so that runs from the same start are bit-identical."""
         p, client, machine = self._p, self._client, self.plant.machine
         p.resetSimulation(physicsClientId=client)
         p.setGravity(0.0, 0.0, -GRAVITY, physicsClientId=client)
@@ -252,7 +239,7 @@ class World:
         for k in range(p.getNumJoints(self._machine, physicsClientId=client)):
             info = p.getJointInfo(self._machine, k, physicsClientId=client)
             joint_of[info[1].decode()], link_of[info[12].decode()] = k, k
-            # Bullet damps all bodies a little unless told otherwise.
+            # By default Bullet damps all bodies.
             p.changeDynamics(
                 self._machine, k, linearDamping=0.0, angularDamping=0.0, jointDamping=0.0, lateralFriction=0.7,
                 maxJointVelocity=1e4, physicsClientId=client,
@@ -277,7 +264,7 @@ class World:
         self._size = 1.0 + sum(float(np.linalg.norm(joint.origin[:3, 3])) for joint in kinematics.chain)
 
     def _base_pose(self) -> tuple[Array, Array]:
-        """Place and orientation (x, y, z, w) of the machine in the frame in which tip and tool are measured."""
+        """Position and orientation (x, y, z, w) of the machine in the frame in which tip and tool are measured."""
         base = base_place(len(self.plant.machine.axes))
         shift, turn = np.split(self.plant.vector()[base : base + 6], 2)
         angle = float(np.linalg.norm(turn))
@@ -285,7 +272,7 @@ class World:
         return shift, np.array([*(np.sin(0.5 * angle) * axis), np.cos(0.5 * angle)])
 
     def _place(self, state: LaneState) -> WorldState:
-        """Put the bodies where a fresh state of the chain has them."""
+        """Set the bodies to an initial state of the chain."""
         p, client, machine = self._p, self._client, self._machine
         if not np.isfinite(state.structure).all():
             raise SettingsError("PyBullet world", "a joint value is missing at the start", "a number for each joint")
@@ -305,12 +292,12 @@ class World:
         return self._read(state)
 
     def _drive_to(self, target: Array) -> None:
-        """Advance by one step while the driven joints move evenly to ``target``."""
+        """Advance by one step while the driven joints move linearly to ``target``."""
         p, client, machine = self._p, self._client, self._machine
         begin, parts = self._target, self.substeps
         slope = (target - begin) * self.rate_hz
         for part in range(parts):
-            # Wanted speed, plus what brings the joint back to where it should be now.
+            # Feed-forward speed plus position error.
             p.setJointMotorControlArray(
                 machine, self._driven, p.POSITION_CONTROL, targetPositions=list(begin + (target - begin) * part / parts),
                 targetVelocities=list(slope), forces=self._force, positionGains=[1.0] * len(slope),
@@ -330,7 +317,7 @@ class World:
         return WorldState(state.drive[0], state.joints[0] + missed, ee, tool)
 
     def _link(self, link: int) -> tuple[Array, tuple[float, ...]]:
-        """Place (3,) and orientation (x, y, z, w) of a link's frame."""
+        """Position (3,) and orientation (x, y, z, w) of a link's frame."""
         found = self._p.getLinkState(self._machine, link, computeForwardKinematics=1, physicsClientId=self._client)
         return np.array(found[4]), found[5]
 

@@ -10,7 +10,7 @@ import pytest
 from crane_model import crane_plant
 from plant_data import slide
 
-from sysid.control import AxisTuning, CylinderController, response_time, simple, tune
+from sysid.control import AxisTuning, CylinderController, proportional_tuning, response_time, tune
 from sysid.errors import InputError, SettingsError
 from sysid.machine import KnownEffect
 from sysid.plant import Plant, nominal_plant
@@ -53,7 +53,7 @@ def test_tuned_it_follows_and_untuned_it_does_not() -> None:
     path = waves()
     span = np.ptp(path, axis=0)
     tuned, _ = follow(PLANT, path)
-    untuned, _ = follow(PLANT, path, simple(PLANT))
+    untuned, _ = follow(PLANT, path, proportional_tuning(PLANT))
     error, worse = (np.sqrt(np.mean((joints - path[1:]) ** 2, axis=0)) / span for joints in (tuned, untuned))
     assert (error < 0.015).all()
     assert (worse > 8.0 * error).all()
@@ -126,7 +126,7 @@ def test_at_rest_nothing_chatters() -> None:
 
 
 def test_a_noisy_sensor_opens_no_valve_while_a_setpoint_stands() -> None:
-    """Nor the way across the play: noise has either sign, and would ask for it to and fro."""
+    """Nor the way across the backlash: noise has either sign, and would ask for it to and fro."""
     rng = np.random.default_rng(0)
     tuning = tune(PLANT)
     controller = CylinderController(PLANT, tuning)
@@ -185,7 +185,7 @@ def test_mistakes_are_named() -> None:
     with pytest.raises(InputError, match="a copy was never reset"):
         controller.commands(BEGIN, BEGIN)
     controller.reset(controller.drive(BEGIN)[0])
-    with pytest.raises(InputError, match="setpoints with a value that is no finite number"):
+    with pytest.raises(InputError, match="setpoints with a value that is not finite"):
         controller.commands([np.nan, 0.0, 0.0, 0.0], BEGIN)
     with pytest.raises(InputError, match=r"measured of shape \(1, 3\); expected \(1, 4\)"):
         controller.commands(BEGIN, BEGIN[:3])

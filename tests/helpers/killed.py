@@ -27,7 +27,7 @@ PRELOAD = [
     "pyarrow.parquet",
     "filelock",
     "torch",
-    "sysid.networks.forward_models",
+    "sysid.networks.structured",
     "sysid.rl.training",
 ]
 #: What happens at the step: the process is killed; or this call and all that follow find the disk full.

@@ -125,9 +125,8 @@ def vacuum(workspace: Path) -> None:
 
 def fit(workspace: Path) -> None:
     """A forward network with checkpoints at every look, as ``sysid fit forward`` makes it."""
-    from sysid.networks import parse_recipe
+    from sysid.networks import fit_forward, parse_recipe
     from sysid.networks.checkpoint import Checkpoints
-    from sysid.networks.forward_models import fit_forward
 
     place = Workspace(workspace)
     data = place.dataset("crane")

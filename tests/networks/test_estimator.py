@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -12,6 +13,7 @@ from sklearn.model_selection import cross_validate as one_by_one
 from sklearn.utils.estimator_checks import parametrize_with_checks
 
 from sysid.errors import ExcitationError, SettingsError
+from sysid.networks import EnsembleMember, train
 from sysid.networks.estimator import NetworkRegressor, cross_validate, fit_together
 
 
@@ -36,7 +38,7 @@ def test_it_learns_and_says_how_sure_it_is() -> None:
     assert model.score(x[300:], y[300:]) > 0.98
     assert model.predict(x[300:]).shape == model.spread(x[300:]).shape == (100, 2)
     assert (model.spread(10.0 * x[300:]).mean(axis=0) > 3.0 * model.spread(x[300:]).mean(axis=0)).all()
-    assert [course.rows for course in model.courses_] == [(270, 30)] * 3
+    assert [curve.rows for curve in model.learning_curves_] == [(270, 30)] * 3
     flat = quick().fit(x, y[:, 0])
     assert flat.predict(x).shape == (400,)
 
@@ -71,15 +73,22 @@ def test_several_learning_rates_and_layers_are_trained_at_once() -> None:
     np.testing.assert_allclose(searched.cv_results_["mean_test_score"], scores[:2], rtol=1e-12)
 
 
-def test_groups_are_not_split_between_rows_that_teach_and_rows_that_stop() -> None:
+def test_groups_are_not_split_between_fit_and_early_stopping_rows(monkeypatch: pytest.MonkeyPatch) -> None:
     x, y = rows()
-    model = quick(validation_fraction=0.3)
+    trained: list[EnsembleMember] = []
+
+    def recorded(members: Sequence[EnsembleMember], *others: Any) -> Any:
+        trained.extend(members)
+        return train(members, *others)
+
+    monkeypatch.setattr("sysid.networks.estimator.train", recorded)
     groups = np.repeat(np.arange(10), 20)
-    (member,) = model._members(x, y, groups)
+    quick(validation_fraction=0.3, epochs=1).fit(x, y, groups)
+    (member,) = trained
     index = {tuple(row): group for row, group in zip(x, groups, strict=True)}
-    teach, stop = ({index[tuple(row)] for row in part} for part in (member.inputs, member.validation_inputs))
+    fit, stop = ({index[tuple(row)] for row in part} for part in (member.inputs, member.validation_inputs))
     assert len(stop) == 3
-    assert not teach & stop
+    assert not fit & stop
 
 
 def test_what_cannot_be_learned_is_refused() -> None:

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from sysid.datasets.recording import Dataset
 from sysid.errors import ExcitationError, InputError, SettingsError, StoreError
 from sysid.networks import HistoryNetwork, fit_history, from_files, parse_recipe, to_files
-from sysid.networks.history import _windows, stretches
-from sysid.networks.memory import Memory
+from sysid.networks.history import recording_windows, runs_of
+from sysid.networks.history_correction import HistoryCorrection
 from sysid.networks.split import RowRange
 from sysid.plant import nominal_plant
 from sysid.validate import validate_model
@@ -55,7 +55,7 @@ def rms(values: Array) -> float:
 def test_it_learns_of_the_play_in_no_time(data: Dataset, network: HistoryNetwork) -> None:
     run = data.recording("run-3")
     cylinder, joint = run.values("boom.cylinder"), run.values("boom.joint")
-    assert not network.to_joint.silent
+    assert not network.to_joint.inactive
     assert rms(network.joint_along(cylinder, RATE) - joint) < 0.8 * rms(network.static.joint(cylinder) - joint)
 
 
@@ -102,7 +102,7 @@ def test_a_memory_is_an_lstm_behind_a_bound_that_sees_plays() -> None:
         cell.bias_hh_l0.zero_()
         hidden = cell(torch.from_numpy(inputs)[None])[0][0].numpy()
     expected = memory.bound * np.tanh(hidden @ memory.weights["w"] + memory.weights["w0"])
-    added = memory.added(values, RATE)
+    added = memory.output(values, RATE)
     np.testing.assert_allclose(added[at], expected, atol=1e-12)
     np.testing.assert_array_equal(added, np.repeat(added[at], stride)[: len(values)])
     np.testing.assert_allclose(memory.inputs(values, stride, stride / RATE)[:, 2:], np.column_stack(shares), atol=1e-9)
@@ -110,11 +110,9 @@ def test_a_memory_is_an_lstm_behind_a_bound_that_sees_plays() -> None:
 
 def test_samples_one_by_one_are_the_same_run(data: Dataset, network: HistoryNetwork) -> None:
     cylinder = data.recording("run-3").values("boom.cylinder")[:300].copy()
-    joint = data.recording("run-3").values("boom.joint")[:300]
     cylinder[120:130] = np.nan
-    stream, back = network.joint_stream(RATE), network.displacement_stream(RATE)
+    stream = network.joint_stream(RATE)
     np.testing.assert_allclose([stream.step(value) for value in cylinder], network.joint_along(cylinder, RATE), atol=1e-12)
-    np.testing.assert_allclose([back.step(value) for value in joint], network.displacement_along(joint, RATE), atol=1e-12)
     stream.reset()
     assert stream.step(cylinder[0]) == pytest.approx(network.joint_along(cylinder, RATE)[0], abs=1e-12)
 
@@ -135,15 +133,15 @@ def test_sequences_stay_inside_recordings_blocks_and_gaps(data: Dataset, network
     joint[700:900] = np.nan
     holed = replace(run, table=run.table.assign(**{"boom.cylinder": cylinder, "boom.joint": joint}))
     memory = network.to_joint
-    found = _windows([RowRange(holed, 100, 1200)], ("boom.cylinder", "boom.joint"), network.static.joint, memory)
+    found = recording_windows([RowRange(holed, 100, 1200)], ("boom.cylinder", "boom.joint"), network.static.joint, memory)
     stride = memory.stride(RATE)
-    assert [len(windows.left) for windows in found] == [400 // stride, (1200 - 503) // stride]
+    assert [len(windows.residual) for windows in found] == [400 // stride, (1200 - 503) // stride]
     for windows, begin in zip(found, (100, 503), strict=True):
         assert np.isfinite(windows.inputs).all()
-        np.testing.assert_array_equal(windows.inputs[:, 0], cylinder[begin : begin + len(windows.left) * stride : stride])
+        np.testing.assert_array_equal(windows.inputs[:, 0], cylinder[begin : begin + len(windows.residual) * stride : stride])
         assert windows.inputs[0, 1:].tolist() == [0.0] * (1 + len(memory.widths)), "nothing is known before"
-    assert int(np.isnan(found[1].left).sum()) == pytest.approx(200 / stride, abs=1), "passed through, not learned from"
-    assert stretches(np.array([True, False, True, True])) == [(0, 1), (2, 4)]
+    assert int(np.isnan(found[1].residual).sum()) == pytest.approx(200 / stride, abs=1), "passed through, not learned from"
+    assert runs_of(np.array([True, False, True, True])) == [(0, 1), (2, 4)]
 
 
 def test_the_seed_decides_and_held_out_rows_do_not(data: Dataset) -> None:
@@ -185,7 +183,7 @@ def test_what_it_cannot_learn_from_or_run_at_is_refused(data: Dataset, network: 
         replace(r, table=r.table.assign(**{"boom.cylinder": np.where(holes, np.nan, r.values("boom.cylinder"))}))
         for r in data.recordings
     )
-    with pytest.raises(ExcitationError, match=r"axis 'boom' with history: no stretch of motion without gaps"):
+    with pytest.raises(ExcitationError, match=r"axis 'boom' with history: no motion without gaps"):
         fit_history(with_roles(torn), SHORT)
     with pytest.raises(SettingsError, match=r"actuator.history: plays = \[2.0\]; expected shares of the range"):
         parse_recipe({"actuator": {"history": {"plays": [2.0]}}}, "test")
@@ -208,7 +206,7 @@ def test_the_report_stands_beside_the_static_network_and_the_noise(data: Dataset
     assert report.round_trips["boom"].cylinder_rmse < WIDTH
 
 
-def random_memory(units: int = 3, widths: tuple[float, ...] = (0.002, 0.01)) -> Memory:
+def random_memory(units: int = 3, widths: tuple[float, ...] = (0.002, 0.01)) -> HistoryCorrection:
     rng = np.random.default_rng(3)
     F = 2 + len(widths)
     shapes = {
@@ -223,4 +221,4 @@ def random_memory(units: int = 3, widths: tuple[float, ...] = (0.002, 0.01)) -> 
     weights = {name: rng.normal(0.0, 0.7, shape) for name, shape in shapes.items()}
     weights["mean"] = np.array([0.1, *[0.0] * (F - 1)])
     weights["scale"] = np.array([20.0, 10.0, *[2.0] * len(widths)])
-    return Memory(0.1, 0.02, np.array(widths), weights)
+    return HistoryCorrection(0.1, 0.02, np.array(widths), weights)

@@ -17,8 +17,7 @@ from sysid.errors import ExcitationError, SettingsError, StoreError
 from sysid.networks import Mlp, MotionNetwork, Normalisation, fit_motion, from_files, parse_recipe, to_files
 from sysid.networks.member import LearningCurve
 from sysid.networks.motion import free_run_rmse, motion_rows, window_for
-from sysid.networks.motion_inputs import MotionStretch, Window, window_of
-from sysid.networks.rollout import MotionBounds, horizon_errors, whole_run
+from sysid.networks.motion_inputs import MotionBounds, MotionStretch, Window, horizon_errors, whole_run, window_of
 from sysid.validate import validate_model
 from sysid.validate.free_runs import ARX, PLANT, output_name
 
@@ -236,9 +235,9 @@ def test_files_bring_back_the_same_network(network: MotionNetwork, data: Dataset
 def test_what_cannot_be_learned_is_said(data: Dataset) -> None:
     with pytest.raises(SettingsError, match=r"a step of 0.06 s at 30 Hz; expected whole samples, as in 0.0666667 s"):
         linear_network().free_run(replace(data.recording("run-3"), rate_hz=30.0))
-    with pytest.raises(SettingsError, match=r"motion.history: \[0.1, 0.0\]; expected times that rise, from 0 on"):
+    with pytest.raises(SettingsError, match=r"motion.history: \[0.1, 0.0\]; expected increasing times, from 0 on"):
         window_of(0.06, [0.1, 0.0], [], RATE)
-    with pytest.raises(SettingsError, match=r"motion.speeds: \[0.0\]; expected times that rise, above 0"):
+    with pytest.raises(SettingsError, match=r"motion.speeds: \[0.0\]; expected increasing times, above 0"):
         window_of(0.06, [0.0], [0.0], RATE)
     with pytest.raises(SettingsError, match=r"motion.horizons"):
         parse_recipe({"motion": {"horizons": []}}, "test")
@@ -286,8 +285,8 @@ def linear_network() -> MotionNetwork:
 
 def built(window: Window, mlp: Mlp) -> MotionNetwork:
     bounds = MotionBounds((-0.3, 0.4), (0.0, 0.2))
-    course = LearningCurve((1, 1), 1, 1, (0.0,), (1,), (0.0,), (0.0,))
-    return MotionNetwork("boom", "boom.command", "boom.cylinder", "m", window, (mlp,), bounds, (-1.0, 1.0), (course,))
+    curve = LearningCurve((1, 1), 1, 1, (0.0,), (1,), (0.0,), (0.0,))
+    return MotionNetwork("boom", "boom.command", "boom.cylinder", "m", window, (mlp,), bounds, (-1.0, 1.0), (curve,))
 
 
 def _before(position: Array, last: int, window: Window) -> Array:

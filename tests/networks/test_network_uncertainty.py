@@ -63,7 +63,7 @@ def test_the_spread_widens_intervals_where_it_tells_errors_and_not_where_it_does
 
 def test_few_rows_cannot_promise_much() -> None:
     found = Intervals.of(np.arange(1.0, 13.0)[:, None], np.zeros((12, 1)))
-    with pytest.raises(InputError, match=r"level 0.95 from 12 rows; expected at most 0.923. Record more, or ask for a lower"):
+    with pytest.raises(InputError, match=r"level 0.95 from 12 rows; expected at most 0.923. Record more, or request a lower"):
         found.reach(np.zeros((1, 1)), 0.95)
     assert found.reach(np.zeros((1, 1)), 0.92)[0, 0] == pytest.approx(12.0)
     with pytest.raises(InputError, match=r"level 95; expected a share between 0 and 1, as 0.95"):
@@ -127,18 +127,18 @@ def test_files_carry_it_and_old_ones_say_that_they_do_not(structured: Structured
     assert isinstance(again, StructuredForward)
     np.testing.assert_array_equal(again.predict_interval(q)[0], structured.predict_interval(q)[0])
     assert to_files(again) == (kind, files)
-    old = from_files(to_files(replace(structured, trust=None))[1], "crane-forward@1")
+    old = from_files(to_files(replace(structured, uncertainty=None))[1], "crane-forward@1")
     assert isinstance(old, StructuredForward)
-    with pytest.raises(InputError, match=r"knows neither intervals nor where its data were; expected .* Fit it again"):
+    with pytest.raises(InputError, match=r"a version without intervals and training domain; expected .* Fit it again"):
         old.predict_interval(q)
     with pytest.raises(InputError, match=r"Fit it again"):
         old.inside(q)
 
 
 def test_arrays_of_another_network_are_refused(structured: StructuredForward) -> None:
-    assert structured.trust is not None
-    narrow = replace(structured.trust.domain, rows=structured.trust.domain.rows[:, :3])
-    files = to_files(replace(structured, trust=replace(structured.trust, domain=narrow)))[1]
+    assert structured.uncertainty is not None
+    narrow = replace(structured.uncertainty.domain, rows=structured.uncertainty.domain.rows[:, :3])
+    files = to_files(replace(structured, uncertainty=replace(structured.uncertainty, domain=narrow)))[1]
     with pytest.raises(StoreError, match=r"trust: arrays that do not fit the network; expected 4 inputs and 3 outputs"):
         from_files(files, "crane-forward@1")
 
@@ -163,17 +163,17 @@ print("torch" in sys.modules or "sklearn" in sys.modules)
 def test_an_actuator_network_has_both_of_both_directions() -> None:
     rng = np.random.default_rng(0)
     inputs = rng.uniform(0.0, 0.1, (300, 1))
-    trust = NetworkUncertainty.of(inputs, rng.normal(0.0, 1e-3, (100, 1)), np.zeros((100, 1)))
-    assert trust is not None
+    uncertainty = NetworkUncertainty.of(inputs, rng.normal(0.0, 1e-3, (100, 1)), np.zeros((100, 1)))
+    assert uncertainty is not None
     unit = Normalisation(np.zeros(1), np.ones(1))
 
     def line(slope: float) -> Mlp:
         return Mlp((np.array([[slope]]),), (np.zeros(1),), unit, unit)
 
-    network = ActuatorNetwork("boom", line(10.0), line(0.1), (0.0, 0.1), (0.0, 1.0), trust={"to_joint": trust})
+    network = ActuatorNetwork("boom", line(10.0), line(0.1), (0.0, 0.1), (0.0, 1.0), uncertainty={"to_joint": uncertainty})
     low, high = network.predict_interval("to_joint", np.array([0.05, 0.06]))
     np.testing.assert_allclose(0.5 * (low + high), [0.5, 0.6])
     assert high[0] - low[0] == pytest.approx(2.0 * 1.96e-3, rel=0.3)
     np.testing.assert_array_equal(network.inside("to_joint", np.array([0.05, 0.2])), [True, False])
-    with pytest.raises(InputError, match=r"actuator network of boom: a version that knows neither"):
+    with pytest.raises(InputError, match=r"actuator network of boom: a version without intervals"):
         network.inside("to_cylinder", np.array([0.5]))

@@ -19,15 +19,15 @@ from sysid.networks import (
     ForwardNetwork,
     NetworkRecipe,
     fit_actuator,
+    fit_forward_network,
     from_files,
-    learn_forward,
     load_recipe,
     parse_recipe,
     to_files,
 )
 from sysid.networks.actuator import actuator_rows
 from sysid.networks.forward import feature_names, forward_rows
-from sysid.networks.split import gather, segments, spread_sample
+from sysid.networks.split import gather, segments, stratified_sample
 
 QUICK = parse_recipe(
     {
@@ -50,7 +50,7 @@ def actuators(data: Dataset) -> dict[str, ActuatorNetwork]:
 
 @pytest.fixture(scope="module")
 def forward(data: Dataset) -> ForwardNetwork:
-    return learn_forward(data, QUICK)
+    return fit_forward_network(data, QUICK)
 
 
 def test_actuator_networks_learn_both_linkages_both_ways(actuators: dict[str, ActuatorNetwork]) -> None:
@@ -89,7 +89,7 @@ def test_the_forward_network_learns_the_kinematics(forward: ForwardNetwork, data
 
 def test_sine_and_cosine_inputs_and_several_members(data: Dataset) -> None:
     recipe = parse_recipe({"forward": {"features": "sincos", "members": 2, "training": {"epochs": 20}}}, "test")
-    network = learn_forward(data, recipe)
+    network = fit_forward_network(data, recipe)
     q = np.random.default_rng(6).uniform(LOW, HIGH, (20, 4))
     turned = q + np.array([2 * np.pi, -2 * np.pi, 0.0, 0.0])
     np.testing.assert_allclose(network.predict(q), network.predict(turned), atol=1e-9)
@@ -104,7 +104,7 @@ def test_products_of_sines_and_cosines_and_smooth_rectifiers(data: Dataset) -> N
     """What the tip is made of goes in, and the network has no corners: more accurate from the same poses, in less training."""
     training = {"epochs": 60, "batch": 32}
     plain, better = (
-        learn_forward(data, parse_recipe({"forward": {**own, "training": training}}, "test"))
+        fit_forward_network(data, parse_recipe({"forward": {**own, "training": training}}, "test"))
         for own in ({}, {"features": "products", "rectifier": "smooth"})
     )
     kinematics = crane().kinematics()
@@ -137,7 +137,7 @@ def test_only_fit_and_select_rows_matter(data: Dataset, actuators: dict[str, Act
         ),
     )
     assert to_files(fit_actuator(changed, QUICK)) == to_files(actuators)
-    assert to_files(learn_forward(changed, QUICK)) == to_files(forward)
+    assert to_files(fit_forward_network(changed, QUICK)) == to_files(forward)
 
 
 def test_the_seed_decides(data: Dataset, actuators: dict[str, ActuatorNetwork]) -> None:
@@ -151,7 +151,7 @@ def test_files_bring_back_the_same_network(actuators: dict[str, ActuatorNetwork]
     assert kind == "actuator"
     assert isinstance(loaded, dict)
     np.testing.assert_array_equal(loaded["stick"].joint(displacement), actuators["stick"].joint(displacement))
-    assert loaded["boom"].courses["to_joint"].to_json() == actuators["boom"].courses["to_joint"].to_json()
+    assert loaded["boom"].learning_curves["to_joint"].to_json() == actuators["boom"].learning_curves["to_joint"].to_json()
     kind, files = to_files(forward)
     again = from_files(files, "crane-forward@1")
     assert kind == "forward"
@@ -222,7 +222,7 @@ def test_blocks_stand_in_for_missing_roles() -> None:
     values=st.lists(st.floats(-1e3, 1e3), min_size=1, max_size=300), count=st.integers(1, 300), seed=st.integers(0, 2**32 - 1)
 )
 def test_a_spread_sample_has_distinct_rows_of_the_asked_number(values: list[float], count: int, seed: int) -> None:
-    chosen = spread_sample(np.array(values), count, np.random.default_rng(seed))
+    chosen = stratified_sample(np.array(values), count, np.random.default_rng(seed))
     assert len(chosen) == min(count, len(values))
     assert len(set(chosen.tolist())) == len(chosen)
     assert (np.diff(chosen) > 0).all()
@@ -230,7 +230,7 @@ def test_a_spread_sample_has_distinct_rows_of_the_asked_number(values: list[floa
 
 def test_a_spread_sample_takes_all_rare_rows() -> None:
     values = np.r_[np.zeros(1000), np.linspace(0.1, 1.0, 50)]
-    chosen = spread_sample(values, 200, np.random.default_rng(0))
+    chosen = stratified_sample(values, 200, np.random.default_rng(0))
     assert set(range(1000, 1050)) <= set(chosen.tolist())
 
 
@@ -292,7 +292,7 @@ def test_data_that_cannot_teach_an_actuator_are_refused(data: Dataset, broken, m
 )
 def test_data_that_cannot_teach_the_forward_network_are_refused(data: Dataset, broken, message: str) -> None:  # type: ignore[no-untyped-def]
     with pytest.raises(ExcitationError, match=message):
-        learn_forward(broken(data), QUICK)
+        fit_forward_network(broken(data), QUICK)
 
 
 # --- recipe

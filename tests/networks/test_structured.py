@@ -1,4 +1,4 @@
-"""Calibrated kinematics: slopes, intervals, what no pose can tell apart, and the bounded network for the rest."""
+"""CalibratedParameter kinematics: slopes, intervals, what no pose can tell apart, and the bounded network for the rest."""
 
 from __future__ import annotations
 
@@ -70,7 +70,9 @@ def test_intervals_hold_the_geometry_and_errors_are_what_is_said() -> None:
         q = taken(60, seed)
         tip = model.tip(q, truth) + POINT_NOISE * rng.standard_normal((60, 3))
         found = calibrate(model, q + JOINT_NOISE * rng.standard_normal(q.shape), tip, JOINTS, TIP)
-        held += [p.interval95[0] <= true <= p.interval95[1] for p, true in zip(found.parameters, truth, strict=True) if p.known]
+        held += [
+            p.interval95[0] <= true <= p.interval95[1] for p, true in zip(found.parameters, truth, strict=True) if p.identified
+        ]
         unseen = taken(100, 1000 + seed)
         errors.append((found.predict(unseen) - model.tip(unseen, truth)) / found.spread(unseen))
     assert 0.9 <= np.mean(held) <= 0.99
@@ -100,16 +102,16 @@ def test_what_no_pose_tells_apart_is_named() -> None:
     """Boom and stick turn about parallel axes, slew and base share one: only sums of these matter."""
     model, q = geometry(), taken(200, 5)
     found = calibrate(model, q, model.kinematics.tip_position(q), JOINTS, TIP)
-    groups = [{key for key, _ in combination} for combination in found.open_combinations]
+    groups = [{key for key, _ in combination} for combination in found.non_identifiable]
     assert {"slew_joint.z", "boom_joint.z"} in groups
     assert {"telescope_joint.offset", "tip.x"} in groups
-    for combination in found.open_combinations:  # the tip stays where it is when such a combination is added
+    for combination in found.non_identifiable:  # the tip stays where it is when such a combination is added
         values = np.zeros(len(model.priors))
         for key, weight in combination:
             values[[p.key for p in model.parameters].index(key)] = 0.01 * weight
         moved = model.tip(q, values) - model.kinematics.tip_position(q)
         assert np.abs(moved).max() < 0.05 * 0.01 * max(abs(weight) for _, weight in combination)
-    unknown = {p.parameter.key for p in found.parameters if not p.known}
+    unknown = {p.parameter.key for p in found.parameters if not p.identified}
     assert {"slew_joint.z", "boom_joint.z", "tip.x"} <= unknown
     assert "slew_joint.x" not in unknown
 
@@ -148,7 +150,7 @@ def test_files_bring_back_the_same_model(data: Dataset) -> None:
     np.testing.assert_array_equal(again.spread(q), model.spread(q))
     assert isinstance(again.structure, Calibration)
     assert isinstance(model.structure, Calibration)
-    assert again.structure.open_combinations == model.structure.open_combinations
+    assert again.structure.non_identifiable == model.structure.non_identifiable
     assert to_files(again) == (kind, files)
     other = files["network.json"].replace(b'"telescope_joint.scale"', b'"wrist_joint.scale"')
     with pytest.raises(StoreError, match="parameters of its URDF"):

@@ -128,8 +128,8 @@ def test_training_recovers_a_known_map() -> None:
     assert np.sqrt((error**2).mean(axis=0)).max() < 30.0  # of a standard deviation of about 1000
     assert result.mlp.hidden == (32, 32)
     assert result.mlp.parameters == 2 * 32 + 32 + 32 * 32 + 32 + 32 * 2 + 2
-    assert result.course.rows == (256, 128)
-    assert result.course.fit_loss[-1] < 0.1 * result.course.fit_loss[0]
+    assert result.curve.rows == (256, 128)
+    assert result.curve.fit_loss[-1] < 0.1 * result.curve.fit_loss[0]
 
 
 @pytest.mark.parametrize("rectifier", RECTIFIERS)
@@ -164,12 +164,12 @@ def test_a_member_is_trained_as_if_it_were_alone_bit_for_bit() -> None:
         replace(member("smooth", 9, rows=97), rectifier="smooth"), replace(member("smoother", 10), rectifier="smooth"),
     ]  # fmt: skip
     alone = [train([one], (19, 33), quick, 0)[0] for one in members]
-    assert len({result.course.epochs for result in alone}) > 1
+    assert len({result.curve.epochs for result in alone}) > 1
     for threads in (1, 3):
         together = train(members, (19, 33), replace(quick, threads=threads), seed=0)
         for first, second in zip(together, alone, strict=True):
             assert same(first, second)
-            assert first.course.to_json() == second.course.to_json()
+            assert first.curve.to_json() == second.curve.to_json()
     some = train(members[2:5][::-1], (19, 33), quick, seed=0)
     assert all(same(first, second) for first, second in zip(some, alone[2:5][::-1], strict=True))
     assert not same(alone[0], alone[1], rtol=1e-3)
@@ -178,7 +178,7 @@ def test_a_member_is_trained_as_if_it_were_alone_bit_for_bit() -> None:
 def test_members_of_different_sizes_keep_their_order() -> None:
     members = [member("small", rows=64), member("large"), replace(member("small too", rows=64), hidden=(5, 4))]
     results = train(members, (4,), replace(QUICK, epochs=5), seed=0)
-    assert [result.course.rows[0] for result in results] == [64, 256, 64]
+    assert [result.curve.rows[0] for result in results] == [64, 256, 64]
     assert [result.mlp.hidden for result in results] == [(4,), (4,), (5, 4)]
 
 
@@ -195,14 +195,14 @@ def test_each_member_stops_by_itself_with_its_best_weights() -> None:
     misleading = misled("misleading", 1)
     settings = TrainingSettings(learning_rate=1e-2, batch=32, epochs=120, patience=20)
     first, second = train([learnable, misleading], (32, 32), settings, seed=0)
-    assert second.course.epochs < first.course.epochs
-    assert second.course.epochs == second.course.best_epoch + 20
-    assert second.course.checked_epochs[-1] == second.course.epochs
-    best = second.course.validation_loss.index(min(second.course.validation_loss))
-    assert second.course.checked_epochs[best] == second.course.best_epoch
+    assert second.curve.epochs < first.curve.epochs
+    assert second.curve.epochs == second.curve.best_epoch + 20
+    assert second.curve.checked_epochs[-1] == second.curve.epochs
+    best = second.curve.validation_loss.index(min(second.curve.validation_loss))
+    assert second.curve.checked_epochs[best] == second.curve.best_epoch
     residual = second.mlp.predict(misleading.validation_inputs) - misleading.validation_outputs
     normalised = ((residual / second.mlp.outputs.scale) ** 2).mean()
-    assert normalised == pytest.approx(second.course.validation_loss[best], rel=1e-3)
+    assert normalised == pytest.approx(second.curve.validation_loss[best], rel=1e-3)
 
 
 def test_cosine_lowers_the_rate_to_a_hundredth(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -51,7 +51,7 @@ def assert_same(found: tuple[TrainedMember, ...], wanted: tuple[TrainedMember, .
     for one, other in zip(found, wanted, strict=True):
         for a, b in zip((*one.mlp.weights, *one.mlp.biases), (*other.mlp.weights, *other.mlp.biases), strict=True):
             np.testing.assert_array_equal(a, b)
-        assert one.course.to_json() == other.course.to_json()
+        assert one.curve.to_json() == other.curve.to_json()
 
 
 def interrupted(folder: Path, error: BaseException, at: float = 0.4) -> None:

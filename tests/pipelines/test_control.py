@@ -30,7 +30,7 @@ def test_each_row_has_one_thing_more(pipeline: Callable[[str], ModuleType]) -> N
     rows = pipeline("control").stages(course, tune(crane_plant()))
     steps = [changed(one[1], other[1]) for one, other in itertools.pairwise(rows)]
     assert steps[0] <= {"up", "down", "exponent", "positive", "negative", "limit", "creep"}
-    assert steps[1:6] == [{"proportional"}, {"feed"}, {"play"}, {"integral"}, set()]
+    assert steps[1:6] == [{"proportional"}, {"feed"}, {"backlash"}, {"integral"}, set()]
     assert rows[5][1] == course.tuning
     assert [row[2] for row in rows] == [0.0] * 6 + [course.dead_time, 0.0]
 

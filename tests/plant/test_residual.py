@@ -15,7 +15,7 @@ from plant_data import LOADS, arm_inputs, loaded_arm, measured, nominal, slide, 
 
 from sysid.errors import SettingsError, StoreError
 from sysid.machine import Machine
-from sysid.networks.cell import REACH, room
+from sysid.networks.cell import REACH, state_size
 from sysid.plant import Plant, compile_plant, free_run, plant_from_files
 from sysid.plant.force import force_inputs
 from sysid.plant.residual import STATES, Place, Residual, inputs_of, look, memory_of, nets_of
@@ -142,7 +142,7 @@ def test_it_is_an_lstm_behind_a_bound() -> None:
     expected = 0.2 * np.tanh(h @ item.w + item.w0)
     assert np.allclose(said[at], expected, atol=1e-12)
     assert all(len(set(said[k : k + 5])) == 1 for k in at[:-1])
-    assert STATES + room(len(item.mean), item.units) == len(memory)
+    assert STATES + state_size(len(item.mean), item.units) == len(memory)
 
 
 def test_a_rest_stays_a_rest() -> None:

@@ -10,7 +10,7 @@ import pandas as pd
 import pytest
 from crane_model import Perfect, crane_plant
 
-from sysid.control import simple
+from sysid.control import proportional_tuning
 from sysid.errors import InputError, SettingsError
 from sysid.machine import KnownEffect
 from sysid.rl.kinematic import KinematicEnvironment
@@ -83,13 +83,13 @@ def test_what_a_path_asks_of_each_axis_is_said(driven: TrackingTask, tmp_path: F
 
 
 def test_the_low_level_controller_decides(driven: TrackingTask) -> None:
-    poor = lay_out(PLANT, Perfect(PLANT), "circle", full=True, centre=CENTRE, tuning=simple(PLANT))
+    poor = lay_out(PLANT, Perfect(PLANT), "circle", full=True, centre=CENTRE, tuning=proportional_tuning(PLANT))
     assert poor.baseline("ik").after(1.0).rmse.max() > 20.0 * driven.baseline("ik").after(1.0).rmse.max()
 
 
 def test_a_controller_that_feeds_nothing_forward_is_not_told_to_wait() -> None:
     """What is shown to it ahead makes up for some of its lag, instead of being kept until it is due."""
-    poor = lay_out(PLANT, Perfect(PLANT), "circle", full=True, centre=CENTRE, tuning=simple(PLANT))
+    poor = lay_out(PLANT, Perfect(PLANT), "circle", full=True, centre=CENTRE, tuning=proportional_tuning(PLANT))
     late, ahead = (poor.baseline(name).after(1.0).to_json()["distance_mm"]["rms"] for name in ("ik", "ik-lookahead"))
     assert ahead < 0.9 * late
 

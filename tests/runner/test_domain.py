@@ -28,7 +28,7 @@ def test_beyond_the_data_and_back() -> None:
     rng = np.random.default_rng(0)
     poses = MIDDLE + rng.uniform(-0.2, 0.2, (800, 4)) * [1.0, 1.0, 1.0, 0.2]
     model = replace(
-        learned(PLANT), trust=NetworkUncertainty.of(poses, 1e-3 * rng.standard_normal((800, 3)), np.zeros((800, 3)))
+        learned(PLANT), uncertainty=NetworkUncertainty.of(poses, 1e-3 * rng.standard_normal((800, 3)), np.zeros((800, 3)))
     )
     domains = Domains(model, {}, AXES)
     way = np.array([0.0, 0.1, 0.4, 0.6, 0.5, 0.3, 0.1])

@@ -111,7 +111,7 @@ def workspace(tmp_path_factory: pytest.TempPathFactory) -> Path:
     joints = np.random.default_rng(1).uniform(low, high, (1500, 4))
     model = learned(plant)
     errors = 1e-4 * np.random.default_rng(2).standard_normal((1500, 3))
-    kind, files = to_files(replace(model, trust=NetworkUncertainty.of(joints, errors, np.zeros(errors.shape))))
+    kind, files = to_files(replace(model, uncertainty=NetworkUncertainty.of(joints, errors, np.zeros(errors.shape))))
     registry.register("crane-forward", kind, files, {"dataset": "crane@1"})
     machine = crane()
     (folder / "machine.toml").write_text(machine.text, "utf-8")

@@ -15,7 +15,7 @@ from sysid.files import plain
 from sysid.networks import ForwardRecipe, NetworkRecipe, fit_forward
 from sysid.networks.split import RowRange, gather
 from sysid.validate import validate_forward
-from sysid.validate.baselines import linkage_geometry, simple_models
+from sysid.validate.baselines import baseline_models, linkage_geometry
 from sysid.validate.binning import direction_of, edges_of, places_in
 from sysid.validate.coverage import coverage_of
 from sysid.validate.error_analysis import spikes
@@ -96,7 +96,7 @@ def test_a_report_counts_the_intervals_of_a_model_that_has_them() -> None:
     assert 1e-4 < entry.coverage.half_width < 3e-3
     values = entry.coverage.regions
     assert {"inside the data", "slew.joint, lower third"} <= {region.name for region in values}
-    blind = validate_forward(replace(model, trust=None), data).output("ee.x", "poses")
+    blind = validate_forward(replace(model, uncertainty=None), data).output("ee.x", "poses")
     assert blind.coverage is None
 
 
@@ -113,10 +113,10 @@ def test_the_linkage_baseline_finds_the_triangle(axis: str, to_joint: bool) -> N
 
 def test_simple_models_learn_one_output_or_several() -> None:
     x = np.random.default_rng(0).uniform(-1.0, 1.0, (200, 2))
-    several = simple_models(x, np.column_stack([x[:, 0], x[:, 0] * x[:, 1]]))
+    several = baseline_models(x, np.column_stack([x[:, 0], x[:, 0] * x[:, 1]]))
     assert list(several) == ["polynomial, degree 3", "polynomial, degree 5", "gradient boosting", "nearest neighbour"]
     assert {predict(x[:7]).shape for predict in several.values()} == {(7, 2)}
-    assert {predict(x[:7]).shape for predict in simple_models(x, x[:, 0]).values()} == {(7,)}
+    assert {predict(x[:7]).shape for predict in baseline_models(x, x[:, 0]).values()} == {(7,)}
 
 
 def test_a_spike_where_a_clock_was_set_says_so() -> None:

@@ -44,7 +44,7 @@ def test_blocks_keep_their_distance() -> None:
 
 
 def test_what_cannot_be_cut_is_said() -> None:
-    with pytest.raises(ExcitationError, match=r"2 recordings; expected at least 5, one a fold. Ask for fewer folds, or cut"):
+    with pytest.raises(ExcitationError, match=r"2 recordings; expected at least 5, one a fold. Use fewer folds, or split"):
         folds(rows((100, 100)))
     with pytest.raises(SettingsError, match=r"folds: 1; expected two and more"):
         folds(rows((100, 100)), 1)

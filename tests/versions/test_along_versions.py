@@ -13,10 +13,9 @@ from version_data import piecewise
 from sysid.datasets.recording import Dataset
 from sysid.errors import SettingsError
 from sysid.networks import ActuatorNetwork, HistoryNetwork, Mlp, Model, MotionNetwork, Normalisation, to_files
+from sysid.networks.history_correction import HistoryCorrection
 from sysid.networks.member import LearningCurve
-from sysid.networks.memory import Memory
-from sysid.networks.motion_inputs import Window
-from sysid.networks.rollout import MotionBounds
+from sysid.networks.motion_inputs import MotionBounds, Window
 from sysid.registry import Registry
 from sysid.validate import validate_model
 from sysid.versions import card_of, diff_versions, drift_of, policy_checks
@@ -41,7 +40,7 @@ def history(off: float = 0.0) -> dict[str, HistoryNetwork]:
     static = ActuatorNetwork("boom", piecewise(cylinder, joint), piecewise(joint[order], cylinder[order]), (0.0, 0.2), ends)
     shapes = {"mean": (3,), "scale": (3,), "W": (4, 3), "U": (4, 1), "b": (4,), "w": (1,), "w0": (1,)}
     weights = {name: np.zeros(shape) for name, shape in shapes.items()}
-    quiet = Memory(0.1, 0.1, np.array([0.002]), weights, 1.0, 10)
+    quiet = HistoryCorrection(0.1, 0.1, np.array([0.002]), weights, 1.0, 10)
     said = replace(quiet, weights=weights | {"w0": np.array([np.arctanh(off / 0.1)])})
     return {"boom": HistoryNetwork(static, said, quiet)}
 

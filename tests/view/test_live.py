@@ -13,7 +13,7 @@ from rerun_file import curves
 from sysid.datasets.recording import Dataset, Recording
 from sysid.errors import SettingsError, StoreError
 from sysid.plant import Plant, free_run, nominal_plant
-from sysid.view.live import CAMERA_HZ, SHOWN_HZ, show_live
+from sysid.view.live import CAMERA_HZ, STATE_HZ, show_live
 
 pytest.importorskip("pybullet", reason="PyBullet has no build for this Python")
 
@@ -34,7 +34,7 @@ def crane() -> tuple[Dataset, Plant]:
 def test_states_arrive_in_the_file(crane: tuple[Dataset, Plant], tmp_path: Path) -> None:
     path = tmp_path / "deep" / "live.rrd"
     shown = show_live(crane[0], "run-1", crane[1], path)
-    assert shown == 2.0 * SHOWN_HZ
+    assert shown == 2.0 * STATE_HZ
     assert [file.name for file in path.parent.iterdir()] == ["live.rrd"]
     entities = curves(path)
     expected = free_run(crane[1], crane[0].recordings[0])

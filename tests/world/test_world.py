@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+import tempfile
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -279,13 +280,13 @@ def no_leak() -> Iterator[None]:
 
 
 @pytest.mark.usefixtures("no_leak")
-def test_clients_are_given_back() -> None:
+def test_clients_and_temporary_files_are_released(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
     plant = crane()
     with World(plant) as world:
-        folder = Path(world._folder.name)
-        assert folder.is_dir()
+        assert len(list(tmp_path.iterdir())) == 1
     assert world.closed
-    assert not folder.exists()
+    assert list(tmp_path.iterdir()) == []
     world.close()
     with pytest.raises(SettingsError, match=r"is closed; expected an open world\. Make a new one\."):
         world.step(np.zeros(4))

@@ -24,7 +24,7 @@ from sysid.gap.localise import stage_rmse
 from sysid.gap.problem import Problem, problems_of
 from sysid.gap.proof import ProofOutcome
 from sysid.gap.result import ResidualModelResult, Unnamed
-from sysid.networks.recurrent import RecordingWindow, RecurrentSettings, train_recurrent
+from sysid.networks.recurrent import RecordingWindow, RecurrentSettings, interval_means, train_recurrent
 from sysid.plant import Model, Plant, compile_plant, gravity_load
 from sysid.plant.force import force_inputs, hold_of
 from sysid.plant.residual import PLACES, WARNING, Residual, inputs_of
@@ -70,8 +70,8 @@ class _ResidualRecording:
         inputs[0, SPEED] = 0.0
         inputs[1:, SPEED] = np.diff(inputs[:, POSITION]) / self.interval
         if self.speed is not None:
-            return RecordingWindow(inputs, self.left[at], _mean(self.speed[: count * self.stride], self.stride))
-        return RecordingWindow(inputs, _mean(self.left[1 : 1 + count * self.stride], self.stride), np.ones(count))
+            return RecordingWindow(inputs, self.left[at], interval_means(self.speed[: count * self.stride], self.stride))
+        return RecordingWindow(inputs, interval_means(self.left[1 : 1 + count * self.stride], self.stride), np.ones(count))
 
 
 def fit_residual_models(
@@ -213,25 +213,17 @@ def _residual_recording(
 def _bound(parts: Sequence[RecordingWindow], integrates: bool, interval: float) -> float:
     """:data:`BOUND` robust standard deviations of the residual; of its share of the speed where the stage integrates."""
     if not integrates:
-        joined = np.concatenate([part.left for part in parts])
+        joined = np.concatenate([part.residual for part in parts])
         joined = joined[np.isfinite(joined)]
         return BOUND * robust_scale(joined) if len(joined) else 0.0
     lag, shares = max(1, round(SPEED_WINDOW / interval)), []
     for windows in parts:
-        moved = interval * np.convolve(windows.size, np.ones(lag), mode="valid")[: len(windows.left) - lag]
-        rest = windows.left[lag:] - windows.left[:-lag]
+        moved = interval * np.convolve(windows.size, np.ones(lag), mode="valid")[: len(windows.residual) - lag]
+        rest = windows.residual[lag:] - windows.residual[:-lag]
         moving = np.isfinite(rest) & (np.abs(moved) > MIN_SPEED * np.abs(moved).max(initial=0.0))
         shares.append(rest[moving] / moved[moving])
     joined = np.concatenate(shares)
     return min(BOUND * robust_scale(joined), MAX_SPEED_SHARE) if len(joined) else 0.0
-
-
-def _mean(values: Array, stride: int) -> Array:
-    """Means over strides; NaN where nothing is measured."""
-    blocks = values.reshape(-1, stride)
-    there = np.isfinite(blocks)
-    total = np.where(there, blocks, 0.0).sum(axis=1) / np.maximum(there.sum(axis=1), 1)
-    return np.where(there.any(axis=1), total, np.nan)
 
 
 def _p_value(before: Problem, theta: Array, after: Problem, other: Array, recordings: Sequence[Recording], seed: int) -> float:

@@ -229,5 +229,5 @@ def test_history_is_learned_and_chance_is_not() -> None:
 
 
 def test_too_little_to_learn_from_is_refused() -> None:
-    with pytest.raises(SettingsError, match="residual network: 20 looks to learn from; expected at least 40"):
+    with pytest.raises(SettingsError, match="residual network: 20 updates to train on; expected at least 40"):
         train_recurrent([looks(20, 0, "chance")], [looks(20, 1, "chance")], 0.6, 0.05, False)
