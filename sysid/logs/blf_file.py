@@ -59,7 +59,7 @@ def _unpacked(path: Path, body: bytes, budget: Budget) -> bytes:
         return b""  # what cannot be unpacked is reported where the frames are read
     reason = budget.too_large(len(packed), len(data))
     if reason:
-        raise InputError(path, f"a container that {reason}", "a log", "The file is damaged or made to do harm.")
+        raise InputError(path, f"a container that {reason}", "a log", "The file is damaged or malicious.")
     return data
 
 

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import re
-import warnings
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from itertools import islice
 from pathlib import Path
 
@@ -13,15 +12,12 @@ import numpy.typing as npt
 import pandas as pd
 
 from sysid import scratch
-from sysid.errors import InputError, nearest
+from sysid.errors import InputError
 from sysid.logs.reader import ALL, ReadOptions
-from sysid.logs.table import CUT_ROW, without_line_end
+from sysid.logs.table import CUT_ROW, text_chunks, without_line_end
 from sysid.units import si_factor
 
 _UNITS = {"meters": "m", "millimeters": "mm", "centimeters": "cm", "inches": "inch", "feet": "foot"}
-
-#: Cells that are parsed at a time.
-_CELLS = 2**20
 
 Array = npt.NDArray[np.float64]
 
@@ -77,7 +73,13 @@ def number_rows(
     numbers = scratch.empty(expected * len(wanted)).reshape(expected, len(wanted))  # rows that are not there take no memory
     rows = too_long = 0
     stopped = False
-    for piece in _pieces(path, first, separator, cells, count, options.progress):
+    expected_rows = f"{cells - 1} cells a row"
+    for piece in text_chunks(
+        path, cells, options.progress, "rows that do not fit the head", expected_rows,
+        sep=separator, skiprows=first, nrows=count, skip_blank_lines=count is None,
+    ):  # fmt: skip
+        if not len(piece):
+            break
         longer = np.flatnonzero(piece[list(range(width, cells))].notna().any(axis=1).to_numpy())
         if len(longer) and not ragged:
             where = f"{path}: row {rows + int(longer[0]) + 1} below the head"
@@ -108,34 +110,6 @@ def _line_count(path: Path) -> int:
         return 1 + sum(piece.count(b"\n") + piece.count(b"\r") - piece.count(b"\r\n") for piece in pieces)
 
 
-def _pieces(
-    path: Path, first: int, separator: str, cells: int, count: int | None, progress: Callable[[float], None]
-) -> Iterator[pd.DataFrame]:
-    """The rows, some thousands at a time: text takes several times the memory of its numbers."""
-    size = path.stat().st_size
-    try:
-        with path.open("rb") as file, pd.read_csv(
-            file, sep=separator, header=None, skiprows=first, names=list(range(cells)), index_col=False,
-            encoding="utf-8-sig", skip_blank_lines=count is None, low_memory=False, nrows=count,
-            chunksize=max(1, _CELLS // cells),
-        ) as pieces:  # fmt: skip
-            while (piece := _next(pieces)) is not None and len(piece):
-                progress(min(1.0, file.tell() / size))
-                yield piece
-    except pd.errors.EmptyDataError:
-        return
-    except (pd.errors.ParserError, UnicodeDecodeError) as error:
-        raise InputError(
-            path, f"rows that do not fit the head ({' '.join(str(error).split())})", f"{cells - 1} cells a row"
-        ) from None
-
-
-def _next(pieces: Iterator[pd.DataFrame]) -> pd.DataFrame | None:
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", pd.errors.ParserWarning)  # longer rows are looked for by the caller
-        return next(pieces, None)
-
-
 def length_factor(path: Path, stated: str, options: ReadOptions, default: str | None = None) -> float:
     """Metres in a unit of length: the one the file states, else the recipe's, else ``default``.
 
@@ -143,29 +117,16 @@ def length_factor(path: Path, stated: str, options: ReadOptions, default: str | 
         InputError: nothing is stated, the recipe contradicts the file, or it is no unit of length.
     """
     if not stated and options.length_unit is None and default is None:
-        raise InputError(
-            path,
-            "the header states no length unit",
-            "'Length Units'",
-            'State it in the recipe: `length_unit = "m"` (or "mm", "cm").',
-        )
+        remedy = 'State it in the recipe: `length_unit = "m"` (or "mm", "cm").'
+        raise InputError(path, "the file states no length unit", "a unit such as m or mm", remedy)
     unit = _UNITS.get(stated.lower(), stated) if stated else str(options.length_unit or default)
     if stated and options.length_unit is not None and si_factor(unit, path) != si_factor(options.length_unit, path):
-        raise InputError(
-            path, f"the header states {stated}", f"[{options.length_unit}] as the recipe says", "Correct the recipe."
-        )
+        expected = f"[{options.length_unit}] as in the recipe"
+        raise InputError(path, f"the file states [{stated}]", expected, "Correct the recipe.")
     factor, si = si_factor(unit, path)
     if si != "m":
         raise InputError(path, f"a length unit of [{si}]", "a unit of length such as m or mm")
     return factor
-
-
-def check_streams(path: Path, options: ReadOptions, names: list[str], what: str) -> None:
-    """Raise where a wanted body or marker is not in the file."""
-    known = set(names)
-    for wanted in sorted(options.streams or ()):
-        if wanted not in known:
-            raise InputError(path, f"no {what} {wanted!r}", nearest(wanted, known), "Correct the recipe.")
 
 
 def unique_names(names: list[str]) -> list[str]:

@@ -1,6 +1,6 @@
 """A file is read in a process of its own, with limits on its address space and its processor time.
 
-The libraries that take log files apart can be led astray by a file that was damaged or made to do harm: they ask for memory
+The libraries that take log files apart can be led astray by a file that was damaged or malicious: they ask for memory
 without end, never return, or crash. In a process of their own that is an error of the file and of nothing else. What was read
 comes back through a pipe: values as JSON, arrays as they are; nothing in it can run code. Where the caller has scratch files
 (:mod:`sysid.scratch`) large arrays come back in one that the process has written, and are not copied.
@@ -43,21 +43,19 @@ _WAITING = 40.0
 #: A message: its kind (progress, result, error) and the length of its text.
 _HEAD = struct.Struct("<cQ")
 _DIE_WITH_PARENT = 1  # PR_SET_PDEATHSIG
-_DAMAGED = "The file is damaged or made to do harm."
+_DAMAGED = "The file is damaged or malicious."
 
 
-def read_confined(reader: LogReader, path: Path, options: ReadOptions, what: str = "a log file") -> tuple[Stream, ...]:
+def read_confined(reader: LogReader, path: Path, options: ReadOptions) -> tuple[Stream, ...]:
     """``reader.read(path, options)`` in a process of its own.
 
     Raises:
         InputError: as of the reader; it took more than its budget, or crashed.
     """
-    budget = options.budget_of(path, what, None)
-    return confined(lambda report: reader.read(path, _reporting(options, report)), path, budget, (Stream,), options.progress)
-
-
-def _reporting(options: ReadOptions, report: Callable[[float], None]) -> ReadOptions:
-    return replace(options, progress=report)
+    budget = options.budget_of(path, "a log file", None)
+    return confined(
+        lambda report: reader.read(path, replace(options, progress=report)), path, budget, (Stream,), options.progress
+    )
 
 
 def confined(

@@ -14,11 +14,11 @@ import numpy.typing as npt
 from sysid.errors import InputError
 from sysid.logs.confined import confined
 from sysid.logs.motive import unstated
-from sysid.logs.pieces import STAMP_FIELDS
 from sysid.logs.reader import LogReader, ReadOptions
 from sysid.logs.readers import reader_for, reader_named
 from sysid.logs.stream import Stream
 from sysid.logs.table import TIME_NAMES, Columns, guess_time
+from sysid.logs.topic_columns import STAMP_FIELDS
 
 #: A step between two stamps that is longer than so many usual ones is a gap.
 GAP = 3.0

@@ -33,7 +33,7 @@ def check_blocks(path: Path, budget: Budget) -> None:
     """Raise where a chain of blocks has no end, or a packed block is larger than it says or than allowed.
 
     Raises:
-        InputError: the file is damaged, or made to do harm.
+        InputError: the file is damaged, or malicious.
     """
     with path.open("rb") as file:
         packed = unpacked = 0
@@ -44,7 +44,7 @@ def check_blocks(path: Path, budget: Budget) -> None:
                 budget.check_unpacked(path, unpacked)
         reason = budget.too_large(packed, unpacked, at_once=False)
         if reason:
-            raise InputError(path, f"packed data: {reason}", "a log", "The file is damaged or made to do harm.")
+            raise InputError(path, f"packed data: {reason}", "a log", "The file is damaged or malicious.")
 
 
 def _blocks(path: Path, file: BinaryIO) -> Iterator[int]:
@@ -94,7 +94,7 @@ def _packed_block(path: Path, file: BinaryIO, at: int, budget: Budget) -> tuple[
             piece = unpacker.unconsumed_tail
             reason = f"more than the {stated} bytes that it states" if total > stated else ""
     if reason:
-        raise InputError(path, f"a packed block at byte {at}: {reason}", "a log", "The file is damaged or made to do harm.")
+        raise InputError(path, f"a packed block at byte {at}: {reason}", "a log", "The file is damaged or malicious.")
     return size, total
 
 

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from sysid.errors import InputError, nearest
+from sysid.errors import InputError
 from sysid.logs.can import frame_streams
 from sysid.logs.can_frames import Address, FrameLog, Frames
 from sysid.logs.limits import Budget
@@ -101,10 +101,8 @@ def _streams(path: Path, mdf: Any, options: ReadOptions, budget: Budget) -> tupl
         raise InputError(path, "no channel group with samples", "at least one", "Record the measurement again.")
     if buses and (options.dbc is not None or not names):
         return frame_streams(path, _frames(path, mdf, buses, start_ns), options)
-    for wanted in sorted(options.streams or ()):
-        if wanted not in names:
-            raise InputError(path, f"no channel group {wanted!r}", nearest(wanted, names), "Correct `topic` in the recipe.")
-    chosen = {name: index for name, index in names.items() if options.streams is None or name in options.streams}
+    options.check_streams(path, names, "channel group", "Correct `topic` in the recipe.")
+    chosen = {name: index for name, index in names.items() if options.wants(name)}
     cells = sum(int(mdf.groups[i].channel_group.cycles_nr) * len(mdf.groups[i].channels) for i in chosen.values())
     budget.check_numbers(path, cells)
     streams = [_group_stream(path, mdf, name, index, start_ns) for name, index in chosen.items()]

@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 
 from sysid.errors import InputError
-from sysid.logs.capture import Array, check_streams, euler_order, from_euler, length_factor, number_rows, quaternion_columns
+from sysid.logs.capture import Array, euler_order, from_euler, length_factor, number_rows, quaternion_columns
 from sysid.logs.cut_off import missing_frames
 from sysid.logs.motive_records import RECORD_TYPES, read_records
 from sysid.logs.reader import ReadOptions
@@ -75,8 +75,8 @@ class MotiveReader:
             raise InputError(path, f"coordinate space {space!r}", "'Global'", "Export again with world coordinates.")
         names = list(dict.fromkeys(column.name for column in head.columns))
         budget.check_topics(path, len(names), "rigid bodies and markers")
-        check_streams(path, options, names, "rigid body or marker")
-        chosen = [column for column in head.columns if options.streams is None or column.name in options.streams]
+        options.check_streams(path, names, "rigid body or marker")
+        chosen = [column for column in head.columns if options.wants(column.name)]
         used = sorted({head.time, *(column.index for column in chosen)})
         time = used.index(head.time)
         stop = (time, options.seconds) if options.seconds is not None else None

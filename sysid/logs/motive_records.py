@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from sysid.errors import InputError
-from sysid.logs.capture import Array, check_streams, length_factor, quaternion_columns
+from sysid.logs.capture import Array, length_factor, quaternion_columns
 from sysid.logs.cut_off import missing_frames
 from sysid.logs.limits import Budget
 from sysid.logs.reader import ReadOptions
@@ -58,9 +58,9 @@ def read_records(path: Path, options: ReadOptions, budget: Budget) -> tuple[Stre
         raise InputError(path, f"not readable as CSV ({error})", "a Motive CSV export") from None
     if not take.seconds:
         raise InputError(path, "no frames", "at least one frame", "Export the take again.")
-    check_streams(path, options, [*take.bodies, *take.markers], "rigid body or marker")
+    options.check_streams(path, [*take.bodies, *take.markers], "rigid body or marker")
     losses += missing_frames(path, take.stated, len(take.seconds))
-    names = [name for name in (*take.bodies, *take.markers) if options.streams is None or name in options.streams]
+    names = [name for name in (*take.bodies, *take.markers) if options.wants(name)]
     budget.check_numbers(path, 7 * len(names) * len(take.seconds))
     stamps = {"capture": to_ns(np.array(take.seconds), 1.0, f"{path}: Time")}
     makers: list[tuple[str, dict[str, list[tuple[int, list[float]]]], Callable[[Array], dict[str, Array]]]] = [
@@ -70,7 +70,7 @@ def read_records(path: Path, options: ReadOptions, budget: Budget) -> tuple[Stre
     streams = []
     for kind, objects, columns in makers:
         for name, seen in objects.items():
-            if options.streams is None or name in options.streams:
+            if options.wants(name):
                 table = np.full((len(take.seconds), 7), np.nan)
                 for frame, numbers in seen:
                     table[frame, : len(numbers)] = numbers

@@ -134,7 +134,7 @@ class _Bag:
         check_topics(self.options, self.names, self.path)
         for connection in connections:
             topic, kind = connection.topic, connection.msgtype
-            if self.options.streams is not None and topic not in self.options.streams:
+            if not self.options.wants(topic):
                 continue
             where = f"{self.path}: {topic}"
             self.budget.check_topics(self.path, len(self.topics) + 1)
@@ -281,7 +281,7 @@ def _check_tables(path: Path) -> None:
             found = found or (f"a generated column {hidden[0]!r}" if hidden else "")
             if found:
                 where = f"{path}: table {name!r}"
-                raise InputError(where, found, "rows that rosbag2 has stored", "The file is damaged or made to do harm.")
+                raise InputError(where, found, "rows that rosbag2 has stored", "The file is damaged or malicious.")
 
 
 def _stored(rows: Iterable[tuple[Any, Any, Any]], bag: _Bag) -> Iterator[tuple[Any, int, bytes]]:

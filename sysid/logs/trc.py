@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from sysid.errors import InputError
-from sysid.logs.capture import check_streams, length_factor, number_rows, text_lines, unique_names
+from sysid.logs.capture import length_factor, number_rows, text_lines, unique_names
 from sysid.logs.reader import ReadOptions
 from sysid.logs.stream import Stream
 from sysid.logs.table import to_ns
@@ -45,7 +45,7 @@ class TrcReader:
         if not markers:
             raise InputError(path, "no names of markers", "names over the columns", "Export it again.")
         budget.check_topics(path, len(markers), "markers")
-        check_streams(path, options, markers, "marker")
+        options.check_streams(path, markers, "marker")
         table, losses = number_rows(path, 2 + 3 * len(markers), 5, separator, ragged=True, options=options)
         table = table[~np.isnan(table[:, 1])]
         if not len(table):
@@ -55,16 +55,9 @@ class TrcReader:
             if stated.isdecimal() and int(stated) != count:
                 losses = (*losses, f"{path.name}: {count} {what} instead of the {stated} that the head states")
         stamps = {"capture": to_ns(table[:, 1], 1.0, f"{path}: Time")}
-        return tuple(
-            Stream(
-                name,
-                path,
-                stamps,
-                {axis: table[:, 2 + 3 * number + i] * factor for i, axis in enumerate("xyz")},
-                dict.fromkeys("xyz", "m"),
-                losses,
-                kind="Marker",
-            )
-            for number, name in enumerate(markers)
-            if options.streams is None or name in options.streams
-        )
+        streams = []
+        for number, name in enumerate(markers):
+            if options.wants(name):
+                columns = {axis: table[:, 2 + 3 * number + i] * factor for i, axis in enumerate("xyz")}
+                streams.append(Stream(name, path, stamps, columns, dict.fromkeys("xyz", "m"), losses, kind="Marker"))
+        return tuple(streams)
