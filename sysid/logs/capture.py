@@ -1,4 +1,4 @@
-"""Shared by text exports of motion capture: numbers below a head, length units, rotations as unit quaternions."""
+"""Shared by exports of motion capture: rows of numbers below a head, length units, rotations as unit quaternions."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def text_lines(path: Path, what: str) -> Iterator[str]:
     """Lines of a text file without their ends.
 
     Raises:
-        InputError: the file is not UTF-8 (or Latin-1 in a comment: then it is no export of this kind).
+        InputError: the file is not UTF-8.
     """
     try:
         with path.open(encoding="utf-8-sig", newline="") as file:
@@ -48,21 +48,21 @@ def number_rows(
     columns: Sequence[int] | None = None,
     options: ReadOptions = ALL,
 ) -> tuple[Array, tuple[str, ...]]:
-    """Rows of numbers from physical line ``first`` (0 is the first line) on: (n, width), NaN in empty cells, and what was lost.
+    """Rows of numbers from physical line ``first`` (0 is the first line) on: (n, width), NaN in empty cells, and the losses.
 
     Args:
-        count: of physical lines; None to the end of the file.
-        whole: the rows end with the file: a last one without a line end may be cut and is left out.
-        ragged: rows may be longer than the head; what lies beyond is reported as lost.
-        stop: column of the result, and by how much it rises until the rest of the file may be left unread.
-        columns: those of the file that the result has, in rising order; all of them where none are given.
-        options: what the file is read with.
+        count: number of physical lines; None to the end of the file.
+        whole: the rows end with the file, so that a last one without a line end may be cut and is dropped.
+        ragged: rows may be longer than the head; cells beyond it are reported as lost.
+        stop: column of the result, and the increase after which the rest of the file is skipped.
+        columns: columns of the file in the result, increasing; None for all.
+        options: of the reader.
 
     Raises:
-        InputError: a row that is longer than the head, where that is not expected; more numbers than are read.
+        InputError: a row that is longer than the head and not ``ragged``; more values than the budget.
     """
     budget = options.budget_of(path, "a text export")
-    cells = width + 1  # one more than the head has: it is empty in every row that fits
+    cells = width + 1  # one more than in the head, empty in every row that fits
     if ragged:
         cells = max(cells, *(line.count(separator) + 1 for line in islice(text_lines(path, "text"), first, None)), 0)
     budget.check_columns(path, cells - 1, "cells in a row")
@@ -104,17 +104,17 @@ def number_rows(
 
 
 def _line_count(path: Path) -> int:
-    """Lines of a text file; a line end within quotes counts, too."""
+    """Number of lines of a text file; a line end within quotes counts, too."""
     with path.open("rb") as file:
         pieces = iter(lambda: file.read(2**20), b"")
         return 1 + sum(piece.count(b"\n") + piece.count(b"\r") - piece.count(b"\r\n") for piece in pieces)
 
 
 def length_factor(path: Path, stated: str, options: ReadOptions, default: str | None = None) -> float:
-    """Metres in a unit of length: the one the file states, else the recipe's, else ``default``.
+    """Metres in the unit of length of the file, else of the recipe, else ``default``.
 
     Raises:
-        InputError: nothing is stated, the recipe contradicts the file, or it is no unit of length.
+        InputError: no unit is stated, the recipe contradicts the file, or it is no unit of length.
     """
     if not stated and options.length_unit is None and default is None:
         remedy = 'State it in the recipe: `length_unit = "m"` (or "mm", "cm").'
@@ -130,7 +130,7 @@ def length_factor(path: Path, stated: str, options: ReadOptions, default: str | 
 
 
 def unique_names(names: list[str]) -> list[str]:
-    """``names`` with a number behind those that come again."""
+    """``names`` with a number behind repeated ones."""
     seen: dict[str, int] = {}
     result = []
     for name in names:
@@ -140,7 +140,7 @@ def unique_names(names: list[str]) -> list[str]:
 
 
 def euler_order(rotation: str | None) -> str | None:
-    """``XYZ`` … ``ZYX`` from what a header or a recipe says (``Euler XYZ``); None where it names no order."""
+    """``XYZ`` … ``ZYX`` from the text of a header or recipe (``Euler XYZ``); None where it names no order."""
     match = re.search(r"\b([XYZ]{3})\b", (rotation or "").upper())
     return match[1] if match is not None and sorted(match[1]) == ["X", "Y", "Z"] else None
 
@@ -158,7 +158,7 @@ def from_euler(degrees: Array, order: str) -> Array:
 
 
 def from_matrices(matrices: Array) -> Array:
-    """Rotation matrices (n, 3, 3) → quaternions x y z w (n, 4); NaN where a matrix is no rotation (2 % of an entry)."""
+    """Rotation matrices (n, 3, 3) → quaternions x y z w (n, 4); NaN where a matrix is no rotation (tolerance 0.02)."""
     result = np.full((len(matrices), 4), np.nan)
     with np.errstate(invalid="ignore"):
         residual = np.abs(np.einsum("nij,nkj->nik", matrices, matrices) - np.eye(3)).max(axis=(1, 2))
@@ -171,7 +171,7 @@ def from_matrices(matrices: Array) -> Array:
 
 
 def quaternion_columns(quaternions: Array) -> dict[str, Array]:
-    """``qx`` … ``qw`` of quaternions x y z w (n, 4), brought to length one; NaN where they are no rotation."""
+    """``qx`` … ``qw`` of quaternions x y z w (n, 4), normalised; NaN where they are no rotation."""
     with np.errstate(invalid="ignore"):
         norm = np.linalg.norm(quaternions, axis=1)
         unit = np.where((np.abs(norm - 1.0) < 0.05)[:, None], quaternions / norm[:, None], np.nan)

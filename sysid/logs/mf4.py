@@ -1,6 +1,6 @@
 """ASAM MDF 4 (``.mf4``): every channel group is a stream of its numeric channels; logged CAN frames are decoded like a CAN log.
 
-The library that reads the format is an extra (``pip install sysid[mf4]``): it brings compiled packages that nothing else needs.
+The library that reads the format is an extra (``pip install sysid[mf4]``), because nothing else needs its compiled packages.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from sysid.logs.reader import ReadOptions
 from sysid.logs.stream import Stream
 from sysid.logs.table import to_ns
 
-#: Channel of a group in which a bus was logged, and the parts of it that make a frame.
+#: Channel of a group in which a bus was logged; type of a master channel that holds time.
 _BUS = "CAN_DataFrame"
 _TIME = 1
 
@@ -69,7 +69,7 @@ def _open(path: Path, file: Any) -> Any:
 
 
 def _abandon(error: Exception) -> None:
-    """Close what the library had begun to build: left to itself it fails once more, loudly, when it is collected."""
+    """Close the library's partly built object, which otherwise raises once more when it is garbage-collected."""
     for frame, _ in traceback.walk_tb(error.__traceback__):
         half_built: Any = frame.f_locals.get("self")
         if type(half_built).__name__ == "MDF4":
@@ -148,7 +148,7 @@ def _group_stream(path: Path, mdf: Any, name: str, index: int, start_ns: int) ->
 
 
 def _check_record(where: str, mdf: Any, group: Any) -> None:
-    """Raise where a channel lies outside of its record: the library cuts it out without looking, beyond what it has read."""
+    """Raise where a channel lies outside of its record, because the library reads it without a check."""
     size = int(group.channel_group.samples_byte_nr) + int(group.channel_group.invalidation_bytes_nr)
     for channel, entry in zip(group.channels, mdf._mdf._prepare_record(group), strict=False):
         if entry is not None and not 0 <= entry[2] <= entry[2] + entry[1] <= size:
@@ -157,7 +157,7 @@ def _check_record(where: str, mdf: Any, group: Any) -> None:
 
 
 def _samples(mdf: Any, group: int, index: int) -> tuple[npt.NDArray[np.float64] | None, npt.NDArray[np.float64], str]:
-    """Values in the stated unit (raw ones where the file turns them into words), NaN where they are marked invalid."""
+    """Values in the stated unit (raw ones where the file converts them to text), NaN where they are marked invalid."""
     signal: Any = mdf.get(group=group, index=index, ignore_invalidation_bits=True)
     if signal.samples.dtype.kind not in "fiub":
         signal = mdf.get(group=group, index=index, raw=True, ignore_invalidation_bits=True)

@@ -1,7 +1,7 @@
-"""OptiTrack CSV of version 1.1 (Motive before 1.6, Tracking Tools): every line is a record, its first cell says of what kind.
+"""OptiTrack CSV of version 1.1 (Motive before 1.6, Tracking Tools): every line is a record of the kind in its first cell.
 
 ``rigidbody,name,id,…`` names a body; ``frame,index,seconds,bodies,(id x y z qx qy qz qw yaw pitch roll)…,markers,(x y z id
-name)…`` is one frame. What was not seen is not listed, or stands there with a ``#`` (``-1.#IND``).
+name)…`` is one frame. What is not visible is not listed, or has a value with ``#`` (``-1.#IND``).
 Source: OptiTrack documentation of that time, "comment" lines of the exports.
 """
 
@@ -22,7 +22,7 @@ from sysid.logs.reader import ReadOptions
 from sysid.logs.stream import Stream
 from sysid.logs.table import to_ns
 
-#: First cells of the lines that an export of this version may begin with.
+#: First cell of an export of this version.
 RECORD_TYPES = ("comment", "info", "righthanded", "lefthanded")
 _BODY_CELLS, _MARKER_CELLS = 11, 5
 

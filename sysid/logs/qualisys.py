@@ -2,7 +2,7 @@
 
 Head lines ``NAME<tab>values``, perhaps a line of column names, then one row a frame; frame and time columns are optional.
 Markers: ``x y z``. Bodies: position, three angles, residual, and the rotation matrix column by column (``Rot[0] … Rot[8]``),
-which alone is used: the angles follow settings that the file does not state. Millimetres. What was not seen is empty or zero.
+which alone is used: the angles follow settings that the file does not state. Millimetres. What is not visible is empty or zero.
 Source: Qualisys Track Manager documentation, "Motion data (.tsv)" and "6DOF data (.tsv)".
 """
 
@@ -26,7 +26,7 @@ _CELLS = {"3D": 3, "6D": 16}
 
 @dataclass(frozen=True)
 class QualisysReader:
-    """Streams are called as the marker or body in Qualisys Track Manager."""
+    """Streams have the name of the marker or body in Qualisys Track Manager."""
 
     name: str = "qualisys"
     suffixes: tuple[str, ...] = ()

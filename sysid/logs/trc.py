@@ -1,7 +1,7 @@
 """TRC files of motion capture (Motion Analysis, OpenSim): markers → streams ``x y z`` [m] on the capture clock.
 
 Three head lines (file type; names and values of the settings), the markers' names over three columns each, the axes, an empty
-line; then frame, time and positions, nothing or ``nan`` where a marker was not seen. Tabs, or commas from a spreadsheet.
+line; then frame, time and positions, empty or ``nan`` where a marker is not visible. Tabs, or commas from a spreadsheet.
 Source: OpenSim documentation, "Marker (.trc) Files".
 """
 
@@ -24,7 +24,7 @@ _WHAT = "a TRC file of motion capture"
 
 @dataclass(frozen=True)
 class TrcReader:
-    """The CAN logs that have the same suffix begin with a semicolon; they are read by ``can``."""
+    """CAN logs with the same suffix begin with a semicolon and are read by ``can``."""
 
     name: str = "trc"
     suffixes: tuple[str, ...] = (".trc",)

@@ -59,7 +59,7 @@ def test_a_path_that_does_not_exist_is_named(tmp_path: Path) -> None:
 def test_what_is_no_log_is_said_to_be_what_it_is(tmp_path: Path, logs: Path) -> None:
     refused(logs / "machine.toml", tmp_path / "ws", InputError, r"machine\.toml: a recipe or a machine description, not a log")
     (logs / "bus.dbc").write_text("VERSION")
-    expected = r"bus\.dbc: a database that says what is in CAN frames, not a log; .*`dbc = \"bus\.dbc\"`"
+    expected = r"bus\.dbc: a database of CAN messages, not a log; .*`dbc = \"bus\.dbc\"`"
     refused(logs / "bus.dbc", tmp_path / "ws", InputError, expected)
     (logs / "metadata.yaml").write_text("x")
     refused(logs / "metadata.yaml", tmp_path / "ws", InputError, r"metadata\.yaml\), not a log; .*Give the \.db3 or \.mcap")
