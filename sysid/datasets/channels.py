@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 from sysid import scratch
 from sysid.datasets.channel import Channel, convert, in_order
-from sysid.datasets.clocks.set_clocks import with_stamps_carried_on
+from sysid.datasets.clocks.set_clocks import with_continued_stamps
 from sysid.datasets.discover import RecordingFiles
 from sysid.datasets.flags.stamps import repaired_stamps
 from sysid.datasets.frames.bodies import find_mounts, joints_and_points
@@ -171,7 +171,7 @@ def read_streams(
         dbc=Path(mapping.dbc) if mapping.dbc is not None else None,
         progress=report,
     )
-    streams = with_stamps_carried_on(read_confined(reader, path, options), mapping.clock, mapping.domain == "machine")
+    streams = with_continued_stamps(read_confined(reader, path, options), mapping.clock, mapping.domain == "machine")
     return with_marker_sets(streams, mapping)
 
 

@@ -99,7 +99,7 @@ def test_two_strokes_do_not_tell_a_play_from_the_map() -> None:
     motion = 0.3 * np.interp(time, [0.0, 5.0, 15.0, 20.0, 35.0, 40.0], [0.0, 0.0, 1.0, 1.0, 0.2, 0.2])
     rng = np.random.default_rng(0)
     x, y = motion + 1e-4 * rng.normal(size=len(time)), motion + 1e-4 * rng.normal(size=len(time))
-    assert estimate([Pair("slew.joint~slew.joint", time, x, time, y, 7, 0.035)], start=0.0).backlash == ()
+    assert estimate([Pair("slew.joint~slew.joint", time, x, time, y, 7, 0.035)]).backlash == ()
 
 
 @settings(deadline=None)

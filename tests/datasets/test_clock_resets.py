@@ -10,7 +10,7 @@ import pytest
 
 from sysid.datasets.channel import Channel, in_order
 from sysid.datasets.clocks.records import RecordingClocks, align, by_source, machine_times
-from sysid.datasets.clocks.set_clocks import continued, with_stamps_carried_on
+from sysid.datasets.clocks.set_clocks import continued, with_continued_stamps
 from sysid.errors import AlignmentError, InputError
 from sysid.logs import Stream
 from tests.datasets.test_alignment import EPOCH, motion
@@ -71,11 +71,11 @@ def test_all_topics_of_a_file_are_carried_on_and_the_machine_is_not() -> None:
     stamps = EVEN.copy()
     stamps[3000:] -= 2_000_000_000
     streams = [Stream("a", "csv", {"time": stamps}, {"x": np.zeros(6000)}), Stream("b", "csv", {"time": EVEN}, {})]
-    first, second = with_stamps_carried_on(streams, None, machine=False)
+    first, second = with_continued_stamps(streams, None, machine=False)
     np.testing.assert_allclose(first.stamps["time"], EVEN, atol=1)
     assert second is streams[1]
     assert any("the clock was set" in loss for loss in first.losses)
-    assert with_stamps_carried_on(streams, None, machine=True)[0] is streams[0]
+    assert with_continued_stamps(streams, None, machine=True)[0] is streams[0]
 
 
 def set_clock(

@@ -1,7 +1,7 @@
-"""What aligned motions still differ by: over time and over the motion, from the raw channels of a stored version.
+"""Residuals of aligned motions over time and over the motion, from the raw channels of a stored version.
 
-A clock that wanders, a step that was not found or a latency that depends on the speed shows over time; a map that is too
-simple, or a sensor that sticks, shows over the motion.
+A drifting clock, an undetected step or a latency that depends on speed shows over time; an inadequate map or a sticking sensor
+shows over the motion.
 """
 
 from __future__ import annotations
@@ -17,15 +17,15 @@ from sysid.datasets.channel import Channel
 from sysid.datasets.clocks.alignment import BLOCK_S, Estimate, pairs_of, with_backlash_found
 from sysid.datasets.clocks.coarse import Pair
 from sysid.datasets.clocks.motion_band import moves, smoothed
-from sysid.datasets.clocks.motion_fit import PairFit, Sums, prepared
+from sysid.datasets.clocks.motion_fit import FitSums, PairFit, prepared
 from sysid.datasets.recording import ClockRecord
 
 Array = npt.NDArray[np.float64]
 
-#: Blocks that say nothing of the offset are left out: those with less than this share of the median block's weight.
+#: Blocks with less than this share of the median block's weight are omitted.
 LEAST_WEIGHT = 0.05
-#: Places of a motion at which its residual is shown.
-PLACES = 24
+#: Bins over the motion.
+BINS = 24
 
 
 @dataclass(frozen=True)
@@ -34,7 +34,7 @@ class PairResidual:
 
     Args:
         name: machine's signal ~ the other device's.
-        motion: machine's signal at the middle of each place (m,) [SI].
+        motion: machine's signal at the middle of each bin (m,) [SI].
         mean, spread: of the residual there (m,) [SI of the other device's signal].
         noise: standard deviation of the residual [same].
     """
@@ -48,11 +48,11 @@ class PairResidual:
 
 @dataclass(frozen=True)
 class ClockResidual:
-    """One clock record beside what each stretch of :data:`~sysid.datasets.clocks.alignment.BLOCK_S` says alone.
+    """One clock record and the residuals in blocks of :data:`~sysid.datasets.clocks.alignment.BLOCK_S`.
 
     Args:
         times: of the blocks on the machine's clock (b,) [s].
-        shift, error: offset that a block asks for beyond the record, and its standard error (b,) [s].
+        shift, error: offset estimated from a block alone minus that of the record, and its standard error (b,) [s].
         residual: root mean square of the residuals in standard deviations of their noise (b,).
     """
 
@@ -98,20 +98,18 @@ def _residual(channels: pd.DataFrame, record: ClockRecord, end_ns: int) -> Clock
     skew = 1e-6 * record.skew_ppm
     middle = 0.5 * max((float(pair.y_times[-1]) for pair in pairs), default=0.0)
     near = Estimate(mid_time=middle, mid_offset=record.offset_s + skew * middle, skew=skew)
-    sums, shown = [], []
+    sums, residuals = [], []
     for pair in with_backlash_found([smoothed(pair) for pair in pairs], near) if pairs else ():
         fit = PairFit(prepared(pair))
         fit.begin(record.offset_s, 1e-6 * record.skew_ppm, 0.0)
         own = fit.sums(record.offset_s, 1e-6 * record.skew_ppm, 0.0, BLOCK_S)
         if own is not None:
             sums.append(own)
-            shown.append(_over_motion(pair, fit, record))
-    if not sums:
-        return None
-    return _over_time(record, sums, shown)
+            residuals.append(_over_motion(pair, fit, record))
+    return _over_time(record, sums, residuals) if sums else None
 
 
-def _over_time(record: ClockRecord, sums: Sequence[Sums], pairs: Sequence[PairResidual]) -> ClockResidual:
+def _over_time(record: ClockRecord, sums: Sequence[FitSums], pairs: Sequence[PairResidual]) -> ClockResidual:
     numbers = np.unique(np.concatenate([s.blocks for s in sums]))
     score, weight, squares, counts = (np.zeros(len(numbers)) for _ in range(4))
     for s in sums:
@@ -120,21 +118,21 @@ def _over_time(record: ClockRecord, sums: Sequence[Sums], pairs: Sequence[PairRe
         weight[row] += s.block_weight
         squares[row] += s.block_squares
         counts[row] += s.block_counts
-    seen = weight > LEAST_WEIGHT * float(np.median(weight))
-    times = (numbers[seen] + 0.5) * BLOCK_S * (1.0 + 1e-6 * record.skew_ppm) + record.offset_s
-    size = np.sqrt(squares / counts)[seen]
-    return ClockResidual(record, times, score[seen] / weight[seen], np.sqrt(1.0 / weight[seen]), size, tuple(pairs))
+    used = weight > LEAST_WEIGHT * float(np.median(weight))
+    times = (numbers[used] + 0.5) * BLOCK_S * (1.0 + 1e-6 * record.skew_ppm) + record.offset_s
+    size = np.sqrt(squares / counts)[used]
+    return ClockResidual(record, times, score[used] / weight[used], np.sqrt(1.0 / weight[used]), size, tuple(pairs))
 
 
 def _over_motion(pair: Pair, fit: PairFit, record: ClockRecord) -> PairResidual:
     x, residual = fit.residuals(record.offset_s, 1e-6 * record.skew_ppm, 0.0)
-    edges = np.linspace(float(x.min()), float(x.max()), PLACES + 1)
-    place = np.clip(np.searchsorted(edges, x, side="right") - 1, 0, PLACES - 1)
-    counts = np.bincount(place, minlength=PLACES)
+    edges = np.linspace(float(x.min()), float(x.max()), BINS + 1)
+    place = np.clip(np.searchsorted(edges, x, side="right") - 1, 0, BINS - 1)
+    counts = np.bincount(place, minlength=BINS)
     order = np.argsort(place, kind="stable")
     parts = np.split(residual[order], np.cumsum(counts)[:-1])
     enough = counts >= 20
-    # Medians, so that mistaken frames do not make the picture.
+    # Medians are robust against mistaken frames.
     middle = np.array([float(np.median(part)) if there else np.nan for part, there in zip(parts, enough, strict=True)])
     spread = np.array(
         [
@@ -146,7 +144,7 @@ def _over_motion(pair: Pair, fit: PairFit, record: ClockRecord) -> PairResidual:
 
 
 def _channels(rows: pd.DataFrame) -> list[Channel]:
-    """Channels of one recording from the rows of the stored table, as far as alignment needs them."""
+    """Channels of one recording from rows of the stored table."""
     found: list[Channel] = []
     for (source, domain, signal), part in rows.groupby(["source", "domain", "signal"], sort=False, observed=True):
         stamps = part["stamp_ns"].to_numpy(dtype=np.int64)
