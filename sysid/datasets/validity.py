@@ -1,7 +1,6 @@
-"""What stands behind every sample of an aligned table: measured, bridged, held, or missing.
+"""State of every sample of an aligned table: measured, bridged, held, or missing.
 
-Nothing of it is stored: it follows from the raw channels that are kept beside the table, their clocks, and the holes of the
-table itself, for versions of any age.
+The states are not stored but computed from the raw channels, their clock records and the table, for every stored version.
 """
 
 from __future__ import annotations
@@ -19,10 +18,10 @@ from sysid.errors import StoreError, nearest
 Array = npt.NDArray[np.float64]
 States = npt.NDArray[np.int8]
 
-#: What a code stands for.
 STATES = ("missing", "measured", "bridged", "held")
+#: Indices into :data:`STATES`.
 MISSING, MEASURED, BRIDGED, HELD = range(4)
-#: Samples further apart than this many of the source's own periods have a gap between them.
+#: Samples further apart than this many periods of the source have a gap between them.
 NEIGHBOURS = 1.5
 
 
@@ -30,14 +29,14 @@ def states(values: Array, at: Array, times: Array, rate_hz: float, command: bool
     """The state of each sample of one signal, as index into :data:`STATES`, (n,).
 
     - missing: NaN in the table;
-    - measured: on or between neighbouring samples of the source; of a command, one was sent since the instant before;
+    - measured: on or between neighbouring samples of the source; a command that was sent since the last instant;
     - bridged: between samples further apart than :data:`NEIGHBOURS` periods of the source, inside the allowed gap;
-    - held: no command was sent since the instant before, the last one still counts.
+    - held: no command was sent since the last instant; the previous one is held.
 
     Args:
         values: the signal in the table, (n,).
         at: instants of the table, (n,) [s].
-        times: when the source has known values, rising, (m,) [s], same origin.
+        times: of known values of the source, increasing, (m,) [s], same origin.
         rate_hz: of the table.
     """
     result = np.full(len(values), MEASURED, dtype=np.int8)
@@ -61,7 +60,7 @@ def validity_of(store: Store, reference: str, recording: str) -> pd.DataFrame:
 
     Args:
         reference: dataset version, ``"name"`` or ``"name@3"``.
-        recording: as the dataset names it; a block (``"manual#2"``) as well.
+        recording: name in the dataset, also of a block (``"manual#2"``).
 
     Raises:
         StoreError: no such version or recording.

@@ -165,7 +165,7 @@ def test_the_skew_of_a_device_is_shared_by_its_recordings() -> None:
         assert abs(record.skew_ppm - 45.0) < 5.0
         # The record can be applied to any channel of that clock, and undone.
         channel = recording.channels[1]
-        times = machine_times(channel, recording.start_ns, record)
+        times = machine_times(channel, recording.start_ns, [record])
         back = (times - record.offset_s) / (1.0 + 1e-6 * record.skew_ppm)
         np.testing.assert_allclose(back * 1e9 + record.stream_start_ns, channel.stamps, atol=2.0)
 

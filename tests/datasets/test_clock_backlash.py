@@ -139,7 +139,7 @@ def clocked(degrees: float) -> RecordingClocks:
 def test_the_record_says_what_was_allowed_for_and_its_residual_is_level() -> None:
     recording = clocked(1.0)
     (record,) = align([recording])
-    assert "play of 0.017 (SI) between slew.joint and slew.joint is allowed for" in record.reason
+    assert "with backlash of 0.017 (SI) between slew.joint and slew.joint" in record.reason
     assert record.offset_interval95[0] < OFFSET < record.offset_interval95[1]
     rows = [
         pd.DataFrame(
@@ -156,4 +156,4 @@ def test_the_record_says_what_was_allowed_for_and_its_residual_is_level() -> Non
     ]
     (residual,) = clock_residuals(pd.concat(rows), [record])
     assert abs(np.average(residual.shift, weights=residual.error**-2.0)) < 1e-3
-    assert "play" not in align([replace(clocked(0.0), name="other")])[0].reason
+    assert "backlash" not in align([replace(clocked(0.0), name="other")])[0].reason

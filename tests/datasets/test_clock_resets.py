@@ -1,4 +1,4 @@
-"""Clocks that were set, paused or ran over while they recorded: found, parted, and told from everything that is not."""
+"""Clocks that were set, paused or overflowed while they recorded are detected, split, and distinguished from everything else."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def test_a_counter_that_runs_over_is_unwrapped_exactly() -> None:
     found = continued(true % ((1 << 32) * 1000))
     np.testing.assert_array_equal(np.diff(found.stamps), 10_000_000)
     assert found.wrapped == (True,)
-    assert "a counter ran over" in found.texts[0]
+    assert "a counter overflowed" in found.texts[0]
 
 
 def test_a_single_stray_stamp_is_no_clock_that_was_set() -> None:
@@ -124,7 +124,7 @@ def test_two_steps_make_three_pieces() -> None:
     stamps = channel.stamps + np.where(truth > 130.0, -400_000_000, 0)
     recording = replace(recording, channels=(recording.channels[0], replace(channel, stamps=continued(stamps).stamps)))
     again, _ = set_clock(200.0, 60.0, 1.0, bandwidth=2.0)
-    assert len(align([recording])) == 2, "set back without a pause: carried on as if nothing had happened"
+    assert len(align([recording])) == 2, "set back without a pause: continued"
     stamps = channel.stamps + np.where(truth > 130.0, 400_000_000, 0)
     records = align([replace(again, channels=(again.channels[0], replace(channel, stamps=stamps)))])
     assert [record.applied for record in records] == [True, True, True]
@@ -155,5 +155,5 @@ def test_a_machine_whose_clock_was_set_is_refused() -> None:
     stepped = machine.stamps + np.where(np.arange(len(machine.stamps)) >= 5000, 1_500_000_000, 0)
     with pytest.raises(AlignmentError, match=r"the machine's clock: it was set by \+1\.500 s at about 5[01]\.") as error:
         align([replace(recording, channels=(replace(machine, stamps=stepped), other))])
-    assert "mocap.csv went on evenly" in str(error.value)
+    assert "mocap.csv continued evenly" in str(error.value)
     assert "Cut the log there into two recordings" in str(error.value)

@@ -55,8 +55,8 @@ WINDOW_S, GROWTH = 120.0, 3.0
 THINNED = 20_000
 #: The longest step [s] for which the linearisation holds.
 REACH_S = 0.05
-#: Width that is allowed for backlash: first share of the range of x, then a multiple of the estimated width; at least a share of
-#: the range and a multiple of the noise; at most the last share.
+#: Width that is allowed for backlash: first share of the range of x, then a multiple of the estimated width; at least a share
+#: of the range and a multiple of the noise; at most the last share.
 BACKLASH_FIRST, BACKLASH_MARGIN, BACKLASH_LEAST, BACKLASH_NOISE, BACKLASH_MAX = 0.02, 1.5, 0.005, 6.0, 0.2
 #: With fewer reversals backlash cannot be distinguished from the map between the two signals.
 MIN_REVERSALS = 8

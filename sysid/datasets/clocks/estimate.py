@@ -149,9 +149,9 @@ def _covariance(
 ) -> tuple[Array, int]:
     """Covariance of (offset, skew), and its degrees of freedom: the largest over several block lengths.
 
-    Sums of scores over blocks reflect correlated residuals but scatter when there are few, so no variance is smaller than that of
-    uncorrelated residuals. A block with a share h of the ``information`` about the offset (b,) pulls the fit towards itself, so
-    its score is divided by 1 − h (Bell and McCaffrey, Survey Methodology 28 (2002) 169); the effective number of blocks is
+    Sums of scores over blocks reflect correlated residuals but scatter when there are few, so no variance is smaller than that
+    of uncorrelated residuals. A block with a share h of the ``information`` about the offset (b,) pulls the fit towards itself,
+    so its score is divided by 1 − h (Bell and McCaffrey, Survey Methodology 28 (2002) 169); the effective number of blocks is
     (Σh)²/Σh².
     """
     found = [(bread @ white @ bread, len(numbers) - 2)]

@@ -63,7 +63,7 @@ def prepared(pair: Pair) -> Prepared:
 
 
 def _taken_up(pair: Pair, x: Array, rates: Array) -> tuple[Array, npt.NDArray[np.bool_], npt.NDArray[np.bool_]]:
-    """Direction of x (n,), and the samples of x and of y at which the backlash is taken up; either signal may be the one behind.
+    """Direction of x (n,), and the samples of x and of y with the backlash taken up; either signal may be behind it.
 
     Samples at rest are not used: they carry no information about the offset, and a motion back may be hidden in their noise.
     """
@@ -78,8 +78,8 @@ def _taken_up(pair: Pair, x: Array, rates: Array) -> tuple[Array, npt.NDArray[np
 class FitSums:
     """Sums for a Gauss-Newton step and its errors, with the map projected out.
 
-    ``normal`` (2, 2) and ``score`` (2,) are of (offset, skew); ``curvature`` (2, 2) is the derivative of the score, smaller than
-    ``normal`` because weights fall where residuals grow; ``white`` (2, 2) is the covariance of the score for uncorrelated
+    ``normal`` (2, 2) and ``score`` (2,) are of (offset, skew); ``curvature`` (2, 2) is the derivative of the score, smaller
+    than ``normal`` because weights fall where residuals grow; ``white`` (2, 2) is the covariance of the score for uncorrelated
     residuals; ``block_*`` belong to the numbered ``blocks`` (b,): ``block_weight`` is the information of a block about the
     offset with a known map, ``block_information`` with an unknown one. ``intercept`` is half of the difference of the map
     between the two directions in the middle of the motion, and its standard error; NaN without backlash.

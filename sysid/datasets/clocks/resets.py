@@ -1,8 +1,8 @@
 """Clocks that were set while they recorded: one estimate for each piece of a stream, found from the motion.
 
 Where the offset steps, the blocks after the step have another offset than those before, or do not fit at all. A suspected step
-is accepted if both sides can be aligned separately and their offsets differ by much more than their errors and by more than half
-a frame. It is placed on the sample that gives the best fit of both sides, or on an uneven stamp beside it.
+is accepted if both sides can be aligned separately and their offsets differ by much more than their errors and by more than
+half a frame. It is placed on the sample that gives the best fit of both sides, or on an uneven stamp beside it.
 """
 
 from __future__ import annotations
@@ -22,7 +22,8 @@ Array = npt.NDArray[np.float64]
 
 #: Least number of blocks on either side of a step.
 MIN_BLOCKS = 4
-#: A step is suspected from these gains in χ²: of the offset, of the residual energy, with the least contrast of the latter (ln).
+#: A step is suspected from these gains in χ²: of the offset, of the residual energy, with the least contrast of the latter
+#: (ln).
 SHIFT_GAIN, ENERGY_GAIN, ENERGY_CONTRAST = 45.0, 60.0, 0.7
 #: A step is accepted from this many standard errors, and this share of a sample period of the stream.
 STEP_ERRORS, STEP_PERIODS = 6.0, 0.5

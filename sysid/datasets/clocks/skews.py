@@ -49,7 +49,7 @@ class Skew:
     reason: str
 
     @property
-    def doubt(self) -> float:
+    def half_width(self) -> float:
         """95 % bound of the difference between the true and the applied skew."""
         if self.applied:
             return _half(self.interval)
