@@ -81,3 +81,25 @@ def stretches(mask: Mask) -> tuple[Rows, Rows]:
 def absolute(values: Array) -> Array:
     """``np.abs(values)``, in the place of ``values``."""
     return np.abs(values, out=values)
+
+
+def sosfiltfilt_in_place(sections: Array, values: Array, padding: int) -> None:
+    """``scipy.signal.sosfiltfilt(sections, values, padlen=padding)`` in place, in chunks."""
+    from scipy.signal import sosfilt, sosfilt_zi
+
+    before = 2.0 * values[0] - values[padding:0:-1]
+    after = 2.0 * values[-1] - values[-2 : -(padding + 2) : -1]
+    parts = [values[first:last] for first, last in pieces(len(values))]
+    settled = sosfilt_zi(sections)
+    first = before[0] if padding else values[0]
+    _, state = sosfilt(sections, before, zi=settled * first) if padding else (before, settled * first)
+    for part in parts:
+        part[:], state = sosfilt(sections, part, zi=state)
+    if padding:
+        after, state = sosfilt(sections, after, zi=state)
+        _, state = sosfilt(sections, after[::-1], zi=settled * after[-1])
+    else:
+        state = settled * values[-1]
+    for part in reversed(parts):
+        backwards, state = sosfilt(sections, part[::-1], zi=state)
+        part[:] = backwards[::-1]

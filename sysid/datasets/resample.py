@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sysid.datasets.channel import Channel
-from sysid.datasets.in_pieces import copied, stretches
+from sysid.datasets.in_pieces import copied, sosfiltfilt_in_place, stretches
 from sysid.scratch import PIECE, chosen, computed, filled, leave, pieces
 
 Array = npt.NDArray[np.float64]
@@ -155,31 +155,9 @@ def low_pass(times: Array, values: Array, cut_hz: float, max_gap_s: float) -> Ar
             # Both ends are extended by the settling time of the filter.
             padding = min(len(stretch) - 1, max(15, int(3.0 * rate / cut_hz)))
             filtered = copied(values[stretch])
-            _both_ways(sections, filtered, padding)
+            sosfiltfilt_in_place(sections, filtered, padding)
             result[stretch] = filtered
     return result
-
-
-def _both_ways(sections: Array, values: Array, padding: int) -> None:
-    """``scipy.signal.sosfiltfilt(sections, values, padlen=padding)`` in place, in chunks."""
-    from scipy.signal import sosfilt, sosfilt_zi
-
-    before = 2.0 * values[0] - values[padding:0:-1]
-    after = 2.0 * values[-1] - values[-2 : -(padding + 2) : -1]
-    parts = [values[first:last] for first, last in pieces(len(values))]
-    settled = sosfilt_zi(sections)
-    first = before[0] if padding else values[0]
-    _, state = sosfilt(sections, before, zi=settled * first) if padding else (before, settled * first)
-    for part in parts:
-        part[:], state = sosfilt(sections, part, zi=state)
-    if padding:
-        after, state = sosfilt(sections, after, zi=state)
-        _, state = sosfilt(sections, after[::-1], zi=settled * after[-1])
-    else:
-        state = settled * values[-1]
-    for part in reversed(parts):
-        backwards, state = sosfilt(sections, part[::-1], zi=state)
-        part[:] = backwards[::-1]
 
 
 def _limit_band(values: Array, factor: int) -> None:
@@ -193,7 +171,7 @@ def _limit_band(values: Array, factor: int) -> None:
     sections = cheby2(6, STOP_DB / 2.0, 1.0 / factor, output="sos")
     for first, last in zip(*stretches(~np.isnan(values)), strict=True):
         if last - first > 1:
-            _both_ways(sections, values[first:last], min(SETTLE_PERIODS * factor, int(last - first) - 1))
+            sosfiltfilt_in_place(sections, values[first:last], min(SETTLE_PERIODS * factor, int(last - first) - 1))
 
 
 def anti_aliased(times: Array, values: Array, at: Array, rate_hz: float, factor: int, max_gap_s: float) -> Array:

@@ -20,6 +20,7 @@ from sysid.datasets.frames.base_markers import from_markers
 from sysid.datasets.frames.base_turn import from_turn
 from sysid.datasets.frames.degenerate import offset_notes
 from sysid.datasets.frames.rigid import frame_pose, inverse
+from sysid.datasets.frames.survey import axis_line
 from sysid.datasets.recipe import FramePose, PointMap, Reference, StreamMap, load_recipe
 from sysid.errors import InputError, SettingsError
 from sysid.machine import Machine, load_machine
@@ -277,9 +278,7 @@ def test_an_offset_along_the_last_link_is_said_to_hide_its_length(crane: Machine
 
 
 def test_a_prismatic_axis_cannot_be_surveyed_by_turning(crane: Machine) -> None:
-    from sysid.datasets.frames.survey import _axis_line
-
     with pytest.raises(SettingsError, match="is moved by other axes"):
-        _axis_line(crane, "telescope")
-    point, direction = _axis_line(crane, "slew")
+        axis_line(crane, "telescope")
+    point, direction = axis_line(crane, "slew")
     np.testing.assert_allclose([*point, *direction], [0, 0, 0, 0, 0, 1], atol=1e-12)

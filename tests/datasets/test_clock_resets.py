@@ -1,4 +1,4 @@
-"""Clocks that were set, paused or overflowed while they recorded are detected, split, and distinguished from everything else."""
+"""Clocks that were set, paused or overflowed while they recorded are detected and split; others are not."""
 
 from __future__ import annotations
 

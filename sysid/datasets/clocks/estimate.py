@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sysid.datasets.clocks.coarse import Pair
-from sysid.datasets.clocks.motion_fit import Sums
+from sysid.datasets.clocks.motion_fit import FitSums
 
 Array = npt.NDArray[np.float64]
 Time = TypeVar("Time", float, Array)
@@ -117,7 +117,7 @@ def is_singular(normal: Array) -> bool:
 
 
 def estimate_of(
-    sums: Sequence[Sums], pairs: Sequence[Pair], offset: float, skew: float, mid: float, span: tuple[float, float]
+    sums: Sequence[FitSums], pairs: Sequence[Pair], offset: float, skew: float, mid: float, span: tuple[float, float]
 ) -> Estimate:
     normal = np.sum([s.curvature for s in sums], axis=0)
     if is_singular(normal):
@@ -149,10 +149,10 @@ def _covariance(
 ) -> tuple[Array, int]:
     """Covariance of (offset, skew), and its degrees of freedom: the largest over several block lengths.
 
-    Sums of scores over blocks reflect correlated residuals but scatter when there are few, so no variance is smaller than that
-    of uncorrelated residuals. A block with a share h of the ``information`` about the offset (b,) pulls the fit towards itself,
-    so its score is divided by 1 − h (Bell and McCaffrey, Survey Methodology 28 (2002) 169); the effective number of blocks is
-    (Σh)²/Σh².
+    FitSums of scores over blocks reflect correlated residuals but scatter when there are few, so no variance is smaller than
+    that of uncorrelated residuals. A block with a share h of the ``information`` about the offset (b,) pulls the fit towards
+    itself, so its score is divided by 1 − h (Bell and McCaffrey, Survey Methodology 28 (2002) 169); the effective number of
+    blocks is (Σh)²/Σh².
     """
     found = [(bread @ white @ bread, len(numbers) - 2)]
     for together in BLOCKS_TOGETHER:

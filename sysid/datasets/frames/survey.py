@@ -68,7 +68,7 @@ def _proposal(paths: Sequence[Path], mapping: StreamMap, survey: Survey, machine
     origin = min(int(stamps_of(known[name], mapping).min()) for name in names)
     places = {name: _places(known[name], mapping, survey, origin) for name in names}
     if survey.axis is not None:
-        point, direction = _axis_line(machine, survey.axis)
+        point, direction = axis_line(machine, survey.axis)
         moving: dict[str, Array] = {}
         for name in survey.turning:
             moving |= _levers(name, places[name], known[name], mapping, survey, origin)
@@ -142,7 +142,7 @@ def _static(places: Array, where: str) -> Array:
     return np.asarray(np.median(known, axis=0))
 
 
-def _axis_line(machine: Machine, axis: str) -> tuple[Array, Array]:
+def axis_line(machine: Machine, axis: str) -> tuple[Array, Array]:
     """A point on a revolute axis and its direction in the base frame; no other axis may move it."""
     kinematics = machine.kinematics()
     if kinematics is None:
