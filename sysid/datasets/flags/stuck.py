@@ -68,9 +68,8 @@ def stuck(signal: str, times: Array, values: Array, context: SensorContext, unit
         else:
             is_stuck = seconds >= STUCK_S and int(inside.sum()) >= STUCK_SAMPLES and low < value < high
         if is_stuck:
-            text = (
-                f"stays at {with_unit(value, unit)} for {times[last - 1] - times[first]:.2f} s while the machine is commanded: "
-            )
+            lasted = times[last - 1] - times[first]
+            text = f"stays at {with_unit(value, unit)} for {lasted:.2f} s while the machine is commanded: "
             text += "a stuck sensor, or an axis that stalls" if repeats else "a stuck sensor"
             found.append(Flag(signal, "stuck", float(times[first]), float(times[last - 1]), last - first, text))
     return merged(found)

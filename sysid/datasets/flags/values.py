@@ -100,7 +100,8 @@ def outliers(signal: str, times: Array, values: Array, unit: str = "1") -> list[
             first, last = before[index] + 1, after[index]
             if not taken[first:last].any():
                 taken[first:last] = True
-                text = f"{_count(length)} off by {with_unit(float(off[index]), unit)}, the steps around are {with_unit(float(step), unit)}"
+                size, around = with_unit(float(off[index]), unit), with_unit(float(step), unit)
+                text = f"{_count(length)} off by {size}, the steps around are {around}"
                 found.append(Flag(signal, "outlier", float(times[first]), float(times[last - 1]), length, text))
     return merged(sorted(found, key=lambda flag: flag.from_s))
 
