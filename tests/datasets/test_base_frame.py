@@ -238,7 +238,7 @@ def test_surveyed_bodies_of_the_crane_give_the_recipe_s_frame_back(survey: Path,
     [
         ('axis = "slew"', "axis 'slew' without points that it turns; expected both `axis` and `turning`"),
         ('turning = ["column_body"]', "points that turn without an axis"),
-        ("", "nothing to go by; expected `markers` with known places"),
+        ("", "neither markers nor an axis; expected `markers` with known positions"),
         ('axis = "slow"\nturning = ["column_body"]', "'slow'"),
         ('axis = "boom"\nturning = ["boom_body"]', "'boom' is moved by other axes; expected the first one, 'slew'"),
         ('axis = "slew"\nturning = ["colum_body"]', "no rigid body or marker 'colum_body'; expected 'column_body'?"),

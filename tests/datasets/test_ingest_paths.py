@@ -87,14 +87,14 @@ def test_globs_of_a_recipe_that_match_nothing(tmp_path: Path, logs: Path) -> Non
     head = 'schema = 1\n[[streams]]\nfiles = "*.mcpa"\n[streams.signals]\n"a.joint" = {field = "a.joint"}\n'
     recipe.write_text(head)
     refused(
-        logs, tmp_path / "ws", InputError, r"logs: no file '\*\.mcpa' as the recipe's `files` say; expected one of: log\.csv"
+        logs, tmp_path / "ws", InputError, r"logs: no file '\*\.mcpa' of the recipe's `files`; expected one of: log\.csv"
     )
     given: dict[str, Any] = {"recipe": recipe, "machine": logs / "machine.toml"}
     refused(logs / "r1/log.csv", tmp_path / "ws", InputError, r"no entry of the recipe .* files \*\.mcpa", **given)
     more = '[[streams]]\nfiles = "*.csv"\n[streams.signals]\n"a.command" = {field = "a.command"}\n'
     recipe.write_text(head + more)
     dataset = ingest(logs, tmp_path / "ws")
-    assert dataset.quality["notes"] == ["no recording has a file '*.mcpa': nothing of it is read"]
+    assert dataset.quality["notes"] == ["no recording has a file '*.mcpa': its entry is not used"]
     recipe.write_text(head.replace("*.mcpa", "*.csv") + "[recordings]\nmotion = ['s*']\n")
     refused(logs, tmp_path / "other", InputError, r"logs: no file '\*\.csv'")
 

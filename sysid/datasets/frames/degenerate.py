@@ -47,8 +47,8 @@ def offset_notes(
         if length > 0.0 and abs(along) > ALONG * float(np.linalg.norm(at)):
             axis = next(axis.name for axis in machine.axes if axis.joint == joint.name)
             notes.append(
-                f"ee: the offset of {point.body!r} reaches {1e3 * along:+.1f} mm along the last link. Its error and an "
-                f"error of that link's length (link_length_error of {axis}) are not distinguishable in these data: survey the offset as "
-                "accurately as the length has to be known"
+                f"ee: the offset of {point.body!r} reaches {1e3 * along:+.1f} mm along the last link. Its error and an error "
+                f"of the length of that link (link_length_error of {axis}) are not distinguishable in these data: survey the "
+                "offset as accurately as the length has to be known"
             )
     return notes
