@@ -99,7 +99,7 @@ def test_what_looks_wrong_with_markers_is_noted() -> None:
     (note,) = from_markers({name: 1.02 * place for name, place in places.items()}, PLACES, "here").notes
     assert note.startswith("distances are 1.0200 times the surveyed ones")
     (note,) = from_markers({**places, "a": places["b"], "b": places["a"]}, PLACES, "here").notes
-    assert "'a' and 'b' look exchanged; without that 0.00 mm are left instead of" in note
+    assert "'a' and 'b' look exchanged; without that the residual is 0.00 mm instead of" in note
     (note,) = from_markers({**places, "c": places["c"] + [0.0, 0.02, 0.01]}, PLACES, "here").notes
     assert "'c' does not fit the others: moved, confused, or wrongly surveyed" in note
 
@@ -200,7 +200,7 @@ def test_the_axis_of_the_crane_is_found_where_the_recipe_has_it(survey: Path, ca
     code, said = proposed(survey, capsys)
     assert code == 0, said
     assert "For the recipe, if you agree (it is never applied by itself):\n\n[streams.frame]\ntranslation = [" in said
-    assert "open: the turn about the axis of 'slew' (yaw)" in said
+    assert "open: the rotation about the axis of 'slew' (yaw)" in said
     (item,) = json.loads((survey / "frame.json").read_text())["frames"]
     assert item["moved_m"] < 3e-4
     assert item["turned_rad"] < 5e-4

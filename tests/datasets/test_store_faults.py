@@ -95,7 +95,7 @@ def test_a_full_disk_leaves_what_was_there_and_nothing_else(
 
     with monkeypatch.context() as patch:
         DISKS[disk](patch)
-        message = "No space left on device.*no version was made, those that are there are whole.*Make room"
+        message = "No space left on device.*no version was made, existing ones are complete.*Make room"
         with pytest.raises(StorageError, match=message):
             write()
     assert files(store) == before
