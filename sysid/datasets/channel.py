@@ -8,6 +8,7 @@ from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
+import pandas as pd
 
 from sysid.datasets.clocks.set_clocks import set_back_rows
 from sysid.datasets.flags.flag import Flag
@@ -98,6 +99,17 @@ def _unit(unit: str | None, signal: str, machine: Machine, where: str) -> tuple[
     if si not in allowed:
         raise InputError(where, f"a unit of [{si}] ({unit})", f"a unit of [{' or '.join(sorted(allowed))}]")
     return factor, si
+
+
+def stored_channels(rows: pd.DataFrame) -> list[Channel]:
+    """Channels of one recording from rows of :meth:`sysid.datasets.Store.channels`, in the order of their stamps."""
+    found: list[Channel] = []
+    for (source, domain, signal), part in rows.groupby(["source", "domain", "signal"], sort=False, observed=True):
+        stamps = part["stamp_ns"].to_numpy(dtype=np.int64)
+        order = np.argsort(stamps, kind="stable")  # parts of one signal may follow each other
+        values = part["value"].to_numpy(dtype=np.float64)
+        found.append(Channel(str(signal), str(source), str(domain), stamps[order], values[order]))
+    return found
 
 
 def seconds(stamps: npt.NDArray[np.int64], origin_ns: int) -> npt.NDArray[np.float64]:

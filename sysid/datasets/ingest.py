@@ -66,18 +66,10 @@ def ingest(
 
     # One thread: for thousands of small systems threads are slower.
     with threadpool_limits(limits=1), scratch_in(scratch_folder(workspace)):
-        return _ingest(paths, workspace, machine, recipe, name, progress or silent)
+        return _ingest(plan_of(paths, machine, recipe), workspace, name, progress or silent)
 
 
-def _ingest(
-    paths: Sequence[Path | str] | Path | str,
-    workspace: Path | str,
-    machine: Path | str | None,
-    recipe: Path | str | None,
-    name: str | None,
-    report: Progress,
-) -> Dataset:
-    plan = plan_of(paths, machine, recipe)
+def _ingest(plan: Plan, workspace: Path | str, name: str | None, report: Progress) -> Dataset:
     rules, description = plan.rules, plan.machine
     title = name or (rules.name if rules is not None else None) or description.name
     check_dataset_name(title, remedy="Choose another --name.")

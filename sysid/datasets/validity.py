@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 import pandas as pd
 
-from sysid.datasets.channel import Channel
+from sysid.datasets.channel import stored_channels
 from sysid.datasets.clocks.records import by_source, machine_times
 from sysid.datasets.resample import LATE_SHARE
 from sysid.datasets.versions.store import Store
@@ -83,11 +83,7 @@ def validity_of(store: Store, reference: str, recording: str) -> pd.DataFrame:
             codes = np.where(np.isnan(values), MISSING, MEASURED).astype(np.int8)
         else:
             own = channels[(channels["signal"] == signal) & channels["primary"] & channels["value"].notna()]
-            times = []
-            for (source, domain), part in own.groupby(["source", "domain"], observed=True):
-                stamps = part["stamp_ns"].to_numpy(dtype=np.int64)
-                channel = Channel(signal, str(source), str(domain), stamps, part["value"].to_numpy(dtype=np.float64))
-                times.append(machine_times(channel, start, records.get(channel.source)))
+            times = [machine_times(channel, start, records.get(channel.source)) for channel in stored_channels(own)]
             known = np.sort(np.concatenate(times)) if times else np.empty(0)
             codes = states(values, at, known, found.rate_hz, signal.endswith(".command"))
         result[signal] = pd.Categorical.from_codes(codes, categories=pd.Index(STATES))

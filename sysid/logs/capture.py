@@ -145,18 +145,6 @@ def euler_order(rotation: str | None) -> str | None:
     return match[1] if match is not None and sorted(match[1]) == ["X", "Y", "Z"] else None
 
 
-def from_euler(degrees: Array, order: str) -> Array:
-    """Rotations about the body's own axes in ``order``, (n, 3) [deg] → quaternions x y z w (n, 4)."""
-    result = np.tile([0.0, 0.0, 0.0, 1.0], (len(degrees), 1))
-    for column, axis in enumerate(order):
-        half = np.deg2rad(degrees[:, column]) / 2.0
-        turn = np.zeros((len(degrees), 4))
-        turn[:, "XYZ".index(axis)] = np.sin(half)
-        turn[:, 3] = np.cos(half)
-        result = multiply(result, turn)
-    return result
-
-
 def from_matrices(matrices: Array) -> Array:
     """Rotation matrices (n, 3, 3) → quaternions x y z w (n, 4); NaN where a matrix is no rotation (tolerance 0.02)."""
     result = np.full((len(matrices), 4), np.nan)
@@ -176,10 +164,3 @@ def quaternion_columns(quaternions: Array) -> dict[str, Array]:
         norm = np.linalg.norm(quaternions, axis=1)
         unit = np.where((np.abs(norm - 1.0) < 0.05)[:, None], quaternions / norm[:, None], np.nan)
     return {f"q{axis}": unit[:, i] for i, axis in enumerate("xyzw")}
-
-
-def multiply(a: Array, b: Array) -> Array:
-    """Quaternion product (x, y, z, w), (n, 4) each: first ``b``, then ``a``."""
-    vector = a[:, 3:] * b[:, :3] + b[:, 3:] * a[:, :3] + np.cross(a[:, :3], b[:, :3])
-    scalar = a[:, 3] * b[:, 3] - np.sum(a[:, :3] * b[:, :3], axis=1)
-    return np.column_stack([vector, scalar])

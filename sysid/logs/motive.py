@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 
 from sysid.errors import InputError
-from sysid.logs.capture import Array, euler_order, from_euler, length_factor, number_rows, quaternion_columns
+from sysid.logs.capture import Array, euler_order, length_factor, number_rows, quaternion_columns
 from sysid.logs.cut_off import missing_frames
 from sysid.logs.motive_records import RECORD_TYPES, read_records
 from sysid.logs.reader import ReadOptions
@@ -219,4 +219,7 @@ def _rotation(where: str, angles: Mapping[str, Array], rotation: str | None) -> 
         found = f"Euler angles, rotation type {rotation!r}" if rotation else "Euler angles without a stated order"
         remedy = 'State it in the recipe: `rotation = "XYZ"`, or export quaternions.'
         raise InputError(where, found, "an order such as XYZ", remedy)
-    return quaternion_columns(from_euler(np.column_stack([angles[axis] for axis in order]), order))
+    from scipy.spatial.transform import Rotation
+
+    rotations = Rotation.from_euler(order, np.column_stack([angles[axis] for axis in order]), degrees=True)
+    return quaternion_columns(rotations.as_quat())

@@ -122,15 +122,7 @@ def estimate_of(
     normal = np.sum([s.curvature for s in sums], axis=0)
     if is_singular(normal):
         return Estimate(refused="too little motion is measured on both clocks")
-    numbers = np.unique(np.concatenate([s.blocks for s in sums]))
-    scores, weight, squares, counts, information = (np.zeros((len(numbers), *shape)) for shape in ((2,), (), (), (), ()))
-    for s in sums:
-        row = np.searchsorted(numbers, s.blocks)
-        scores[row] += s.block_scores
-        weight[row] += s.block_weight
-        squares[row] += s.block_squares
-        counts[row] += s.block_counts
-        information[row] += s.block_information
+    numbers, scores, weight, squares, counts, information = summed_blocks(sums)
     count = len(numbers)
     if count < 4:
         return Estimate(refused=f"only {count} blocks of {BLOCK_S:g} s overlap: too short for an interval")
@@ -142,6 +134,20 @@ def estimate_of(
     times, shift = (numbers[used_blocks] + 0.5) * BLOCK_S, scores[used_blocks, 0] / weight[used_blocks]
     blocks = Blocks(times, shift, weight[used_blocks], squares[used_blocks] / counts[used_blocks])
     return Estimate(mid, offset, skew, covariance, freedom, residual, used, "", normal, span, blocks)
+
+
+def summed_blocks(sums: Sequence[FitSums]) -> tuple[npt.NDArray[np.int64], Array, Array, Array, Array, Array]:
+    """Numbers of all blocks, and sums over the pairs: scores (b, 2), weight, squares, counts, information (b,)."""
+    numbers = np.unique(np.concatenate([s.blocks for s in sums]))
+    scores, weight, squares, counts, information = (np.zeros((len(numbers), *shape)) for shape in ((2,), (), (), (), ()))
+    for s in sums:
+        row = np.searchsorted(numbers, s.blocks)
+        scores[row] += s.block_scores
+        weight[row] += s.block_weight
+        squares[row] += s.block_squares
+        counts[row] += s.block_counts
+        information[row] += s.block_information
+    return numbers, scores, weight, squares, counts, information
 
 
 def _covariance(

@@ -27,7 +27,7 @@ GAP_PERIODS = 3.5
 
 
 @dataclass(frozen=True)
-class Prepared:
+class PreparedPair:
     """A pair with the slopes of ``x`` (n,) at its samples; steps of x longer than ``x_gap_s`` are not bridged.
 
     With backlash, ``direction`` (n,) is that of the motion of x, and only ``settled`` samples of x (n,) and of y (m,) are used
@@ -51,7 +51,7 @@ class Prepared:
         return 2 if len(self.direction) else 0
 
 
-def prepared(pair: Pair) -> Prepared:
+def prepared(pair: Pair) -> PreparedPair:
     """The known samples, and the slopes of the smooth curve through those of ``x``."""
     known = ~np.isnan(pair.x)
     times, values = chosen(pair.x_times, known), chosen(pair.x, known)
@@ -59,7 +59,7 @@ def prepared(pair: Pair) -> Prepared:
     direction, settled, y_settled = (
         _taken_up(pair, values, rates) if pair.backlash > 0.0 else (np.empty(0), *2 * (np.empty(0, bool),))
     )
-    return Prepared(times, values, rates, pair.y_times, pair.y, pair.degree, pair.x_gap_s, direction, settled, y_settled)
+    return PreparedPair(times, values, rates, pair.y_times, pair.y, pair.degree, pair.x_gap_s, direction, settled, y_settled)
 
 
 def _taken_up(pair: Pair, x: Array, rates: Array) -> tuple[Array, npt.NDArray[np.bool_], npt.NDArray[np.bool_]]:
@@ -105,7 +105,7 @@ class FitSums:
 class PairFit:
     """The state of an iteration over one pair: the samples in use, the map's coefficients, the scale of the noise."""
 
-    pair: Prepared
+    pair: PreparedPair
     rows: slice = field(default_factory=lambda: slice(None))
     coefficients: Array = field(default_factory=lambda: np.zeros(0))
     scale: float = 0.0

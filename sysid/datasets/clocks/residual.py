@@ -13,9 +13,10 @@ import numpy as np
 import numpy.typing as npt
 import pandas as pd
 
-from sysid.datasets.channel import Channel
+from sysid.datasets.channel import stored_channels
 from sysid.datasets.clocks.alignment import BLOCK_S, Estimate, pairs_of, with_backlash_found
 from sysid.datasets.clocks.coarse import Pair
+from sysid.datasets.clocks.estimate import summed_blocks
 from sysid.datasets.clocks.motion_band import moves, smoothed
 from sysid.datasets.clocks.motion_fit import FitSums, PairFit, prepared
 from sysid.datasets.recording import ClockRecord
@@ -86,10 +87,10 @@ def clock_residuals(channels: pd.DataFrame, clocks: Sequence[ClockRecord]) -> tu
 
 def _residual(channels: pd.DataFrame, record: ClockRecord, end_ns: int) -> ClockResidual | None:
     start = int(channels.loc[channels["domain"] == "machine", "stamp_ns"].min())
-    machine = _channels(channels[(channels["domain"] == "machine") & channels["signal"].isin(record.used_signals)])
+    machine = stored_channels(channels[(channels["domain"] == "machine") & channels["signal"].isin(record.used_signals)])
     stamps = channels["stamp_ns"]
     piece = (stamps >= record.stream_start_ns) & (stamps < end_ns)
-    other = _channels(channels[piece & (channels["source"] == record.stream) & (channels["domain"] != "machine")])
+    other = stored_channels(channels[piece & (channels["source"] == record.stream) & (channels["domain"] != "machine")])
     pairs = [
         pair
         for pair in pairs_of(machine, other, start, record.stream_start_ns)
@@ -110,18 +111,11 @@ def _residual(channels: pd.DataFrame, record: ClockRecord, end_ns: int) -> Clock
 
 
 def _over_time(record: ClockRecord, sums: Sequence[FitSums], pairs: Sequence[PairResidual]) -> ClockResidual:
-    numbers = np.unique(np.concatenate([s.blocks for s in sums]))
-    score, weight, squares, counts = (np.zeros(len(numbers)) for _ in range(4))
-    for s in sums:
-        row = np.searchsorted(numbers, s.blocks)
-        score[row] += s.block_scores[:, 0]
-        weight[row] += s.block_weight
-        squares[row] += s.block_squares
-        counts[row] += s.block_counts
+    numbers, scores, weight, squares, counts, _ = summed_blocks(sums)
     used = weight > LEAST_WEIGHT * float(np.median(weight))
     times = (numbers[used] + 0.5) * BLOCK_S * (1.0 + 1e-6 * record.skew_ppm) + record.offset_s
     size = np.sqrt(squares / counts)[used]
-    return ClockResidual(record, times, score[used] / weight[used], np.sqrt(1.0 / weight[used]), size, tuple(pairs))
+    return ClockResidual(record, times, scores[used, 0] / weight[used], np.sqrt(1.0 / weight[used]), size, tuple(pairs))
 
 
 def _over_motion(pair: Pair, fit: PairFit, record: ClockRecord) -> PairResidual:
@@ -141,14 +135,3 @@ def _over_motion(pair: Pair, fit: PairFit, record: ClockRecord) -> PairResidual:
         ]
     )
     return PairResidual(pair.name, (edges[1:] + edges[:-1]) / 2.0, middle, spread, fit.scale)
-
-
-def _channels(rows: pd.DataFrame) -> list[Channel]:
-    """Channels of one recording from rows of the stored table."""
-    found: list[Channel] = []
-    for (source, domain, signal), part in rows.groupby(["source", "domain", "signal"], sort=False, observed=True):
-        stamps = part["stamp_ns"].to_numpy(dtype=np.int64)
-        order = np.argsort(stamps, kind="stable")  # parts of one signal may follow each other
-        values = part["value"].to_numpy(dtype=np.float64)
-        found.append(Channel(str(signal), str(source), str(domain), stamps[order], values[order]))
-    return found

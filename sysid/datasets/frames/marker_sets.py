@@ -13,12 +13,12 @@ from collections.abc import Sequence
 
 import numpy as np
 import numpy.typing as npt
-from scipy.spatial.transform import Rotation
 
 from sysid.datasets.frames.rigid import marker_places
 from sysid.datasets.recipe import StreamMap
 from sysid.errors import InputError, SettingsError, nearest
 from sysid.logs import Stream
+from sysid.logs.capture import from_matrices
 
 Array = npt.NDArray[np.float64]
 
@@ -55,7 +55,7 @@ def with_marker_sets(streams: Sequence[Stream], mapping: StreamMap) -> tuple[Str
             expected = "at least three markers on a rigid body, not in a line"
             raise InputError(f"{first.source}: {body}", str(problem), expected) from None
         columns = dict(zip(("x", "y", "z"), position.T, strict=True)) | {"error": error}
-        columns |= dict(zip(("qx", "qy", "qz", "qw"), _quaternions(rotation).T, strict=True))
+        columns |= dict(zip(("qx", "qy", "qz", "qw"), from_matrices(rotation).T, strict=True))
         units = dict.fromkeys(("x", "y", "z", "error"), "m")
         bodies.append(Stream(body, first.source, first.stamps, columns, units, first.losses))
     return (*streams, *bodies)
@@ -112,12 +112,3 @@ def _fit(shape: Array, markers: Array, weights: Array) -> tuple[Array, Array, Ar
     # The covariance contains squared extents.
     error[extent[:, 1] < MIN_WIDTH**2 * extent[:, 0]] = np.nan
     return rotation, position, np.asarray(error)
-
-
-def _quaternions(rotation: Array) -> Array:
-    """Rotation matrices (n, 3, 3) → unit quaternions x y z w (n, 4); NaN stays NaN."""
-    result = np.full((len(rotation), 4), np.nan)
-    known = ~np.isnan(rotation[:, 0, 0])
-    if known.any():
-        result[known] = Rotation.from_matrix(rotation[known]).as_quat()
-    return result

@@ -7,6 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from sysid.datasets.in_pieces import stretches
+
 Array = npt.NDArray[np.float64]
 
 #: Largest speed [m/s] and acceleration [m/s²] of a point of the machine; a body beyond them was confused with another.
@@ -103,8 +105,7 @@ def _jumps(positions: Array, seconds: Array) -> npt.NDArray[np.bool_]:
 
 
 def _dropped(body: str, reason: str, bad: npt.NDArray[np.bool_], seconds: Array) -> list[MissingFrames]:
-    rows = np.flatnonzero(bad)
-    if not len(rows):
-        return []
-    groups = np.split(rows, np.flatnonzero(np.diff(rows) > 1) + 1)
-    return [MissingFrames(body, reason, float(seconds[g[0]]), float(seconds[g[-1]]), len(g)) for g in groups]
+    return [
+        MissingFrames(body, reason, float(seconds[first]), float(seconds[last - 1]), int(last - first))
+        for first, last in zip(*stretches(bad), strict=True)
+    ]

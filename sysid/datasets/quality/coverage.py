@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import combinations
 from typing import Literal
 
 import numpy as np
@@ -100,17 +101,16 @@ def spans_of(recordings: Sequence[Recording], machine: Machine) -> tuple[Span, .
 def pair_maps(recordings: Sequence[Recording], spans: Sequence[Span]) -> tuple[PairMap, ...]:
     """One map for each pair of axes, over all recordings."""
     found = []
-    for number, first in enumerate(spans):
-        for second in spans[number + 1 :]:
-            seconds, poses = np.zeros((GRID, GRID)), np.zeros((GRID, GRID), dtype=np.int64)
-            for recording in recordings:
-                counts = _counts(recording, first, second)
-                if recording.kind == "poses":
-                    poses += counts
-                else:
-                    seconds += counts / recording.rate_hz
-            rows = tuple(tuple(map(float, row)) for row in seconds), tuple(tuple(map(int, row)) for row in poses)
-            found.append(PairMap(first, second, *rows))
+    for first, second in combinations(spans, 2):
+        seconds, poses = np.zeros((GRID, GRID)), np.zeros((GRID, GRID), dtype=np.int64)
+        for recording in recordings:
+            counts = _counts(recording, first, second)
+            if recording.kind == "poses":
+                poses += counts
+            else:
+                seconds += counts / recording.rate_hz
+        rows = tuple(tuple(map(float, row)) for row in seconds), tuple(tuple(map(int, row)) for row in poses)
+        found.append(PairMap(first, second, *rows))
     return tuple(found)
 
 

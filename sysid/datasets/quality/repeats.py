@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import combinations
 
 import numpy as np
 import numpy.typing as npt
@@ -48,14 +49,13 @@ def repeats_of(recordings: Sequence[Recording], scales: Mapping[str, Scale]) -> 
     commands = {r.name: _commands(r, scales) for r in moving}
     sizes = {name: float(np.sqrt(np.mean(u**2))) if u.size else 0.0 for name, u in commands.items()}
     found = []
-    for number, first in enumerate(moving):
-        for second in moving[number + 1 :]:
-            a, b = sizes[first.name], sizes[second.name]
-            if min(a, b) < GIVEN or max(a, b) > SIZE * min(a, b) or first.rate_hz != second.rate_hz:
-                continue
-            shift = _shift(commands[first.name], commands[second.name])
-            if shift is not None:
-                found.append(_repeat(first, second, shift, scales))
+    for first, second in combinations(moving, 2):
+        a, b = sizes[first.name], sizes[second.name]
+        if min(a, b) < GIVEN or max(a, b) > SIZE * min(a, b) or first.rate_hz != second.rate_hz:
+            continue
+        shift = _shift(commands[first.name], commands[second.name])
+        if shift is not None:
+            found.append(_repeat(first, second, shift, scales))
     return tuple(found)
 
 

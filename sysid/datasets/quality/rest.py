@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from sysid.datasets.in_pieces import stretches
 from sysid.datasets.quality.coverage import Span
 from sysid.datasets.quality.noise import table_noise
 from sysid.datasets.quality.use import SLOPE_S, SLOW, Scale, level_of, speed_of
@@ -56,8 +57,7 @@ def rests_of(recording: Recording, machine: Machine, spans: Sequence[Span], scal
         known |= ~np.isnan(speed)
     time = recording.values("time")
     found = []
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], still & known, [False]]).astype(np.int8)))
-    for first, last in edges.reshape(-1, 2):
+    for first, last in zip(*stretches(still & known), strict=True):
         if last - first < LEAST_S * recording.rate_hz:
             continue
         parts = {span.axis: recording.values(span.signal)[first:last] for span in spans}

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import combinations
 from typing import Any
 
 import numpy as np
@@ -146,10 +147,7 @@ def together(uses: Sequence[AxisUse]) -> AxisUse:
 def pairs_together(recording: Recording, scales: Mapping[str, Scale]) -> dict[tuple[str, str], float]:
     """Pair of axes → seconds in which both are commanded."""
     active = {name: level_of(recording.values(axis_signal(name, "command"))) != 0 for name in scales}
-    names = list(active)
-    return {
-        (a, b): float(np.sum(active[a] & active[b])) / recording.rate_hz for i, a in enumerate(names) for b in names[i + 1 :]
-    }
+    return {(a, b): float(np.sum(active[a] & active[b])) / recording.rate_hz for a, b in combinations(active, 2)}
 
 
 def moved_signal(recording: Recording, axis: Axis) -> str:
