@@ -44,7 +44,7 @@ def still_phases(signals: Mapping[str, tuple[Array, Array]], rules: StillPhases,
         phases = [(float(times[r[0]]), float(times[r[-1]])) for r in np.split(rows, breaks)]
     phases = [(begin, end) for begin, end in phases if end - begin >= rules.seconds]
     if not phases:
-        found = f"nothing stands still for {rules.seconds:g} s"
+        found = f"no phase at rest of {rules.seconds:g} s"
         raise InputError(f"{where}", found, "static poses", "Hold each pose longer, or set [still] in the recipe.")
     return phases
 

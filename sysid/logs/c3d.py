@@ -95,7 +95,7 @@ def _losses(path: Path, trial: C3dFile) -> tuple[str, ...]:
     if frames < trial.stated:
         losses.append(f"{path.name}: the file is cut off: {frames} of {trial.stated} frames are there")
     if trial.zeros:
-        losses.append(f"{path.name}: {trial.zeros} points lie exactly in the origin: taken as not seen")
+        losses.append(f"{path.name}: {trial.zeros} points exactly in the origin are treated as not visible")
     rotations = trial.parameters.get("ROTATION:USED")
     if isinstance(rotations, np.ndarray) and rotations.any():
         losses.append(f"{path.name}: rotation matrices (ROTATION) are not read")

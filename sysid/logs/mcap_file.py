@@ -136,11 +136,11 @@ def _data_section(file: BinaryIO, size: int, largest: int) -> Iterator[_Chunk | 
         if opcode in (DATA_END, FOOTER):
             return
         if opcode == 0 and len(head) == RECORD:
-            yield f"no record starts at byte {position}; what lies before has been read"
+            yield f"no record starts at byte {position}; the part before it has been read"
             return
         start = position + RECORD
         if len(head) < RECORD or start + length > size:
-            yield f"the file is cut off at byte {size}; what lies before has been read"
+            yield f"the file is cut off at byte {size}; the part before it has been read"
             if opcode == CHUNK:
                 yield _Chunk(file.read(min(size - start, largest)), cut_off=True)
             return

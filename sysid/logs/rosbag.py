@@ -69,7 +69,7 @@ class Ros1Reader:
             connections = bag.define(reader.connections, lambda connection: connection.msgdef.data)
             bag.take((c, stamp, data) for c, stamp, data in reader.messages(connections) if connections)
         except damage as error:
-            bag.lose(f"damaged ({_short(error)}); what lies before has been read")
+            bag.lose(f"damaged ({_short(error)}); the part before it has been read")
         finally:
             reader.close()
         return bag.streams()
@@ -104,7 +104,7 @@ class Rosbag2Reader:
             connections = bag.define(reader.connections, _ros2_definition)
             bag.take(_stored(reader.messages(connections), bag) if connections else ())
         except damage as error:
-            bag.lose(f"damaged ({_short(error)}); what lies before has been read")
+            bag.lose(f"damaged ({_short(error)}); the part before it has been read")
         finally:
             reader.close()
         return bag.streams()

@@ -113,7 +113,7 @@ def test_what_lies_exactly_in_the_origin_was_not_seen(tmp_path: Path) -> None:
     path.write_bytes(Writer().file(points, analog))
     stream = read(path, "body:Marker2")["body:Marker2"]
     np.testing.assert_array_equal(np.flatnonzero(np.isnan(stream.columns["x"])), [2, 3])
-    assert stream.losses == ("trial.c3d: 2 points lie exactly in the origin: taken as not seen",)
+    assert stream.losses == ("trial.c3d: 2 points exactly in the origin are treated as not visible",)
 
 
 def test_angles_of_a_model_are_no_lengths(tmp_path: Path) -> None:

@@ -91,7 +91,7 @@ def _shape(markers: Array) -> Array:
     along = shape[1] - shape[0]
     normal = np.cross(along, shape[2] - shape[0])
     if np.linalg.norm(normal) < MIN_WIDTH * float(along @ along):
-        raise ValueError("the first three markers lie in a line")
+        raise ValueError("the first three markers are collinear")
     x, z = along / np.linalg.norm(along), normal / np.linalg.norm(normal)
     return np.asarray((shape - shape.mean(axis=0)) @ np.column_stack([x, np.cross(z, x), z]))
 
