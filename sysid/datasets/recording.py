@@ -101,8 +101,7 @@ class ClockRecord:
 class Dataset:
     """An immutable dataset version.
 
-    ``version`` counts from 1 in its workspace; ``digest`` is its content address; ``streams``: stream (file stem) → its
-    signals.
+    ``version`` counts from 1 in its workspace; ``digest`` is its content address; ``streams``: file stem → its signals.
     """
 
     name: str

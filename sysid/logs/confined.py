@@ -2,8 +2,7 @@
 
 With a damaged or malicious file, a library may allocate memory without limit, never return, or crash. In a process of its own
 this is an error of the file only. Results return through a pipe: values as JSON, arrays as bytes; nothing in it can run code.
-Where the caller has scratch files (:mod:`sysid.scratch`) large arrays return in one that the process has written, without a
-copy.
+With scratch files (:mod:`sysid.scratch`) large arrays return in one that the process has written, without a copy.
 """
 
 from __future__ import annotations

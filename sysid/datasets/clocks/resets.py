@@ -22,8 +22,7 @@ Array = npt.NDArray[np.float64]
 
 #: Least number of blocks on either side of a step.
 MIN_BLOCKS = 4
-#: A step is suspected from these gains in χ²: of the offset, of the residual energy, with the least contrast of the latter
-#: (ln).
+#: A step is suspected from these gains in χ² of the offset and of the residual energy, and this contrast of the energy (ln).
 SHIFT_GAIN, ENERGY_GAIN, ENERGY_CONTRAST = 45.0, 60.0, 0.7
 #: A step is accepted from this many standard errors, and this share of a sample period of the stream.
 STEP_ERRORS, STEP_PERIODS = 6.0, 0.5

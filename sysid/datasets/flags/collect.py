@@ -32,15 +32,32 @@ IDLE, DRIVEN = 0.02, 0.3
 MOVING_SHARE, MOVING_S = 0.05, 0.5
 
 
-def find_flags(timed: Sequence[Timed], machine: Machine, hold_s: float, progress: Progress = silent) -> list[tuple[str, Flag]]:
-    """(source, flag) of all channels of one motion recording, by signal and time.
+def flag_rows(
+    recording: RecordingClocks,
+    clocks: Sequence[ClockRecord],
+    machine: Machine,
+    hold_s: float = IngestRecipe.hold_s,
+    progress: Progress = silent,
+) -> list[dict[str, Any]]:
+    """Flags of one recording as JSON values by signal and time, see "What is flagged" in ``docs/recipes.md``.
+
+    Static poses have none: nothing is recorded between them, and a signal that moves within one is missing in its row.
 
     Args:
-        timed: primary and secondary channels, with their stamps on the recording's time axis [s].
         machine: gives the axes and their ends.
         hold_s: longest hold of a command [s].
         progress: called with the share of the samples that have been checked.
     """
+    if recording.kind == "poses":
+        return []
+    records = by_source(clocks, recording.name)
+    start = recording.start_ns
+    times: dict[tuple[int, str], Array] = {}  # signals of one stream share their stamps
+    for channel in recording.channels:
+        key = (id(channel.stamps), channel.source)
+        if key not in times:
+            times[key] = machine_times(channel, start, records.get(channel.source))
+    timed = [(channel, times[id(channel.stamps), channel.source]) for channel in recording.channels]
     timed = [(channel, at) for channel, at in timed if len(at)]
     commands = [(channel, at) for channel, at in timed if channel.signal.endswith(".command")]
     found: list[tuple[str, Flag]] = []
@@ -53,31 +70,7 @@ def find_flags(timed: Sequence[Timed], machine: Machine, hold_s: float, progress
         flags += [flag for flag in _of(channel, at, commands, machine, hold_s) if not _is_swap(flag, swaps, channel.period_s)]
         found += [(channel.source, flag) for flag in flags]
         leave()
-    return sorted(found, key=lambda item: (item[1].signal, item[0], KINDS.index(item[1].kind), item[1].from_s))
-
-
-def flag_rows(
-    recording: RecordingClocks,
-    clocks: Sequence[ClockRecord],
-    machine: Machine,
-    hold_s: float = IngestRecipe.hold_s,
-    progress: Progress = silent,
-) -> list[dict[str, Any]]:
-    """Flags of one recording as JSON values, see "What is flagged" in ``docs/recipes.md``.
-
-    Static poses have none: nothing is recorded between them, and a signal that moves within one is missing in its row.
-    """
-    if recording.kind == "poses":
-        return []
-    records = by_source(clocks, recording.name)
-    start = recording.start_ns
-    times: dict[tuple[int, str], Array] = {}  # signals of one stream share their stamps
-    for channel in recording.channels:
-        key = (id(channel.stamps), channel.source)
-        if key not in times:
-            times[key] = machine_times(channel, start, records.get(channel.source))
-    timed = [(channel, times[id(channel.stamps), channel.source]) for channel in recording.channels]
-    found = find_flags(timed, machine, hold_s, progress)
+    found.sort(key=lambda item: (item[1].signal, item[0], KINDS.index(item[1].kind), item[1].from_s))
     return [{"recording": recording.name, "source": source, **asdict(flag)} for source, flag in found]
 
 

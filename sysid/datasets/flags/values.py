@@ -1,7 +1,6 @@
 """Outliers of a few samples, and jumps from one sample to the next.
 
-Both are compared with the sensor's noise and the steps around them: in a motion, however fast, neighbouring samples move as
-well.
+Both are compared with the sensor's noise and the steps around them: in a fast motion, neighbouring samples move as well.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Samples and raw channels as Delta tables of one part: written once, addressed by the sha256 of their Parquet files.
 
-Parquet with zstd under a Delta log of one commit, readable as either. Units are in the metadata of the columns. A missing value
-is null.
+Parquet with zstd under a Delta log of one commit, readable as either. Units are in the metadata of columns. Missing values are
+null.
 """
 
 from __future__ import annotations
