@@ -49,7 +49,7 @@ def test_four_that_append_at_once_all_add_theirs(logs: Path, tmp_path: Path) -> 
             if text == "storing" and not waited:
                 waited.append(share)
                 together.wait()
-            if "once more" in text:
+            if "repeated" in text:
                 repeated.append(text)
 
         return append(tmp_path / f"more{index}", workspace, "demo", progress=report).reference
