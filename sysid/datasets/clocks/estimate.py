@@ -131,7 +131,8 @@ def estimate_of(
     used = tuple(sorted({name for pair in pairs for name in pair.name.split("~")}))
     residual = float(np.sqrt(sum(s.weighted_squares for s in sums) / sum(s.count for s in sums)))
     used_blocks = weight > 0.0
-    times, shift = (numbers[used_blocks] + 0.5) * BLOCK_S, scores[used_blocks, 0] / weight[used_blocks]
+    times = np.asarray((numbers[used_blocks] + 0.5) * BLOCK_S, dtype=np.float64)
+    shift = scores[used_blocks, 0] / weight[used_blocks]
     blocks = Blocks(times, shift, weight[used_blocks], squares[used_blocks] / counts[used_blocks])
     return Estimate(mid, offset, skew, covariance, freedom, residual, used, "", normal, span, blocks)
 
