@@ -86,9 +86,7 @@ def test_globs_of_a_recipe_that_match_nothing(tmp_path: Path, logs: Path) -> Non
     recipe = logs / "recipe.toml"
     head = 'schema = 1\n[[streams]]\nfiles = "*.mcpa"\n[streams.signals]\n"a.joint" = {field = "a.joint"}\n'
     recipe.write_text(head)
-    refused(
-        logs, tmp_path / "ws", InputError, r"logs: no file '\*\.mcpa' of the recipe's `files`; expected one of: log\.csv"
-    )
+    refused(logs, tmp_path / "ws", InputError, r"logs: no file '\*\.mcpa' of the recipe's `files`; expected one of: log\.csv")
     given: dict[str, Any] = {"recipe": recipe, "machine": logs / "machine.toml"}
     refused(logs / "r1/log.csv", tmp_path / "ws", InputError, r"no entry of the recipe .* files \*\.mcpa", **given)
     more = '[[streams]]\nfiles = "*.csv"\n[streams.signals]\n"a.command" = {field = "a.command"}\n'
