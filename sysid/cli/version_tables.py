@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from sysid.cli.output import Printer
     from sysid.datasets import DatasetDiff, Lineage, VacuumResult
-    from sysid.datasets.versions.diff import Names, ValueChange
+    from sysid.datasets.versions.diff import NameChanges, ValueChange
     from sysid.registry import ModelVersion
     from sysid.versions.lineage import Relative
 
@@ -54,7 +54,7 @@ def _applied(applied: bool) -> str:
     return "aligned" if applied else "not aligned"
 
 
-def show_names(out: Printer, what: str, names: Names) -> None:
+def show_names(out: Printer, what: str, names: NameChanges) -> None:
     for word, items in (("added", names.added), ("removed", names.removed), ("changed", names.changed)):
         if items:
             out.line(f"{what} {word}: {', '.join(items)}")

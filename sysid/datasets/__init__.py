@@ -1,4 +1,4 @@
-"""Streams → immutable dataset versions: aligned, resampled, described, stored."""
+"""Dataset versions: streams of logs, aligned, resampled, described and stored."""
 
 from sysid.datasets.ingest import ingest
 from sysid.datasets.recording import ClockRecord, Dataset, Kind, Recording, Role, Source

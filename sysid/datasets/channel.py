@@ -8,6 +8,7 @@ from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
+import pandas as pd
 
 from sysid.datasets.clocks.set_clocks import set_back_rows
 from sysid.datasets.flags.flag import Flag
@@ -30,8 +31,8 @@ class Channel:
         stamps: int64 nanoseconds, strictly increasing, (n,).
         values: SI, NaN where the source had none, (n,).
         unit: their SI unit.
-        repaired: rows that were out of order or double and have been sorted or dropped.
-        flags: what was noticed while reading; their seconds count from the first stamp.
+        repaired: number of rows that were out of order or duplicate and have been sorted or dropped.
+        flags: faults found while reading; their seconds count from the first stamp.
     """
 
     signal: str
@@ -48,7 +49,7 @@ class Channel:
 
     @property
     def clock(self) -> str:
-        """Which clock the stamps are on: every file of another device has a clock of its own."""
+        """The clock of the stamps: every file of another device has its own clock."""
         return "machine" if self.domain == "machine" else f"{self.domain}:{self.source}"
 
     @functools.cached_property
@@ -61,8 +62,7 @@ def convert(stream: Stream, mapping: SignalMap, signal: str, machine: Machine) -
     """The mapped field of ``stream`` in SI, and the SI unit.
 
     Raises:
-        InputError: no such field; the unit of the file is not the one of the recipe; a unit of another kind than the
-            signal's; no number at all.
+        InputError: no such field, the unit of the file contradicts the recipe, a unit of another quantity, or no number.
     """
     where = f"{stream.source}: {signal}"
     if mapping.field not in stream.columns:
@@ -71,13 +71,12 @@ def convert(stream: Stream, mapping: SignalMap, signal: str, machine: Machine) -
     stated = stream.units.get(mapping.field)
     rescaled = mapping.scale != 1.0 or mapping.span != 1.0
     if stated and mapping.unit and not rescaled and si_factor(stated, where) != si_factor(mapping.unit, where):
-        raise InputError(
-            where, f"the file states [{stated}]", f"[{mapping.unit}] as the recipe says", "Correct `unit` in the recipe."
-        )
+        expected = f"[{mapping.unit}] as in the recipe"
+        raise InputError(where, f"the file states [{stated}]", expected, "Correct `unit` in the recipe.")
     factor, unit = _unit(mapping.unit or (None if rescaled else stated), signal, machine, where)
     raw = stream.columns[mapping.field]
     if len(raw) and not np.isfinite(raw).any():
-        raise InputError(where, f"field {mapping.field!r} holds no number", "measured values", "Correct the recipe's field.")
+        raise InputError(where, f"field {mapping.field!r} has no number", "measured values", "Correct the recipe's field.")
 
     def piece(first: int, last: int) -> npt.NDArray[np.float64]:
         values = raw[first:last] - mapping.zero
@@ -91,7 +90,7 @@ def convert(stream: Stream, mapping: SignalMap, signal: str, machine: Machine) -
 
 
 def _unit(unit: str | None, signal: str, machine: Machine, where: str) -> tuple[float, str]:
-    """Factor to SI and the SI unit of ``signal``; SI is assumed where neither file nor recipe states a unit."""
+    """Factor to SI and the SI unit of ``signal``; SI where neither file nor recipe states a unit."""
     expected = machine.expected_unit(signal)
     if unit is None:
         return 1.0, expected if expected is not None else "1"
@@ -102,45 +101,47 @@ def _unit(unit: str | None, signal: str, machine: Machine, where: str) -> tuple[
     return factor, si
 
 
+def stored_channels(rows: pd.DataFrame) -> list[Channel]:
+    """Channels of one recording from rows of :meth:`sysid.datasets.Store.channels`, in the order of their stamps."""
+    found: list[Channel] = []
+    for (source, domain, signal), part in rows.groupby(["source", "domain", "signal"], sort=False, observed=True):
+        stamps = part["stamp_ns"].to_numpy(dtype=np.int64)
+        order = np.argsort(stamps, kind="stable")  # parts of one signal may follow each other
+        values = part["value"].to_numpy(dtype=np.float64)
+        found.append(Channel(str(signal), str(source), str(domain), stamps[order], values[order]))
+    return found
+
+
 def seconds(stamps: npt.NDArray[np.int64], origin_ns: int) -> npt.NDArray[np.float64]:
     """Stamps as seconds since ``origin_ns``."""
     times: npt.NDArray[np.float64] = computed(len(stamps), lambda first, last: (stamps[first:last] - origin_ns) * 1e-9)
     return times
 
 
-#: A log whose stamps step back more often than this is not repaired by sorting.
-MAX_BACKWARD_SHARE = 0.01
-#: Nor is one that steps back further than this: its clock was set while it recorded.
-MAX_BACKWARD_S = 1.0
+#: Stamps that step back in a larger share of rows, or further [s], are not sorted: the clock was set while it recorded.
+MAX_BACKWARD_SHARE, MAX_BACKWARD_S = 0.01, 1.0
 
 
 def in_order(stamps: npt.NDArray[np.int64], where: str) -> tuple[npt.NDArray[np.intp], int]:
-    """Rows in the order of their stamps without doubles, and how many rows were out of order or double.
+    """Rows in the order of their stamps without duplicates, and the number of rows out of order or duplicate.
 
     Raises:
-        InputError: too many steps back in time, or one too large, to be late messages; the clock was set back.
+        InputError: too many steps back in time, or too large ones, for late messages; the clock was set back.
     """
     if np.all(stamps[1:] > stamps[:-1]):
         return computed(len(stamps), np.arange, np.intp), 0
     steps = np.diff(stamps)
     back = np.flatnonzero(steps < 0)
+    problem = ""
     if len(back) > max(1.0, MAX_BACKWARD_SHARE * len(stamps)) or (len(back) and steps.min() < -MAX_BACKWARD_S * 1e9):
         row = int(back[0]) + 2
-        raise InputError(
-            where,
-            f"stamps go back in time {len(back)} times, first in row {row} by {-steps[row - 2] * 1e-9:.6g} s",
-            "stamps that rise",
-            "Cut the log where its clock was set, or choose another clock in the recipe.",
-        )
-    set_back = set_back_rows(stamps).tolist() if len(back) else []
-    if set_back:
-        row = set_back[0]
-        raise InputError(
-            where,
-            f"its clock was set back by {(stamps[row - 1] - stamps[row]) * 1e-9:.3f} s in row {row + 1}",
-            "stamps that rise",
-            "Cut the log where its clock was set, or choose another clock in the recipe.",
-        )
+        problem = f"stamps go back in time {len(back)} times, first in row {row} by {-steps[row - 2] * 1e-9:.6g} s"
+    elif len(back) and len(reset := set_back_rows(stamps)):
+        row = int(reset[0])
+        problem = f"its clock was set back by {(stamps[row - 1] - stamps[row]) * 1e-9:.3f} s in row {row + 1}"
+    if problem:
+        remedy = "Cut the log where its clock was set, or choose another clock in the recipe."
+        raise InputError(where, problem, "increasing stamps", remedy)
     order = np.argsort(stamps, kind="stable")
     keep = np.ones(len(order), dtype=bool)
     keep[1:] = np.diff(stamps[order]) > 0

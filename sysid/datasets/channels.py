@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 from sysid import scratch
 from sysid.datasets.channel import Channel, convert, in_order
-from sysid.datasets.clocks.set_clocks import with_stamps_carried_on
+from sysid.datasets.clocks.set_clocks import with_continued_stamps
 from sysid.datasets.discover import RecordingFiles
 from sysid.datasets.flags.stamps import repaired_stamps
 from sysid.datasets.frames.bodies import find_mounts, joints_and_points
@@ -33,7 +33,7 @@ Mounts = Mapping[tuple[str, str], Mapping[str, npt.NDArray[np.float64]]]
 
 @dataclass(frozen=True)
 class ReadRecording:
-    """What was read of one recording: its channels, file name → what could not be read, frames that were dropped."""
+    """Content of one recording: channels, file name → losses, dropped frames."""
 
     channels: tuple[Channel, ...]
     losses: Mapping[str, tuple[str, ...]]
@@ -41,11 +41,11 @@ class ReadRecording:
 
 
 def survey_mounts(found: Sequence[RecordingFiles], machine: Machine) -> Mounts:
-    """Where the rigid bodies sit on their links, for each recording, from the reference poses of the recipe.
+    """Mounts of the rigid bodies on their links, for each recording, from the reference poses of the recipe.
 
     Raises:
-        InputError: a body is not seen, or moves, in the reference pose.
-        SettingsError: no reference, or it names a recording that is not there.
+        InputError: a body is not visible, or moves, in the reference pose.
+        SettingsError: no reference, or it names a missing recording.
     """
     with_bodies = [(files.name, path, m) for files in found for path, m in files.streams if m is not None and m.bodies]
     own: dict[tuple[str, str], dict[str, list[npt.NDArray[np.float64]]]] = {}
@@ -72,7 +72,7 @@ def read_channels(files: RecordingFiles, machine: Machine, mounts: Mounts, progr
     """All mapped signals of a recording. ``progress``: called with the share of its bytes that have been read.
 
     Raises:
-        InputError: a file that cannot be read, a field or topic that is not there, a wrong unit, stamps that go back.
+        InputError: a file that cannot be read, a missing field or topic, a wrong unit, stamps that go back.
     """
     channels: list[Channel] = []
     losses: dict[str, tuple[str, ...]] = {}
@@ -82,15 +82,15 @@ def read_channels(files: RecordingFiles, machine: Machine, mounts: Mounts, progr
         own = part(progress, begin, end)
         streams = read_streams(path, mapping, progress=own)
         own(1.0, f"reading {path.name}")
-        said = (*losses.get(path.name, ()), *(loss for stream in streams for loss in stream.losses))
-        losses[path.name] = tuple(dict.fromkeys(said))
+        lost = (*losses.get(path.name, ()), *(loss for stream in streams for loss in stream.losses))
+        losses[path.name] = tuple(dict.fromkeys(lost))
         if mapping is None:
             channels += _canonical(path, streams, machine)
             continue
         channels += _mapped(path, streams, mapping, machine)
         if mapping.bodies or mapping.points:
-            seen, dropped = _captured(path, streams, mapping, machine, mounts.get((files.name, mapping.files), {}))
-            channels += seen
+            captured, dropped = _captured(path, streams, mapping, machine, mounts.get((files.name, mapping.files), {}))
+            channels += captured
             flags += dropped
         scratch.leave()
     if any(mapping is None for _, mapping in files.streams):
@@ -105,8 +105,8 @@ def _captured(
     machine: Machine,
     mounts: Mapping[str, npt.NDArray[np.float64]],
 ) -> tuple[list[Channel], tuple[MissingFrames, ...]]:
-    """Joints and points that the rigid bodies of an export give."""
-    seen, dropped = joints_and_points(streams, mapping, mounts, machine)
+    """Joints and points from the rigid bodies of an export."""
+    signals, dropped = joints_and_points(streams, mapping, mounts, machine)
     channels = [
         Channel(
             signal=item.signal,
@@ -121,13 +121,13 @@ def _captured(
             repaired=item.repaired,
             flags=item.flags,
         )
-        for item in seen
+        for item in signals
     ]
     return channels, dropped
 
 
 def _shares(files: RecordingFiles) -> list[tuple[float, float]]:
-    """Where each file's stretch of the recording's bytes begins and ends, 0 to 1."""
+    """Begin and end of each file as shares of the bytes of the recording."""
     sizes = [max(1, path.stat().st_size) for path, _ in files.streams]
     ends = np.cumsum([0, *sizes]) / sum(sizes) if sizes else np.zeros(1)
     return list(pairwise(ends.tolist()))
@@ -136,9 +136,9 @@ def _shares(files: RecordingFiles) -> list[tuple[float, float]]:
 def read_streams(
     path: Path, mapping: StreamMap | None, seconds: float | None = None, progress: Progress = silent
 ) -> tuple[Stream, ...]:
-    """The streams of a file that its mapping names, and the rigid bodies that it makes of markers; all without a mapping.
+    """The streams of a file in its mapping, with the rigid bodies of marker sets; all without a mapping.
 
-    ``seconds``: what comes later after the first stamp is not needed.
+    ``seconds``: later samples after the first stamp are not needed.
     """
 
     def report(share: float) -> None:
@@ -171,7 +171,7 @@ def read_streams(
         dbc=Path(mapping.dbc) if mapping.dbc is not None else None,
         progress=report,
     )
-    streams = with_stamps_carried_on(read_confined(reader, path, options), mapping.clock, mapping.domain == "machine")
+    streams = with_continued_stamps(read_confined(reader, path, options), mapping.clock, mapping.domain == "machine")
     return with_marker_sets(streams, mapping)
 
 
@@ -204,14 +204,14 @@ def _channel(
     if clock not in stream.stamps:
         raise InputError(f"{path}: {stream.name}", f"no {clock!r} stamps", nearest(clock, stream.stamps), "Correct `clock`.")
     order, repaired = in_order(stream.stamps[clock], f"{path}: {stream.name}")
-    if len(order) < 2 and not signal.endswith(".command"):  # a command is held, a measurement without a rate is none
+    if len(order) < 2 and not signal.endswith(".command"):  # a single command is held
         found = f"{len(stream)} sample{'s' if len(stream) > 1 else ''} with {len(order)} stamp in {stream.name!r}"
         raise InputError(f"{path}: {signal}", found, "two at least", "Record longer, or leave the signal out of the recipe.")
     return Channel(
         signal=signal,
         source=path.name,
         domain=mapping.domain,
-        stamps=stream.stamps[clock][order] if repaired else stream.stamps[clock],  # of all signals of a stream in one place
+        stamps=stream.stamps[clock][order] if repaired else stream.stamps[clock],  # shared by all signals of a stream
         values=values[order] if repaired else values,
         unit=unit,
         primary=primary,
@@ -223,7 +223,7 @@ def _channel(
 
 
 def _canonical(path: Path, streams: Sequence[Stream], machine: Machine) -> list[Channel]:
-    """Channels of a file whose columns are canonical names; every file has a clock of its own until it is aligned."""
+    """Channels of a file whose columns are canonical names, on a clock of its own."""
     channels = []
     for stream in streams:
         for column in stream.columns:
@@ -241,7 +241,7 @@ def _canonical(path: Path, streams: Sequence[Stream], machine: Machine) -> list[
 
 
 def _one_clock(channels: Sequence[Channel]) -> list[Channel]:
-    """The file with the commands (else the first one) is on the machine's clock."""
+    """``channels`` with the file of the commands (else the first) on the machine's clock."""
     with_command = [channel.domain for channel in channels if channel.signal.endswith(".command")]
     machine_domain = (with_command or [channel.domain for channel in channels])[0]
     return [replace(c, domain="machine") if c.domain == machine_domain else c for c in channels]

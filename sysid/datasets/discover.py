@@ -1,4 +1,4 @@
-"""Which recordings lie in the ingested paths, and which files belong to each."""
+"""The recordings in the ingested paths, and their files."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ class RecordingFiles:
     """The files of one recording.
 
     Args:
-        streams: each file with its entry of the recipe, None in a canonical folder.
+        streams: each file with its entry of the recipe, None without a recipe.
         written: file → size and time of its last change when it was found.
     """
 
@@ -33,17 +33,17 @@ class RecordingFiles:
     written: Mapping[Path, tuple[int, int]] = field(default_factory=dict)
 
     def check_unchanged(self) -> None:
-        """Raise where a file is another one than when it was found.
+        """Check that no file has changed since it was found.
 
         Raises:
-            InputError: it has grown, was written anew, or is gone.
+            InputError: it has grown, was written again, or was removed.
         """
         for path, before in self.written.items():
             now = _written(path)
             if now != before:
                 found = f"{'written' if now[1] >= 0 else 'removed'} while it was read"
                 remedy = "Wait until it is recorded or copied, then run the command again."
-                raise InputError(path, found, "a log that nobody writes to", remedy)
+                raise InputError(path, found, "a complete log", remedy)
 
 
 def discover(paths: Sequence[Path], recipe: IngestRecipe | None) -> tuple[RecordingFiles, ...]:
@@ -71,11 +71,11 @@ def discover(paths: Sequence[Path], recipe: IngestRecipe | None) -> tuple[Record
 
 
 def unmatched(found: Sequence[RecordingFiles], recipe: IngestRecipe | None) -> tuple[str, ...]:
-    """What the recipe says about files that no recording has, in words."""
+    """Notes about entries of the recipe that no file matches."""
     used = {id(stream) for files in found for _, stream in files.streams}
     streams = recipe.streams if recipe is not None else ()
     return tuple(
-        f"no recording has a file {stream.files!r}: nothing of it is read" for stream in streams if id(stream) not in used
+        f"no recording has a file {stream.files!r}: its entry is not used" for stream in streams if id(stream) not in used
     )
 
 
@@ -99,7 +99,7 @@ def _nothing(paths: Sequence[Path], recipe: IngestRecipe | None) -> InputError:
     where = ", ".join(map(str, paths))
     if recipe is not None and recipe.streams:
         patterns = [stream.files for stream in recipe.streams]
-        return InputError(where, "no entry of the recipe is for it", f"files {', '.join(patterns)}", "Correct `files`.")
+        return InputError(where, "no entry of the recipe matches", f"files {', '.join(patterns)}", "Correct `files`.")
     try:
         reader_for(paths[0])
     except InputError as error:
@@ -118,7 +118,7 @@ def _in_path(path: Path, recipe: IngestRecipe | None) -> list[RecordingFiles]:
     if recordings.files:
         return _single_files(path, recordings, recipe)
     if path.is_file():
-        home = path.resolve().parent  # who names a link means the file
+        home = path.resolve().parent  # a link that is named stands for its file
         streams = _matched([path], home, recipe)
         return [RecordingFiles(path.stem, _kind(path.stem, recordings, path), home, streams)]
     if not path.is_dir():
@@ -138,7 +138,7 @@ def _in_path(path: Path, recipe: IngestRecipe | None) -> list[RecordingFiles]:
         if not streams and recipe is not None and recipe.streams:
             present = {entry.name for entry in (*path.iterdir(), *path.glob("*/*")) if is_log(entry)}
             patterns = ", ".join(repr(stream.files) for stream in recipe.streams)
-            raise InputError(path, f"no file {patterns} as the recipe's `files` say", nearest("", present), "Correct `files`.")
+            raise InputError(path, f"no file {patterns} of the recipe's `files`", nearest("", present), "Correct `files`.")
         if not streams:
             expected = "recordings " + ", ".join(map(repr, (*recordings.motion, *recordings.poses)))
             raise InputError(path, "no log files", expected, "Each sub-folder with log files is one recording.")
@@ -160,7 +160,7 @@ def _single_files(path: Path, recordings: Recordings, recipe: IngestRecipe | Non
 
 
 def _matched(files: Sequence[Path], folder: Path, recipe: IngestRecipe | None) -> tuple[tuple[Path, StreamMap | None], ...]:
-    """Each log file with the recipe's entry for it; where no recipe names streams, every file that some reader takes."""
+    """Each log file with its entry of the recipe; without entries, every file for which there is a reader."""
     if recipe is None or not recipe.streams:
         for file in files:
             inside(folder, str(file.resolve()), file)

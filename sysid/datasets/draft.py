@@ -1,4 +1,4 @@
-"""A recipe drafted from what is in the logs: what can be told stands there, what only the user knows is a commented line."""
+"""A recipe drafted from the content of logs: recognised entries, and commented lines for what only the user knows."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from sysid.logs.inspection import FieldSummary, FileSummary, StreamSummary
 from sysid.logs.readers import READERS
 from sysid.machine import Axis, Machine
 
-#: Words in a topic or column that say what it is.
+#: Words in a topic or column that indicate the quantity.
 _WORDS = {
     "command": {"cmd", "command", "commands", "setpoint", "duty", "pwm", "reference"},
     "cylinder": {"cyl", "cylinder", "stroke", "wire", "wires", "displacement", "extension", "length"},
@@ -20,14 +20,14 @@ _WORDS = {
 }
 #: Messages of these packages are in SI (ROS REP 103).
 _SI_PACKAGES = ("sensor_msgs/", "geometry_msgs/", "nav_msgs/", "tf2_msgs/")
-#: Fields that change and are no signals.
+#: Fields that change but are no signals.
 _NO_SIGNAL = re.compile(r"covariance|(^|\.)stamp\.(sec|nanosec|nsec|secs|nsecs)$")
-#: More fields of one stream than this are summed up in a line.
+#: Listed fields of one stream; the others are counted.
 MAX_LINES = 80
 _HEAD = """\
 # Drafted from {names}.
-# A line without "#" has been recognised: check it. Of the others take away the "#" where you need them and fill in what stands
-# in <…>; remove the rest. Ranges stand behind each field. docs/recipes.md describes every key.
+# A line without "#" has been recognised: check it. Of the others remove the "#" where you need them and fill in what is in
+# <…>; remove the rest. Each field is followed by its range. docs/recipes.md describes every key.
 schema = 1
 """
 
@@ -39,10 +39,10 @@ def draft_recipe(
     logs: str | None = None,
     in_folders: bool = False,
 ) -> str:
-    """TOML of a recipe for ``files``; with ``machine`` its axes are looked for in the names of the fields.
+    """TOML of a recipe for ``files``; with ``machine`` its axes are recognised in the names of the fields.
 
-    ``machine_path`` and ``logs`` (the folder of the recordings) are as the recipe names them, relative to itself.
-    ``in_folders``: each recording has a folder of its own; else files in one folder may be one each.
+    ``machine_path`` and ``logs`` (the folder of the recordings) are relative to the recipe. ``in_folders``: each recording has
+    its own folder; else each file in a folder may be a recording.
     """
     lines = [_HEAD.format(names=", ".join(sorted({_plain(file.path.name) for file in files})[:6]) or "nothing")]
     lines.append(f"{'' if machine is not None else '# '}machine = {_text(machine_path)}")
@@ -57,7 +57,7 @@ def draft_recipe(
     if len(recordings) < 3 and (in_folders or len(groups) == 1):
         lines += [
             "",
-            "# [splits]                  # a recording is cut into parts for fit, selection and proof; too short for that:",
+            "# [splits]                  # a recording is cut into fit, selection and held-out parts; to keep it whole:",
         ]
         lines += [f"# fit = [{', '.join(map(_text, recordings))}]"]
     taken: set[str] = set()
@@ -67,7 +67,7 @@ def draft_recipe(
 
 
 def _groups(files: Sequence[FileSummary]) -> list[list[FileSummary]]:
-    """Files that one entry of the recipe describes: the same reader and suffix, and streams with the same fields."""
+    """Files for one entry of the recipe: the same reader and suffix, and streams with the same fields."""
     groups: dict[tuple[object, ...], list[FileSummary]] = {}
     for file in files:
         if file.streams:
@@ -79,7 +79,7 @@ def _groups(files: Sequence[FileSummary]) -> list[list[FileSummary]]:
 
 
 def _pattern(group: Sequence[FileSummary]) -> str:
-    """A glob for the files of a group: the name itself, or what the names have in common."""
+    """A glob for the files of a group: the name itself, or the common prefix of the names."""
     names = sorted({file.path.name for file in group})
     if len(names) == 1:
         return names[0]
@@ -95,7 +95,7 @@ def _stream(group: Sequence[FileSummary], machine: Machine | None, taken: set[st
     captured = clocks[:1] == ["capture"]
     yield "[[streams]]"
     if file.reader in ("can", "mf4"):
-        yield '# dbc = "<file>.dbc"          # names what is in the CAN frames: inspect again with --dbc'
+        yield '# dbc = "<file>.dbc"          # database of the CAN frames: inspect again with --dbc'
     yield f"files = {_text(_pattern(group))}"
     if by_suffix != file.reader:
         yield f"reader = {_text(file.reader)}"
@@ -109,8 +109,8 @@ def _stream(group: Sequence[FileSummary], machine: Machine | None, taken: set[st
         others = f"   # or {', '.join(clocks[1:])}" if len(clocks) > 1 else ""
         yield f"clock = {_text(clocks[0])}{others}"
     else:
-        yield '# time = "<column>"          # which column holds the time; time_unit = "ms" where it is not in seconds'
-    yield f'domain = "{"mocap" if captured else "machine"}"   # whose clock that is; for another device any other name'
+        yield '# time = "<column>"          # the column of the time; time_unit = "ms" where it is not in seconds'
+    yield f'domain = "{"mocap" if captured else "machine"}"   # the device of that clock; any other name for another device'
     for key, value in file.stated.items():
         yield f"{key} = {_text(value)}   # not stated in the file: check it"
     bodies = [stream for stream in file.streams if captured and _is_body(stream)]
@@ -134,7 +134,7 @@ def _signals(file: FileSummary, streams: Sequence[StreamSummary], machine: Machi
             yield _line("" if tables else stream.name, field, machine, stream.kind, taken)
         still = len(stream.fields) - len(moving)
         if still:
-            yield f"# {still} more fields never change, or are covariances or stamps"
+            yield f"# {still} more fields are constant, covariances or stamps"
         if len(moving) > MAX_LINES:
             yield f"# {len(moving) - MAX_LINES} more fields"
 
@@ -162,7 +162,7 @@ def _actuation(signal: str, machine: Machine) -> str:
 
 
 def _signal(topic: str, field: FieldSummary, machine: Machine | None, kind: str) -> tuple[str, bool]:
-    """What a field seems to be, and whether both axis and quantity were found in its name."""
+    """The likely signal of a field, and whether both axis and quantity were found in its name."""
     words = _words(f"{topic} {field.name}")
     axes: list[Axis] = [axis for axis in machine.axes if _words(axis.name) <= words] if machine is not None else []
     found = [quantity for quantity, names in _WORDS.items() if names & words]
@@ -170,7 +170,7 @@ def _signal(topic: str, field: FieldSummary, machine: Machine | None, kind: str)
         found = ["joint"]
     axis = axes[0] if len(axes) == 1 else None
     if axis is not None and axis.drives == "joint" and axis.stroke is None and "cylinder" in found:
-        found = ["joint"]  # a wire along a sliding joint: there is no cylinder of which it could be the length
+        found = ["joint"]  # a wire sensor along a prismatic joint without a cylinder
     elif axis is not None and "joint" in found and "cylinder" in found:
         found = [axis.drives]
     name = axis.name if axis is not None else "<axis>"
@@ -206,27 +206,27 @@ def _capture(bodies: Sequence[StreamSummary], markers: Sequence[StreamSummary], 
     else:
         yield f"# ee = {{ marker = {_text(markers[-1].name)} }}"
         listed = ", ".join(_text(stream.name) for stream in markers[:3])
-        yield "[streams.marker_sets]        # rigid body → three or more markers that sit rigidly together"
+        yield "[streams.marker_sets]        # rigid body → three or more rigidly connected markers"
         yield f"# <body> = [{listed}]"
     yield f"[streams.bodies]             # rigid body → URDF link{': ' + ', '.join(links) if links else ''}"
     for stream in bodies:
         link = [link for link in links if _words(link) <= _words(stream.name)]
-        yield f"# {_key(stream.name)} = {_text(link[0] if len(link) == 1 else '<link>')}   # {_seen(stream)}"
-    yield "# [streams.reference]        # needed with bodies: the machine stands still with known joint values"
+        yield f"# {_key(stream.name)} = {_text(link[0] if len(link) == 1 else '<link>')}   # {_visible(stream)}"
+    yield "# [streams.reference]        # needed with bodies: the machine at rest with known joint values"
     yield "# seconds = [0.2, 1.2]"
     axes = ", ".join(f"{axis.name} = <value>" for axis in machine.axes) if machine is not None else "<axis> = <value>"
     yield f"# joints = {{ {axes} }}"
     if markers:
         yield "# markers:"
     for stream in markers[:MAX_LINES]:
-        yield f"#   {_text(stream.name)}: {_seen(stream)}"
+        yield f"#   {_text(stream.name)}: {_visible(stream)}"
     if len(markers) > MAX_LINES:
         yield f"#   and {len(markers) - MAX_LINES} more"
 
 
-def _seen(stream: StreamSummary) -> str:
+def _visible(stream: StreamSummary) -> str:
     share = min((1.0 - field.missing for field in stream.fields), default=0.0)
-    return f"seen in {100.0 * share:.0f} % of {stream.samples} frames"
+    return f"visible in {100.0 * share:.0f} % of {stream.samples} frames"
 
 
 def _text(value: str) -> str:
@@ -235,7 +235,7 @@ def _text(value: str) -> str:
 
 
 def _plain(text: str) -> str:
-    """``text`` for a comment: a name in a file must not begin a line of its own."""
+    """``text`` for a comment, without line ends, which a name in a file may contain."""
     return "".join(letter if letter.isprintable() else "�" for letter in text)
 
 
@@ -244,7 +244,7 @@ def _key(name: str) -> str:
 
 
 def default_machine(paths: Sequence[Path]) -> Path | None:
-    """``machine.toml`` beside the logs or above them, if there is one."""
+    """``machine.toml`` beside the logs or in the folder above, if there is one."""
     for path in paths:
         folder = path if path.is_dir() else path.parent
         for place in (folder, folder.parent):

@@ -1,6 +1,6 @@
-"""Figures of a long signal, worked out some thousand samples at a time: what lies between takes no memory beside the signal.
+"""Statistics of long signals, computed in chunks, so that intermediate results take no memory.
 
-Every figure is, bit for bit, that of the NumPy expression it stands for.
+Every result is bit-identical to that of the NumPy expression in the docstring.
 """
 
 from __future__ import annotations
@@ -36,18 +36,18 @@ def known(values: Array) -> Array:
 
 
 def masked(count: int, piece: Callable[[int, int], Mask]) -> Mask:
-    """A mask (count,); ``piece`` gives it from the first to the last + 1 of some samples."""
+    """A mask (count,); ``piece(first, last + 1)`` returns a part of it."""
     mask: Mask = computed(count, piece, np.bool_)
     return mask
 
 
 def counted(count: int, piece: Callable[[int, int], Mask]) -> int:
-    """How many of ``count`` samples a mask chooses that ``piece`` gives as for :func:`masked`."""
+    """Number of True values of a mask that ``piece`` returns as for :func:`masked`."""
     return sum(int(np.count_nonzero(piece(first, last))) for first, last in pieces(count))
 
 
 def median(values: Values) -> float:
-    """Median of (n,), whose order is lost: a copy of what is needed later is given."""
+    """Median of (n,), which is reordered in place: pass a copy where the values are needed later."""
     return float(np.median(values, overwrite_input=True))
 
 
@@ -81,3 +81,25 @@ def stretches(mask: Mask) -> tuple[Rows, Rows]:
 def absolute(values: Array) -> Array:
     """``np.abs(values)``, in the place of ``values``."""
     return np.abs(values, out=values)
+
+
+def sosfiltfilt_in_place(sections: Array, values: Array, padding: int) -> None:
+    """``scipy.signal.sosfiltfilt(sections, values, padlen=padding)`` in place, in chunks."""
+    from scipy.signal import sosfilt, sosfilt_zi
+
+    before = 2.0 * values[0] - values[padding:0:-1]
+    after = 2.0 * values[-1] - values[-2 : -(padding + 2) : -1]
+    parts = [values[first:last] for first, last in pieces(len(values))]
+    settled = sosfilt_zi(sections)
+    first = before[0] if padding else values[0]
+    _, state = sosfilt(sections, before, zi=settled * first) if padding else (before, settled * first)
+    for part in parts:
+        part[:], state = sosfilt(sections, part, zi=state)
+    if padding:
+        after, state = sosfilt(sections, after, zi=state)
+        _, state = sosfilt(sections, after[::-1], zi=settled * after[-1])
+    else:
+        state = settled * values[-1]
+    for part in reversed(parts):
+        backwards, state = sosfilt(sections, part[::-1], zi=state)
+        part[:] = backwards[::-1]

@@ -1,4 +1,4 @@
-"""Logs → dataset version, in one walk: discover → read → align clocks → resample → split → describe → store."""
+"""Logs → dataset version: discover → read → align clocks → resample → split → describe → store."""
 
 from __future__ import annotations
 
@@ -33,10 +33,9 @@ from sysid.names import check_dataset_name
 from sysid.progress import Progress, part, silent
 from sysid.scratch import leave, scratch_in
 
-#: A recording with more rows on the grid than this is a mistake in its stamps (a day at 1 kHz has 86 million).
+#: Limit of rows on the grid, beyond which stamps are wrong (a day at 1 kHz has 86 million).
 MAX_ROWS = 10**8
-#: Where each step begins and ends, as shares of the time that a large log on one clock takes: between those of text, which
-#: takes longer to read, and of numbers.
+#: Begin and end of each step as shares of the total time, for a large log on one clock.
 _READ, _RESAMPLED, _FLAGGED, DESCRIBED, STORED = (0.01, 0.12), (0.12, 0.29), (0.29, 0.49), (0.49, 0.64), (0.64, 1.0)
 
 
@@ -48,37 +47,29 @@ def ingest(
     name: str | None = None,
     progress: Progress | None = None,
 ) -> Dataset:
-    """Read logs and store them as a new version of dataset ``name``; the same content again returns the version there is.
+    """Read logs and store them as a new version of dataset ``name``; the same content again returns the existing version.
 
     Args:
         paths: folders of recordings (``DIR/<recording>/<files>``) or single log files.
         workspace: folder or object-store URL.
-        machine: ``machine.toml``; else what the recipe names, else ``machine.toml`` beside the logs.
+        machine: ``machine.toml``; else the one of the recipe, else ``machine.toml`` beside the logs.
         recipe: ``recipe.toml``; else the one in the ingested folder, else the columns have canonical names.
         name: of the dataset; else the recipe's, else the machine's.
         progress: called with the share done and a text.
 
     Raises:
-        InputError: a log that cannot be used as it is.
+        InputError: a log that cannot be used.
         SettingsError: a mistake in ``machine.toml`` or in the recipe.
-        StorageError: no room on the disk of the workspace, for the version or for scratch files.
+        StorageError: the disk of the workspace is full, for the version or for scratch files.
     """
     from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]
 
-    # One thread: of thousands of small systems threads cost ten times what they save.
+    # One thread: for thousands of small systems threads are slower.
     with threadpool_limits(limits=1), scratch_in(scratch_folder(workspace)):
-        return _ingest(paths, workspace, machine, recipe, name, progress or silent)
+        return _ingest(plan_of(paths, machine, recipe), workspace, name, progress or silent)
 
 
-def _ingest(
-    paths: Sequence[Path | str] | Path | str,
-    workspace: Path | str,
-    machine: Path | str | None,
-    recipe: Path | str | None,
-    name: str | None,
-    report: Progress,
-) -> Dataset:
-    plan = plan_of(paths, machine, recipe)
+def _ingest(plan: Plan, workspace: Path | str, name: str | None, report: Progress) -> Dataset:
     rules, description = plan.rules, plan.machine
     title = name or (rules.name if rules is not None else None) or description.name
     check_dataset_name(title, remedy="Choose another --name.")
@@ -93,7 +84,7 @@ def _ingest(
         report(1.0, f"the same logs are {known.reference}")
         return known
 
-    ingested = walk(found, plan, survey_mounts(found, description), report)
+    ingested = read_and_align(found, plan, survey_mounts(found, description), report)
     settings = rules if rules is not None else IngestRecipe(schema=1)
     parts, roles = split(ingested.recordings, settings.splits, plan.where)
     dataset = ingested.dataset(title, digest, description, parts, roles, sources, part(report, *DESCRIBED))
@@ -151,18 +142,18 @@ class IngestPass:
         )
 
 
-def walk(
+def read_and_align(
     found: Sequence[RecordingFiles],
     plan: Plan,
     mounts: Mounts,
     report: Progress,
     skews: Mapping[str, KnownSkew] | None = None,
 ) -> IngestPass:
-    """Read, align, resample.
+    """Read, align and resample the recordings ``found``.
 
     Args:
-        mounts: where the rigid bodies sit.
-        skews: what is known of the clocks from recordings that are not among ``found``.
+        mounts: of the rigid bodies.
+        skews: known skews of the clocks, from other recordings.
     """
     settings = plan.rules if plan.rules is not None else IngestRecipe(schema=1)
     readings: dict[str, ReadRecording] = {}
@@ -189,32 +180,28 @@ def walk(
     for number, recording in enumerate(recording_clocks):
         own = _share(report, _FLAGGED, number, len(recording_clocks))
         flags += flag_rows(recording, clocks, plan.machine, settings.hold_s, own)
-    notes = (*offset_notes(settings.streams, mounts, plan.machine), *unmatched(found, plan.rules), *_left_out(alignment))
+    omitted = [f"left out: {error}" for error in alignment.refused.values()]
+    notes = (*offset_notes(settings.streams, mounts, plan.machine), *unmatched(found, plan.rules), *omitted)
     readings = {recording.name: readings[recording.name] for recording in recording_clocks}
     return IngestPass(readings, recording_clocks, clocks, tuple(recordings), made, tuple(flags), tuple(notes))
 
 
 def _placed(recordings: Sequence[RecordingClocks], alignment: Alignment, splits: Splits) -> tuple[RecordingClocks, ...]:
-    """The recordings that have a place in time.
+    """The recordings that could be placed in time.
 
     Raises:
-        AlignmentError: none has one, or one that the recipe gives a role by its name has none.
+        AlignmentError: none could, or not one that the recipe names in its splits.
     """
-    asked = {*splits.fit, *splits.select, *splits.held_out, *splits.held_out_last}
+    named = {*splits.fit, *splits.select, *splits.held_out, *splits.held_out_last}
     kept = tuple(recording for recording in recordings if recording.name not in alignment.refused)
     for name, error in alignment.refused.items():
-        if not kept or name in asked:
+        if not kept or name in named:
             raise error
     return kept
 
 
-def _left_out(alignment: Alignment) -> list[str]:
-    """What is said of recordings that have no place in time."""
-    return [f"left out: {error}" for error in alignment.refused.values()]
-
-
 def _share(report: Progress, step: tuple[float, float], number: int, count: int) -> Progress:
-    """A listener for one of ``count`` recordings in a step."""
+    """The progress of one of ``count`` recordings in a step."""
     return part(part(report, *step), number / count, (number + 1) / count)
 
 
@@ -263,7 +250,7 @@ def _recording(
 
 
 def _streams(recordings: Sequence[RecordingClocks], tables: Sequence[Recording]) -> dict[str, tuple[str, ...]]:
-    """File stem → the signals in the tables that came from it."""
+    """File stem → its signals in the tables."""
     kept = {signal for table in tables for signal in table.signals}
     found: dict[str, dict[str, None]] = {}
     for recording in recordings:
@@ -274,7 +261,7 @@ def _streams(recordings: Sequence[RecordingClocks], tables: Sequence[Recording])
 
 
 def _slack(record: ClockRecord) -> float:
-    """By how much the window of a still phase is widened for a clock that is known to a part of a hold only [s]."""
+    """Widening of the window of a still phase for a clock that is only known to a part of a hold [s]."""
     half = (record.offset_interval95[1] - record.offset_interval95[0]) / 2.0
     return half if half > 0.01 else 0.0
 

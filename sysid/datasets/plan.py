@@ -1,4 +1,4 @@
-"""What an ingest is to read: which folders, by which recipe, for which machine, and what of it goes into the digest."""
+"""Inputs of an ingest: folders, recipe and machine, and their part of the digest."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from sysid.datasets.resample import GAP_PERIODS
 from sysid.errors import InputError, SettingsError
 from sysid.machine import Machine, load_machine
 
-#: Part of every digest: raise it when the same logs would give another table.
+#: Part of every digest; to be increased when the same logs give another table.
 INGEST_VERSION = 2
 
 
 @dataclass(frozen=True)
 class Plan:
-    """Which folders are read, by which recipe, for which machine; ``where`` is what a mistake in it is blamed on."""
+    """Folders, recipe and machine of an ingest; ``where`` is named in errors."""
 
     roots: tuple[Path, ...]
     rules: IngestRecipe | None
@@ -39,8 +39,8 @@ def plan_of(
     """Find recipe and machine for ``paths``.
 
     Args:
-        otherwise: gives the recipe where none is named and none lies beside the logs.
-        same: the machine where none is named and none lies beside the logs.
+        otherwise: returns the recipe where none is named and none is beside the logs.
+        same: the machine where none is named and none is beside the logs.
 
     Raises:
         InputError: a path that does not exist.
@@ -102,7 +102,7 @@ def sources_of(found: Sequence[RecordingFiles]) -> tuple[Source, ...]:
 
 
 def content_of(sources: Sequence[Source], rules: IngestRecipe | None) -> dict[str, Any]:
-    """What the tables are made from beside the machine, as plain JSON values: a part of every digest."""
+    """Inputs of the tables except the machine, as plain JSON values for the digest."""
     content: dict[str, Any] = {
         "ingest": INGEST_VERSION,
         "sources": sorted((source.path, source.sha256) for source in sources),
@@ -115,7 +115,7 @@ def content_of(sources: Sequence[Source], rules: IngestRecipe | None) -> dict[st
 
 
 def settings_of(plan: Plan) -> dict[str, Any]:
-    """What resampling was told, for the lineage."""
+    """Settings of resampling, for the lineage."""
     rules = plan.rules if plan.rules is not None else IngestRecipe(schema=1)
     streams = {
         stream.files: {"domain": stream.domain, "interpolation": stream.interpolation, "max_gap_s": stream.max_gap_s}

@@ -1,4 +1,4 @@
-"""Static poses: one row for each phase in which the machine stands still, every signal as its median there."""
+"""Static poses: one row for each phase in which the machine is at rest, with the median of every signal."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from sysid.errors import InputError
 
 Array = npt.NDArray[np.float64]
 
-#: A signal that moves by more standard deviations than this within a phase (a swinging tool) has no static value there.
-UNREST = 12.0
+#: A signal that moves by more standard deviations of its noise within a phase (a swinging tool) is missing there.
+MAX_MOTION = 12.0
 
 
 def still_phases(signals: Mapping[str, tuple[Array, Array]], rules: StillPhases, where: object) -> list[tuple[float, float]]:
-    """From, to [s] of every phase in which all ``signals`` (name → times, values of the machine's sensors) stand still.
+    """Start and end [s] of every phase in which all ``signals`` (name → times, values of the machine's sensors) are constant.
 
     Raises:
         InputError: no signal, or no such phase.
@@ -44,13 +44,13 @@ def still_phases(signals: Mapping[str, tuple[Array, Array]], rules: StillPhases,
         phases = [(float(times[r[0]]), float(times[r[-1]])) for r in np.split(rows, breaks)]
     phases = [(begin, end) for begin, end in phases if end - begin >= rules.seconds]
     if not phases:
-        found = f"nothing stands still for {rules.seconds:g} s"
+        found = f"no phase at rest of {rules.seconds:g} s"
         raise InputError(f"{where}", found, "static poses", "Hold each pose longer, or set [still] in the recipe.")
     return phases
 
 
 def _ranges(values: Array, first: npt.NDArray[np.intp], last: npt.NDArray[np.intp], times: Array, period: float) -> Array:
-    """Largest minus smallest value within each window, gaps cut off."""
+    """Largest minus smallest value within each window, which ends at gaps."""
     stretch = np.concatenate([[0], np.cumsum(np.diff(times) > BURST_PERIODS * period)])
     starts = np.searchsorted(stretch, stretch, side="left")
     ends = np.searchsorted(stretch, stretch, side="right")
@@ -72,9 +72,9 @@ def pose_table(
     """One row a phase: ``time`` (its middle) and the median of each signal (times, values) within it.
 
     Args:
-        noise: signal → its standard deviation; within a phase a signal may move by :data:`UNREST` times that.
+        noise: signal → its standard deviation; within a phase a signal may move by :data:`MAX_MOTION` times that.
         tolerance: the same for signals of unknown noise, as a share of their range.
-        slack_s: signal → how far a window is widened (below zero: narrowed) for the uncertainty of its clock [s].
+        slack_s: signal → widening of the window for the uncertainty of its clock, negative to narrow it [s].
     """
     columns = {"time": np.array([(begin + end) / 2.0 for begin, end in phases])}
     for signal, (times, values) in signals.items():
@@ -88,7 +88,7 @@ def pose_table(
                 medians[row], ranges[row] = float(np.median(inside)), float(np.ptp(inside))
         known = medians[~np.isnan(medians)]
         spread = float(np.ptp(known)) if len(known) else 0.0
-        limit = UNREST * noise[signal] if signal in noise else max(tolerance * spread, 1e-9)
+        limit = MAX_MOTION * noise[signal] if signal in noise else max(tolerance * spread, 1e-9)
         medians[ranges > limit] = np.nan
         columns[signal] = medians
     return pd.DataFrame(columns)

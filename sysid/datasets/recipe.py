@@ -1,4 +1,4 @@
-"""Ingest recipe (TOML): which field of which file is which signal. Described for users in ``docs/recipes.md``."""
+"""Ingest recipe (TOML): the mapping of fields of files to signals. Its keys are described in ``docs/recipes.md``."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ class SignalMap:
     Args:
         field: column (CSV, Parquet, MATLAB) or message field, e.g. ``position[boom]``, ``pose.position.x``.
         topic: MCAP topic; not used by the other readers.
-        unit: of the value once zero, span and scale are applied; None takes the one the file states, SI where it states none.
-        zero, span: raw value of zero and raw span of one, for counts and duties.
+        unit: of the value after zero, span and scale; None: that of the file, SI where it states none.
+        zero, span: raw value at zero and raw span of one, for counts and duty cycles.
         scale: further factor, e.g. 35.15 N/V with ``unit = "N"``.
         offset: added at the end, in SI.
-        primary: False for a second source: it helps to align clocks and to check, the dataset takes the primary one.
+        primary: False for a second source, which is used to align clocks and for checks, but is not in the dataset's tables.
     """
 
     __pydantic_config__ = STRICT
@@ -65,13 +65,13 @@ class PointMap:
 
 @dataclass(frozen=True)
 class Reference:
-    """The pose that fixes where each body sits on its link: the machine stands still with known joint values.
+    """The pose that determines the mount of each body on its link: the machine at rest with known joint values.
 
     Args:
         seconds: from, to, on the stream's own clock counted from its first stamp.
         joints: axis → joint value [rad or m].
-        recording: glob of the recordings it was recorded in (mounts are averaged over them, capture frame and bodies must not
-            have moved in between); None: every recording starts with it.
+        recording: glob of the recordings that contain it (mounts are averaged over them, so capture frame and bodies must not
+            move in between); None: every recording starts with it.
     """
 
     __pydantic_config__ = STRICT
@@ -83,11 +83,11 @@ class Reference:
 
 @dataclass(frozen=True)
 class Survey:
-    """What was recorded to find the capture frame; read by ``sysid ingest --propose-frame`` alone.
+    """Recording for a proposal of the capture frame, used only by ``sysid ingest --propose-frame``.
 
     Args:
-        markers: static marker (or rigid body) → its known place in the base frame [m].
-        axis: the one that turns alone in this recording, the first one that moves.
+        markers: static marker (or rigid body) → its known position in the base frame [m].
+        axis: the one that turns alone in this recording; no other axis moves it.
         turning: markers or bodies that it carries.
         sense: 1 where it turns in its positive direction first, else −1.
         recording: glob of the recording; None: the first one with such a file.
@@ -110,15 +110,15 @@ class StreamMap:
 
     Args:
         files: glob inside the recording's folder.
-        clock: which of the stream's stamps to use; None: the reader's first.
-        domain: which device's clock the stamps are on. All others are aligned to ``machine``.
+        clock: the stamps to use; None: the reader's first.
+        domain: the device whose clock that is. All others are aligned to ``machine``.
         time, time_unit, rate_hz, length_unit, rotation: see :class:`sysid.logs.ReadOptions`.
         dbc: database of a CAN log, relative to the recipe; the absolute path once the recipe has been read.
         interpolation: between samples of measured signals; commands are held.
         max_gap_s: gaps longer than this stay empty; None: three sample periods.
-        secondary: signals of this stream that another stream measures better (as ``primary = false``).
+        secondary: signals of this stream that are not primary.
         bodies: rigid body → URDF link.
-        marker_sets: rigid body that the file does not have → the markers that make it, at least three.
+        marker_sets: new rigid body → its markers, at least three.
     """
 
     __pydantic_config__ = STRICT
@@ -158,11 +158,11 @@ class Recordings:
 
 @dataclass(frozen=True)
 class Splits:
-    """Recording globs; what is left out is assigned automatically.
+    """Recording globs; the other recordings are assigned automatically.
 
     Args:
         held_out_last: recording → share of its end that is held out; the rest is cut into blocks.
-        guard_s: left out between two blocks of one recording [s].
+        guard_s: gap between two blocks of one recording [s].
     """
 
     __pydantic_config__ = STRICT
@@ -176,7 +176,7 @@ class Splits:
 
 @dataclass(frozen=True)
 class StillPhases:
-    """What counts as a static pose: every measured signal stays within ``tolerance`` of its range for ``seconds``."""
+    """A static pose: every measured signal stays within ``tolerance`` of its range for ``seconds``."""
 
     __pydantic_config__ = STRICT
 
@@ -218,10 +218,10 @@ def load_recipe(path: Path) -> IngestRecipe:
 
 
 def stored_recipe(text: str, where: object) -> IngestRecipe:
-    """The recipe of a stored version again; the files that it names are not stored with it.
+    """The recipe of a stored version, without the files that it names.
 
     Raises:
-        SettingsError: it names a CAN database, which only its folder has.
+        SettingsError: it names a CAN database, which is not stored.
     """
     recipe = _checked(toml_values(text, where), text, where)
     for stream in recipe.streams:
@@ -251,7 +251,7 @@ def _checked(values: dict[str, Any], text: str, where: object) -> IngestRecipe:
 
 
 def _with_database(stream: StreamMap, path: Path) -> StreamMap:
-    """The stream with its CAN database found."""
+    """The stream with the absolute path of its CAN database."""
     if stream.dbc is None:
         return stream
     where = f"{path}: streams {stream.files!r}: dbc"
@@ -283,14 +283,15 @@ def _check_stream(stream: StreamMap, recipe: object) -> None:
         found = "points that turn without an axis" if survey.turning else f"axis {survey.axis!r} without points that it turns"
         raise SettingsError(f"{where}: survey", found, "both `axis` and `turning`")
     if survey is not None and not survey.turning and not survey.markers:
-        raise SettingsError(f"{where}: survey", "nothing to go by", "`markers` with known places, or `axis` and `turning`")
+        expected = "`markers` with known positions, or `axis` and `turning`"
+        raise SettingsError(f"{where}: survey", "neither markers nor an axis", expected)
     for body, markers in stream.marker_sets.items():
         if len(set(markers)) < 3 or len(set(markers)) < len(markers):
             raise SettingsError(f"{where}: marker_sets.{body}", f"markers {list(markers)}", "at least three different ones")
 
 
 def check_against_machine(recipe: IngestRecipe, machine: Machine, where: object) -> None:
-    """Raise where the recipe names a signal, link or axis that the machine does not have, or two primary sources."""
+    """Raise SettingsError where the recipe names an unknown signal, link or axis of the machine, or two primary sources."""
     primary: dict[str, str] = {}
     for stream in recipe.streams:
         for signal, mapping in stream.signals.items():

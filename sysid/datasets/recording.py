@@ -1,4 +1,4 @@
-"""A dataset version in memory: aligned recordings of one machine, with everything that led to them."""
+"""A dataset version in memory: aligned recordings of one machine, with their provenance."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class Recording:
     Args:
         name: unique in its dataset.
         table: ``time`` [s] and one float64 column a signal (SI), on the grid k/rate_hz for ``motion``; NaN where nothing was
-            measured. For ``poses`` each row is one static pose and ``time`` is when it was taken.
+            measured. For ``poses`` each row is one static pose and ``time`` is the middle of its still phase.
         rate_hz: sample rate of a ``motion`` recording.
         start_ns: stamp of ``time == 0`` on the machine's clock.
     """
@@ -51,12 +51,12 @@ class Recording:
 
     @functools.cached_property
     def derived(self) -> dict[Hashable, Any]:
-        """What others have worked out from this recording alone, by keys of theirs: kept for as long as it is."""
+        """A cache of results that depend on this recording alone, with keys of the modules that use it."""
         return {}
 
     @functools.cached_property
     def _arrays(self) -> dict[str, npt.NDArray[np.float64]]:
-        """Columns as plain arrays without a copy: a fit asks for them thousands of times."""
+        """Columns as plain arrays without a copy, because a fit accesses them thousands of times."""
         arrays = {str(column): self.table[column].to_numpy(dtype=np.float64).view() for column in self.table.columns}
         for values in arrays.values():
             values.setflags(write=False)
@@ -65,7 +65,7 @@ class Recording:
 
 @dataclass(frozen=True)
 class Source:
-    """A raw file that went in."""
+    """A raw file."""
 
     path: str
     sha256: str
@@ -78,10 +78,10 @@ class ClockRecord:
     """``t_machine = t_stream · (1 + 1e-6 · skew_ppm) + offset_s``, t counted from the stream's first stamp.
 
     t_machine counts from the start of the uncut recording (its first sample on the machine's clock), so
-    ``stamp_machine = start_ns + 1e9·t_machine`` and ``t_stream = (stamp − stream_start_ns)·1e-9``: the step can be undone.
-    ``applied`` is False where the offset could not be observed; ``reason`` says why. ``interval95`` are (lo, hi). A constant
-    latency of a sensor shifts its stamps like an offset does: what is estimated is the sum of both. ``residual_rms`` is what
-    the two motions still differ by, in standard deviations of their noise: far above 1 the map or the clock is not linear.
+    ``stamp_machine = start_ns + 1e9·t_machine`` and ``t_stream = (stamp − stream_start_ns)·1e-9``. ``applied`` is False where
+    the offset is not observable, for the given ``reason``. ``interval95`` are (lo, hi). A constant latency of a sensor is part
+    of the offset. ``residual_rms`` is the residual of the two motions in standard deviations of their noise: far above 1 the
+    map is inadequate or the clock is not linear.
     """
 
     recording: str
@@ -101,8 +101,7 @@ class ClockRecord:
 class Dataset:
     """An immutable dataset version.
 
-    ``version`` counts from 1 in its workspace; ``digest`` is its content address; ``streams`` says which signals came from
-    which stream (file stem).
+    ``version`` counts from 1 in its workspace; ``digest`` is its content address; ``streams``: file stem → its signals.
     """
 
     name: str
@@ -119,7 +118,7 @@ class Dataset:
 
     @classmethod
     def of(cls, machine: Machine, recordings: Iterable[Recording], splits: Mapping[str, Role] | None = None) -> Dataset:
-        """Tables that are in memory already, as a dataset that lies in no store: version 1, a digest of zeros.
+        """Tables in memory as a dataset that is in no store: version 1, a digest of zeros.
 
         Raises:
             InputError: two recordings of one name, or a role of a recording that is not there.
@@ -136,7 +135,7 @@ class Dataset:
 
     @property
     def reference(self) -> str:
-        """``name@version``, the way a person and a lineage record name it."""
+        """``name@version``."""
         return f"{self.name}@{self.version}"
 
     def recording(self, name: str) -> Recording:

@@ -8,8 +8,8 @@ import numpy as np
 import numpy.typing as npt
 
 from sysid.datasets.channel import Channel
-from sysid.datasets.in_pieces import copied, stretches
-from sysid.scratch import PIECE, chosen, computed, filled, leave, pieces
+from sysid.datasets.in_pieces import copied, sosfiltfilt_in_place, stretches
+from sysid.scratch import PIECE, chosen, computed, filled, leave
 
 Array = npt.NDArray[np.float64]
 
@@ -17,13 +17,13 @@ Array = npt.NDArray[np.float64]
 GAP_PERIODS = 3.0
 #: A stamp this share of a grid period late still counts as on the grid (stamps are rounded, clocks jitter).
 LATE_SHARE = 0.05
-#: Sources this much faster than the grid are low-passed before they are sampled. A slower one folds nothing below 0.35 of the
-#: grid's rate, which is as far as the filter itself is flat.
+#: Sources this much faster than the grid are low-passed before decimation. A slower one aliases nothing below 0.35 of the
+#: grid's rate, up to which the filter is flat.
 FAST_RATIO = 1.3
-#: The source is first brought onto a grid this many times finer than its own: what interpolation adds lies where the filter is.
+#: The source is first interpolated to a grid this many times finer than its own, so that errors of interpolation are filtered.
 OVERSAMPLING = 2
-#: By how much what the grid cannot show is suppressed [dB], and how long the filter takes to settle [grid periods]: after that
-#: less than 1e-6 of the energy of its answer is left.
+#: Attenuation of aliased content [dB], and settling time of the filter [grid periods]: after it less than 1e-6 of the energy of
+#: the impulse response is left.
 STOP_DB, SETTLE_PERIODS = 60.0, 16
 
 
@@ -38,10 +38,10 @@ def hold(times: Array, values: Array, at: Array, period: float, hold_s: float) -
     """Zero-order hold: the last value at or before each instant ``at``, for at most ``hold_s``; NaN outside.
 
     Args:
-        times: rising, (n,) [s].
-        values: (n,); a NaN is a missing message, the value before it is held on.
+        times: increasing, (n,) [s].
+        values: (n,); a NaN is a missing message, over which the value before is held.
         at: instants (m,) [s].
-        period: grid period [s]; a value that comes up to :data:`LATE_SHARE` of it late still counts.
+        period: grid period [s]; a value may be late by up to :data:`LATE_SHARE` of it.
     """
     known = ~np.isnan(values)
     times, values = chosen(times, known), chosen(values, known)
@@ -60,11 +60,11 @@ def hold(times: Array, values: Array, at: Array, period: float, hold_s: float) -
 def interpolate(times: Array, values: Array, at: Array, max_gap_s: float, cubic: bool = False) -> Array:
     """Values between samples; NaN outside and in gaps longer than ``max_gap_s``.
 
-    Linear, or cubic Hermite with the slopes of the parabola through three neighbours (exact for parabolas, local: a
-    gap or an outlier spoils no more than its neighbours).
+    Linear, or cubic Hermite with the slopes of the parabola through three neighbours (exact for parabolas; a gap or an outlier
+    affects only its neighbours).
 
     Args:
-        times: rising, (n,) [s].
+        times: increasing, (n,) [s].
         values: (n,), NaN where missing.
         at: (m,) [s].
     """
@@ -74,7 +74,7 @@ def interpolate(times: Array, values: Array, at: Array, max_gap_s: float, cubic:
 def _interpolated(
     times: Array, values: Array, count: int, instants: Callable[[int, int], Array], max_gap_s: float, cubic: bool
 ) -> Array:
-    """:func:`interpolate` at ``count`` instants, some thousand of which ``instants`` gives at a time."""
+    """:func:`interpolate` at ``count`` instants, which ``instants`` returns in chunks."""
     known = ~np.isnan(values)
     times, values = chosen(times, known), chosen(values, known)
     if len(times) < 2:
@@ -90,7 +90,7 @@ def _between(times: Array, values: Array, gradients: Array | None, at: Array, ma
     right = np.clip(np.searchsorted(times, at, side="right"), 1, len(times) - 1)
     left = right - 1
     step = times[right] - times[left]
-    # A sample that lies on the grid but for rounding is used even beside a gap; so is a step of just the longest gap.
+    # A sample on the grid up to rounding is used even beside a gap, and a step of exactly the longest gap is bridged.
     slack = 1e-9
     inside = (at >= times[0] - slack) & (at <= times[-1] + slack)
     bridged = inside & (step <= max_gap_s + slack)
@@ -135,9 +135,9 @@ def _slopes(times: Array, values: Array, max_gap_s: float) -> Array:
 
 
 def low_pass(times: Array, values: Array, cut_hz: float, max_gap_s: float) -> Array:
-    """Zero-phase Butterworth (order 4, run both ways) within each stretch without gaps; short stretches stay as they are.
+    """Zero-phase Butterworth (order 4, forwards and backwards) in each stretch without gaps; short stretches are unchanged.
 
-    Stretches are filtered on their own samples, taken as even: a jitter of the stamps is small against a source period.
+    Samples of a stretch are treated as evenly spaced, because the jitter of stamps is small against a source period.
     """
     from scipy.signal import butter
 
@@ -152,65 +152,33 @@ def low_pass(times: Array, values: Array, cut_hz: float, max_gap_s: float) -> Ar
         rate = (len(stretch) - 1) / (times[stretch[-1]] - times[stretch[0]])
         if cut_hz < 0.45 * rate:
             sections = butter(4, cut_hz, fs=rate, output="sos")
-            # Both ends are continued for as long as the filter remembers.
+            # Both ends are extended by the settling time of the filter.
             padding = min(len(stretch) - 1, max(15, int(3.0 * rate / cut_hz)))
             filtered = copied(values[stretch])
-            _both_ways(sections, filtered, padding)
+            sosfiltfilt_in_place(sections, filtered, padding)
             result[stretch] = filtered
     return result
 
 
-def _both_ways(sections: Array, values: Array, padding: int) -> None:
-    """``scipy.signal.sosfiltfilt(sections, values, padlen=padding)`` in the place of ``values``, in pieces."""
-    from scipy.signal import sosfilt, sosfilt_zi
-
-    before = 2.0 * values[0] - values[padding:0:-1]
-    after = 2.0 * values[-1] - values[-2 : -(padding + 2) : -1]
-    parts = [values[first:last] for first, last in pieces(len(values))]
-    settled = sosfilt_zi(sections)
-    first = before[0] if padding else values[0]
-    _, state = sosfilt(sections, before, zi=settled * first) if padding else (before, settled * first)
-    for part in parts:
-        part[:], state = sosfilt(sections, part, zi=state)
-    if padding:
-        after, state = sosfilt(sections, after, zi=state)
-        _, state = sosfilt(sections, after[::-1], zi=settled * after[-1])
-    else:
-        state = settled * values[-1]
-    for part in reversed(parts):
-        backwards, state = sosfilt(sections, part[::-1], zi=state)
-        part[:] = backwards[::-1]
-
-
-def band_limited(values: Array, factor: int) -> Array:
-    """What a grid ``factor`` times as coarse can show of even samples (n,), zero-phase, each stretch without NaN on its own.
-
-    Chebyshev II of order 6, run forwards and backwards: flat to 0.35 of the coarse rate, −6 dB at 0.4, −60 dB from its Nyquist
-    frequency on. Ends are mirrored through their last sample, so that a steady motion goes on.
-
-    Args:
-        factor: at least 2.
-    """
-    result: Array = copied(values)
-    _limit_band(result, factor)
-    return result
-
-
 def _limit_band(values: Array, factor: int) -> None:
-    """:func:`band_limited` in the place of ``values``."""
+    """Limit evenly spaced samples (n,) in place to the band of a grid ``factor`` times as coarse, each stretch without NaN.
+
+    Chebyshev II of order 6, forwards and backwards: flat to 0.35 of the coarse rate, −6 dB at 0.4, −60 dB from its Nyquist
+    frequency on. Ends are mirrored through their last sample, which continues a steady motion.
+    """
     from scipy.signal import cheby2
 
     sections = cheby2(6, STOP_DB / 2.0, 1.0 / factor, output="sos")
     for first, last in zip(*stretches(~np.isnan(values)), strict=True):
         if last - first > 1:
-            _both_ways(sections, values[first:last], min(SETTLE_PERIODS * factor, int(last - first) - 1))
+            sosfiltfilt_in_place(sections, values[first:last], min(SETTLE_PERIODS * factor, int(last - first) - 1))
 
 
 def anti_aliased(times: Array, values: Array, at: Array, rate_hz: float, factor: int, max_gap_s: float) -> Array:
-    """Values at the grid instants ``at`` without what its rate cannot show.
+    """Values at the grid instants ``at`` without content above its Nyquist frequency.
 
-    The samples are first brought onto a grid ``factor`` times as fine, at their own instants: stamps may be uneven, a ramp
-    stays a ramp. That one is low-passed, and every ``factor``-th value taken.
+    The samples are interpolated at their own instants (stamps may be uneven) to a grid ``factor`` times as fine, low-passed,
+    and decimated.
     """
     fine_hz = factor * rate_hz
     first = int(np.ceil((times[0] - at[0]) * fine_hz - LATE_SHARE))
@@ -239,8 +207,7 @@ def gap_limit(channel: Channel) -> float:
 def resample(channel: Channel, times: Array, at: Array, rate_hz: float, hold_s: float) -> Array:
     """One channel on the grid ``at`` = k/``rate_hz``; ``times`` are its stamps on the machine's clock [s], same origin.
 
-    Commands are held, and the last one before an instant counts; everything else is interpolated, without the frequencies
-    that the grid cannot show where the source is faster.
+    Commands are held; measured signals are interpolated, and low-passed where the source is faster than the grid.
     """
     if not len(times):
         return filled(len(at), np.nan)

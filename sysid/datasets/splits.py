@@ -1,4 +1,4 @@
-"""Which recordings fit, which select, which prove. By whole recording, or by contiguous block with a guard; never by sample."""
+"""Assignment of recordings to fit, selection and held-out, as a whole or in contiguous blocks with a guard, never by sample."""
 
 from __future__ import annotations
 
@@ -17,9 +17,10 @@ from sysid.errors import InputError, SettingsError, nearest
 from sysid.scratch import computed, filled, pieces
 
 ROLES: tuple[Role, ...] = ("fit", "select", "held_out")
-#: Blocks shorter than this are not cut [s].
+#: Shortest block [s].
 MIN_BLOCK_S = 4.0
-#: Recordings from this length on give two pairs of fit and select blocks, so that both see early and late conditions [s].
+#: From this length on a recording is cut into two pairs of fit and select blocks, so that both contain early and late
+#: conditions [s].
 LONG_S = 60.0
 
 
@@ -32,10 +33,10 @@ class SplitBlock:
 
 
 def split(recordings: Sequence[Recording], splits: Splits, where: object) -> tuple[tuple[Recording, ...], dict[str, Role]]:
-    """Roles for the ``motion`` recordings; recordings that have to be shared are cut into ``name#1``, ``name#2`` …
+    """Roles for the ``motion`` recordings; a recording with several roles is cut into ``name#1``, ``name#2`` …
 
-    Roles named in the recipe come first. Of the rest, in order: with three roles to fill and at least three recordings about
-    50 % fit, 25 % select, 25 % held out (at least one each); with fewer recordings than roles, each one is cut into blocks.
+    Roles named in the recipe come first. The rest is assigned in order: with three open roles and at least three recordings
+    about 50 % fit, 25 % select, 25 % held out (at least one each); with fewer recordings than roles each is cut into blocks.
 
     Raises:
         SettingsError: the recipe names a recording that does not exist, or gives one recording two roles.
@@ -91,7 +92,7 @@ def _named_roles(names: list[str], splits: Splits, where: object) -> dict[str, R
 
 
 def with_roles(roles: Mapping[str, Role], wanted: Mapping[Role, Sequence[str]], where: object) -> dict[str, Role]:
-    """``roles`` with those of the recordings (or blocks) that ``wanted`` names by glob; the others keep theirs.
+    """``roles`` with new ones for the recordings (or blocks) that match the globs of ``wanted``.
 
     Raises:
         SettingsError: no such recording, two roles for one, or nothing wanted.
@@ -105,7 +106,7 @@ def with_roles(roles: Mapping[str, Role], wanted: Mapping[Role, Sequence[str]], 
 
 
 def _share_out(names: list[str], roles: list[Role]) -> dict[str, Role]:
-    """Recordings in order: fit first, the last ones held out."""
+    """Recordings in order: the first for fit, the last held out."""
     count = len(names)
     held = max(1, count // 4) if "held_out" in roles else 0
     select = max(1, math.ceil(count / 4) if held else round(count / 3)) if "select" in roles else 0
@@ -118,7 +119,7 @@ def _share_out(names: list[str], roles: list[Role]) -> dict[str, Role]:
 
 
 def _blocks(roles: list[Role], length_s: float) -> tuple[SplitBlock, ...]:
-    """Contiguous blocks of one recording: fit twice as long as select, held out the last quarter."""
+    """Contiguous blocks of one recording: fit twice as long as select, the last quarter held out."""
     held = 0.25 if "held_out" in roles else 0.0
     before: list[Role] = [role for role in roles if role != "held_out"]
     weights = {"fit": 2.0, "select": 1.0}
@@ -129,7 +130,7 @@ def _blocks(roles: list[Role], length_s: float) -> tuple[SplitBlock, ...]:
 
 
 def cut(recording: Recording, blocks: Sequence[SplitBlock], guard_s: float, where: object) -> list[tuple[Recording, Role]]:
-    """``recording`` as ``name#1``, ``name#2`` …; each cut lies where the machine is most at rest nearby.
+    """``recording`` as ``name#1``, ``name#2`` …; each cut is at the least motion nearby.
 
     Raises:
         InputError: the recording is too short to be cut.
@@ -141,7 +142,7 @@ def cut(recording: Recording, blocks: Sequence[SplitBlock], guard_s: float, wher
             f"{where}: recording {recording.name!r}",
             f"{rows / recording.rate_hz:.1f} s are too short for {len(blocks)} blocks",
             f"at least {MIN_BLOCK_S:g} s a block and {guard_s:g} s of guard",
-            "Record longer, or three times: then recordings are split whole. To keep it in one piece without proof, write "
+            "Record longer, or three times: then recordings are split whole. To keep it whole without a held-out part, write "
             f'in the recipe: `[splits]`, `fit = ["{recording.name}"]`.',
         )
     edges = [0]
@@ -167,7 +168,7 @@ def cut(recording: Recording, blocks: Sequence[SplitBlock], guard_s: float, wher
 
 
 def _motion(recording: Recording) -> npt.NDArray[np.float64]:
-    """How much the measured signals change around each row, each relative to its spread; large beside gaps, (rows,)."""
+    """Change of the measured signals around each row, each relative to its spread; large beside gaps, (rows,)."""
     width = max(int(0.25 * recording.rate_hz), 1)
     rows = len(recording)
     motion: npt.NDArray[np.float64] = filled(rows, 0.0)
@@ -182,12 +183,11 @@ def _motion(recording: Recording) -> npt.NDArray[np.float64]:
             after = bridged[np.minimum(np.arange(first + width, last + width), rows - 1)]
             before = bridged[np.maximum(np.arange(first - width, last - width), 0)]
             motion[first:last] += np.abs(after - before) / spread
-    # Between equally quiet rows the middle of the search window is as good as any; the first one is taken.
     return motion
 
 
 def _bridged(values: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-    """A signal (n,) with what is missing on the line between its neighbours; itself where nothing is missing."""
+    """A signal (n,) with missing values interpolated linearly; itself where nothing is missing."""
     missing = np.isnan(values)
     first, last = stretches(missing)
     if not len(first):

@@ -1,7 +1,6 @@
-"""What stands behind every sample of an aligned table: measured, bridged, held, or missing.
+"""State of every sample of an aligned table: measured, bridged, held, or missing.
 
-Nothing of it is stored: it follows from the raw channels that are kept beside the table, their clocks, and the holes of the
-table itself, for versions of any age.
+The states are not stored but computed from the raw channels, their clock records and the table, for every stored version.
 """
 
 from __future__ import annotations
@@ -10,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 import pandas as pd
 
-from sysid.datasets.channel import Channel
+from sysid.datasets.channel import stored_channels
 from sysid.datasets.clocks.records import by_source, machine_times
 from sysid.datasets.resample import LATE_SHARE
 from sysid.datasets.versions.store import Store
@@ -19,10 +18,10 @@ from sysid.errors import StoreError, nearest
 Array = npt.NDArray[np.float64]
 States = npt.NDArray[np.int8]
 
-#: What a code stands for.
 STATES = ("missing", "measured", "bridged", "held")
+#: Indices into :data:`STATES`.
 MISSING, MEASURED, BRIDGED, HELD = range(4)
-#: Samples further apart than this many of the source's own periods have a gap between them.
+#: Samples further apart than this many periods of the source have a gap between them.
 NEIGHBOURS = 1.5
 
 
@@ -30,14 +29,14 @@ def states(values: Array, at: Array, times: Array, rate_hz: float, command: bool
     """The state of each sample of one signal, as index into :data:`STATES`, (n,).
 
     - missing: NaN in the table;
-    - measured: on or between neighbouring samples of the source; of a command, one was sent since the instant before;
+    - measured: on or between neighbouring samples of the source; a command that was sent since the last instant;
     - bridged: between samples further apart than :data:`NEIGHBOURS` periods of the source, inside the allowed gap;
-    - held: no command was sent since the instant before, the last one still counts.
+    - held: no command was sent since the last instant; the previous one is held.
 
     Args:
         values: the signal in the table, (n,).
         at: instants of the table, (n,) [s].
-        times: when the source has known values, rising, (m,) [s], same origin.
+        times: of known values of the source, increasing, (m,) [s], same origin.
         rate_hz: of the table.
     """
     result = np.full(len(values), MEASURED, dtype=np.int8)
@@ -61,7 +60,7 @@ def validity_of(store: Store, reference: str, recording: str) -> pd.DataFrame:
 
     Args:
         reference: dataset version, ``"name"`` or ``"name@3"``.
-        recording: as the dataset names it; a block (``"manual#2"``) as well.
+        recording: name in the dataset, also of a block (``"manual#2"``).
 
     Raises:
         StoreError: no such version or recording.
@@ -84,11 +83,7 @@ def validity_of(store: Store, reference: str, recording: str) -> pd.DataFrame:
             codes = np.where(np.isnan(values), MISSING, MEASURED).astype(np.int8)
         else:
             own = channels[(channels["signal"] == signal) & channels["primary"] & channels["value"].notna()]
-            times = []
-            for (source, domain), part in own.groupby(["source", "domain"], observed=True):
-                stamps = part["stamp_ns"].to_numpy(dtype=np.int64)
-                channel = Channel(signal, str(source), str(domain), stamps, part["value"].to_numpy(dtype=np.float64))
-                times.append(machine_times(channel, start, records.get(channel.source)))
+            times = [machine_times(channel, start, records.get(channel.source)) for channel in stored_channels(own)]
             known = np.sort(np.concatenate(times)) if times else np.empty(0)
             codes = states(values, at, known, found.rate_hz, signal.endswith(".command"))
         result[signal] = pd.Categorical.from_codes(codes, categories=pd.Index(STATES))

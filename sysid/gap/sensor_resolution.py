@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from sysid.datasets.quality.noise import DUST, SMALLEST, is_still, noise_bound, white_noise
+from sysid.datasets.quality.noise import ROUNDING, SMALLEST, is_still, noise_bound, white_noise
 from sysid.datasets.recording import Recording
 from sysid.effects import sensor_quantisation
 from sysid.gap.excitation import identifiable_targets
@@ -161,7 +161,7 @@ def _exact_step(parts: Sequence[Array]) -> float:
     readings off the lattice leave changes of their own, so that the least ones are tried too.
     """
     values = _readings(parts)
-    least = DUST * max(float(np.max(np.abs(values), initial=0.0)), SMALLEST)
+    least = ROUNDING * max(float(np.max(np.abs(values), initial=0.0)), SMALLEST)
     reached, changes = [], []
     for part in parts:
         known = part[~np.isnan(part)]

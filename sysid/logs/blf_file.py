@@ -1,4 +1,4 @@
-"""What a BLF file claims, checked before the library that reads it believes it: how containers unpack, how large objects are.
+"""Checks of a BLF file before a library reads it: unpacked sizes of containers, sizes of objects.
 
 A file is a header and objects; those of type 10 are containers that hold the logged objects, zlib-packed, one after the other
 and across their borders. Every object begins with ``LOBJ``, the size of its header, its version, its own size and its type.
@@ -17,15 +17,15 @@ from sysid.logs.limits import Budget
 #: Headers of an object (signature, header size and version, size, type) and of a container (method, unpacked size).
 _OBJECT, _CONTAINER = struct.Struct("<4sHHLL"), struct.Struct("<H6xL4x")
 _CONTAINER_TYPE, _ZLIB = 10, 2
-#: No frame is smaller than its object header; no object (frames, texts, settings) is larger than this.
+#: Smallest frame (its object header), and largest object (frames, texts, settings) [bytes].
 _SMALLEST, _LARGEST = 32, 16 * 2**20
 
 
 def most_frames(path: Path, budget: Budget) -> int:
-    """More frames than this are not in the file.
+    """Upper bound of the number of frames in the file.
 
     Raises:
-        InputError: no BLF file, a container that unpacks to more than a log may, an object that does not end or never begins.
+        InputError: no BLF file, a container that unpacks to more than its budget, an object of invalid size.
     """
     total, rest = 0, b""
     size_of_file = path.stat().st_size
@@ -56,15 +56,15 @@ def _unpacked(path: Path, body: bytes, budget: Budget) -> bytes:
     try:
         data = unpacker.decompress(packed, budget.chunk + 1)
     except zlib.error:
-        return b""  # what cannot be unpacked is reported where the frames are read
+        return b""  # reported when the frames are read
     reason = budget.too_large(len(packed), len(data))
     if reason:
-        raise InputError(path, f"a container that {reason}", "a log", "The file is damaged or made to do harm.")
+        raise InputError(path, f"a container that {reason}", "a log", "The file is damaged or malicious.")
     return data
 
 
 def _without_objects(path: Path, data: bytes) -> bytes:
-    """What is left behind the last whole object: the beginning of one that goes on in the next container."""
+    """The rest behind the last whole object: the beginning of one that continues in the next container."""
     position = 0
     while True:
         start = data.find(b"LOBJ", position, position + 8)

@@ -1,7 +1,7 @@
 """C3D trials of any motion capture system: every point is a stream ``x y z`` [m], all analog channels are one (``analog``).
 
-Labels of markers are the names of the streams (``tip_body:Marker1``). A point that was not seen is missing, and so is one that
-lies exactly in the origin: some programs write that for what they did not see. Events are not read.
+Labels of markers are the names of the streams (``tip_body:Marker1``). A point that is not visible is missing, and so is one
+exactly in the origin, which some programs write for points that are not visible. Events are not read.
 """
 
 from __future__ import annotations
@@ -12,21 +12,20 @@ from pathlib import Path
 
 import numpy as np
 
-from sysid.errors import InputError, nearest
 from sysid.logs.c3d_file import C3dFile, read_c3d
+from sysid.logs.capture import length_factor
 from sysid.logs.reader import ReadOptions
 from sysid.logs.stream import Stream
 from sysid.logs.table import to_ns
-from sysid.units import si_factor
 
-#: Results of a model are stored like points; the file lists them under these names and gives them a unit of their own.
+#: Model outputs are stored like points; the file lists them under these names, with a unit of their own.
 _MODEL_OUTPUTS = ("ANGLES", "FORCES", "MOMENTS", "POWERS", "SCALARS", "REACTIONS")
 ANALOG = "analog"
 
 
 @dataclass(frozen=True)
 class C3dReader:
-    """``capture`` stamps: the number of the frame over the rate; a trial that was cut starts where it was cut."""
+    """``capture`` stamps: the number of the frame over the rate, so that a cropped trial does not start at zero."""
 
     name: str = "c3d"
     suffixes: tuple[str, ...] = (".c3d",)
@@ -36,18 +35,16 @@ class C3dReader:
         trial = read_c3d(path, options.budget_of(path, "a C3D file"))
         outputs = _model_outputs(trial)
         names = _names(trial.texts("POINT:LABELS"), trial.points.shape[1], "point")
-        available = [*names, ANALOG] if trial.analog.size else names
-        for wanted in sorted(options.streams or ()):
-            if wanted not in available:
-                raise InputError(path, f"no point {wanted!r}", nearest(wanted, available), "Correct the recipe.")
+        options.check_streams(path, [*names, ANALOG] if trial.analog.size else names, "point")
+        stated = next((unit for unit in trial.texts("POINT:UNITS") if unit), "")
         markers = any(name not in outputs for name in names)
-        factor = _length_factor(path, trial, options) if markers else 1.0
+        factor = length_factor(path, stated, options) if markers else 1.0
         losses = _losses(path, trial)
         frames = np.arange(len(trial.points)) + trial.first
         stamps = {"capture": to_ns(frames / trial.rate, 1.0, str(path))}
         streams = []
         for index, name in enumerate(names):
-            if options.streams is not None and name not in options.streams:
+            if not options.wants(name):
                 continue
             unit = outputs.get(name, "m")
             values = trial.points[:, index] * (factor if name not in outputs else 1.0)
@@ -55,7 +52,7 @@ class C3dReader:
             units = dict.fromkeys(columns, unit) if unit else {}
             kind = "Model Output" if name in outputs else "Marker"
             streams.append(Stream(name, path, stamps, columns, units, losses, kind=kind))
-        if trial.analog.size and (options.streams is None or ANALOG in options.streams):
+        if trial.analog.size and options.wants(ANALOG):
             streams.append(_analog(path, trial, losses))
         return tuple(streams)
 
@@ -73,7 +70,7 @@ def _analog(path: Path, trial: C3dFile, losses: tuple[str, ...]) -> Stream:
 
 
 def _names(labels: Sequence[str], count: int, what: str) -> list[str]:
-    """A name of its own for each of ``count`` columns."""
+    """A unique name for each of ``count`` columns."""
     names: dict[str, None] = {}
     for index in range(count):
         name = labels[index] if index < len(labels) and labels[index] else f"{what} {index + 1}"
@@ -84,29 +81,12 @@ def _names(labels: Sequence[str], count: int, what: str) -> list[str]:
 
 
 def _model_outputs(trial: C3dFile) -> dict[str, str]:
-    """Label → unit (as stated, may be empty) of what is stored as a point but is none."""
+    """Label → unit (as stated, may be empty) of the model outputs among the points."""
     found: dict[str, str] = {}
     for kind in _MODEL_OUTPUTS:
         unit = "".join(trial.texts(f"POINT:{kind[:-1]}_UNITS")[:1])
         found |= dict.fromkeys(trial.texts(f"POINT:{kind}"), unit)
     return found
-
-
-def _length_factor(path: Path, trial: C3dFile, options: ReadOptions) -> float:
-    stated = next((unit for unit in trial.texts("POINT:UNITS") if unit), None)
-    unit = stated or options.length_unit
-    if unit is None:
-        raise InputError(
-            path, "no unit of length (POINT:UNITS)", "one", 'State it in the recipe: `length_unit = "mm"`, or "m".'
-        )
-    factor, si = si_factor(unit, path)
-    if si != "m":
-        raise InputError(path, f"points in [{unit}]", "a unit of length such as m or mm")
-    if stated is not None and options.length_unit is not None and si_factor(options.length_unit, path)[0] != factor:
-        raise InputError(
-            path, f"the file states [{stated}]", f"[{options.length_unit}] as the recipe says", "Correct the recipe."
-        )
-    return factor
 
 
 def _losses(path: Path, trial: C3dFile) -> tuple[str, ...]:
@@ -115,7 +95,7 @@ def _losses(path: Path, trial: C3dFile) -> tuple[str, ...]:
     if frames < trial.stated:
         losses.append(f"{path.name}: the file is cut off: {frames} of {trial.stated} frames are there")
     if trial.zeros:
-        losses.append(f"{path.name}: {trial.zeros} points lie exactly in the origin: taken as not seen")
+        losses.append(f"{path.name}: {trial.zeros} points exactly in the origin are treated as not visible")
     rotations = trial.parameters.get("ROTATION:USED")
     if isinstance(rotations, np.ndarray) and rotations.any():
         losses.append(f"{path.name}: rotation matrices (ROTATION) are not read")

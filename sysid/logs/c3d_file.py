@@ -4,8 +4,7 @@ A file is cut into blocks of 512 bytes: the header, the parameters in groups, an
 and a word for residual and cameras) and then a few samples of every analog channel, as 16-bit integers or as floats, in the
 byte order and float format of the computer that wrote it.
 
-Every size that the file states is checked against the bytes that are there: readers that trust them crash on damaged files or
-ask for gigabytes. ezc3d reads the same values from the same files in the tests.
+Every size that the file states is checked against the size of the file. ezc3d reads the same values in the tests.
 Source: Motion Lab Systems, "The C3D File Format User Guide"; c3d.org.
 """
 
@@ -34,15 +33,15 @@ _TYPES = {-1: "S1", 1: "i1", 2: "i2", 4: "f4"}
 
 @dataclass(frozen=True)
 class C3dFile:
-    """What is in a file.
+    """Content of a file.
 
     Args:
         rate: frames per second [Hz]; ``first`` is the number of the first one, counted from 0.
-        points: (n, p, 3) in the file's units, NaN where a point was not seen.
-        zeros: points that lie exactly in the origin without being marked as missing.
+        points: (n, p, 3) in the file's units, NaN where a point is not visible.
+        zeros: number of points exactly in the origin that are not marked as missing.
         analog: (n·k, c) scaled to the file's units, k samples a frame.
         parameters: ``GROUP:NAME`` → numbers, or tuple of texts.
-        stated: frames that the header announces; ``points`` has fewer where the file is cut off.
+        stated: number of frames in the header; ``points`` has fewer where the file is cut off.
     """
 
     rate: float
@@ -106,7 +105,7 @@ def read_c3d(path: Path, budget: Budget) -> C3dFile:
 
 
 def _parameters(path: Path, data: bytes, coding: _Coding) -> Iterator[tuple[str, Any]]:
-    """All parameters in the section that ``data`` is."""
+    """All parameters of the parameter section ``data``."""
     groups: dict[int, str] = {}
     waiting: list[tuple[int, str, Any]] = []
     position = 4
@@ -131,7 +130,7 @@ def _parameters(path: Path, data: bytes, coding: _Coding) -> Iterator[tuple[str,
 
 
 def _value(path: Path, name: str, data: bytes, at: int, coding: _Coding) -> Any:
-    """One parameter: its type, the number of its dimensions, their sizes, its values with the first index running fastest."""
+    """One parameter: type, number of dimensions, their sizes, values with the first index fastest."""
     kind, dimensions = _signed(_byte(data, at)), _byte(data, at + 1)
     sizes = [_byte(data, at + 2 + i) for i in range(dimensions)]
     start = at + 2 + dimensions
@@ -211,10 +210,10 @@ def _frames(path: Path, data: bytes, coding: _Coding, parameters: Mapping[str, A
 
 
 def _range(parameters: Mapping[str, Any], first: int, last: int, available: int) -> tuple[int, int]:
-    """Number of the first frame, counted from 0, and how many frames the file announces.
+    """Number of the first frame, counted from 0, and the stated number of frames.
 
-    Long trials do not fit the header's 16 bits, and a trial cut from a longer one may keep its counts: up to four places
-    state the number of frames. The largest that the file has room for is right; if none, the file is cut off.
+    Up to four places state the number of frames, because long trials exceed the header's 16 bits, and a cropped trial may keep
+    its old counts. The largest number that fits into the file is used; if none fits, the file is cut off.
     """
     stated = {last - first + 1, *(_unsigned(_first(parameters, f"POINT:{name}", 0)) for name in ("FRAMES", "LONG_FRAMES"))}
     ends = [parameters.get(f"TRIAL:ACTUAL_{end}_FIELD") for end in ("START", "END")]

@@ -1,4 +1,4 @@
-"""CAN logs decoded with a database: every message is a stream, every signal a column, stamped when the logger saw the frame.
+"""CAN logs decoded with a database: every message is a stream, every signal a column, stamped when the frame was logged.
 
 Without a database every identifier (``0x1A7``, ``0x18FF1027x`` with 29 bits) is a stream of its bytes, ``data[0]`` and so on.
 """
@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from sysid.errors import InputError, nearest
+from sysid.errors import InputError
 from sysid.logs.can_frames import Address, FrameLog, Frames, read_frames
 from sysid.logs.can_signals import decode, load_database
 from sysid.logs.reader import ReadOptions
@@ -21,9 +21,10 @@ from sysid.logs.stream import Stream
 if TYPE_CHECKING:
     from cantools.database.can import Database, Message
 
-#: J1939: priority and sender are no part of what a message means; below this PDU format neither is the receiver.
+#: J1939: priority and sender are no part of the parameter group number; below this PDU format neither is the receiver.
 _J1939_BROADCAST = 240
-_SAID = 5
+#: Identifiers that a message lists.
+_LISTED = 5
 
 
 @dataclass(frozen=True)
@@ -87,7 +88,7 @@ def _raw_stream(name: str, path: Path, frames: Frames, losses: Sequence[str]) ->
 
 
 def _message(address: Address, database: Database) -> Message | None:
-    """The message of an identifier; J1939 messages whoever sends them, with whatever priority."""
+    """The message of an identifier; of a J1939 message with any sender and priority."""
     _, identifier, extended = address
     for message in database.messages:
         if message.frame_id == identifier and message.is_extended_frame == extended:
@@ -114,20 +115,16 @@ def _unique(named: Mapping[Address, str]) -> dict[Address, str]:
     """Stream names: the message's; with its identifier and bus where several send the same."""
     names = {}
     for address, name in named.items():
-        rivals = [other for other in named if named[other] == name]
-        identifier = f"@{_identifier(address)}" if len({other[1:] for other in rivals}) > 1 else ""
-        bus = f"@bus{address[0]}" if len({other[0] for other in rivals}) > 1 else ""
+        same = [other for other in named if named[other] == name]
+        identifier = f"@{_identifier(address)}" if len({other[1:] for other in same}) > 1 else ""
+        bus = f"@bus{address[0]}" if len({other[0] for other in same}) > 1 else ""
         names[address] = name + identifier + bus
     return names
 
 
 def _select(path: Path, names: Mapping[Address, str], options: ReadOptions) -> dict[Address, str]:
-    for wanted in sorted(options.streams or ()):
-        if wanted not in names.values():
-            raise InputError(
-                path, f"no message {wanted!r}", nearest(wanted, set(names.values())), "Correct `topic` in the recipe."
-            )
-    return {address: name for address, name in names.items() if options.streams is None or name in options.streams}
+    options.check_streams(path, names.values(), "message", "Correct `topic` in the recipe.")
+    return {address: name for address, name in names.items() if options.wants(name)}
 
 
 def _unknown(path: Path, unknown: Mapping[Address, int], dbc: Path) -> str:
@@ -138,5 +135,5 @@ def _unknown(path: Path, unknown: Mapping[Address, int], dbc: Path) -> str:
 
 def _some(texts: Iterable[str]) -> str:
     listed = list(texts)
-    more = f" and {len(listed) - _SAID} more" if len(listed) > _SAID else ""
-    return ", ".join(listed[:_SAID]) + more
+    more = f" and {len(listed) - _LISTED} more" if len(listed) > _LISTED else ""
+    return ", ".join(listed[:_LISTED]) + more

@@ -35,7 +35,7 @@ class Frames:
     """The data frames of one identifier on one bus.
 
     Args:
-        stamps: when each was logged, int64 nanoseconds (n,).
+        stamps: time of logging, int64 nanoseconds (n,).
         data: payload, padded with zeros to the longest, (n, width) uint8.
         lengths: bytes of each payload (n,).
     """
@@ -47,7 +47,7 @@ class Frames:
 
 @dataclass
 class FrameLog:
-    """What a file held: data frames by address; how many frames of another kind; what went wrong, in words."""
+    """Content of a file: data frames by address, the numbers of error and remote frames, and losses."""
 
     frames: dict[Address, Frames] = field(default_factory=dict)
     errors: int = 0
@@ -72,7 +72,7 @@ class _Collected:
 
 
 def read_frames(path: Path, budget: Budget) -> FrameLog:
-    """All data frames of a BLF, ASC, TRC (PEAK) or candump file. A damaged file gives what comes before the damage.
+    """All data frames of a BLF, ASC, TRC (PEAK) or candump file, of a damaged file those before the damage.
 
     Raises:
         InputError: not such a file, or nothing in it can be read.
@@ -88,7 +88,7 @@ def _read_blf(path: Path, budget: Budget) -> FrameLog:
 
     limit = most_frames(path, budget)
     with _opened(path, BLFReader) as reader:
-        # Stamps count from the start of the measurement: added as an integer, they keep their nanoseconds.
+        # Stamps count from the start of the measurement; the start is added as an integer to keep nanoseconds.
         start_ns = round(reader.start_timestamp * 1e3) * 1_000_000
         if not abs(start_ns) < 2**62:  # to_ns holds the stamps themselves within 64 bits
             remedy = "The file is damaged."
@@ -143,7 +143,7 @@ _OPENERS: dict[str, Callable[[Path, Budget], FrameLog]] = {
 }
 
 
-#: A PEAK trace ends without a line end; its last byte is cut where one digit stands behind a byte or the number of bytes.
+#: A PEAK trace ends without a line end; its last byte is cut where a single digit follows a byte or the number of bytes.
 _CUT_BYTE = re.compile(r"\s[0-9A-F]{1,2}\s+[0-9A-F]$", re.IGNORECASE)
 
 
@@ -161,7 +161,7 @@ class _WholeLines(io.TextIOWrapper):
 
 
 def _opened(path: Path, reader: Callable[..., Any], text: bool = False) -> Any:
-    """``reader`` on the opened file; it closes the file when it is left."""
+    """``reader`` on the opened file, as a context manager that closes it."""
     file: Any = path.open("rb")
     if text:
         file = _WholeLines(file, encoding="utf-8", errors="replace")
@@ -173,7 +173,7 @@ def _opened(path: Path, reader: Callable[..., Any], text: bool = False) -> Any:
 
 
 def _collect(path: Path, messages: Iterable[Message], budget: Budget, start_ns: int = 0, limit: int | None = None) -> FrameLog:
-    """Group ``messages``; more than ``limit`` of them cannot be in a file of that size."""
+    """Group ``messages``, of which a file of this size can have at most ``limit``."""
     groups: dict[Address, _Collected] = {}
     log = FrameLog()
     count = 0

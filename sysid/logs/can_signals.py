@@ -1,8 +1,8 @@
 """CAN payloads → signals, all frames of a message at once, as its database (DBC) describes them.
 
-A signal is a run of bits: ``value = scale · raw + offset``. Little endian (Intel) counts bits upwards from the least
-significant one, big endian (Motorola) downwards from the most significant one, byte after byte. Signals of up to 64 bits are
-cut out by NumPy; a message with a longer one is decoded frame by frame by cantools.
+A signal is a range of bits: ``value = scale · raw + offset``. Little endian (Intel) counts bits upwards from the least
+significant one, big endian (Motorola) downwards from the most significant one, byte after byte. NumPy extracts signals of up to
+64 bits; cantools decodes a message with a longer one frame by frame.
 Source: Vector, "DBC File Format Documentation"; cantools decodes the same frames in the tests.
 """
 
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from cantools.database.can import Database, Message, Signal
 
 Array = npt.NDArray[np.float64]
-#: The largest databases have some megabytes; their parser takes a hundred times as much.
+#: The largest databases have some megabytes; their parser takes a hundred times as much memory.
 _MAX_DATABASE = 16 * 2**20
 _FLOATS: dict[int, tuple[type[np.unsignedinteger], type[np.floating]]] = {
     16: (np.uint16, np.float16),
@@ -55,7 +55,7 @@ def load_database(path: Path) -> Database:
 
 
 def decode(message: Message, frames: Frames) -> dict[str, Array]:
-    """Signal → values (n,); NaN in frames too short for it, or in which the multiplexer selects another."""
+    """Signal → values (n,); NaN in frames that are too short or in which the multiplexer selects another signal."""
     if message.is_container or any(not _is_plain(signal) for signal in message.signals):
         return _decode_each(message, frames)
     raws = {signal.name: _raw(signal, frames) for signal in message.signals}
@@ -70,7 +70,7 @@ def _is_plain(signal: Signal) -> bool:
 
 
 def _span(signal: Signal) -> tuple[int, int, int]:
-    """First and last byte of a signal, and how far its least significant bit lies above the bottom of its byte."""
+    """First and last byte of a signal, and the position of its least significant bit within its byte."""
     if signal.byte_order == "little_endian":
         last = signal.start + signal.length - 1
         return signal.start // 8, last // 8, signal.start % 8
@@ -113,7 +113,7 @@ def _scaled(signal: Signal, raw: npt.NDArray[np.uint64]) -> Array:
 def _present(
     signal: Signal, message: Message, frames: Frames, raws: dict[str, npt.NDArray[np.uint64]]
 ) -> npt.NDArray[np.bool_]:
-    """In which frames the payload holds ``signal``."""
+    """Mask of the frames whose payload contains ``signal``, (n,)."""
     there = np.asarray(frames.lengths > _span(signal)[1])
     if signal.multiplexer_ids and signal.multiplexer_signal is not None:
         switch = message.get_signal_by_name(signal.multiplexer_signal)
@@ -123,7 +123,7 @@ def _present(
 
 
 def _decode_each(message: Message, frames: Frames) -> dict[str, Array]:
-    """The same frame by frame, by cantools."""
+    """:func:`decode` frame by frame with cantools."""
     from bitstruct import Error as BitsError
     from cantools.database.errors import DecodeError
 

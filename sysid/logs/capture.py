@@ -1,10 +1,9 @@
-"""Shared by text exports of motion capture: numbers below a head, length units, rotations as unit quaternions."""
+"""Shared by exports of motion capture: rows of numbers below a head, length units, rotations as unit quaternions."""
 
 from __future__ import annotations
 
 import re
-import warnings
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from itertools import islice
 from pathlib import Path
 
@@ -13,15 +12,12 @@ import numpy.typing as npt
 import pandas as pd
 
 from sysid import scratch
-from sysid.errors import InputError, nearest
+from sysid.errors import InputError
 from sysid.logs.reader import ALL, ReadOptions
-from sysid.logs.table import CUT_ROW, without_line_end
+from sysid.logs.table import CUT_ROW, text_chunks, without_line_end
 from sysid.units import si_factor
 
 _UNITS = {"meters": "m", "millimeters": "mm", "centimeters": "cm", "inches": "inch", "feet": "foot"}
-
-#: Cells that are parsed at a time.
-_CELLS = 2**20
 
 Array = npt.NDArray[np.float64]
 
@@ -30,7 +26,7 @@ def text_lines(path: Path, what: str) -> Iterator[str]:
     """Lines of a text file without their ends.
 
     Raises:
-        InputError: the file is not UTF-8 (or Latin-1 in a comment: then it is no export of this kind).
+        InputError: the file is not UTF-8.
     """
     try:
         with path.open(encoding="utf-8-sig", newline="") as file:
@@ -52,21 +48,21 @@ def number_rows(
     columns: Sequence[int] | None = None,
     options: ReadOptions = ALL,
 ) -> tuple[Array, tuple[str, ...]]:
-    """Rows of numbers from physical line ``first`` (0 is the first line) on: (n, width), NaN in empty cells, and what was lost.
+    """Rows of numbers from physical line ``first`` (0 is the first line) on: (n, width), NaN in empty cells, and the losses.
 
     Args:
-        count: of physical lines; None to the end of the file.
-        whole: the rows end with the file: a last one without a line end may be cut and is left out.
-        ragged: rows may be longer than the head; what lies beyond is reported as lost.
-        stop: column of the result, and by how much it rises until the rest of the file may be left unread.
-        columns: those of the file that the result has, in rising order; all of them where none are given.
-        options: what the file is read with.
+        count: number of physical lines; None to the end of the file.
+        whole: the rows end with the file, so that a last one without a line end may be cut and is dropped.
+        ragged: rows may be longer than the head; cells beyond it are reported as lost.
+        stop: column of the result, and the increase after which the rest of the file is skipped.
+        columns: columns of the file in the result, increasing; None for all.
+        options: of the reader.
 
     Raises:
-        InputError: a row that is longer than the head, where that is not expected; more numbers than are read.
+        InputError: a row that is longer than the head and not ``ragged``; more values than the budget.
     """
     budget = options.budget_of(path, "a text export")
-    cells = width + 1  # one more than the head has: it is empty in every row that fits
+    cells = width + 1  # one more than in the head, empty in every row that fits
     if ragged:
         cells = max(cells, *(line.count(separator) + 1 for line in islice(text_lines(path, "text"), first, None)), 0)
     budget.check_columns(path, cells - 1, "cells in a row")
@@ -77,7 +73,13 @@ def number_rows(
     numbers = scratch.empty(expected * len(wanted)).reshape(expected, len(wanted))  # rows that are not there take no memory
     rows = too_long = 0
     stopped = False
-    for piece in _pieces(path, first, separator, cells, count, options.progress):
+    expected_rows = f"{cells - 1} cells a row"
+    for piece in text_chunks(
+        path, cells, options.progress, "rows that do not fit the head", expected_rows,
+        sep=separator, skiprows=first, nrows=count, skip_blank_lines=count is None,
+    ):  # fmt: skip
+        if not len(piece):
+            break
         longer = np.flatnonzero(piece[list(range(width, cells))].notna().any(axis=1).to_numpy())
         if len(longer) and not ragged:
             where = f"{path}: row {rows + int(longer[0]) + 1} below the head"
@@ -102,74 +104,33 @@ def number_rows(
 
 
 def _line_count(path: Path) -> int:
-    """Lines of a text file; a line end within quotes counts, too."""
+    """Number of lines of a text file; a line end within quotes counts, too."""
     with path.open("rb") as file:
         pieces = iter(lambda: file.read(2**20), b"")
         return 1 + sum(piece.count(b"\n") + piece.count(b"\r") - piece.count(b"\r\n") for piece in pieces)
 
 
-def _pieces(
-    path: Path, first: int, separator: str, cells: int, count: int | None, progress: Callable[[float], None]
-) -> Iterator[pd.DataFrame]:
-    """The rows, some thousands at a time: text takes several times the memory of its numbers."""
-    size = path.stat().st_size
-    try:
-        with path.open("rb") as file, pd.read_csv(
-            file, sep=separator, header=None, skiprows=first, names=list(range(cells)), index_col=False,
-            encoding="utf-8-sig", skip_blank_lines=count is None, low_memory=False, nrows=count,
-            chunksize=max(1, _CELLS // cells),
-        ) as pieces:  # fmt: skip
-            while (piece := _next(pieces)) is not None and len(piece):
-                progress(min(1.0, file.tell() / size))
-                yield piece
-    except pd.errors.EmptyDataError:
-        return
-    except (pd.errors.ParserError, UnicodeDecodeError) as error:
-        raise InputError(
-            path, f"rows that do not fit the head ({' '.join(str(error).split())})", f"{cells - 1} cells a row"
-        ) from None
-
-
-def _next(pieces: Iterator[pd.DataFrame]) -> pd.DataFrame | None:
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", pd.errors.ParserWarning)  # longer rows are looked for by the caller
-        return next(pieces, None)
-
-
 def length_factor(path: Path, stated: str, options: ReadOptions, default: str | None = None) -> float:
-    """Metres in a unit of length: the one the file states, else the recipe's, else ``default``.
+    """Metres in the unit of length of the file, else of the recipe, else ``default``.
 
     Raises:
-        InputError: nothing is stated, the recipe contradicts the file, or it is no unit of length.
+        InputError: no unit is stated, the recipe contradicts the file, or it is no unit of length.
     """
     if not stated and options.length_unit is None and default is None:
-        raise InputError(
-            path,
-            "the header states no length unit",
-            "'Length Units'",
-            'State it in the recipe: `length_unit = "m"` (or "mm", "cm").',
-        )
+        remedy = 'State it in the recipe: `length_unit = "m"` (or "mm", "cm").'
+        raise InputError(path, "the file states no length unit", "a unit such as m or mm", remedy)
     unit = _UNITS.get(stated.lower(), stated) if stated else str(options.length_unit or default)
     if stated and options.length_unit is not None and si_factor(unit, path) != si_factor(options.length_unit, path):
-        raise InputError(
-            path, f"the header states {stated}", f"[{options.length_unit}] as the recipe says", "Correct the recipe."
-        )
+        expected = f"[{options.length_unit}] as in the recipe"
+        raise InputError(path, f"the file states [{stated}]", expected, "Correct the recipe.")
     factor, si = si_factor(unit, path)
     if si != "m":
         raise InputError(path, f"a length unit of [{si}]", "a unit of length such as m or mm")
     return factor
 
 
-def check_streams(path: Path, options: ReadOptions, names: list[str], what: str) -> None:
-    """Raise where a wanted body or marker is not in the file."""
-    known = set(names)
-    for wanted in sorted(options.streams or ()):
-        if wanted not in known:
-            raise InputError(path, f"no {what} {wanted!r}", nearest(wanted, known), "Correct the recipe.")
-
-
 def unique_names(names: list[str]) -> list[str]:
-    """``names`` with a number behind those that come again."""
+    """``names`` with a number behind repeated ones."""
     seen: dict[str, int] = {}
     result = []
     for name in names:
@@ -179,25 +140,13 @@ def unique_names(names: list[str]) -> list[str]:
 
 
 def euler_order(rotation: str | None) -> str | None:
-    """``XYZ`` … ``ZYX`` from what a header or a recipe says (``Euler XYZ``); None where it names no order."""
+    """``XYZ`` … ``ZYX`` from the text of a header or recipe (``Euler XYZ``); None where it names no order."""
     match = re.search(r"\b([XYZ]{3})\b", (rotation or "").upper())
     return match[1] if match is not None and sorted(match[1]) == ["X", "Y", "Z"] else None
 
 
-def from_euler(degrees: Array, order: str) -> Array:
-    """Rotations about the body's own axes in ``order``, (n, 3) [deg] → quaternions x y z w (n, 4)."""
-    result = np.tile([0.0, 0.0, 0.0, 1.0], (len(degrees), 1))
-    for column, axis in enumerate(order):
-        half = np.deg2rad(degrees[:, column]) / 2.0
-        turn = np.zeros((len(degrees), 4))
-        turn[:, "XYZ".index(axis)] = np.sin(half)
-        turn[:, 3] = np.cos(half)
-        result = multiply(result, turn)
-    return result
-
-
 def from_matrices(matrices: Array) -> Array:
-    """Rotation matrices (n, 3, 3) → quaternions x y z w (n, 4); NaN where a matrix is no rotation (2 % of an entry)."""
+    """Rotation matrices (n, 3, 3) → quaternions x y z w (n, 4); NaN where a matrix is no rotation (tolerance 0.02)."""
     result = np.full((len(matrices), 4), np.nan)
     with np.errstate(invalid="ignore"):
         residual = np.abs(np.einsum("nij,nkj->nik", matrices, matrices) - np.eye(3)).max(axis=(1, 2))
@@ -210,15 +159,8 @@ def from_matrices(matrices: Array) -> Array:
 
 
 def quaternion_columns(quaternions: Array) -> dict[str, Array]:
-    """``qx`` … ``qw`` of quaternions x y z w (n, 4), brought to length one; NaN where they are no rotation."""
+    """``qx`` … ``qw`` of quaternions x y z w (n, 4), normalised; NaN where they are no rotation."""
     with np.errstate(invalid="ignore"):
         norm = np.linalg.norm(quaternions, axis=1)
         unit = np.where((np.abs(norm - 1.0) < 0.05)[:, None], quaternions / norm[:, None], np.nan)
     return {f"q{axis}": unit[:, i] for i, axis in enumerate("xyzw")}
-
-
-def multiply(a: Array, b: Array) -> Array:
-    """Quaternion product (x, y, z, w), (n, 4) each: first ``b``, then ``a``."""
-    vector = a[:, 3:] * b[:, :3] + b[:, 3:] * a[:, :3] + np.cross(a[:, :3], b[:, :3])
-    scalar = a[:, 3] * b[:, 3] - np.sum(a[:, :3] * b[:, :3], axis=1)
-    return np.column_stack([vector, scalar])

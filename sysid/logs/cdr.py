@@ -1,8 +1,7 @@
 """Messages of one type → columns, many messages at once: CDR (ROS 2) and packed (ROS 1).
 
-One message is walked to learn its layout (:mod:`sysid.logs.layout`); every other message whose length words, byte order and
-naming strings are the same, byte for byte, has the same layout, and its columns are cut out by NumPy. What does not match is
-walked in turn: a log with few layouts costs few walks, one with a new layout in every message is read message by message.
+One message is parsed to find its layout (:mod:`sysid.logs.layout`). Every other message with the same length words, byte order
+and naming strings has the same layout, and NumPy extracts its columns. A message that matches no known layout is parsed next.
 """
 
 from __future__ import annotations
@@ -12,16 +11,28 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 
-from sysid.logs.layout import Bytes, Layout, learn_layout
-from sysid.logs.pieces import Pieces
+from sysid.logs.layout import Bytes, Layout, layout_of
 from sysid.logs.rosmsg import Definition
+from sysid.logs.topic_columns import TopicColumns
 
-#: Layouts of one message size that are tried before a message is walked.
+Rows = npt.NDArray[np.intp]
+
+#: Layouts of one message size that are kept.
 MAX_LAYOUTS = 64
-#: Key of the layouts that begin messages of any size.
+#: Key of layouts that do not depend on the size of the message.
 _ANY_SIZE = -1
-#: Bytes of messages that are compared and cut at once.
+#: Bytes of messages that are compared at once.
 _GATHERED = 16 * 2**20
+
+
+@dataclass(frozen=True)
+class _Messages:
+    """Messages ``buffer[start : start + size]``, of which the first is row ``first`` of the columns."""
+
+    buffer: Bytes
+    starts: npt.NDArray[np.int64]
+    sizes: npt.NDArray[np.int64]
+    first: int
 
 
 @dataclass
@@ -31,9 +42,9 @@ class ColumnDecoder:
     Args:
         definition: their type.
         wanted: fields to read besides the stamps; None for all.
-        preview: read all fields of the first so many messages, and only the stamps of those after them.
-        packed: as ROS 1 writes them.
-        cells: of the topic's table while nothing says which fields are wanted.
+        preview: number of messages of which all fields are read; of later ones only the stamps.
+        packed: serialised by ROS 1.
+        cells: limit of the topic's table where ``wanted`` is None.
     """
 
     definition: Definition
@@ -41,114 +52,85 @@ class ColumnDecoder:
     preview: int | None = None
     packed: bool = False
     cells: int = 2**28
-    pieces: Pieces = field(init=False)
+    columns: TopicColumns = field(init=False)
     reason: str = ""
     _layouts: dict[int, list[Layout]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        self.pieces = Pieces(self.wanted, self.cells)
+        self.columns = TopicColumns(self.wanted, self.cells)
         if self.wanted is not None:
             self.wanted |= self.definition.stamp_fields()
 
     def add(self, buffer: Bytes, starts: npt.NDArray[np.int64], sizes: npt.NDArray[np.int64]) -> None:
-        """Take messages ``buffer[start : start + size]``; they are copied, the buffer may go."""
-        if self.preview is not None and self.pieces.total >= self.preview:
+        """Decode messages ``buffer[start : start + size]``; their values are copied."""
+        if self.preview is not None and self.columns.total >= self.preview:
             self._stamps_only()
-        first = self.pieces.expect(len(starts))
+        messages = _Messages(buffer, starts, sizes, self.columns.expect(len(starts)))
         if self.wanted is not None and not self.wanted:
             return
-        left = self._known(_ANY_SIZE, buffer, starts, sizes, np.arange(len(starts)), first)
+        left = self._decode_known(_ANY_SIZE, messages, np.arange(len(starts)))
         while len(left):
-            alike = sizes[left] == sizes[left[0]]
-            own = self._known(int(sizes[left[0]]), buffer, starts, sizes, left[alike], first)
-            left = np.union1d(own, left[~alike]) if len(own) else left[~alike]
+            same_size = sizes[left] == sizes[left[0]]
+            own = self._decode_known(int(sizes[left[0]]), messages, left[same_size])
+            left = np.union1d(own, left[~same_size]) if len(own) else left[~same_size]
             if len(own):
-                left = self._learn(int(own[0]), buffer, starts, sizes, left, first)
+                left = self._decode_like(int(own[0]), messages, left)
 
     def _stamps_only(self) -> None:
-        """From here on no field but the stamps is read."""
+        """From here on only the stamps are read."""
         self.preview = None
-        self.pieces.stamps_only()
+        self.columns.stamps_only()
         self.wanted = self.definition.stamp_fields()
         self._layouts.clear()
 
-    def _learn(
-        self,
-        row: int,
-        buffer: Bytes,
-        starts: npt.NDArray[np.int64],
-        sizes: npt.NDArray[np.int64],
-        left: npt.NDArray[np.intp],
-        first: int,
-    ) -> npt.NDArray[np.intp]:
-        """Walk message ``row`` and take all that are like it; returns those that are not."""
-        message = buffer[starts[row] : starts[row] + sizes[row]].tobytes()
+    def _decode_like(self, row: int, messages: _Messages, left: Rows) -> Rows:
+        """Parse message ``row`` and decode all with the same layout; returns the others."""
+        start, sizes = messages.starts[row], messages.sizes
         try:
-            layout = learn_layout(message, self.definition, self.wanted, self.packed)
+            data = messages.buffer[start : start + sizes[row]].tobytes()
+            layout = layout_of(data, self.definition, self.wanted, self.packed)
         except IndexError as error:
-            self.pieces.bad.append(first + row)
+            self.columns.bad.append(messages.first + row)
             self.reason = self.reason or str(error)
             return np.asarray(left[left != row], dtype=np.intp)
         known = self._layouts.setdefault(layout.size if layout.whole else _ANY_SIZE, [])
         known.append(layout)
         del known[:-MAX_LAYOUTS]
         fits = sizes[left] == layout.size if layout.whole else sizes[left] >= layout.size
-        rest = np.union1d(self._take(layout, buffer, starts, left[fits], first), left[~fits])
+        rest = np.union1d(self._decode(layout, messages, left[fits]), left[~fits])
         return np.asarray(rest, dtype=np.intp)
 
-    def _known(
-        self,
-        key: int,
-        buffer: Bytes,
-        starts: npt.NDArray[np.int64],
-        sizes: npt.NDArray[np.int64],
-        left: npt.NDArray[np.intp],
-        first: int,
-    ) -> npt.NDArray[np.intp]:
-        """Take the messages that have one of the layouts under ``key``; returns those that have none of them."""
+    def _decode_known(self, key: int, messages: _Messages, left: Rows) -> Rows:
+        """Decode the messages with one of the layouts under ``key``; returns the others."""
         for layout in reversed(self._layouts.get(key, [])):
             if not len(left):
                 break
-            long_enough = left if key != _ANY_SIZE else left[sizes[left] >= layout.size]
+            long_enough = left if key != _ANY_SIZE else left[messages.sizes[left] >= layout.size]
             if len(long_enough):
-                rest = self._take(layout, buffer, starts, long_enough, first)
-                left = rest if len(long_enough) == len(left) else np.union1d(rest, left[sizes[left] < layout.size])
+                rest = self._decode(layout, messages, long_enough)
+                left = rest if len(long_enough) == len(left) else np.union1d(rest, left[messages.sizes[left] < layout.size])
         return left
 
-    def _take(
-        self,
-        layout: Layout,
-        buffer: Bytes,
-        starts: npt.NDArray[np.int64],
-        left: npt.NDArray[np.intp],
-        first: int,
-    ) -> npt.NDArray[np.intp]:
-        """Cut the columns out of the messages that have ``layout``; returns those that do not."""
-        most = max(1, _GATHERED // max(1, layout.span))
-        rest = [self._take_some(layout, buffer, starts, left[k : k + most], first) for k in range(0, len(left), most)]
+    def _decode(self, layout: Layout, messages: _Messages, left: Rows) -> Rows:
+        """Extract the columns of the messages with ``layout``; returns the others."""
+        count = max(1, _GATHERED // max(1, layout.span))
+        rest = [self._decode_chunk(layout, messages, left[k : k + count]) for k in range(0, len(left), count)]
         return rest[0] if len(rest) == 1 else np.concatenate(rest)
 
-    def _take_some(
-        self,
-        layout: Layout,
-        buffer: Bytes,
-        starts: npt.NDArray[np.int64],
-        left: npt.NDArray[np.intp],
-        first: int,
-    ) -> npt.NDArray[np.intp]:
-        messages = gather(buffer, starts[left], layout.span)
-        same = np.all(messages[:, layout.fixed] == layout.template, axis=1)
+    def _decode_chunk(self, layout: Layout, messages: _Messages, left: Rows) -> Rows:
+        data = gather(messages.buffer, messages.starts[left], layout.span)
+        same = np.all(data[:, layout.fixed] == layout.template, axis=1)
         everyone = bool(same.all())
-        rows = (left if everyone else left[same]) + first
+        rows = (left if everyone else left[same]) + messages.first
         if len(rows) and layout.numbers:
-            records = layout.records(messages if everyone else messages[same])
+            records = layout.records(data if everyone else data[same])
             for path, names in layout.names.items():
                 if self.wanted is None or any(name in self.wanted for name in names):
-                    self.pieces.put(names, rows, records[path])
+                    self.columns.put(names, rows, records[path])
                 else:
                     for name in names:
-                        self.pieces.know(name)
-        rest: npt.NDArray[np.intp] = left[:0] if everyone else left[~same]
+                        self.columns.know(name)
+        rest: Rows = left[:0] if everyone else left[~same]
         return rest
 
 

@@ -1,9 +1,8 @@
 """A file is read in a process of its own, with limits on its address space and its processor time.
 
-The libraries that take log files apart can be led astray by a file that was damaged or made to do harm: they ask for memory
-without end, never return, or crash. In a process of their own that is an error of the file and of nothing else. What was read
-comes back through a pipe: values as JSON, arrays as they are; nothing in it can run code. Where the caller has scratch files
-(:mod:`sysid.scratch`) large arrays come back in one that the process has written, and are not copied.
+With a damaged or malicious file, a library may allocate memory without limit, never return, or crash. In a process of its own
+this is an error of the file only. Results return through a pipe: values as JSON, arrays as bytes; nothing in it can run code.
+With scratch files (:mod:`sysid.scratch`) large arrays return in one that the process has written, without a copy.
 """
 
 from __future__ import annotations
@@ -38,26 +37,24 @@ T = TypeVar("T")
 
 #: Address space beyond the budget: room that threads and allocators reserve without using it.
 _RESERVED = 256 * 2**20
-#: Who waits longer than so many times the processor's seconds waits for something that does not come; a busy machine is slow.
+#: Longest wait, as a multiple of the allowed processor time: the machine may be busy.
 _WAITING = 40.0
 #: A message: its kind (progress, result, error) and the length of its text.
 _HEAD = struct.Struct("<cQ")
 _DIE_WITH_PARENT = 1  # PR_SET_PDEATHSIG
-_DAMAGED = "The file is damaged or made to do harm."
+_DAMAGED = "The file is damaged or malicious."
 
 
-def read_confined(reader: LogReader, path: Path, options: ReadOptions, what: str = "a log file") -> tuple[Stream, ...]:
+def read_confined(reader: LogReader, path: Path, options: ReadOptions) -> tuple[Stream, ...]:
     """``reader.read(path, options)`` in a process of its own.
 
     Raises:
         InputError: as of the reader; it took more than its budget, or crashed.
     """
-    budget = options.budget_of(path, what, None)
-    return confined(lambda report: reader.read(path, _reporting(options, report)), path, budget, (Stream,), options.progress)
-
-
-def _reporting(options: ReadOptions, report: Callable[[float], None]) -> ReadOptions:
-    return replace(options, progress=report)
+    budget = options.budget_of(path, "a log file", None)
+    return confined(
+        lambda report: reader.read(path, replace(options, progress=report)), path, budget, (Stream,), options.progress
+    )
 
 
 def confined(
@@ -67,12 +64,12 @@ def confined(
     kinds: Sequence[type],
     progress: Callable[[float], None] = lambda share: None,
 ) -> T:
-    """What ``work`` returns: text, numbers, arrays, paths, and dataclasses of ``kinds``, nested in tuples and dictionaries.
+    """The result of ``work``: text, numbers, arrays, paths, and dataclasses of ``kinds``, nested in tuples and dictionaries.
 
     Args:
-        work: called in the other process with a function that takes the share done.
-        where: what an exceeded budget and a crash are blamed on.
-        progress: called here with the share done.
+        work: called in the child process with a function that takes the share done.
+        where: of the error where the budget is exceeded or the process crashes.
+        progress: called in this process with the share done.
 
     Raises:
         SysidError, OSError: as ``work`` raises them.
@@ -80,7 +77,7 @@ def confined(
     """
     own = scratch.current()
     shared = Scratch(own.folder) if own is not None else None
-    file = shared.file if shared is not None else None  # opened here: it is how the arrays come back
+    file = shared.file if shared is not None else None  # opened here, so that both processes have it
     outlet, inlet = os.pipe()
     with own.unshared() if own is not None else contextlib.nullcontext():
         child = os.fork()
@@ -117,7 +114,7 @@ def confined(
 def _work(
     work: Callable[[Callable[[float], None]], Any], inlet: int, budget: Budget, kinds: Sequence[type], shared: Scratch | None
 ) -> NoReturn:
-    """The other process: it ends here. Its large arrays lie in the file of ``shared``."""
+    """The child process, which ends here. Its large arrays are in the file of ``shared``."""
     with contextlib.suppress(BaseException):
         _confine(budget)
         try:
@@ -157,7 +154,7 @@ def _confine(budget: Budget) -> None:
 
         pa.set_memory_pool(pa.system_memory_pool())
     taken = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
-    faulthandler.disable()  # what a crash is called is said by the parent
+    faulthandler.disable()  # the parent reports a crash
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     seconds = max(1, round(budget.seconds))
     for what, soft, limit in (
@@ -181,7 +178,7 @@ def _write(inlet: int, data: memoryview) -> None:
 
 @dataclass
 class _Description:
-    """Values in the types of JSON. An array stands there by its place in ``arrays``, which has the same one once."""
+    """Encodes values as JSON types. An array is encoded by its index in ``arrays``, which holds each array once."""
 
     kinds: tuple[type, ...]
     arrays: list[npt.NDArray[Any]] = field(default_factory=list)
@@ -205,7 +202,7 @@ class _Description:
 
 
 def _value(described: Any, arrays: Sequence[npt.NDArray[Any]], kinds: Mapping[str, type]) -> Any:
-    """What :class:`_Description` has described; lists come back as tuples."""
+    """Decodes what :class:`_Description` has encoded; lists become tuples."""
 
     def inner(item: Any) -> Any:
         return _value(item, arrays, kinds)
@@ -226,7 +223,7 @@ def _value(described: Any, arrays: Sequence[npt.NDArray[Any]], kinds: Mapping[st
 
 @dataclass
 class _Answer:
-    """What comes through the pipe, for which ``seconds`` may be waited altogether, and in the scratch ``file``."""
+    """Messages from the pipe, with a total waiting time of ``seconds``, and arrays in the scratch ``file``."""
 
     pipe: int
     seconds: float
@@ -243,7 +240,7 @@ class _Answer:
         return kind, self._bytes(length)
 
     def value(self, result: Any, kinds: Mapping[str, type]) -> Any:
-        """The value of a result, whose arrays come behind it or lie in the file."""
+        """The value of a result, whose arrays follow in the pipe or are in the file."""
         described, listed = result
         arrays = []
         segment: ScratchSegment | None = None
@@ -285,9 +282,9 @@ class _Answer:
             view = view[count:]
 
 
-def _raised(told: Sequence[Any], where: object, budget: Budget) -> Exception:
-    """The error that the other process raised."""
-    name, *rest = told
+def _raised(sent: Sequence[Any], where: object, budget: Budget) -> Exception:
+    """The error that the child process raised."""
+    name, *rest = sent
     if name == "MemoryError":
         return budget.exceeded(where, seconds=False)
     if name == "OSError":
@@ -299,7 +296,7 @@ def _raised(told: Sequence[Any], where: object, budget: Budget) -> Exception:
 
 
 def _ended(status: int, where: object, budget: Budget) -> InputError:
-    """Why the other process ended without an answer."""
+    """Why the child process ended without a result."""
     number = os.WTERMSIG(status) if os.WIFSIGNALED(status) else 0
     if number == signal.SIGXCPU:
         return budget.exceeded(where, seconds=True)

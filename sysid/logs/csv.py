@@ -6,7 +6,6 @@ Cells that hold a list, ``"[0.1, 0.2]"`` under ``positions``, become columns of 
 from __future__ import annotations
 
 import csv as csv_module
-import warnings
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -21,21 +20,19 @@ from sysid.logs.growing import GrowingArray
 from sysid.logs.limits import MAX_LINE, Budget
 from sysid.logs.reader import ALL, ReadOptions
 from sysid.logs.stream import Stream
-from sysid.logs.table import CUT_ROW, Columns, is_wanted, table_stream, without_line_end
+from sysid.logs.table import CUT_ROW, Columns, is_wanted, table_stream, text_chunks, without_line_end
 from sysid.units import split_header
 
-#: Cells that are parsed at a time, and lists.
-_CELLS, _LISTS = 2**20, 2**14
-
-
+#: Lists that are parsed at a time.
+_LISTS = 2**14
 _WHAT = "a CSV file with one header row"
-#: Places and bytes that the number of rows is estimated from, and by how much more are expected.
+#: The number of rows is estimated from this many samples of the file of this size [bytes], and rounded up by a margin.
 _PLACES, _SAMPLE, _MARGIN = 8, 2**17, 1.02
 
 
 @dataclass(frozen=True)
 class CsvReader:
-    """Headers are canonical names (``boom.cylinder [mm]``) or whatever the recipe maps."""
+    """Headers are canonical names (``boom.cylinder [mm]``), or the recipe maps them."""
 
     name: str = "csv"
     suffixes: tuple[str, ...] = (".csv", ".tsv", ".txt")
@@ -47,7 +44,7 @@ class CsvReader:
         return (table_stream(path, columns, options, losses, known=known),)
 
     def columns(self, path: Path, options: ReadOptions = ALL) -> tuple[Columns, tuple[str, ...]]:
-        """Header → numbers of the columns that are wanted, in the order of the file, and what was lost."""
+        """Header → values of the wanted columns, in the order of the file, and the losses."""
         budget = options.budget_of(path, _WHAT, None)
         headers, separator, skipped = _header(path, budget)
         wanted = [i for i, header in enumerate(headers) if _is_read(header, options)]
@@ -86,7 +83,7 @@ class CsvReader:
 
 
 def _is_read(header: str, options: ReadOptions) -> bool:
-    """Whether a column is wanted, by itself or one of the elements of its lists (``positions[2]``)."""
+    """Whether a column or an element of its lists (``positions[2]``) is wanted."""
     if is_wanted(header, options):
         return True
     name = split_header(header)[0]
@@ -95,7 +92,7 @@ def _is_read(header: str, options: ReadOptions) -> bool:
 
 @dataclass
 class _Cells:
-    """One column as it is read. ``text``: cells that are no numbers, ``listed`` of them in pieces of nothing but lists."""
+    """One column while it is read. ``text``: cells that are no numbers, ``listed`` of them in chunks of only lists."""
 
     where: str
     budget: Budget
@@ -121,7 +118,7 @@ class _Cells:
             for begin in range(0, len(cells), _LISTS):
                 self._take_lists(cells.iloc[begin : begin + _LISTS], self.rows + begin)
         elif text:
-            self.elements, self.damaged = [], {}  # what is text in one row is no column of lists
+            self.elements, self.damaged = [], {}  # a column with text is no column of lists
         self.rows += len(cells)
 
     @property
@@ -147,7 +144,7 @@ class _Cells:
 
 
 def _expected_rows(path: Path) -> int:
-    """About how many rows there are, from the line ends in some places of the file."""
+    """Estimated number of rows, from the line ends in samples of the file."""
     size = path.stat().st_size
     lines = read = 0
     with path.open("rb") as file:
@@ -159,33 +156,17 @@ def _expected_rows(path: Path) -> int:
 
 
 def _pieces(path: Path, width: int, separator: str, skipped: int, progress: Callable[[float], None]) -> Iterator[pd.DataFrame]:
-    """The rows, some thousands at a time, numbered from 0 on; without a last one that is cut."""
+    """The rows in chunks, numbered from 0, without a last one that may be cut."""
     before: pd.DataFrame | None = None
-    size = path.stat().st_size
-    try:
-        # One column more than the header has: it is empty in every row that fits.
-        with path.open("rb") as file, pd.read_csv(
-            file, sep=separator, skiprows=skipped, header=None, names=list(range(width + 1)), index_col=False,
-            skipinitialspace=True, na_values=["", "NaN", "nan", "None"], encoding="utf-8-sig", low_memory=False,
-            chunksize=max(1, _CELLS // (width + 1)),
-        ) as pieces:  # fmt: skip
-            while (piece := _next(pieces)) is not None:
-                progress(min(1.0, file.tell() / size))
-                if before is not None:
-                    yield before
-                before = piece
-    except (pd.errors.ParserError, UnicodeDecodeError) as error:
-        raise InputError(
-            path, f"not readable as CSV ({' '.join(str(error).split())})", "rows with as many cells as the header has"
-        ) from None
+    for chunk in text_chunks(
+        path, width + 1, progress, "not readable as CSV", "rows with as many cells as the header has",
+        sep=separator, skiprows=skipped, skipinitialspace=True, na_values=["", "NaN", "nan", "None"],
+    ):  # fmt: skip
+        if before is not None:
+            yield before
+        before = chunk
     if before is not None:
         yield before.iloc[:-1] if without_line_end(path) else before
-
-
-def _next(pieces: Iterator[pd.DataFrame]) -> pd.DataFrame | None:
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", pd.errors.ParserWarning)  # longer rows are looked for by the caller
-        return next(pieces, None)
 
 
 def _are_lists(column: pd.Series) -> bool:

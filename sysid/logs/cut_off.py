@@ -1,7 +1,4 @@
-"""Whether a file that reads well to its end was longer once: by what its own head or its other parts say of its length.
-
-A copy that was interrupted, or a disk that was full, ends anywhere; where that is between two records, nothing else shows it.
-"""
+"""Detection of files that are cut between two records, by the length that the head or other parts of the file state."""
 
 from __future__ import annotations
 
@@ -14,7 +11,7 @@ _BLF_HEAD = struct.Struct("<4sL8xQ")
 
 
 def cut_blf(path: Path) -> tuple[str, ...]:
-    """A note where a BLF file is shorter than its head says; none where it says nothing, as of a recorder that was killed."""
+    """A note where a BLF file is shorter than its head states; a recorder that was killed leaves no length there."""
     with path.open("rb") as file:
         head = file.read(_BLF_HEAD.size)
     if len(head) < _BLF_HEAD.size:
@@ -28,7 +25,7 @@ def missing_frames(path: Path, stated: str, found: int) -> tuple[str, ...]:
     """A note where there are fewer frames than the head states.
 
     Args:
-        stated: as it stands in the head; empty or no number where it states nothing.
+        stated: text of the head; empty or no number where it states nothing.
     """
     text = stated.strip()
     if not (text.isascii() and text.isdigit() and len(text) < 16) or int(text) <= found:

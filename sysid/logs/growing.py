@@ -1,4 +1,4 @@
-"""A column that grows while a log is read, in one piece of memory: what it will never fill is never touched."""
+"""A column that grows while a log is read, in one block of memory; pages without values are never allocated."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ Values = npt.NDArray[Any]
 class GrowingArray:
     """Values by row.
 
-    Room doubles when it is used up, and only then are values copied. Room without values takes no memory, as the operating
-    system hands out a page when it is first written.
+    The capacity doubles when it is exhausted; only then values are copied. Unused capacity takes no memory, because the
+    operating system allocates a page when it is first written.
 
     Args:
-        fill: of rows without a value.
+        fill: value of rows without one.
         kind: type of the values; integers of other types widen it, a float makes it float64.
-        found: values that were put.
-        expected: rows there will be, where that is known; a wrong number costs copies, or room that is never touched.
+        found: number of values that were put.
+        expected: number of rows, where it is known; a wrong number costs copies or unused capacity.
     """
 
     fill: float
@@ -47,7 +47,7 @@ class GrowingArray:
         return twin
 
     def put(self, rows: Rows | slice, values: Values) -> None:
-        """Values of ``rows``, which rise."""
+        """Values of increasing ``rows``."""
         if not len(values):
             return
         if self.kind.kind in "iu" and values.dtype.newbyteorder("=") != self.kind:
@@ -64,12 +64,12 @@ class GrowingArray:
         self.put(slice(self._end, self._end + len(values)), values)
 
     def whole(self, total: int) -> Values:
-        """The values of rows 0 to ``total`` - 1; they are not copied."""
+        """The values of rows 0 to ``total`` - 1, without a copy."""
         self._reach(total)
         return self._room[:total]
 
     def _reach(self, end: int, filled: int | None = None) -> None:
-        """Have rows up to ``end``, without values up to ``filled``; the caller writes the rest."""
+        """Extend to ``end`` rows, filled up to ``filled``; the caller writes the rest."""
         if end > len(self._room):
             room = scratch.empty(max(_FIRST, 2 * len(self._room), end, self.expected), self.kind)
             room[: self._end] = self._room[: self._end]

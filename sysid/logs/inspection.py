@@ -1,4 +1,4 @@
-"""What is in a log file: streams, fields with their ranges, rates, gaps, and how the clocks of a stream differ."""
+"""Content of a log file: streams, fields with their ranges, rates, gaps, and the differences between clocks of a stream."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ import numpy.typing as npt
 from sysid.errors import InputError
 from sysid.logs.confined import confined
 from sysid.logs.motive import unstated
-from sysid.logs.pieces import STAMP_FIELDS
 from sysid.logs.reader import LogReader, ReadOptions
 from sysid.logs.readers import reader_for, reader_named
 from sysid.logs.stream import Stream
 from sysid.logs.table import TIME_NAMES, Columns, guess_time
+from sysid.logs.topic_columns import STAMP_FIELDS
 
-#: A step between two stamps that is longer than so many usual ones is a gap.
+#: A step between two stamps that is longer than this multiple of the median is a gap.
 GAP = 3.0
-#: Part of every header: they are shown as clocks.
+#: Fields of a header, which are listed as clocks.
 _HEADER = frozenset({path for pair in STAMP_FIELDS for path in pair} | {"header.seq"})
 
 
@@ -33,7 +33,7 @@ class _TableReader(Protocol):
 
 @dataclass(frozen=True)
 class FieldSummary:
-    """Range and share of missing values of one field; of a long log those of its beginning."""
+    """Range and share of missing values of one field; in a long log of its beginning."""
 
     name: str
     unit: str | None
@@ -48,10 +48,11 @@ class ClockSummary:
 
     Args:
         rate_hz: 1 / median step.
-        jitter_s: 95 % of the steps differ from the median step by at most this.
-        gaps: steps longer than :data:`GAP` median steps, the longest of them [s] and when it begins [s from the first stamp].
-        backwards: steps back in time.
-        behind_s: median of these stamps minus those of the stream's first clock, and the 5 % and 95 % quantiles around it.
+        jitter_s: 95 % of the steps differ from the median step by at most this [s].
+        gaps: number of steps longer than :data:`GAP` median steps; the longest of them [s] and its begin [s from the first
+            stamp].
+        backwards: number of steps back in time.
+        behind_s: these stamps minus those of the stream's first clock: median, 5 % and 95 % quantiles [s].
     """
 
     name: str
@@ -80,7 +81,7 @@ class StreamSummary:
 
 @dataclass(frozen=True)
 class FileSummary:
-    """One log file. ``stated``: what a recipe has to state for it, as assumed here; ``refusal``: why it is not read."""
+    """One log file. ``stated``: keys that a recipe has to state, with assumed values; ``refusal``: why it is not read."""
 
     path: Path
     reader: str
@@ -91,18 +92,16 @@ class FileSummary:
     refusal: str = ""
 
 
-#: What comes back from the process in which a file is read.
+#: Types that return from the process in which a file is read.
 _SUMMARIES = (FileSummary, StreamSummary, FieldSummary, ClockSummary)
 
 
 def inspect_file(path: Path, reader: str | None = None, dbc: Path | None = None) -> FileSummary:
-    """Read a file as far as is needed to say what is in it; a file that cannot be read is described by its refusal.
-
-    ``dbc``: the database of a CAN log.
+    """Summary of a file; one that cannot be read has a refusal. ``dbc``: the database of a CAN log.
 
     Raises:
         InputError: no such file, or no reader for its suffix.
-        SettingsError: no reader is called ``reader``.
+        SettingsError: no reader has the name ``reader``.
     """
     if not path.exists():
         raise InputError(path, "no such file", "a log file", "Check the path.")
@@ -118,7 +117,7 @@ def inspect_file(path: Path, reader: str | None = None, dbc: Path | None = None)
 
 
 def inspect_here(path: Path, chosen: LogReader, dbc: Path | None = None) -> FileSummary:
-    """:func:`inspect_file` by the reader ``chosen`` in this process: what a library does to it, a file can do to this one."""
+    """:func:`inspect_file` by the reader ``chosen`` in this process, without protection against crashes of a library."""
     size = path.stat().st_size
     stated: dict[str, str] = {}
     try:
@@ -147,7 +146,7 @@ def _preview(stated: Mapping[str, str], dbc: Path | None) -> ReadOptions:
 
 
 def _likely_unit(streams: Iterable[Stream]) -> str:
-    """What positions that were read as metres seem to be in: no capture volume is 50 m wide, few are 10 m."""
+    """The likely unit of positions that were read as metres: no capture volume is 50 m wide, few are 10 m."""
     places = [values for stream in streams for axis, values in stream.columns.items() if axis in ("x", "y", "z")]
     seen = [np.abs(values[np.isfinite(values)]) for values in places]
     reach = max((float(np.median(values)) for values in seen if len(values)), default=0.0)
@@ -155,7 +154,7 @@ def _likely_unit(streams: Iterable[Stream]) -> str:
 
 
 def _bare(path: Path, reader: LogReader) -> tuple[StreamSummary, ...]:
-    """The columns of a table that has no time."""
+    """The columns of a table without a time column."""
     if not isinstance(reader, _TableReader):
         return ()
     try:
@@ -167,7 +166,7 @@ def _bare(path: Path, reader: LogReader) -> tuple[StreamSummary, ...]:
 
 
 def _unstated(path: Path, reader: LogReader) -> dict[str, str]:
-    """What a recipe will have to say about this file, as it seems to be."""
+    """Keys that a recipe has to state for this file, with likely values."""
     if reader.name == "motive":
         return unstated(path)
     if not isinstance(reader, _TableReader):
@@ -182,7 +181,7 @@ def _unstated(path: Path, reader: LogReader) -> dict[str, str]:
 
 
 def summarise(stream: Stream) -> StreamSummary:
-    """What is in a stream."""
+    """Summary of a stream."""
     first = next(iter(stream.stamps.values()))
     clocks = tuple(_clock(name, stamps, first) for name, stamps in stream.stamps.items())
     shadowed = _numbered_twice(stream.columns) | set(stream.columns) & _HEADER
@@ -195,7 +194,7 @@ def summarise(stream: Stream) -> StreamSummary:
 
 
 def _numbered_twice(columns: Iterable[str]) -> set[str]:
-    """``position[2]`` beside ``position[boom]``: the elements by number that elements by name make needless."""
+    """``position[2]`` beside ``position[boom]``: elements by number that elements by name repeat."""
     elements = [match for name in columns if (match := re.fullmatch(r"(.*)\[([^\[\]]+)\]", name)) is not None]
     named = {match[1] for match in elements if not match[2].isdecimal()}
     return {match[0] for match in elements if match[1] in named and match[2].isdecimal()}

@@ -1,6 +1,6 @@
 """JSON: lists of records, ``{"entries": [{"timestamp": 0.01, "position": 0.2}, …]}``; every such list is one stream.
 
-A recipe names the reader (``reader = "json"``): far more JSON files stand beside logs than are logs.
+A recipe names the reader (``reader = "json"``), because most JSON files beside logs are not logs.
 """
 
 from __future__ import annotations
@@ -15,14 +15,13 @@ import numpy as np
 import numpy.typing as npt
 
 from sysid.errors import InputError
+from sysid.logs.layout import MAX_ELEMENTS
 from sysid.logs.limits import Budget
 from sysid.logs.reader import ReadOptions
 from sysid.logs.stream import Stream
 from sysid.logs.table import table_stream
 
-#: Longer arrays within a record are data of another kind (images, clouds).
-MAX_ELEMENTS = 512
-#: What precedes a value → memory of the objects that follow it [B].
+#: Character before a value → memory of the objects after it [B].
 _OBJECT_BYTES = {b",": 72, b"[": 72, b"{": 256}
 
 
@@ -36,11 +35,7 @@ class JsonReader:
 
     def read(self, path: Path, options: ReadOptions) -> tuple[Stream, ...]:
         budget = options.budget_of(path, "a JSON file")
-        lists = {
-            name: records
-            for name, records in _lists(path, _document(path, budget)).items()
-            if options.streams is None or name in options.streams
-        }
+        lists = {name: records for name, records in _lists(path, _document(path, budget)).items() if options.wants(name)}
         if not lists:
             raise InputError(path, "no list of records", "a list of objects with numbers, by itself or under a key")
         budget.check_topics(path, len(lists), "lists of records")
@@ -49,7 +44,7 @@ class JsonReader:
 
 def _document(path: Path, budget: Budget) -> Any:
     data = path.read_bytes()
-    # Brackets and commas in texts count, too: an upper bound of the values, known before one of them takes memory.
+    # Brackets and commas in texts count, too: an upper bound on the number of values, before any is allocated.
     needed = len(data) + sum(size * data.count(mark) for mark, size in _OBJECT_BYTES.items())
     if needed > budget.memory:
         found, expected = f"values that take {needed / 2**20:.0f} MiB", f"at most {budget.memory / 2**20:.0f} MiB"

@@ -1,8 +1,8 @@
-"""Where the numbers of one message lie: its *layout*, learnt by walking the message once. CDR (ROS 2) and packed (ROS 1).
+"""The layout of a message: positions of its numbers, found by parsing the message once. CDR (ROS 2) and packed (ROS 1).
 
-Where a value lies in such a message depends only on the length words (of sequences and strings) before it and on the byte
-order. A layout therefore remembers the bytes that decide on it; every message that has the same bytes there, has it too.
-With wanted fields the walk ends at the last of them: what comes later (images, clouds, texts) is not even looked at.
+The position of a value depends only on the length words (of sequences and strings) before it and on the byte order. A layout
+therefore stores these bytes; every message with the same bytes there has the same layout. With wanted fields parsing ends at
+the last of them, before images, point clouds or texts behind it.
 
 Source: OMG Common Data Representation (plain XCDR1), DDS-RTPS encapsulation header. ROS 1 writes the same without that
 header, without padding, always little-endian, and texts without the closing zero (roscpp, "Messages Serialization").
@@ -21,9 +21,9 @@ from sysid.logs.rosmsg import PRIMITIVES, Definition
 
 #: Sibling arrays of equal length are addressed by the entries of a string array with one of these names.
 NAME_FIELDS = ("name", "names", "joint_names")
-#: Longer arrays (images, scans, point clouds) are skipped: they are no signals.
+#: Longer arrays (images, scans, point clouds) are skipped, because they are no signals.
 MAX_ELEMENTS = 512
-#: A message with more values than this outside of arrays is not read.
+#: A message with more values outside of arrays is not read.
 MAX_STEPS = 1_000_000
 
 Bytes = npt.NDArray[np.uint8]
@@ -31,14 +31,14 @@ Bytes = npt.NDArray[np.uint8]
 
 @dataclass(frozen=True)
 class Layout:
-    """Where the numbers of a message lie.
+    """Positions of the numbers of a message.
 
     Args:
         size: bytes of the message, or of its beginning up to the last wanted field.
-        whole: whether all of the message was walked; then only messages of the same size have this layout.
+        whole: whether the whole message was parsed; then only messages of the same size have this layout.
         numbers: field path → (NumPy type code with byte order, position).
-        aliases: further path of a number → its path (``position[boom]`` → ``position[2]``).
-        fixed: positions whose bytes decide on the layout, (k,).
+        aliases: second path of a number → its path (``position[boom]`` → ``position[2]``).
+        fixed: positions of the bytes that determine the layout, (k,).
         template: the bytes there, (k,).
     """
 
@@ -51,7 +51,7 @@ class Layout:
 
     @cached_property
     def span(self) -> int:
-        """Bytes from the beginning within which all of that lies; what comes later (pixels, points) is not looked at."""
+        """Bytes from the beginning that contain all numbers and fixed positions."""
         ends = [position + int(code[-1]) for code, position in self.numbers.values()]
         return max([*ends, int(self.fixed.max(initial=-1)) + 1])
 
@@ -79,19 +79,19 @@ class Layout:
         return np.ascontiguousarray(messages[:, : self.span]).view(self._record).reshape(len(messages))
 
 
-def learn_layout(data: bytes, definition: Definition, wanted: frozenset[str] | None = None, packed: bool = False) -> Layout:
-    """Walk one message, to its end or until all ``wanted`` fields are found; ``packed`` is how ROS 1 writes.
+def layout_of(data: bytes, definition: Definition, wanted: frozenset[str] | None = None, packed: bool = False) -> Layout:
+    """Parse one message, to its end or until all ``wanted`` fields are found; ``packed``: as ROS 1 serialises it.
 
     Raises:
         IndexError: the message does not follow its schema (too short, an encapsulation other than plain CDR).
     """
     missing = None if wanted is None else set(wanted)
     if packed:
-        walk = _Walk(data, definition, "<", True, missing, 0)
+        walk = _Parser(data, definition, "<", True, missing, 0)
     else:
         if len(data) < 4 or data[0] != 0 or data[1] not in (0, 1):
             raise IndexError(f"encapsulation {data[:2].hex() or 'missing'} instead of plain CDR")
-        walk = _Walk(data, definition, "<" if data[1] == 1 else ">", False, missing, 4, fixed=[(0, 2)])
+        walk = _Parser(data, definition, "<" if data[1] == 1 else ">", False, missing, 4, fixed=[(0, 2)])
     walk.message(definition.root, "")
     positions = np.array([at for start, length in walk.fixed for at in range(start, start + length)], dtype=np.intp)
     template = np.frombuffer(data, np.uint8)[positions]
@@ -99,7 +99,7 @@ def learn_layout(data: bytes, definition: Definition, wanted: frozenset[str] | N
 
 
 @dataclass
-class _Walk:
+class _Parser:
     data: bytes
     definition: Definition
     order: str
@@ -177,9 +177,9 @@ class _Walk:
                 return
 
     def name_elements(self, arrays: list[tuple[str, int]], names: list[str]) -> list[tuple[str, int]]:
-        """Give the elements of arrays as long as ``names`` their second path; returns the arrays that are of another length.
+        """Add a second path to the elements of arrays as long as ``names``; returns the arrays of another length.
 
-        A name that is a whole number gets none: ``position[2]`` is the third element, whatever it is called.
+        A name that is a whole number is skipped, because ``position[2]`` always is the third element.
         """
         left = []
         for path, count in arrays:
@@ -236,7 +236,7 @@ class _Walk:
                     self.found(wanted, code, start + index * size)
 
     def messages(self, kind: str, path: str, count: int) -> None:
-        """Elements of a sequence of messages; those beyond :data:`MAX_ELEMENTS` are passed over."""
+        """Elements of a sequence of messages; those beyond :data:`MAX_ELEMENTS` are skipped."""
         if count > len(self.data):
             raise IndexError(f"{count} elements in a message of {len(self.data)} bytes")
         for index in range(min(count, MAX_ELEMENTS)):

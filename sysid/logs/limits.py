@@ -1,6 +1,6 @@
-"""What reading one log file may take.
+"""Limits of reading one log file.
 
-A damaged or hostile file must not fill the memory or take hours, so every size that it states is checked before it is believed.
+A damaged or hostile file must not fill the memory or take hours, so every size that it states is checked before it is used.
 """
 
 from __future__ import annotations
@@ -12,17 +12,17 @@ from pathlib import Path
 
 from sysid.errors import InputError
 
-#: Memory for a small file; a larger one may take so many times its size, but no more than the machine has.
+#: Memory for a small file; for a larger one a multiple of its size, up to the memory of the machine.
 FREE_MEMORY, MEMORY_RATIO = 512 * 2**20, 64
 #: Processor time for a small file [s], and for each further byte.
 FREE_SECONDS, SECONDS_A_BYTE = 15.0, 20e-6
-#: What one chunk, container or variable may unpack to: of a small file, as a multiple of the file, and at most.
+#: Unpacked size of one chunk, container or variable: of a small file, as a multiple of the file, and at most.
 FREE_CHUNK, CHUNK_RATIO, MAX_CHUNK = 64 * 2**20, 100, 512 * 2**20
-#: Packed data that grow by more than this beyond :data:`FREE` are a bomb, not a log.
+#: Packed data that grow by more than this factor beyond :data:`FREE` are a decompression bomb.
 MAX_RATIO, FREE = 1000, 16 * 2**20
-#: Text exports and tables are read whole.
+#: Largest text export.
 MAX_TEXT = 4 * 2**30
-#: Columns of a table or fields of a topic; topics, bodies, markers or messages of a file; objects inside of objects.
+#: Columns of a table or fields of a topic; topics, bodies, markers or messages of a file; levels of nested objects.
 MAX_COLUMNS, MAX_TOPICS, MAX_DEPTH = 16_384, 4096, 32
 #: The header line of a table.
 MAX_LINE = 4 * 2**20
@@ -38,17 +38,17 @@ _KINDS = {
 
 @dataclass(frozen=True)
 class Budget:
-    """What reading one file may take.
+    """Limits of reading one file.
 
     Args:
-        memory: held at once beside the interpreter and its libraries [B].
-        seconds: of the processor.
-        chunk: what one chunk, container or variable may unpack to [B].
-        unpacked: what all of them may unpack to together [B].
+        memory: held at once in addition to the interpreter and its libraries [B].
+        seconds: processor time [s].
+        chunk: unpacked size of one chunk, container or variable [B].
+        unpacked: unpacked size of all of them [B].
         rows: samples of one stream.
         columns: of a table; fields of a topic.
         topics: topics, bodies, markers or messages of the file.
-        depth: objects inside of objects.
+        depth: levels of nested objects.
     """
 
     memory: int
@@ -70,38 +70,35 @@ class Budget:
 
     @property
     def numbers(self) -> int:
-        """Numbers of 8 bytes that may be kept: they take half of the memory, working on them the other half."""
+        """Values of 8 bytes that may be kept: half of the memory, as the other half is needed to process them."""
         return self.memory // 16
 
     def check_columns(self, where: object, count: int, what: str = "columns") -> None:
-        """Raise where a table has more columns than are read."""
+        """Raise where a table has too many columns."""
         self._check(where, count, self.columns, what, "Export fewer columns.")
 
     def check_topics(self, where: object, count: int, what: str = "topics") -> None:
-        """Raise where a file has more topics, bodies, markers or messages than are read."""
+        """Raise where a file has too many topics, bodies, markers or messages."""
         self._check(where, count, self.topics, what, "Name those that are needed in the recipe, or export fewer.")
 
     def check_rows(self, where: object, count: int) -> None:
-        """Raise where a stream has more samples than are read."""
+        """Raise where a stream has too many samples."""
         self._check(where, count, self.rows, "rows", "Export it in parts.")
 
     def check_numbers(self, where: object, count: int) -> None:
-        """Raise where more numbers would be kept than there is memory for."""
+        """Raise where more values would be kept than fit into memory."""
         remedy = "Name fewer signals in the recipe, or export it in parts."
         self._check(where, count, self.numbers, "numbers", remedy)
 
     def check_unpacked(self, where: object, total: int) -> None:
-        """Raise where a file has unpacked to more than it may altogether."""
+        """Raise where the unpacked parts of a file are too large in total."""
         if total > self.unpacked:
             found = f"data that unpack to more than {self.unpacked / 2**20:.0f} MiB"
             expected = f"at most {FREE_MEMORY / 2**20:.0f} MiB or {MEMORY_RATIO} times the size of the file"
-            raise InputError(where, found, expected, "The file is damaged or made to do harm.")
+            raise InputError(where, found, expected, "The file is damaged or malicious.")
 
     def too_large(self, packed: int, unpacked: int, at_once: bool = True) -> str:
-        """Why ``packed`` bytes may not be unpacked to ``unpacked`` bytes; empty where they may.
-
-        ``at_once``: as one chunk.
-        """
+        """Why ``packed`` bytes may not be unpacked to ``unpacked`` bytes (``at_once``: as one chunk); empty where they may."""
         if at_once and unpacked > MAX_CHUNK:
             return f"unpacks to {unpacked / 2**20:.0f} MiB, more than {MAX_CHUNK / 2**20:.0f} MiB"
         if unpacked > max(FREE, packed * MAX_RATIO):
@@ -111,12 +108,10 @@ class Budget:
         return ""
 
     def exceeded(self, where: object, seconds: bool) -> InputError:
-        """The error of a reader that took all of the memory, or of the ``seconds``."""
+        """The error of a reader that exceeded its memory, or its ``seconds``."""
         found = f"takes more than {self.seconds:.0f} s" if seconds else f"takes more than {self.memory / 2**20:.0f} MiB to read"
         expected = "what a log of its size takes"
-        return InputError(
-            where, found, expected, "The file is damaged or made to do harm; if it is neither, export it in parts."
-        )
+        return InputError(where, found, expected, "The file is damaged or malicious; if it is neither, export it in parts.")
 
     @staticmethod
     def _check(where: object, count: int, limit: int, what: str, remedy: str) -> None:
@@ -125,7 +120,7 @@ class Budget:
 
 
 def _machine_memory() -> int:
-    """Bytes of memory that the machine has."""
+    """Memory of the machine [B]."""
     return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
 
 
@@ -156,7 +151,7 @@ def unpack(packed: bytes | memoryview, compression: str, size: int, budget: Budg
     """The ``size`` bytes that were compressed with zstd or lz4 (frames); fewer where the data are cut off.
 
     Raises:
-        ValueError: the data are damaged, or larger than they say, or larger than allowed.
+        ValueError: the data are damaged, larger than stated, or larger than allowed.
     """
     reason = budget.too_large(len(packed), size)
     if reason:
@@ -177,7 +172,7 @@ def _unzstd(packed: bytes | memoryview, size: int, cut_off: bool) -> bytes:
         stated = zstandard.frame_content_size(packed)
         if stated == size and not cut_off:
             return zstandard.ZstdDecompressor().decompress(packed)
-        # Not told how large it is, or lied to: never more than the size that was allowed.
+        # The size is not stated, or contradicts: at most the allowed size is unpacked.
         with zstandard.ZstdDecompressor().stream_reader(packed, read_across_frames=True) as reader:
             while left > 0 and (piece := reader.read(min(left, 2**20))):
                 pieces.append(piece)

@@ -26,7 +26,7 @@ _WHAT = "a MATLAB file"
 
 @dataclass(frozen=True)
 class MatReader:
-    """Always used with a recipe: a MATLAB file does not say which variable is which signal."""
+    """Always used with a recipe, because a MATLAB file does not state which variable is which signal."""
 
     name: str = "mat"
     suffixes: tuple[str, ...] = (".mat",)
@@ -41,7 +41,7 @@ class MatReader:
         return (table_stream(path, columns, options, units_in_headers=False, known=known),)
 
     def columns(self, path: Path, options: ReadOptions = ALL) -> tuple[Columns, tuple[str, ...]]:
-        """Variable → numbers: the vectors of the length that most have, and what is left out for another length."""
+        """Variable → numbers of the vectors of the most frequent length, and the losses: vectors of another length."""
         budget = options.budget_of(path, _WHAT, None)
         vectors = {name: variable for name, variable in _variables(path, budget).items() if len(variable.shape) == 1}
         usual = _usual_length(vectors)
@@ -55,7 +55,7 @@ def _variables(path: Path, budget: Budget) -> dict[str, MatVariable]:
     """Every numeric variable of the file by its path.
 
     Raises:
-        InputError: not a MATLAB file of these versions, or variables that unpack to more than is read.
+        InputError: not a MATLAB file of these versions, or variables that unpack to more than the budget.
     """
     with path.open("rb") as file:
         head = file.read(128)
@@ -81,18 +81,18 @@ def _unreadable(path: Path, error: MatError) -> InputError:
 
 
 def _chosen(variables: Mapping[str, MatVariable], options: ReadOptions) -> dict[str, MatVariable]:
-    """The variables that are wanted, by themselves or one of their columns (``q[2]``), and those that may be the time."""
+    """The variables that are wanted, as a whole or a column (``q[2]``), and those that may be the time."""
     if options.columns is None:
         return dict(variables)
     names = {*options.columns, *(name.rpartition("[")[0] for name in options.columns)}
     wanted = {name: variable for name, variable in variables.items() if name in names or is_wanted(name, options, False)}
-    if options.rate_hz is not None and options.time is None:  # all of them say how many rows there are
+    if options.rate_hz is not None and options.time is None:  # the number of rows follows from all of them
         return {**variables, **wanted}
     return wanted
 
 
 def _rows(variables: Mapping[str, MatVariable], options: ReadOptions) -> int | None:
-    """How many rows the table has; None where no time vector says it."""
+    """Number of rows of the table; None without a time vector."""
     vectors = {name: variable for name, variable in variables.items() if len(variable.shape) == 1}
     if options.rate_hz is not None and options.time is None:
         return _usual_length(vectors)
@@ -108,8 +108,8 @@ def _usual_length(vectors: Mapping[str, MatVariable]) -> int:
 def _columns(
     path: Path, variables: Mapping[str, MatVariable], rows: int | None, budget: Budget, options: ReadOptions
 ) -> list[tuple[str, npt.NDArray[np.float64]]]:
-    """The vectors that are as long as the time vector; matrices with that many rows give one column each."""
-    if rows is None:  # table_stream says that the time is missing, and what there is
+    """The vectors of the length of the time vector, and the columns of matrices with as many rows."""
+    if rows is None:  # table_stream reports the missing time and the names
         return [(name, np.zeros(0)) for name, variable in variables.items() if len(variable.shape) == 1]
     vectors = {name: v for name, v in variables.items() if v.shape == (rows,)}
     matrices = {name: v for name, v in variables.items() if len(v.shape) == 2 and rows in v.shape}

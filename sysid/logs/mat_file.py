@@ -1,8 +1,8 @@
 """The numeric variables of a MATLAB file of version 4 to 7 (``-v4``, ``-v6``, ``-v7``), and those in its structures.
 
-Written here because the common reader trusts the sizes that a damaged file states and ends the process with it, and because
-the numbers of a variable are read when they are asked for alone. Texts, cells, sparse matrices, objects, arrays of structures
-and imaginary parts are passed over: they are no signals.
+SciPy's reader trusts the sizes that a damaged file states, which can end the process, and reads every variable. This one checks
+sizes and reads only requested variables. Texts, cells, sparse matrices, objects, arrays of structures and imaginary parts are
+skipped.
 Source: MathWorks, "MAT-File Format", level 5 and level 4.
 """
 
@@ -34,18 +34,18 @@ _MAX_HEAD, _PIECE = 2**20, 2**20
 
 
 class MatError(ValueError):
-    """The file is damaged, or asks for more than is read."""
+    """The file is damaged, or exceeds its limits."""
 
 
 @dataclass(frozen=True)
 class MatVariable:
-    """Where the numbers of a variable are.
+    """Position of the numbers of a variable.
 
     Args:
-        shape: without dimensions of one, the first index running fastest.
-        kind: type the numbers are stored in.
-        source: where the top-level variable begins in the file, and how many bytes it has; ``packed`` with zlib.
-        start: of the numbers, in bytes from there, once unpacked.
+        shape: without dimensions of one, first index fastest.
+        kind: stored type of the numbers.
+        source: first byte and number of bytes of the top-level variable in the file; ``packed`` with zlib.
+        start: offset of the numbers within the unpacked variable [bytes].
     """
 
     shape: tuple[int, ...]
@@ -60,10 +60,10 @@ class MatVariable:
 
 
 def find_variables(path: Path, budget: Budget) -> dict[str, MatVariable]:
-    """Variable, or ``structure.field`` → where its numbers are.
+    """Variable, or ``structure.field`` → position of its numbers.
 
     Raises:
-        MatError: the file is damaged or unpacks to more than is read.
+        MatError: the file is damaged or unpacks to more than its budget.
     """
     size = path.stat().st_size
     with path.open("rb") as file:
@@ -83,10 +83,10 @@ def find_variables(path: Path, budget: Budget) -> dict[str, MatVariable]:
                 raise MatError(f"the file is cut off: {size - start} of {extent} bytes of a variable")
             if kind in (_PACKED, _MATRIX):
                 bytes_: _Bytes = _Unpacked(file, start, extent, left) if kind == _PACKED else _Plain(file, start, extent)
-                walk = _Walk(bytes_, order, (start, extent), kind == _PACKED, found)
-                element = walk.element(2**32 + 8) if kind == _PACKED else _Element(kind, 0, extent)
+                parser = _Parser(bytes_, order, (start, extent), kind == _PACKED, found)
+                element = parser.element(2**32 + 8) if kind == _PACKED else _Element(kind, 0, extent)
                 if element.kind == _MATRIX:
-                    walk.matrix(element, "", 0)
+                    parser.matrix(element, "", 0)
                 left -= bytes_.position if kind == _PACKED else 0
                 budget.check_columns(path, len(found), "variables")
             file.seek(start + extent)
@@ -94,7 +94,7 @@ def find_variables(path: Path, budget: Budget) -> dict[str, MatVariable]:
 
 
 def read_variables(path: Path, variables: Mapping[str, MatVariable]) -> dict[str, npt.NDArray[Any]]:
-    """The numbers of ``variables`` in the types that the file has; each packed variable is unpacked once.
+    """The numbers of ``variables`` in their stored types; each packed variable is unpacked once.
 
     Raises:
         MatError: the file is damaged.
@@ -105,7 +105,7 @@ def read_variables(path: Path, variables: Mapping[str, MatVariable]) -> dict[str
         for name, variable in sorted(variables.items(), key=lambda item: (item[1].source, item[1].start)):
             if variable.source != source:
                 source = variable.source
-                limit = 2**62  # what lies before has been unpacked once, within the limit
+                limit = 2**62  # find_variables has unpacked it within the limit
                 bytes_: _Bytes = _Unpacked(file, *source, limit) if variable.packed else _Plain(file, *source)
             array = scratch.empty(variable.count, variable.kind)
             bytes_.skip(variable.start - bytes_.position)
@@ -153,7 +153,7 @@ class _Bytes(Protocol):
 
 @dataclass
 class _Plain:
-    """As they stand in the file."""
+    """Unpacked in the file."""
 
     file: io.BufferedReader
     start: int
@@ -174,7 +174,7 @@ class _Plain:
 
 @dataclass
 class _Unpacked:
-    """Unpacked while they are read; no more than ``limit`` of them."""
+    """Unpacked while they are read, at most ``limit`` bytes."""
 
     file: io.BufferedReader
     start: int
@@ -232,8 +232,8 @@ class _Element:
 
 
 @dataclass
-class _Walk:
-    """Walks through the elements of a top-level variable; numbers are passed over and noted in ``found``."""
+class _Parser:
+    """Parses the elements of a top-level variable; the positions of numbers go into ``found``."""
 
     bytes_: _Bytes
     order: str
@@ -242,7 +242,7 @@ class _Walk:
     found: dict[str, MatVariable]
 
     def element(self, end: int) -> _Element:
-        """The tag of the element here; the element has to end before ``end``."""
+        """The tag of the next element, which has to end before ``end``."""
         if self.bytes_.position + 8 > end:
             raise MatError("an element is cut off")
         tag = bytearray(8)
@@ -269,7 +269,7 @@ class _Walk:
         return bytes(data)
 
     def leave(self, element: _Element, end: int) -> None:
-        """Go to where the next element begins."""
+        """Skip to the next element."""
         if element.small is None:
             self.bytes_.skip(min(element.end + -element.size % 8, end) - self.bytes_.position)
 
@@ -282,34 +282,36 @@ class _Walk:
         return [int(value) for value in np.frombuffer(data, kind, len(data) // kind.itemsize)]
 
     def matrix(self, element: _Element, prefix: str, depth: int) -> None:
-        """Note where the numbers of a variable are, and of what it contains."""
+        """Note the positions of the numbers of a variable and of its fields."""
         if depth > _MAX_DEPTH:
             raise MatError(f"structures more than {_MAX_DEPTH} levels deep")
         if element.size == 0:
             return  # an empty matrix
-        end = element.end
-        flags = self._part(end)
-        if flags is None or flags.size < 8:
-            raise MatError("a variable without flags, size and name")
+        end, missing = element.end, "a variable without flags, size and name"
+        flags = self._required(end, missing)
+        if flags.size < 8:
+            raise MatError(missing)
         array_class = self.integers(flags)[0] & 0xFF
         self.leave(flags, end)
-        sizes = self._part(end)
-        if sizes is None:
-            raise MatError("a variable without flags, size and name")
+        sizes = self._required(end, missing)
         shape = tuple(self.integers(sizes))
         self.leave(sizes, end)
-        title = self._part(end)
-        if title is None:
-            raise MatError("a variable without flags, size and name")
+        title = self._required(end, missing)
         name = self.head(title).decode("latin-1")
         self.leave(title, end)
         if array_class in _NUMERIC:
-            self.numeric(prefix or name, shape, self._part(end))
+            self.numeric(prefix or name, shape, self._next(end))
         elif array_class == _STRUCTURE and all(size == 1 for size in shape):
             self.structure(prefix or name, end, depth)
 
-    def _part(self, end: int) -> _Element | None:
+    def _next(self, end: int) -> _Element | None:
         return self.element(end) if self.bytes_.position + 8 <= end else None
+
+    def _required(self, end: int, missing: str) -> _Element:
+        element = self._next(end)
+        if element is None:
+            raise MatError(missing)
+        return element
 
     def numeric(self, name: str, shape: tuple[int, ...], element: _Element | None) -> None:
         code = "f8" if element is None else _NUMBERS.get(element.kind)
@@ -326,18 +328,17 @@ class _Walk:
             )
 
     def structure(self, name: str, end: int, depth: int) -> None:
-        length = self._part(end)
-        widths = self.integers(length) if length is not None else []
-        if length is None or not widths or not 0 < widths[0] <= 1024:
-            raise MatError(f"{name}: a structure without names of fields")
+        missing = f"{name}: a structure without names of fields"
+        length = self._required(end, missing)
+        widths = self.integers(length)
+        if not widths or not 0 < widths[0] <= 1024:
+            raise MatError(missing)
         self.leave(length, end)
-        names = self._part(end)
-        if names is None:
-            raise MatError(f"{name}: a structure without names of fields")
+        names = self._required(end, missing)
         raw, width = self.head(names), widths[0]
         self.leave(names, end)
         for at in range(0, len(raw) - width + 1, width):
-            value = self._part(end)
+            value = self._next(end)
             if value is None:
                 return
             if value.kind == _MATRIX:

@@ -20,7 +20,7 @@ _COUNT = np.dtype([("channel", "<u2"), ("messages", "<u8")])
 
 @dataclass(frozen=True)
 class McapReader:
-    """``header`` stamps (when it was measured) come first; they exist where a message has ``header.stamp`` or ``stamp``."""
+    """The default clock is ``header`` (time of measurement), for messages with ``header.stamp`` or ``stamp``."""
 
     name: str = "mcap"
     suffixes: tuple[str, ...] = (".mcap",)
@@ -40,7 +40,7 @@ class McapReader:
 
 @dataclass
 class _Log:
-    """What has been read of a file so far."""
+    """State of reading one file."""
 
     path: Path
     options: ReadOptions
@@ -53,7 +53,7 @@ class _Log:
     topics: dict[tuple[str, str, str], Topic] = field(default_factory=dict)
 
     def define(self, opcode: int, body: bytes) -> None:
-        """Take a schema or channel record, of which those already known are not looked at again, or the statistics."""
+        """Parse a schema or channel record that is not yet known, or the statistics."""
         reader = _Fields(body)
         if opcode == STATISTICS:
             self._expect(body)
@@ -66,7 +66,7 @@ class _Log:
 
     def _channel(self, number: int, schema: int, topic: str, encoding: str) -> None:
         self.names[number] = topic
-        if self.options.streams is not None and topic not in self.options.streams:
+        if not self.options.wants(topic):
             return
         kind, schema_encoding, text = self.schemas.get(schema, ("", "", b""))
         key = (topic, kind, encoding)
@@ -85,7 +85,7 @@ class _Log:
         self.channels[number] = self.topics[key]
 
     def _expect(self, body: bytes) -> None:
-        """Channel numbers and their messages, from byte 46 on; no more than would fit into the file are believed."""
+        """Channel numbers and message counts, from byte 46 on, limited to what fits into the file."""
         counts = np.frombuffer(body[46 : len(body) - (len(body) - 46) % 10], _COUNT) if len(body) > 46 else ()
         most = self.path.stat().st_size // (RECORD + MESSAGE_HEAD)
         for number, count in counts:
@@ -93,7 +93,7 @@ class _Log:
                 self.channels[int(number)].expect(min(int(count), most))
 
     def take(self, block: McapBlock) -> None:
-        """Hand the messages of ``block`` to their topics."""
+        """Pass the messages of ``block`` to their topics."""
         if not len(block.starts):
             return
         data: Bytes = block.data
@@ -113,7 +113,7 @@ class _Log:
 
 @dataclass
 class _Fields:
-    """Reads the fields of a small record one after the other; what lies beyond its end is empty."""
+    """The fields of a small record in order; fields beyond its end are empty."""
 
     body: bytes
     position: int = 0

@@ -1,4 +1,4 @@
-"""The records of an MCAP file, a few chunks in memory at a time. A cut-off or damaged file gives what is left.
+"""The records of an MCAP file, a few chunks in memory at a time. Of a cut or damaged file the rest is read.
 
 Source: MCAP specification (mcap.dev/spec).
 """
@@ -26,11 +26,11 @@ FOOTER, SCHEMA, CHANNEL, MESSAGE, CHUNK, MESSAGE_INDEX, DATA_END = 0x02, 0x03, 0
 STATISTICS = 0x0B
 #: Opcode and length before every record; channel, sequence, log and publish time before the data of a message.
 RECORD, MESSAGE_HEAD = 9, 22
-#: Records outside of chunks are handed on in blocks of this size.
+#: Records outside of chunks are passed on in blocks of this size.
 _BLOCK = 8 * 2**20
-#: A definition, or the whole summary, is not longer than this.
+#: Largest definition or summary.
 _MAX_DEFINITION = 64 * 2**20
-#: Chunks are unpacked in so many threads, which hold at most so many bytes beside the chunk in use.
+#: Threads that unpack chunks, and bytes that they hold at most beside the chunk in use.
 _THREADS, _AHEAD = 2, 32 * 2**20
 
 Buffer: TypeAlias = bytes | bytearray | memoryview
@@ -47,7 +47,7 @@ HEAD = np.dtype(
 
 @dataclass(frozen=True)
 class McapBlock:
-    """Definitions (opcode, body), and message records: where they start in ``data``."""
+    """Definitions (opcode, body), and the first bytes of message records in ``data``."""
 
     definitions: tuple[tuple[int, bytes], ...]
     data: Bytes
@@ -56,7 +56,7 @@ class McapBlock:
 
 @dataclass(frozen=True)
 class _Chunk:
-    """A chunk as it stands in the file, and the message index behind it."""
+    """A packed chunk and the message index behind it."""
 
     body: bytes
     index: tuple[bytes, ...] = ()
@@ -65,7 +65,7 @@ class _Chunk:
 
 @dataclass
 class McapFile:
-    """Walks a file once; what could not be read stands in ``losses``, in words."""
+    """Reads a file once; ``losses`` are sentences."""
 
     path: Path
     budget: Budget
@@ -119,13 +119,13 @@ class McapFile:
 
 
 def _data_section(file: BinaryIO, size: int, largest: int) -> Iterator[_Chunk | McapBlock | str]:
-    """Chunks, the records outside of chunks, and what is lost, in the order of the file."""
+    """Chunks, the records outside of chunks, and losses, in the order of the file."""
     position = len(MAGIC)
     loose = bytearray()
     chunk: bytes | None = None
     index: list[bytes] = []
     while True:
-        head = file.read(min(RECORD, size - position))  # what has come since belongs to whoever opens it next
+        head = file.read(min(RECORD, size - position))  # bytes appended since are not read
         opcode, length = struct.unpack("<BQ", head) if len(head) == RECORD else (0, 0)
         if chunk is not None and opcode != MESSAGE_INDEX:
             yield _Chunk(chunk, tuple(index))
@@ -136,11 +136,11 @@ def _data_section(file: BinaryIO, size: int, largest: int) -> Iterator[_Chunk | 
         if opcode in (DATA_END, FOOTER):
             return
         if opcode == 0 and len(head) == RECORD:
-            yield f"no record starts at byte {position}; what lies before has been read"
+            yield f"no record starts at byte {position}; the part before it has been read"
             return
         start = position + RECORD
         if len(head) < RECORD or start + length > size:
-            yield f"the file is cut off at byte {size}; what lies before has been read"
+            yield f"the file is cut off at byte {size}; the part before it has been read"
             if opcode == CHUNK:
                 yield _Chunk(file.read(min(size - start, largest)), cut_off=True)
             return
@@ -172,7 +172,7 @@ def _unpack(chunk: _Chunk, budget: Budget) -> McapBlock | str:
         return f"a chunk of {size} bytes cannot be unpacked ({error})"
     if checksum and not chunk.cut_off and zlib.crc32(records) != checksum:
         return f"a chunk of {size} bytes fails its checksum and has been left out"
-    return _indexed_block(records, chunk.index) or _block(records)
+    return indexed_block(records, chunk.index) or _block(records)
 
 
 _NOTHING: Bytes = np.zeros(0, np.uint8)
@@ -180,7 +180,7 @@ _NO_STARTS = np.zeros(0, np.int64)
 
 
 def _summary(file: BinaryIO, size: int) -> Iterator[tuple[int, bytes]]:
-    """Schemas and channels of the summary section; nothing where the footer is missing or makes no sense."""
+    """Schemas and channels of the summary section; none where the footer is missing or invalid."""
     at = size - len(MAGIC) - RECORD - 20
     if at < len(MAGIC):
         return
@@ -209,7 +209,7 @@ def walk(records: Buffer, start: int = 0, end: int | None = None) -> Iterator[tu
 
 
 def _block(records: Buffer) -> McapBlock:
-    """Records one after the other."""
+    """Index of consecutive records."""
     starts = []
     definitions = []
     for position, opcode, length in walk(records):
@@ -220,8 +220,8 @@ def _block(records: Buffer) -> McapBlock:
     return McapBlock(tuple(definitions), np.frombuffer(records, np.uint8), np.array(starts, dtype=np.int64))
 
 
-def _indexed_block(records: Buffer, index: Sequence[bytes]) -> McapBlock | None:
-    """The same by the message index behind the chunk; None unless the index accounts for every byte of the chunk."""
+def indexed_block(records: Buffer, index: Sequence[bytes]) -> McapBlock | None:
+    """:func:`_block` from the message index behind the chunk; None unless the index accounts for every byte of the chunk."""
     entries = [np.frombuffer(body, "<u8", offset=6, count=(len(body) - 6) // 16 * 2)[1::2] for body in index if len(body) > 6]
     if not entries:
         return None

@@ -1,8 +1,8 @@
-"""The blocks of an MDF 4 file, checked before the library that reads it believes them: chains end, and packed data are no bomb.
+"""Checks of the blocks of an MDF 4 file before a library reads it: chains end, and packed data are no decompression bomb.
 
 The header links to chains of data groups, file histories, hierarchies, attachments and events; a data group to its channel
-groups and its data, a channel group to its channels, a channel to those it is composed of and to data of its own. No block
-belongs to two chains. Data are one block, or lists of blocks; a packed one (``DZ``) says how large it is unpacked.
+groups and its data, a channel group to its channels, a channel to its components and its own data. No block belongs to two
+chains. Data are one block, or lists of blocks; a packed one (``DZ``) states its unpacked size.
 Source: ASAM MDF 4.1 programmers' guide, "Block structure".
 """
 
@@ -17,12 +17,12 @@ from typing import BinaryIO
 from sysid.errors import InputError
 from sysid.logs.limits import Budget
 
-#: Where the header's links to the chains stand: data groups, histories, hierarchies, attachments, events.
+#: Positions of the header's links to the chains: data groups, histories, hierarchies, attachments, events.
 _CHAINS = {88: "DG", 96: "FH", 104: "CH", 112: "AT", 120: "EV"}
-#: Behind id, length and number of links (24 bytes) comes the next of the same kind, then what is below.
+#: Id, length and number of links (24 bytes) are followed by the links to the next block of the kind and to the first child.
 _COUNT, _NEXT, _BELOW = 16, 24, 32
 _CHILD = {"DG": "CG", "CG": "CN", "CN": "CN", "CH": "CH"}
-#: Where a data group and a channel have the link to their data.
+#: Position of the link of a data group and of a channel to their data.
 _DATA = {"DG": 40, "CN": 64}
 #: Of a packed block: original kind, method, parameter, size unpacked and packed.
 _PACKED = struct.Struct("<2sBxLQQ")
@@ -30,10 +30,10 @@ _PIECE = 2**20
 
 
 def check_blocks(path: Path, budget: Budget) -> None:
-    """Raise where a chain of blocks has no end, or a packed block is larger than it says or than allowed.
+    """Raise where a chain of blocks has no end, or a packed block is larger than stated or allowed.
 
     Raises:
-        InputError: the file is damaged, or made to do harm.
+        InputError: the file is damaged, or malicious.
     """
     with path.open("rb") as file:
         packed = unpacked = 0
@@ -44,7 +44,7 @@ def check_blocks(path: Path, budget: Budget) -> None:
                 budget.check_unpacked(path, unpacked)
         reason = budget.too_large(packed, unpacked, at_once=False)
         if reason:
-            raise InputError(path, f"packed data: {reason}", "a log", "The file is damaged or made to do harm.")
+            raise InputError(path, f"packed data: {reason}", "a log", "The file is damaged or malicious.")
 
 
 def _blocks(path: Path, file: BinaryIO) -> Iterator[int]:
@@ -77,7 +77,7 @@ def _blocks(path: Path, file: BinaryIO) -> Iterator[int]:
 
 
 def _packed_block(path: Path, file: BinaryIO, at: int, budget: Budget) -> tuple[int, int]:
-    """Bytes of a packed block, and of what it unpacks to."""
+    """Packed and unpacked size of a packed block [bytes]."""
     head = _read(file, at + _NEXT, _PACKED.size)
     if len(head) < _PACKED.size:
         return 0, 0
@@ -90,11 +90,11 @@ def _packed_block(path: Path, file: BinaryIO, at: int, budget: Budget) -> tuple[
             try:
                 total += len(unpacker.decompress(piece, _PIECE))
             except zlib.error:
-                return size, total  # said where the samples are read
+                return size, total  # reported when the samples are read
             piece = unpacker.unconsumed_tail
             reason = f"more than the {stated} bytes that it states" if total > stated else ""
     if reason:
-        raise InputError(path, f"a packed block at byte {at}: {reason}", "a log", "The file is damaged or made to do harm.")
+        raise InputError(path, f"a packed block at byte {at}: {reason}", "a log", "The file is damaged or malicious.")
     return size, total
 
 
@@ -104,7 +104,7 @@ def _read(file: BinaryIO, at: int, size: int) -> bytes:
 
 
 def _link(file: BinaryIO, at: int) -> int:
-    """Where the link at this position leads; 0 where it does not lead into the file."""
+    """Target of the link at this position; 0 where it is outside the file."""
     cell = _read(file, at, 8)
     target: int = struct.unpack("<Q", cell)[0] if len(cell) == 8 else 0
     return target if target < file.seek(0, 2) else 0

@@ -1,6 +1,6 @@
 """ASAM MDF 4 (``.mf4``): every channel group is a stream of its numeric channels; logged CAN frames are decoded like a CAN log.
 
-The library that reads the format is an extra (``pip install sysid[mf4]``): it brings compiled packages that nothing else needs.
+The library that reads the format is an extra (``pip install sysid[mf4]``), because nothing else needs its compiled packages.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from sysid.errors import InputError, nearest
+from sysid.errors import InputError
 from sysid.logs.can import frame_streams
 from sysid.logs.can_frames import Address, FrameLog, Frames
 from sysid.logs.limits import Budget
@@ -22,7 +22,7 @@ from sysid.logs.reader import ReadOptions
 from sysid.logs.stream import Stream
 from sysid.logs.table import to_ns
 
-#: Channel of a group in which a bus was logged, and the parts of it that make a frame.
+#: Channel of a group in which a bus was logged; type of a master channel that holds time.
 _BUS = "CAN_DataFrame"
 _TIME = 1
 
@@ -69,7 +69,7 @@ def _open(path: Path, file: Any) -> Any:
 
 
 def _abandon(error: Exception) -> None:
-    """Close what the library had begun to build: left to itself it fails once more, loudly, when it is collected."""
+    """Close the library's partly built object, which otherwise raises once more when it is garbage-collected."""
     for frame, _ in traceback.walk_tb(error.__traceback__):
         half_built: Any = frame.f_locals.get("self")
         if type(half_built).__name__ == "MDF4":
@@ -101,10 +101,8 @@ def _streams(path: Path, mdf: Any, options: ReadOptions, budget: Budget) -> tupl
         raise InputError(path, "no channel group with samples", "at least one", "Record the measurement again.")
     if buses and (options.dbc is not None or not names):
         return frame_streams(path, _frames(path, mdf, buses, start_ns), options)
-    for wanted in sorted(options.streams or ()):
-        if wanted not in names:
-            raise InputError(path, f"no channel group {wanted!r}", nearest(wanted, names), "Correct `topic` in the recipe.")
-    chosen = {name: index for name, index in names.items() if options.streams is None or name in options.streams}
+    options.check_streams(path, names, "channel group", "Correct `topic` in the recipe.")
+    chosen = {name: index for name, index in names.items() if options.wants(name)}
     cells = sum(int(mdf.groups[i].channel_group.cycles_nr) * len(mdf.groups[i].channels) for i in chosen.values())
     budget.check_numbers(path, cells)
     streams = [_group_stream(path, mdf, name, index, start_ns) for name, index in chosen.items()]
@@ -150,7 +148,7 @@ def _group_stream(path: Path, mdf: Any, name: str, index: int, start_ns: int) ->
 
 
 def _check_record(where: str, mdf: Any, group: Any) -> None:
-    """Raise where a channel lies outside of its record: the library cuts it out without looking, beyond what it has read."""
+    """Raise where a channel lies outside of its record, because the library reads it without a check."""
     size = int(group.channel_group.samples_byte_nr) + int(group.channel_group.invalidation_bytes_nr)
     for channel, entry in zip(group.channels, mdf._mdf._prepare_record(group), strict=False):
         if entry is not None and not 0 <= entry[2] <= entry[2] + entry[1] <= size:
@@ -159,7 +157,7 @@ def _check_record(where: str, mdf: Any, group: Any) -> None:
 
 
 def _samples(mdf: Any, group: int, index: int) -> tuple[npt.NDArray[np.float64] | None, npt.NDArray[np.float64], str]:
-    """Values in the stated unit (raw ones where the file turns them into words), NaN where they are marked invalid."""
+    """Values in the stated unit (raw ones where the file converts them to text), NaN where they are marked invalid."""
     signal: Any = mdf.get(group=group, index=index, ignore_invalidation_bits=True)
     if signal.samples.dtype.kind not in "fiub":
         signal = mdf.get(group=group, index=index, raw=True, ignore_invalidation_bits=True)

@@ -1,7 +1,7 @@
 """OptiTrack Motive CSV exports: rigid bodies, bones and markers → streams on the capture clock.
 
 A first line of ``key,value`` pairs, head rows (type, name, id, parent, channel, axis; not every version has them all, some
-say in their second cell which is which), then one row a frame; a body that was not seen has empty cells. Body columns:
+are labelled in their second cell), then one row a frame; a body that is not visible has empty cells. Body columns:
 ``x y z`` [m], unit quaternion ``qx qy qz qw`` (active, body to capture frame), ``error`` [m] where exported. Marker columns:
 ``x y z`` [m], ``quality`` where exported. Version 1.1 is another format: :mod:`sysid.logs.motive_records`.
 Source: exports of versions 1.2 to 1.25; OptiTrack documentation, "Data Export: CSV".
@@ -18,14 +18,14 @@ from pathlib import Path
 import numpy as np
 
 from sysid.errors import InputError
-from sysid.logs.capture import Array, check_streams, euler_order, from_euler, length_factor, number_rows, quaternion_columns
+from sysid.logs.capture import Array, euler_order, length_factor, number_rows, quaternion_columns
 from sysid.logs.cut_off import missing_frames
 from sysid.logs.motive_records import RECORD_TYPES, read_records
 from sysid.logs.reader import ReadOptions
 from sysid.logs.stream import Stream
 from sysid.logs.table import to_ns
 
-#: Of the table format; 1.1 wrote records. A later one is read like the last of these, and said to be.
+#: Versions of the table format (1.1 has records). A later one is read like the last of these, with a note.
 VERSIONS = ("1.2", "1.20", "1.21", "1.22", "1.23", "1.24", "1.25")
 _LATER = re.compile(r"1\.(2[6-9]|[3-9]\d)")
 _BODIES = ("Rigid Body", "Bone")
@@ -46,7 +46,7 @@ class _Column:
 
 @dataclass(frozen=True)
 class _Head:
-    """What the first line states; the columns with data, which one is the time, how many there are; lines; what is not read."""
+    """Settings of the first line; columns with data; index of the time; cells in a row; lines of the head; notes."""
 
     stated: Mapping[str, str]
     columns: tuple[_Column, ...]
@@ -58,7 +58,7 @@ class _Head:
 
 @dataclass(frozen=True)
 class MotiveReader:
-    """Streams are called as the rigid body, bone or marker in Motive."""
+    """Streams have the name of the rigid body, bone or marker in Motive."""
 
     name: str = "motive"
     suffixes: tuple[str, ...] = ()
@@ -75,8 +75,8 @@ class MotiveReader:
             raise InputError(path, f"coordinate space {space!r}", "'Global'", "Export again with world coordinates.")
         names = list(dict.fromkeys(column.name for column in head.columns))
         budget.check_topics(path, len(names), "rigid bodies and markers")
-        check_streams(path, options, names, "rigid body or marker")
-        chosen = [column for column in head.columns if options.streams is None or column.name in options.streams]
+        options.check_streams(path, names, "rigid body or marker")
+        chosen = [column for column in head.columns if options.wants(column.name)]
         used = sorted({head.time, *(column.index for column in chosen)})
         time = used.index(head.time)
         stop = (time, options.seconds) if options.seconds is not None else None
@@ -99,7 +99,7 @@ class MotiveReader:
 
 
 def unstated(path: Path) -> dict[str, str]:
-    """What a recipe has to state because the export does not, with a common value: ``length_unit``, ``rotation``."""
+    """Keys that a recipe has to state because the export does not, with a common value: ``length_unit``, ``rotation``."""
     if _first_cell(path).lower() in RECORD_TYPES:
         return {"length_unit": "m"}
     head = _head(path)
@@ -123,7 +123,7 @@ def _head(path: Path) -> _Head:
             if not first or first[0] != "Format Version":
                 found = f"first cell {first[0] if first else ''!r}"
                 raise InputError(path, found, "'Format Version'", "Export the take as CSV from Motive, with the header on.")
-            # By name, not in pairs: notes and take names may hold commas.
+            # By name, not in pairs, because notes and take names may contain commas.
             header = {key: first[first.index(key) + 1] for key in _KEYS if key in first[:-1]}
             version = header.get("Format Version", "")
             unread = []
@@ -162,7 +162,7 @@ def _columns(path: Path, head: list[list[str]], axes: list[str]) -> tuple[list[_
     def at(row: list[str], index: int) -> str:
         return row[index] if index < len(row) else ""
 
-    # Solved and reconstructed markers may share a name, as may two assets: type and id keep them apart.
+    # Solved and reconstructed markers, or two assets, may have the same name but differ in type or id.
     numbers = labelled.get("ID", head[2] if len(head) > 3 else [])
     objects: dict[tuple[str, str, str], str] = {}
     columns = []
@@ -203,7 +203,7 @@ def _values(path: Path, table: Array, columns: list[_Column], factor: float, rot
 
 
 def _check_axes(where: str, what: str, found: Mapping[str, Array], axes: str) -> None:
-    """Raise where ``what`` is there, but not about all of its axes."""
+    """Raise where some but not all axes of ``what`` are exported."""
     if found and not set(axes) <= found.keys():
         raise InputError(where, f"{what} {', '.join(found)}", ", ".join(axes), "Export the take again.")
 
@@ -219,4 +219,7 @@ def _rotation(where: str, angles: Mapping[str, Array], rotation: str | None) -> 
         found = f"Euler angles, rotation type {rotation!r}" if rotation else "Euler angles without a stated order"
         remedy = 'State it in the recipe: `rotation = "XYZ"`, or export quaternions.'
         raise InputError(where, found, "an order such as XYZ", remedy)
-    return quaternion_columns(from_euler(np.column_stack([angles[axis] for axis in order]), order))
+    from scipy.spatial.transform import Rotation
+
+    rotations = Rotation.from_euler(order, np.column_stack([angles[axis] for axis in order]), degrees=True)
+    return quaternion_columns(rotations.as_quat())

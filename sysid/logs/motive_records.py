@@ -1,7 +1,7 @@
-"""OptiTrack CSV of version 1.1 (Motive before 1.6, Tracking Tools): every line is a record, its first cell says of what kind.
+"""OptiTrack CSV of version 1.1 (Motive before 1.6, Tracking Tools): every line is a record of the kind in its first cell.
 
 ``rigidbody,name,id,…`` names a body; ``frame,index,seconds,bodies,(id x y z qx qy qz qw yaw pitch roll)…,markers,(x y z id
-name)…`` is one frame. What was not seen is not listed, or stands there with a ``#`` (``-1.#IND``).
+name)…`` is one frame. What is not visible is not listed, or has a value with ``#`` (``-1.#IND``).
 Source: OptiTrack documentation of that time, "comment" lines of the exports.
 """
 
@@ -15,14 +15,14 @@ from pathlib import Path
 import numpy as np
 
 from sysid.errors import InputError
-from sysid.logs.capture import Array, check_streams, length_factor, quaternion_columns
+from sysid.logs.capture import Array, length_factor, quaternion_columns
 from sysid.logs.cut_off import missing_frames
 from sysid.logs.limits import Budget
 from sysid.logs.reader import ReadOptions
 from sysid.logs.stream import Stream
 from sysid.logs.table import to_ns
 
-#: First cells of the lines that an export of this version may begin with.
+#: First cell of an export of this version.
 RECORD_TYPES = ("comment", "info", "righthanded", "lefthanded")
 _BODY_CELLS, _MARKER_CELLS = 11, 5
 
@@ -58,9 +58,9 @@ def read_records(path: Path, options: ReadOptions, budget: Budget) -> tuple[Stre
         raise InputError(path, f"not readable as CSV ({error})", "a Motive CSV export") from None
     if not take.seconds:
         raise InputError(path, "no frames", "at least one frame", "Export the take again.")
-    check_streams(path, options, [*take.bodies, *take.markers], "rigid body or marker")
+    options.check_streams(path, [*take.bodies, *take.markers], "rigid body or marker")
     losses += missing_frames(path, take.stated, len(take.seconds))
-    names = [name for name in (*take.bodies, *take.markers) if options.streams is None or name in options.streams]
+    names = [name for name in (*take.bodies, *take.markers) if options.wants(name)]
     budget.check_numbers(path, 7 * len(names) * len(take.seconds))
     stamps = {"capture": to_ns(np.array(take.seconds), 1.0, f"{path}: Time")}
     makers: list[tuple[str, dict[str, list[tuple[int, list[float]]]], Callable[[Array], dict[str, Array]]]] = [
@@ -70,7 +70,7 @@ def read_records(path: Path, options: ReadOptions, budget: Budget) -> tuple[Stre
     streams = []
     for kind, objects, columns in makers:
         for name, seen in objects.items():
-            if options.streams is None or name in options.streams:
+            if options.wants(name):
                 table = np.full((len(take.seconds), 7), np.nan)
                 for frame, numbers in seen:
                     table[frame, : len(numbers)] = numbers

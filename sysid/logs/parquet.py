@@ -18,7 +18,7 @@ from sysid.logs.table import Columns, is_wanted, table_stream
 
 @dataclass(frozen=True)
 class ParquetReader:
-    """Numeric columns alone are read; nulls are missing values."""
+    """Only numeric columns are read; nulls are missing values."""
 
     name: str = "parquet"
     suffixes: tuple[str, ...] = (".parquet",)
@@ -30,7 +30,7 @@ class ParquetReader:
         return (table_stream(path, columns, options, losses, known=known),)
 
     def columns(self, path: Path, options: ReadOptions = ALL) -> tuple[Columns, tuple[str, ...]]:
-        """Name → numbers of the numeric columns that are wanted, in the order of the file."""
+        """Name → values of the wanted numeric columns, in the order of the file."""
         import pyarrow as pa
         import pyarrow.parquet as pq
 
@@ -38,10 +38,10 @@ class ParquetReader:
         try:
             with pq.ParquetFile(path) as file:
                 budget.check_columns(path, file.metadata.num_columns)
-                # Texts are not even unpacked: they may be as large as they like.
+                # Texts are not unpacked, because nothing limits their size.
                 headers = [field.name for field in file.schema_arrow if _is_number(field.type)]
                 names = [header for header in headers if is_wanted(header, options)]
-                rows = file.metadata.num_rows  # a few bytes can say how many there are
+                rows = file.metadata.num_rows  # a few bytes may claim any number
                 budget.check_numbers(path, rows * len(names))
                 columns = [(name, _numbers(file, name, rows)) for name in names]
         except (pa.ArrowException, OSError, ValueError, KeyError) as error:  # also names that are no text

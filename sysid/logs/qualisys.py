@@ -2,7 +2,7 @@
 
 Head lines ``NAME<tab>values``, perhaps a line of column names, then one row a frame; frame and time columns are optional.
 Markers: ``x y z``. Bodies: position, three angles, residual, and the rotation matrix column by column (``Rot[0] … Rot[8]``),
-which alone is used: the angles follow settings that the file does not state. Millimetres. What was not seen is empty or zero.
+which alone is used: the angles follow settings that the file does not state. Millimetres. What is not visible is empty or zero.
 Source: Qualisys Track Manager documentation, "Motion data (.tsv)" and "6DOF data (.tsv)".
 """
 
@@ -14,16 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from sysid.errors import InputError
-from sysid.logs.capture import (
-    Array,
-    check_streams,
-    from_matrices,
-    length_factor,
-    number_rows,
-    quaternion_columns,
-    text_lines,
-    unique_names,
-)
+from sysid.logs.capture import Array, from_matrices, length_factor, number_rows, quaternion_columns, text_lines, unique_names
 from sysid.logs.reader import ReadOptions
 from sysid.logs.stream import Stream
 from sysid.logs.table import to_ns
@@ -35,7 +26,7 @@ _CELLS = {"3D": 3, "6D": 16}
 
 @dataclass(frozen=True)
 class QualisysReader:
-    """Streams are called as the marker or body in Qualisys Track Manager."""
+    """Streams have the name of the marker or body in Qualisys Track Manager."""
 
     name: str = "qualisys"
     suffixes: tuple[str, ...] = ()
@@ -49,7 +40,7 @@ class QualisysReader:
             raise InputError(path, f"DATA_INCLUDED {kind!r}", "'3D' or '6D'", "Export again with the header on.")
         names = unique_names([name for name in head.get(_NAMES[kind], []) if name])
         budget.check_topics(path, len(names), "markers and bodies")
-        check_streams(path, options, names, "marker or body")
+        options.check_streams(path, names, "marker or body")
         cells = _CELLS[kind]
         before = width - cells * len(names)
         if not names or before not in (0, 1, 2):
@@ -62,7 +53,7 @@ class QualisysReader:
         factor = length_factor(path, "", options, "mm")
         streams = []
         for number, name in enumerate(names):
-            if options.streams is None or name in options.streams:
+            if options.wants(name):
                 own = table[:, before + number * cells : before + (number + 1) * cells]
                 values = _marker(own, factor) if kind == "3D" else _body(own, factor)
                 units = {key: "m" for key in values if key in ("x", "y", "z", "error")}

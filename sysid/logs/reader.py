@@ -1,38 +1,35 @@
-"""What a log reader is: a name, the suffixes it takes, the clocks its streams carry, and ``read``."""
+"""The interface of a log reader, and its options."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
 
+from sysid.errors import InputError, nearest
 from sysid.logs.limits import MAX_TEXT, Budget, check_file
 from sysid.logs.stream import Stream
 
 
-def _silent(share: float) -> None:
-    """A listener that does not care."""
-
-
 @dataclass(frozen=True)
 class ReadOptions:
-    """What a recipe can tell a reader.
+    """Settings of a reader.
 
     Args:
-        streams: read these streams (topics) alone; None reads all.
-        fields: topic → fields to read of it (bags); None reads all. Memory is that of the fields read.
+        streams: names of the streams (topics) to read; None reads all.
+        fields: topic → fields to read (bags); None reads all. Only these take memory.
         columns: of a table with one stream (CSV, Parquet, MATLAB): those to read beside the time; None reads all.
-        preview: for a look into a bag: all stamps, but values of the first messages of a topic alone.
-        seconds: for a look at the beginning: a reader may leave unread what comes so many seconds after the first stamp.
+        preview: read all stamps of a bag, but only the values of the first messages of each topic.
+        seconds: a reader may skip everything later than this after the first stamp [s].
         time: column or variable that holds the stamps (CSV, Parquet, MATLAB).
         time_unit: unit of that column.
-        rate_hz: sample rate of a table that has no stamps at all; its rows are then evenly spaced, the first one at zero.
-        length_unit: unit of positions where the file does not state one (Motive).
+        rate_hz: sample rate of a table without stamps, whose rows are evenly spaced from zero [Hz].
+        length_unit: unit of positions where the file states none.
         rotation: order of Euler angles where the file does not state it (Motive), e.g. ``XYZ``.
-        dbc: database that says which signals CAN frames carry.
-        budget: what reading may take; None: what a file of its size may.
-        progress: called with the share of the file that has been read, by readers that know it.
+        dbc: database (DBC) of a CAN log.
+        budget: limits of memory and time; None: those of a file of its size.
+        progress: called with the share of the file that has been read.
     """
 
     streams: frozenset[str] | None = None
@@ -47,10 +44,21 @@ class ReadOptions:
     rotation: str | None = None
     dbc: Path | None = None
     budget: Budget | None = None
-    progress: Callable[[float], None] = _silent
+    progress: Callable[[float], None] = lambda share: None
+
+    def wants(self, stream: str) -> bool:
+        """Whether the stream is to be read."""
+        return self.streams is None or stream in self.streams
+
+    def check_streams(self, path: Path, names: Iterable[str], what: str, remedy: str = "Correct the recipe.") -> None:
+        """Raise InputError where a wanted stream, such as a marker, is not among the ``names`` of the file."""
+        known = set(names)
+        for wanted in sorted(self.streams or ()):
+            if wanted not in known:
+                raise InputError(path, f"no {what} {wanted!r}", nearest(wanted, known), remedy)
 
     def budget_of(self, path: Path, what: str, limit: int | None = MAX_TEXT) -> Budget:
-        """What reading ``path`` may take: the budget that is given, or that of the file and the CAN database with it.
+        """The given budget, or that of the file together with its CAN database.
 
         Raises:
             InputError: missing, a pipe, a device or a folder, without bytes, or more than ``limit`` bytes.
@@ -61,12 +69,12 @@ class ReadOptions:
         return Budget.of(size + (self.dbc.stat().st_size if self.dbc is not None and self.dbc.is_file() else 0))
 
 
-#: Everything that is in a file.
+#: Reads everything.
 ALL = ReadOptions()
 
 
 class LogReader(Protocol):
-    """One file format. ``clocks`` lists the stamps its streams may carry, the default first."""
+    """Reader of one file format. ``clocks`` lists the stamps of its streams, the default first."""
 
     @property
     def name(self) -> str: ...

@@ -1,4 +1,4 @@
-"""The list of log formats. A new format is one more entry here; nothing is found by import magic."""
+"""The list of log formats; a new format is one more entry here."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ READERS: tuple[LogReader, ...] = (
     JsonReader(),
 )
 
-#: What a file begins with (after a byte order mark) → its reader, where the suffix says too little.
+#: First bytes of a file (after a byte order mark) → its reader, where the suffix is ambiguous.
 SIGNATURES: tuple[tuple[re.Pattern[bytes], str], ...] = (
     (re.compile(rb"\x89MCAP"), "mcap"),
     (re.compile(rb"#ROSBAG"), "rosbag1"),
@@ -53,10 +53,10 @@ SIGNATURES: tuple[tuple[re.Pattern[bytes], str], ...] = (
 )
 
 
-_CAN_DATABASE = "a database that says what is in CAN frames, not a log"
+_CAN_DATABASE = "a database of CAN messages, not a log"
 _SHEET = ("a spreadsheet", "Save the sheet as CSV: one header row, one time column.")
 _PACKED = ("a packed file", "Unpack it first.")
-#: What lies beside logs, or is one that no reader takes: suffix → what it is and what to do.
+#: Files beside logs, and logs without a reader: suffix → what it is and what to do.
 NO_LOGS: dict[str, tuple[str, str]] = {
     ".dbc": (
         _CAN_DATABASE,
@@ -64,7 +64,7 @@ NO_LOGS: dict[str, tuple[str, str]] = {
     ),
     ".arxml": (_CAN_DATABASE, "Export it as DBC; the recipe of the log names it with `dbc`."),
     ".kcd": (_CAN_DATABASE, "Export it as DBC; the recipe of the log names it with `dbc`."),
-    ".yaml": ("what a recorder wrote about a log (rosbag2: metadata.yaml), not a log", "Give the .db3 or .mcap beside it."),
+    ".yaml": ("metadata of a log (rosbag2: metadata.yaml), not a log", "Give the .db3 or .mcap beside it."),
     ".toml": ("a recipe or a machine description, not a log", "Give it with --recipe or --machine, and the logs as PATH."),
     ".urdf": ("the description of a robot, not a log", "machine.toml names it with `urdf`."),
     ".tak": ("a take of Motive", "Export it from Motive as CSV or C3D."),
@@ -79,7 +79,7 @@ NO_LOGS |= {".yml": NO_LOGS[".yaml"], ".hdf5": NO_LOGS[".h5"]}
 
 
 def reader_named(name: str, where: object) -> LogReader:
-    """The reader called ``name``; raises :class:`SettingsError` for an unknown one."""
+    """The reader with this name; raises :class:`SettingsError` for an unknown one."""
     for reader in READERS:
         if reader.name == name:
             return reader
@@ -87,10 +87,10 @@ def reader_named(name: str, where: object) -> LogReader:
 
 
 def reader_for(path: Path) -> LogReader:
-    """The reader that what ``path`` begins with calls for, else the first that takes its suffix.
+    """The reader by the first bytes of ``path``, else the first reader of its suffix.
 
     Raises:
-        InputError: no reader takes the suffix.
+        InputError: no reader for the suffix.
     """
     takes = [reader for reader in READERS if path.suffix.lower() in reader.suffixes]
     if not takes:
@@ -110,11 +110,11 @@ def _by_content(path: Path) -> str | None:
     try:
         with path.open("rb") as file:
             head = file.read(4096).removeprefix(b"\xef\xbb\xbf")
-    except PermissionError:  # said where it is read
+    except PermissionError:  # reported when it is read
         return None
     return next((name for pattern, name in SIGNATURES if pattern.match(head)), None)
 
 
 def is_log(path: Path) -> bool:
-    """Whether some reader takes the suffix of ``path``."""
+    """Whether there is a reader for the suffix of ``path``."""
     return path.is_file() and any(path.suffix.lower() in reader.suffixes for reader in READERS)

@@ -1,6 +1,6 @@
 """ROS bags other than MCAP: ROS 1 ``.bag`` and rosbag2 in sqlite, ``.db3``. Clocks: ``header`` (when measured) and ``log``.
 
-The ``rosbags`` library takes the containers apart; the messages go through the decoder that MCAP uses.
+The ``rosbags`` library reads the containers; the messages are decoded as those of MCAP files.
 """
 
 from __future__ import annotations
@@ -23,9 +23,9 @@ from sysid.logs.stream import Stream
 from sysid.logs.topics import Topic, check_held, check_topics, finished, make_decoder
 
 _ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
-#: Messages of a topic are handed on in batches of this size, and all of them when so much is held together.
+#: Size of a batch of messages of a topic, and of all batches together [bytes].
 _BATCH, _HELD = 4 * 2**20, 32 * 2**20
-#: What the library asks an sqlite file for.
+#: Tables of an sqlite file that the library reads.
 _TABLES = ("topics", "messages", "schema", "message_definitions", "metadata")
 
 
@@ -50,8 +50,8 @@ class Ros1Reader:
             raise InputError(path, found, "'#ROSBAG V2.0'", "Older bags: convert them with `rosbag fix`.")
         bag = _Bag(path, options, budget, "ros1", "ros1msg")
         reader = Reader(path)
-        # The library checks a bag by assertions and by what its own parsing runs into: all of it means a damaged bag. It asks
-        # for as many bytes as a length word says before it looks whether the file has them (4 GiB at most).
+        # Any of these means a damaged bag: the library uses assertions, and allocates the length that a word states (up to
+        # 4 GiB) before it checks whether the file has as many bytes.
         damage = (
             ReaderError, AssertionError, struct.error, ValueError, KeyError, IndexError, OverflowError, EOFError, OSError,
             MemoryError,
@@ -69,7 +69,7 @@ class Ros1Reader:
             connections = bag.define(reader.connections, lambda connection: connection.msgdef.data)
             bag.take((c, stamp, data) for c, stamp, data in reader.messages(connections) if connections)
         except damage as error:
-            bag.lose(f"damaged ({_short(error)}); what lies before has been read")
+            bag.lose(f"damaged ({_short(error)}); the part before it has been read")
         finally:
             reader.close()
         return bag.streams()
@@ -77,7 +77,7 @@ class Ros1Reader:
 
 @dataclass(frozen=True)
 class Rosbag2Reader:
-    """rosbag2 in sqlite (``.db3``), each file by itself: what ``metadata.yaml`` says, the file says too."""
+    """rosbag2 in sqlite (``.db3``), each file by itself: ``metadata.yaml`` is not needed."""
 
     name: str = "rosbag2"
     suffixes: tuple[str, ...] = (".db3", ".zstd")
@@ -104,7 +104,7 @@ class Rosbag2Reader:
             connections = bag.define(reader.connections, _ros2_definition)
             bag.take(_stored(reader.messages(connections), bag) if connections else ())
         except damage as error:
-            bag.lose(f"damaged ({_short(error)}); what lies before has been read")
+            bag.lose(f"damaged ({_short(error)}); the part before it has been read")
         finally:
             reader.close()
         return bag.streams()
@@ -112,7 +112,7 @@ class Rosbag2Reader:
 
 @dataclass
 class _Bag:
-    """What has been read of a bag so far."""
+    """State of reading one bag."""
 
     path: Path
     options: ReadOptions
@@ -134,7 +134,7 @@ class _Bag:
         check_topics(self.options, self.names, self.path)
         for connection in connections:
             topic, kind = connection.topic, connection.msgtype
-            if self.options.streams is not None and topic not in self.options.streams:
+            if not self.options.wants(topic):
                 continue
             where = f"{self.path}: {topic}"
             self.budget.check_topics(self.path, len(self.topics) + 1)
@@ -160,7 +160,7 @@ class _Bag:
         return readable
 
     def take(self, messages: Iterable[tuple[Any, int, bytes]]) -> None:
-        """Hand messages to their topics in batches; those that came before an error are handed on, too."""
+        """Pass messages to their topics in batches, including those before an error."""
         batches: dict[tuple[str, str], _Batch] = {}
         held = 0
         try:
@@ -189,7 +189,7 @@ class _Batch:
     size: int = 0
 
     def add(self, stamp: int, data: bytes) -> int:
-        """Take a message; returns by how much the memory held has grown."""
+        """Add a message; returns the increase of the memory held [bytes]."""
         before = self.size
         self.stamps.append(stamp)
         self.messages.append(data)
@@ -231,14 +231,14 @@ def _limited(maker: Any, budget: Budget) -> Any:
 
 
 def _check_pages(path: Path) -> None:
-    """Raise where an sqlite file is shorter than it says: what is missing would be read as zeros.
+    """Raise where an sqlite file is shorter than it states: missing pages would be read as zeros.
 
     Source: SQLite, "Database File Format", 1.3.8 (the size is valid where the counter behind it agrees).
     """
     with path.open("rb") as file:
         head = file.read(100)
     if len(head) < 100 or not head.startswith(b"SQLite format 3\0"):
-        return  # said where it is opened
+        return  # reported when it is opened
     page, pages = int.from_bytes(head[16:18], "big"), int.from_bytes(head[28:32], "big")
     size, there = (65536 if page == 1 else page) * pages, path.stat().st_size
     if head[24:28] == head[92:96] and size > there:
@@ -248,7 +248,7 @@ def _check_pages(path: Path) -> None:
 
 @contextlib.contextmanager
 def _limited_rows(budget: Budget) -> Iterator[None]:
-    """Databases that are opened in the meantime give no value that is longer than a chunk may be."""
+    """Limits values of databases that are opened within the context to the size of a chunk."""
     import apsw
 
     def limit(database: apsw.Connection) -> None:
@@ -262,7 +262,7 @@ def _limited_rows(budget: Budget) -> Iterator[None]:
 
 
 def _check_tables(path: Path) -> None:
-    """Raise where the tables of a bag are not stored but made while they are read: views, virtual tables, generated columns.
+    """Raise where the tables of a bag are computed when they are read: views, virtual tables, generated columns.
 
     Raises:
         InputError: a table that is not stored.
@@ -281,11 +281,11 @@ def _check_tables(path: Path) -> None:
             found = found or (f"a generated column {hidden[0]!r}" if hidden else "")
             if found:
                 where = f"{path}: table {name!r}"
-                raise InputError(where, found, "rows that rosbag2 has stored", "The file is damaged or made to do harm.")
+                raise InputError(where, found, "rows that rosbag2 has stored", "The file is damaged or malicious.")
 
 
 def _stored(rows: Iterable[tuple[Any, Any, Any]], bag: _Bag) -> Iterator[tuple[Any, int, bytes]]:
-    """Messages as they were written; rows whose cells are of another type (sqlite takes any) are left out and counted."""
+    """Stored messages; rows whose cells have another type (sqlite takes any) are dropped and counted."""
     others = 0
     for connection, stamp, data in rows:
         if isinstance(stamp, int) and isinstance(data, bytes):
@@ -297,7 +297,7 @@ def _stored(rows: Iterable[tuple[Any, Any, Any]], bag: _Bag) -> Iterator[tuple[A
 
 
 def _unpacked(data: bytes, budget: Budget) -> bytes:
-    """A message, unpacked where the bag compresses each by itself (CDR never starts with these bytes)."""
+    """A message, unpacked where the bag compresses messages one by one (CDR never starts with these bytes)."""
     if not data.startswith(_ZSTD_MAGIC):
         return data
     import zstandard
@@ -306,7 +306,7 @@ def _unpacked(data: bytes, budget: Budget) -> bytes:
 
 
 def _ros2_definition(connection: Any) -> str:
-    """The definition in the file; of types that ROS 2 brings along the well-known one, where older files have none."""
+    """The definition in the file; for older files without one, that of the types of ROS 2 itself."""
     from rosbags.typesys import Stores, get_typestore
 
     if connection.msgdef.data:

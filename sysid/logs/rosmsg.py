@@ -1,7 +1,7 @@
-"""ROS 2 message definitions as text (``ros2msg``, ROS 1, or ``ros2idl``), as they stand in a bag.
+"""ROS message definitions as stored in a bag (``ros2msg``, ROS 1, or ``ros2idl``).
 
 Source: ROS 2 documentation, "About interfaces"; the schema of a message is followed by those it contains, each after a line
-of ``=`` and ``MSG: package/Name``. IDL is translated to that form by the ``rosbags`` library.
+of ``=`` and ``MSG: package/Name``. The ``rosbags`` library translates IDL to this form.
 """
 
 from __future__ import annotations
@@ -31,14 +31,14 @@ class Field:
 
 @dataclass(frozen=True)
 class Definition:
-    """A message type with all the types that it contains."""
+    """A message type with all types that it contains."""
 
     root: str
     types: Mapping[str, tuple[Field, ...]]
     _sizes: dict[tuple[str, int | None], int | None] = field(default_factory=dict, compare=False, repr=False)
 
     def stamp_fields(self) -> frozenset[str]:
-        """The two fields of the stamp that a message of this type carries, in its header or by itself; else none."""
+        """The two fields of the stamp of a message of this type; empty where it has none."""
         for prefix in (("header", "stamp"), ("stamp",), ("timestamp",)):
             kind: str | None = self.root
             for name in prefix:
@@ -49,9 +49,9 @@ class Definition:
         return frozenset()
 
     def fixed_size(self, kind: str, phase: int | None) -> int | None:
-        """Bytes of a ``kind``, None where they are not fixed.
+        """Size of a ``kind`` [bytes], None where it is not fixed.
 
-        In CDR they depend on where it starts: ``phase`` (0 to 7) behind a multiple of eight; None: without padding (ROS 1).
+        In CDR it depends on the start: ``phase`` (0 to 7) behind a multiple of eight; None: without padding (ROS 1).
         """
         key = (kind, phase)
         if key not in self._sizes:
@@ -133,7 +133,7 @@ def parse_idl(name: str, text: str, where: object) -> Definition:
     return parse_definition(name, message, where)
 
 
-#: Messages inside of messages; deeper ones are not signals but traps.
+#: Levels of nested messages.
 MAX_DEPTH = 20
 
 
@@ -161,7 +161,7 @@ def _members(lines: list[str], owner: str, where: object) -> list[Field]:
         if match is None:
             raise InputError(f"{where}: schema {owner}", f"line {line!r}", "`type name`")
         if match["rest"].startswith("="):
-            continue  # a constant takes no room in the message
+            continue  # a constant is not serialised
         array = match["array"]
         if array is not None and len(array) > 12:
             raise InputError(f"{where}: schema {owner}", f"line {line[:80]!r}", "an array of fewer than 10 billion elements")
@@ -176,7 +176,7 @@ def _resolve(kind: str, owner: str) -> str:
     if kind in ("time", "duration"):
         return "builtin_interfaces/Time"
     if kind == "Header":
-        return "std_msgs/Header"  # ROS 1 leaves its package out
+        return "std_msgs/Header"  # ROS 1 omits its package
     return _short(kind) if "/" in kind else f"{owner.split('/')[0]}/{kind}"
 
 

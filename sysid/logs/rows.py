@@ -1,4 +1,4 @@
-"""Messages decoded one by one → columns: JSON and protobuf, whose layout is another in every message."""
+"""Messages decoded one by one → columns: JSON and protobuf, whose layout differs in every message."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ import numpy.typing as npt
 from sysid.errors import InputError
 from sysid.logs.layout import MAX_ELEMENTS, NAME_FIELDS, Bytes
 from sysid.logs.limits import MAX_DEPTH
-from sysid.logs.pieces import STAMP_FIELDS, Pieces
+from sysid.logs.topic_columns import STAMP_FIELDS, TopicColumns
 
-#: Messages whose numbers are Python objects at the same time.
+#: Messages that are Python objects at the same time.
 _BATCH = 4096
-#: Values of one JSON message, and bytes of one protobuf message: as objects they take many times that.
+#: Values of one JSON message, and bytes of one protobuf message; as objects they take many times as much memory.
 _MAX_VALUES, _MAX_MESSAGE = 2**20, 16 * 2**20
 
-#: The bytes of a message → nested dictionaries, lists, numbers; raises ValueError for a message that cannot be read.
+#: Message → nested dictionaries, lists, numbers; raises ValueError for a message that cannot be read.
 Parse = Callable[[bytes], Any]
 
 
@@ -33,22 +33,22 @@ class RowDecoder:
     wanted: frozenset[str] | None = None
     preview: int | None = None
     cells: int = 2**28
-    pieces: Pieces = field(init=False)
+    columns: TopicColumns = field(init=False)
     reason: str = ""
 
     def __post_init__(self) -> None:
-        self.pieces = Pieces(self.wanted, self.cells)
+        self.columns = TopicColumns(self.wanted, self.cells)
 
     def add(self, buffer: Bytes, starts: npt.NDArray[np.int64], sizes: npt.NDArray[np.int64]) -> None:
-        """Take messages ``buffer[start : start + size]``."""
+        """Decode messages ``buffer[start : start + size]``."""
         for begin in range(0, len(starts), _BATCH):
             self._add(buffer, starts[begin : begin + _BATCH], sizes[begin : begin + _BATCH])
 
     def _add(self, buffer: Bytes, starts: npt.NDArray[np.int64], sizes: npt.NDArray[np.int64]) -> None:
-        stamps_only = self.preview is not None and self.pieces.total >= self.preview
+        stamps_only = self.preview is not None and self.columns.total >= self.preview
         if stamps_only:
-            self.pieces.stamps_only()
-        first = self.pieces.expect(len(starts))
+            self.columns.stamps_only()
+        first = self.columns.expect(len(starts))
         rows: dict[str, list[int]] = {}
         values: dict[str, list[float]] = {}
         for offset, (start, size) in enumerate(zip(starts.tolist(), sizes.tolist(), strict=True)):
@@ -56,7 +56,7 @@ class RowDecoder:
             try:
                 flatten(self.parse(buffer[start : start + size].tobytes()), "", flat)
             except (ValueError, RecursionError) as error:
-                self.pieces.bad.append(first + offset)
+                self.columns.bad.append(first + offset)
                 self.reason = self.reason or str(error).splitlines()[0][:200]
                 continue
             for path, value in flat.items():
@@ -64,14 +64,14 @@ class RowDecoder:
                     rows.setdefault(path, []).append(first + offset)
                     values.setdefault(path, []).append(value)
         for path, column in values.items():
-            self.pieces.put((path,), np.array(rows[path], dtype=np.intp), _numbers(column))
+            self.columns.put((path,), np.array(rows[path], dtype=np.intp), _numbers(column))
 
 
 _STAMPS = frozenset(path for pair in STAMP_FIELDS for path in pair)
 
 
 def _numbers(values: list[float]) -> npt.NDArray[Any]:
-    """Whole numbers stay whole: a stamp in nanoseconds does not fit a float."""
+    """Integers stay integers, because a stamp in nanoseconds does not fit a float."""
     if all(isinstance(value, int) and -(2**63) <= value < 2**63 for value in values):
         return np.array(values, dtype=np.int64)
     return np.array([float(value) if abs(value) < 1e300 else math.inf for value in values])
@@ -159,7 +159,7 @@ def protobuf_parser(name: str, schema: bytes, where: object) -> Parse:
 
 
 def _with_well_known(files: dict[str, Any]) -> dict[str, Any]:
-    """``files`` and Google's own ones (timestamp, duration) that some writers leave out."""
+    """``files`` and Google's well-known ones (timestamp, duration) that some writers omit."""
     from google.protobuf import descriptor_pb2, duration_pb2, timestamp_pb2
 
     for module in (duration_pb2, timestamp_pb2):
@@ -170,7 +170,7 @@ def _with_well_known(files: dict[str, Any]) -> dict[str, Any]:
 
 
 def _in_order(files: Mapping[str, Any]) -> list[Any]:
-    """Descriptor files, each after those it imports; files that import each other in a circle are left for the library."""
+    """Descriptor files, each after those it imports; the library reports circular imports."""
     done: dict[str, Any] = {}
     left = dict(files)
     while left:
@@ -181,7 +181,7 @@ def _in_order(files: Mapping[str, Any]) -> list[Any]:
 
 
 def _fields(message: Any, depth: int) -> dict[str, Any]:
-    """A protobuf message as nested dictionaries, with the fields that are at their default."""
+    """A protobuf message as nested dictionaries, including fields at their default."""
     if depth > MAX_DEPTH:
         raise ValueError(f"more than {MAX_DEPTH} levels of messages")
     result: dict[str, Any] = {}

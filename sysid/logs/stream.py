@@ -1,4 +1,4 @@
-"""A stream: what one sensor or controller wrote into one file, with its own stamps."""
+"""A stream: the samples of one sensor or controller in one file, with their own stamps."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ class Stream:
         stamps: clock name (``log``, ``publish``, ``header``, ``capture``) → int64 nanoseconds, each (n,).
         columns: field name → float64 values (n,), NaN where the file has none.
         units: field name → unit as the file states it; a field without an entry has none stated.
-        losses: what could not be read, in words for the quality report.
-        fields: every field the file has, where only the wanted ones were read; empty where all were.
+        losses: what could not be read, as sentences for the quality report.
+        fields: every field of the file, where only some were read; empty where all were.
         kind: message type, where the file names one.
     """
 

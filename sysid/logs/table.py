@@ -1,13 +1,15 @@
-"""Shared by readers of plain tables: choosing the time column, stamps in nanoseconds, empty files."""
+"""Shared by readers of tables: parsing in chunks, choice of the time column, stamps in nanoseconds."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import warnings
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
+import pandas as pd
 
 from sysid import scratch
 from sysid.errors import InputError, nearest
@@ -21,11 +23,10 @@ TIME_NAMES = ("time", "t", "Time", "timestamp")
 #: Header and values of each column.
 Columns: TypeAlias = Sequence[tuple[str, npt.NDArray[np.float64]]]
 
+#: Stamps that are converted, and cells of a text table that are parsed, at a time.
+_PIECE, CELLS = 2**18, 2**20
 
-#: Stamps that are converted at a time.
-_PIECE = 2**18
-
-#: What stands with a text log whose last row may be cut: it would give another number, not a missing one.
+#: The loss of a text log whose last row may be cut: it would give a wrong value, not a missing one.
 CUT_ROW = "the last row has no line end and may be cut: left out"
 
 
@@ -38,8 +39,42 @@ def without_line_end(path: Path) -> bool:
         return file.read(1) not in (b"\n", b"\r")
 
 
+def text_chunks(
+    path: Path, cells: int, progress: Callable[[float], None], damage: str, expected: str, **settings: Any
+) -> Iterator[pd.DataFrame]:
+    """The rows of a text table in chunks, because text takes several times the memory of its numbers.
+
+    Args:
+        cells: in a row, one more than expected: it is empty in every row that fits.
+        progress: called with the share of the file that has been read.
+        damage, expected: of the error where the table cannot be parsed.
+        settings: of :func:`pandas.read_csv`.
+
+    Raises:
+        InputError: rows that cannot be parsed, or not UTF-8.
+    """
+    size = path.stat().st_size
+    try:
+        with path.open("rb") as file, pd.read_csv(
+            file, header=None, names=list(range(cells)), index_col=False, encoding="utf-8-sig", low_memory=False,
+            chunksize=max(1, CELLS // cells), **settings,
+        ) as chunks:  # fmt: skip
+            while True:
+                with warnings.catch_warnings():
+                    warnings.simplefilter("ignore", pd.errors.ParserWarning)  # the caller checks for longer rows
+                    chunk = next(chunks, None)
+                if chunk is None:
+                    return
+                progress(min(1.0, file.tell() / size))
+                yield chunk
+    except pd.errors.EmptyDataError:
+        return
+    except (pd.errors.ParserError, UnicodeDecodeError) as error:
+        raise InputError(path, f"{damage} ({' '.join(str(error).split())})", expected) from None
+
+
 def is_wanted(header: str, options: ReadOptions, units_in_headers: bool = True) -> bool:
-    """Whether a column is to be read: it is asked for, or may be the time."""
+    """Whether a column is to be read: it is wanted, or may be the time."""
     if options.columns is None:
         return True
     name = split_header(header)[0] if units_in_headers else header
@@ -89,7 +124,7 @@ def table_stream(
 
 
 def guess_time(columns: Columns) -> tuple[str, str] | None:
-    """Which column is the time, and its unit: one that is called so, else the first that rises; None where none does."""
+    """The time column and its unit: one with such a name, else the first increasing one; None where none increases."""
     rising = {}
     for header, values in columns:
         name, unit = split_header(header)
@@ -104,7 +139,7 @@ def guess_time(columns: Columns) -> tuple[str, str] | None:
 
 
 def _time_unit(name: str, values: npt.NDArray[np.float64]) -> str:
-    """Unix time since 2001 says its unit by its size, other times by their name; seconds otherwise."""
+    """The unit of a Unix time since 2001 follows from its size, that of others from the name; seconds otherwise."""
     size = float(np.median(np.abs(values)))
     for limit, unit in ((1e18, "ns"), (1e15, "us"), (1e12, "ms")):
         if size > limit:
@@ -115,7 +150,7 @@ def _time_unit(name: str, values: npt.NDArray[np.float64]) -> str:
 def to_ns(seconds: npt.NDArray[np.float64], factor: float, where: str) -> npt.NDArray[np.int64]:
     """Stamps in units of ``factor`` seconds as int64 nanoseconds.
 
-    Whole units and their fraction are converted apart: a Unix time in seconds as float64 keeps what precision it has.
+    Whole units and fractions are converted separately, so that a Unix time in seconds keeps its float64 precision.
     """
     if not np.all(np.isfinite(seconds)):
         bad = int(np.flatnonzero(~np.isfinite(seconds))[0])

@@ -1,4 +1,4 @@
-"""Topics of a bag: what MCAP, rosbag2 and ROS 1 readers share. Messages of a topic → a stream with its clocks."""
+"""Shared by the readers of bags (MCAP, rosbag2, ROS 1): messages of a topic → a stream with its clocks."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from sysid.logs.cdr import ColumnDecoder
 from sysid.logs.growing import GrowingArray
 from sysid.logs.layout import Bytes
 from sysid.logs.limits import Budget
-from sysid.logs.pieces import Pieces
 from sysid.logs.reader import ReadOptions
 from sysid.logs.rosmsg import parse_definition, parse_idl
 from sysid.logs.rows import RowDecoder, parse_json, protobuf_parser
 from sysid.logs.stream import Stream
+from sysid.logs.topic_columns import TopicColumns
 
-#: With ``preview`` the values of so many messages a topic are read, and only the stamps of those after them.
+#: Number of messages of each topic of which ``preview`` reads the values; of later ones it reads only the stamps.
 PREVIEW = 20_000
 _MAX_SCHEMA = 2**20
 
@@ -30,11 +30,11 @@ class Decoder(Protocol):
     """Messages of one topic → columns."""
 
     @property
-    def pieces(self) -> Pieces: ...
+    def columns(self) -> TopicColumns: ...
 
     @property
     def reason(self) -> str:
-        """Why the first unreadable message is so."""
+        """Why the first unreadable message cannot be read."""
         ...
 
     def add(self, buffer: Bytes, starts: npt.NDArray[np.int64], sizes: npt.NDArray[np.int64]) -> None: ...
@@ -94,58 +94,58 @@ class Topic:
 
     @property
     def held(self) -> int:
-        """Stamps and values that have been kept."""
-        return self.log.found + self.publish.found + self.decoder.pieces.held
+        """Number of stamps and values kept."""
+        return self.log.found + self.publish.found + self.decoder.columns.held
 
     def expect(self, count: int) -> None:
-        """The file says that it has so many more messages of this topic."""
-        pieces = self.decoder.pieces
-        pieces.stated += count
-        self.log.expected = self.publish.expected = pieces.stated
+        """Reserve for the messages of this topic that the file states."""
+        columns = self.decoder.columns
+        columns.stated += count
+        self.log.expected = self.publish.expected = columns.stated
 
     def stream(self, path: Path, losses: Iterable[str]) -> Stream:
-        """What was read. Clocks: ``header`` where the messages carry a stamp, ``log``, ``publish`` where the file has it."""
-        pieces = self.decoder.pieces
+        """The stream. Clocks: ``header`` where the messages have a stamp, ``log``, ``publish`` where the file has it."""
+        found = self.decoder.columns
         stamps: dict[str, npt.NDArray[np.int64]] = {}
-        header = pieces.header_stamps()
+        header = found.header_stamps()
         if header is not None:
             stamps["header"] = header
-        stamps["log"] = self.log.whole(pieces.total)
+        stamps["log"] = self.log.whole(found.total)
         if self.publish.found:
-            stamps["publish"] = self.publish.whole(pieces.total)
-        columns = pieces.columns()
+            stamps["publish"] = self.publish.whole(found.total)
+        columns = found.release()
         losses = list(losses)
-        if pieces.bad:
-            readable = pieces.readable()
+        if found.bad:
+            readable = found.readable()
             stamps = {clock: values[readable] for clock, values in stamps.items()}
-            for name in columns:  # one at a time: twice the table may be more than there is room for
+            for name in columns:  # one at a time, because two copies of the table may not fit into memory
                 columns[name] = columns[name][readable[: len(columns[name])]]
-            count = len(pieces.bad)
+            count = len(found.bad)
             losses.append(
                 f"{path.name}: {self.name}: {count} messages do not follow their schema (the first: {self.decoder.reason})"
             )
-        if pieces.crowded:
+        if found.crowded:
             losses.append(f"{path.name}: {self.name}: has too many fields to read them all; {len(columns)} have been read")
-        return Stream(self.name, path, stamps, columns, {}, tuple(losses), tuple(pieces.fields), self.kind)
+        return Stream(self.name, path, stamps, columns, {}, tuple(losses), tuple(found.fields), self.kind)
 
 
 def check_held(path: Path, topics: Iterable[Topic], budget: Budget) -> None:
-    """Raise where messages have given more numbers than may be kept."""
+    """Raise where more values are kept than the budget allows."""
     for topic in topics:
-        budget.check_rows(f"{path}: {topic.name}", topic.decoder.pieces.total)
+        budget.check_rows(f"{path}: {topic.name}", topic.decoder.columns.total)
     budget.check_numbers(path, sum(topic.held for topic in topics))
 
 
 def finished(
     topics: Iterable[Topic], known: Iterable[str], options: ReadOptions, path: Path, losses: list[str]
 ) -> tuple[Stream, ...]:
-    """The streams of a bag that has been read; what a topic without a single readable message lost stands with the others.
+    """The streams of a bag; the losses of topics without a readable message go to the others.
 
     Raises:
-        InputError: a wanted topic is not there, or no message of it, or of any, could be read.
+        InputError: a wanted topic is missing or unreadable, or no message could be read.
     """
     check_topics(options, known, path, losses)
-    streams = tuple(topic.stream(path, losses) for topic in topics if topic.decoder.pieces.total)
+    streams = tuple(topic.stream(path, losses) for topic in topics if topic.decoder.columns.total)
     readable = tuple(stream for stream in streams if len(stream))
     unreadable = tuple(dict.fromkeys(loss for stream in streams if not len(stream) for loss in stream.losses))
     named = [stream.name for stream in streams if not len(stream) and stream.name in (options.streams or ())]
@@ -157,7 +157,7 @@ def finished(
 
 
 def check_topics(options: ReadOptions, known: Iterable[str], path: Path, losses: Iterable[str] = ()) -> None:
-    """Raise where a wanted topic is not among the known ones."""
+    """Raise where a wanted topic is not among the known ones; the error names the first loss."""
     names = set(known)
     for topic in sorted(options.streams or ()):
         if topic not in names:

@@ -1,7 +1,7 @@
 """TRC files of motion capture (Motion Analysis, OpenSim): markers → streams ``x y z`` [m] on the capture clock.
 
 Three head lines (file type; names and values of the settings), the markers' names over three columns each, the axes, an empty
-line; then frame, time and positions, nothing or ``nan`` where a marker was not seen. Tabs, or commas from a spreadsheet.
+line; then frame, time and positions, empty or ``nan`` where a marker is not visible. Tabs, or commas from a spreadsheet.
 Source: OpenSim documentation, "Marker (.trc) Files".
 """
 
@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from sysid.errors import InputError
-from sysid.logs.capture import check_streams, length_factor, number_rows, text_lines, unique_names
+from sysid.logs.capture import length_factor, number_rows, text_lines, unique_names
 from sysid.logs.reader import ReadOptions
 from sysid.logs.stream import Stream
 from sysid.logs.table import to_ns
@@ -24,7 +24,7 @@ _WHAT = "a TRC file of motion capture"
 
 @dataclass(frozen=True)
 class TrcReader:
-    """The CAN logs that have the same suffix begin with a semicolon; they are read by ``can``."""
+    """CAN logs with the same suffix begin with a semicolon and are read by ``can``."""
 
     name: str = "trc"
     suffixes: tuple[str, ...] = (".trc",)
@@ -45,7 +45,7 @@ class TrcReader:
         if not markers:
             raise InputError(path, "no names of markers", "names over the columns", "Export it again.")
         budget.check_topics(path, len(markers), "markers")
-        check_streams(path, options, markers, "marker")
+        options.check_streams(path, markers, "marker")
         table, losses = number_rows(path, 2 + 3 * len(markers), 5, separator, ragged=True, options=options)
         table = table[~np.isnan(table[:, 1])]
         if not len(table):
@@ -55,16 +55,9 @@ class TrcReader:
             if stated.isdecimal() and int(stated) != count:
                 losses = (*losses, f"{path.name}: {count} {what} instead of the {stated} that the head states")
         stamps = {"capture": to_ns(table[:, 1], 1.0, f"{path}: Time")}
-        return tuple(
-            Stream(
-                name,
-                path,
-                stamps,
-                {axis: table[:, 2 + 3 * number + i] * factor for i, axis in enumerate("xyz")},
-                dict.fromkeys("xyz", "m"),
-                losses,
-                kind="Marker",
-            )
-            for number, name in enumerate(markers)
-            if options.streams is None or name in options.streams
-        )
+        streams = []
+        for number, name in enumerate(markers):
+            if options.wants(name):
+                columns = {axis: table[:, 2 + 3 * number + i] * factor for i, axis in enumerate("xyz")}
+                streams.append(Stream(name, path, stamps, columns, dict.fromkeys("xyz", "m"), losses, kind="Marker"))
+        return tuple(streams)

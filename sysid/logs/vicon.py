@@ -1,9 +1,9 @@
 """Vicon Nexus text exports (CSV, ASCII): trajectories, segments, model outputs and devices → streams on the capture clock.
 
-Sections one after the other: its name, its rate [Hz], the names of the objects above their columns, column names (``Frame``,
-``Sub Frame``, ``X`` …), units, rows up to an empty line; what was not seen is empty. Trajectories and segments: ``x y z`` [m];
-other columns under their own name with the unit that the file states. Rotations of segments stay angles: the file does not say
-of which kind. The clock counts from frame 1.
+Each section has its name, its rate [Hz], the names of the objects above their columns, column names (``Frame``, ``Sub Frame``,
+``X`` …), units, and rows up to an empty line; what is not visible is empty. Trajectories and segments: ``x y z`` [m]; other
+columns keep their name and unit. Rotations of segments stay angles, because the file does not state their convention. The clock
+counts from frame 1.
 Source: Vicon Nexus documentation, "ASCII file format".
 """
 
@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from sysid.errors import InputError
-from sysid.logs.capture import Array, check_streams, number_rows, text_lines
+from sysid.logs.capture import Array, number_rows, text_lines
 from sysid.logs.cut_off import uneven_sections
 from sysid.logs.reader import ReadOptions
 from sysid.logs.stream import Stream
@@ -24,9 +24,9 @@ from sysid.logs.table import to_ns
 from sysid.units import si_factor
 
 _WHAT = "a Vicon Nexus text export"
-#: Sections that hold samples; others (events) are passed over.
+#: Sections with samples; others (events) are skipped.
 SECTIONS = ("Trajectories", "Segments", "Joints", "Model Outputs", "Devices")
-#: Sections of a file: each is looked for from its beginning.
+#: Largest number of sections.
 _MAX_SECTIONS = 64
 _POSITION = {"X": "x", "Y": "y", "Z": "z", "TX": "x", "TY": "y", "TZ": "z"}
 
@@ -48,7 +48,7 @@ class _Section:
 
 @dataclass(frozen=True)
 class ViconReader:
-    """Streams are called as the marker, segment or device in Nexus, with the subject in front (``crane:tip``)."""
+    """Streams have the name of the marker, segment or device in Nexus, with the subject in front (``crane:tip``)."""
 
     name: str = "vicon"
     suffixes: tuple[str, ...] = ()
@@ -68,11 +68,11 @@ class ViconReader:
                 found.append((name, stream))
         if not found:
             raise InputError(path, "no frames", f"a section such as {SECTIONS[0]!r} with frames", "Export the trial again.")
-        check_streams(path, options, [name for name, _ in found], "marker, segment or device")
+        options.check_streams(path, [name for name, _ in found], "marker, segment or device")
         return tuple(
             replace(stream, name=name, losses=(*stream.losses, *uneven_sections(path, last_frames)))
             for name, stream in found
-            if options.streams is None or name in options.streams
+            if options.wants(name)
         )
 
 
@@ -145,7 +145,7 @@ def _streams(path: Path, section: _Section, options: ReadOptions, last_frames: l
 
 
 def _seconds(table: Array, section: _Section) -> Array:
-    """Rows of one frame are its sub-frames, at the section's own rate."""
+    """Rows of one frame are its sub-frames, at the rate of the section."""
     sub = np.nan_to_num(table[:, 1]) if section.columns[1].lower().startswith("sub") else np.zeros(len(table))
     per_frame = float(np.max(sub)) + 1.0
     return np.asarray(((table[:, 0] - 1.0) * per_frame + sub) / section.rate)

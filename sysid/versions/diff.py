@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from sysid.datasets.versions.diff import Names, ValueChange
+from sysid.datasets.versions.diff import NameChanges, ValueChange
 from sysid.errors import StoreError
 from sysid.files import plain
 from sysid.networks import Calibration, Model, StructuredForward, from_files
@@ -76,10 +76,10 @@ class ModelDiff:
     recipe: tuple[ValueChange, ...]
     lineage: tuple[ValueChange, ...]
     figures: tuple[ValueChange, ...]
-    files: Names
+    files: NameChanges
     geometry: tuple[GeometryChange, ...]
     predictions: tuple[PredictionChange, ...]
-    outputs: Names
+    outputs: NameChanges
 
     @property
     def empty(self) -> bool:
@@ -119,7 +119,7 @@ def diff_versions(before: ModelVersion, after: ModelVersion) -> ModelDiff:
         files=_names(before.sha256, after.sha256),
         geometry=_geometry(*models) if models else (),
         predictions=tuple(_predicted(maps[0][key], maps[1][key]) for key in maps[0] if key in maps[1]),
-        outputs=Names(*(tuple(f"{k[0]} from {', '.join(k[1])}" for k in a if k not in b) for a, b in (maps[::-1], maps))),
+        outputs=NameChanges(*(tuple(f"{k[0]} from {', '.join(k[1])}" for k in a if k not in b) for a, b in (maps[::-1], maps))),
     )
 
 
@@ -141,9 +141,9 @@ def _flat(value: Any, path: str = "") -> Iterator[tuple[str, Any]]:
         yield path, list(value) if isinstance(value, tuple) else value
 
 
-def _names(before: Mapping[str, str], after: Mapping[str, str]) -> Names:
+def _names(before: Mapping[str, str], after: Mapping[str, str]) -> NameChanges:
     added, removed = (tuple(sorted(set(a) - set(b))) for a, b in ((after, before), (before, after)))
-    return Names(added, removed, tuple(sorted(name for name in before if name in after and before[name] != after[name])))
+    return NameChanges(added, removed, tuple(sorted(name for name in before if name in after and before[name] != after[name])))
 
 
 def _geometry(before: Model, after: Model) -> tuple[GeometryChange, ...]:

@@ -80,7 +80,7 @@ def test_rigid_bodies_are_offered_with_their_links(datasets_folder: Path, capsys
     seen = inspected(capsys, folder / "logs/manual-01/mocap.csv", "--machine", folder / "machine.toml")
     text = seen["recipe"]
     assert 'reader = "motive"' in text
-    assert '# boom_body = "boom"   # seen in 99 % of 3517 frames' in text
+    assert '# boom_body = "boom"   # visible in 99 % of 3517 frames' in text
     assert '# gripper_body = "<link>"' in text
     assert "# joints = { slew = <value>, boom = <value>, stick = <value>, telescope = <value> }" in text
     assert tomllib.loads(text)["streams"][0]["domain"] == "mocap"
@@ -90,7 +90,7 @@ def test_markers_are_offered_as_points_and_sets(shared_data: Path, capsys: pytes
     text = inspected(capsys, shared_data / "mocap_files/markers.trc")["recipe"]
     assert '# ee = { marker = "' in text
     assert '# <body> = ["ASISl", "ASISr", "PSISl"]' in text
-    assert '#   "STER": seen in 100 % of 93 frames' in text
+    assert '#   "STER": visible in 100 % of 93 frames' in text
     assert "signals" not in tomllib.loads(text)["streams"][0]
     analog = inspected(capsys, shared_data / "mocap_files/Qualisys.c3d")["recipe"]
     assert {"points", "marker_sets", "signals"} <= set(tomllib.loads(analog)["streams"][0])

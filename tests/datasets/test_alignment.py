@@ -127,15 +127,6 @@ def test_nothing_shared_nothing_moving_and_motion_that_repeats_are_refused() -> 
     assert "do not agree at the best lag" in estimate([unrelated]).refused
 
 
-def test_a_start_that_leads_nowhere_is_refused_not_a_crash() -> None:
-    source = pair(60.0, 0.0, 0.0, seed=1)
-    x = np.where(source.x_times < 30.0, source.x, source.x[3000])
-    still_there = Pair("a~a", source.x_times, x, source.y_times, source.y, 7, 0.035)
-    for start in (-200.0, 45.0, 35.0):
-        assert estimate([still_there], start=start).refused
-    assert estimate([still_there], start=-200.0).refused == "too little of a~a overlaps"
-
-
 def test_a_broken_sensor_does_not_spoil_what_the_others_know() -> None:
     good, broken = pair(60.0, 0.7, 20e-6, seed=1), pair(60.0, 0.7, 20e-6, seed=2)
     wrong = broken.y.copy()
@@ -174,7 +165,7 @@ def test_the_skew_of_a_device_is_shared_by_its_recordings() -> None:
         assert abs(record.skew_ppm - 45.0) < 5.0
         # The record can be applied to any channel of that clock, and undone.
         channel = recording.channels[1]
-        times = machine_times(channel, recording.start_ns, record)
+        times = machine_times(channel, recording.start_ns, [record])
         back = (times - record.offset_s) / (1.0 + 1e-6 * record.skew_ppm)
         np.testing.assert_allclose(back * 1e9 + record.stream_start_ns, channel.stamps, atol=2.0)
 
@@ -275,7 +266,7 @@ def test_strokes_that_go_the_other_way_or_less_far_are_others() -> None:
         pairs.append(Pair(name, times, x + 2e-5 * rng.standard_normal(len(x)), y_times, y, degree, 0.035))
     lag = coarse_lag(pairs)
     assert "the motion repeats itself" in lag.refused
-    assert len(lag.rivals) >= 3
+    assert len(lag.alternatives) >= 3
     found = estimate(pairs)
     assert not found.refused
     assert found.at(20.0) == pytest.approx(0.9, abs=2e-3)

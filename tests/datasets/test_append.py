@@ -49,7 +49,7 @@ def test_four_that_append_at_once_all_add_theirs(logs: Path, tmp_path: Path) -> 
             if text == "storing" and not waited:
                 waited.append(share)
                 together.wait()
-            if "once more" in text:
+            if "repeated" in text:
                 repeated.append(text)
 
         return append(tmp_path / f"more{index}", workspace, "demo", progress=report).reference
@@ -70,8 +70,8 @@ def test_only_what_is_new_is_read_and_written(logs: Path, tmp_path: Path, monkey
     before = content(workspace)
     record(logs / "r3", 3)
     read: list[str] = []
-    walk = sys.modules["sysid.datasets.ingest"]  # the package's attribute of this name is the function
-    monkeypatch.setattr(walk, "read_channels", lambda f, *a: (read.append(f.name), read_channels(f, *a))[1])
+    module = sys.modules["sysid.datasets.ingest"]  # the package's attribute of this name is the function
+    monkeypatch.setattr(module, "read_channels", lambda f, *a: (read.append(f.name), read_channels(f, *a))[1])
     second = append(logs, workspace, "demo")
     assert read == ["r3"]
     assert second.reference == "demo@2"

@@ -20,6 +20,7 @@ from sysid.datasets.frames.base_markers import from_markers
 from sysid.datasets.frames.base_turn import from_turn
 from sysid.datasets.frames.degenerate import offset_notes
 from sysid.datasets.frames.rigid import frame_pose, inverse
+from sysid.datasets.frames.survey import axis_line
 from sysid.datasets.recipe import FramePose, PointMap, Reference, StreamMap, load_recipe
 from sysid.errors import InputError, SettingsError
 from sysid.machine import Machine, load_machine
@@ -77,10 +78,10 @@ def test_the_interval_of_markers_covers_as_often_as_it_says() -> None:
 def test_what_markers_cannot_determine_is_refused() -> None:
     places = {name: np.array(place) for name, place in PLACES.items()}
     two = dict(list(PLACES.items())[:2])
-    with pytest.raises(InputError, match="here: 2 static markers; expected three that are not in a line"):
+    with pytest.raises(InputError, match="here: 2 static markers; expected three that are not collinear"):
         from_markers(places, two, "here")
     line = {name: (0.1 * number, 0.2 * number, 0.0) for number, name in enumerate("abcd")}
-    with pytest.raises(InputError, match=r"the surveyed markers lie in a line.*A turn about that line stays open"):
+    with pytest.raises(InputError, match=r"the surveyed markers are collinear.*The rotation about that line is not determined"):
         from_markers(places, line, "here")
     with pytest.raises(InputError, match=r"distances 1000 times the surveyed ones; expected metres on both sides"):
         from_markers({name: 1e3 * place for name, place in places.items()}, PLACES, "here")
@@ -94,11 +95,11 @@ def test_what_looks_wrong_with_markers_is_noted() -> None:
     places = {name: np.array(place) for name, place in PLACES.items()}
     flat = {name: (x, y, 0.0) for name, (x, y, _) in PLACES.items()}
     (note,) = from_markers({name: np.array(place) for name, place in flat.items()}, flat, "here").notes
-    assert note == "the markers lie in a plane: a mirrored capture frame would not be seen"
+    assert note == "the markers are coplanar: a mirrored capture frame would not be detected"
     (note,) = from_markers({name: 1.02 * place for name, place in places.items()}, PLACES, "here").notes
     assert note.startswith("distances are 1.0200 times the surveyed ones")
     (note,) = from_markers({**places, "a": places["b"], "b": places["a"]}, PLACES, "here").notes
-    assert "'a' and 'b' look exchanged; without that 0.00 mm are left instead of" in note
+    assert "'a' and 'b' look exchanged; without that the residual is 0.00 mm instead of" in note
     (note,) = from_markers({**places, "c": places["c"] + [0.0, 0.02, 0.01]}, PLACES, "here").notes
     assert "'c' does not fit the others: moved, confused, or wrongly surveyed" in note
 
@@ -141,13 +142,13 @@ def test_what_a_turn_cannot_determine_is_refused() -> None:
         InputError, match=r"'slew' turned by 1[12]°; expected 30° at least; Record a longer turn|turned by 1[12]°"
     ):
         from_turn(turning(rng, pose, np.linspace(0.0, 0.2, 500)), *axis)
-    with pytest.raises(InputError, match=r"nothing moves by more than \d\.\d mm; expected a turn of 'slew'"):
+    with pytest.raises(InputError, match=r"no point moves by more than \d\.\d mm; expected a turn of 'slew'"):
         from_turn(turning(rng, pose, np.zeros(500)), *axis)
-    with pytest.raises(InputError, match="no point that was seen in 24 frames"):
+    with pytest.raises(InputError, match="no point that is visible in 24 frames"):
         from_turn({"p": np.full((500, 3), np.nan)}, *axis)
     other = turning(rng, pose, np.linspace(0.0, 2.0, 500))
     other["p"] += np.outer(np.sin(np.linspace(0.0, 20.0, 500)), [0.1, 0.2, 0.1])
-    with pytest.raises(InputError, match=r"leave their circles by \d+\.\d mm.*Record a survey in which no other axis moves"):
+    with pytest.raises(InputError, match=r"depart from circles by \d+\.\d mm.*Record a survey in which no other axis moves"):
         from_turn(other, *axis)
 
 
@@ -156,7 +157,7 @@ def test_random_poses_of_an_arm_are_no_turn_of_one_axis(shared_data: Path) -> No
     rows = np.loadtxt(shared_data / "tiago_mocap/qualysis_base_hand_calibration.csv", delimiter=",", skiprows=1)
     markers = {f"m{k + 1}": rows[:, 3 * k : 3 * k + 3] for k in range(4)}
     np.testing.assert_array_equal(markers["m3"], markers["m4"])
-    with pytest.raises(InputError, match=r"leave their circles by 1\d\d\.\d mm .*: 'arm_1' alone moves"):
+    with pytest.raises(InputError, match=r"depart from circles by 1\d\d\.\d mm .*: 'arm_1' alone moves"):
         from_turn(markers, (0.0, 0.0, 0.0), (0.0, 0.0, 1.0), "arm_1", "here")
     # From one posture to another the three markers of the hand fit as a rigid body: a survey of three.
     known = {name: tuple(markers[name][0]) for name in ("m1", "m2", "m3")}
@@ -199,7 +200,7 @@ def test_the_axis_of_the_crane_is_found_where_the_recipe_has_it(survey: Path, ca
     code, said = proposed(survey, capsys)
     assert code == 0, said
     assert "For the recipe, if you agree (it is never applied by itself):\n\n[streams.frame]\ntranslation = [" in said
-    assert "open: the turn about the axis of 'slew' (yaw)" in said
+    assert "open: the rotation about the axis of 'slew' (yaw)" in said
     (item,) = json.loads((survey / "frame.json").read_text())["frames"]
     assert item["moved_m"] < 3e-4
     assert item["turned_rad"] < 5e-4
@@ -229,7 +230,7 @@ def test_surveyed_bodies_of_the_crane_give_the_recipe_s_frame_back(survey: Path,
     assert item["turned_rad"] < 1e-3
     add(survey, surveyed_places(known))
     code, said = proposed(survey, capsys)
-    assert "mm during the survey; expected a marker that stands still" in said
+    assert "mm during the survey; expected a marker at rest" in said
 
 
 @pytest.mark.parametrize(
@@ -237,7 +238,7 @@ def test_surveyed_bodies_of_the_crane_give_the_recipe_s_frame_back(survey: Path,
     [
         ('axis = "slew"', "axis 'slew' without points that it turns; expected both `axis` and `turning`"),
         ('turning = ["column_body"]', "points that turn without an axis"),
-        ("", "nothing to go by; expected `markers` with known places"),
+        ("", "neither markers nor an axis; expected `markers` with known positions"),
         ('axis = "slow"\nturning = ["column_body"]', "'slow'"),
         ('axis = "boom"\nturning = ["boom_body"]', "'boom' is moved by other axes; expected the first one, 'slew'"),
         ('axis = "slew"\nturning = ["colum_body"]', "no rigid body or marker 'colum_body'; expected 'column_body'?"),
@@ -277,9 +278,7 @@ def test_an_offset_along_the_last_link_is_said_to_hide_its_length(crane: Machine
 
 
 def test_a_prismatic_axis_cannot_be_surveyed_by_turning(crane: Machine) -> None:
-    from sysid.datasets.frames.survey import _axis_line
-
     with pytest.raises(SettingsError, match="is moved by other axes"):
-        _axis_line(crane, "telescope")
-    point, direction = _axis_line(crane, "slew")
+        axis_line(crane, "telescope")
+    point, direction = axis_line(crane, "slew")
     np.testing.assert_allclose([*point, *direction], [0, 0, 0, 0, 0, 1], atol=1e-12)

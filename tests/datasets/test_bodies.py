@@ -231,7 +231,7 @@ def test_mistakes_are_named(crane: Machine) -> None:
         find_mounts(streams, mapping(reference=Reference((0.0, 0.5), {"boom": 0.5})), crane)
     with pytest.raises(SettingsError, match="no reference pose"):
         find_mounts(streams, mapping(reference=None), crane)
-    with pytest.raises(InputError, match=r"b0: seen in 0 frames of the reference pose.*Choose other seconds"):
+    with pytest.raises(InputError, match=r"b0: visible in 0 frames of the reference pose.*Choose other seconds"):
         find_mounts(streams, mapping(reference=Reference((50.0, 51.0), REFERENCE)), crane)
     q[:, 0] += np.linspace(0.0, 0.5, 60)
     moving = capture(crane, q, rng, FramePose())

@@ -1,4 +1,4 @@
-"""Clocks that were set, paused or ran over while they recorded: found, parted, and told from everything that is not."""
+"""Clocks that were set, paused or overflowed while they recorded are detected and split; others are not."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import pytest
 
 from sysid.datasets.channel import Channel, in_order
 from sysid.datasets.clocks.records import RecordingClocks, align, by_source, machine_times
-from sysid.datasets.clocks.set_clocks import continued, with_stamps_carried_on
+from sysid.datasets.clocks.set_clocks import continued, with_continued_stamps
 from sysid.errors import AlignmentError, InputError
 from sysid.logs import Stream
 from tests.datasets.test_alignment import EPOCH, motion
@@ -53,7 +53,7 @@ def test_a_counter_that_runs_over_is_unwrapped_exactly() -> None:
     found = continued(true % ((1 << 32) * 1000))
     np.testing.assert_array_equal(np.diff(found.stamps), 10_000_000)
     assert found.wrapped == (True,)
-    assert "a counter ran over" in found.texts[0]
+    assert "a counter overflowed" in found.texts[0]
 
 
 def test_a_single_stray_stamp_is_no_clock_that_was_set() -> None:
@@ -71,11 +71,11 @@ def test_all_topics_of_a_file_are_carried_on_and_the_machine_is_not() -> None:
     stamps = EVEN.copy()
     stamps[3000:] -= 2_000_000_000
     streams = [Stream("a", "csv", {"time": stamps}, {"x": np.zeros(6000)}), Stream("b", "csv", {"time": EVEN}, {})]
-    first, second = with_stamps_carried_on(streams, None, machine=False)
+    first, second = with_continued_stamps(streams, None, machine=False)
     np.testing.assert_allclose(first.stamps["time"], EVEN, atol=1)
     assert second is streams[1]
     assert any("the clock was set" in loss for loss in first.losses)
-    assert with_stamps_carried_on(streams, None, machine=True)[0] is streams[0]
+    assert with_continued_stamps(streams, None, machine=True)[0] is streams[0]
 
 
 def set_clock(
@@ -124,7 +124,7 @@ def test_two_steps_make_three_pieces() -> None:
     stamps = channel.stamps + np.where(truth > 130.0, -400_000_000, 0)
     recording = replace(recording, channels=(recording.channels[0], replace(channel, stamps=continued(stamps).stamps)))
     again, _ = set_clock(200.0, 60.0, 1.0, bandwidth=2.0)
-    assert len(align([recording])) == 2, "set back without a pause: carried on as if nothing had happened"
+    assert len(align([recording])) == 2, "set back without a pause: continued"
     stamps = channel.stamps + np.where(truth > 130.0, 400_000_000, 0)
     records = align([replace(again, channels=(again.channels[0], replace(channel, stamps=stamps)))])
     assert [record.applied for record in records] == [True, True, True]
@@ -155,5 +155,5 @@ def test_a_machine_whose_clock_was_set_is_refused() -> None:
     stepped = machine.stamps + np.where(np.arange(len(machine.stamps)) >= 5000, 1_500_000_000, 0)
     with pytest.raises(AlignmentError, match=r"the machine's clock: it was set by \+1\.500 s at about 5[01]\.") as error:
         align([replace(recording, channels=(replace(machine, stamps=stepped), other))])
-    assert "mocap.csv went on evenly" in str(error.value)
+    assert "mocap.csv continued evenly" in str(error.value)
     assert "Cut the log there into two recordings" in str(error.value)

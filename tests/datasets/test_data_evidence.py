@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 
 from sysid.datasets import ingest
 from sysid.datasets.quality import evidence_of
-from sysid.datasets.quality.noise import noise_of, unsteadiness
+from sysid.datasets.quality.noise import noise_of, table_noise
 from sysid.datasets.quality.use import AxisUse, Scale, level_of, reversals, together, turning_points, use_of
 from sysid.datasets.recording import Dataset, Kind, Recording
 from sysid.machine import Machine, machine_from_files
@@ -152,8 +152,8 @@ def test_noise_of_a_slow_sensor_is_not_lost_between_its_samples() -> None:
     time = np.arange(0.0, 59.0, 0.02)
     table = np.interp(time, slow, 0.05 * np.sin(0.3 * slow) + rng.normal(0.0, 1e-4, len(slow)))
     assert noise_of(table, 50.0) < 0.5e-4, "a table between the samples is smooth"
-    assert unsteadiness(table, 50.0) == pytest.approx(1e-4, rel=0.35)
-    assert unsteadiness(np.ones(3), 50.0) == 0.0
+    assert table_noise(table, 50.0) == pytest.approx(1e-4, rel=0.35)
+    assert table_noise(np.ones(3), 50.0) == 0.0
 
 
 def test_small_commands_and_slow_motion_are_counted_per_side() -> None:

@@ -14,10 +14,10 @@ from scipy.signal import lfilter
 
 from sysid.datasets import Store, ingest
 from sysid.datasets.channel import in_order
-from sysid.datasets.flags import dropouts, jitter, jumps, outliers, repaired_stamps, saturation, stuck
 from sysid.datasets.flags.flag import KINDS, MAX_FLAGS, Flag
-from sysid.datasets.flags.stuck import SensorContext
-from sysid.datasets.flags.values import SPIKE_SAMPLES, noise_scale, sensor_step
+from sysid.datasets.flags.stamps import dropouts, jitter, repaired_stamps
+from sysid.datasets.flags.stuck import SensorContext, saturation, stuck
+from sysid.datasets.flags.values import SPIKE_SAMPLES, jumps, noise_scale, outliers, sensor_step
 
 Array = npt.NDArray[np.float64]
 SIGMA = 1e-3
@@ -38,9 +38,9 @@ def motion(seed: int, rate: float = 100.0, seconds: float = 60.0) -> tuple[Array
 
 
 def everything(times: Array, values: Array, commanded: Array) -> list[Flag]:
-    witness = SensorContext(np.abs(commanded) > 0.02, np.abs(commanded) > 0.1)
-    found = [*outliers("a", times, values), *jumps("a", times, values), *stuck("a", times, values, witness)]
-    found += [*saturation("a", times, values, witness), *jitter("a", times)]
+    context = SensorContext(np.abs(commanded) > 0.02, np.abs(commanded) > 0.1)
+    found = [*outliers("a", times, values), *jumps("a", times, values), *stuck("a", times, values, context)]
+    found += [*saturation("a", times, values, context), *jitter("a", times)]
     return [*found, *dropouts("a", times, values, 3.0 * (times[1] - times[0]))]
 
 
@@ -113,9 +113,9 @@ def test_a_turn_too_much_is_called_so() -> None:
 def test_a_sensor_with_noise_that_repeats_its_value_is_stuck(seed: int, start: int, length: int) -> None:
     times, values = motion(seed)
     values[start : start + length] = values[start]
-    witness = SensorContext(np.ones(len(times), dtype=bool), np.zeros(len(times), dtype=bool))
+    context = SensorContext(np.ones(len(times), dtype=bool), np.zeros(len(times), dtype=bool))
     at_end = values[start] in (values.min(), values.max())
-    (flag,) = (saturation if at_end else stuck)("boom.joint", times, values, witness, unit="rad")
+    (flag,) = (saturation if at_end else stuck)("boom.joint", times, values, context, unit="rad")
     assert (flag.from_s, flag.to_s, flag.samples) == (times[start], times[start + length - 1], length)
     idle = SensorContext(np.zeros(len(times), dtype=bool), np.zeros(len(times), dtype=bool))
     assert stuck("boom.joint", times, values, idle) == []
@@ -141,15 +141,15 @@ def test_a_sensor_whose_range_ends_is_saturated_and_an_end_stop_is_not(step: flo
     if step:
         values = np.round(values / step) * step
     clipped = np.minimum(values, 0.7)
-    witness = SensorContext(np.ones(6000, dtype=bool), np.ones(6000, dtype=bool))
-    flags = saturation("a", times, clipped, witness, (-2.0, 2.0), "m")
+    context = SensorContext(np.ones(6000, dtype=bool), np.ones(6000, dtype=bool))
+    flags = saturation("a", times, clipped, context, (-2.0, 2.0), "m")
     assert len(flags) == 4
     assert "stays at its highest value 0.7 m for" in flags[0].text
     assert flags[0].from_s == pytest.approx(np.arcsin(0.7) / 0.4, abs=0.05)
     if step:  # the axis ends there, or it is not known where it ends: nothing can be said
-        assert saturation("a", times, clipped, witness, (-1.0, 0.7)) == []
-        assert saturation("a", times, clipped, witness) == []
-    assert saturation("a", times, values, witness, (-2.0, 2.0)) == []
+        assert saturation("a", times, clipped, context, (-1.0, 0.7)) == []
+        assert saturation("a", times, clipped, context) == []
+    assert saturation("a", times, values, context, (-2.0, 2.0)) == []
 
 
 def test_what_is_not_bridged_is_a_dropout() -> None:
@@ -159,7 +159,7 @@ def test_what_is_not_bridged_is_a_dropout() -> None:
     kept[3000:3100] = False
     flags = dropouts("a", times[kept], values[kept], 0.05)
     assert [(f.from_s, f.to_s, f.samples) for f in flags] == [(9.99, 10.1, 10), (29.99, 31.0, 100)]
-    assert flags[1].text == "nothing for 1.010 s"
+    assert flags[1].text == "no sample for 1.010 s"
     assert dropouts("a", times[kept], values[kept], 2.0) == []
 
 
@@ -181,7 +181,7 @@ def test_stamps_that_go_back_or_repeat_are_told() -> None:
     stamps[80] = stamps[79]
     (flag,) = repaired_stamps("a", stamps)
     assert (flag.samples, flag.from_s, flag.to_s) == (2, 0.5, 0.79)
-    assert flag.text == "1 stamps go back, by up to 10.000 ms: put in order; 1 rows have the stamp of another: left out"
+    assert flag.text == "1 stamps go back, by up to 10.000 ms: sorted; 1 rows have the stamp of another: dropped"
     order, repaired = in_order(stamps, "here")
     assert (len(order), repaired) == (99, 2)
 

@@ -8,7 +8,7 @@ import pytest
 from scipy.signal import butter, cheby2, sosfiltfilt
 
 from sysid.datasets import in_pieces, resample
-from sysid.datasets.quality.use import _corners
+from sysid.datasets.quality.use import turning_points
 from sysid.scratch import PIECE
 
 Array = npt.NDArray[np.float64]
@@ -52,22 +52,23 @@ def test_stretches(mask: list[bool]) -> None:
 def test_filters_run_both_ways(signal: Array) -> None:
     for sections, padding in ((cheby2(6, 30.0, 0.25, output="sos"), 64), (butter(4, 0.1, output="sos"), 0)):
         own = signal.copy()
-        resample._both_ways(sections, own, padding)
+        in_pieces.sosfiltfilt_in_place(sections, own, padding)
         np.testing.assert_array_equal(own, sosfiltfilt(sections, signal, padlen=padding))
     short = signal[:40].copy()
-    resample._both_ways(sections, short, 39)
+    in_pieces.sosfiltfilt_in_place(sections, short, 39)
     np.testing.assert_array_equal(short, sosfiltfilt(sections, signal[:40], padlen=39))
 
 
 def test_slopes(signal: Array) -> None:
     times = np.arange(ROWS) * 0.01
     times[PIECE - 1 :] += 5.0
-    np.testing.assert_array_equal(resample.slopes(times, signal, 0.03), resample._slopes(times, signal, 0.03))
+    near = slice(PIECE - 50, PIECE + 50)
+    expected = resample.slopes(times[near], signal[near], 0.03)[1:-1]
+    np.testing.assert_array_equal(resample.slopes(times, signal, 0.03)[PIECE - 49 : PIECE + 49], expected)
 
 
-def test_corners(signal: Array) -> None:
+def test_turning_points(signal: Array) -> None:
     for values in (signal, np.round(signal, 2), np.zeros(ROWS), np.arange(float(ROWS)), signal[:1], signal[:0]):
         changed = values[np.concatenate([[True], np.diff(values) != 0.0])] if len(values) else values
         up = np.diff(changed) > 0.0
-        ends = changed[1:][np.concatenate([up[1:] != up[:-1], [True]])].tolist() if len(up) else []
-        assert list(_corners(values)) == ends
+        assert turning_points(values, 1e-12) == np.count_nonzero(up[1:] != up[:-1])

@@ -59,7 +59,7 @@ def test_a_path_that_does_not_exist_is_named(tmp_path: Path) -> None:
 def test_what_is_no_log_is_said_to_be_what_it_is(tmp_path: Path, logs: Path) -> None:
     refused(logs / "machine.toml", tmp_path / "ws", InputError, r"machine\.toml: a recipe or a machine description, not a log")
     (logs / "bus.dbc").write_text("VERSION")
-    expected = r"bus\.dbc: a database that says what is in CAN frames, not a log; .*`dbc = \"bus\.dbc\"`"
+    expected = r"bus\.dbc: a database of CAN messages, not a log; .*`dbc = \"bus\.dbc\"`"
     refused(logs / "bus.dbc", tmp_path / "ws", InputError, expected)
     (logs / "metadata.yaml").write_text("x")
     refused(logs / "metadata.yaml", tmp_path / "ws", InputError, r"metadata\.yaml\), not a log; .*Give the \.db3 or \.mcap")
@@ -86,15 +86,13 @@ def test_globs_of_a_recipe_that_match_nothing(tmp_path: Path, logs: Path) -> Non
     recipe = logs / "recipe.toml"
     head = 'schema = 1\n[[streams]]\nfiles = "*.mcpa"\n[streams.signals]\n"a.joint" = {field = "a.joint"}\n'
     recipe.write_text(head)
-    refused(
-        logs, tmp_path / "ws", InputError, r"logs: no file '\*\.mcpa' as the recipe's `files` say; expected one of: log\.csv"
-    )
+    refused(logs, tmp_path / "ws", InputError, r"logs: no file '\*\.mcpa' of the recipe's `files`; expected one of: log\.csv")
     given: dict[str, Any] = {"recipe": recipe, "machine": logs / "machine.toml"}
     refused(logs / "r1/log.csv", tmp_path / "ws", InputError, r"no entry of the recipe .* files \*\.mcpa", **given)
     more = '[[streams]]\nfiles = "*.csv"\n[streams.signals]\n"a.command" = {field = "a.command"}\n'
     recipe.write_text(head + more)
     dataset = ingest(logs, tmp_path / "ws")
-    assert dataset.quality["notes"] == ["no recording has a file '*.mcpa': nothing of it is read"]
+    assert dataset.quality["notes"] == ["no recording has a file '*.mcpa': its entry is not used"]
     recipe.write_text(head.replace("*.mcpa", "*.csv") + "[recordings]\nmotion = ['s*']\n")
     refused(logs, tmp_path / "other", InputError, r"logs: no file '\*\.csv'")
 

@@ -101,8 +101,8 @@ def test_noise_is_averaged_over_the_markers() -> None:
 @pytest.mark.parametrize(
     ("change", "reason"),
     [
-        (lambda m: m * np.array([1.0, 0.0, 0.0]), "the first three markers lie in a line"),
-        (lambda m: np.where(np.arange(4)[None, :, None] == 1, np.nan, m), "no frame in which all markers were seen"),
+        (lambda m: m * np.array([1.0, 0.0, 0.0]), "the first three markers are collinear"),
+        (lambda m: np.where(np.arange(4)[None, :, None] == 1, np.nan, m), "no frame in which all markers are visible"),
     ],
 )
 def test_sets_that_fix_no_pose_are_refused(change: object, reason: str) -> None:

@@ -65,7 +65,7 @@ def test_still_phases_of_a_continuous_log() -> None:
 
 def test_a_log_in_which_nothing_stands_still_is_refused() -> None:
     time = np.arange(0.0, 20.0, 0.01)
-    with pytest.raises(InputError, match=r"nothing stands still for 0\.4 s.*set \[still\] in the recipe"):
+    with pytest.raises(InputError, match=r"no phase at rest of 0\.4 s.*set \[still\] in the recipe"):
         still_phases({"a.joint": (time, np.sin(3 * time))}, StillPhases(), "test")
     with pytest.raises(InputError, match="no measured signal on the machine's clock"):
         still_phases({}, StillPhases(), "test")

@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pyarrow.fs
 import pytest
 from killed import PRELOAD, killed_at_every_step
 from stored import small_dataset
@@ -94,7 +95,7 @@ def test_a_full_disk_leaves_what_was_there_and_nothing_else(
 
     with monkeypatch.context() as patch:
         DISKS[disk](patch)
-        message = "No space left on device.*no version was made, those that are there are whole.*Make room"
+        message = "No space left on device.*no version was made, existing ones are complete.*Make room"
         with pytest.raises(StorageError, match=message):
             write()
     assert files(store) == before
@@ -270,16 +271,20 @@ def test_a_folder_that_another_writer_makes_while_it_is_listed(tmp_path: Path, m
     (tmp_path / "versions").mkdir()
     (tmp_path / "versions" / "000001.json").write_text("{}")
     files = ObjectFiles(f"file://{tmp_path}")
-    system, root = files._open()
+    system, root = pyarrow.fs.FileSystem.from_uri(files.url)
     looks = iter([FileNotFoundError(2, "Cannot list directory")])
 
     class Late:
+        @staticmethod
+        def from_uri(url: str) -> tuple[object, str]:
+            return Late(), root
+
         def get_file_info(self, selector: object) -> object:
             for error in looks:
                 raise error
             return system.get_file_info(selector)
 
-    monkeypatch.setattr(ObjectFiles, "_open", lambda self: (Late(), root))
+    monkeypatch.setattr("pyarrow.fs.FileSystem", Late)
     assert files.names("versions") == ["000001.json"]
     assert files.names("nowhere") == []
 

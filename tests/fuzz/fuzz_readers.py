@@ -53,7 +53,7 @@ def read_file(path: Path, reader: str, options: Any) -> None:
 def read_message(data: bytes) -> None:
     """``definition \\0 message``: walked or refused; its numbers lie inside of it."""
     from sysid.errors import InputError
-    from sysid.logs.layout import learn_layout
+    from sysid.logs.layout import layout_of
     from sysid.logs.rosmsg import parse_definition
 
     text, _, body = data.partition(b"\0")
@@ -63,7 +63,7 @@ def read_message(data: bytes) -> None:
         return
     for packed in (False, True):
         try:
-            layout = learn_layout(body, definition, packed=packed)
+            layout = layout_of(body, definition, packed=packed)
         except IndexError:
             continue
         for code, position in layout.numbers.values():

@@ -120,7 +120,7 @@ def test_a_listener_that_raises_ends_the_reading(tmp_path: Path) -> None:
 
 
 def test_the_share_that_is_read_rises_with_the_bytes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("sysid.logs.csv._CELLS", 3 * 2**13)
+    monkeypatch.setattr("sysid.logs.table.CELLS", 3 * 2**13)
     path = tmp_path / "log.csv"
     path.write_text("time,x\n" + "".join(f"{0.01 * k:.2f},{k}\n" for k in range(200_000)))
     shares: list[float] = []

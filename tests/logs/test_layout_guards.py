@@ -197,8 +197,8 @@ def columns_of(
         sizes = np.array([len(message) for message in batch], dtype=np.int64)
         starts = np.concatenate([[0], np.cumsum(sizes)[:-1]]).astype(np.int64)
         decoder.add(np.frombuffer(b"".join(batch) or b"\0", np.uint8), starts, sizes)
-    assert not decoder.pieces.bad, decoder.reason
-    return dict(decoder.pieces.columns())
+    assert not decoder.columns.bad, decoder.reason
+    return dict(decoder.columns.release())
 
 
 @pytest.mark.parametrize("packed", [False, True], ids=["ros2", "ros1"])

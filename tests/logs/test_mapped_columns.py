@@ -55,7 +55,7 @@ def test_mapped_columns_are_those_of_the_whole_file(name: str, tmp_path: Path) -
 def test_a_table_in_pieces_is_what_pandas_reads_at_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = tmp_path / "log.csv"
     write(path)
-    monkeypatch.setattr("sysid.logs.csv._CELLS", 1000)
+    monkeypatch.setattr("sysid.logs.table.CELLS", 1000)
     (stream,) = reader_for(path).read(path, ReadOptions())
     at_once = pd.read_csv(path)
     for column, values in stream.columns.items():

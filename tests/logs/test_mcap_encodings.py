@@ -22,7 +22,7 @@ from sysid.errors import InputError
 from sysid.logs import ReadOptions, Stream
 from sysid.logs.inspection import summarise
 from sysid.logs.mcap import McapReader
-from sysid.logs.mcap_file import _indexed_block
+from sysid.logs.mcap_file import indexed_block
 from sysid.logs.rows import flatten
 
 
@@ -215,10 +215,10 @@ def test_an_index_that_leaves_messages_out_is_not_trusted() -> None:
     def entry(positions: list[int]) -> bytes:
         return b"\0\0\0\0\0\0" + b"".join(bytes(8) + p.to_bytes(8, "little") for p in positions)
 
-    block = _indexed_block(records, [entry(offsets)])
+    block = indexed_block(records, [entry(offsets)])
     assert block is not None
     np.testing.assert_array_equal(block.starts, offsets)
-    np.testing.assert_array_equal(_indexed_block(records, [entry([offsets[2]]), entry(offsets[:2])]).starts, offsets)  # type: ignore[union-attr]
+    np.testing.assert_array_equal(indexed_block(records, [entry([offsets[2]]), entry(offsets[:2])]).starts, offsets)  # type: ignore[union-attr]
     for wrong in (
         [0, len(message)],
         [0, len(message), len(message) + 1],
@@ -226,8 +226,8 @@ def test_an_index_that_leaves_messages_out_is_not_trusted() -> None:
         [0, 0, len(message)],
         [*offsets, 10**6],
     ):
-        assert _indexed_block(records, [entry(wrong)]) is None
-    assert _indexed_block(records, [b"\0\0"]) is None
+        assert indexed_block(records, [entry(wrong)]) is None
+    assert indexed_block(records, [b"\0\0"]) is None
 
 
 def test_two_channels_of_one_topic_are_one_stream(tmp_path: Path) -> None:

@@ -18,7 +18,7 @@ from test_mcap_reader import state, write_states
 
 from sysid.errors import InputError
 from sysid.logs import ReadOptions
-from sysid.logs.layout import learn_layout
+from sysid.logs.layout import layout_of
 from sysid.logs.limits import Budget, unpack
 from sysid.logs.mcap import McapReader
 from sysid.logs.mcap_file import CHUNK, MAGIC
@@ -111,7 +111,7 @@ def test_any_message_of_any_type_is_walked_or_refused(kinds: list[str], body: by
     text = f"{members}\n{'=' * 80}\nMSG: p/Inner\nuint8 a\nstring[] name\nfloat64[] values\n"
     definition = parse_definition("p/msg/M", text, "test")
     data = bytes([0, int(little), 0, 0]) + body
-    layout, _ = attempt(IndexError, lambda: learn_layout(data, definition))
+    layout, _ = attempt(IndexError, lambda: layout_of(data, definition))
     if layout is None:
         return
     for code, position in layout.numbers.values():
@@ -129,7 +129,7 @@ def test_counts_that_no_message_can_hold_are_refused_at_once() -> None:
     ):
         definition = parse_definition("p/msg/M", f"{kind} m\n{'=' * 80}\nMSG: p/Inner\nuint8[0] nothing\n", "test")
         with pytest.raises(IndexError, match=message):
-            learn_layout(huge, definition)
+            layout_of(huge, definition)
 
 
 def test_long_sequences_of_messages_are_passed_over() -> None:
@@ -145,7 +145,7 @@ def test_long_sequences_of_messages_are_passed_over() -> None:
         packed += bytes(-(position + len(packed)) % 8) + struct.pack("<d", 2.0) + b"\x03"
     packed += bytes(-(position + len(packed)) % 8) + struct.pack("<d", 42.0)
     message = b"\x00\x01\x00\x00" + struct.pack("<I", count) + bytes(packed)
-    layout = learn_layout(message, definition)
+    layout = layout_of(message, definition)
     record = layout.records(np.frombuffer(message, np.uint8).reshape(1, -1))
     assert record["after"][0] == 42.0
     assert record["cloud[511].y"][0] == 2.0

@@ -21,7 +21,7 @@ from mcap_ros2.writer import Writer
 from sysid.errors import InputError
 from sysid.logs import ReadOptions, Stream
 from sysid.logs.cdr import ColumnDecoder
-from sysid.logs.layout import learn_layout
+from sysid.logs.layout import layout_of
 from sysid.logs.mcap import McapReader
 from sysid.logs.rosmsg import parse_definition
 
@@ -153,7 +153,7 @@ def test_big_endian_and_little_endian_messages_may_mix() -> None:
     decoder = ColumnDecoder(definition)
     buffer = np.frombuffer(little + big, np.uint8)
     decoder.add(buffer, np.array([0, len(little)]), np.array([len(little), len(big)]))
-    columns = decoder.pieces.columns()
+    columns = decoder.columns.release()
     np.testing.assert_array_equal(columns["b"], [2.5, -0.5])
     np.testing.assert_array_equal(columns["c[0]"], [-3.0, 9.0])
 
@@ -283,5 +283,5 @@ def test_constants_defaults_and_bounds_take_no_part_in_the_layout() -> None:
         ("y", "float32", None),
     ]
     message = b"\x00\x01\x00\x00" + struct.pack("<I2sxx", 2, b"a\x00") + struct.pack("<Ibbxxf", 2, 5, -6, 2.0)
-    layout = learn_layout(message, definition)
+    layout = layout_of(message, definition)
     assert set(layout.numbers) == {"few[0]", "few[1]", "y"}

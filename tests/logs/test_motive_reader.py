@@ -92,7 +92,7 @@ def test_what_the_header_does_not_say_has_to_be_stated(shared_data: Path) -> Non
 
 def test_a_unit_that_contradicts_the_header_is_refused(tmp_path: Path) -> None:
     path = export(tmp_path / "m.csv", ["0,0.0,0,0,0,1,1,2,3,0"])
-    with pytest.raises(InputError, match=r"the header states Millimeters; expected \[m\] as the recipe says"):
+    with pytest.raises(InputError, match=r"the file states \[Millimeters\]; expected \[m\] as in the recipe"):
         read(path, length_unit="m")
 
 
@@ -137,7 +137,7 @@ def test_an_export_is_the_same_in_pieces_and_may_be_left_after_its_first_seconds
     (whole,) = read(path)
     assert len(whole) == 200
     for cells in (1, 100, 330, 5000):
-        monkeypatch.setattr("sysid.logs.capture._CELLS", cells)
+        monkeypatch.setattr("sysid.logs.table.CELLS", cells)
         (body,) = read(path)
         for name, values in whole.columns.items():
             np.testing.assert_array_equal(body.columns[name], values)
@@ -146,6 +146,6 @@ def test_an_export_is_the_same_in_pieces_and_may_be_left_after_its_first_seconds
         np.testing.assert_array_equal(begun.columns["x"], whole.columns["x"][: len(begun)])
         assert begun.losses == whole.losses
     path.write_text(path.read_text("utf-8") + "200,2.0,0,0,0,1,1,1,1,1,9\r\n", "utf-8")
-    monkeypatch.setattr("sysid.logs.capture._CELLS", 100)
+    monkeypatch.setattr("sysid.logs.table.CELLS", 100)
     with pytest.raises(InputError, match="row 201 below the head: more than 10 cells"):
         read(path)

@@ -225,7 +225,7 @@ def test_a_table_is_the_same_in_pieces_of_any_size(tmp_path: Path, monkeypatch: 
     ]  # fmt: skip
     assert all(len(values) == 100 for _, values in whole)
     for cells in (1, 70, 96, 500, 800):
-        monkeypatch.setattr("sysid.logs.csv._CELLS", cells)
+        monkeypatch.setattr("sysid.logs.table.CELLS", cells)
         pieces, said = CsvReader().columns(path)
         assert said == losses
         assert [name for name, _ in pieces] == names

@@ -1,1 +1,1 @@
-"""The clocks of devices against the machine's: found from motion that both have seen, with intervals, in pieces where set."""
+"""Alignment of the clocks of devices with the machine's, from motion that both measure, with intervals, also over resets."""

@@ -1,10 +1,9 @@
-"""Play between two measured signals: which way the motion last took it up, and where that is certain.
+"""Backlash between two measured signals: the direction of motion, and the samples at which the backlash is taken up.
 
-Behind a play of width w the driven side follows at a distance of w/2 to one side or the other, depending on the direction in
-which it is driven; over a reversal it waits until the play is taken up. Taken for a lag that is w/2 over the speed: seconds of
-slow motion with half a degree of play look like tens of milliseconds. So the map between two signals gets an intercept for each
-direction, ``y = f(x) + c·d``, d = ±1, and samples around reversals, where the play is being taken up on whichever side, say
-nothing.
+Behind backlash of width w the driven side follows at a distance of w/2 to one side or the other, depending on the direction of
+motion; after a reversal it rests until the backlash is taken up. Interpreted as a clock offset, that is w/2 over the speed:
+tens of milliseconds for slow motion and half a degree. The map between two signals therefore has an intercept for each
+direction, ``y = f(x) + c·d``, d = ±1, and samples around reversals are not used.
 
 Source: the play operator and its two branches: Visintin, Differential Models of Hysteresis (1994), ch. III.2.
 """
@@ -22,17 +21,16 @@ Rows = npt.NDArray[np.intp]
 
 
 def directions(values: Array, width: float, tremor: float = 0.0) -> tuple[Array, Mask]:
-    """Direction of motion (n,), −1 or +1, and where a play of up to ``width`` is taken up on either side (n,).
+    """Direction of motion (n,), −1 or +1, and a mask of the samples at which backlash of up to ``width`` is taken up (n,).
 
     Args:
         values: a motion without missing samples (n,).
-        width: of the play, or more; a motion back by less is no reversal.
-        tremor: a motion back by less is noise, and leaves the play taken up [both: unit of the motion].
+        width: upper bound of the backlash; a smaller motion back is no reversal.
+        tremor: a smaller motion back is noise and leaves the backlash taken up [both: unit of the motion].
 
     Returns:
-        Between two reversals a sample counts where it is further than ``width`` from both turning points, and where the motion
-        has not been there before nor comes there again since the one and until the other: what waits on the far side of a play
-        may be either signal.
+        Between two reversals a sample is valid if it is further than ``width`` from both turning points and the motion passes
+        its value only once, because either signal may be the one that rests.
     """
     turns, first = turning_rows(values, width)
     edges = np.concatenate([[0], turns, [len(values) - 1]]).astype(np.intp)
@@ -52,7 +50,7 @@ def directions(values: Array, width: float, tremor: float = 0.0) -> tuple[Array,
 
 
 def turning_rows(values: Array, least: float) -> tuple[Rows, float]:
-    """Rows of the reversals of a motion (n,) by more than ``least``, and the direction before the first one (−1 or +1)."""
+    """Rows of the reversals of a motion (n,) by more than ``least``, and the direction before the first (−1 or +1)."""
     corners = _corners(values)
     found: list[int] = []
     sign, first = 0.0, 1.0
@@ -79,7 +77,7 @@ def turning_rows(values: Array, least: float) -> tuple[Rows, float]:
 
 
 def _corners(values: Array) -> Rows:
-    """Rows at which the motion turns at all, and its ends."""
+    """Rows of all turning points of the motion, and its ends."""
     rise = np.sign(np.diff(values))
     rows = np.flatnonzero(rise) + 1  # the sample after each change
     turned = np.flatnonzero(np.diff(rise[rows - 1]) != 0.0)

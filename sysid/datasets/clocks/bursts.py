@@ -1,4 +1,4 @@
-"""Static poses: logs that come in bursts, one a hold, with nothing in between. Matched between clocks by their values."""
+"""Static poses: logs of bursts, one for each hold, which are matched between clocks by their values."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ from sysid.signals import split_signal
 
 Array = npt.NDArray[np.float64]
 
-#: Two samples further apart than this many periods belong to two bursts.
+#: Samples further apart than this many periods belong to different bursts.
 BURST_PERIODS = 3.0
-#: Share of holds that have to match, and rank correlation of their values.
+#: Required share of matched holds, and rank correlation of their values.
 MIN_MATCHED, MIN_CORRELATION = 0.7, 0.9
 
 
 @dataclass(frozen=True)
 class Match:
-    """``t_machine = t + offset`` near ``mid_time``, known to ± ``half_width`` [s]; ``refused`` says why there is none."""
+    """``t_machine = t + offset`` near ``mid_time``, known to ± ``half_width`` [s]; ``refused``: why there is none."""
 
     offset: float = float("nan")
     half_width: float = float("nan")
@@ -34,7 +34,7 @@ class Match:
 
 
 def bursts(times: Array) -> list[tuple[int, int]]:
-    """Rows (first, one past last) of each stretch without a gap."""
+    """Rows (first, last + 1) of each stretch without a gap."""
     if not len(times):
         return []
     steps = np.diff(times)
@@ -44,7 +44,7 @@ def bursts(times: Array) -> list[tuple[int, int]]:
 
 
 def match_bursts(machine: Sequence[Channel], other: Sequence[Channel], start_ns: int, other_start_ns: int) -> Match:
-    """Match the holds of two logs: by when they begin, confirmed by the ranks of what was measured in them."""
+    """Match the holds of two logs by their start times, confirmed by the ranks of their values."""
     pairs = []
     for y in other:
         axis, quantity = split_signal(y.signal)
@@ -75,7 +75,7 @@ def match_bursts(machine: Sequence[Channel], other: Sequence[Channel], start_ns:
 
 
 def _holds(channel: Channel, start_ns: int) -> tuple[Array, Array]:
-    """When each hold begins [s], and the median measured in it."""
+    """Start of each hold [s], and the median measured in it."""
     times = seconds(channel.stamps, start_ns)
     rows = bursts(times)
     begin = np.array([times[first] for first, _ in rows])
@@ -86,7 +86,7 @@ def _holds(channel: Channel, start_ns: int) -> tuple[Array, Array]:
 def _score(
     holds: Sequence[tuple[tuple[Array, Array], tuple[Array, Array], str]], offset: float
 ) -> tuple[float, float, npt.NDArray[np.intp]]:
-    """Matched share times mean rank correlation, the offset refined to the matched holds, their rows (m, 2)."""
+    """Mean rank correlation, the offset refined to the matched holds, their rows (m, 2)."""
     (begin_x, _), (begin_y, _), _ = holds[0]
     tolerance = 0.25 * float(np.median(np.diff(begin_x)))
     nearest = np.clip(np.searchsorted(begin_x, begin_y + offset), 1, len(begin_x) - 1)

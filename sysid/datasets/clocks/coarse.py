@@ -1,4 +1,4 @@
-"""Where to begin: the lag at which two clocks' motions resemble each other best, by cross-correlation of their rates."""
+"""Initial lag between two clocks, from the cross-correlation of the rates of their motions."""
 
 from __future__ import annotations
 
@@ -14,25 +14,25 @@ from sysid.scratch import chosen
 
 Array = npt.NDArray[np.float64]
 
-#: A lag counts where the rates correlate this well and no other one comes near.
-MIN_CORRELATION, MAX_RIVAL = 0.5, 0.85
-#: So many others are looked at more closely.
-MOST_RIVALS = 8
-#: Of a long stream a stretch of this length is looked for [s]: over hours a skew would smear the correlation.
+#: Least correlation of the rates, and largest correlation at another lag relative to the best.
+MIN_CORRELATION, MAX_ALTERNATIVE = 0.5, 0.85
+#: Number of other lags that are refined.
+MAX_ALTERNATIVES = 8
+#: Of a long stream a stretch of this length is used [s], because over hours a skew blurs the correlation.
 STRETCH_S = 240.0
-#: Neighbours that the noise of a signal is told from.
+#: Samples from which the noise of a signal is estimated.
 NOISE_SAMPLES = 200_000
 _HZ = 50.0
-#: Half widths that the differences may have that are the rates [s], and the share of noise in a rate that is good enough.
+#: Half widths of the differences that give rates [s], and the accepted share of noise in a rate.
 _WIDTHS_S, _NOISE_SHARE = (0.08, 0.16, 0.32, 0.64), 0.3
 
 
 @dataclass(frozen=True)
 class Pair:
-    """One cause measured on both clocks; times in seconds from the start of the recording (x) and of the stream (y).
+    """One motion measured on both clocks; times in seconds from the start of the recording (x) and of the stream (y).
 
-    ``backlash`` is a width of play between the two that is allowed for, zero for none; ``noise`` is the standard deviation of
-    what is left of it in x [both: unit of x].
+    ``backlash`` is the width that is allowed between the two, zero for none; ``noise`` is the standard deviation of the noise
+    of x after smoothing [both: unit of x].
     """
 
     name: str
@@ -48,21 +48,21 @@ class Pair:
 
 @dataclass(frozen=True)
 class Lag:
-    """``t_machine = t + offset`` around ``centre`` [s of the stream]; ``refused`` says why no lag stands out.
+    """``t_machine = t + offset`` around ``centre`` [s of the stream]; ``refused``: why no lag is clearly the best.
 
-    ``rivals`` are the offsets of other lags that come near, where that is the reason.
+    ``alternatives`` are the offsets of other lags that correlate almost as well.
     """
 
     offset: float = 0.0
     centre: float = 0.0
     refused: str = ""
-    rivals: tuple[float, ...] = ()
+    alternatives: tuple[float, ...] = ()
 
 
 def coarse_lag(pairs: Sequence[Pair]) -> Lag:
-    """The lag at which the rates of all pairs correlate best, or why none stands out (then ``offset`` is the best one still).
+    """The lag at which the rates of all pairs correlate best; ``refused`` where it is not clear.
 
-    The sign of a map is unknown (a cylinder may close its joint), so magnitudes of the correlations are summed.
+    Magnitudes of the correlations are summed, because the sign of a map is unknown (a cylinder may close its joint).
     """
     step = 1.0 / _HZ
     start_x = min(float(pair.x_times[0]) for pair in pairs)
@@ -75,7 +75,7 @@ def coarse_lag(pairs: Sequence[Pair]) -> Lag:
         half = max(_half_width(x, noise_of(p.x)), _half_width(y, noise_of(p.y)))
         rates.append((_rates(x, half), _rates(y, half)))
     if (count_x - 1) * step > 2.0 * STRETCH_S and (count_y - 1) * step > 2.0 * STRETCH_S:
-        first, last = _liveliest([rate for _, (rate, _) in rates], round(STRETCH_S * _HZ))
+        first, last = _most_active([rate for _, (rate, _) in rates], round(STRETCH_S * _HZ))
     else:
         first, last = 0, count_y
     size = 1 << (count_x + last - first).bit_length()
@@ -83,7 +83,7 @@ def coarse_lag(pairs: Sequence[Pair]) -> Lag:
     for (rate_x, known_x), (whole_y, known) in rates:
         rate_y, known_y = whole_y[first:last], known[first:last]
         cross = np.fft.irfft(np.fft.rfft(rate_x, size) * np.conj(np.fft.rfft(rate_y, size)), size)
-        # Normalised by the energy that overlaps at that lag, with a floor so that a sliver at the end cannot win.
+        # Normalised by the energy of the overlap at that lag, with a floor against short overlaps at the ends.
         energy_x = np.fft.irfft(np.fft.rfft(rate_x**2, size) * np.conj(np.fft.rfft(known_y, size)), size)
         energy_y = np.fft.irfft(np.fft.rfft(known_x, size) * np.conj(np.fft.rfft(rate_y**2, size)), size)
         share = np.sum(rate_x**2) * min(1.0, (last - first) / count_x)
@@ -92,7 +92,7 @@ def coarse_lag(pairs: Sequence[Pair]) -> Lag:
     total /= len(pairs)
     best = int(np.argmax(total))
     centre = start_y + (first + last) / 2.0 * step
-    near = _rivals(total, best)
+    near = _alternatives(total, best)
     offset, *others = (((at if at < count_x else at - size) - first) * step + start_x - start_y for at in (best, *near))
     refused = ""
     if total[best] < MIN_CORRELATION:
@@ -106,8 +106,8 @@ def coarse_lag(pairs: Sequence[Pair]) -> Lag:
     return Lag(float(offset), float(centre), refused)
 
 
-def _rivals(total: Array, best: int) -> list[int]:
-    """Where the correlation comes near that of the best lag, the highest first; a lobe reaches to where it has fallen well."""
+def _alternatives(total: Array, best: int) -> list[int]:
+    """Lags whose correlation is near that of the best, the highest first; a lobe ends where it falls below 70 %."""
     left = total.copy()
     found: list[int] = []
     at = best
@@ -119,15 +119,13 @@ def _rivals(total: Array, best: int) -> list[int]:
         after, before = int(np.argmax(low)), int(np.argmax(low[::-1]))
         left[(at + np.arange(-before, after)) % len(left)] = -np.inf
         at = int(np.argmax(left))
-        if left[at] <= MAX_RIVAL * total[best]:
-            return found
-        if len(found) == MOST_RIVALS:
+        if left[at] <= MAX_ALTERNATIVE * total[best] or len(found) == MAX_ALTERNATIVES:
             return found
         found.append(at)
 
 
-def _liveliest(rates: Sequence[Array], count: int) -> tuple[int, int]:
-    """From, to of the ``count`` samples with the most motion, each signal weighed by its own."""
+def _most_active(rates: Sequence[Array], count: int) -> tuple[int, int]:
+    """First and last + 1 of the ``count`` samples with the most motion, each signal relative to its own energy."""
     energy = np.sum([rate**2 / max(float(np.sum(rate**2)), 1e-300) for rate in rates], axis=0)
     sums = np.concatenate([[0.0], np.cumsum(energy)])
     first = int(np.argmax(sums[count:] - sums[:-count]))
@@ -135,7 +133,7 @@ def _liveliest(rates: Sequence[Array], count: int) -> tuple[int, int]:
 
 
 def noise_of(values: Array) -> float:
-    """Standard deviation of the noise of a signal (n,), from the differences of neighbours; a smooth motion leaves none."""
+    """Standard deviation of the noise of a signal (n,), from second differences, in which smooth motion cancels."""
     there = chosen(values, ~np.isnan(values))[:NOISE_SAMPLES]
     return float(np.median(np.abs(np.diff(there, n=2)))) / 1.65 if len(there) > 2 else 0.0
 
@@ -153,7 +151,7 @@ def _difference(values: Array, half: int) -> Array:
 
 
 def _half_width(values: Array, noise: float) -> int:
-    """The shortest half width [samples] at which the rate is motion rather than noise: the slower, the longer."""
+    """The shortest half width [samples] at which the rate is motion rather than noise."""
     for width in _WIDTHS_S:
         half = round(width * _HZ)
         rate = _difference(values, half)
@@ -164,10 +162,10 @@ def _half_width(values: Array, noise: float) -> int:
 
 
 def _rates(values: Array, half: int) -> tuple[Array, Array]:
-    """Rate on the coarse grid, zero where nothing was measured, and a mask of where it was."""
+    """Rate on the coarse grid, zero where nothing was measured, and the mask of measured samples."""
     rate = _difference(values, half)
     known = ~np.isnan(rate)
-    if known.any():  # mistaken frames must not outweigh the motion
+    if known.any():  # clips mistaken frames
         limit = 1.5 * float(np.quantile(np.abs(rate[known]), 0.95))
         rate = np.clip(rate, -limit, limit)
     return np.where(known, rate, 0.0), known.astype(np.float64)

@@ -1,4 +1,4 @@
-"""What is estimated of a clock: offset, skew, their covariance, and the play between the signals that they rest on.
+"""Estimate of a clock: offset, skew, their covariance, and the backlash between the signals used.
 
 Intervals are cluster-robust: scores are summed over blocks of :data:`BLOCK_S`, so autocorrelated residuals widen them.
 
@@ -15,29 +15,29 @@ import numpy as np
 import numpy.typing as npt
 
 from sysid.datasets.clocks.coarse import Pair
-from sysid.datasets.clocks.motion_fit import Sums
+from sysid.datasets.clocks.motion_fit import FitSums
 
 Array = npt.NDArray[np.float64]
 Time = TypeVar("Time", float, Array)
 
 #: Length over which residuals may be correlated [s].
 BLOCK_S = 2.0
-#: So many of them are summed for the widths of intervals, where at least this number is left.
-BLOCKS_TOGETHER, FEWEST_BLOCKS = (1, 3), 12
-#: No block counts as more than this share of what is known of the offset.
-MOST_SHARE = 0.5
-#: A play is found where it is so many standard errors clear of zero.
-PLAY_ERRORS = 2.0
+#: Numbers of blocks that are summed for the widths of intervals, and the least number of such sums.
+BLOCKS_TOGETHER, MIN_BLOCKS = (1, 3), 12
+#: Upper limit of the share of one block in the information about the offset.
+MAX_SHARE = 0.5
+#: Backlash is significant from this many standard errors.
+BACKLASH_ERRORS = 2.0
 
 
 @dataclass(frozen=True)
 class Blocks:
-    """What the fit says of itself, block by block of :data:`BLOCK_S`: arrays (b,).
+    """Residuals of the fit in blocks of :data:`BLOCK_S`: arrays (b,).
 
     Args:
         times: middle of the block on the stream's clock [s].
-        shift: offset that the block alone asks for beyond the fit [s].
-        weight: how sure of it the block is, 1/variance [1/s²].
+        shift: offset estimated from the block alone minus that of the fit [s].
+        weight: inverse variance of ``shift`` [1/s²].
         energy: mean square of the residual in variances of the noise.
     """
 
@@ -49,11 +49,11 @@ class Blocks:
 
 @dataclass(frozen=True)
 class Backlash:
-    """Play between the signals of a pair.
+    """Backlash between the signals of a pair.
 
     Args:
         name: of the pair.
-        width: by which y differs between the directions; negative where y leads x, so that x lies behind the play.
+        width: difference of y between the directions; negative where y leads x, so that x is behind the backlash.
         error: standard error of the width [both: unit of y].
     """
 
@@ -63,17 +63,16 @@ class Backlash:
 
     @property
     def found(self) -> bool:
-        """Whether it is clear of zero."""
-        return abs(self.width) > PLAY_ERRORS * self.error
+        """Whether it is significant."""
+        return abs(self.width) > BACKLASH_ERRORS * self.error
 
 
 @dataclass(frozen=True)
 class Estimate:
-    """Result of :func:`estimate`: ``t_machine = t + mid_offset + skew·(t − mid_time)``; covariance of (offset, skew) beside.
+    """``t_machine = t + mid_offset + skew·(t − mid_time)``, with the covariance of (offset, skew).
 
-    ``normal`` is the curvature (2, 2) that :func:`conditional` needs. ``span`` is the part of the stream that was compared [s].
-    ``refused`` says why nothing could be estimated (then the numbers are NaN). ``backlash`` is what the fit says of the play
-    between the signals of each pair for which it was allowed.
+    ``normal`` is the curvature (2, 2) for :func:`conditional`. ``span`` is the part of the stream that was compared [s].
+    ``refused``: why there is no estimate (then the numbers are NaN). ``backlash`` is that of each pair for which it was fitted.
     """
 
     mid_time: float = float("nan")
@@ -104,7 +103,7 @@ class Estimate:
 
 
 def conditional(found: Estimate, skew: float) -> Estimate:
-    """The estimate if the skew is known to be ``skew``: the offset that is best then, its variance without that of the skew."""
+    """The estimate given a known ``skew``: the best offset and its conditional variance."""
     normal = found.normal
     offset = found.mid_offset + normal[0, 1] / normal[0, 0] * (found.skew - skew)
     meat = normal @ found.covariance @ normal
@@ -118,47 +117,58 @@ def is_singular(normal: Array) -> bool:
 
 
 def estimate_of(
-    sums: Sequence[Sums], pairs: Sequence[Pair], offset: float, skew: float, mid: float, span: tuple[float, float]
+    sums: Sequence[FitSums], pairs: Sequence[Pair], offset: float, skew: float, mid: float, span: tuple[float, float]
 ) -> Estimate:
     normal = np.sum([s.curvature for s in sums], axis=0)
     if is_singular(normal):
-        return Estimate(refused="too little motion lies where both clocks have seen it")
+        return Estimate(refused="too little motion is measured on both clocks")
+    numbers, scores, weight, squares, counts, information = summed_blocks(sums)
+    count = len(numbers)
+    if count < 4:
+        return Estimate(refused=f"only {count} blocks of {BLOCK_S:g} s overlap: too short for an interval")
+    white = np.sum([s.white for s in sums], axis=0)
+    covariance, freedom = _covariance(np.linalg.inv(normal), white, numbers, scores, information)
+    used = tuple(sorted({name for pair in pairs for name in pair.name.split("~")}))
+    residual = float(np.sqrt(sum(s.weighted_squares for s in sums) / sum(s.count for s in sums)))
+    used_blocks = weight > 0.0
+    times = np.asarray((numbers[used_blocks] + 0.5) * BLOCK_S, dtype=np.float64)
+    shift = scores[used_blocks, 0] / weight[used_blocks]
+    blocks = Blocks(times, shift, weight[used_blocks], squares[used_blocks] / counts[used_blocks])
+    return Estimate(mid, offset, skew, covariance, freedom, residual, used, "", normal, span, blocks)
+
+
+def summed_blocks(sums: Sequence[FitSums]) -> tuple[npt.NDArray[np.int64], Array, Array, Array, Array, Array]:
+    """Numbers of all blocks, and sums over the pairs: scores (b, 2), weight, squares, counts, information (b,)."""
     numbers = np.unique(np.concatenate([s.blocks for s in sums]))
-    scores, weight, squares, counts, told = (np.zeros((len(numbers), *shape)) for shape in ((2,), (), (), (), ()))
+    scores, weight, squares, counts, information = (np.zeros((len(numbers), *shape)) for shape in ((2,), (), (), (), ()))
     for s in sums:
         row = np.searchsorted(numbers, s.blocks)
         scores[row] += s.block_scores
         weight[row] += s.block_weight
         squares[row] += s.block_squares
         counts[row] += s.block_counts
-        told[row] += s.block_information
-    count = len(numbers)
-    if count < 4:
-        return Estimate(refused=f"only {count} blocks of {BLOCK_S:g} s overlap: too short for an interval")
-    covariance, freedom = _covariance(np.linalg.inv(normal), np.sum([s.white for s in sums], axis=0), numbers, scores, told)
-    used = tuple(sorted({name for pair in pairs for name in pair.name.split("~")}))
-    residual = float(np.sqrt(sum(s.weighted_squares for s in sums) / sum(s.count for s in sums)))
-    seen = weight > 0.0
-    blocks = Blocks((numbers[seen] + 0.5) * BLOCK_S, scores[seen, 0] / weight[seen], weight[seen], squares[seen] / counts[seen])
-    return Estimate(mid, offset, skew, covariance, freedom, residual, used, "", normal, span, blocks)
+        information[row] += s.block_information
+    return numbers, scores, weight, squares, counts, information
 
 
-def _covariance(bread: Array, white: Array, numbers: npt.NDArray[np.int64], scores: Array, told: Array) -> tuple[Array, int]:
-    """Covariance of (offset, skew), and its degrees of freedom: the widest of what blocks of several lengths say.
+def _covariance(
+    bread: Array, white: Array, numbers: npt.NDArray[np.int64], scores: Array, information: Array
+) -> tuple[Array, int]:
+    """Covariance of (offset, skew), and its degrees of freedom: the largest over several block lengths.
 
-    Scores of blocks show residuals that are correlated, but of a few blocks they scatter: no block length may promise more than
-    uncorrelated residuals would. A block that holds a share h of all that is ``told`` of the offset (b,) pulls the fit towards
-    itself, so that its score is divided by 1 − h (Bell and McCaffrey, Survey Methodology 28 (2002) 169); so few blocks count as
-    their shares amount to, (Σh)²/Σh².
+    FitSums of scores over blocks reflect correlated residuals but scatter when there are few, so no variance is smaller than
+    that of uncorrelated residuals. A block with a share h of the ``information`` about the offset (b,) pulls the fit towards
+    itself, so its score is divided by 1 − h (Bell and McCaffrey, Survey Methodology 28 (2002) 169); the effective number of
+    blocks is (Σh)²/Σh².
     """
     found = [(bread @ white @ bread, len(numbers) - 2)]
     for together in BLOCKS_TOGETHER:
         starts = np.flatnonzero(np.diff(numbers // together, prepend=numbers[0] // together - 1))
         count = len(starts)
-        if together > 1 and count < FEWEST_BLOCKS:
+        if together > 1 and count < MIN_BLOCKS:
             continue
-        shares = np.add.reduceat(told, starts) / max(float(told.sum()), 1e-300)
-        sums = np.add.reduceat(scores, starts, axis=0) / (1.0 - np.minimum(shares, MOST_SHARE))[:, None]
+        shares = np.add.reduceat(information, starts) / max(float(information.sum()), 1e-300)
+        sums = np.add.reduceat(scores, starts, axis=0) / (1.0 - np.minimum(shares, MAX_SHARE))[:, None]
         freedom = max(min(count, round(1.0 / float(np.sum(shares**2)))) - 2, 1)
         found.append((bread @ (sums.T @ sums) @ bread * count / (count - 2), freedom))
     errors = np.sqrt(np.max([np.diag(covariance) for covariance, _ in found], axis=0))

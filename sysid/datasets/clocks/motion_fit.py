@@ -1,4 +1,4 @@
-"""One pair of signals at a given offset and skew: its map by robust least squares, and what it says of the two clocks."""
+"""One pair of signals at a given offset and skew: its map by robust least squares, and its normal equations of the clock."""
 
 from __future__ import annotations
 
@@ -16,22 +16,22 @@ from sysid.scratch import chosen
 
 Array = npt.NDArray[np.float64]
 
-#: Samples that are worked on at a time: what belongs to them stays in the cache of a core.
+#: Samples that are processed at a time, so that their data stay in the cache of a core.
 CHUNK = 8192
-#: A motion back by less than so many standard deviations of its noise is none.
+#: A motion back by less than this many standard deviations of the noise is no reversal.
 TREMOR = 4.0
-#: A rate below this share of its root mean square is rest.
+#: A rate below this share of its root mean square counts as rest.
 MOVING = 0.1
 #: Longest gap of y over which its motion is smoothed [periods].
 GAP_PERIODS = 3.5
 
 
 @dataclass(frozen=True)
-class Prepared:
+class PreparedPair:
     """A pair with the slopes of ``x`` (n,) at its samples; steps of x longer than ``x_gap_s`` are not bridged.
 
-    Where play is allowed for, ``direction`` (n,) is that of the motion of x, and what is not ``settled`` is left out, by the
-    samples of x (n,) and by those of y (m,) (:func:`sysid.datasets.clocks.backlash.directions`); else all three are empty.
+    With backlash, ``direction`` (n,) is that of the motion of x, and only ``settled`` samples of x (n,) and of y (m,) are used
+    (:func:`sysid.datasets.clocks.backlash.directions`); else all three are empty.
     """
 
     x_times: Array
@@ -51,21 +51,21 @@ class Prepared:
         return 2 if len(self.direction) else 0
 
 
-def prepared(pair: Pair) -> Prepared:
-    """Samples that are known, and the slopes of the smooth curve through those of ``x``."""
+def prepared(pair: Pair) -> PreparedPair:
+    """The known samples, and the slopes of the smooth curve through those of ``x``."""
     known = ~np.isnan(pair.x)
     times, values = chosen(pair.x_times, known), chosen(pair.x, known)
     rates = slopes(times, values, pair.x_gap_s)
     direction, settled, y_settled = (
         _taken_up(pair, values, rates) if pair.backlash > 0.0 else (np.empty(0), *2 * (np.empty(0, bool),))
     )
-    return Prepared(times, values, rates, pair.y_times, pair.y, pair.degree, pair.x_gap_s, direction, settled, y_settled)
+    return PreparedPair(times, values, rates, pair.y_times, pair.y, pair.degree, pair.x_gap_s, direction, settled, y_settled)
 
 
 def _taken_up(pair: Pair, x: Array, rates: Array) -> tuple[Array, npt.NDArray[np.bool_], npt.NDArray[np.bool_]]:
-    """Direction of x (n,), and where its play is taken up by what x and what y did: either may be the one that waits.
+    """Direction of x (n,), and the samples of x and of y with the backlash taken up; either signal may be behind it.
 
-    Rest says nothing of the offset; a motion back that is lost in the noise would then stay there for seconds.
+    Samples at rest are not used: they carry no information about the offset, and a motion back may be hidden in their noise.
     """
     direction, settled = directions(x, pair.backlash, TREMOR * pair.noise)
     settled &= np.abs(rates) > MOVING * float(np.sqrt(np.mean(rates**2)))
@@ -75,14 +75,14 @@ def _taken_up(pair: Pair, x: Array, rates: Array) -> tuple[Array, npt.NDArray[np
 
 
 @dataclass(frozen=True)
-class Sums:
-    """Everything that a Gauss-Newton step and its errors need, with the map projected out.
+class FitSums:
+    """Sums for a Gauss-Newton step and its errors, with the map projected out.
 
-    ``normal`` (2, 2) and ``score`` (2,) are of (offset, skew); ``curvature`` (2, 2) is the slope of the score, less than
-    ``normal`` as weights fall where residuals grow; ``white`` (2, 2) is the covariance of the score if residuals are
-    uncorrelated; ``block_*`` belong to the numbered ``blocks`` (b,): ``block_weight`` is what a block says of the offset if the
-    map is known, ``block_information`` what it adds to it if the map is not. ``intercept`` is half of what the map differs by
-    between the two directions in the middle of the motion, and its standard error; NaN where none is allowed for.
+    ``normal`` (2, 2) and ``score`` (2,) are of (offset, skew); ``curvature`` (2, 2) is the derivative of the score, smaller
+    than ``normal`` because weights fall where residuals grow; ``white`` (2, 2) is the covariance of the score for uncorrelated
+    residuals; ``block_*`` belong to the numbered ``blocks`` (b,): ``block_weight`` is the information of a block about the
+    offset with a known map, ``block_information`` with an unknown one. ``intercept`` is half of the difference of the map
+    between the two directions in the middle of the motion, and its standard error; NaN without backlash.
     """
 
     normal: Array
@@ -105,7 +105,7 @@ class Sums:
 class PairFit:
     """The state of an iteration over one pair: the samples in use, the map's coefficients, the scale of the noise."""
 
-    pair: Prepared
+    pair: PreparedPair
     rows: slice = field(default_factory=lambda: slice(None))
     coefficients: Array = field(default_factory=lambda: np.zeros(0))
     scale: float = 0.0
@@ -116,23 +116,23 @@ class PairFit:
     _projection: Array | None = None
 
     def choose(self, window: tuple[float, float], limit: int | None) -> None:
-        """Use the samples of y in ``window``, at most about ``limit`` of them, evenly."""
+        """Use the samples of y in ``window``, evenly thinned to about ``limit``."""
         first, last = np.searchsorted(self.pair.y_times, window)
         stride = 1 if limit is None else max(1, int(last - first) // limit)
         self.rows = slice(int(first), int(last), stride)
 
     def begin(self, offset: float, skew: float, reference: float) -> None:
-        """A map and a scale at this offset and skew, from nothing."""
+        """Initial map and scale at this offset and skew."""
         self.coefficients, self._projection = np.zeros(0), None
         chunks = list(self._chunks(offset, skew, reference))
-        y, x, way = (np.concatenate([chunk[k] for chunk in chunks]) if chunks else np.zeros(0) for k in (1, 2, 4))
-        if len(y) < self._fewest:
+        y, x, direction = (np.concatenate([chunk[k] for chunk in chunks]) if chunks else np.zeros(0) for k in (1, 2, 4))
+        if len(y) < self._min_samples:
             return
         low, high = float(x.min()), float(x.max())
         if high <= low:
             return
         self.centre, self.half = (high + low) / 2.0, (high - low) / 2.0
-        basis = self._basis(x, way)
+        basis = self._basis(x, direction)
         weight, residual = np.ones(len(y)), y
         for _ in range(4):
             weighted = basis * weight
@@ -142,18 +142,18 @@ class PairFit:
             weight = self._weight(residual)
 
     def settle(self, step: Array, hold: bool) -> None:
-        """The map after the last :meth:`sums` and a ``step`` of offset and skew; the scale too unless it is held."""
+        """Update the map after the last :meth:`sums` and a ``step`` of offset and skew, and the scale unless ``hold``."""
         if self._system is not None:
             inner, right, cross = self._system
             self.coefficients = self.coefficients + _solve(inner, right - cross @ step)
             if not hold:
                 self.scale = _scale(np.concatenate(self._residuals))
 
-    def sums(self, offset: float, skew: float, reference: float, block_s: float = 0.0) -> Sums | None:
-        """One sweep over the samples in use; None where too few of them overlap.
+    def sums(self, offset: float, skew: float, reference: float, block_s: float = 0.0) -> FitSums | None:
+        """Sums over the samples in use; None where too few overlap.
 
         Args:
-            block_s: length of the blocks [s]; 0 leaves them out.
+            block_s: length of the blocks [s]; 0: no blocks.
         """
         self._residuals, self._system = [], None
         size = len(self.coefficients)
@@ -165,8 +165,8 @@ class PairFit:
         sum_y, sum_y2 = 0.0, 0.0
         degree = self.pair.degree
         derivative = np.polynomial.chebyshev.chebder(self.coefficients[: degree + 1]) / self.half
-        for times, y, x, rate, way in self._chunks(offset, skew, reference):
-            basis = self._basis(x, way)
+        for times, y, x, rate, direction in self._chunks(offset, skew, reference):
+            basis = self._basis(x, direction)
             residual = y - self.coefficients @ basis
             weight = self._weight(residual)
             slope = derivative @ basis[:degree]
@@ -189,7 +189,7 @@ class PairFit:
                 alone = rows[size] if self._projection is None else rows[size] - self._projection[:, 0] @ basis
                 own = weighted[size] * rows[size], squares, weight * alone**2
                 parts.append(_by_block(times, block_s, weighted * residual, own))
-        if count < self._fewest:
+        if count < self._min_samples:
             return None
         inner = matrix[:size, :size]
         projection = _solve(inner, matrix[:size, size:])  # of offset and skew on the map
@@ -200,7 +200,7 @@ class PairFit:
         variance = max(sum_y2 / count - (sum_y / count) ** 2, 1e-30)
         blocks, table = _merged(parts) if parts else (np.zeros(0, np.int64), np.zeros((0, size + 6)))
         scores = (table[:, size : size + 2] - table[:, :size] @ projection) / noise
-        return Sums(
+        return FitSums(
             normal=normal / noise,
             score=score / noise,
             curvature=normal / noise * (slopes_of_scores / weights),
@@ -220,7 +220,7 @@ class PairFit:
         )
 
     def _intercept(self, matrix: Array, table: Array, variance: float) -> tuple[float, float]:
-        """Half of the difference between the directions in the middle of the motion, and its error as that of the offset.
+        """Half of the difference between the directions in the middle of the motion, and its error, computed as of the offset.
 
         Args:
             matrix: normal equations of the map, offset and skew.
@@ -248,23 +248,23 @@ class PairFit:
         times, y = self.pair.y_times[first:last], self.pair.y[first:last]
         if not len(self.coefficients):
             return np.full(len(times), np.nan)
-        x, _, known, way = self._x(times + offset + skew * (times - reference))
+        x, _, known, direction = self._x(times + offset + skew * (times - reference))
         u = np.clip((x - self.centre) / self.half, -1.0, 1.0) * self.half + self.centre
-        residual = y - self.coefficients @ self._basis(u, way)
+        residual = y - self.coefficients @ self._basis(u, direction)
         return np.where(known, (residual / self.scale) ** 2, np.nan)
 
     @property
-    def _fewest(self) -> int:
-        """Samples that a map needs, the more the higher its degree."""
+    def _min_samples(self) -> int:
+        """Samples that a map of this degree needs."""
         terms = self.pair.degree + 3 + self.pair.branches
         return 20 * terms if self.rows.step in (None, 1) else 4 * terms
 
     def _weight(self, residual: Array) -> Array:
-        """Soft-L1 with its knee at two standard deviations: noise counts in full, mistaken frames hardly."""
+        """Soft-L1 with its knee at two standard deviations."""
         return np.asarray(1.0 / np.sqrt(1.0 + (residual / (2.0 * self.scale)) ** 2))
 
     def _basis(self, x: Array, direction: Array) -> Array:
-        """Chebyshev polynomials of the map's argument, (degree + 1, n); where play is allowed for, two rows by direction."""
+        """Chebyshev polynomials of the map's argument, (degree + 1, n), with backlash two more rows for the direction."""
         u = (x - self.centre) / self.half
         basis = np.empty((self.pair.degree + 1 + self.pair.branches, len(x)))
         basis[0], basis[1] = 1.0, u
@@ -278,21 +278,21 @@ class PairFit:
         return basis
 
     def _chunks(self, offset: float, skew: float, reference: float) -> Iterator[tuple[Array, Array, Array, Array, Array]]:
-        """Stream times, y, x there, the rate of x and its direction, wherever both are known and no play is being taken up."""
+        """Stream times, y, x there, the rate of x and its direction, at samples where both are known and settled."""
         all_times, all_y = self.pair.y_times[self.rows], self.pair.y[self.rows]
         for first in range(0, len(all_times), CHUNK):
             times, y = all_times[first : first + CHUNK], all_y[first : first + CHUNK]
             at = times + offset + skew * (times - reference)
-            x, rate, known, way = self._x(at)
+            x, rate, known, direction = self._x(at)
             if self.pair.branches:
                 known &= self.pair.y_settled[self.rows][first : first + CHUNK]
             if known.all():
-                yield times, y, x, rate, way
+                yield times, y, x, rate, direction
             elif known.any():
-                yield times[known], y[known], x[known], rate[known], way[known]
+                yield times[known], y[known], x[known], rate[known], direction[known]
 
     def _x(self, at: Array) -> tuple[Array, Array, npt.NDArray[np.bool_], Array]:
-        """Cubic Hermite interpolation of x: values, rates, where neither gap nor end nor play is in the way, and directions."""
+        """Cubic Hermite interpolation of x: values, rates, mask of known and settled samples, and directions."""
         p = self.pair
         right = np.searchsorted(p.x_times, at, side="right")
         known = (right > 0) & (right < len(p.x_times))
@@ -320,7 +320,7 @@ def _by_block(times: Array, block_s: float, scores: Array, own: Sequence[Array])
 
 
 def _merged(parts: Sequence[tuple[npt.NDArray[np.int64], Array]]) -> tuple[npt.NDArray[np.int64], Array]:
-    """Blocks that a chunk ended within are put together again."""
+    """Blocks that were divided by the end of a chunk, joined."""
     numbers, tables = np.concatenate([part[0] for part in parts]), np.concatenate([part[1] for part in parts])
     starts = np.flatnonzero(np.diff(numbers, prepend=numbers[0] - 1))
     return numbers[starts], np.add.reduceat(tables, starts, axis=0)
@@ -332,5 +332,5 @@ def _scale(residual: Array) -> float:
 
 
 def _solve(matrix: Array, right: Array) -> Array:
-    """Normal equations of a Chebyshev basis; a ridge far below the noise keeps a sparse range solvable."""
+    """Normal equations of a Chebyshev basis, with a ridge far below the noise for sparsely covered ranges."""
     return np.asarray(np.linalg.solve(matrix + 1e-12 * np.trace(matrix) * np.eye(len(matrix)), right))

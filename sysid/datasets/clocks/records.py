@@ -1,4 +1,4 @@
-"""Clock records, for each file of another device in each recording, and what they do to its stamps.
+"""Clock records of each file of another device in each recording, and their application to its stamps.
 
 A file has one record, or one for each piece where its clock was set or paused while it recorded. A piece begins with the sample
 whose stamp is the record's ``stream_start_ns`` and ends where the next one begins.
@@ -28,8 +28,8 @@ Array = npt.NDArray[np.float64]
 
 __all__ = ["KnownSkew", "RecordingClocks", "align", "by_source", "known_skews", "machine_times"]
 
-_LATENCY = "a constant latency of this device is part of the offset: it cannot be distinguished"
-#: A pause of the machine's stamps is taken for a step of its clock where the jump of another one agrees with it to this share.
+_LATENCY = "a constant latency of this device is part of the offset and not identifiable"
+#: A pause of the machine's stamps is a step of its clock if a step of another clock agrees with it to this share.
 _STEP_SHARE = 0.2
 
 
@@ -60,7 +60,7 @@ class RecordingClocks:
             if not self.channels:
                 remedy = 'Map fields to signals in the recipe; its lines that begin with "#" are not read.'
                 raise InputError(f"recording {self.name}", "no signal of the machine", "commands or sensors", remedy)
-            remedy = 'Write `domain = "machine"` for the stream whose clock all others are aligned to.'
+            remedy = 'Write `domain = "machine"` for the stream to whose clock all others are aligned.'
             found = "no samples on the machine's clock"
             raise InputError(f"recording {self.name}", found, "commands or sensors of the machine", remedy)
         return min(int(channel.stamps[0]) for channel in self.machine)
@@ -68,33 +68,32 @@ class RecordingClocks:
 
 @dataclass(frozen=True)
 class Alignment:
-    """Clock records of those recordings that have a place in time, and why others have none, by their names."""
+    """Clock records of the recordings that could be placed in time, and the errors of the others by name."""
 
     records: tuple[ClockRecord, ...]
     refused: Mapping[str, AlignmentError]
 
 
-def align(recordings: Sequence[RecordingClocks], known: Mapping[str, KnownSkew] | None = None) -> tuple[ClockRecord, ...]:
-    """Clock records of all recordings; :func:`aligned` goes on without those that have no place in time.
+def align(recordings: Sequence[RecordingClocks]) -> tuple[ClockRecord, ...]:
+    """Clock records of all recordings; :func:`aligned` continues without those that cannot be placed in time.
 
     Raises:
-        AlignmentError: nothing can be observed and the stamps do not even overlap; or the machine's own clock was set.
+        AlignmentError: no offset is observable and the stamps do not overlap; or the machine's own clock was set.
     """
-    found = aligned(recordings, known)
+    found = aligned(recordings)
     for error in found.refused.values():
         raise error
     return found.records
 
 
 def aligned(recordings: Sequence[RecordingClocks], known: Mapping[str, KnownSkew] | None = None) -> Alignment:
-    """Clock records of the recordings that have a place in time.
+    """Clock records of the recordings that can be placed in time.
 
     The skew is a property of two crystals: where the estimates of the recordings of one device agree, their weighted mean is
-    applied to each; where they do not, each has its own. A skew whose interval is too wide, or that was seen for too short a
-    time, is not applied.
+    applied to each; else each has its own. A skew with too wide an interval, or from too short a motion, is not applied.
 
     Args:
-        known: clock domain → its skew from recordings that are not among these; counts as one more estimate.
+        known: clock domain → its skew from other recordings; counts as one more estimate.
 
     Raises:
         AlignmentError: the machine's own clock was set.
@@ -129,15 +128,15 @@ def aligned(recordings: Sequence[RecordingClocks], known: Mapping[str, KnownSkew
     return Alignment(tuple(records), refused)
 
 
-def machine_times(channel: Channel, start_ns: int, records: Sequence[ClockRecord] | ClockRecord | None) -> Array:
-    """Stamps of ``channel`` as seconds on the machine's clock from ``start_ns``, rising.
+def machine_times(channel: Channel, start_ns: int, records: Sequence[ClockRecord] | None) -> Array:
+    """Stamps of ``channel`` as seconds on the machine's clock from ``start_ns``, increasing.
 
     Args:
         records: of the channel's file in its recording, see :func:`by_source`; None for the machine's own clock.
     """
     if records is None:
         return seconds(channel.stamps, start_ns)
-    own = [records] if isinstance(records, ClockRecord) else sorted(records, key=lambda record: record.stream_start_ns)
+    own = sorted(records, key=lambda record: record.stream_start_ns)
     rows = np.searchsorted(channel.stamps, [record.stream_start_ns for record in own[1:]])
     edges = [0, *rows.tolist(), len(channel.stamps)]
     times: Array = empty(len(channel.stamps))
@@ -147,7 +146,7 @@ def machine_times(channel: Channel, start_ns: int, records: Sequence[ClockRecord
         part *= 1.0 + 1e-6 * record.skew_ppm
         part += record.offset_s
     if len(own) > 1 and np.any(times[1:] <= times[:-1]):
-        # What a clock repeats after it was set back lies behind what it had shown: a nanosecond each keeps the order.
+        # After a reset, times may repeat: steps of one nanosecond keep the order.
         np.maximum.accumulate(times, out=times)
         for first, last in sample_pieces(len(times)):
             times[first:last] += 1e-9 * np.arange(first, last)
@@ -176,7 +175,7 @@ def _piece_start(channels: Sequence[Channel], first_s: float) -> int:
     start = _stream_start(channels)
     if not math.isfinite(first_s):
         return start
-    begin = start + round(first_s * 1e9) - 1  # of a float: within a nanosecond of the stamp
+    begin = start + round(first_s * 1e9) - 1  # the float is within a nanosecond of the stamp
     after = [int(c.stamps[row]) for c in channels if (row := int(np.searchsorted(c.stamps, begin))) < len(c.stamps)]
     return min(after)
 
@@ -186,11 +185,11 @@ def _domain(clock: str) -> str:
 
 
 def _check_machine(recording: RecordingClocks, found: Mapping[str, tuple[Piece, ...]]) -> None:
-    """The machine's own clock must not have been set.
+    """Check that the machine's own clock was not set.
 
     Raises:
-        AlignmentError: it was: another device that recorded on without a pause steps against it where its stamps leave a gap
-            of that length, or several devices step against it at once.
+        AlignmentError: it was: a device that recorded without a pause steps against it at a gap of the same length in the
+            machine's stamps, or several devices step against it at once.
     """
     steps = [
         (clock, after.first_s + after.estimate.at(after.first_s), before.last_s, _step(before, after))
@@ -202,26 +201,26 @@ def _check_machine(recording: RecordingClocks, found: Mapping[str, tuple[Piece, 
         begin = _stream_start(channels)
         paused = max(_gap(c, begin, on_stream, 1.0) for c in channels)
         gaps = [_gap(c, recording.start_ns, at, 1.0 + abs(size)) for c in recording.machine]
-        alone = bool(gaps) and size > 0.0 and abs(min(gaps) - size) < _STEP_SHARE * size and paused < 0.5 * size
+        at_gap = bool(gaps) and size > 0.0 and abs(min(gaps) - size) < _STEP_SHARE * size and paused < 0.5 * size
         others = [s for s in steps if s[0] != clock and abs(s[1] - at) < 2.0 and abs(s[3] - size) < 0.01 + 0.05 * abs(size)]
-        if alone or others:
-            seen = "its stamps leave a gap in which" if alone else "there, and only against it,"
+        if at_gap or others:
+            reason = "its stamps have a gap in which" if at_gap else "there, and only against it,"
             names = ", ".join(dict.fromkeys([channels[0].source, *(s[0].partition(":")[2] for s in others)]))
             raise AlignmentError(
                 f"recording {recording.name}: the machine's clock",
-                f"it was set by {size:+.3f} s at about {at:.2f} s: {seen} {names} went on evenly",
+                f"it was set by {size:+.3f} s at about {at:.2f} s: {reason} {names} continued evenly",
                 "a machine's clock that is not set while it records",
                 "Cut the log there into two recordings, or choose another clock of the machine's log in the recipe.",
             )
 
 
 def _step(before: Piece, after: Piece) -> float:
-    """By how much the machine's time of the stream steps between two pieces [s]."""
+    """Step of the stream's offset between two pieces [s]."""
     return after.estimate.at(after.first_s) - before.estimate.at(after.first_s)
 
 
 def _gap(channel: Channel, origin_ns: int, at_s: float, reach_s: float) -> float:
-    """The longest step between stamps of ``channel`` around ``at_s``, beyond its period [s]."""
+    """The longest step between stamps of ``channel`` around ``at_s``, minus its period [s]."""
     times = seconds(channel.stamps, origin_ns)
     first, last = np.searchsorted(times, (at_s - reach_s, at_s + reach_s))
     near = times[max(int(first) - 1, 0) : int(last) + 1]
@@ -239,16 +238,14 @@ def _moving(
         result = conditional(piece.estimate, skew.value)
         start = _piece_start(channels, piece.first_s)
         shift = (start - _stream_start(channels)) * 1e-9
-        # Offset at the first stamp; its error holds that of the offset at mid-recording and of the skew up to there.
+        # Offset at the first stamp; its error combines that at mid-recording and that of the skew up to there.
         offset = shift + result.at(shift)
         error = quantile(result.degrees_of_freedom) * math.sqrt(result.covariance[0, 0])
-        width = math.hypot(error, skew.doubt * (result.mid_time - shift))
-        set_there = ""
+        width = math.hypot(error, skew.half_width * (result.mid_time - shift))
+        reset = ""
         if number:
             size = -_step(parts[number - 1], piece)
-            set_there = (
-                f"piece {number + 1} of {len(parts)}: at {offset:.3f} s its clock was set by {size:+.4f} s, or it paused"
-            )
+            reset = f"piece {number + 1} of {len(parts)}: at {offset:.3f} s its clock was set by {size:+.4f} s, or it paused"
         records.append(
             ClockRecord(
                 recording=recording.name,
@@ -260,40 +257,38 @@ def _moving(
                 residual_rms=result.residual,
                 used_signals=result.used,
                 applied=True,
-                reason="; ".join(reason for reason in (set_there, skew.reason, *_play(result), _LATENCY) if reason),
+                reason="; ".join(reason for reason in (reset, skew.reason, *_backlash_notes(result), _LATENCY) if reason),
                 stream_start_ns=start,
             )
         )
     return records
 
 
-def _play(found: Estimate) -> list[str]:
-    """What play between two signals was allowed for."""
+def _backlash_notes(found: Estimate) -> list[str]:
+    """The significant backlash between signals."""
     return [
-        f"play of {abs(item.width):.2g} (SI) between {' and '.join(item.name.split('~'))} is allowed for"
+        f"with backlash of {abs(item.width):.2g} (SI) between {' and '.join(item.name.split('~'))}"
         for item in found.backlash
         if item.found
     ]
 
 
 def _static(recording: RecordingClocks, channels: Sequence[Channel], shared: Skew | None) -> list[ClockRecord]:
-    """Static poses: bursts of samples are matched; nothing moves in them, so a fraction of a hold is near enough."""
+    """Static poses: bursts of samples are matched; an accuracy of a fraction of a hold is sufficient, as nothing moves."""
     match = match_bursts(recording.machine, channels, recording.start_ns, _stream_start(channels))
     if match.refused:
-        # A log that runs on between the poses shows motion, and that says more than the poses would.
+        # A log without pauses between the poses contains motion, which gives a better estimate.
         records = _moving(recording, channels, pieces(_pairs(recording, channels)), shared)
         return [r if r.applied else replace(r, reason=f"{match.refused}; {r.reason}") for r in records]
     skew = shared.value if shared is not None and shared.applied else 0.0
     interval = shared.interval if shared is not None and shared.applied else (-math.inf, math.inf)
+    offset = match.offset - skew * match.mid_time
     record = ClockRecord(
         recording=recording.name,
         stream=channels[0].source,
-        offset_s=match.offset - skew * match.mid_time,
+        offset_s=offset,
         skew_ppm=1e6 * skew,
-        offset_interval95=(
-            match.offset - skew * match.mid_time - match.half_width,
-            match.offset - skew * match.mid_time + match.half_width,
-        ),
+        offset_interval95=(offset - match.half_width, offset + match.half_width),
         skew_interval95=(1e6 * interval[0], 1e6 * interval[1]),
         residual_rms=float("nan"),
         used_signals=match.used,
@@ -305,7 +300,7 @@ def _static(recording: RecordingClocks, channels: Sequence[Channel], shared: Ske
 
 
 def _refused(recording: RecordingClocks, channels: Sequence[Channel], reason: str) -> ClockRecord:
-    """No estimate. Stamps that overlap the machine's are taken as they are; others have no place in time."""
+    """The record without an estimate: stamps that overlap the machine's are taken as they are; others are an error."""
     start, end = _stream_start(channels), max(int(channel.stamps[-1]) for channel in channels)
     machine_end = max(int(channel.stamps[-1]) for channel in recording.machine)
     if end < recording.start_ns or start > machine_end:

@@ -1,9 +1,8 @@
 """Clocks that were set while they recorded: one estimate for each piece of a stream, found from the motion.
 
-Where the offset steps, the blocks after the step ask for another one than those before, or do not fit at all. A suspected
-step is believed when both sides can be aligned by themselves and their offsets differ by much more than their errors, and by
-more than half a frame. It is then placed on the sample at which the one side stops fitting and the other one begins, or on an
-uneven stamp beside it.
+Where the offset steps, the blocks after the step have another offset than those before, or do not fit at all. A suspected step
+is accepted if both sides can be aligned separately and their offsets differ by much more than their errors and by more than
+half a frame. It is placed on the sample that gives the best fit of both sides, or on an uneven stamp beside it.
 """
 
 from __future__ import annotations
@@ -21,19 +20,19 @@ from sysid.datasets.clocks.motion_fit import PairFit, prepared
 
 Array = npt.NDArray[np.float64]
 
-#: Blocks on either side of a step.
-FEWEST_BLOCKS = 4
-#: A suspicion: gain in χ² of a step in the offset, of one in the energy of the residuals, and the least contrast of that (ln).
+#: Least number of blocks on either side of a step.
+MIN_BLOCKS = 4
+#: A step is suspected from these gains in χ² of the offset and of the residual energy, and this contrast of the energy (ln).
 SHIFT_GAIN, ENERGY_GAIN, ENERGY_CONTRAST = 45.0, 60.0, 0.7
-#: A step is believed from this many standard errors, and this share of a sample period of the stream.
+#: A step is accepted from this many standard errors, and this share of a sample period of the stream.
 STEP_ERRORS, STEP_PERIODS = 6.0, 0.5
-#: No stream is parted into more pieces than 2 to this power.
+#: A stream has at most 2 to this power pieces.
 DEPTH = 4
 
 
 @dataclass(frozen=True)
 class Piece:
-    """Part of a stream, from ``first_s`` up to ``last_s`` on its own clock, with the clock that holds there."""
+    """Part of a stream, from ``first_s`` up to ``last_s`` on its own clock, with the estimate of the clock there."""
 
     first_s: float
     last_s: float
@@ -41,10 +40,10 @@ class Piece:
 
 
 def pieces(pairs: Sequence[Pair]) -> tuple[Piece, ...]:
-    """The stream in pieces of one clock each; one piece where nothing speaks for more, or nothing can be estimated."""
+    """The stream in pieces of one offset and skew each; one piece where there is no step, or nothing can be estimated."""
     if not pairs:
         return (Piece(-np.inf, np.inf, estimate(pairs)),)
-    found = _parted(pairs, -np.inf, np.inf, DEPTH)
+    found = _split(pairs, -np.inf, np.inf, DEPTH)
     if len(found) == 1:
         return found
     cuts = [_located(pairs, before, after) for before, after in pairwise(found)]
@@ -55,7 +54,7 @@ def pieces(pairs: Sequence[Pair]) -> tuple[Piece, ...]:
     return _joined(pairs, fresh)
 
 
-def _parted(pairs: Sequence[Pair], first: float, last: float, depth: int) -> tuple[Piece, ...]:
+def _split(pairs: Sequence[Pair], first: float, last: float, depth: int) -> tuple[Piece, ...]:
     own = _cut(pairs, first, last)
     whole = Piece(first, last, estimate(own))
     if depth == 0:
@@ -65,7 +64,7 @@ def _parted(pairs: Sequence[Pair], first: float, last: float, depth: int) -> tup
         if any(abs(at - other) < BLOCK_S for other in tried):
             continue
         tried.append(at)
-        before, after = _parted(pairs, first, at, depth - 1), _parted(pairs, at, last, depth - 1)
+        before, after = _split(pairs, first, at, depth - 1), _split(pairs, at, last, depth - 1)
         if any(piece.estimate.refused for piece in (*before, *after)):
             continue
         if len(before) == len(after) == 1 and not _stepped(before[-1], after[0], _period(pairs)):
@@ -78,7 +77,7 @@ def _parted(pairs: Sequence[Pair], first: float, last: float, depth: int) -> tup
 
 
 def _suspicions(pairs: Sequence[Pair], whole: Estimate) -> Iterator[float]:
-    """Where the clock may have been set, the likeliest first: from the fit of all, and where that is refused from parts."""
+    """Times at which the clock may have been set, the likeliest first: from the fit of all, and if refused from parts."""
     at = suspected(whole.blocks, _period(pairs)) if pairs else None
     if at is not None:
         yield at
@@ -86,7 +85,7 @@ def _suspicions(pairs: Sequence[Pair], whole: Estimate) -> Iterator[float]:
         return
     first, last = min(float(p.y_times[0]) for p in pairs), max(float(p.y_times[-1]) for p in pairs)
     length = last - first
-    if length < 4.0 * FEWEST_BLOCKS * BLOCK_S:
+    if length < 4.0 * MIN_BLOCKS * BLOCK_S:
         return
     for a, b in ((first, first + 0.4 * length), (last - 0.4 * length, last)):
         part = estimate(_cut(pairs, a, b))
@@ -96,8 +95,8 @@ def _suspicions(pairs: Sequence[Pair], whole: Estimate) -> Iterator[float]:
 
 
 def _reach(pairs: Sequence[Pair], part: Estimate, first: float, last: float) -> Blocks:
-    """How well the clock and the maps of a part hold for all of the stream, block by block."""
-    seen = []
+    """Residual energy of the whole stream under the clock and the maps of a part, in blocks."""
+    parts = []
     for pair in filter(moves, pairs):
         ready = prepared(smoothed(pair))
         fit = PairFit(ready)
@@ -105,16 +104,15 @@ def _reach(pairs: Sequence[Pair], part: Estimate, first: float, last: float) -> 
         fit.begin(part.mid_offset, part.skew, part.mid_time)
         squares = fit.squares((-np.inf, np.inf), part.mid_offset, part.skew, part.mid_time)
         known = np.isfinite(squares)
-        seen.append((np.floor(ready.y_times[known] / BLOCK_S).astype(np.int64), np.clip(squares[known], 0.0, 400.0)))
-    every = np.concatenate([rows for rows, _ in seen])
-    numbers, place = np.unique(every, return_inverse=True)
-    energy = np.bincount(place, np.concatenate([values for _, values in seen])) / np.bincount(place)
+        parts.append((np.floor(ready.y_times[known] / BLOCK_S).astype(np.int64), np.clip(squares[known], 0.0, 400.0)))
+    numbers, place = np.unique(np.concatenate([rows for rows, _ in parts]), return_inverse=True)
+    energy = np.bincount(place, np.concatenate([values for _, values in parts])) / np.bincount(place)
     times = (numbers + 0.5) * BLOCK_S
     return Blocks(times, np.zeros_like(times), np.zeros_like(times), energy)
 
 
 def _joined(pairs: Sequence[Pair], parts: Sequence[Piece]) -> tuple[Piece, ...]:
-    """Pieces between which nothing steps are one."""
+    """Pieces without a step between them, joined."""
     period = _period(pairs)
     done = [parts[0]]
     for piece in parts[1:]:
@@ -130,7 +128,7 @@ def _joined(pairs: Sequence[Pair], parts: Sequence[Piece]) -> tuple[Piece, ...]:
 
 
 def _cut(pairs: Sequence[Pair], first: float, last: float) -> list[Pair]:
-    """The pairs with the stream's samples in [first, last) alone; a pair without any is left out."""
+    """The pairs with the stream's samples in [first, last); a pair without any is omitted."""
     found = []
     for pair in pairs:
         a, b = np.searchsorted(pair.y_times, (first, last))
@@ -144,8 +142,8 @@ def _period(pairs: Sequence[Pair]) -> float:
 
 
 def suspected(blocks: Blocks | None, period: float) -> float | None:
-    """Time of the stream at which the offset seems to step; None where nothing speaks for it."""
-    if blocks is None or len(blocks.times) < 2 * FEWEST_BLOCKS:
+    """Time of the stream at which a step of the offset is suspected; None where there is none."""
+    if blocks is None or len(blocks.times) < 2 * MIN_BLOCKS:
         return None
     candidates = []
     row, gain, size = _shift_step(blocks)
@@ -166,12 +164,12 @@ def _shift_step(blocks: Blocks) -> tuple[int, float, float]:
         return 0, 0.0, 0.0
     residual = blocks.shift - line @ np.linalg.solve(gram, line.T @ (w * blocks.shift))
     after = np.cumsum((w[:, None] * line)[::-1], axis=0)[::-1]
-    ours = np.cumsum((w * residual)[::-1])[::-1]
-    room = after[:, 0] - np.einsum("ki,ij,kj->k", after, np.linalg.inv(gram), after)
-    gain = np.where(room > 1e-9 * after[0, 0], ours**2 / np.maximum(room, 1e-300), 0.0)
-    gain[:FEWEST_BLOCKS] = gain[len(gain) - FEWEST_BLOCKS + 1 :] = 0.0
+    score = np.cumsum((w * residual)[::-1])[::-1]
+    information = after[:, 0] - np.einsum("ki,ij,kj->k", after, np.linalg.inv(gram), after)
+    gain = np.where(information > 1e-9 * after[0, 0], score**2 / np.maximum(information, 1e-300), 0.0)
+    gain[:MIN_BLOCKS] = gain[len(gain) - MIN_BLOCKS + 1 :] = 0.0
     row = int(np.argmax(gain))
-    # What scatters beyond a line with that step in it, so that a large step does not hide itself.
+    # Dispersion about the line with the step, so that a large step does not increase it.
     stepped = np.column_stack([line, np.arange(len(t)) >= row])
     solution = np.linalg.lstsq(np.sqrt(w)[:, None] * stepped, np.sqrt(w) * blocks.shift, rcond=None)[0]
     rest = np.sqrt(w) * (blocks.shift - stepped @ solution)
@@ -187,7 +185,7 @@ def _energy_step(blocks: Blocks) -> tuple[int, float, float]:
     sums = np.cumsum(level)[:-1]
     before, after = sums / rows, (level.sum() - sums) / (count - rows)
     gain = rows * (count - rows) / count * (after - before) ** 2
-    gain[: FEWEST_BLOCKS - 1] = gain[count - FEWEST_BLOCKS :] = 0.0
+    gain[: MIN_BLOCKS - 1] = gain[count - MIN_BLOCKS :] = 0.0
     best = int(np.argmax(gain))
     row = int(rows[best])
     inner = np.concatenate([level[:row] - np.median(level[:row]), level[row:] - np.median(level[row:])])
@@ -204,7 +202,7 @@ def _stepped(before: Piece, after: Piece, period: float) -> bool:
 
 
 def _located(pairs: Sequence[Pair], before: Piece, after: Piece) -> float:
-    """Time of the first sample that the piece after fits better than the one before."""
+    """Time of the first sample that fits the later piece better than the earlier one."""
     guess, reach = after.first_s, 3.0 * BLOCK_S
     low, high = max(guess - reach, before.first_s), min(guess + reach, after.last_s)
     times, costs, uneven = [], [], []
@@ -218,7 +216,7 @@ def _located(pairs: Sequence[Pair], before: Piece, after: Piece) -> float:
             fit.begin(found.mid_offset, found.skew, found.mid_time)
             costs_of.append(fit.squares((low, high), found.mid_offset, found.skew, found.mid_time))
         own = ready.y_times[slice(*np.searchsorted(ready.y_times, (low, high)))]
-        # What the machine has not measured fits worse than noise and better than another motion.
+        # Where the machine has no samples, the cost is between that of noise and that of another motion.
         bounded = [np.clip(np.nan_to_num(cost, nan=4.0), 0.0, 25.0) for cost in costs_of]
         times.append(own)
         costs.append(bounded[0] - bounded[1])

@@ -1,7 +1,7 @@
-"""What aligned motions still differ by: over time and over the motion, from the raw channels of a stored version.
+"""Residuals of aligned motions over time and over the motion, from the raw channels of a stored version.
 
-A clock that wanders, a step that was not found or a latency that depends on the speed shows over time; a map that is too
-simple, or a sensor that sticks, shows over the motion.
+A drifting clock, an undetected step or a latency that depends on speed shows over time; an inadequate map or a sticking sensor
+shows over the motion.
 """
 
 from __future__ import annotations
@@ -13,19 +13,20 @@ import numpy as np
 import numpy.typing as npt
 import pandas as pd
 
-from sysid.datasets.channel import Channel
+from sysid.datasets.channel import stored_channels
 from sysid.datasets.clocks.alignment import BLOCK_S, Estimate, pairs_of, with_backlash_found
 from sysid.datasets.clocks.coarse import Pair
+from sysid.datasets.clocks.estimate import summed_blocks
 from sysid.datasets.clocks.motion_band import moves, smoothed
-from sysid.datasets.clocks.motion_fit import PairFit, Sums, prepared
+from sysid.datasets.clocks.motion_fit import FitSums, PairFit, prepared
 from sysid.datasets.recording import ClockRecord
 
 Array = npt.NDArray[np.float64]
 
-#: Blocks that say nothing of the offset are left out: those with less than this share of the median block's weight.
+#: Blocks with less than this share of the median block's weight are omitted.
 LEAST_WEIGHT = 0.05
-#: Places of a motion at which its residual is shown.
-PLACES = 24
+#: Bins over the motion.
+BINS = 24
 
 
 @dataclass(frozen=True)
@@ -34,7 +35,7 @@ class PairResidual:
 
     Args:
         name: machine's signal ~ the other device's.
-        motion: machine's signal at the middle of each place (m,) [SI].
+        motion: machine's signal at the middle of each bin (m,) [SI].
         mean, spread: of the residual there (m,) [SI of the other device's signal].
         noise: standard deviation of the residual [same].
     """
@@ -48,11 +49,11 @@ class PairResidual:
 
 @dataclass(frozen=True)
 class ClockResidual:
-    """One clock record beside what each stretch of :data:`~sysid.datasets.clocks.alignment.BLOCK_S` says alone.
+    """One clock record and the residuals in blocks of :data:`~sysid.datasets.clocks.alignment.BLOCK_S`.
 
     Args:
         times: of the blocks on the machine's clock (b,) [s].
-        shift, error: offset that a block asks for beyond the record, and its standard error (b,) [s].
+        shift, error: offset estimated from a block alone minus that of the record, and its standard error (b,) [s].
         residual: root mean square of the residuals in standard deviations of their noise (b,).
     """
 
@@ -86,10 +87,10 @@ def clock_residuals(channels: pd.DataFrame, clocks: Sequence[ClockRecord]) -> tu
 
 def _residual(channels: pd.DataFrame, record: ClockRecord, end_ns: int) -> ClockResidual | None:
     start = int(channels.loc[channels["domain"] == "machine", "stamp_ns"].min())
-    machine = _channels(channels[(channels["domain"] == "machine") & channels["signal"].isin(record.used_signals)])
+    machine = stored_channels(channels[(channels["domain"] == "machine") & channels["signal"].isin(record.used_signals)])
     stamps = channels["stamp_ns"]
     piece = (stamps >= record.stream_start_ns) & (stamps < end_ns)
-    other = _channels(channels[piece & (channels["source"] == record.stream) & (channels["domain"] != "machine")])
+    other = stored_channels(channels[piece & (channels["source"] == record.stream) & (channels["domain"] != "machine")])
     pairs = [
         pair
         for pair in pairs_of(machine, other, start, record.stream_start_ns)
@@ -98,43 +99,35 @@ def _residual(channels: pd.DataFrame, record: ClockRecord, end_ns: int) -> Clock
     skew = 1e-6 * record.skew_ppm
     middle = 0.5 * max((float(pair.y_times[-1]) for pair in pairs), default=0.0)
     near = Estimate(mid_time=middle, mid_offset=record.offset_s + skew * middle, skew=skew)
-    sums, shown = [], []
+    sums, residuals = [], []
     for pair in with_backlash_found([smoothed(pair) for pair in pairs], near) if pairs else ():
         fit = PairFit(prepared(pair))
         fit.begin(record.offset_s, 1e-6 * record.skew_ppm, 0.0)
         own = fit.sums(record.offset_s, 1e-6 * record.skew_ppm, 0.0, BLOCK_S)
         if own is not None:
             sums.append(own)
-            shown.append(_over_motion(pair, fit, record))
-    if not sums:
-        return None
-    return _over_time(record, sums, shown)
+            residuals.append(_over_motion(pair, fit, record))
+    return _over_time(record, sums, residuals) if sums else None
 
 
-def _over_time(record: ClockRecord, sums: Sequence[Sums], pairs: Sequence[PairResidual]) -> ClockResidual:
-    numbers = np.unique(np.concatenate([s.blocks for s in sums]))
-    score, weight, squares, counts = (np.zeros(len(numbers)) for _ in range(4))
-    for s in sums:
-        row = np.searchsorted(numbers, s.blocks)
-        score[row] += s.block_scores[:, 0]
-        weight[row] += s.block_weight
-        squares[row] += s.block_squares
-        counts[row] += s.block_counts
-    seen = weight > LEAST_WEIGHT * float(np.median(weight))
-    times = (numbers[seen] + 0.5) * BLOCK_S * (1.0 + 1e-6 * record.skew_ppm) + record.offset_s
-    size = np.sqrt(squares / counts)[seen]
-    return ClockResidual(record, times, score[seen] / weight[seen], np.sqrt(1.0 / weight[seen]), size, tuple(pairs))
+def _over_time(record: ClockRecord, sums: Sequence[FitSums], pairs: Sequence[PairResidual]) -> ClockResidual:
+    numbers, scores, weight, squares, counts, _ = summed_blocks(sums)
+    used = weight > LEAST_WEIGHT * float(np.median(weight))
+    middle = np.asarray((numbers[used] + 0.5) * BLOCK_S, dtype=np.float64)
+    times = middle * (1.0 + 1e-6 * record.skew_ppm) + record.offset_s
+    size = np.sqrt(squares / counts)[used]
+    return ClockResidual(record, times, scores[used, 0] / weight[used], np.sqrt(1.0 / weight[used]), size, tuple(pairs))
 
 
 def _over_motion(pair: Pair, fit: PairFit, record: ClockRecord) -> PairResidual:
     x, residual = fit.residuals(record.offset_s, 1e-6 * record.skew_ppm, 0.0)
-    edges = np.linspace(float(x.min()), float(x.max()), PLACES + 1)
-    place = np.clip(np.searchsorted(edges, x, side="right") - 1, 0, PLACES - 1)
-    counts = np.bincount(place, minlength=PLACES)
+    edges = np.linspace(float(x.min()), float(x.max()), BINS + 1)
+    place = np.clip(np.searchsorted(edges, x, side="right") - 1, 0, BINS - 1)
+    counts = np.bincount(place, minlength=BINS)
     order = np.argsort(place, kind="stable")
     parts = np.split(residual[order], np.cumsum(counts)[:-1])
     enough = counts >= 20
-    # Medians, so that mistaken frames do not make the picture.
+    # Medians are robust against mistaken frames.
     middle = np.array([float(np.median(part)) if there else np.nan for part, there in zip(parts, enough, strict=True)])
     spread = np.array(
         [
@@ -143,14 +136,3 @@ def _over_motion(pair: Pair, fit: PairFit, record: ClockRecord) -> PairResidual:
         ]
     )
     return PairResidual(pair.name, (edges[1:] + edges[:-1]) / 2.0, middle, spread, fit.scale)
-
-
-def _channels(rows: pd.DataFrame) -> list[Channel]:
-    """Channels of one recording from the rows of the stored table, as far as alignment needs them."""
-    found: list[Channel] = []
-    for (source, domain, signal), part in rows.groupby(["source", "domain", "signal"], sort=False, observed=True):
-        stamps = part["stamp_ns"].to_numpy(dtype=np.int64)
-        order = np.argsort(stamps, kind="stable")  # parts of one signal may follow each other
-        values = part["value"].to_numpy(dtype=np.float64)
-        found.append(Channel(str(signal), str(source), str(domain), stamps[order], values[order]))
-    return found

@@ -1,7 +1,7 @@
-"""Stamps of a clock that was set back, or ran over, while it recorded: told from late messages, and carried on.
+"""Stamps of a clock that was set back, or overflowed, while it recorded: distinguished from late messages, and continued.
 
-Stamps after a step back are shifted so that they follow the ones before by one sample period, as if nothing had happened. If
-the device paused meanwhile, its offset steps there, and the motion shows by how much: see :mod:`sysid.datasets.clocks.resets`.
+Stamps after a step back are shifted so that they follow the previous ones by one sample period. If the device paused, its
+offset steps there, and the motion shows by how much: see :mod:`sysid.datasets.clocks.resets`.
 """
 
 from __future__ import annotations
@@ -17,28 +17,28 @@ from sysid.logs import Stream
 Stamps = npt.NDArray[np.int64]
 Rows = npt.NDArray[np.intp]
 
-#: A step back of fewer periods than this is a late message: whether the clock was set back by so little cannot be told.
+#: A step back of fewer periods is a late message, since such a small reset cannot be distinguished from one.
 LATE_PERIODS = 5.0
-#: A step back is a clock that was set where the stretch that it repeats holds this many times the samples it has room for.
+#: A step back is a reset where the interval that it repeats holds this multiple of the samples that fit into it.
 CROWDED = 1.5
-#: A step back of more than this is never taken for late messages [s].
+#: A larger step back is never a late message [s].
 MAX_LATE_S = 1.0
-#: Stamps that go back more often than in this share of the rows are in no order: no clock is set so often.
+#: Stamps that go back in more than this share of the rows are unordered, since no clock is set so often.
 MAX_BACK_SHARE = 0.01
-#: Counters that run over: 16, 24 and 32 bits of nanoseconds, microseconds, tenths of milliseconds and milliseconds [ns].
+#: Periods of counters: 16, 24 and 32 bits of nanoseconds, microseconds, tenths of milliseconds and milliseconds [ns].
 WRAPS = tuple(sorted({(1 << bits) * unit for bits in (16, 24, 32) for unit in (1, 1_000, 100_000, 1_000_000)}))
 
 
 @dataclass(frozen=True)
 class ContinuedClock:
-    """Stamps (n,) in the order of the file, carried on over every step back.
+    """Stamps (n,) in the order of the file, continued over every step back.
 
     Args:
-        stamps: late and double ones are still among them.
-        rows: where the clock was set back, or its counter ran over.
-        back_ns: by how much the stamps went back there.
-        wrapped: which of these steps are a counter that ran over.
-        stray: single stamps far from their neighbours, which were given the stamp before.
+        stamps: including late and duplicate ones.
+        rows: where the clock was set back, or its counter overflowed.
+        back_ns: size of these steps [ns].
+        wrapped: which of these steps are overflows.
+        stray: number of single stamps far from their neighbours, which were replaced by the previous stamp.
     """
 
     stamps: Stamps
@@ -49,21 +49,21 @@ class ContinuedClock:
 
     @property
     def texts(self) -> tuple[str, ...]:
-        """What was done, for a person."""
-        said: list[str] = []
+        """Report of the changes."""
+        texts: list[str] = []
         for row, back, wrapped in zip(self.rows, self.back_ns, self.wrapped, strict=True):
             at = f"row {row + 1}, {(int(self.stamps[row]) - int(self.stamps[0])) * 1e-9:.3f} s after the first"
-            why = "a counter ran over" if wrapped else "the clock was set"
-            said.append(f"stamps go back by {back * 1e-9:.3f} s in {at} ({why}): carried on")
-        if len(said) > 3:
-            said = [said[0], f"and {len(said) - 1} times more, {sum(self.wrapped)} of all because a counter ran over"]
+            why = "a counter overflowed" if wrapped else "the clock was set"
+            texts.append(f"stamps go back by {back * 1e-9:.3f} s in {at} ({why}): continued")
+        if len(texts) > 3:
+            texts = [texts[0], f"and {len(texts) - 1} times more, {sum(self.wrapped)} of all because a counter overflowed"]
         if self.stray:
-            said.append(f"{self.stray} stamps far from their neighbours: their rows are left out")
-        return tuple(said)
+            texts.append(f"{self.stray} stamps far from their neighbours: their rows are dropped")
+        return tuple(texts)
 
 
 def continued(stamps: Stamps) -> ContinuedClock:
-    """``stamps`` (n,) [ns] as the file has them; the same array where nothing is to be done."""
+    """``stamps`` (n,) [ns] continued over steps back; the same array where there are none."""
     if len(stamps) < 3 or int(np.diff(stamps).min()) > 0:
         return ContinuedClock(stamps)
     period = _period(stamps)
@@ -84,10 +84,10 @@ def continued(stamps: Stamps) -> ContinuedClock:
     )
 
 
-def with_stamps_carried_on(streams: Sequence[Stream], clock: str | None, machine: bool) -> tuple[Stream, ...]:
-    """Streams of one file whose ``clock`` (the default one if None) never steps back; what was done stands in their losses.
+def with_continued_stamps(streams: Sequence[Stream], clock: str | None, machine: bool) -> tuple[Stream, ...]:
+    """Streams of one file with a continued ``clock`` (the default one if None); their losses report the changes.
 
-    The machine's own clock is only unwrapped: where it was set, nothing says how much time has passed.
+    The machine's own clock is only unwrapped, because after a reset of it the elapsed time is unknown.
     """
     done: dict[bytes, ContinuedClock] = {}
     result = []
@@ -108,7 +108,7 @@ def with_stamps_carried_on(streams: Sequence[Stream], clock: str | None, machine
 
 
 def _seldom_back(stamps: Stamps) -> bool:
-    """Whether stamps go back at all, and not so often that they are in no order."""
+    """Whether stamps go back, but not so often that they are unordered."""
     back = int(np.count_nonzero(stamps[1:] < stamps[:-1])) if len(stamps) > 2 else 0
     return 0 < back <= max(2.0, MAX_BACK_SHARE * len(stamps))
 
@@ -121,7 +121,7 @@ def _period(stamps: Stamps) -> float:
 
 
 def _stray(stamps: Stamps, period: float) -> npt.NDArray[np.bool_]:
-    """Single stamps that lie nowhere near their neighbours, which fit each other."""
+    """Mask of single stamps far from their neighbours, which fit each other."""
     stray = np.zeros(len(stamps), dtype=bool)
     before, own, after = stamps[:-2], stamps[1:-1], stamps[2:]
     fits = (after > before) & (after - before < LATE_PERIODS * period)
@@ -131,7 +131,7 @@ def _stray(stamps: Stamps, period: float) -> npt.NDArray[np.bool_]:
 
 
 def _unwrapped(stamps: Stamps, period: float) -> tuple[Stamps, list[int]]:
-    """Stamps of a counter that ran over, carried on, and the rows where it did."""
+    """Stamps with overflows of a counter undone, and the rows of the overflows."""
     steps = np.diff(stamps)
     added, rows = np.zeros(len(stamps), dtype=np.int64), []
     for row in np.flatnonzero(steps < -MAX_LATE_S * 1e9):

@@ -1,4 +1,4 @@
-"""The skew of a device: what its recordings say together, and whether that is good enough to be applied."""
+"""The skew of a device, pooled over its recordings, and whether it is accurate enough to be applied."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ import numpy as np
 from sysid.datasets.clocks.alignment import Estimate
 from sysid.datasets.recording import ClockRecord
 
-#: The skew is applied where its 95 % interval is no wider than this to either side [ppm], and where this long a motion has
-#: been seen [s]: in less, a drift of a latency or of a sensor cannot be told from a skew, however narrow the interval.
+#: The skew is applied if the half-width of its 95 % interval is at most this [ppm] and the motion at least this long [s]: in
+#: less time, a drift of a latency or of a sensor cannot be distinguished from a skew.
 MAX_SKEW_HALF_WIDTH, MIN_SKEW_SPAN_S = 30.0, 45.0
-#: A skew that nothing shows is within this: two crystals of 100 ppm each, as a share.
+#: Bound of a skew that is not estimated: two crystals of 100 ppm each, as a share.
 TWO_CRYSTALS = 200e-6
-#: Degrees of freedom of what earlier recordings say together.
+#: Degrees of freedom of the skew from earlier recordings.
 _MANY = 1000
 
 
@@ -26,7 +26,7 @@ class KnownSkew:
 
     Args:
         skew_ppm: as in their clock records, with its 95 % interval.
-        recordings: how many they were.
+        recordings: their number.
     """
 
     skew_ppm: float
@@ -49,15 +49,15 @@ class Skew:
     reason: str
 
     @property
-    def doubt(self) -> float:
-        """By how much the true skew may differ from what is applied, with 95 %."""
+    def half_width(self) -> float:
+        """95 % bound of the difference between the true and the applied skew."""
         if self.applied:
             return _half(self.interval)
         return min(max(abs(self.interval[0]), abs(self.interval[1])), TWO_CRYSTALS)
 
 
 def known_skews(records: Sequence[ClockRecord], domains: Mapping[tuple[str, str], str]) -> dict[str, KnownSkew]:
-    """What earlier records say of the skew of each device, where they applied one and its recordings agree.
+    """Skew of each device from earlier records, where one was applied and its recordings agree.
 
     Args:
         domains: (recording, source) → clock domain.
@@ -69,7 +69,7 @@ def known_skews(records: Sequence[ClockRecord], domains: Mapping[tuple[str, str]
             found.setdefault(domain, []).append(record)
     known = {}
     for domain, own in found.items():
-        # Recordings that were added later share a skew that holds what was known before: the narrowest interval is of all.
+        # The skew of later recordings includes that of earlier ones: the narrowest interval is that of all.
         best = min(own, key=lambda record: _half(record.skew_interval95))
         if all(abs(r.skew_ppm - best.skew_ppm) <= _half(r.skew_interval95) + _half(best.skew_interval95) for r in own):
             shown = {record.recording for record in own if math.isfinite(record.residual_rms)}  # static poses show none
@@ -78,7 +78,7 @@ def known_skews(records: Sequence[ClockRecord], domains: Mapping[tuple[str, str]
 
 
 def pooled(estimates: Sequence[tuple[str, Estimate]], known: KnownSkew | None = None) -> Skew | None:
-    """The common skew of one device; None where the recordings contradict each other, or what is known of the device.
+    """The common skew of one device; None where the recordings contradict each other or ``known``.
 
     Args:
         estimates: (recording, estimate) of every piece of every recording.
@@ -99,21 +99,21 @@ def pooled(estimates: Sequence[tuple[str, Estimate]], known: KnownSkew | None = 
         spread = float(np.sum(weights * (skews - mean) ** 2))
         if spread > chi2.ppf(0.999, len(shown) - 1):
             return None
-        # Where the recordings scatter more than their errors say, the mean is less certain by that much.
+        # Where the recordings scatter more than their errors, the error of the mean is scaled by the ratio.
         error *= max(1.0, math.sqrt(spread / (len(shown) - 1)))
     count = len({name for name, _ in own}) + (known.recordings if known is not None else 0)
     span = math.inf if known is not None else sum(e.span[1] - e.span[0] for _, e in own)
-    return judged(mean, quantile(freedom) * error, span, f"common to {count} recordings" if count > 1 else "")
+    return _skew_of(mean, quantile(freedom) * error, span, f"common to {count} recordings" if count > 1 else "")
 
 
 def alone(estimate: Estimate) -> Skew:
     """The skew of one piece of one recording, where those of the device contradict each other."""
     half = quantile(estimate.degrees_of_freedom) * math.sqrt(estimate.covariance[1, 1])
-    return judged(estimate.skew, half, estimate.span[1] - estimate.span[0], "differs between recordings: each has its own")
+    return _skew_of(estimate.skew, half, estimate.span[1] - estimate.span[0], "differs between recordings: each has its own")
 
 
-def judged(skew: float, half: float, span_s: float, reason: str) -> Skew:
-    """Whether a skew with an interval of ± ``half``, seen for ``span_s``, is applied."""
+def _skew_of(skew: float, half: float, span_s: float, reason: str) -> Skew:
+    """A skew with an interval of ± ``half`` from ``span_s`` of motion, not applied where either is insufficient."""
     interval = (skew - half, skew + half)
     if half * 1e6 > MAX_SKEW_HALF_WIDTH:
         wide = f"skew not applied: known to ±{half * 1e6:.0f} ppm only (limit {MAX_SKEW_HALF_WIDTH:g}): record longer"

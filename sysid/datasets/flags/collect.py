@@ -1,4 +1,4 @@
-"""Every channel of a recording through every detector; times on the recording's own axis."""
+"""Runs every fault detector on every channel of a recording."""
 
 from __future__ import annotations
 
@@ -26,21 +26,38 @@ from sysid.signals import split_signal
 #: A channel and its stamps on the time axis of the recording [s].
 Timed = tuple[Channel, Array]
 
-#: A command of more than this share of the largest is a command at all; more than the second moves the axis for certain.
+#: Shares of the largest command above which an axis is commanded, and above which it moves with certainty.
 IDLE, DRIVEN = 0.02, 0.3
-#: On a position axis the command itself has to move: by this share of its range over this time [s].
+#: On a position axis the command itself has to change: by this share of its range over this time [s].
 MOVING_SHARE, MOVING_S = 0.05, 0.5
 
 
-def find_flags(timed: Sequence[Timed], machine: Machine, hold_s: float, progress: Progress = silent) -> list[tuple[str, Flag]]:
-    """(source, flag) of all channels of one motion recording, by signal and time.
+def flag_rows(
+    recording: RecordingClocks,
+    clocks: Sequence[ClockRecord],
+    machine: Machine,
+    hold_s: float = IngestRecipe.hold_s,
+    progress: Progress = silent,
+) -> list[dict[str, Any]]:
+    """Flags of one recording as JSON values by signal and time, see "What is flagged" in ``docs/recipes.md``.
+
+    Static poses have none: nothing is recorded between them, and a signal that moves within one is missing in its row.
 
     Args:
-        timed: primary and secondary channels, with their stamps on the recording's time axis [s].
-        machine: which axis a signal belongs to, and where it ends.
-        hold_s: how long a command counts.
-        progress: called with the share of the samples that have been looked at.
+        machine: gives the axes and their ends.
+        hold_s: longest hold of a command [s].
+        progress: called with the share of the samples that have been checked.
     """
+    if recording.kind == "poses":
+        return []
+    records = by_source(clocks, recording.name)
+    start = recording.start_ns
+    times: dict[tuple[int, str], Array] = {}  # signals of one stream share their stamps
+    for channel in recording.channels:
+        key = (id(channel.stamps), channel.source)
+        if key not in times:
+            times[key] = machine_times(channel, start, records.get(channel.source))
+    timed = [(channel, times[id(channel.stamps), channel.source]) for channel in recording.channels]
     timed = [(channel, at) for channel, at in timed if len(at)]
     commands = [(channel, at) for channel, at in timed if channel.signal.endswith(".command")]
     found: list[tuple[str, Flag]] = []
@@ -53,36 +70,12 @@ def find_flags(timed: Sequence[Timed], machine: Machine, hold_s: float, progress
         flags += [flag for flag in _of(channel, at, commands, machine, hold_s) if not _is_swap(flag, swaps, channel.period_s)]
         found += [(channel.source, flag) for flag in flags]
         leave()
-    return sorted(found, key=lambda item: (item[1].signal, item[0], KINDS.index(item[1].kind), item[1].from_s))
-
-
-def flag_rows(
-    recording: RecordingClocks,
-    clocks: Sequence[ClockRecord],
-    machine: Machine,
-    hold_s: float = IngestRecipe.hold_s,
-    progress: Progress = silent,
-) -> list[dict[str, Any]]:
-    """Flags of one recording as JSON has them, see "What is flagged" in ``docs/recipes.md``.
-
-    Static poses have none: between them nothing is recorded, and what moves within one is missing in its row.
-    """
-    if recording.kind == "poses":
-        return []
-    records = by_source(clocks, recording.name)
-    start = recording.start_ns
-    times: dict[tuple[int, str], Array] = {}  # signals of one stream share their stamps
-    for channel in recording.channels:
-        key = (id(channel.stamps), channel.source)
-        if key not in times:
-            times[key] = machine_times(channel, start, records.get(channel.source))
-    timed = [(channel, times[id(channel.stamps), channel.source]) for channel in recording.channels]
-    found = find_flags(timed, machine, hold_s, progress)
+    found.sort(key=lambda item: (item[1].signal, item[0], KINDS.index(item[1].kind), item[1].from_s))
     return [{"recording": recording.name, "source": source, **asdict(flag)} for source, flag in found]
 
 
 def _on_axis(channel: Channel, at: Array) -> list[Flag]:
-    """What was noticed while a channel was read, on the time axis of the recording."""
+    """Flags from reading a channel, on the time axis of the recording."""
     own = seconds(channel.stamps, int(channel.stamps[0]))
     return [
         replace(flag, from_s=float(np.interp(flag.from_s, own, at)), to_s=float(np.interp(flag.to_s, own, at)))
@@ -91,7 +84,7 @@ def _on_axis(channel: Channel, at: Array) -> list[Flag]:
 
 
 def _is_swap(flag: Flag, swaps: Sequence[Flag], period: float) -> bool:
-    """Whether nothing is missing but the frames of one mistake, which is a flag already."""
+    """Whether a dropout consists of the frames of a mistake that is already flagged."""
     slack = 1.5 * period
     return flag.kind == "dropout" and any(s.from_s - slack <= flag.from_s and flag.to_s <= s.to_s + slack for s in swaps)
 
@@ -100,18 +93,17 @@ def _of(channel: Channel, at: Array, commands: Sequence[Timed], machine: Machine
     signal, values, unit = channel.signal, channel.values, channel.unit
     if signal.endswith(".command"):
         return [*jitter(signal, at), *dropouts(signal, at, values, hold_s)]
-    witness = _witness(signal, at, commands, machine, hold_s)
-    ends = _ends(signal, machine)
-    saturated = saturation(signal, at, values, witness, ends, unit)
-    standing = [
+    context = _context(signal, at, commands, machine, hold_s)
+    saturated = saturation(signal, at, values, context, _ends(signal, machine), unit)
+    constant = [
         flag
-        for flag in stuck(signal, at, values, witness, unit)
+        for flag in stuck(signal, at, values, context, unit)
         if not any(flag.from_s <= other.to_s and other.from_s <= flag.to_s for other in saturated)
     ]
     return [
         *outliers(signal, at, values, unit),
         *jumps(signal, at, values, unit),
-        *standing,
+        *constant,
         *saturated,
         *dropouts(signal, at, values, gap_limit(channel)),
         *jitter(signal, at),
@@ -119,7 +111,7 @@ def _of(channel: Channel, at: Array, commands: Sequence[Timed], machine: Machine
 
 
 def _ends(signal: str, machine: Machine) -> tuple[float, float]:
-    """Range of the axis that ``signal`` measures; without ends where it is not known."""
+    """Range of the axis that ``signal`` measures; infinite where it is not known."""
     owner, kind = split_signal(signal)
     for axis in machine.axes:
         if axis.name == owner:
@@ -130,8 +122,8 @@ def _ends(signal: str, machine: Machine) -> tuple[float, float]:
     return (-np.inf, np.inf)
 
 
-def _witness(signal: str, at: Array, commands: Sequence[Timed], machine: Machine, hold_s: float) -> SensorContext:
-    """When what moves ``signal`` is commanded: its own axis, for a point any axis."""
+def _context(signal: str, at: Array, commands: Sequence[Timed], machine: Machine, hold_s: float) -> SensorContext:
+    """Commands of the axes that move ``signal``: its own axis, for a point any axis."""
     owner, _ = split_signal(signal)
     commanded, driven = np.zeros(len(at), dtype=bool), np.zeros(len(at), dtype=bool)
     period = median_step(at) if len(at) > 1 else 0.0

@@ -1,27 +1,27 @@
-"""Stamps that are uneven, double, out of order, or missing."""
+"""Stamps that are uneven, duplicate, out of order, or missing."""
 
 from __future__ import annotations
 
 import numpy as np
 import numpy.typing as npt
 
-from sysid.datasets.flags.flag import Array, Flag, thinned
+from sysid.datasets.flags.flag import Array, Flag, merged
 from sysid.datasets.in_pieces import copied, counted, differences, median
 from sysid.scratch import chosen
 
-#: Stamps are uneven where nine intervals in ten spread over more than this share of the median one. Below it the instant a
-#: sample was taken at is known to a quarter of a period.
+#: Stamps are uneven where the central 90 % of the intervals spread over more than this share of the median. Below it the time
+#: of a sample is known to a quarter of a period.
 JITTER_SHARE = 0.5
-#: Fewer intervals than this say nothing about evenness.
+#: Least number of intervals for a check of evenness.
 MIN_INTERVALS = 20
 
 
 def dropouts(signal: str, times: Array, values: Array, limit_s: float) -> list[Flag]:
-    """Stretches longer than ``limit_s`` between two known samples: what is not bridged.
+    """Gaps longer than ``limit_s`` between two known samples, which are not bridged.
 
     Args:
         signal: its name.
-        times: rising, (n,) [s].
+        times: increasing, (n,) [s].
         values: (n,), NaN where missing.
         limit_s: the longest gap that is bridged, or for which a command is held [s].
     """
@@ -34,13 +34,13 @@ def dropouts(signal: str, times: Array, values: Array, limit_s: float) -> list[F
     period = median(copied(steps)) if len(long) else 0.0
     for index in long:
         lost = max(round(float(steps[index]) / period) - 1, 1)
-        text = f"nothing for {steps[index]:.3f} s"
+        text = f"no sample for {steps[index]:.3f} s"
         found.append(Flag(signal, "dropout", float(times[index]), float(times[index + 1]), lost, text))
-    return thinned(found)
+    return merged(found)
 
 
 def jitter(signal: str, times: Array) -> list[Flag]:
-    """Uneven stamps, as one flag over all of ``times`` (n,) [s]; gaps are left out."""
+    """Uneven stamps, as one flag over all of ``times`` (n,) [s], without gaps."""
     steps = differences(times)
     if len(steps) < MIN_INTERVALS:
         return []
@@ -67,7 +67,7 @@ def repaired_stamps(signal: str, stamps: npt.NDArray[np.int64]) -> list[Flag]:
     concerned = (np.concatenate([stamps[back], stamps[back + 1], first_double]) - ordered[0]) * 1e-9
     parts = []
     if len(back):
-        parts.append(f"{len(back)} stamps go back, by up to {-1e-6 * float(steps.min()):.3f} ms: put in order")
+        parts.append(f"{len(back)} stamps go back, by up to {-1e-6 * float(steps.min()):.3f} ms: sorted")
     if double:
-        parts.append(f"{double} rows have the stamp of another: left out")
+        parts.append(f"{double} rows have the stamp of another: dropped")
     return [Flag(signal, "stamps", float(concerned.min()), float(concerned.max()), len(back) + double, "; ".join(parts))]

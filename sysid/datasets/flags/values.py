@@ -1,40 +1,39 @@
-"""Samples that no motion explains: spikes of a few samples, and steps from one sample to the next.
+"""Outliers of a few samples, and jumps from one sample to the next.
 
-Both are compared with the sensor's own noise and the steps around: a motion has neighbours that move, whatever its speed; a
-spike or a jump stands alone.
+Both are compared with the sensor's noise and the steps around them: in a fast motion, neighbouring samples move as well.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-from sysid.datasets.flags.flag import Array, Flag, shown, thinned
+from sysid.datasets.flags.flag import Array, Flag, merged, with_unit
 from sysid.datasets.in_pieces import absolute, differences, masked, median, median_step
 from sysid.scratch import chosen, computed, pieces
 
-#: A spike is at most this many samples long; what lasts longer are two jumps.
+#: Longest outlier [samples]; a longer one is two jumps.
 SPIKE_SAMPLES = 5
-#: Steps on each side that a spike or a jump is compared with.
+#: Steps on each side with which an outlier or a jump is compared.
 AROUND = 5
-#: A spike leaves the line between its neighbours by this many standard deviations of the noise. In Gaussian noise the line
-#: between two samples is missed by 1.22 σ, so that this is 6.5 of them: one false alarm in 10¹⁰ samples.
+#: Least distance of an outlier from the line between its neighbours, in standard deviations of the noise. In Gaussian noise
+#: that distance has a standard deviation of 1.22 σ, so that this is 6.5 of them: one false alarm in 10¹⁰ samples.
 SPIKE_NOISE = 8.0
-#: … and a jump is this many: its sides are averaged by nobody, and a sensor that jumps does so by far more.
+#: The same for a jump: its sides are not averaged, and real jumps are far larger.
 JUMP_NOISE = 12.0
-#: Both are at least this many times what a counting sensor counts in: neighbours flicker by one.
+#: Least size of both in steps of a quantised sensor, whose neighbours differ by one step.
 STEPS_OF_SENSOR = 4.0
-#: How many times further than the steps around it a spike goes, out and back in a few samples.
+#: Least ratio of an outlier to the steps around it.
 SPIKE_RATIO = 3.0
-#: The same for a jump: the largest of ten noisy steps is 2.4 σ, and a motion that begins with a jerk goes on as fast.
+#: The same for a jump: the largest of ten noisy steps is 2.4 σ, and a motion that begins with a jerk continues as fast.
 JUMP_RATIO = 6.0
-#: A change is a multiple of a sensor's step within this share of it, and this many of all changes have to be.
+#: A change is a multiple of a sensor's step within this share of it; share of all changes that have to be multiples.
 COUNT_SLACK, COUNTED = 0.05, 0.95
-#: Steps across more than this many sample periods say nothing: anything may have happened in between.
+#: Steps across more sample periods are not compared.
 GAP_PERIODS = 3.0
-#: A jump and one back by nearly as much (within this share) belong together when less than this time lies between [s].
+#: A jump and a jump back of the same size within this share are one flag if less than this time is between them [s].
 BACK_SHARE, BACK_S = 0.3, 20.0
-#: Candidates that are looked at together: each with the steps around it.
-_TOGETHER = 2**16
+#: Candidates that are processed together.
+_BATCH = 2**16
 
 
 def noise_scale(values: Array) -> float:
@@ -46,9 +45,9 @@ def noise_scale(values: Array) -> float:
 
 
 def sensor_step(values: Array) -> float:
-    """What the sensor counts in; 0 where its values are not counts.
+    """Quantisation step of the sensor; 0 where it is not quantised.
 
-    The smallest change, where (almost) all changes are whole multiples of it: of changes with noise one in ten is by chance.
+    The smallest change, if almost all changes are whole multiples of it; with noise, one in ten is by chance.
     """
     changes = absolute(differences(values))
     changes = chosen(changes, changes > 1e-9 * float(np.ptp(values))) if len(values) else changes
@@ -63,12 +62,12 @@ def sensor_step(values: Array) -> float:
 
 
 def outliers(signal: str, times: Array, values: Array, unit: str = "1") -> list[Flag]:
-    """Spikes: one to :data:`SPIKE_SAMPLES` samples that leave the line between their neighbours and come back.
+    """One to :data:`SPIKE_SAMPLES` samples far from the line between their neighbours.
 
     Args:
         signal: its name.
-        times: rising, (n,) [s].
-        values: (n,); NaN is left out.
+        times: increasing, (n,) [s].
+        values: (n,); NaN is skipped.
         unit: of the values, for the text.
     """
     known = ~np.isnan(values)
@@ -81,10 +80,10 @@ def outliers(signal: str, times: Array, values: Array, unit: str = "1") -> list[
         floor = 1e-9 * float(np.ptp(values))
     period = median_step(times)
     steps = absolute(differences(values))
-    # The line between the ends is at most a third as steep as the spike is high (SPIKE_RATIO): the step into it is larger.
+    # The line between the ends rises by at most a third of the outlier (SPIKE_RATIO), so the step into the outlier is larger.
     begins = np.flatnonzero(steps > (1.0 - 1.0 / SPIKE_RATIO) * floor)
     taken = np.zeros(len(values), dtype=bool)
-    parts = [begins[first : first + _TOGETHER] for first in range(0, len(begins), _TOGETHER)]
+    parts = [begins[first : first + _BATCH] for first in range(0, len(begins), _BATCH)]
     for length, begins in ((length, part) for length in range(1, SPIKE_SAMPLES + 1) for part in parts):
         before = begins[(begins >= AROUND) & (begins < len(steps) - AROUND - length)]
         after = before + length + 1
@@ -93,22 +92,21 @@ def outliers(signal: str, times: Array, values: Array, unit: str = "1") -> list[
         off = _least_distance(times, values, before, length)
         high = np.flatnonzero(off > np.maximum(floor, SPIKE_RATIO * np.abs(values[after] - values[before]) / length))
         sides = np.concatenate([np.arange(-AROUND, 0), length + 1 + np.arange(AROUND)])
-        # The two largest steps around are left out: they may be those of another spike.
+        # Without the two largest steps around, which may be those of another outlier.
         usual = np.sort(steps[before[high][:, None] + sides], axis=1)[:, -3]
         alone = off[high] > SPIKE_RATIO * usual
         for index, step in zip(high[alone], usual[alone], strict=True):
             first, last = before[index] + 1, after[index]
             if not taken[first:last].any():
                 taken[first:last] = True
-                text = (
-                    f"{_count(length)} off by {shown(float(off[index]), unit)}, the steps around are {shown(float(step), unit)}"
-                )
+                size, around = with_unit(float(off[index]), unit), with_unit(float(step), unit)
+                text = f"{_count(length)} off by {size}, the steps around are {around}"
                 found.append(Flag(signal, "outlier", float(times[first]), float(times[last - 1]), length, text))
-    return thinned(sorted(found, key=lambda flag: flag.from_s))
+    return merged(sorted(found, key=lambda flag: flag.from_s))
 
 
 def _least_distance(times: Array, values: Array, before: np.typing.NDArray[np.intp], length: int) -> Array:
-    """Of the ``length`` samples after ``before``: how far the nearest is from the line between those on both sides, (m,)."""
+    """Least distance of the ``length`` samples after ``before`` from the line between the samples on both sides, (m,)."""
     after = before + length + 1
     slope = (values[after] - values[before]) / (times[after] - times[before])
     least = np.full(len(before), np.inf)
@@ -122,7 +120,7 @@ def _least_distance(times: Array, values: Array, before: np.typing.NDArray[np.in
 
 
 def jumps(signal: str, times: Array, values: Array, unit: str = "1") -> list[Flag]:
-    """Steps between two samples that no step around comes near: swapped markers, a slipped or wrapped sensor, lost counts.
+    """Steps between two samples far larger than those around: swapped markers, a slipped or wrapped sensor, lost counts.
 
     Arguments as for :func:`outliers`. A jump and the one back are one flag.
     """
@@ -135,7 +133,7 @@ def jumps(signal: str, times: Array, values: Array, unit: str = "1") -> list[Fla
 
     def rates(first: int, last: int) -> Array:
         spans = np.diff(times[first : last + 1])
-        # A message that came late moves further: by its rate it is as usual.
+        # Relative to its time step, the motion over a late message is not larger.
         size = np.diff(values[first : last + 1]) * (period / np.maximum(spans, period))
         size[spans > GAP_PERIODS * period] = 0.0
         return size
@@ -144,7 +142,7 @@ def jumps(signal: str, times: Array, values: Array, unit: str = "1") -> list[Fla
     far = np.flatnonzero(masked(len(size), lambda first, last: np.abs(size[first:last]) > floor))
     far = far[(far >= AROUND) & (far < len(size) - AROUND)]
     sides = np.concatenate([np.arange(-AROUND, 0), np.arange(1, AROUND + 1)])
-    parts = [far[first : first + _TOGETHER] for first in range(0, len(far), _TOGETHER)]
+    parts = [far[first : first + _BATCH] for first in range(0, len(far), _BATCH)]
     alone = [np.abs(size[part]) > JUMP_RATIO * np.abs(size[part[:, None] + sides]).max(axis=1) for part in parts]
     far = far[np.concatenate(alone)] if alone else far
     found: list[Flag] = []
@@ -153,7 +151,7 @@ def jumps(signal: str, times: Array, values: Array, unit: str = "1") -> list[Fla
         step = int(far[number])
         by = float(values[step + 1] - values[step])
         first, last = step + 1, step + 1
-        text = f"{'wraps' if _is_turn(by, unit) else 'jumps'} by {shown(by, unit)} between two samples"
+        text = f"{'wraps' if _is_turn(by, unit) else 'jumps'} by {with_unit(by, unit)} between two samples"
         if number + 1 < len(far):
             back = int(far[number + 1])
             returned = float(values[back + 1] - values[back])
@@ -162,7 +160,7 @@ def jumps(signal: str, times: Array, values: Array, unit: str = "1") -> list[Fla
                 text += f" and back {times[back] - times[first]:.3f} s later"
         found.append(Flag(signal, "jump", float(times[first]), float(times[last]), last - first + 1, text))
         number += 1
-    return thinned(found)
+    return merged(found)
 
 
 def _is_turn(by: float, unit: str) -> bool:

@@ -1,1 +1,1 @@
-"""Motion capture: markers and rigid bodies → joints and points in the base frame, and proposals for the frame itself."""
+"""Motion capture: markers and rigid bodies → joints and points in the base frame, and proposals for the capture frame."""

@@ -1,7 +1,7 @@
-"""Where the capture frame stands in the machine's base frame: what is proposed, for a person to look at.
+"""A proposal for the pose of the capture frame in the machine's base frame.
 
-Nothing here is ever applied by itself, and no survey goes through the kinematics beyond the place of one axis: a base that is
-fitted through the kinematics would hide errors of the machine.
+A proposal is never applied automatically, and uses the kinematics only for the position of one axis: a base that is fitted
+through the kinematics would hide errors of the machine.
 """
 
 from __future__ import annotations
@@ -19,17 +19,17 @@ Array = npt.NDArray[np.float64]
 
 @dataclass(frozen=True)
 class FrameProposal:
-    """A pose of the capture frame, and how far it can be trusted.
+    """A pose of the capture frame with its uncertainty.
 
     Args:
-        frame: what the recipe would say.
+        frame: for the recipe.
         method: ``markers`` or ``turn``.
-        names: the markers it rests on.
-        rms_m, max_m: what is left between survey and capture [m].
-        translation95, rotation95: half widths of 95 % intervals [m], and about the base axes [rad]; infinite along what
-            stays open. After a turn the place is that of the axis, at the height of the points.
-        open: what the survey does not determine, in words.
-        notes: what looks wrong.
+        names: of the markers used.
+        rms_m, max_m: residuals between survey and capture [m].
+        translation95, rotation95: half widths of 95 % intervals [m], and about the base axes [rad]; infinite where not
+            determined. After a turn the position is that of the axis, at the height of the points.
+        open: what the survey does not determine, as sentences.
+        notes: possible mistakes.
     """
 
     frame: FramePose
@@ -44,13 +44,13 @@ class FrameProposal:
 
     @property
     def lines(self) -> str:
-        """The table for the recipe."""
+        """The TOML table for the recipe."""
         numbers = [", ".join(f"{value:.6f}" for value in values) for values in (self.frame.translation, self.frame.rpy)]
         return f"[streams.frame]\ntranslation = [{numbers[0]}]\nrpy = [{numbers[1]}]"
 
 
 def frame_of(pose: Array) -> FramePose:
-    """The pose (4, 4) as a recipe has it: roll, pitch and yaw about fixed axes; where pitch is ±90° the roll is zero."""
+    """The pose (4, 4) with roll, pitch and yaw about fixed axes; at a pitch of ±90° the roll is zero."""
     r = pose[:3, :3]
     pitch = math.atan2(-r[2, 0], math.hypot(r[0, 0], r[1, 0]))
     if math.hypot(r[0, 0], r[1, 0]) < 1e-9:

@@ -1,4 +1,4 @@
-"""The capture frame from static markers whose places in the base frame are known.
+"""The capture frame from static markers with known positions in the base frame.
 
 Sources: Kabsch, Acta Cryst. A32 (1976) 922; Umeyama, IEEE PAMI 13 (1991) 376, without its scale.
 """
@@ -17,36 +17,36 @@ from sysid.errors import InputError
 
 Array = npt.NDArray[np.float64]
 
-#: Markers nearer to one line, or one plane, than this (ratio of extents) do not fix a rotation, or do not show a mirror.
+#: Markers nearer to one line do not determine a rotation; nearer to one plane, they do not show a mirror image (ratio of
+#: extents).
 MIN_WIDTH = 0.02
-#: Another reading of the markers (mirrored, two exchanged, one left out) is told where it leaves less than this share of the
-#: residual: by chance a residual does not fall that far.
+#: Another assignment of the markers (mirrored, two exchanged, one omitted) is reported if its residual is below this share,
+#: which does not happen by chance.
 BETTER = 1.0 / 3.0
-#: Distances that differ from the surveyed ones by more than this share are told.
+#: A larger difference of distances from the surveyed ones is reported (share).
 MAX_SCALE = 0.01
 
 
 def from_markers(seen: Mapping[str, Array], known: Mapping[str, Sequence[float]], where: object) -> FrameProposal:
-    """The pose that lays static markers on their surveyed places best.
+    """The pose with the least distances of static markers from their surveyed positions.
 
     Args:
-        seen: marker → place in the capture frame (3,) [m].
-        known: marker → place in the base frame [m]; the same markers.
+        seen: marker → position in the capture frame (3,) [m].
+        known: marker → position in the base frame [m]; the same markers.
         where: for messages.
 
     Raises:
-        InputError: fewer than three markers, markers in a line, a mirrored frame, lengths of another unit.
+        InputError: fewer than three markers, collinear markers, a mirrored frame, lengths of another unit.
     """
     names = tuple(known)
     capture, base = np.array([seen[name] for name in names]), np.array([known[name] for name in names], dtype=np.float64)
     if len(names) < 3:
-        raise InputError(where, f"{len(names)} static marker{'s' * (len(names) != 1)}", "three that are not in a line")
-    for what, points in (("surveyed", base), ("seen", capture)):
+        raise InputError(where, f"{len(names)} static marker{'s' * (len(names) != 1)}", "three that are not collinear")
+    for what, points in (("surveyed", base), ("captured", capture)):
         extents = main_extents(points)
         if extents[1] < MIN_WIDTH * extents[0]:
-            raise InputError(
-                where, f"the {what} markers lie in a line", "three that do not", "A turn about that line stays open: add one."
-            )
+            remedy = "The rotation about that line is not determined: add a marker."
+            raise InputError(where, f"the {what} markers are collinear", "three that are not", remedy)
     notes = []
     scale = math.sqrt(float(_spread(capture) / _spread(base)))
     if not 0.5 < scale < 2.0:
@@ -57,7 +57,7 @@ def from_markers(seen: Mapping[str, Array], known: Mapping[str, Sequence[float]]
     rms = rms_of(off)
     extents = main_extents(base)
     if extents[2] < MIN_WIDTH * extents[0]:
-        notes.append("the markers lie in a plane: a mirrored capture frame would not be seen")
+        notes.append("the markers are coplanar: a mirrored capture frame would not be detected")
     elif rms > 1e-9 and rms_of(_kabsch(capture, base, mirrored=True)[1]) < BETTER * rms:
         raise InputError(
             where, f"the markers fit mirrored only ({1e3 * rms:.1f} mm as they are)", "a right-handed frame", "Check the axes."
@@ -71,7 +71,7 @@ def from_markers(seen: Mapping[str, Array], known: Mapping[str, Sequence[float]]
 
 
 def _confused(names: Sequence[str], capture: Array, base: Array, rms: float) -> list[str]:
-    """Markers that are exchanged, or one that is not where it was surveyed."""
+    """Notes about exchanged markers, or one that is not at its surveyed position."""
     if rms < 1e-6:
         return []
     found = []
@@ -91,11 +91,11 @@ def _confused(names: Sequence[str], capture: Array, base: Array, rms: float) -> 
     if not found:
         return []
     other, text = min(found)
-    return [f"{text}; without that {1e3 * other:.2f} mm are left instead of {1e3 * rms:.2f} mm"]
+    return [f"{text}; without that the residual is {1e3 * other:.2f} mm instead of {1e3 * rms:.2f} mm"]
 
 
 def _kabsch(capture: Array, base: Array, mirrored: bool = False) -> tuple[Array, Array]:
-    """Pose (4, 4) that maps ``capture`` (n, 3) onto ``base``, and what is left, (n, 3); with a reflection if ``mirrored``."""
+    """Pose (4, 4) that maps ``capture`` (n, 3) onto ``base``, and residuals (n, 3); with a reflection if ``mirrored``."""
     centre, target = capture.mean(axis=0), base.mean(axis=0)
     u, _, vt = np.linalg.svd((capture - centre).T @ (base - target))
     handed = np.sign(np.linalg.det(u) * np.linalg.det(vt)) * (-1.0 if mirrored else 1.0)

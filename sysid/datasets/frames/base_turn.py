@@ -1,4 +1,4 @@
-"""The capture frame from a motion in which one revolute axis turns alone: what it carries moves on circles about it."""
+"""The capture frame from a rotation of one revolute axis alone, in which points move on circles about the axis."""
 
 from __future__ import annotations
 
@@ -14,34 +14,34 @@ from sysid.errors import InputError
 
 Array = npt.NDArray[np.float64]
 
-#: An axis has to turn this far [rad], and its points have to stay this near to circles (share of the largest radius).
+#: Least rotation of the axis [rad], and largest distance of points from circles (share of the largest radius).
 MIN_TURN, MAX_OFF_CIRCLE = math.radians(30.0), 0.02
-#: Frames of a turn that are used of each point, and the blocks they are cut into for the interval: neighbours err alike.
+#: Frames used of each point, and blocks for the interval, since errors of neighbouring frames are correlated.
 TURN_FRAMES, BLOCKS = 600, 12
 
 
 def from_turn(
     tracks: Mapping[str, Array], point: Sequence[float] | Array, direction: Sequence[float] | Array, axis: str, where: object
 ) -> FrameProposal:
-    """The pose that lays the axis about which points were seen to turn on the axis of the machine.
+    """The pose that maps the observed axis of rotation onto the axis of the machine.
 
-    The turn about the axis and the place along it stay open: the shortest turn, and no shift along the axis, are proposed.
+    The rotation about the axis and the position along it are not determined: the smallest rotation and no shift are proposed.
 
     Args:
-        tracks: point → places while the axis turns alone, (n, 3) [m].
+        tracks: point → positions while the axis turns alone, (n, 3) [m].
         point, direction: the axis in the base frame; about ``direction`` it turns in the positive sense first.
         axis: its name, for messages.
 
     Raises:
-        InputError: nothing turns far enough, or not on circles about one axis.
+        InputError: no point turns far enough, or on circles about one axis.
     """
     used = {name: _thinned(track[~np.isnan(track).any(axis=1)]) for name, track in tracks.items()}
     used = {name: track for name, track in used.items() if len(track) >= 2 * BLOCKS}
     if not used:
-        raise InputError(where, f"no point that was seen in {2 * BLOCKS} frames", f"points that turn with {axis!r}")
+        raise InputError(where, f"no point that is visible in {2 * BLOCKS} frames", f"points that turn with {axis!r}")
     sizes = {name: float(main_extents(track)[0]) / math.sqrt(len(track)) for name, track in used.items()}
     if max(sizes.values()) < 0.01:
-        raise InputError(where, f"nothing moves by more than {1e3 * max(sizes.values()):.1f} mm", f"a turn of {axis!r}")
+        raise InputError(where, f"no point moves by more than {1e3 * max(sizes.values()):.1f} mm", f"a turn of {axis!r}")
     normal, centre, radii, covariance, off = _circles(list(used.values()))
     turned, first = _turn_of(list(used.values()), normal, centre, int(np.argmax(radii)))
     if turned < MIN_TURN:
@@ -51,7 +51,7 @@ def from_turn(
     if rms > MAX_OFF_CIRCLE * max(radii):
         raise InputError(
             where,
-            f"the points leave their circles by {1e3 * rms:.1f} mm (largest radius {max(radii):.3f} m)",
+            f"the points depart from circles by {1e3 * rms:.1f} mm (largest radius {max(radii):.3f} m)",
             f"circles about one axis: {axis!r} alone moves",
             "Record a survey in which no other axis moves.",
         )
@@ -66,12 +66,12 @@ def from_turn(
     sideways = np.abs(along) < 1.0 - 1e-9
     tilt, place = (np.where(sideways | (np.abs(along) < 0.5), np.sqrt(np.diag(part)), np.inf) for part in spread)
     opened = (
-        f"the turn about the axis of {axis!r} (yaw): survey one more marker away from the axis, or one direction",
-        f"the place along the axis of {axis!r} (height): measure one height",
+        f"the rotation about the axis of {axis!r} (yaw): survey one more marker away from the axis, or one direction",
+        f"the position along the axis of {axis!r} (height): measure one height",
     )
     notes = (
-        f"{axis!r} is taken to turn as the recipe says first (sense = 1 or −1): the other way the frame is upside down",
-        "the interval of the place holds at the height of the points that turned",
+        f"{axis!r} is assumed to turn first as in the recipe (sense = 1 or −1): otherwise the frame is upside down",
+        "the interval of the position holds at the height of the points",
     )
     return FrameProposal(
         frame_of(pose), "turn", tuple(used), rms, float(np.abs(off).max()), three(place), three(tilt), opened, notes
@@ -79,8 +79,8 @@ def from_turn(
 
 
 def _circles(tracks: Sequence[Array]) -> tuple[Array, Array, list[float], tuple[Array, Array], Array]:
-    """Circles about one axis: its direction, the point on it next to the mean, radii, half widths squared as matrices (of the
-    direction as a small rotation, and of the point), and the residuals along and across (k, 2)."""
+    """Circles about one axis: its direction, the point on it nearest to the mean, radii, squared half widths as matrices (of
+    the direction as a small rotation, and of the point), and the residuals along and across (k, 2)."""
     from scipy.optimize import least_squares
     from scipy.stats import t
 
@@ -89,7 +89,7 @@ def _circles(tracks: Sequence[Array]) -> tuple[Array, Array, list[float], tuple[
     frame = np.linalg.svd(centred, full_matrices=False)[2]
     frame[2] *= np.sign(np.linalg.det(frame))
     local = [(track - mean) @ frame.T for track in tracks]
-    # Kåsa's linear fit with one centre starts it.
+    # Initial values from Kåsa's linear fit with one centre.
     rows = [np.column_stack([2 * p[:, :2], np.zeros((len(p), len(local)))]) for p in local]
     for number, row in enumerate(rows):
         row[:, 2 + number] = 1.0
@@ -113,7 +113,7 @@ def _circles(tracks: Sequence[Array]) -> tuple[Array, Array, list[float], tuple[
         first += [radius, float(p[:, 2].mean())]
     fit = least_squares(residuals, first, x_scale="jac")
     normal = np.array([fit.x[0], fit.x[1], 1.0]) / math.sqrt(1.0 + float(fit.x[:2] @ fit.x[:2]))
-    # Neighbouring frames err alike: blocks of them count as the independent ones.
+    # Errors of neighbouring frames are correlated: blocks of them are treated as independent.
     jacobian = np.asarray(fit.jac, dtype=np.float64)
     bread = np.linalg.pinv(jacobian.T @ jacobian)
     scores = jacobian * fit.fun[:, None]
@@ -138,7 +138,7 @@ def _circles(tracks: Sequence[Array]) -> tuple[Array, Array, list[float], tuple[
 
 
 def _turn_of(tracks: Sequence[Array], normal: Array, centre: Array, which: int) -> tuple[float, float]:
-    """How far the point with the largest radius turns [rad], and the sign of its first turn about ``normal``."""
+    """Rotation of the point with the largest radius [rad], and the sign of its first turn about ``normal``."""
     from_centre = tracks[which] - centre
     flat = from_centre - (from_centre @ normal)[:, None] * normal
     x = flat[0] / np.linalg.norm(flat[0])

@@ -1,9 +1,9 @@
-"""Motion capture → joints and points: rigid bodies on links, seen in the capture frame.
+"""Motion capture → joints and points, from rigid bodies on links.
 
 ``T_base_body = T_base_capture · T_capture_body`` with the surveyed capture frame. In the reference pose the joint values are
-known, so the URDF says where each link is and what is left is where the body sits on it, ``T_link_body`` (its mount). Then
+known, so the URDF gives the pose of each link, and the mount of the body on it, ``T_link_body``, follows. Then
 ``T_base_link = T_base_body · T_link_body⁻¹`` at any time, and a joint's value is its child's pose relative to its parent about
-the joint's axis. Poses are arrays (n, 4, 4); a body that was not seen has NaN.
+the joint's axis. Poses are arrays (n, 4, 4), NaN where a body is not visible.
 """
 
 from __future__ import annotations
@@ -28,13 +28,13 @@ from sysid.machine.kinematics import Joint
 Array = npt.NDArray[np.float64]
 Stamps = npt.NDArray[np.int64]
 
-#: The machine counts as standing still in the reference pose while bodies stay within this [m].
+#: Largest motion of a body in the reference pose [m].
 STILL = 2e-3
 
 
 @dataclass(frozen=True)
-class Track:
-    """Where a link is in the base frame: stamps (n,) [ns] and poses (n, 4, 4). Without stamps it stands still, (4, 4)."""
+class LinkPoses:
+    """Poses of a link in the base frame (n, 4, 4) with stamps (n,) [ns]; a fixed link has one pose (4, 4) and no stamps."""
 
     stamps: Stamps | None
     poses: Array
@@ -44,7 +44,7 @@ class Track:
 
 @dataclass(frozen=True)
 class CaptureSignal:
-    """A signal that motion capture gives, on the stamps of the body it came from."""
+    """A signal from motion capture, with the stamps of its body."""
 
     signal: str
     stamps: Stamps
@@ -57,8 +57,8 @@ def find_mounts(streams: Sequence[Stream], mapping: StreamMap, machine: Machine)
     """Body → its mount ``T_link_body`` (as a list, so that several recordings can be averaged), from the reference pose.
 
     Raises:
-        InputError: a body is not seen, or moves, in the seconds of the reference.
-        SettingsError: a body that the file does not have, joint values that are not given.
+        InputError: a body is not visible, or moves, in the seconds of the reference.
+        SettingsError: a body that is not in the file, missing joint values.
     """
     reference = mapping.reference
     kinematics = machine.kinematics()
@@ -77,15 +77,14 @@ def find_mounts(streams: Sequence[Stream], mapping: StreamMap, machine: Machine)
         poses = poses[~np.isnan(poses[:, 0, 3])]
         where = f"{stream.source}: {body}"
         if len(poses) < 3:
-            raise InputError(
-                where, f"seen in {len(poses)} frames of the reference pose", "at least three", "Choose other seconds."
-            )
-        # Medians of parts, so that noise is no motion.
+            found = f"visible in {len(poses)} frames of the reference pose"
+            raise InputError(where, found, "at least three", "Choose other seconds.")
+        # Medians of parts, so that noise does not count as motion.
         parts = np.array_split(poses[:, :3, 3], min(5, len(poses) // 3))
         spread = float(np.ptp([np.median(part, axis=0) for part in parts], axis=0).max())
         if spread > STILL:
             found = f"moves by {1e3 * spread:.1f} mm in the reference pose"
-            raise InputError(where, found, "a machine that stands still", "Choose other seconds.")
+            raise InputError(where, found, "a machine at rest", "Choose other seconds.")
         if link not in links:
             raise SettingsError(where, f"link {link!r} is not moved by an axis", nearest(link, links), "Use `points` for it.")
         mounts.setdefault(body, []).append(inverse(links[link][0]) @ mean_pose(poses))
@@ -110,7 +109,7 @@ def _named(streams: Sequence[Stream], body: str) -> Stream:
 
 
 def stamps_of(stream: Stream, mapping: StreamMap) -> Stamps:
-    """The stamps of a tracked body that the recipe chooses.
+    """The stamps of a tracked body on the clock of the recipe.
 
     Raises:
         InputError: the file does not have that clock.
@@ -123,7 +122,7 @@ def stamps_of(stream: Stream, mapping: StreamMap) -> Stamps:
 
 
 def _origin(streams: Sequence[Stream], mapping: StreamMap) -> int:
-    """First stamp of all that is tracked [ns]: zero of the seconds in recipes and remarks."""
+    """First stamp of all tracked bodies and markers [ns], from which seconds in recipes and notes count."""
     tracked = {*mapping.bodies, *(point.body or point.marker for point in mapping.points.values())}
     return min((int(stamps_of(s, mapping).min()) for s in streams if s.name in tracked and len(s)), default=0)
 
@@ -131,13 +130,13 @@ def _origin(streams: Sequence[Stream], mapping: StreamMap) -> int:
 def joints_and_points(
     streams: Sequence[Stream], mapping: StreamMap, mounts: Mapping[str, Array], machine: Machine
 ) -> tuple[list[CaptureSignal], tuple[MissingFrames, ...]]:
-    """The signals that tracked bodies and markers give, and the frames that were dropped.
+    """The signals of tracked bodies and markers, and the dropped frames.
 
-    Bodies of one export share their stamps. Where they do not (topics of a bag), the one seen more often is turned and moved
-    to the instants of the other before a joint is taken between them.
+    Bodies of one export share their stamps. Where they do not (topics of a bag), the poses of the one with more samples are
+    interpolated to the instants of the other before the joint between them is computed.
     """
     dropped: dict[str, tuple[MissingFrames, ...]] = {}
-    tracks: dict[str, Track] = {}
+    tracks: dict[str, LinkPoses] = {}
     origin = _origin(streams, mapping)
     markers = [point.marker for point in mapping.points.values() if point.marker is not None]
     for name in (*mapping.bodies, *(point.body for point in mapping.points.values() if point.body is not None), *markers):
@@ -154,8 +153,8 @@ def joints_and_points(
                 None if errors is None else errors[order],
             )
             swaps = tuple(_swap(item, (int(stamps[0]) - origin) * 1e-9) for item in dropped[name])
-            tracks[name] = Track(stamps, cleaned, repaired, swaps)
-    seen = []
+            tracks[name] = LinkPoses(stamps, cleaned, repaired, swaps)
+    signals = []
     kinematics = machine.kinematics()
     if kinematics is not None and mapping.bodies:
         links = {link: _moved(tracks[body], inverse(mounts[body])) for body, link in mapping.bodies.items()}
@@ -166,34 +165,36 @@ def joints_and_points(
                 both = _together(parent, child, mapping.max_gap_s)
                 if both is not None:
                     stamps, upper, lower, repaired, flags = both
-                    seen.append(_seen(f"{axis.name}.joint", stamps, _joint_values(joint, upper, lower), repaired, flags))
+                    values = _joint_values(joint, upper, lower)
+                    signals.append(_signal(f"{axis.name}.joint", stamps, values, repaired, flags))
     for point, entry in mapping.points.items():
         track = tracks[entry.body or entry.marker or ""]
         places = track.poses @ np.array([*entry.at, 1.0])
         for index, axis_name in enumerate("xyz"):
             if track.stamps is not None:
-                seen.append(_seen(f"{point}.{axis_name}", track.stamps, places[:, index], track.repaired, track.flags))
-    return seen, tuple(item for group in dropped.values() for item in group)
+                name = f"{point}.{axis_name}"
+                signals.append(_signal(name, track.stamps, places[:, index], track.repaired, track.flags))
+    return signals, tuple(item for group in dropped.values() for item in group)
 
 
-def _seen(signal: str, stamps: Stamps, values: Array, repaired: int, flags: Sequence[Flag]) -> CaptureSignal:
+def _signal(signal: str, stamps: Stamps, values: Array, repaired: int, flags: Sequence[Flag]) -> CaptureSignal:
     return CaptureSignal(signal, stamps, values, repaired, tuple(replace(flag, signal=signal) for flag in flags))
 
 
 def _swap(item: MissingFrames, late_s: float) -> Flag:
-    """A dropped stretch as a flag; its seconds count from the first stamp of the body itself."""
+    """Dropped frames as a flag; its seconds count from the first stamp of the body."""
     text = f"{item.body}: {item.reason}; set to missing"
     return Flag("", "marker_swap", item.start_s - late_s, item.end_s - late_s, item.frames, text)
 
 
-def _moved(track: Track, by: Array) -> Track:
+def _moved(track: LinkPoses, by: Array) -> LinkPoses:
     return replace(track, poses=track.poses @ by)
 
 
 def _together(
-    parent: Track, child: Track, max_gap_s: float | None
+    parent: LinkPoses, child: LinkPoses, max_gap_s: float | None
 ) -> tuple[Stamps, Array, Array, int, tuple[Flag, ...]] | None:
-    """Both at the same instants: stamps, poses of the parent and of the child, repaired rows, flags. None without any."""
+    """Both at the same instants: stamps, poses of the parent and of the child, repaired rows, flags. None without stamps."""
     repaired, flags = max(parent.repaired, child.repaired), (*parent.flags, *child.flags)
     if parent.stamps is None or child.stamps is None:
         stamps = child.stamps if child.stamps is not None else parent.stamps
@@ -205,7 +206,7 @@ def _together(
     return child.stamps, _at(parent, child.stamps, max_gap_s), child.poses, repaired, flags
 
 
-def _at(track: Track, stamps: Stamps, max_gap_s: float | None) -> Array:
+def _at(track: LinkPoses, stamps: Stamps, max_gap_s: float | None) -> Array:
     """Poses of ``track`` at other stamps."""
     if track.stamps is None:
         return np.tile(track.poses, (len(stamps), 1, 1))
@@ -219,7 +220,7 @@ def _period(stamps: Stamps) -> float:
 
 
 def _joint_values(joint: Joint, parent: Array, child: Array) -> Array:
-    """Value of ``joint`` between poses of its parent, (n, 4, 4) or one that stands still, and of its child."""
+    """Value of ``joint`` between poses of its parent, (n, 4, 4) or a fixed one (4, 4), and of its child."""
     motion = inverse(joint.origin) @ inverse(parent) @ child
     if joint.prismatic:
         return np.asarray(motion[:, :3, 3] @ joint.axis)
@@ -227,14 +228,14 @@ def _joint_values(joint: Joint, parent: Array, child: Array) -> Array:
     turn = np.stack(
         [rotation[:, 2, 1] - rotation[:, 1, 2], rotation[:, 0, 2] - rotation[:, 2, 0], rotation[:, 1, 0] - rotation[:, 0, 1]], 1
     )
-    # For a rotation by q about the axis: turn·axis = 2 sin q, trace − axisᵀ R axis = 2 cos q; the best fit where noise tilts.
+    # For a rotation by q about the axis: turn·axis = 2 sin q, trace − axisᵀ R axis = 2 cos q; the best fit with noise.
     along = np.einsum("i,nij,j->n", joint.axis, rotation, joint.axis)
     angle = np.arctan2(turn @ joint.axis, np.trace(rotation, axis1=1, axis2=2) - along)
     return _continuous(angle, joint.limits)
 
 
 def _continuous(angle: Array, limits: tuple[float, float]) -> Array:
-    """Angles without steps of 2π: into the turn around the middle of the joint's range, or unwrapped where it has none."""
+    """Angles without steps of 2π: within ±π of the middle of the joint's range, or unwrapped where it has none."""
     low, high = limits
     if np.isfinite(low) and np.isfinite(high) and high - low <= 2.0 * np.pi:
         middle = (low + high) / 2.0
@@ -244,12 +245,12 @@ def _continuous(angle: Array, limits: tuple[float, float]) -> Array:
     return angle
 
 
-def _link_track(link: str, links: Mapping[str, Track], kinematics: Kinematics) -> Track | None:
-    """Where ``link`` is, from the body on it, or on a link fixed to it; the root link is the base frame itself."""
+def _link_track(link: str, links: Mapping[str, LinkPoses], kinematics: Kinematics) -> LinkPoses | None:
+    """Poses of ``link``, from the body on it or on a link fixed to it; the root link is the base frame."""
     if link in links:
         return links[link]
     if link == kinematics.chain[0].parent:
-        return Track(None, np.eye(4))
+        return LinkPoses(None, np.eye(4))
     for joint in kinematics.chain:
         if joint.kind == "fixed" and joint.child == link:
             upper = _link_track(joint.parent, links, kinematics)

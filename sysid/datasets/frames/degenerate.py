@@ -1,4 +1,4 @@
-"""What the geometry of a recipe cannot tell apart, said before anybody fits it."""
+"""Parameters that are not identifiable with the geometry of a recipe."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from sysid.machine import Machine
 
 Array = npt.NDArray[np.float64]
 
-#: An offset counts as along the last link within this angle (cosine).
+#: Least cosine of the angle between an offset and the last link for which they count as parallel.
 ALONG = 0.9
 
 
 def offset_notes(
     streams: Sequence[StreamMap], mounts: Mapping[tuple[str, str], Mapping[str, Array]], machine: Machine
 ) -> list[str]:
-    """A note for every ``ee`` whose surveyed offset lies along the last link: its error and a wrong link length look the same.
+    """A note for every ``ee`` whose surveyed offset is along the last link: its error and a link length error are equivalent.
 
     Args:
         mounts: (recording, glob of the entry) → body → its pose on its link.
@@ -47,8 +47,8 @@ def offset_notes(
         if length > 0.0 and abs(along) > ALONG * float(np.linalg.norm(at)):
             axis = next(axis.name for axis in machine.axes if axis.joint == joint.name)
             notes.append(
-                f"ee: the offset of {point.body!r} reaches {1e3 * along:+.1f} mm along the last link. Its error and a wrong "
-                f"length of that link (link_length_error of {axis}) look the same in these data: survey the offset as well as "
-                "the length has to be known"
+                f"ee: the offset of {point.body!r} reaches {1e3 * along:+.1f} mm along the last link. Its error and an error "
+                f"of the length of that link (link_length_error of {axis}) are not distinguishable in these data: survey the "
+                "offset as accurately as the length has to be known"
             )
     return notes

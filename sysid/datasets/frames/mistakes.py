@@ -1,4 +1,4 @@
-"""Frames in which a motion capture took one body, or one marker, for another."""
+"""Frames in which a motion capture system confused bodies or markers."""
 
 from __future__ import annotations
 
@@ -7,15 +7,17 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from sysid.datasets.in_pieces import stretches
+
 Array = npt.NDArray[np.float64]
 
-#: No point of such a machine moves faster [m/s] or accelerates more [m/s²]; a body that seems to has been mistaken for another.
+#: Largest speed [m/s] and acceleration [m/s²] of a point of the machine; a body beyond them was confused with another.
 MAX_SPEED, MAX_ACCELERATION = 3.0, 20.0
-#: Room for noise on top of that [m]; a smaller mistake is not seen as a jump.
+#: Tolerance for noise [m]; a smaller mistake is not detected as a jump.
 JUMP = 0.02
-#: How far a body can be after a mistake from where it was before [m], beyond what it moves at its own usual top speed.
+#: Largest distance of a body from its position before a mistake [m], beyond its motion at its 95th percentile of speed.
 NEAR = 0.1
-#: A body whose markers do not fit its shape (mean marker error) is not where it seems to be: metres, and times its median.
+#: Largest mean marker error of a body: in metres, and as a multiple of its median.
 MAX_MARKER_ERROR, MARKER_ERROR_RATIO = 0.002, 8.0
 
 
@@ -33,15 +35,15 @@ class MissingFrames:
 def without_mistakes(
     body: str, poses: Array, seconds: Array, error: Array | None = None
 ) -> tuple[Array, tuple[MissingFrames, ...]]:
-    """The poses without those frames in which the body was mistaken (swapped markers or bodies), and what was dropped.
+    """The poses without frames in which the body was mistaken (swapped markers or bodies), and the dropped frames.
 
-    Two signs: the markers do not fit the body's shape, or the body jumps faster than a machine moves. After a jump the frames
-    are kept that form the longest sequence of moves a machine can make.
+    A frame is dropped if the markers do not fit the body's shape, or the body jumps faster than a machine moves. After jumps,
+    the longest sequence of feasible moves is kept.
 
     Args:
         body: its name.
-        poses: (n, 4, 4), NaN where not seen.
-        seconds: rising, (n,).
+        poses: (n, 4, 4), NaN where not visible.
+        seconds: increasing, (n,).
         error: mean marker error (n,) [m], where the system gives it.
     """
     bad = np.zeros(len(poses), dtype=bool)
@@ -61,7 +63,7 @@ def without_mistakes(
 
 
 def _plausible(positions: Array, seconds: Array) -> npt.NDArray[np.bool_]:
-    """Frames on the heaviest chain of runs between which no jump is too large, (n,)."""
+    """Mask of the frames on the longest chain of runs with feasible jumps between them, (n,)."""
     if len(positions) < 2:
         return np.ones(len(positions), dtype=bool)
     breaks = np.flatnonzero(_jumps(positions, seconds)) + 1
@@ -71,10 +73,10 @@ def _plausible(positions: Array, seconds: Array) -> npt.NDArray[np.bool_]:
     best = weight.copy()
     before = np.full(len(runs), -1)
     for i in range(1, len(runs)):
-        for j in range(max(0, i - 50), i - 1):  # neighbours are parted by a jump: never one after the other
+        for j in range(max(0, i - 50), i - 1):  # neighbouring runs are separated by a jump
             gap = np.linalg.norm(positions[runs[i][0]] - positions[runs[j][-1]])
             time = seconds[runs[i][0]] - seconds[runs[j][-1]]
-            # Time alone must not make a far jump plausible: a long mistake would be as near as any place.
+            # A long time between two runs alone does not make a far jump feasible.
             if gap <= min(MAX_SPEED * time + JUMP, usual * time + NEAR) and best[j] + weight[i] > best[i]:
                 best[i], before[i] = best[j] + weight[i], j
     keep = np.zeros(len(positions), dtype=bool)
@@ -86,10 +88,10 @@ def _plausible(positions: Array, seconds: Array) -> npt.NDArray[np.bool_]:
 
 
 def _jumps(positions: Array, seconds: Array) -> npt.NDArray[np.bool_]:
-    """Which steps between neighbours no machine can make, (n − 1,).
+    """Mask of the steps between neighbours that a machine cannot make, (n − 1,).
 
-    Too far for its time; or, between frames without a gap, unlike the step before and the step after by more than an
-    acceleration explains: that sees a mistake alike whether it goes with or against the motion.
+    Too far for their time; or, between frames without a gap, different from the step before and the step after by more than
+    the largest acceleration, which detects mistakes along and against the motion alike.
     """
     steps, times = np.diff(positions, axis=0), np.diff(seconds)
     too_fast = np.linalg.norm(steps, axis=1) > MAX_SPEED * times + JUMP
@@ -103,8 +105,7 @@ def _jumps(positions: Array, seconds: Array) -> npt.NDArray[np.bool_]:
 
 
 def _dropped(body: str, reason: str, bad: npt.NDArray[np.bool_], seconds: Array) -> list[MissingFrames]:
-    rows = np.flatnonzero(bad)
-    if not len(rows):
-        return []
-    groups = np.split(rows, np.flatnonzero(np.diff(rows) > 1) + 1)
-    return [MissingFrames(body, reason, float(seconds[g[0]]), float(seconds[g[-1]]), len(g)) for g in groups]
+    return [
+        MissingFrames(body, reason, float(seconds[first]), float(seconds[last - 1]), int(last - first))
+        for first, last in zip(*stretches(bad), strict=True)
+    ]

@@ -1,6 +1,6 @@
-"""Poses of rigid bodies: from the columns of a stream, in the machine's base frame, at other instants than they were seen.
+"""Poses of rigid bodies from the columns of a stream, in the machine's base frame, interpolated to other instants.
 
-Poses are arrays (n, 4, 4); a body that was not seen has NaN.
+Poses are arrays (n, 4, 4), NaN where a body is not visible.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from sysid.machine.kinematics import rotation_about
 Array = npt.NDArray[np.float64]
 
 
-#: How message types spell a pose: before and after the coordinate. Exports of capture systems have plain columns.
+#: Column names of position and rotation in message types; exports of capture systems have plain columns.
 _SPELLINGS = (
     ("{}", "q{}"),
     ("pose.position.{}", "pose.orientation.{}"),
@@ -27,7 +27,7 @@ _SPELLINGS = (
     ("translation.{}", "rotation.{}"),
     ("point.{}", ""),
 )
-#: Every field that may be part of the pose of a body or of the place of a marker.
+#: Every field that may be part of the pose of a body or the position of a marker.
 POSE_FIELDS = frozenset(
     [place.format(axis) for place, _ in _SPELLINGS for axis in "xyz"]
     + [turn.format(axis) for _, turn in _SPELLINGS if turn for axis in "xyzw"]
@@ -60,7 +60,7 @@ def has_rotation(stream: Stream) -> bool:
 
 
 def marker_poses(stream: Stream, frame: FramePose) -> Array:
-    """Poses (n, 4, 4) whose origins are a marker in the machine's base frame; their rotation means nothing."""
+    """Poses (n, 4, 4) whose origins are a marker in the machine's base frame, with the rotation of the capture frame."""
     pose = np.tile(np.eye(4), (len(stream), 1, 1))
     pose[:, :3, 3] = marker_places(stream)
     pose[np.isnan(pose).any(axis=(1, 2))] = np.nan
@@ -68,7 +68,7 @@ def marker_poses(stream: Stream, frame: FramePose) -> Array:
 
 
 def marker_places(stream: Stream) -> Array:
-    """Places of a marker, or of the origin of a rigid body, in the capture frame, (n, 3).
+    """Positions of a marker, or of the origin of a rigid body, in the capture frame, (n, 3).
 
     Raises:
         InputError: no position in the stream.
@@ -120,11 +120,11 @@ def inverse(poses: Array) -> Array:
 
 
 def poses_at(poses: Array, times: Array, at: Array, max_gap_s: float) -> Array:
-    """Poses between frames: places on the line, rotations on the great arc (slerp); NaN outside and in longer gaps.
+    """Poses between frames: positions interpolated linearly, rotations by slerp; NaN outside and in longer gaps.
 
     Args:
-        poses: (n, 4, 4), NaN where not seen.
-        times: rising, (n,) [s].
+        poses: (n, 4, 4), NaN where not visible.
+        times: increasing, (n,) [s].
         at: (m,) [s].
         max_gap_s: the longest gap that is bridged.
 

@@ -1,4 +1,4 @@
-"""A survey named in the recipe → a proposal for the capture frame. Nothing is stored or applied."""
+"""A survey in the recipe → a proposal for the capture frame, which is neither stored nor applied."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ from sysid.machine import Machine
 
 Array = npt.NDArray[np.float64]
 
-#: How far from the origin of a rigid body its rotation is looked at [m]: about the size of a machine's links.
+#: Distance of points from the origin of a rigid body by which its rotation is used [m]: about the size of a machine's links.
 LEVER = 0.5
 
 
 @dataclass(frozen=True)
 class SurveyResult:
-    """A proposal, the file it is from, and how far what it determines is from what the recipe says now [m, rad]."""
+    """A proposal, its file, and its distance from the present recipe in what it determines [m, rad]."""
 
     source: Path
     proposal: FrameProposal
@@ -46,7 +46,7 @@ def propose_frames(paths: Sequence[Path], recipe: IngestRecipe, machine: Machine
         where: the recipe, for messages.
 
     Raises:
-        SettingsError: no survey in the recipe, an axis that other axes move, a marker that the file does not have.
+        SettingsError: no survey in the recipe, an axis that other axes move, a marker that is not in the file.
         InputError: no such file; markers that move; a survey that does not determine the frame.
     """
     surveys = [(stream, stream.survey) for stream in recipe.streams if stream.survey is not None]
@@ -59,7 +59,7 @@ def propose_frames(paths: Sequence[Path], recipe: IngestRecipe, machine: Machine
 def _proposal(paths: Sequence[Path], mapping: StreamMap, survey: Survey, machine: Machine) -> SurveyResult:
     path = _file(paths, mapping, survey)
     names = (*survey.turning, *survey.markers)
-    # Read as bodies: whatever has a place can be surveyed, and marker sets are made where they are named.
+    # Read as bodies, because anything with a position can be surveyed, and marker sets are made where they are named.
     streams = read_streams(path, replace(mapping, signals={}, points={}, bodies=dict.fromkeys(names, "")))
     known = {stream.name: stream for stream in streams}
     for name in names:
@@ -68,7 +68,7 @@ def _proposal(paths: Sequence[Path], mapping: StreamMap, survey: Survey, machine
     origin = min(int(stamps_of(known[name], mapping).min()) for name in names)
     places = {name: _places(known[name], mapping, survey, origin) for name in names}
     if survey.axis is not None:
-        point, direction = _axis_line(machine, survey.axis)
+        point, direction = axis_line(machine, survey.axis)
         moving: dict[str, Array] = {}
         for name in survey.turning:
             moving |= _levers(name, places[name], known[name], mapping, survey, origin)
@@ -82,7 +82,7 @@ def _proposal(paths: Sequence[Path], mapping: StreamMap, survey: Survey, machine
 
 
 def _file(paths: Sequence[Path], mapping: StreamMap, survey: Survey) -> Path:
-    """The file that was surveyed."""
+    """The file of the survey."""
     found: list[Path] = []
     for path in paths:
         if not path.exists():
@@ -102,7 +102,7 @@ def _file(paths: Sequence[Path], mapping: StreamMap, survey: Survey) -> Path:
 
 
 def _levers(name: str, places: Array, stream: Stream, mapping: StreamMap, survey: Survey, origin: int) -> dict[str, Array]:
-    """The places of a marker; of a rigid body also those of points :data:`LEVER` along its axes: it may sit on the axis."""
+    """Positions of a marker; of a rigid body, which may be on the axis, also of points :data:`LEVER` along its axes."""
     if not has_rotation(stream):
         return {name: places}
     stamps = stamps_of(stream, mapping)
@@ -122,7 +122,7 @@ def _within(at: Array, survey: Survey) -> npt.NDArray[np.bool_]:
 
 
 def _places(stream: Stream, mapping: StreamMap, survey: Survey, origin: int) -> Array:
-    """Places within the seconds of the survey, in order, (n, 3)."""
+    """Positions within the seconds of the survey, in order, (n, 3)."""
     stamps = stamps_of(stream, mapping)
     order, _ = in_order(stamps, f"{stream.source}: {stream.name}")
     places = marker_places(stream)[order]
@@ -130,20 +130,24 @@ def _places(stream: Stream, mapping: StreamMap, survey: Survey, origin: int) -> 
 
 
 def _static(places: Array, where: str) -> Array:
-    """The place of a marker that stands still, (3,)."""
+    """The position of a marker at rest, (3,)."""
     known = places[~np.isnan(places).any(axis=1)]
     if not len(known):
-        raise InputError(where, "seen in no frame of the survey", "one at least", "Choose other seconds.")
+        raise InputError(where, "visible in no frame of the survey", "one at least", "Choose other seconds.")
     parts = [np.median(part, axis=0) for part in np.array_split(known, min(5, len(known)))]
     spread = float(np.ptp(parts, axis=0).max())
     if spread > STILL:
         found = f"moves by {1e3 * spread:.1f} mm during the survey"
-        raise InputError(where, found, "a marker that stands still", "Choose other seconds, or leave it out.")
+        raise InputError(where, found, "a marker at rest", "Choose other seconds, or leave it out.")
     return np.asarray(np.median(known, axis=0))
 
 
-def _axis_line(machine: Machine, axis: str) -> tuple[Array, Array]:
-    """A point on a revolute axis and its direction in the base frame; no other axis may move it."""
+def axis_line(machine: Machine, axis: str) -> tuple[Array, Array]:
+    """A point on a revolute axis and its direction in the base frame.
+
+    Raises:
+        SettingsError: no kinematics, no such axis, a prismatic axis, or one that other axes move.
+    """
     kinematics = machine.kinematics()
     if kinematics is None:
         raise SettingsError("survey.axis", repr(axis), "a machine with a urdf", "Survey static markers instead.")
@@ -175,7 +179,7 @@ def _apart(before: FramePose, after: FramePose) -> tuple[float, float]:
 
 
 def _axes_apart(before: FramePose, after: FramePose, point: Array, direction: Array) -> tuple[float, float]:
-    """How far the axis moves across itself, at ``point`` [m], and by how much it tilts [rad]."""
+    """Displacement of the axis perpendicular to itself, at ``point`` [m], and its tilt [rad]."""
     change = frame_pose(after) @ inverse(frame_pose(before))
     tilted = change[:3, :3] @ direction
     shift = change[:3, :3] @ point + change[:3, 3] - point

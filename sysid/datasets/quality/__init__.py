@@ -1,4 +1,4 @@
-"""What a dataset is good for, in plain numbers."""
+"""Quality and excitation of a dataset in numbers."""
 
 from sysid.datasets.quality.describe import describe
 from sysid.datasets.quality.evidence import DatasetEvidence, evidence_of

@@ -1,9 +1,10 @@
-"""How much of joint space was visited: every axis over its range, and every pair of axes over both ranges."""
+"""Coverage of joint space: of every axis over its range, and of every pair of axes over both ranges."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import combinations
 from typing import Literal
 
 import numpy as np
@@ -22,13 +23,13 @@ GRID = 10
 
 @dataclass(frozen=True)
 class Span:
-    """The range of an axis, and what was visited of it.
+    """The range of an axis, and the measured part of it.
 
     Args:
-        signal: its joint; what is driven, where no recording has the joint.
-        low, high: the range [SI]; ``source`` says whether it is that of the machine description (``limits``) or, where it gives
-            none, only what was recorded (``recorded``: coverage then says nothing about the machine).
-        lowest, highest: that were measured.
+        signal: its joint, or the driven quantity where no recording has the joint.
+        low, high: the range [SI]; ``source``: from the machine description (``limits``) or, where it has none, from the
+            recordings (``recorded``: then coverage is not related to the machine).
+        lowest, highest: measured values.
     """
 
     axis: str
@@ -46,14 +47,14 @@ class Span:
         return max(ends[1] - ends[0], 0.0) / (self.high - self.low)
 
     def cells(self, values: Array) -> Array:
-        """Cell of each value, 0 … GRID − 1; NaN where it is missing. What lies outside counts to the last cell."""
+        """Cell of each value, 0 … GRID − 1; NaN where it is missing. Values outside count to the last cell."""
         place = np.floor(GRID * (values - self.low) / (self.high - self.low))
         return np.clip(place, 0, GRID - 1)
 
 
 @dataclass(frozen=True)
 class PairMap:
-    """Where two axes were at the same time.
+    """Joint positions of two axes.
 
     Args:
         seconds: of motion in each cell, (GRID, GRID), the first axis along the rows.
@@ -67,10 +68,7 @@ class PairMap:
 
     @property
     def covered(self) -> float:
-        """Share of the cells in which the machine was for :data:`VISITED_S`, or in a pose.
-
-        Of the whole rectangle: what the machine cannot reach counts as not visited.
-        """
+        """Share of all cells, reachable or not, in which the machine was for :data:`VISITED_S` or in a pose."""
         return float(((np.array(self.seconds) >= VISITED_S) | (np.array(self.poses) > 0)).mean())
 
     @property
@@ -80,7 +78,7 @@ class PairMap:
 
 
 def spans_of(recordings: Sequence[Recording], machine: Machine) -> tuple[Span, ...]:
-    """The axes that are measured anywhere."""
+    """The ranges of the axes that any recording measures."""
     spans = []
     for axis in machine.axes:
         for signal in dict.fromkeys((axis_signal(axis.name, "joint"), axis.driven)):
@@ -103,17 +101,16 @@ def spans_of(recordings: Sequence[Recording], machine: Machine) -> tuple[Span, .
 def pair_maps(recordings: Sequence[Recording], spans: Sequence[Span]) -> tuple[PairMap, ...]:
     """One map for each pair of axes, over all recordings."""
     found = []
-    for number, first in enumerate(spans):
-        for second in spans[number + 1 :]:
-            seconds, poses = np.zeros((GRID, GRID)), np.zeros((GRID, GRID), dtype=np.int64)
-            for recording in recordings:
-                counts = _counts(recording, first, second)
-                if recording.kind == "poses":
-                    poses += counts
-                else:
-                    seconds += counts / recording.rate_hz
-            rows = tuple(tuple(map(float, row)) for row in seconds), tuple(tuple(map(int, row)) for row in poses)
-            found.append(PairMap(first, second, *rows))
+    for first, second in combinations(spans, 2):
+        seconds, poses = np.zeros((GRID, GRID)), np.zeros((GRID, GRID), dtype=np.int64)
+        for recording in recordings:
+            counts = _counts(recording, first, second)
+            if recording.kind == "poses":
+                poses += counts
+            else:
+                seconds += counts / recording.rate_hz
+        rows = tuple(tuple(map(float, row)) for row in seconds), tuple(tuple(map(int, row)) for row in poses)
+        found.append(PairMap(first, second, *rows))
     return tuple(found)
 
 

@@ -1,4 +1,4 @@
-"""What a dataset version keeps about its recordings: completeness, use of each axis, noise, jitter, and what looked wrong."""
+"""Quality of the recordings in a dataset version: completeness, use of each axis, noise, jitter, possible faults."""
 
 from __future__ import annotations
 
@@ -7,21 +7,27 @@ from dataclasses import asdict
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
+from sysid.datasets.channel import Channel
 from sysid.datasets.channels import ReadRecording
-from sysid.datasets.clocks.records import by_source
-from sysid.datasets.quality.remarks import axis_remarks, longest_run
-from sysid.datasets.quality.streams import cross_checks, key_of, stream_figures
+from sysid.datasets.clocks.records import RecordingClocks, by_source, machine_times
+from sysid.datasets.in_pieces import absolute, copied, deviation, known, mean_square, median, stretches
+from sysid.datasets.quality.noise import noise_of
 from sysid.datasets.quality.use import Scale, level_of, scales_of, use_of
 from sysid.datasets.recording import ClockRecord, Recording
 from sysid.machine import Machine
 from sysid.progress import Progress, part, silent
-from sysid.scratch import chosen, leave
+from sysid.scratch import chosen, computed, leave
 from sysid.signals import axis_signal
+
+Array = npt.NDArray[np.float64]
 
 #: Bins over the range of a signal, for coverage.
 BINS = 20
-#: Share of the time that the streams take, the rest is for the tables.
+#: A sensor that repeats one value for this long while its axis is commanded may be stuck [s].
+STUCK_S = 2.0
+#: Share of the progress for the streams; the rest is for the tables.
 _STREAMS = 0.5
 
 
@@ -32,9 +38,7 @@ def describe(
     machine: Machine,
     progress: Progress = silent,
 ) -> dict[str, Any]:
-    """Quality of each recording and of what it was made from, as JSON-able values.
-
-    What the recordings are good for together is no part of it: :func:`sysid.datasets.quality.evidence_of`.
+    """Quality of each recording and of its streams, as JSON values. Excitation: :func:`sysid.datasets.quality.evidence_of`.
 
     Args:
         progress: called with the share done.
@@ -43,7 +47,7 @@ def describe(
         ``recordings``: name → ``signals`` (signal → missing share, range, coverage, noise, longest gap), ``axes`` (axis →
         :class:`~sysid.datasets.quality.use.AxisUse`), ``several_axes`` (share of the moving time in which more than one axis
         is commanded), ``flags`` (texts). ``streams``: uncut recording → source/signal → rate, jitter, samples, repaired rows.
-        ``cross_checks``: uncut motion recording → secondary signal → how it differs from the primary one. ``dropped``: uncut
+        ``cross_checks``: uncut motion recording → secondary signal → difference from the primary one. ``dropped``: uncut
         recording → flagged frames.
     """
     still = {recording.name for recording in recordings if recording.kind == "poses"}
@@ -61,12 +65,12 @@ def describe(
         uncut = name if name in readings else name.rpartition("#")[0]
         for channel in readings[uncut].channels:
             if channel.primary and channel.signal in numbers["signals"]:
-                numbers["signals"][channel.signal]["noise"] = streams[uncut][key_of(channel)]["noise"]
+                numbers["signals"][channel.signal]["noise"] = streams[uncut][_key_of(channel)]["noise"]
     return {
         "recordings": result,
         "streams": streams,
         "cross_checks": {
-            name: cross_checks(name, reading, by_source(clocks, name))
+            name: _cross_checks(name, reading, by_source(clocks, name))
             for name, reading in readings.items()
             if name not in still
         },
@@ -86,7 +90,7 @@ def _streams(readings: Mapping[str, ReadRecording], progress: Progress) -> dict[
     done, total = 0, max(1, sum(len(channel.stamps) for _, channel in channels))
     for name, channel in channels:
         progress(done / total, f"describing {channel.signal}")
-        streams[name][key_of(channel)] = stream_figures(channel)
+        streams[name][_key_of(channel)] = _stream_figures(channel)
         done += len(channel.stamps)
         leave()
     return streams
@@ -99,7 +103,7 @@ def _recording(recording: Recording, machine: Machine, scales: Mapping[str, Scal
     for signal, numbers in signals.items():
         if numbers["missing"] == 1.0:
             still = recording.kind == "poses"
-            flags.append(f"{signal}: stands still in no pose" if still else f"{signal}: nothing was measured")
+            flags.append(f"{signal}: constant in no pose" if still else f"{signal}: nothing was measured")
     if recording.kind == "poses":
         return result | {"poses": len(recording)}
     result["axes"] = {}
@@ -112,7 +116,7 @@ def _recording(recording: Recording, machine: Machine, scales: Mapping[str, Scal
             continue
         result["axes"][axis.name] = asdict(use_of(recording, axis, scales[axis.name]))
         active.append(level_of(command) != 0)
-        flags += axis_remarks(recording, axis.name, axis.driven, active[-1], axis.range)
+        flags += _axis_flags(recording, axis.name, axis.driven, active[-1], axis.range)
     if active:
         together = np.asarray(np.sum(active, axis=0, dtype=np.uint16))
         result["several_axes"] = float(np.mean(together[together > 0] > 1)) if np.any(together > 0) else 0.0
@@ -121,19 +125,107 @@ def _recording(recording: Recording, machine: Machine, scales: Mapping[str, Scal
 
 def _signal(recording: Recording, signal: str) -> dict[str, Any]:
     values = recording.values(signal)
-    known = ~np.isnan(values)
-    if not known.any():
+    measured = ~np.isnan(values)
+    if not measured.any():
         return {"missing": 1.0}
-    inside = chosen(values, known)
+    inside = chosen(values, measured)
     low, high = float(inside.min()), float(inside.max())
     rounded = high - low <= 1e-12 * max(abs(low), abs(high))  # interpolation alone
     counts = np.histogram(inside, bins=BINS, range=(low, low + max(1.0, abs(low)) if rounded else high))[0]
     numbers: dict[str, Any] = {
-        "missing": float(1.0 - known.mean()),
+        "missing": float(1.0 - measured.mean()),
         "min": low,
         "max": high,
         "coverage": float(np.mean(counts > 0)),
     }
     if recording.kind == "motion":
-        numbers["longest_gap_s"] = longest_run(~known) / recording.rate_hz
+        numbers["longest_gap_s"] = _longest_run(~measured) / recording.rate_hz
     return numbers
+
+
+def _axis_flags(
+    recording: Recording, axis: str, driven: str, moving: npt.NDArray[np.bool_], ends: tuple[float, float]
+) -> list[str]:
+    """Possible faults of an axis: a stuck sensor, values outside the range."""
+    values = recording.values(driven)
+    there = known(values)
+    if not len(there):
+        return []
+    flags = []
+    frozen = np.zeros(len(values), dtype=bool)
+    frozen[1:] = (values[1:] == values[:-1]) & moving[1:] & moving[:-1]
+    stuck = _longest_run(frozen) / recording.rate_hz
+    if stuck > STUCK_S:
+        flags.append(f"{driven}: one value for {stuck:.1f} s while {axis} is commanded: stuck sensor, or too small a command")
+    if np.isfinite(ends).all():
+        margin = 1e-3 * (ends[1] - ends[0])
+        beyond = (there < ends[0] - margin) | (there > ends[1] + margin)
+        if beyond.any():
+            flags.append(
+                f"{driven}: {100 * beyond.mean():.1f} % of the samples are outside [{ends[0]:g}, {ends[1]:g}]: offset or unit?"
+            )
+    return flags
+
+
+def _longest_run(mask: npt.NDArray[np.bool_]) -> int:
+    """Length of the longest stretch of True."""
+    first, last = stretches(mask)
+    return int((last - first).max(initial=0))
+
+
+def _key_of(channel: Channel) -> str:
+    return f"{channel.source}/{channel.signal}"
+
+
+def _stream_figures(channel: Channel) -> dict[str, Any]:
+    steps = computed(max(len(channel.stamps) - 1, 0), lambda a, b: np.diff(channel.stamps[a : b + 1]) * 1e-9)
+    period = median(copied(steps)) if len(steps) else float("nan")
+    regular = chosen(steps, steps < 2.0 * period)
+    return {
+        "samples": len(channel.stamps),
+        "rate_hz": 1.0 / period if period > 0 else None,
+        "jitter_s": deviation(regular) if len(regular) else None,
+        "longest_gap_s": float(steps.max()) if len(steps) else None,
+        "missing": float(np.isnan(channel.values).mean()),
+        "repaired_rows": channel.repaired,
+        "noise": noise_of(channel.values, 1.0 / period) if not channel.signal.endswith(".command") else None,
+        "primary": channel.primary,
+        "clock": channel.clock,
+    }
+
+
+def _cross_checks(name: str, reading: ReadRecording, clocks: Mapping[str, Sequence[ClockRecord]]) -> dict[str, Any]:
+    """Each secondary signal against the primary one, on the machine's clock: bias, RMS and largest difference."""
+    primary = {channel.signal: channel for channel in reading.channels if channel.primary}
+    checks = {}
+    for channel in reading.channels:
+        other = primary.get(channel.signal)
+        if channel.primary or other is None:
+            continue
+        times, values = _on_machine(name, channel, reading, clocks)
+        at, reference = _on_machine(name, other, reading, clocks)
+        there = ~np.isnan(reference)
+        at, reference = chosen(at, there), chosen(reference, there)
+        inside = (times >= at[0]) & (times <= at[-1]) & ~np.isnan(values)
+        difference = _differences(chosen(times, inside), chosen(values, inside), at, reference)
+        if len(difference):
+            checks[_key_of(channel)] = {
+                "against": _key_of(other),
+                "bias": median(copied(difference)),
+                "rms": float(np.sqrt(mean_square(difference))),
+                "p99": float(np.quantile(absolute(difference), 0.99, overwrite_input=True)),
+            }
+    return checks
+
+
+def _differences(times: Array, values: Array, at: Array, reference: Array) -> Array:
+    result: Array = computed(len(times), lambda a, b: values[a:b] - np.interp(times[a:b], at, reference))
+    return result
+
+
+def _on_machine(
+    name: str, channel: Channel, reading: ReadRecording, clocks: Mapping[str, Sequence[ClockRecord]]
+) -> tuple[Array, Array]:
+    start = RecordingClocks(name, "motion", reading.channels).start_ns
+    records = clocks.get(channel.source) if channel.domain != "machine" else None
+    return machine_times(channel, start, records), channel.values

@@ -1,4 +1,4 @@
-"""What a dataset offers an identification, in numbers: computed from its tables, so that every version has it."""
+"""Excitation and noise of a dataset in numbers, computed from its tables for every version."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ from sysid.signals import split_signal
 
 
 @dataclass(frozen=True)
-class OfRecording:
+class RecordingEvidence:
     """One recording.
 
     Args:
-        seconds: its length; ``poses``: how many, for static poses.
-        axes: how each was used; empty for poses.
+        seconds: its length; ``poses``: number of static poses.
+        axes: use of each; empty for poses.
         together_s: pair of axes → seconds in which both are commanded.
         covered: pair of axes → share of the cells of their ranges that this recording visits.
         rests: its still phases.
@@ -42,13 +42,13 @@ class OfRecording:
 
 @dataclass(frozen=True)
 class Noise:
-    """Standard deviation of a sensor [SI]; None where it cannot be told.
+    """Standard deviation of a sensor [SI]; None where it is unknown.
 
     Args:
-        sheet: what the machine description says.
-        moving: scatter of its own samples about a smooth motion. Noise slower than a fifth of a second is not seen.
-        still: scatter in still phases, in the aligned tables; what hangs may still be swinging.
-        repeats: what does not repeat when the same commands are given again: noise, and what the machine does of its own.
+        sheet: of the machine description.
+        moving: scatter of its own samples about a smooth motion, without noise slower than 0.2 s.
+        still: scatter in still phases, in the aligned tables; a suspended tool may still swing.
+        repeats: difference between recordings of the same commands: noise and disturbances of the machine.
     """
 
     sheet: float | None
@@ -59,16 +59,16 @@ class Noise:
 
 @dataclass(frozen=True)
 class DatasetEvidence:
-    """What a dataset offers, recording by recording and as a whole.
+    """Evidence of each recording and of the dataset.
 
     Args:
         scales: axis → full command and top speed.
         axes, together_s: sums over all recordings of motion.
-        spans: range of each axis and what was visited of it; ``maps``: of each pair of axes.
-        postures: the longest still phase of each clearly different posture.
+        spans: range of each axis and its measured part; ``maps``: of each pair of axes.
+        postures: the longest still phase of each distinct posture.
     """
 
-    recordings: tuple[OfRecording, ...]
+    recordings: tuple[RecordingEvidence, ...]
     scales: Mapping[str, Scale]
     axes: Mapping[str, AxisUse]
     together_s: Mapping[tuple[str, str], float]
@@ -79,7 +79,7 @@ class DatasetEvidence:
     repeats: tuple[Repeat, ...]
 
     def to_json(self) -> dict[str, Any]:
-        """JSON-able; pairs of axes are ``first+second``. ``thresholds`` are those behind the figures."""
+        """JSON values; pairs of axes are ``first+second``, ``thresholds`` those of the counts."""
         return {
             "schema": 1,
             "recordings": {r.name: _recording_json(r) for r in self.recordings},
@@ -102,7 +102,7 @@ class DatasetEvidence:
         }
 
 
-#: What the figures rest on; docs/guide/quality.md says why.
+#: Thresholds of the counts; their reasons are in docs/guide/quality.md.
 THRESHOLDS: Mapping[str, Any] = {
     "idle_command": use.IDLE,
     "small_command": list(use.SMALL),
@@ -121,7 +121,7 @@ THRESHOLDS: Mapping[str, Any] = {
 
 
 def evidence_of(dataset: Dataset) -> DatasetEvidence:
-    """Count what every recording and the whole dataset have."""
+    """Evidence of ``dataset``."""
     recordings, machine = dataset.recordings, dataset.machine
     scales, spans = scales_of(recordings, machine), spans_of(recordings, machine)
     single = tuple(_recording(r, dataset, spans, scales) for r in recordings)
@@ -142,9 +142,11 @@ def evidence_of(dataset: Dataset) -> DatasetEvidence:
     )
 
 
-def _recording(recording: Recording, dataset: Dataset, spans: tuple[Span, ...], scales: Mapping[str, Scale]) -> OfRecording:
+def _recording(
+    recording: Recording, dataset: Dataset, spans: tuple[Span, ...], scales: Mapping[str, Scale]
+) -> RecordingEvidence:
     still = recording.kind == "poses"
-    return OfRecording(
+    return RecordingEvidence(
         name=recording.name,
         role=dataset.splits.get(recording.name, ""),
         seconds=0.0 if still else len(recording) / recording.rate_hz,
@@ -174,7 +176,7 @@ def _noise(dataset: Dataset, rests: list[Rest], again: tuple[Repeat, ...]) -> di
 
 
 def _moving_noise(dataset: Dataset, signal: str) -> float | None:
-    """From the sensor's own samples, as ingest found it; else from the tables."""
+    """From the sensor's raw samples as stored by ingest, else from the tables."""
     stored = dataset.quality.get("recordings", {})
     levels = [stored.get(r.name, {}).get("signals", {}).get(signal, {}).get("noise") for r in dataset.recordings]
     known = [level for level in levels if level is not None and np.isfinite(level)]
@@ -184,7 +186,7 @@ def _moving_noise(dataset: Dataset, signal: str) -> float | None:
     return float(np.median(known)) if known else None
 
 
-def _recording_json(recording: OfRecording) -> dict[str, Any]:
+def _recording_json(recording: RecordingEvidence) -> dict[str, Any]:
     return {
         "role": recording.role,
         "seconds": recording.seconds,

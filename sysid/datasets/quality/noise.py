@@ -1,4 +1,4 @@
-"""How noisy a sensor is, from its own samples, and the steps in which it counts."""
+"""Noise of a sensor from its own samples, including quantisation."""
 
 from __future__ import annotations
 
@@ -12,25 +12,25 @@ from sysid.scratch import chosen, computed
 
 Array = npt.NDArray[np.float64]
 
-#: Samples of a sensor this far apart are independent [s]: of any sensor above 17 Hz.
+#: Samples of a sensor this far apart are independent [s], for any sensor above 17 Hz.
 LAG_S = 0.06
-#: A signal that varies by less than this share of its magnitude (at least of :data:`SMALLEST`, rad or m) shows rounding of
-#: floating-point numbers: it does not move, and says nothing of its sensor.
-DUST, SMALLEST = 1e-9, 1e-3
-#: Degrees of the local polynomials that follow the motion, and by which factor scatter falls from one to the next where it is
-#: motion that the lower one does not follow: noise, also coloured noise of real sensors, falls by 2.5 at the most.
+#: A signal that varies by less than this share of its magnitude (at least of :data:`SMALLEST`, rad or m) contains only rounding
+#: of floating-point numbers: it does not move.
+ROUNDING, SMALLEST = 1e-9, 1e-3
+#: Degrees of the local polynomials that follow the motion. A decrease of the scatter by this factor from one degree to the next
+#: is due to motion: noise, also coloured noise of real sensors, decreases by at most 2.5.
 DEGREES, FALLS = (3, 5, 7), 3.0
-#: Orders of difference that scatter is told from where no degree follows the motion, and that bounds it.
+#: Orders of difference for a motion that no degree follows, and for an upper bound of the noise.
 FINEST, BOUND = 8, 4
 #: Windows that are fitted together.
 _WINDOWS = 2**14
 
 
 def noise_of(values: Array, rate_hz: float) -> float:
-    """Standard deviation of a sensor's noise [unit of the signal], from its own samples, whether it moves or not.
+    """Standard deviation of a sensor's noise [unit of the signal], from its own samples, moving or not.
 
-    :func:`white_noise`; where the sensor counts in steps, at least the uniform error of a step. NaN where the motion is too
-    fast for the rate to tell noise from it, and for a signal that does not change at all.
+    :func:`white_noise`; for a quantised sensor at least the uniform error of a step. NaN where the motion is too fast for the
+    rate, and for a signal that does not change.
     """
     if is_still(values) and not np.isnan(values).all() and np.nanmax(values) > np.nanmin(values):
         return float("nan")
@@ -41,18 +41,18 @@ def noise_of(values: Array, rate_hz: float) -> float:
 
 
 def is_still(values: Array) -> bool:
-    """Whether a signal (n,) varies by rounding of floating-point numbers alone, or not at all."""
+    """Whether a signal (n,) does not vary by more than rounding of floating-point numbers."""
     there = known(values)
-    return not len(there) or float(np.ptp(there)) <= DUST * max(float(there.max()), -float(there.min()), SMALLEST)
+    return not len(there) or float(np.ptp(there)) <= ROUNDING * max(float(there.max()), -float(there.min()), SMALLEST)
 
 
 def white_noise(values: Array, rate_hz: float) -> float:
-    """Standard deviation of the noise of a signal (n,), rounding to steps included; NaN where it cannot be told from motion.
+    """Standard deviation of the noise of a signal (n,), including quantisation; NaN where it is not separable from motion.
 
-    Median of the scatter about polynomials over a fifth of a second (at least ten samples): a cubic follows most motion of a
-    machine over that time, the median leaves out what it does not follow (stops, jerks); noise slower than that is not seen.
-    What a cubic leaves of a fast motion at a low rate is not noise: the degree rises as long as that takes most of the scatter
-    away. A motion that differences of order 8 still follow better than all of them leaves the noise unknown.
+    Median of the scatter about polynomials over 0.2 s (at least ten samples): a cubic follows most motions over that time, the
+    median is robust against stops and jerks; slower noise is not included. For a fast motion at a low rate the degree increases
+    as long as this removes most of the scatter. Where differences of order 8 follow the motion better than all polynomials, the
+    noise is unknown.
     """
     windows = _windows(values, rate_hz)
     if not len(windows):
@@ -78,18 +78,18 @@ def _scatter(windows: Array, degree: int) -> float:
 
 
 def noise_bound(values: Array) -> float:
-    """The most that the noise of a signal (n,) can be, where motion is too fast to tell: its scatter about local cubics.
+    """Upper bound of the noise of a signal (n,) where the motion is too fast: its scatter about cubics through five samples.
 
-    Those of five neighbouring samples, from differences of order 4; NaN where there are too few samples.
+    From differences of order 4; NaN with too few samples.
     """
     return difference_scatter(values, BOUND)
 
 
 def difference_scatter(values: Array, order: int) -> float:
-    """Standard deviation of white noise that the median difference of an order of a signal (n,) amounts to; NaN without any.
+    """Standard deviation of white noise from the median absolute difference of an order of a signal (n,); NaN if too short.
 
-    A difference of order k passes white noise with a gain of one and a motion of frequency f with one of about sin(πf/rate)^k
-    (Gasser, Sroka and Jennen-Steinmetz, Biometrika 73 (1986) 625: residual variance from differences).
+    A normalised difference of order k passes white noise with a gain of one and a motion of frequency f with about
+    sin(πf/rate)^k (Gasser, Sroka and Jennen-Steinmetz, Biometrika 73 (1986) 625: residual variance from differences).
     """
     sizes = known(absolute(differences(values, order)))
     if len(sizes) < 3:
@@ -98,7 +98,7 @@ def difference_scatter(values: Array, order: int) -> float:
 
 
 def _windows(values: Array, rate_hz: float) -> Array:
-    """Stretches of a fifth of a second without gaps, (m, width)."""
+    """Stretches of 0.2 s without gaps, (m, width)."""
     width = max(round(0.2 * rate_hz), 10)
     count = len(values) // width
     windows = values[: count * width].reshape(count, width)
@@ -106,12 +106,11 @@ def _windows(values: Array, rate_hz: float) -> Array:
     return chosen(windows.reshape(-1), np.repeat(whole, width)).reshape(-1, width)
 
 
-def unsteadiness(values: Array, rate_hz: float) -> float:
-    """Noise of a signal in an aligned table [unit of the signal], not too small where its sensor is slower than the table.
+def table_noise(values: Array, rate_hz: float) -> float:
+    """Noise of a signal in an aligned table [unit of the signal], also where its sensor is slower than the table.
 
-    The median second difference over :data:`LAG_S`, which leaves out steady motion, or :func:`noise_of` where that is more:
-    between the samples of a slow sensor a table is smooth, whatever its noise. Quick motion counts in part; zero where there
-    are too few rows to tell.
+    The median second difference over :data:`LAG_S`, in which steady motion cancels, or :func:`noise_of` if larger: between the
+    samples of a slow sensor a table is smooth, whatever its noise. Fast motion counts in part; zero with too few rows.
     """
     there = known(values)
     lag = max(round(LAG_S * rate_hz), 1)
@@ -121,14 +120,14 @@ def unsteadiness(values: Array, rate_hz: float) -> float:
     def second(first: int, last: int) -> Array:
         return np.abs(there[first + 2 * lag : last + 2 * lag] - 2.0 * there[first + lag : last + lag] + there[first:last])
 
-    # Of a normal variable half the values lie within 0.6745 standard deviations; a second difference has those of six samples.
+    # The median of |x| of a normal variable is 0.6745 σ; a second difference has the variance of six samples.
     scatter = median(computed(len(there) - 2 * lag, second)) / (0.6745 * math.sqrt(6.0))
     fine = noise_of(there, rate_hz)
     return scatter if math.isnan(fine) else max(scatter, fine)
 
 
 def _step(values: Array) -> float:
-    """The sensor's quantum; 0 where its values do not repeat."""
+    """The quantisation step; 0 where values do not repeat."""
     ordered = copied(known(values))
     ordered.sort()
     new = np.ones(len(ordered), dtype=bool)

@@ -1,9 +1,10 @@
-"""Recordings of the same commands: what the machine does not repeat is more than the noise of its sensors."""
+"""Repeatability: differences between recordings of the same commands."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import combinations
 
 import numpy as np
 import numpy.typing as npt
@@ -15,12 +16,12 @@ from sysid.signals import axis_signal, split_signal
 
 Array = npt.NDArray[np.float64]
 
-#: Two recordings repeat each other where their commands, shifted onto each other, differ by less than this share (RMS), over at
-#: least this share of the shorter one. Edges that are one sample apart make up a tenth.
+#: Two recordings have the same commands if these, shifted, differ by less than this share (RMS) over at least this share of the
+#: shorter one. Edges with an offset of one sample contribute a tenth.
 ALIKE, OVERLAP = 0.2, 0.8
-#: Commands smaller than this share of full (RMS) are none: two recordings at rest repeat nothing.
+#: Recordings with commands below this share of full (RMS) are not compared.
 GIVEN = 0.02
-#: Recordings whose commands differ in size by more than this are not compared.
+#: Recordings whose commands differ in size by more than this factor are not compared.
 SIZE = 1.2
 
 
@@ -29,10 +30,10 @@ class Repeat:
     """Two recordings of the same commands.
 
     Args:
-        shift_s: how much later the commands come in the second.
-        seconds: that both have.
-        spread: signal → standard deviation of one run about what both have in common (RMS difference over √2) [SI], counted
-            from where it stood in the first :data:`SLOPE_S`. Of an axis that is not commanded there is none.
+        shift_s: delay of the commands in the second [s].
+        seconds: length of the overlap [s].
+        spread: signal → standard deviation of one run about the common motion (RMS difference over √2) [SI], relative to the
+            value in the first :data:`SLOPE_S`; only of commanded axes.
     """
 
     first: str
@@ -48,25 +49,24 @@ def repeats_of(recordings: Sequence[Recording], scales: Mapping[str, Scale]) -> 
     commands = {r.name: _commands(r, scales) for r in moving}
     sizes = {name: float(np.sqrt(np.mean(u**2))) if u.size else 0.0 for name, u in commands.items()}
     found = []
-    for number, first in enumerate(moving):
-        for second in moving[number + 1 :]:
-            a, b = sizes[first.name], sizes[second.name]
-            if min(a, b) < GIVEN or max(a, b) > SIZE * min(a, b) or first.rate_hz != second.rate_hz:
-                continue
-            shift = _shift(commands[first.name], commands[second.name])
-            if shift is not None:
-                found.append(_repeat(first, second, shift, scales))
+    for first, second in combinations(moving, 2):
+        a, b = sizes[first.name], sizes[second.name]
+        if min(a, b) < GIVEN or max(a, b) > SIZE * min(a, b) or first.rate_hz != second.rate_hz:
+            continue
+        shift = _shift(commands[first.name], commands[second.name])
+        if shift is not None:
+            found.append(_repeat(first, second, shift, scales))
     return tuple(found)
 
 
 def _commands(recording: Recording, scales: Mapping[str, Scale]) -> Array:
-    """Commands about their mean (a servo's may all lie far from zero) as shares of full, (n, axes)."""
+    """Commands minus their mean (those of a servo may be far from zero) as shares of full, (n, axes)."""
     columns = [np.nan_to_num(recording.values(axis_signal(name, "command"))) / scale.full for name, scale in scales.items()]
     return np.column_stack([u - u.mean() for u in columns]) if columns and len(recording) else np.zeros((len(recording), 0))
 
 
 def _shift(one: Array, other: Array) -> int | None:
-    """Rows by which ``other`` comes later; None where they are not the same commands."""
+    """Delay of ``other`` [rows]; None where the commands differ."""
     total = np.sum([correlate(other[:, k], one[:, k], "full", "fft") for k in range(one.shape[1])], axis=0)
     shift = int(correlation_lags(len(other), len(one))[int(np.argmax(total))])
     a, b = _both(one, other, shift)
@@ -77,7 +77,7 @@ def _shift(one: Array, other: Array) -> int | None:
 
 
 def _both(one: Array, other: Array, shift: int) -> tuple[Array, Array]:
-    """The rows that both have, ``other`` moved back by ``shift``."""
+    """The common rows, ``other`` moved back by ``shift``."""
     begin, end = max(0, -shift), min(len(one), len(other) - shift)
     return one[begin:end], other[begin + shift : end + shift]
 

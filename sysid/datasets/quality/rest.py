@@ -1,4 +1,4 @@
-"""Still phases: where the machine held which posture for how long. Leakage, sag and noise at rest show there."""
+"""Still phases with their posture and length, which excite leakage and sag and show the noise at rest."""
 
 from __future__ import annotations
 
@@ -8,8 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from sysid.datasets.in_pieces import stretches
 from sysid.datasets.quality.coverage import Span
-from sysid.datasets.quality.noise import unsteadiness
+from sysid.datasets.quality.noise import table_noise
 from sysid.datasets.quality.use import SLOPE_S, SLOW, Scale, level_of, speed_of
 from sysid.datasets.recording import Recording
 from sysid.machine import Machine
@@ -17,9 +18,10 @@ from sysid.signals import axis_signal
 
 Array = npt.NDArray[np.float64]
 
-#: A phase counts from this length on [s].
+#: Least length of a phase [s].
 LEAST_S = 1.0
-#: Still is slower than this many standard deviations of noise (one in 10⁹ samples is faster by chance), or than what is slow.
+#: An axis is still below this many standard deviations of the noise of its speed (exceeded by one in 10⁹ samples), or below the
+#: limit of slow motion.
 STILL = 6.0
 #: Postures differ where an axis differs by this share of its range.
 APART = 0.1
@@ -27,7 +29,7 @@ APART = 0.1
 
 @dataclass(frozen=True)
 class Rest:
-    """A phase in which nothing is commanded and nothing moves; ``posture``: axis → median [SI], of the axes measured in it."""
+    """A phase without command and motion; ``posture``: axis → median [SI], of the axes measured in it."""
 
     recording: str
     from_s: float
@@ -40,14 +42,14 @@ class Rest:
 
 
 def rests_of(recording: Recording, machine: Machine, spans: Sequence[Span], scales: Mapping[str, Scale]) -> list[Rest]:
-    """Still phases of a recording of motion. A servo or a force may hold: of those axes only the motion is looked at."""
+    """Still phases of a recording of motion. Servos and forces may hold a position, so only the motion of those axes counts."""
     still, known = np.ones(len(recording), dtype=bool), np.zeros(len(recording), dtype=bool)
     for axis in machine.axes:
         if axis.actuation == "velocity":
             still &= level_of(recording.values(axis_signal(axis.name, "command"))) == 0
     for span in spans:
         values = recording.values(span.signal)
-        noise = unsteadiness(values, recording.rate_hz)
+        noise = table_noise(values, recording.rate_hz)
         top = scales[span.axis].top_speed if span.axis in scales else 0.0
         limit = max(SLOW[0] * top, STILL * np.sqrt(2.0) * noise / SLOPE_S, 1e-12)
         speed = np.abs(speed_of(values, recording.rate_hz))
@@ -55,8 +57,7 @@ def rests_of(recording: Recording, machine: Machine, spans: Sequence[Span], scal
         known |= ~np.isnan(speed)
     time = recording.values("time")
     found = []
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], still & known, [False]]).astype(np.int8)))
-    for first, last in edges.reshape(-1, 2):
+    for first, last in zip(*stretches(still & known), strict=True):
         if last - first < LEAST_S * recording.rate_hz:
             continue
         parts = {span.axis: recording.values(span.signal)[first:last] for span in spans}
@@ -66,7 +67,7 @@ def rests_of(recording: Recording, machine: Machine, spans: Sequence[Span], scal
 
 
 def postures(rests: Sequence[Rest], spans: Sequence[Span]) -> tuple[Rest, ...]:
-    """The longest phase of each posture that is clearly another one (:data:`APART`), the longest first."""
+    """The longest phase of each distinct posture (:data:`APART`), the longest first."""
     kept: list[Rest] = []
     for rest in sorted(rests, key=lambda rest: -rest.seconds):
         if all(_apart(rest, other, spans) for other in kept):
@@ -83,7 +84,7 @@ def _apart(one: Rest, other: Rest, spans: Sequence[Span]) -> bool:
 
 
 def noise_at_rest(recordings: Mapping[str, Recording], rests: Sequence[Rest], signal: str) -> float | None:
-    """Standard deviation of a signal about its straight line in still phases, the median of them; None where there are none."""
+    """Median over still phases of the standard deviation of a signal about a straight line; None without such phases."""
     found = []
     for rest in rests:
         recording = recordings[rest.recording]

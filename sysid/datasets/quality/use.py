@@ -1,16 +1,17 @@
-"""How an axis was used: command space per direction, reversals, small commands, slow motion. It adds up over recordings."""
+"""Use of an axis: command space per direction, reversals, small commands, slow motion; additive over recordings."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import combinations
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from sysid.datasets.in_pieces import absolute, copied, counted, known
-from sysid.datasets.quality.noise import unsteadiness
+from sysid.datasets.quality.noise import table_noise
 from sysid.datasets.recording import Recording
 from sysid.machine import Axis, Machine
 from sysid.scratch import chosen, computed, empty, filled, pieces
@@ -18,25 +19,25 @@ from sysid.signals import axis_signal
 
 Array = npt.NDArray[np.float64]
 
-#: A command below this share of the axis's large ones (their 95th percentile) is none: a joystick rarely comes back exactly.
+#: A command below this share of the axis's 95th percentile is zero, because a joystick rarely returns exactly.
 IDLE = 0.02
-#: A command between these shares of full is small: a valve's dead-band ends somewhere in there.
+#: Small commands as shares of full; they contain the end of a valve's dead-band.
 SMALL = (0.02, 0.4)
 #: Cells over −full … full in which the time at each command is counted, and the time that makes a cell visited [s].
 CELLS, VISITED_S = 20, 0.2
-#: A turn of less than this share of a recording's travel, or of so many standard deviations of noise, is no reversal: thousands
-#: of samples of a sensor at rest lie within four standard deviations on either side.
+#: Least size of a reversal as a share of a recording's travel, and in standard deviations of the noise: thousands of samples of
+#: a sensor at rest are within four on either side.
 TURN, TURN_NOISE = 0.01, 8.0
-#: Slow is between these shares of the top speed. Dry friction falls with speed, and drives stick and slip, at small speeds only
-#: (Armstrong-Hélouvry, Dupont, Canudas de Wit, Automatica 30 (1994) 1083); where that ends differs: the tenth is a choice.
+#: Slow motion as shares of the top speed. Dry friction falls with speed, and drives stick and slip, at small speeds only
+#: (Armstrong-Hélouvry, Dupont, Canudas de Wit, Automatica 30 (1994) 1083); the upper limit is a choice.
 SLOW = (0.02, 0.1)
-#: Speeds are slopes over this long [s]; below so many standard deviations of noise they are none.
-SLOPE_S, UNREST = 0.2, 4.0
+#: Interval over which slopes are speeds [s]; least speed in standard deviations of its noise.
+SLOPE_S, SPEED_NOISE = 0.2, 4.0
 
 
 @dataclass(frozen=True)
 class Scale:
-    """What is large for an axis: its full command (1 for a valve, else the largest recorded), and its top speed [SI/s]."""
+    """Full command of an axis (1 for a valve, else the largest recorded), and its top speed [SI/s]."""
 
     full: float
     top_speed: float
@@ -44,16 +45,16 @@ class Scale:
 
 @dataclass(frozen=True)
 class AxisUse:
-    """What an axis was asked to do and did.
+    """Commands and motion of an axis.
 
     Args:
-        full: the command that counts as full.
-        seconds: time at commands in :data:`CELLS` equal cells over −full … full (idle time is not among them).
+        full: full command.
+        seconds: time at commands in :data:`CELLS` equal cells over −full … full, without idle time.
         idle_s, positive_s, negative_s: time without command and with one in either direction.
         small_positive_s, small_negative_s: time at small commands, :data:`SMALL` as shares of full.
-        command_changes: starts, stops and reversals of the command, or its turning points where it never comes to rest.
-        reversals: of the joint (of what is driven, where no joint is measured), beyond :data:`TURN`.
-        slow_positive_s, slow_negative_s: time in which it moved slowly, :data:`SLOW`.
+        command_changes: starts, stops and reversals of the command, or its turning points if it is never zero.
+        reversals: of the joint (of the driven quantity, where no joint is measured), beyond :data:`TURN`.
+        slow_positive_s, slow_negative_s: time in slow motion, :data:`SLOW`.
     """
 
     full: float
@@ -75,7 +76,7 @@ class AxisUse:
 
 
 def scales_of(recordings: Sequence[Recording], machine: Machine) -> dict[str, Scale]:
-    """Axis → what is large for it in these recordings; an axis without commands is left out."""
+    """Axis → its scale in these recordings; an axis without commands is omitted."""
     found, recordings = {}, [recording for recording in recordings if recording.kind == "motion"]
     for axis in machine.axes:
         commands = [known(r.values(axis_signal(axis.name, "command"))) for r in recordings]
@@ -94,7 +95,7 @@ def scales_of(recordings: Sequence[Recording], machine: Machine) -> dict[str, Sc
 
 
 def use_of(recording: Recording, axis: Axis, scale: Scale) -> AxisUse:
-    """How the axis was used in one recording of motion."""
+    """Use of the axis in one recording of motion."""
     command = recording.values(axis_signal(axis.name, "command"))
     level = level_of(command)
     counts = np.zeros(CELLS, dtype=np.intp)
@@ -104,7 +105,7 @@ def use_of(recording: Recording, axis: Axis, scale: Scale) -> AxisUse:
     seconds = counts / recording.rate_hz
     moved = recording.values(moved_signal(recording, axis))
     speed = speed_of(moved, recording.rate_hz)
-    least = max(SLOW[0] * scale.top_speed, _unrest(moved, recording.rate_hz))
+    least = max(SLOW[0] * scale.top_speed, SPEED_NOISE * float(np.sqrt(2.0)) * table_noise(moved, recording.rate_hz) / SLOPE_S)
 
     def lasting(values: Array, side: float, above: float = 0.0, below: float = np.inf) -> float:
         there = counted(len(values), lambda a, b: (side * values[a:b] > above) & (side * values[a:b] < below))
@@ -132,7 +133,7 @@ def together(uses: Sequence[AxisUse]) -> AxisUse:
     """The sum over recordings.
 
     Raises:
-        ValueError: there is none to add up.
+        ValueError: ``uses`` is empty.
     """
     if not uses:
         raise ValueError("no use to add up")
@@ -146,20 +147,17 @@ def together(uses: Sequence[AxisUse]) -> AxisUse:
 def pairs_together(recording: Recording, scales: Mapping[str, Scale]) -> dict[tuple[str, str], float]:
     """Pair of axes → seconds in which both are commanded."""
     active = {name: level_of(recording.values(axis_signal(name, "command"))) != 0 for name in scales}
-    names = list(active)
-    return {
-        (a, b): float(np.sum(active[a] & active[b])) / recording.rate_hz for i, a in enumerate(names) for b in names[i + 1 :]
-    }
+    return {(a, b): float(np.sum(active[a] & active[b])) / recording.rate_hz for a, b in combinations(active, 2)}
 
 
 def moved_signal(recording: Recording, axis: Axis) -> str:
-    """The joint; what is driven, where this recording has no joint."""
+    """The joint, or the driven quantity where this recording has no joint."""
     joint = axis_signal(axis.name, "joint")
     return joint if not np.isnan(recording.values(joint)).all() else axis.driven
 
 
 def level_of(command: Array) -> Array:
-    """The command as −1, 0, +1, with what is below :data:`IDLE` of its large values as 0 (a spike is none of them)."""
+    """The command as −1, 0, +1, with 0 below :data:`IDLE` of its 95th percentile (which is robust against outliers)."""
     sizes = computed(len(command), lambda a, b: np.abs(np.nan_to_num(command[a:b])))
     given = chosen(sizes, sizes != 0.0)
     least = IDLE * np.percentile(given, 95, overwrite_input=True) if len(given) else np.inf
@@ -173,7 +171,7 @@ def level_of(command: Array) -> Array:
 
 
 def command_changes(command: Array) -> int:
-    """Starts, stops and reversals, or the turning points of a command that never comes to rest."""
+    """Starts, stops and reversals, or the turning points of a command that is never zero."""
     u = computed(len(command), lambda a, b: np.nan_to_num(command[a:b]))
     if not len(u):
         return 0
@@ -186,17 +184,17 @@ def reversals(values: Array, rate_hz: float | None) -> int:
     """Changes of direction beyond :data:`TURN` of the travel and :data:`TURN_NOISE` of the noise.
 
     Args:
-        rate_hz: None for static poses: their rows are no motion from which noise could be told.
+        rate_hz: None for static poses, whose rows are no motion.
     """
     there = known(values)
     if not len(there):
         return 0
-    noise = 0.0 if rate_hz is None else unsteadiness(there, rate_hz)
+    noise = 0.0 if rate_hz is None else table_noise(there, rate_hz)
     return turning_points(there, max(TURN * float(np.ptp(there)), TURN_NOISE * noise))
 
 
 def turning_points(values: Array, least: float) -> int:
-    """Reversals of a signal by more than ``least`` (so that noise does not count)."""
+    """Number of reversals of a signal by more than ``least``."""
     if least <= 0.0 or not len(values):
         return 0
     count, direction, extreme = 0, 0, float(values[0])
@@ -215,8 +213,8 @@ def turning_points(values: Array, least: float) -> int:
 
 
 def _corners(values: Array) -> Iterator[float]:
-    """The ends of all stretches in which the signal only rises or only falls: nothing between them can be a turn."""
-    before = values[:0]  # the last two different values: which way the signal goes
+    """The ends of all monotonic stretches of the signal."""
+    before = values[:0]  # the last two different values, for the direction
     for first, last in pieces(len(values)):
         some = np.concatenate([before, values[first:last]])
         changed = some[np.concatenate([[True], np.diff(some) != 0.0])]
@@ -233,8 +231,3 @@ def speed_of(values: Array, rate_hz: float) -> Array:
     for a, b in pieces(len(values) - 2 * half):
         speed[half + a : half + b] = (values[2 * half + a : 2 * half + b] - values[a:b]) * rate_hz / (2 * half)
     return speed
-
-
-def _unrest(values: Array, rate_hz: float) -> float:
-    """The speed that noise alone may feign [unit/s]."""
-    return UNREST * float(np.sqrt(2.0)) * unsteadiness(values, rate_hz) / SLOPE_S

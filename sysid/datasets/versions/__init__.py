@@ -1,1 +1,1 @@
-"""Dataset versions: written once, addressed by content, appended to, compared, traced and cleared away."""
+"""Dataset versions: immutable and addressed by content, with append, comparison, lineage and removal."""

@@ -1,4 +1,4 @@
-"""New recordings behind those of a version: only they are read and written, and what the version holds stays as it is."""
+"""Appends recordings to a version: only the new ones are read and written; the existing version does not change."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ import numpy as np
 from sysid.datasets.channels import Mounts, survey_mounts
 from sysid.datasets.clocks.records import known_skews
 from sysid.datasets.discover import RecordingFiles, discover
-from sysid.datasets.ingest import DESCRIBED, STORED, walk
+from sysid.datasets.ingest import DESCRIBED, STORED, read_and_align
 from sysid.datasets.plan import content_of, plan_of, sources_of
 from sysid.datasets.recipe import Splits, stored_recipe
 from sysid.datasets.recording import Dataset, Recording, Role, Source
@@ -29,7 +29,7 @@ from sysid.progress import Progress, silent
 from sysid.progress import part as stretch
 from sysid.scratch import scratch_in
 
-#: Of new recordings where neither the caller nor the recipe gives one: what proves a model stays what it was.
+#: Of new recordings without a role from the caller or the recipe, so that held-out recordings stay the same.
 DEFAULT_ROLE: Role = "fit"
 
 
@@ -44,24 +44,24 @@ def append(
 ) -> Dataset:
     """Read the recordings that ``to`` does not hold yet, and store it with them as the next version.
 
-    Nothing of ``to`` is read again or rewritten: the new version names its tables and one more. Its recordings keep their
-    roles. A new recording has ``role``, else what the splits of the recipe say, else :data:`DEFAULT_ROLE`. What ``to`` knows of
-    the devices (skew of their clocks, mounts of rigid bodies where one reference pose is for all) holds for the new recordings.
+    Nothing of ``to`` is read again or rewritten: the new version refers to its tables and one more. Its recordings keep their
+    roles. A new recording has ``role``, else that of the splits in the recipe, else :data:`DEFAULT_ROLE`. Skews of clocks and
+    mounts of rigid bodies (with one reference pose for all recordings) are taken from ``to``.
 
-    Where ``to`` has no number and another version is stored in the meantime, the step is repeated on that one: of several at
-    once, each adds its own.
+    If ``to`` has no number and another version is stored in the meantime, the step is repeated on that version, so that each of
+    several concurrent appends is stored.
 
     Args:
         paths: folders of recordings or log files; recordings that ``to`` holds may be among them.
         workspace: folder or object-store URL.
         to: ``name`` (its newest version) or ``name@3``.
-        machine: has to be the description that ``to`` was made with; default: that one.
-        recipe: ``recipe.toml``; else the one beside the logs, else the one that ``to`` was last made with.
+        machine: has to equal the description of ``to``, which is the default.
+        recipe: ``recipe.toml``; else the one beside the logs, else the last one of ``to``.
         role: of the new recordings.
         progress: called with the share done and a text.
 
     Returns:
-        The new version; ``to`` itself where nothing is new.
+        The new version; ``to`` where nothing is new.
 
     Raises:
         InputError: a log that cannot be used, or a recording that ``to`` holds with other content or under another name.
@@ -77,8 +77,8 @@ def append(
         while True:
             try:
                 return _append(paths, Store(workspace), to, machine, recipe, role, report)
-            except OvertakenError as error:  # each time somebody else got on, so that this ends
-                report(0.0, f"{error.found}: once more, on that one")
+            except OvertakenError as error:  # each time another writer has stored a version, so that this ends
+                report(0.0, f"{error.found}: repeated on that version")
 
 
 def _append(
@@ -108,7 +108,7 @@ def _append(
         return known
 
     skews = known_skews([clock_from(item) for item in base["clocks"]], store.clock_domains(reference))
-    ingested = walk(found, plan, _mounts(found, plan.machine, base), report, skews)
+    ingested = read_and_align(found, plan, _mounts(found, plan.machine, base), report, skews)
     settings = plan.rules.splits if plan.rules is not None else Splits()
     parts, roles = split(ingested.recordings, _roles(ingested.recordings, settings, role), plan.where)
     addition = ingested.dataset(name, digest, plan.machine, parts, roles, sources, stretch(report, *DESCRIBED))
@@ -155,7 +155,7 @@ def _new_recordings(
     for files in found:
         own = sources_of([files])
         content = {source.path.rpartition("/")[2]: source.sha256 for source in own}
-        if content.items() <= before.get(files.name, {}).items():  # the recipe may map fewer of its files now
+        if content.items() <= before.get(files.name, {}).items():  # the recipe may map fewer of its files
             continue
         if files.name in before:
             raise InputError(
@@ -176,7 +176,7 @@ def _new_recordings(
 
 
 def _mounts(found: Sequence[RecordingFiles], machine: Machine, base: Manifest) -> Mounts:
-    """Where the bodies sit: as in ``base`` where one reference pose is for all recordings, else by the recordings' own."""
+    """Mounts of the bodies: those of ``base`` with one reference pose for all recordings, else from the recordings."""
     known: dict[str, dict[str, Any]] = {}
     for part in base["parts"]:
         known |= part["made"]["mounts"]
@@ -196,7 +196,7 @@ def _mounts(found: Sequence[RecordingFiles], machine: Machine, base: Manifest) -
 
 
 def _roles(recordings: Sequence[Recording], splits: Splits, role: Role | None) -> Splits:
-    """The splits of the recipe for ``recordings`` alone, ``role`` before them and the default behind them."""
+    """The splits for ``recordings``: all ``role`` if given, else those of the recipe, else the default."""
     names = [recording.name for recording in recordings if recording.kind == "motion"]
     if role is not None:
         return Splits(**{role: tuple(map(escape, names))}, guard_s=splits.guard_s)  # type: ignore[arg-type]
@@ -212,7 +212,7 @@ def _roles(recordings: Sequence[Recording], splits: Splits, role: Role | None) -
 
 
 def joined_quality(base: Mapping[str, Any], more: Mapping[str, Any]) -> dict[str, Any]:
-    """Figures by recording of both; lists one behind the other."""
+    """Entries by recording of both; lists are concatenated."""
     joined = dict(base)
     for key, value in more.items():
         earlier = base.get(key)

@@ -1,4 +1,4 @@
-"""Manifest and tables → the version in memory, and the line of a list."""
+"""Manifest and tables → the version in memory, and its entry in a list."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Entry:
-    """One line of :meth:`Store.list`; ``damage`` says why a version cannot be read, and nothing else is known of it then."""
+    """One line of :meth:`Store.list`; ``damage``: why a version cannot be read, then the other fields are empty."""
 
     name: str
     version: int
@@ -50,10 +50,10 @@ def entry_of(manifest: Manifest) -> Entry:
 
 
 def dataset_of(manifest: Manifest, samples: Sequence[pa.Table]) -> Dataset:
-    """The version that ``manifest`` describes; ``samples`` is one table a part.
+    """The version of ``manifest``; ``samples`` is one table for each part.
 
     Raises:
-        StoreError: a recording that is not whole.
+        StoreError: a recording with missing rows.
     """
     reference = f"{manifest['name']}@{manifest['version']}"
     tables = [_rows_of(table) for table in samples]
@@ -75,7 +75,7 @@ def dataset_of(manifest: Manifest, samples: Sequence[pa.Table]) -> Dataset:
 
 @dataclass(frozen=True)
 class _Rows:
-    """Samples in the order of recording and row, and where the rows of each recording lie: key → first, end."""
+    """Samples in the order of recording and row; ``places``: key of a recording → its first row, last + 1."""
 
     table: pa.Table
     places: Mapping[Any, tuple[int, int]]

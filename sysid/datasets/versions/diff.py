@@ -1,4 +1,4 @@
-"""How two versions differ: what went in, how it was read, on which clocks, in which roles, and by how much the numbers do."""
+"""Differences between two versions: sources, recipe, machine, clocks, roles, settings and values."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from sysid.datasets.recording import Recording
 from sysid.datasets.versions.manifest import Manifest
 from sysid.datasets.versions.store import Store
 
-#: Numbers of the quality that differ by less than this share are the same.
+#: Relative tolerance of quality figures.
 SAME_SHARE = 1e-9
 
 
@@ -29,8 +29,8 @@ class ValueChange:
 
 
 @dataclass(frozen=True)
-class Names:
-    """What only the second version has, what only the first one has, and what both have but not the same."""
+class NameChanges:
+    """Names only in the second version, only in the first, and in both with different content."""
 
     added: tuple[str, ...] = ()
     removed: tuple[str, ...] = ()
@@ -42,10 +42,10 @@ class Names:
 
 @dataclass(frozen=True)
 class ClockChange:
-    """A clock record of both versions that is not the same; NaN where it was not applied.
+    """A clock record that differs between the versions; NaN where it was not applied.
 
     Args:
-        mid_shift_s: by how much the stream moves against the machine's clock in the middle of the recording [s].
+        mid_shift_s: shift of the stream against the machine's clock in the middle of the recording [s].
     """
 
     recording: str
@@ -58,7 +58,7 @@ class ClockChange:
 
 @dataclass(frozen=True)
 class SignalChange:
-    """How far one signal of one recording differs, over the rows that both versions measured at the same ``time``.
+    """Difference of one signal of one recording, over the rows of both versions with the same ``time``.
 
     Args:
         rows: of the recording, in either version.
@@ -79,13 +79,13 @@ class SignalChange:
 
 @dataclass(frozen=True)
 class DatasetDiff:
-    """What differs between version ``before`` and version ``after``; all empty where nothing does.
+    """Differences between version ``before`` and version ``after``.
 
     Args:
         same_content: both have the same digest.
         texts: recipe and files of the machine → unified diff.
         recordings, sources, signals: recordings and signals by name, sources by path (changed: another sha256).
-        units, splits, settings: what differs by name; ``settings`` are those of resampling and the code that made the tables.
+        units, splits, settings: by name; ``settings`` are those of resampling and versions of the code.
         tables: only the signals that differ.
         quality: figures of recordings that both have.
     """
@@ -93,9 +93,9 @@ class DatasetDiff:
     before: str
     after: str
     same_content: bool
-    recordings: Names
-    sources: Names
-    signals: Names
+    recordings: NameChanges
+    sources: NameChanges
+    signals: NameChanges
     texts: Mapping[str, str]
     units: tuple[ValueChange, ...]
     splits: tuple[ValueChange, ...]
@@ -116,7 +116,7 @@ class DatasetDiff:
 
 
 def diff(store: Store, before: str, after: str) -> DatasetDiff:
-    """How ``after`` differs from ``before``; each ``name`` or ``name@3``, also of two datasets.
+    """Differences of ``after`` from ``before``; each ``name`` or ``name@3``, also of two datasets.
 
     Raises:
         StoreError: no such version, or its files are damaged.
@@ -140,8 +140,8 @@ def diff(store: Store, before: str, after: str) -> DatasetDiff:
     )
 
 
-def _names(before: Mapping[str, Any], after: Mapping[str, Any]) -> Names:
-    return Names(
+def _names(before: Mapping[str, Any], after: Mapping[str, Any]) -> NameChanges:
+    return NameChanges(
         added=tuple(name for name in after if name not in before),
         removed=tuple(name for name in before if name not in after),
         changed=tuple(name for name in before if name in after and before[name] != after[name]),
@@ -174,7 +174,7 @@ def _texts(a: Manifest, b: Manifest) -> dict[str, str]:
 
 
 def _settings(manifest: Manifest) -> dict[str, Any]:
-    """What made the tables; where parts were made differently, all of their values."""
+    """Settings and software of the tables; where parts differ, a list of all values."""
     values: dict[str, list[Any]] = {}
     for part in manifest["parts"]:
         made = part["made"]
@@ -219,12 +219,12 @@ def _number(value: float | None) -> float:
 
 def _tables(store: Store, a: Manifest, b: Manifest, shared: list[str]) -> tuple[SignalChange, ...]:
     ours, theirs = ({item["name"]: item for item in manifest["recordings"]} for manifest in (a, b))
-    open_names = [name for name in shared if _place(a, ours[name]) != _place(b, theirs[name])]
-    if not open_names:
+    different = [name for name in shared if _place(a, ours[name]) != _place(b, theirs[name])]
+    if not different:
         return ()
     before, after = (store.load(f"{manifest['name']}@{manifest['version']}") for manifest in (a, b))
     found = []
-    for name in open_names:
+    for name in different:
         one, other = before.recording(name), after.recording(name)
         for signal in {**dict.fromkeys(one.signals), **dict.fromkeys(other.signals)}:
             change = _signal_change(one, other, signal, str(b["units"].get(signal, a["units"].get(signal, ""))))
@@ -234,7 +234,7 @@ def _tables(store: Store, a: Manifest, b: Manifest, shared: list[str]) -> tuple[
 
 
 def _place(manifest: Manifest, item: Mapping[str, Any]) -> tuple[Any, ...]:
-    """What says that two recordings are the same rows of the same files."""
+    """Folder and key, which are equal for the same rows of the same files."""
     return manifest["parts"][item["part"]]["folder"], item["key"]
 
 
@@ -283,7 +283,7 @@ def _quality(a: Manifest, b: Manifest, shared: list[str]) -> tuple[ValueChange, 
 
 
 def _leaves(value: Any, path: str = "") -> Iterator[tuple[str, Any]]:
-    """Path → value of all that is no mapping."""
+    """Path → value of everything that is no mapping."""
     if isinstance(value, Mapping):
         for key, item in value.items():
             yield from _leaves(item, f"{path}/{key}" if path else str(key))

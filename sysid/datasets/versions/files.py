@@ -1,4 +1,4 @@
-"""The few file operations that the store needs, on a local folder and on an object store alike."""
+"""The file operations of the store, on a local folder or an object store."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from sysid.errors import StorageError, StoreError
 
 
 class TakenError(StoreError):
-    """The file to be published is there already: another writer was first."""
+    """The file to be published exists: another writer was first."""
 
 
 class OvertakenError(StoreError):
-    """Another version was stored since the newest one was read, which was to be added to."""
+    """Another version was stored after the newest one was read for an append."""
 
 
 class Files(Protocol):
@@ -27,7 +27,7 @@ class Files(Protocol):
 
     @property
     def locks(self) -> bool:
-        """Whether :meth:`lock` keeps writers of other processes apart; else every writer has to expect others."""
+        """Whether :meth:`lock` excludes writers of other processes."""
         ...
 
     def uri(self, path: str) -> str: ...
@@ -55,11 +55,11 @@ class Files(Protocol):
         ...
 
     def settle(self, folder: str) -> None:
-        """Return when what was written to ``folder`` survives a power cut."""
+        """Return when the files written to ``folder`` survive a power cut."""
         ...
 
     def publish(self, path: str, text: str) -> None:
-        """Write a file that did not exist: whole, or not at all.
+        """Write a new file atomically.
 
         Raises:
             TakenError: it exists, or another writer has claimed it.
@@ -71,33 +71,33 @@ class Files(Protocol):
         ...
 
     def rename(self, path: str, to: str) -> None:
-        """Give a file another name; a process killed on the way leaves the old one, the new one, or both."""
+        """Rename a file; a process that is killed meanwhile leaves the old one, the new one, or both."""
         ...
 
     def weight(self, folder: str) -> tuple[int, float]:
-        """Bytes below ``folder``, and seconds since the last of them was written."""
+        """Size of ``folder`` [bytes], and seconds since its last write."""
         ...
 
     def remove(self, path: str) -> None:
-        """Remove a file, or a folder with all it holds, if it is there."""
+        """Remove a file, or a folder with its content, if it exists."""
         ...
 
     def lock(self, folder: str) -> Any:
-        """A context that one writer at a time can enter."""
+        """A context for one writer at a time."""
         ...
 
 
 def scratch_folder(workspace: str | Path) -> Path:
-    """Where scratch files lie while something is made for ``workspace``: beside it where it is local, on the same disk."""
+    """Folder of scratch files for ``workspace``: the workspace itself if local, so that they are on the same disk."""
     return Path(tempfile.gettempdir()) if "://" in str(workspace) else Path(workspace)
 
 
 @contextmanager
 def explained(where: object, state: str) -> Iterator[None]:
-    """What disks, object stores and Delta refuse, as a :class:`StorageError` that says how the store stands.
+    """Errors of disks, object stores and Delta as a :class:`StorageError`.
 
     Args:
-        state: what is left of the work, for the message.
+        state: of the store after the error, for the message.
     """
     import pyarrow as pa
     from deltalake.exceptions import DeltaError
@@ -106,9 +106,9 @@ def explained(where: object, state: str) -> Iterator[None]:
         yield
     except (OSError, DeltaError, pa.ArrowException) as error:
         number = error.errno if isinstance(error, OSError) else None
-        told = re.search(r"os error (\d+)|errno (\d+)", str(error))
-        if number is None and told:
-            number = int(told[1] or told[2])
+        stated = re.search(r"os error (\d+)|errno (\d+)", str(error))
+        if number is None and stated:
+            number = int(stated[1] or stated[2])
         found = os.strerror(number) if number else str(error).splitlines()[0]
         remedy = {
             errno.ENOSPC: "Make room on the disk and run the command again.",

@@ -1,4 +1,4 @@
-"""A dataset version as one pandas table, for whoever wants the numbers and nothing else."""
+"""A dataset version as one pandas table."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Where a version comes from: raw files by sha256, recipe, machine, clocks, settings and code, to the files of its tables."""
+"""Provenance of a version: raw files by sha256, recipe, machine, clocks, settings, code, and the files of its tables."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from sysid.errors import StoreError
 
 @dataclass(frozen=True)
 class Step:
-    """A version that another one was made from: ``by`` append or split; ``there`` says whether it is still stored."""
+    """A version from which another one was made ``by`` append or split; ``there``: whether it is still stored."""
 
     reference: str
     digest: str
@@ -25,11 +25,11 @@ class Step:
 
 @dataclass(frozen=True)
 class PartLineage:
-    """The tables that one ingest wrote, and what made them.
+    """The tables of one ingest, and their provenance.
 
     Args:
         recordings: in the tables.
-        sources: raw files they were made from.
+        sources: raw files of the tables.
         recipe_sha256: empty where the columns had canonical names.
         ingest: version of the ingest code.
         settings: of resampling.
@@ -53,7 +53,7 @@ class PartLineage:
 
 @dataclass(frozen=True)
 class Lineage:
-    """The chain of one version; ``steps`` from the version it was made of back to the first."""
+    """The provenance of one version; ``steps`` from the version before back to the first."""
 
     dataset: str
     digest: str
@@ -69,7 +69,7 @@ class Lineage:
 
 
 def lineage(store: Store, reference: str) -> Lineage:
-    """Everything that led to a version.
+    """The provenance of a version.
 
     Raises:
         StoreError: no such version, or a damaged manifest.
@@ -95,7 +95,7 @@ def _steps(store: Store, manifest: Manifest) -> list[Step]:
         steps.append(Step(f"{name}@{version}", base["digest"], base["by"], there))
         try:
             base = store.read_manifest(name, version, removed=not there)["base"]
-        except StoreError:  # damaged, or removed by hand: what is known ends here
+        except StoreError:  # damaged, or removed by hand: earlier steps are unknown
             break
     return steps
 

@@ -1,4 +1,4 @@
-"""The files of a workspace in a folder: a lock keeps writers apart, a hard link publishes."""
+"""The files of a workspace in a local folder: a lock separates writers, a hard link publishes."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ class LocalFiles:
             raise TakenError(self.root / path, found, remedy="Run the command again.") from None
         finally:
             self.below.remove(draft)
-        with contextlib.suppress(OSError):  # it is published; a power cut could take it back whole, nothing worse
+        with contextlib.suppress(OSError):  # it is published; without sync a power cut could only undo it as a whole
             self.below.sync(folder)
 
     def claimed(self, folder: str) -> list[str]:
@@ -104,12 +104,12 @@ class LocalFiles:
 
 
 def _move_new(root: Root, draft: str, final: str) -> None:
-    """``draft`` becomes ``final`` in one step, or FileExistsError."""
+    """Rename ``draft`` to ``final`` atomically; FileExistsError if that exists."""
     try:
-        root.link(draft, final)  # unlike a rename it fails where another writer was first
+        root.link(draft, final)  # unlike a rename it fails if ``final`` exists
     except OSError as error:
         if error.errno not in _NO_LINKS:
             raise
-        if root.kind(final) is not None:  # a file system without hard links: the lock alone keeps writers apart
+        if root.kind(final) is not None:  # a file system without hard links: only the lock separates writers
             raise FileExistsError(final) from None
         root.rename(draft, final)

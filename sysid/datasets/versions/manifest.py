@@ -1,6 +1,6 @@
-"""The manifest of a dataset version: one JSON file that names its tables and all that led to them.
+"""The manifest of a dataset version: one JSON file with its tables and their provenance.
 
-It is written once. Its seal is the sha256 of all the rest, so that nobody changes roles or units under a model unseen.
+It is written once. Its seal is the sha256 of everything else, so that later changes of roles or units are detected.
 """
 
 from __future__ import annotations
@@ -25,9 +25,9 @@ from sysid.release import __version__
 
 Manifest = dict[str, Any]
 
-#: Of the manifests written now; older ones are read through :data:`MIGRATIONS`.
+#: Of the manifests written now; older ones are migrated by :data:`MIGRATIONS`.
 SCHEMA = 2
-#: What the tables depend on beside sysid itself.
+#: Libraries that affect the tables.
 SOFTWARE = ("numpy", "scipy", "pandas", "pyarrow", "deltalake")
 
 Change = Literal["append", "split"]
@@ -35,7 +35,7 @@ Change = Literal["append", "split"]
 
 @dataclass(frozen=True)
 class PartRecord:
-    """What turned raw files into tables.
+    """Settings with which raw files became tables.
 
     Args:
         ingest: ``INGEST_VERSION`` of the code.
@@ -52,7 +52,7 @@ class PartRecord:
 
 
 def digest_of(content: Mapping[str, Any]) -> str:
-    """The content address of plain JSON values: their sha256, whatever the order of the keys."""
+    """The content address of plain JSON values: their sha256, independent of the order of keys."""
     return hashlib.sha256(json.dumps(content, sort_keys=True).encode("utf-8")).hexdigest()
 
 
@@ -80,7 +80,7 @@ def new_manifest(dataset: Dataset, version: int, part: Mapping[str, Any]) -> Man
 
 
 def new_part(folder: str, samples: Mapping[str, Any], channels: Mapping[str, Any], made: PartRecord) -> Manifest:
-    """The tables of one ingest, with what made them."""
+    """The tables of one ingest, with their provenance."""
     return {
         "folder": folder,
         "samples": samples,
@@ -96,7 +96,7 @@ def new_part(folder: str, samples: Mapping[str, Any], channels: Mapping[str, Any
 
 
 def appended(base: Manifest, addition: Dataset, version: int, part: Mapping[str, Any]) -> Manifest:
-    """``base`` with the recordings of ``addition`` behind its own; what ``base`` says stays as it is.
+    """``base`` with the recordings of ``addition`` behind its own; entries of ``base`` do not change.
 
     Args:
         addition: the new recordings, their units, roles, sources, clocks and streams; its quality is that of all recordings.
@@ -127,7 +127,7 @@ def resplit(base: Manifest, splits: Mapping[str, str], digest: str, version: int
 
 
 def split_digest(base: Manifest, splits: Mapping[str, str]) -> str:
-    """Content address of ``base`` with other roles: the same however many steps led to them."""
+    """Content address of ``base`` with other roles, independent of the steps that led to them."""
     origin = _before_splits(base)
     if dict(splits) == origin["splits"]:
         return str(origin["digest"])
@@ -135,7 +135,7 @@ def split_digest(base: Manifest, splits: Mapping[str, str]) -> str:
 
 
 def _before_splits(manifest: Manifest) -> Manifest:
-    """Digest and roles of the version that first had these tables."""
+    """Digest and roles of the first version with these tables."""
     if manifest["base"] is not None and manifest["base"]["by"] == "split":
         return dict(manifest["base"]["origin"])
     return {"digest": manifest["digest"], "splits": manifest["splits"]}
@@ -153,7 +153,7 @@ def _changed(base: Manifest, version: int, digest: str, by: Change) -> Manifest:
 
 
 def _recordings(dataset: Dataset, part: int) -> list[Manifest]:
-    """``key`` is what stands in column ``recording`` of the part's samples."""
+    """``key`` is the value of column ``recording`` in the part's samples."""
     return [
         {
             "name": r.name,
@@ -179,7 +179,7 @@ def to_text(manifest: Manifest) -> str:
 
 
 def from_text(content: bytes, where: object) -> Manifest:
-    """A manifest of any schema up to :data:`SCHEMA`, in the shape of the newest.
+    """A manifest of any schema up to :data:`SCHEMA`, migrated to the newest.
 
     Raises:
         StoreError: cut off, changed after it was written, or of a newer sysid.
@@ -229,12 +229,12 @@ def _with_parts(old: Manifest) -> Manifest:
     return manifest
 
 
-#: (schema that is read, what makes the next one of it), oldest first.
+#: (schema, function to the next schema), oldest first.
 MIGRATIONS: tuple[tuple[int, Callable[[Manifest], Manifest]], ...] = ((1, _with_parts),)
 
 
 def clock_from(item: Mapping[str, Any]) -> ClockRecord:
-    """A clock record as it was; JSON has null for NaN and infinity."""
+    """A clock record from JSON, in which NaN and infinity are null."""
     values: dict[str, Any] = {key: float("nan") if value is None else value for key, value in item.items()}
     for key in ("offset_interval95", "skew_interval95"):
         low, high = (float("nan") if end is None else float(end) for end in item[key])

@@ -1,6 +1,6 @@
-"""What a manifest has to look like before anything in it is used: keys, types, and names that become paths.
+"""Validation of a manifest before it is used: keys, types, and names that become paths.
 
-The seal says that a manifest was not changed by accident; who makes a workspace for others can make a seal that fits.
+The seal only detects accidental changes: a hostile workspace can have a valid seal.
 """
 
 from __future__ import annotations
@@ -110,12 +110,12 @@ _SHAPE = TypeAdapter(_Manifest)
 
 
 def check_shape(manifest: Mapping[str, Any]) -> None:
-    """Raise where a manifest of the newest schema is none.
+    """Validate a manifest of the newest schema.
 
     Raises:
-        ValueError: a key that is missing or of another type, a version that is based on itself or a later one, a part that is
-            not there, a folder of another dataset.
-        SettingsError: a name that could be mistaken for a path.
+        ValueError: a key that is missing or of another type, a version that is based on itself or a later one, a missing part,
+            a folder of another dataset.
+        SettingsError: a name that could be a path.
     """
     try:
         _SHAPE.validate_python(manifest)
@@ -149,6 +149,6 @@ def check_shape(manifest: Mapping[str, Any]) -> None:
 
 
 def _check_relative(path: str) -> None:
-    """Of a file beside ``machine.toml``, which may lie in a folder there."""
+    """Validate the path of a file beside ``machine.toml``, which may be in a sub-folder."""
     if not path.isprintable() or path.startswith("/") or ".." in path.split("/"):
         raise ValueError(f"machine: file {shown(path)} is no path inside its folder")

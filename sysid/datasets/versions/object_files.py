@@ -1,4 +1,4 @@
-"""The files of a workspace in an object store: nothing is locked, a number is claimed before it is published."""
+"""The files of a workspace in an object store, without locks: a number is claimed before it is published."""
 
 from __future__ import annotations
 
@@ -18,24 +18,21 @@ from sysid.root import Root
 
 @dataclass(frozen=True)
 class ObjectFiles:
-    """An object store. A put is atomic there, and nothing is locked: a number is claimed before it is published.
+    """An object store, in which a put is atomic.
 
-    The claim is the first commit of a Delta table of its own, which the object store accepts from one writer only (put if
-    absent, also on S3). A writer that dies between claim and publication leaves a number that is never used.
+    The claim of a number is the first commit of a Delta table, which the object store accepts from one writer only (put if
+    absent, also on S3). The number of a writer that dies between claim and publication is never used.
     """
 
     url: str
     locks: bool = False
 
-    def _open(self) -> tuple[Any, str]:
+    def _at(self, path: str) -> tuple[Any, str]:
+        """The file system and ``path`` in it; links are refused in a folder that is used as object store (``file:///``)."""
         from pyarrow.fs import FileSystem
 
         system, root = FileSystem.from_uri(self.url)
-        return system, str(root).rstrip("/")
-
-    def _at(self, path: str) -> tuple[Any, str]:
-        """The file system, and ``path`` in it; a folder that stands for an object store (``file:///``) has no links in it."""
-        system, root = self._open()
+        root = str(root).rstrip("/")
         if self._in_folder and Path(root).is_dir():
             Root(Path(root)).path(path)
         return system, f"{root}/{path}"
@@ -54,7 +51,7 @@ class ObjectFiles:
         selector = FileSelector(place, allow_not_found=True)
         try:
             entries = system.get_file_info(selector)
-        except FileNotFoundError:  # Arrow lists, finds nothing, and looks again: another writer made the folder in between
+        except FileNotFoundError:  # another writer made the folder between two checks of Arrow
             entries = system.get_file_info(selector)
         links = set(self.links(folder))
         return sorted(entry.base_name for entry in entries if entry.type.name == kind and entry.base_name not in links)
@@ -66,7 +63,7 @@ class ObjectFiles:
         return self._entries(folder, "Directory")
 
     def links(self, folder: str) -> list[str]:
-        """None, but where a folder stands for an object store."""
+        """None, except in a folder that is used as object store."""
         _, place = self._at(folder)
         if not self._in_folder or not Path(place).is_dir():
             return []
@@ -92,7 +89,7 @@ class ObjectFiles:
         return cast("BinaryIO", system.open_output_stream(place))
 
     def settle(self, folder: str) -> None:
-        """A put has reached the store when it returns."""
+        """Nothing to do: a put has reached the store when it returns."""
 
     def publish(self, path: str, text: str) -> None:
         folder, _, name = path.rpartition("/")
@@ -106,14 +103,14 @@ class ObjectFiles:
         system.move(self._at(draft)[1], place)
 
     def _claim(self, folder: str) -> bool:
-        """Whether this writer is the first; Delta's first commit of a table is written by one writer alone."""
+        """Whether this writer is the first: Delta accepts the first commit of a table from one writer only."""
         import pyarrow as pa
         from deltalake import DeltaTable, Schema
         from deltalake.exceptions import DeltaError
 
         token = uuid.uuid4().hex
         empty = Schema.from_arrow(pa.schema([pa.field("claim", pa.string())]))
-        # That the table is there says the error; where it was made at the same moment, ours became its second commit.
+        # The error means that the table exists; if it was made at the same moment, ours became its second commit.
         with contextlib.suppress(DeltaError):
             DeltaTable.create(self.uri(folder), empty, mode="error", description=token)
         return token.encode() in self.read(f"{folder}/_delta_log/{0:020d}.json")
@@ -145,7 +142,7 @@ class ObjectFiles:
 
     @contextmanager
     def lock(self, folder: str) -> Iterator[None]:
-        """Nothing: numbers are claimed instead, and vacuum leaves what is young."""
+        """Does nothing: numbers are claimed instead, and vacuum keeps young tables."""
         yield
 
 

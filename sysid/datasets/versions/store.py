@@ -7,8 +7,8 @@ A version is visible when its manifest is: data are written first, the manifest 
     datasets/<name>/versions/<number>.json           manifest: machine, units, splits, sources, clocks, quality, the parts
     datasets/<name>/versions/<number>.removed.json   what stays of a version that vacuum removed
 
-A part is what one ingest wrote, and is never written again. A version that was appended to names the parts of the version
-before and one more; one with other roles names the same parts.
+A part is written by one ingest and never changed. An append refers to the parts of the previous version and one more; a version
+with other roles refers to the same parts.
 """
 
 from __future__ import annotations
@@ -28,6 +28,7 @@ from sysid.datasets.channel import Channel
 from sysid.datasets.recording import Dataset, Role
 from sysid.datasets.versions.assemble import Entry, dataset_of, entry_of
 from sysid.datasets.versions.files import Files, OvertakenError, TakenError, explained
+from sysid.datasets.versions.local_files import LocalFiles
 from sysid.datasets.versions.manifest import (
     Manifest,
     PartRecord,
@@ -39,7 +40,7 @@ from sysid.datasets.versions.manifest import (
     split_digest,
     to_text,
 )
-from sysid.datasets.versions.open_files import open_files
+from sysid.datasets.versions.object_files import ObjectFiles
 from sysid.datasets.versions.tables import PartTables, is_there, read_table, write_channels, write_samples
 from sysid.errors import SettingsError, StoreError, nearest
 from sysid.foreign import shown
@@ -51,8 +52,8 @@ if TYPE_CHECKING:
     import pyarrow as pa
 
 
-#: What a failed write leaves, for its message.
-_STATE = "no version was made, those that are there are whole"
+#: State of the store after a failed write, for the message.
+_STATE = "no version was made, existing ones are complete"
 
 
 @dataclass(frozen=True)
@@ -63,10 +64,12 @@ class Store:
 
     @cached_property
     def files(self) -> Files:
-        return open_files(self.workspace)
+        if "://" not in str(self.workspace):
+            return LocalFiles(Path(self.workspace))
+        return ObjectFiles(str(self.workspace).rstrip("/"))
 
     def list(self) -> tuple[Entry, ...]:
-        """All versions of all datasets, by name and number; what cannot be read is listed with its damage."""
+        """All versions of all datasets, by name and number; those that cannot be read with their damage."""
         entries = [Entry(name, 0, damage="is a link, which is not followed") for name in self.files.links("datasets")]
         for name in self.files.folders("datasets"):
             try:
@@ -119,7 +122,7 @@ class Store:
         return found
 
     def tables(self, reference: str) -> tuple[PartTables, ...]:
-        """The Delta tables that make a version, for polars, DuckDB, Spark, Dask."""
+        """The Delta tables of a version, for polars, DuckDB, Spark, Dask."""
         manifest = self.manifest(reference)
         return tuple(
             PartTables(
@@ -131,11 +134,11 @@ class Store:
         )
 
     def manifest(self, reference: str) -> Manifest:
-        """What is written of a version, in the shape of the newest schema (``docs/guide/versions.md``).
+        """The manifest of a version in the newest schema (``docs/guide/versions.md``).
 
         Raises:
-            StoreError: no such dataset or version, or a manifest that is damaged.
-            SettingsError: a name that no dataset can have.
+            StoreError: no such dataset or version, or a damaged manifest.
+            SettingsError: no valid name of a dataset.
         """
         name, _, number = reference.partition("@")
         versions = self.versions(check_dataset_name(name))
@@ -152,7 +155,7 @@ class Store:
         return self.read_manifest(name, int(number) if number else versions[-1])
 
     def read_manifest(self, name: str, version: int, removed: bool = False) -> Manifest:
-        """:meth:`manifest` of a version that is there, or what vacuum left of one that was removed."""
+        """:meth:`manifest` of a stored version, or of a ``removed`` one."""
         path = manifest_path(name, version, removed)
         try:
             manifest = from_text(self.files.read(path), path)
@@ -164,11 +167,11 @@ class Store:
         return manifest
 
     def versions(self, name: str) -> Sequence[int]:
-        """Numbers of the versions of ``name``, rising."""
+        """Numbers of the versions of ``name``, increasing."""
         return _numbers(self.files.names(f"datasets/{name}/versions"), ".json")
 
     def find_digest(self, name: str, digest: str) -> int | None:
-        """The newest version of ``name`` with this content and with all its tables there; None where there is none."""
+        """The newest version of ``name`` with this content and all its tables; None where there is none."""
         for version in reversed(self.versions(name)):
             with contextlib.suppress(StoreError):
                 manifest = self.read_manifest(name, version)
@@ -177,7 +180,7 @@ class Store:
         return None
 
     def intact(self, name: str, digest: str) -> Dataset | None:
-        """The newest version of ``name`` with this content that can be read to the end."""
+        """The newest version of ``name`` with this content that can be read completely; None where there is none."""
         for version in reversed(self.versions(name)):
             with contextlib.suppress(StoreError):
                 if self.read_manifest(name, version)["digest"] == digest:
@@ -187,16 +190,16 @@ class Store:
     def save(
         self, dataset: Dataset, channels: Mapping[str, Sequence[Channel]], made: PartRecord, progress: Progress = silent
     ) -> Dataset:
-        """Store ``dataset`` as the next version of its name; the same digest again returns the version that is there.
+        """Store ``dataset`` as the next version of its name; the same digest again returns the existing version.
 
         Args:
             dataset: its ``version`` is ignored.
             channels: recording (before it was cut into blocks) → its raw channels.
-            made: what the tables came from, kept with the version.
+            made: provenance of the tables, stored with the version.
             progress: called with the share that is written.
 
         Raises:
-            StorageError: the disk is full, or may not be written; nothing of the version is visible then.
+            StorageError: the disk is full or read-only; no version is made then.
         """
         version = self._store(dataset, channels, made, progress, lambda number, own: new_manifest(dataset, number, own))
         return version if isinstance(version, Dataset) else dataclasses.replace(dataset, version=version)
@@ -210,20 +213,20 @@ class Store:
         newest: bool = False,
         progress: Progress = silent,
     ) -> Dataset:
-        """Store the version ``base`` with the recordings of ``addition`` behind its own; no file of ``base`` is touched.
+        """Store the version ``base`` with the recordings of ``addition`` behind its own; no file of ``base`` changes.
 
         Args:
             base: ``name@version``.
             addition: the new recordings with their units, roles, sources, clocks and streams; the digest of the new version;
                 the quality of all recordings.
             channels: of the new recordings.
-            newest: ``base`` was meant as the newest version, so that nothing may have come after it.
+            newest: ``base`` has to be the newest version.
             progress: called with the share that is written.
 
         Raises:
-            OvertakenError: ``base`` is the newest no more where it has to be.
+            OvertakenError: ``base`` is not the newest version but has to be.
             StoreError: ``base`` was removed.
-            StorageError: the disk is full, or may not be written; nothing of the version is visible then.
+            StorageError: the disk is full or read-only; no version is made then.
         """
 
         def build(number: int, own: Manifest) -> Manifest:
@@ -231,7 +234,7 @@ class Store:
             last = self.versions(addition.name)[-1]
             if newest and last != manifest["version"]:
                 found = f"{addition.name}@{last} was stored in the meantime"
-                remedy = "Run the command again: it adds to that one."
+                remedy = "Run the command again to append to it."
                 raise OvertakenError(f"dataset {addition.name}", found, f"{base} to be the newest version", remedy)
             return appended(manifest, addition, number, own)
 
@@ -240,10 +243,10 @@ class Store:
         return version if isinstance(version, Dataset) else self.load(f"{addition.name}@{version}")
 
     def resplit(self, reference: str, splits: Mapping[str, Role]) -> Dataset:
-        """A version with the same tables and other roles; the version there is, where one has these roles already.
+        """A version with the same tables and other roles, or an existing one with these roles.
 
         Raises:
-            StorageError: the disk is full, or may not be written.
+            StorageError: the disk is full or read-only.
         """
         name = self.manifest(reference)["name"]
         with self.files.lock(f"datasets/{name}"), explained(self.workspace, _STATE):
@@ -255,7 +258,7 @@ class Store:
         return self.load(f"{name}@{number}")
 
     def _whole(self, reference: str) -> Manifest:
-        """The manifest of a version whose tables are all there."""
+        """The manifest of a version, after a check that its tables exist."""
         manifest = self.manifest(reference)
         if not self._has_tables(manifest):
             raise StoreError(f"dataset {reference}", "its tables are gone", "the tables as written", "Ingest the logs again.")
@@ -269,15 +272,15 @@ class Store:
         progress: Progress,
         build: Callable[[int, Manifest], Manifest],
     ) -> Dataset | int:
-        """Tables into a folder of their own, then the manifest that ``build(number, part)`` gives: its number, or the version
-        there is of this content.
+        """Write tables into a new folder, then the manifest ``build(number, part)``; returns its number, or an existing version
+        with this content.
         """
         name = dataset.name
         with self.files.lock(f"datasets/{name}"), explained(self.workspace, _STATE):
             known = self.intact(name, dataset.digest)
             if known is not None:
                 return known
-            if self.files.locks:  # what a killed ingest of the same content left behind was never visible
+            if self.files.locks:  # leftovers of a killed ingest of the same content
                 for folder in self.leftovers(name):
                     if folder.startswith(dataset.digest[:16]):
                         self.files.remove(f"datasets/{name}/data/{folder}")
@@ -292,12 +295,12 @@ class Store:
                 return self._publish(name, dataset.digest, lambda number: build(number, written))
             except BaseException:
                 with contextlib.suppress(OSError):
-                    if folder.rpartition("/")[2] in self.leftovers(name):  # else it was published before it was interrupted
+                    if folder.rpartition("/")[2] in self.leftovers(name):  # else it was published before the interruption
                         self.files.remove(folder)
                 raise
 
     def _publish(self, name: str, digest: str, build: Callable[[int], Manifest]) -> int:
-        """The number under which the manifest was published; where nothing is locked another writer may take one first."""
+        """Publish the manifest under the next number, which it returns; without locks another writer may claim it first."""
         while True:
             taken = self.files.claimed(f"datasets/{name}/versions")
             version = max([*_numbers(taken, ".json"), *_numbers(taken, ".removed.json")], default=0) + 1
@@ -313,7 +316,7 @@ class Store:
             return version
 
     def leftovers(self, name: str) -> Sequence[str]:
-        """Folders under ``data`` that no version refers to; none where a manifest cannot be read: it may refer to them."""
+        """Folders under ``data`` without a version; none where a manifest cannot be read, because it may refer to them."""
         used = set()
         try:
             for version in self.versions(name):
@@ -333,7 +336,7 @@ class Store:
 
 
 def manifest_path(name: str, version: int, removed: bool = False) -> str:
-    """Path of a manifest in its workspace, or of what vacuum leaves of it."""
+    """Path of the manifest of a stored or ``removed`` version in its workspace."""
     return f"datasets/{name}/versions/{version:06d}{'.removed' if removed else ''}.json"
 
 
@@ -343,5 +346,5 @@ def _numbers(names: Sequence[str], ending: str) -> Sequence[int]:
 
 
 def is_number(text: str) -> bool:
-    """Whether ``text`` is that of a version; ``²`` is a digit too, and Python converts no more than 4300 of them."""
+    """Whether ``text`` is a version number; ``²`` is a digit too, and Python converts at most 4300 digits."""
     return text.isascii() and text.isdigit() and len(text) < 10

@@ -1,7 +1,7 @@
 """Samples and raw channels as Delta tables of one part: written once, addressed by the sha256 of their Parquet files.
 
-Plain Parquet with zstd beneath a Delta log of one commit: whatever reads Delta or Parquet reads them. Units are in the metadata
-of the columns. A missing value is null.
+Parquet with zstd under a Delta log of one commit, readable as either. Units are in the metadata of columns. Missing values are
+null.
 """
 
 from __future__ import annotations
@@ -24,13 +24,13 @@ if TYPE_CHECKING:
     import pyarrow as pa
 
 FILE = "part-00000.zstd.parquet"
-#: Rows written at a time, so that a long recording needs no second copy of itself.
+#: Rows written at a time, so that a long recording is not copied as a whole.
 ROWS = 1 << 20
 
 
 @dataclass(frozen=True)
 class PartTables:
-    """Where other tools find the tables of some recordings: two Delta tables, by their paths or URLs."""
+    """Paths or URLs of the two Delta tables of some recordings, for other tools."""
 
     recordings: tuple[str, ...]
     samples: str
@@ -127,7 +127,7 @@ def _write(files: Files, folder: str, schema: pa.Schema, batches: Iterable[pa.Re
     texts = [field.name for field in schema if pa.types.is_string(field.type)]
     counted = {field.name: "DELTA_BINARY_PACKED" for field in schema if pa.types.is_integer(field.type)}
     with files.create(f"{folder}/{FILE}") as sink:
-        # Not pyarrow's own file: an error of the disk is then an OSError with its number.
+        # Not pyarrow's own file, so that an error of the disk is an OSError with its number.
         with pq.ParquetWriter(
             sink, schema, compression="zstd", compression_level=3, use_dictionary=texts, column_encoding=counted
         ) as writer:
@@ -144,7 +144,7 @@ def read_table(files: Files, part: Mapping[str, Any], which: str, place: str, co
     """One table of a part, its files checked against their sha256.
 
     Raises:
-        StoreError: a file is gone, or is not what was written.
+        StoreError: a file is missing or was changed.
     """
     import pyarrow as pa
     import pyarrow.parquet as pq
@@ -165,7 +165,7 @@ def read_table(files: Files, part: Mapping[str, Any], which: str, place: str, co
 
 
 def is_there(files: Files, part: Mapping[str, Any], which: str) -> bool:
-    """Whether the files of a table are there, by their names."""
+    """Whether the files of a table exist, by their names."""
     if part[which] is None:
         return bool(files.names(f"{part['folder']}/{which}"))
     return {item["path"] for item in part[which]["files"]} <= set(files.names(f"{part['folder']}/{which}"))
@@ -191,7 +191,7 @@ def _check(content: bytes, expected: Mapping[str, Any]) -> None:
     if len(content) != expected["size"]:
         raise ValueError(f"{expected['path']} has {len(content)} bytes, {expected['size']} were written")
     if hashlib.sha256(content).hexdigest() != expected["sha256"]:
-        raise ValueError(f"{expected['path']} was changed after it was written: its sha256 is another one")
+        raise ValueError(f"{expected['path']} was changed after it was written: its sha256 differs")
 
 
 def _damaged(place: str, folder: str, found: str) -> StoreError:

@@ -1,8 +1,7 @@
-"""Removing versions and left-overs: never what a model was made from, the manifest first, the data after it.
+"""Removal of versions from which no model was made, and of leftovers: first the manifest, then the data.
 
-A process that is killed in between leaves tables that no version names; they are invisible, and the next vacuum removes them.
-The manifest of a removed version stays as ``<number>.removed.json``: its number is never given again, and what it was made of
-can still be read.
+A process that is killed in between leaves tables without a version, which the next vacuum removes. The manifest of a removed
+version stays as ``<number>.removed.json``, with its provenance; its number is never given again.
 """
 
 from __future__ import annotations
@@ -15,16 +14,16 @@ from sysid.datasets.versions.store import Store, is_number, manifest_path
 from sysid.errors import SettingsError, StoreError, nearest
 from sysid.names import is_dataset_name
 
-#: Tables without a manifest may be those of a writer at work where nothing is locked: they are left alone for so long [s].
+#: Without locks, tables without a manifest may belong to an active writer: they are kept for this time [s].
 YOUNG_S = 24 * 3600.0
 
-#: (reference, digest) of a version → who was made from it; the digest is empty where the manifest cannot be read.
+#: (reference, digest) of a version → models made from it; the digest is empty where the manifest cannot be read.
 Users = Callable[[str, str], Sequence[str]]
 
 
 @dataclass(frozen=True)
 class RemovedPart:
-    """A version (``autolog@1``), or a folder or file that no version refers to; ``size`` is what it alone takes [bytes]."""
+    """A version (``autolog@1``), or a folder or file without a version; ``size`` is not shared with others [bytes]."""
 
     what: str
     size: int
@@ -32,7 +31,7 @@ class RemovedPart:
 
 @dataclass(frozen=True)
 class NotRemoved:
-    """What was asked for or found, and not removed."""
+    """A version or leftover that is kept, with the reason."""
 
     what: str
     reason: str
@@ -48,19 +47,19 @@ class VacuumResult:
 
     @property
     def size(self) -> int:
-        """Bytes that became free."""
+        """Freed size [bytes]."""
         return sum(item.size for item in self.removed)
 
 
 def vacuum(
     store: Store, users: Users, references: Sequence[str] = (), keep: int | None = None, dry_run: bool = False
 ) -> VacuumResult:
-    """Remove left-overs of killed writers, and versions.
+    """Remove leftovers of killed writers, and versions.
 
     Args:
-        users: who was made from a version; a version that has users is kept.
-        references: versions to be removed (``name@3``); a ``name`` alone limits the work to this dataset.
-        keep: of each dataset, remove all versions but the newest so many.
+        users: models made from a version; a version with users is kept.
+        references: versions to be removed (``name@3``); a ``name`` alone limits the removal to this dataset.
+        keep: number of the newest versions of each dataset that are kept; None removes no others.
         dry_run: change nothing.
 
     Raises:
@@ -94,7 +93,7 @@ def vacuum(
 def _one(
     store: Store, name: str, named: Iterable[int], users: Users, keep: int | None, dry_run: bool
 ) -> tuple[list[RemovedPart], list[NotRemoved]]:
-    """One dataset, whose lock is held."""
+    """:func:`vacuum` of one dataset under its lock."""
     versions = store.versions(name)
     kept = [item for folder in ("", "/data", "/versions") for item in _links(store, f"datasets/{name}{folder}")]
     going = []
@@ -134,7 +133,7 @@ def _one(
                 removed.append(RemovedPart(f"{data}/{folder}", size))
                 loose.append(folder)
     drafts = [f"datasets/{name}/versions/{file}" for file in store.files.names(f"datasets/{name}/versions") if file[0] == "."]
-    drafts = drafts if store.files.locks else []  # there, a writer may be at work on them
+    drafts = drafts if store.files.locks else []  # without locks they may belong to an active writer
     removed += [RemovedPart(draft, 0) for draft in drafts]
     if not dry_run:
         with explained(store.workspace, "what was removed so far is gone whole, the rest is as it was"):
@@ -146,7 +145,7 @@ def _one(
 
 
 def _links(store: Store, folder: str) -> list[NotRemoved]:
-    """Links, which nothing of this project makes: neither followed nor removed."""
+    """Links, which are neither followed nor removed."""
     return [NotRemoved(f"{folder}/{name}", "is a link, which is not followed") for name in store.files.links(folder)]
 
 

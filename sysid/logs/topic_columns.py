@@ -1,7 +1,7 @@
-"""Values of one topic as they come, put into columns at once.
+"""Columns of one topic that grow while its messages are decoded.
 
-Messages go as soon as their values have been cut out, so that a log larger than the memory can be read; of a topic without
-wanted fields (``wanted = None``) everything is kept up to ``cells``.
+No message is kept after its values have been extracted, so that a log larger than the memory can be read. Where no fields are
+named (``wanted = None``), all are kept up to ``cells``.
 """
 
 from __future__ import annotations
@@ -15,10 +15,10 @@ import numpy.typing as npt
 
 from sysid.logs.growing import GrowingArray, Rows, Values
 
-#: Fields of one topic; names that change from message to message would otherwise fill the memory.
+#: Fields of one topic: names that change from message to message would otherwise fill the memory.
 MAX_FIELDS = 4096
 
-#: Where the stamp of a message stands: (seconds, nanoseconds).
+#: Fields that hold the stamp of a message: (seconds, nanoseconds).
 STAMP_FIELDS = tuple(
     (f"{prefix}.{seconds}", f"{prefix}.{nanoseconds}")
     for prefix in ("header.stamp", "stamp", "timestamp")
@@ -28,12 +28,12 @@ _STAMPS = frozenset(path for pair in STAMP_FIELDS for path in pair)
 
 
 @dataclass
-class Pieces:
+class TopicColumns:
     """Columns that grow.
 
     Args:
         wanted: fields to keep besides the stamps; None for all.
-        cells: of the topic's table while nothing says which fields are wanted.
+        cells: limit of the topic's table where ``wanted`` is None.
     """
 
     wanted: frozenset[str] | None = None
@@ -42,18 +42,18 @@ class Pieces:
     bad: array[int] = field(default_factory=lambda: array("q"))
     fields: dict[str, None] = field(default_factory=dict)
     crowded: bool = False
-    #: Messages of a preview, whose values have been read; None where those of all messages are.
+    #: Number of messages of a preview, of which the values are read; None: all.
     previewed: int | None = None
-    #: Messages that the file says it has.
+    #: Number of messages that the file states.
     stated: int = 0
     _columns: dict[str, GrowingArray] = field(default_factory=dict)
-    #: Names under which the same values came in every message (``position[2]``, ``position[boom]``) → their one column.
+    #: Names with the same values in every message (``position[2]``, ``position[boom]``) → their common column.
     _sharing: dict[tuple[str, ...], GrowingArray] = field(default_factory=dict)
-    #: Whole numbers as they are: a stamp does not fit a float.
+    #: Integers: a stamp in nanoseconds does not fit a float.
     _stamps: dict[str, GrowingArray] = field(default_factory=dict)
 
     def expect(self, count: int) -> int:
-        """Make ready for so many more messages; returns the row of the first of them."""
+        """Prepare for ``count`` more messages; returns the row of the first."""
         first = self.total
         self.total += count
         if self.wanted is None and self.previewed is None:
@@ -64,12 +64,12 @@ class Pieces:
         return first
 
     def stamps_only(self) -> None:
-        """Values of the messages to come are not kept, only their stamps."""
+        """From the next message on, keep only stamps."""
         if self.previewed is None:
             self.previewed = self.total
 
     def put(self, names: tuple[str, ...], rows: Rows, values: Values) -> None:
-        """Values in ``rows``, which rise, of one field under all its names."""
+        """Values of one field under all its names, in increasing ``rows``."""
         if not len(rows):
             return
         begin, end = int(rows[0]), int(rows[-1]) + 1
@@ -92,7 +92,7 @@ class Pieces:
         return True
 
     def _kept(self, names: tuple[str, ...]) -> list[GrowingArray]:
-        """The columns that values under these names belong to: one where they have always been the same, else one a name."""
+        """The columns of values under these names: one where the names have always had the same values, else one for each."""
         if self.previewed is not None:
             return []
         if self.wanted is not None:
@@ -116,22 +116,22 @@ class Pieces:
         return [column for name in names for column in self._kept((name,))]
 
     def _room(self) -> int:
-        """Columns that a table of so many messages may have."""
+        """Number of columns allowed for the messages so far."""
         return max(1, self.cells // max(1, self.total))
 
     @property
     def held(self) -> int:
-        """Values that have been kept, each column once."""
+        """Number of values kept, each column once."""
         columns = {id(column): column.found for column in (*self._columns.values(), *self._stamps.values())}
         return sum(columns.values())
 
     def know(self, path: str) -> None:
-        """A field that the file has, whether wanted or not."""
+        """Note a field of the file that is not wanted."""
         if len(self.fields) < MAX_FIELDS:
             self.fields[path] = None
 
-    def columns(self) -> dict[str, npt.NDArray[np.float64]]:
-        """Field → values (total,), of a preview (previewed,); NaN in messages without it. Given away: they can be had once."""
+    def release(self) -> dict[str, npt.NDArray[np.float64]]:
+        """Field → values (total,), of a preview (previewed,); NaN in messages without it. Moved out: callable once."""
         rows = self.total if self.previewed is None else self.previewed
         self._sharing.clear()
         columns = {name: self._columns.pop(name).whole(rows) for name in list(self._columns)}
@@ -140,14 +140,14 @@ class Pieces:
         return columns
 
     def integers(self, path: str) -> npt.NDArray[np.int64] | None:
-        """One field of whole numbers, 0 in unreadable messages; None where a readable one lacks it."""
+        """An integer field, 0 in unreadable messages; None where a readable message lacks it."""
         stamps = self._stamps.get(path)
         if stamps is None or stamps.kind.kind not in "iu" or stamps.found != self.total - len(self.bad):
             return None
         return stamps.whole(self.total)
 
     def header_stamps(self) -> npt.NDArray[np.int64] | None:
-        """When each message says it was measured [ns]; None where it does not say."""
+        """Stamps of measurement in the messages [ns]; None where they have none."""
         for seconds, nanoseconds in STAMP_FIELDS:
             whole, rest = self.integers(seconds), self.integers(nanoseconds)
             if whole is not None and rest is not None:
