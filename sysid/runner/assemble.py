@@ -16,7 +16,7 @@ from sysid.machine import Machine, load_machine
 from sysid.registry import Registry
 from sysid.rl.inverse_kinematics import InverseKinematics, chain_of_forward, chain_of_plant
 from sysid.rl.reach import joint_limits
-from sysid.rl.tracking_task import TrackingTask, lay_out
+from sysid.rl.tracking_task import TrackingTask, plan_tracking
 from sysid.runner.chain import ControlChain
 from sysid.runner.command_filter import CommandFilter
 from sysid.runner.cycle import Recorder
@@ -148,7 +148,7 @@ def assemble(recipe: RunnerRecipe, registry: Registry, path: Path) -> Assembly:
     if tracks and recipe.track.live_port is None:
         given = recipe.track.path
         place = given if given in ("helix", "circle") else str(folder / given)
-        course = lay_out(loaded.plant, loaded.forward, place, full=True, centre=recipe.track.centre)
+        course = plan_tracking(loaded.plant, loaded.forward, place, full=True, centre=recipe.track.centre)
         inverse = course.inverse
         _check_course(course, limits, path)
     return Assembly(recipe, folder, machine_file, machine, loaded, inverse, parts, limits, lookahead, course)
