@@ -275,7 +275,7 @@ def test_tensorboard_is_told(tmp_path: Path) -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # of the packages that it brings
         observer, settings = TensorBoard(tmp_path), recipe()
-        with observer.opened(settings, Path("small-seed0-abc"), trainer(settings)):
+        with observer.opened(Path("small-seed0-abc"), trainer(settings)):
             observer.record("evaluation", 40, {"hold_max": 0.5})
         from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
