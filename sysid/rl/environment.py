@@ -27,6 +27,13 @@ class Policy(Protocol):
     def act(self, observations: Array) -> Array: ...
 
 
+class NamedPolicy(Policy, Protocol):
+    """A policy with the names of its observations."""
+
+    @property
+    def inputs(self) -> tuple[str, ...]: ...
+
+
 class Environment(ABC):
     """``size`` independent copies of a plant, each with its own start and target. Arrays that it returns are copies.
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from pathlib import Path as File
-from typing import Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -14,7 +13,7 @@ from sysid.control import AxisTuning, CylinderController, response_time, tune
 from sysid.errors import SettingsError, nearest
 from sysid.networks.forward import ForwardModel
 from sysid.plant import Plant
-from sysid.rl.environment import Policy
+from sysid.rl.environment import NamedPolicy, Policy
 from sysid.rl.inverse_kinematics import InverseKinematics, chain_of_forward, chain_of_plant
 from sysid.rl.paths import CLIMB, TURNS, Path, centre_for, check_reach, circle, helix, lowest_height, read_path
 from sysid.rl.reach import Reach, reach_of
@@ -26,13 +25,6 @@ Array = npt.NDArray[np.float64]
 #: Inverse kinematics, and the same with a target ahead by the machine's dead time.
 BASELINES = ("ik", "ik-lookahead")
 PATHS = ("helix", "circle")
-
-
-class NamedPolicy(Policy, Protocol):
-    """A policy with the names of its observations."""
-
-    @property
-    def inputs(self) -> tuple[str, ...]: ...
 
 
 @dataclass(frozen=True)

@@ -71,11 +71,6 @@ class Assembly:
             return np.clip(self.course.start, self.limits.low, self.limits.high)
         return np.asarray(0.5 * (self.limits.low + self.limits.high))
 
-    def chain(self) -> ControlChain:
-        return ControlChain(
-            self.loaded.plant, self.loaded.forward, self.inverse, policy=self.loaded.policy, lookahead=self.lookahead
-        )
-
     def loop(self, transport: Transport, recorder: Recorder, operator: Operator) -> Loop:
         """A loop, warmed up.
 
@@ -88,9 +83,10 @@ class Assembly:
         for axis in self.machine.axes:
             if axis.driven not in transport.signals:
                 raise SettingsError("transport", f"no signal {axis.driven}", "what every command drives, measured")
-        chain, checks = self.chain(), self.recipe.checks
-        estimator = StateEstimator(self.loaded.plant, self.valves, self.dt, transport.signals, checks)
-        inside = Domains(self.loaded.forward, self.loaded.actuators, axes) if checks.on("domain") else lambda seen: ""
+        loaded, checks = self.loaded, self.recipe.checks
+        chain = ControlChain(loaded.plant, loaded.forward, self.inverse, policy=loaded.policy, lookahead=self.lookahead)
+        estimator = StateEstimator(loaded.plant, self.valves, self.dt, transport.signals, checks)
+        inside = Domains(loaded.forward, loaded.actuators, axes) if checks.on("domain") else lambda seen: ""
         supervisor = Supervisor(axes, self.limits, self.valves, estimator.linkages, chain.tip, self.dt, checks, inside)
         mode = self.mode(self.recipe.mode, chain, supervisor.command_filter)
         loop = Loop(transport, chain, estimator, supervisor, mode, recorder, operator, self.recipe.loop)
@@ -143,7 +139,8 @@ def assemble(recipe: RunnerRecipe, registry: Registry, path: Path) -> Assembly:
         lookahead = 0.0
         if recipe.versions.policy == "ik-lookahead":
             lookahead = math.ceil(response_time(loaded.plant) * machine.rate_hz - 1e-9) / machine.rate_hz
-    course, inverse = None, _inverse(loaded)
+    low, high = joint_limits(loaded.plant)
+    course, inverse = None, InverseKinematics.of(chain_of_forward(loaded.forward) or chain_of_plant(loaded.plant), low, high)
     tracks = recipe.mode == "track" or (recipe.mode == "shadow" and recipe.shadow.of == "track")
     if tracks and recipe.track.live_port is None:
         given = recipe.track.path
@@ -152,11 +149,6 @@ def assemble(recipe: RunnerRecipe, registry: Registry, path: Path) -> Assembly:
         inverse = course.inverse
         _check_course(course, limits, path)
     return Assembly(recipe, folder, machine_file, machine, loaded, inverse, parts, limits, lookahead, course)
-
-
-def _inverse(loaded: LoadedVersions) -> InverseKinematics:
-    low, high = joint_limits(loaded.plant)
-    return InverseKinematics.of(chain_of_forward(loaded.forward) or chain_of_plant(loaded.plant), low, high)
 
 
 def _check_course(course: TrackingTask, limits: Limits, where: object) -> None:

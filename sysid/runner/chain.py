@@ -12,24 +12,22 @@ from typing import Protocol
 import numpy as np
 import numpy.typing as npt
 
-from sysid.control import AxisTuning, CylinderController
+from sysid.control import CylinderController
 from sysid.effects import gripper_sway
 from sysid.errors import SettingsError
 from sysid.networks.forward import ForwardModel
 from sysid.plant import Plant
+from sysid.rl.environment import NamedPolicy
 from sysid.rl.inverse_kinematics import InverseKinematics
 from sysid.rl.observation import DrivenObservation
 from sysid.rl.task import ObservationSlices
-from sysid.runner.policy_thread import PolicyThread, Setter
+from sysid.runner.policy_thread import PolicyThread
 
 Array = npt.NDArray[np.float64]
 
 
-class SignalPolicy(Setter, Protocol):
-    """A policy that names what it sees and sets."""
-
-    @property
-    def inputs(self) -> tuple[str, ...]: ...
+class SignalPolicy(NamedPolicy, Protocol):
+    """A policy with the names of its observations and setpoints."""
 
     @property
     def outputs(self) -> tuple[str, ...]: ...
@@ -44,7 +42,6 @@ class ControlChain:
         inverse: inverse kinematics, the fallback, and what sets where there is no policy.
         policy: a version from the registry; None: inverse kinematics.
         lookahead: how long after the next sample the targets are meant that it is shown [s].
-        tuning: of the cylinder controller.
 
     Raises:
         SettingsError: a policy that sees or sets what this machine does not have.
@@ -58,11 +55,10 @@ class ControlChain:
         *,
         policy: SignalPolicy | None = None,
         lookahead: float = 0.0,
-        tuning: Sequence[AxisTuning] | None = None,
     ) -> None:
         self.plant, self.forward, self.inverse, self.policy, self.lookahead = plant, forward, inverse, policy, lookahead
         self.axes = plant.machine.axis_names
-        self.controller = CylinderController(plant, tuning, preview=lookahead)
+        self.controller = CylinderController(plant, preview=lookahead)
         history = _history(policy.inputs if policy is not None else (), len(self.axes))
         self.view = DrivenObservation(self.axes, history, plant.machine.rate_hz)
         self._width = self.view.width

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
 from dataclasses import asdict
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
 from sysid.errors import SettingsError
+from sysid.files import write_durably
 from sysid.runner.assemble import Assembly
 from sysid.runner.checks.settings import SHORTEST_REASON
 from sysid.runner.modes.commission import Commission
@@ -42,23 +42,21 @@ def digests(assembly: Assembly) -> dict[str, str]:
 
 
 def keep_record(assembly: Assembly, mode: Commission, recipe: Path, log: str) -> Path:
-    """Write what a commissioning found, whether or not it passed; in one piece or not at all.
+    """Write the results of a commissioning, whether or not it passed, as a whole or not at all.
 
     Returns:
         The file.
+
+    Raises:
+        StorageError: the disk is full or fails.
     """
     path = record_path(recipe)
     record = {
         "schema": 1, "recipe": recipe.name, "machine": assembly.machine.name, "passed": mode.passed,
         "date": datetime.now(UTC).isoformat(timespec="seconds"), "log": log, "digests": digests(assembly), **mode.figures(),
     }  # fmt: skip
-    new = path.with_name(f".{path.name}.new")
-    with new.open("w", encoding="utf-8") as file:
-        json.dump(record, file, indent=1, ensure_ascii=False)
-        file.write("\n")
-        file.flush()
-        os.fsync(file.fileno())
-    new.replace(path)
+    text = json.dumps(record, indent=1, ensure_ascii=False) + "\n"
+    write_durably(path, text.encode(), "record of the commissioning", "Make room on the disk, and commission again.")
     return path
 
 

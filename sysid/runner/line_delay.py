@@ -26,13 +26,9 @@ class MachineClock:
     is the offset of the clocks plus a delay, which is never negative. The offset is at most the smallest difference so far, and
     that bound rises by no more than the clocks can drift apart: ``offset ← min(offset + drift·Δt, arrival − stamp)``.
     A delay that grows faster than ``drift`` is seen as one, however slowly it does.
-
-    Args:
-        drift: by how much the clocks may drift apart [s/s].
     """
 
-    def __init__(self, drift: float = DRIFT) -> None:
-        self._drift = drift
+    def __init__(self) -> None:
         self._offset: float | None = None
         self._stamp: int | None = None
         self._came = 0
@@ -47,7 +43,7 @@ class MachineClock:
         # No delay makes stamps go back: the clock was set, or has turned over.
         begins = self._offset is None or self._stamp is None or stamp < self._stamp
         found = float(came_ns - stamp)
-        self._offset = found if begins or self._offset is None else min(self._offset + self._drift * passed, found)
+        self._offset = found if begins or self._offset is None else min(self._offset + DRIFT * passed, found)
         self._stamp = stamp
 
     def measured(self, came_ns: int) -> int:

@@ -15,12 +15,12 @@ from sysid.runner.checks.machine import dead_man
 from sysid.runner.clock import SECOND
 from sysid.runner.cycle import Cycle, Recorder, Violation
 from sysid.runner.decision import CycleDecision, Decider, nothing
-from sysid.runner.loop_settings import LoopSettings
 from sysid.runner.modes.mode import Mode
 from sysid.runner.operator import Operator
 from sysid.runner.outcome import RunOutcome
 from sysid.runner.policy_thread import WARM_UP_S, PolicyError, described
 from sysid.runner.realtime import on_time, raise_thread
+from sysid.runner.recipe import LoopSettings
 from sysid.runner.state_estimator import StateEstimate, StateEstimator
 from sysid.runner.state_machine import RunStateMachine
 from sysid.runner.states import States
@@ -55,10 +55,10 @@ class Loop:
         mode: Mode,
         recorder: Recorder,
         operator: Operator,
-        settings: LoopSettings | None = None,
+        settings: LoopSettings,
     ) -> None:
         self.transport, self.chain, self.estimator, self.supervisor, self.mode = transport, chain, estimator, supervisor, mode
-        self.recorder, self.operator, self.settings = recorder, operator, settings or LoopSettings()
+        self.recorder, self.operator, self.settings = recorder, operator, settings
         self.dt = 1.0 / chain.plant.machine.rate_hz
         self.period_ns = round(SECOND * self.dt)
         self.states, self.outcome = States(), RunOutcome()

@@ -113,15 +113,3 @@ class Interruptible:
         self._came.append(signal.Signals(number).name)
         if len(self._came) > 2:
             raise KeyboardInterrupt
-
-
-class Nobody:
-    """Says nothing: for runs that never move anything."""
-
-    stays = False
-
-    def words(self, state: State, now_ns: int) -> Sequence[str]:
-        return ()
-
-    def notify(self, text: str) -> None:
-        """Nobody listens."""

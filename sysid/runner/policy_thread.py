@@ -13,11 +13,11 @@ import ctypes
 import threading
 from collections.abc import Callable
 from queue import Empty, SimpleQueue
-from typing import Protocol
 
 import numpy as np
 import numpy.typing as npt
 
+from sysid.rl.environment import Policy
 from sysid.runner.clock import SECOND
 
 Array = npt.NDArray[np.float64]
@@ -28,12 +28,6 @@ SIMULATED_S = 2.0
 WARM_UP_S = 30.0
 #: An error's text is cut off here [characters].
 LONGEST = 200
-
-
-class Setter(Protocol):
-    """Anything that answers observations (1, O) with joint setpoints (1, A)."""
-
-    def act(self, observations: Array) -> Array: ...
 
 
 class PolicyError(Exception):
@@ -56,7 +50,7 @@ class PolicyThread:
         axes: how many setpoints it has to give.
     """
 
-    def __init__(self, policy: Setter, axes: int) -> None:
+    def __init__(self, policy: Policy, axes: int) -> None:
         self.policy, self._axes = policy, axes
         self._questions: SimpleQueue[tuple[int, Array]] = SimpleQueue()
         self._answers: SimpleQueue[tuple[int, Array | BaseException]] = SimpleQueue()

@@ -7,12 +7,12 @@ from collections.abc import Mapping
 import numpy as np
 import numpy.typing as npt
 
-from sysid.errors import SettingsError, nearest
+from sysid.errors import SettingsError
 from sysid.plant import Plant
 from sysid.plant.stepper import LaneState, Stepper
 from sysid.runner.clock import SECOND, SimulatedClock
 from sysid.runner.transport import MachineInputs, Measurement
-from sysid.signals import POINTS, axis_signal
+from sysid.signals import axis_signal
 
 Array = npt.NDArray[np.float64]
 
@@ -26,31 +26,27 @@ class SimulatedTransport(SimulatedClock):
     Args:
         plant: of velocity (valve) axes.
         joints: where it stands at first, (A,) [rad or m].
-        signals: that it reports; by default what each command drives, and the joint of every cylinder.
         noise: sensors have the noise of the machine's description.
         seed: of the noise.
 
     Raises:
-        SettingsError: an axis without a valve, or a signal that the plant does not have.
+        SettingsError: an axis without a valve.
     """
 
-    def __init__(
-        self, plant: Plant, joints: npt.ArrayLike, *, signals: tuple[str, ...] = (), noise: bool = True, seed: int = 0
-    ) -> None:
+    def __init__(self, plant: Plant, joints: npt.ArrayLike, *, noise: bool = True, seed: int = 0) -> None:
         super().__init__()
         machine = plant.machine
         where = f"simulated {machine.name}"
         for axis in machine.axes:
             if axis.actuation != "velocity":
                 raise SettingsError(f"{where}: axis {axis.name}", f"actuation = {axis.actuation!r}", "'velocity' (a valve)")
-        own = sources(plant)
-        usual = [axis.driven for axis in machine.axes]
-        usual += [axis_signal(axis.name, "joint") for axis in machine.axes if axis.drives == "cylinder"]
-        self._signals = signals or tuple(usual)
-        for signal in self._signals:
-            if signal not in own:
-                raise SettingsError(f"{where}: signals", f"unknown signal {signal!r}", nearest(signal, own))
-        self._sources = [own[signal] for signal in self._signals]
+        driven = {axis.driven: ("drive" if axis.drives == "cylinder" else "joints", i) for i, axis in enumerate(machine.axes)}
+        joint_sensors = {
+            axis_signal(axis.name, "joint"): ("joints", i) for i, axis in enumerate(machine.axes) if axis.drives == "cylinder"
+        }
+        #: Signal → field and column of :class:`sysid.plant.stepper.LaneState`.
+        self._sources = driven | joint_sensors
+        self._signals = tuple(self._sources)
         self._sigma = np.array([machine.noise.get(signal, 0.0) if noise else 0.0 for signal in self._signals])
         self._rng = np.random.default_rng(seed)
         self._axes = machine.axis_names
@@ -117,19 +113,6 @@ class SimulatedTransport(SimulatedClock):
     def _sense(self) -> None:
         now = self._steps * self._period
         errors = self._sigma * self._rng.standard_normal(len(self._sigma))
-        for signal, (name, column), error in zip(self._signals, self._sources, errors, strict=True):
+        for (signal, (name, column)), error in zip(self._sources.items(), errors, strict=True):
             value = float(getattr(self._lane, name)[0, column] + error)
             self._readings[signal] = Measurement(value, now, now, self._steps + 1)
-
-
-def sources(plant: Plant) -> dict[str, tuple[str, int]]:
-    """Signal → field and column of :class:`sysid.plant.stepper.LaneState`."""
-    found = {}
-    for i, axis in enumerate(plant.machine.axes):
-        found[axis_signal(axis.name, "joint")] = "joints", i
-        if axis.drives == "cylinder":
-            found[axis_signal(axis.name, "cylinder")] = "drive", i
-    for point in POINTS:
-        for k, letter in enumerate("xyz"):
-            found[f"{point}.{letter}"] = point, k
-    return found

@@ -9,10 +9,10 @@ import numpy as np
 from sysid.errors import InputError
 from sysid.runner.clock import SECOND
 from sysid.runner.cycle import Violation
-from sysid.runner.loop_settings import LoopSettings
 from sysid.runner.modes.mode import Goal, Mode
 from sysid.runner.operator import WORDS, Operator
 from sysid.runner.outcome import Ended, RunOutcome
+from sysid.runner.recipe import LoopSettings
 from sysid.runner.state_estimator import StateEstimate
 from sysid.runner.states import States
 from sysid.runner.supervisor import at_least, sternest

@@ -16,7 +16,6 @@ Event = Literal["healthy", "unhealthy", "arm", "disarm", "hold", "stop", "rest",
 #: Events that only a person causes.
 PERSONAL: tuple[Event, ...] = ("arm", "disarm", "hold", "reset")
 STATES: tuple[State, ...] = get_args(State)
-EVENTS: tuple[Event, ...] = get_args(Event)
 
 TABLE: dict[tuple[State, Event], State] = {
     ("idle", "healthy"): "ready",
@@ -33,11 +32,6 @@ TABLE: dict[tuple[State, Event], State] = {
 }
 #: In these the valves may move.
 MOVING: tuple[State, ...] = ("running", "stopping")
-
-
-def following(state: State, event: Event) -> State | None:
-    """The state that ``event`` leads to from ``state``; None where it leads nowhere."""
-    return TABLE.get((state, event))
 
 
 class States:

@@ -9,7 +9,6 @@ import numpy as np
 import numpy.typing as npt
 
 from sysid.machine import TabulatedLinkage
-from sysid.runner.checks.delay import check_delay
 from sysid.runner.checks.machine import check_machine
 from sysid.runner.checks.motion import MotionChecks
 from sysid.runner.checks.sensors import check_sensors
@@ -73,10 +72,7 @@ class Supervisor:
         """
         found = check_machine(seen, self.checks)
         found += check_sensors(seen, self.checks, moving)
-        found += self._motion.check(seen, moving, drive_setpoints)
-        if moving and self.checks.on("delay"):
-            found += check_delay(seen, self.checks, self.axes)
-        return found
+        return found + self._motion.check(seen, moving, drive_setpoints)
 
     def patience(self, verdicts: Sequence[Violation]) -> list[Violation]:
         """``verdicts``, with a stop added where one has been held for longer than the recipe's patience.

@@ -23,9 +23,9 @@ from sysid.runner.cycle import Cycle
 from sysid.runner.faults import FaultyTransport, Injection
 from sysid.runner.limits import Limits, LimitSettings, limits_of
 from sysid.runner.loop import Loop
-from sysid.runner.loop_settings import LoopSettings
 from sysid.runner.modes.mode import Mode
 from sysid.runner.operator import Operator, Unattended
+from sysid.runner.recipe import LoopSettings
 from sysid.runner.simulated import SimulatedTransport
 from sysid.runner.state_estimator import StateEstimator
 from sysid.runner.supervisor import Supervisor

@@ -23,7 +23,7 @@ from sysid.runner.modes.hold import Hold, Shadow, Teleop
 from sysid.runner.modes.mode import Mode
 from sysid.runner.modes.replay import ReplayJoints
 from sysid.runner.modes.track import TrackPath
-from sysid.runner.operator import Nobody, Unattended
+from sysid.runner.operator import Unattended
 
 Array = npt.NDArray[np.float64]
 EE = Quick(PLANT).predict(MIDDLE)[0]
@@ -232,7 +232,7 @@ def test_who_watches_sends_nothing(mode: Callable[[Limits, ControlChain], Mode],
         raise AssertionError("something was sent")
 
     monkeypatch.setattr(FaultyTransport, "write", never)
-    made = run(mode, operator=lambda machine: Nobody(), seconds=3.0)
+    made = run(mode, seconds=3.0)
     assert made.states() == ["idle", "ready"]
     asked = np.array([cycle.asked for cycle in made.cycles])
     assert np.isfinite(asked).any() == (made.loop.mode.name == "shadow")

@@ -60,7 +60,10 @@ class MotionChecks:
             text = self._inside(seen)
             if self._lasts("domain", "networks", bool(text), settings.domain.for_s):
                 found.append(Violation("domain", "networks", settings.domain.reaction, math.nan, math.nan, text))
-        return found + self._restless(seen, moving)
+        found += self._restless(seen, moving)
+        if settings.on("delay") and moving:
+            found += self._late(seen)
+        return found
 
     def _contradictions(self, seen: StateEstimate) -> list[Violation]:
         found, rule = [], self.settings.contradiction
@@ -91,6 +94,15 @@ class MotionChecks:
             if self._lasts("following", name, away > limit, rule.for_s):
                 text = f"{name} is {away:.4g} behind its setpoint"
                 found.append(Violation("following", name, rule.reaction, away, limit, text))
+        return found
+
+    def _late(self, seen: StateEstimate) -> list[Violation]:
+        """Axes that answer commands later than the plant, whatever the stamps say."""
+        found, rule = [], self.settings.delay
+        for late in seen.late:
+            name = self.axes[late.axis]
+            text = f"{name} answers commands {1e3 * late.seconds:.0f} ms later than its plant: the line is late"
+            found.append(Violation("delay", name, rule.reaction, late.seconds, rule.after_s, text))
         return found
 
     def _restless(self, seen: StateEstimate, moving: bool) -> list[Violation]:

@@ -150,16 +150,9 @@ class BoundCheck:
 
 
 @dataclass(frozen=True)
-class FenceCheck:
-    """The end effector would leave its fence; it is braked before whatever the reaction."""
-
-    __pydantic_config__ = STRICT
-    reaction: Reaction = "stop"
-
-
-@dataclass(frozen=True)
-class DeadManCheck:
-    """The switch is let go."""
+class StopCheck:
+    """The end effector would leave its fence (it is braked before in any case), the dead-man switch is released, or the log
+    cannot be written."""
 
     __pydantic_config__ = STRICT
     reaction: Reaction = "stop"
@@ -181,14 +174,6 @@ class RestlessCheck:
     reaction: Reaction = "fault"
     share: float = 0.15
     after_s: float = 0.6
-
-
-@dataclass(frozen=True)
-class RecordingCheck:
-    """The log does not take what it is given."""
-
-    __pydantic_config__ = STRICT
-    reaction: Reaction = "stop"
 
 
 @dataclass(frozen=True)
@@ -221,13 +206,13 @@ class CheckSettings:
     acceleration: BoundCheck = field(default_factory=BoundCheck)
     jerk: BoundCheck = field(default_factory=BoundCheck)
     command: BoundCheck = field(default_factory=BoundCheck)
-    fence: FenceCheck = field(default_factory=FenceCheck)
-    dead_man: DeadManCheck = field(default_factory=DeadManCheck)
+    fence: StopCheck = field(default_factory=StopCheck)
+    dead_man: StopCheck = field(default_factory=StopCheck)
     emergency: LatchedCheck = field(default_factory=LatchedCheck)
     machine: LatchedCheck = field(default_factory=LatchedCheck)
     line: LatchedCheck = field(default_factory=LatchedCheck)
     restless: RestlessCheck = field(default_factory=RestlessCheck)
-    recording: RecordingCheck = field(default_factory=RecordingCheck)
+    recording: StopCheck = field(default_factory=StopCheck)
     without: dict[str, str] = field(default_factory=dict)
 
     def reaction(self, check: str) -> Reaction:

@@ -107,9 +107,6 @@ class Move:
         way = self.end - self.begin
         return self.begin + way * _quintic(s), way * 30.0 * (s * (1.0 - s)) ** 2 / self._seconds
 
-    def over(self, k: int) -> bool:
-        return k >= self.steps
-
 
 class Approach:
     """A move to where a task begins, and a while for the machine to settle there.
