@@ -180,7 +180,7 @@ class Environment(ABC):
         """Replace the targets that are due, begin the next episode where one ended; observations and which ended."""
         truncated = self._count >= self.task.steps
         self._final = self._observe()
-        changed = truncated.any()
+        changed = bool(truncated.any())
         if self.task.targets > 1:
             due = ~truncated & (self._count % self.task.hold == 0)
             if due.any():

@@ -20,7 +20,7 @@ from sysid.rl.tracking_task import TrackingTask, plan_tracking
 from sysid.runner.chain import ControlChain
 from sysid.runner.command_filter import CommandFilter
 from sysid.runner.cycle import Recorder
-from sysid.runner.domain import Domains
+from sysid.runner.domain import TrainingDomains
 from sysid.runner.limits import Limits, limits_of
 from sysid.runner.loop import Loop
 from sysid.runner.modes.collect import Collect, SafeMoves
@@ -34,7 +34,7 @@ from sysid.runner.recipe import RunnerRecipe
 from sysid.runner.state_estimator import StateEstimator
 from sysid.runner.supervisor import Supervisor
 from sysid.runner.transport import Transport
-from sysid.runner.valves import AxisValve, valves
+from sysid.runner.valves import AxisValve, axis_valves
 from sysid.runner.versions import LoadedVersions, load
 
 Array = npt.NDArray[np.float64]
@@ -58,7 +58,7 @@ class Assembly:
     valves: tuple[AxisValve, ...]
     limits: Limits
     lookahead: float
-    course: TrackingTask | None
+    tracking: TrackingTask | None
 
     @property
     def dt(self) -> float:
@@ -67,8 +67,8 @@ class Assembly:
     @property
     def middle(self) -> Array:
         """Joints (A,) to begin at where nobody says where the machine stands."""
-        if self.course is not None:
-            return np.clip(self.course.start, self.limits.low, self.limits.high)
+        if self.tracking is not None:
+            return np.clip(self.tracking.start, self.limits.low, self.limits.high)
         return np.asarray(0.5 * (self.limits.low + self.limits.high))
 
     def loop(self, transport: Transport, recorder: Recorder, operator: Operator) -> Loop:
@@ -86,7 +86,7 @@ class Assembly:
         loaded, checks = self.loaded, self.recipe.checks
         chain = ControlChain(loaded.plant, loaded.forward, self.inverse, policy=loaded.policy, lookahead=self.lookahead)
         estimator = StateEstimator(loaded.plant, self.valves, self.dt, transport.signals, checks)
-        inside = Domains(loaded.forward, loaded.actuators, axes) if checks.on("domain") else lambda seen: ""
+        inside = TrainingDomains(loaded.forward, loaded.actuators, axes) if checks.on("domain") else lambda estimate: ""
         supervisor = Supervisor(axes, self.limits, self.valves, estimator.linkages, chain.tip, self.dt, checks, inside)
         mode = self.mode(self.recipe.mode, chain, supervisor.command_filter)
         loop = Loop(transport, chain, estimator, supervisor, mode, recorder, operator, self.recipe.loop)
@@ -100,9 +100,9 @@ class Assembly:
             track = recipe.track
             if track.live_port is not None:
                 return TrackLive(track.live_port, track.live_speed, dt, track.live_s)
-            assert self.course is not None
+            assert self.tracking is not None
             return TrackPath(
-                self.course.path, self.course.start, limits, dt, ahead=chain.ahead, ease_s=track.ease_s, laps=track.laps
+                self.tracking.path, self.tracking.start, limits, dt, ahead=chain.ahead, ease_s=track.ease_s, laps=track.laps
             )
         if name == "commission":
             return Commission(self.machine, self.valves, command_filter.linkages, limits, chain.tip, dt, recipe.commission)
@@ -132,7 +132,7 @@ def assemble(recipe: RunnerRecipe, registry: Registry, path: Path) -> Assembly:
     machine_file = (folder / recipe.machine).resolve()
     machine = load_machine(machine_file)
     loaded = load(registry, recipe, machine, path)
-    parts = valves(tune(loaded.plant), 1.0 / machine.rate_hz)
+    parts = axis_valves(tune(loaded.plant), 1.0 / machine.rate_hz)
     limits = limits_of(loaded.plant, parts, recipe.limits, path)
     lookahead = recipe.versions.lookahead
     if lookahead is None:
@@ -140,31 +140,31 @@ def assemble(recipe: RunnerRecipe, registry: Registry, path: Path) -> Assembly:
         if recipe.versions.policy == "ik-lookahead":
             lookahead = math.ceil(response_time(loaded.plant) * machine.rate_hz - 1e-9) / machine.rate_hz
     low, high = joint_limits(loaded.plant)
-    course, inverse = None, InverseKinematics.of(chain_of_forward(loaded.forward) or chain_of_plant(loaded.plant), low, high)
+    tracking, inverse = None, InverseKinematics.of(chain_of_forward(loaded.forward) or chain_of_plant(loaded.plant), low, high)
     tracks = recipe.mode == "track" or (recipe.mode == "shadow" and recipe.shadow.of == "track")
     if tracks and recipe.track.live_port is None:
         given = recipe.track.path
         place = given if given in ("helix", "circle") else str(folder / given)
-        course = plan_tracking(loaded.plant, loaded.forward, place, full=True, centre=recipe.track.centre)
-        inverse = course.inverse
-        _check_course(course, limits, path)
-    return Assembly(recipe, folder, machine_file, machine, loaded, inverse, parts, limits, lookahead, course)
+        tracking = plan_tracking(loaded.plant, loaded.forward, place, full=True, centre=recipe.track.centre)
+        inverse = tracking.inverse
+        _check_path(tracking, limits, path)
+    return Assembly(recipe, folder, machine_file, machine, loaded, inverse, parts, limits, lookahead, tracking)
 
 
-def _check_course(course: TrackingTask, limits: Limits, where: object) -> None:
+def _check_path(tracking: TrackingTask, limits: Limits, where: object) -> None:
     """Refuse a path that leaves the limits or the fence, or asks for more than the valves can do."""
-    names = course.plant.machine.axis_names
-    for name, q, low, high in zip(names, course.joints.T, limits.low, limits.high, strict=True):
+    names = tracking.plant.machine.axis_names
+    for name, q, low, high in zip(names, tracking.joints.T, limits.low, limits.high, strict=True):
         if q.min() < low or q.max() > high:
             found = f"takes {name} to {q.min():.3f} … {q.max():.3f}"
-            raise SettingsError(f"{where}: track.path {course.path.name}", found, f"within {low:.3f} … {high:.3f}")
-    points = course.path.points
+            raise SettingsError(f"{where}: track.path {tracking.path.name}", found, f"within {low:.3f} … {high:.3f}")
+    points = tracking.path.points
     left = np.maximum(limits.fence_low - points, points - limits.fence_high).max(axis=0)
     if (left > 0.0).any():
         letter = "xyz"[int(np.argmax(left))]
         found = f"is {1e3 * left.max():.0f} mm outside the fence in {letter}, margin included"
-        raise SettingsError(f"{where}: track.path {course.path.name}", found, "a path inside limits.fence")
-    for name, share in course.demand.items():
+        raise SettingsError(f"{where}: track.path {tracking.path.name}", found, "a path inside limits.fence")
+    for name, share in tracking.demand.items():
         if share > 0.95:
             found = f"asks {name} for {100.0 * share:.0f} % of its top speed"
-            raise SettingsError(f"{where}: track.path {course.path.name}", found, "at most 95 %", "Slow it down.")
+            raise SettingsError(f"{where}: track.path {tracking.path.name}", found, "at most 95 %", "Slow it down.")

@@ -155,7 +155,7 @@ class MachineBus:
             )
         return message
 
-    def hear(self, identifier: int, extended: bool, data: bytes) -> ReceivedFrame | None:
+    def decode(self, identifier: int, extended: bool, data: bytes) -> ReceivedFrame | None:
         """What a frame says; None for messages that nobody asked for.
 
         Raises:
@@ -196,11 +196,16 @@ class MachineBus:
             source = self.settings.signals.get(signal)
             own = self._messages[heard.message].get_signal_by_name(source.partition(".")[2] if source else signal)
             low, high = own.minimum, own.maximum
-            if low is not None and high is not None and low < high and not low - _slack(own) <= value <= high + _slack(own):
+            if (
+                low is not None
+                and high is not None
+                and low < high
+                and not low - _half_step(own) <= value <= high + _half_step(own)
+            ):
                 return f"{heard.message}.{own.name} = {value:g} is outside of [{low:g}, {high:g}]"
         return ""
 
-    def say(self, commands: Sequence[float], enabled: bool, answered: float | None = None) -> list[tuple[int, bytes]]:
+    def encode(self, commands: Sequence[float], enabled: bool, answered: float | None = None) -> list[tuple[int, bytes]]:
         """Frames (29-bit identifier, data) of a set of commands in [-1, 1], the status of the runner last.
 
         Not enabled, or with a command that is no number: no flow, blocked, and fail-safe bits that say that nobody commands.
@@ -240,7 +245,7 @@ def _number(value: object) -> float:
     return float(value)
 
 
-def _slack(signal: Signal) -> float:
+def _half_step(signal: Signal) -> float:
     """Half a step, for ends that are no whole number of steps."""
     return 0.5 * abs(float(signal.scale))
 
@@ -264,6 +269,6 @@ def frame_bits(length: int, extended: bool) -> int:
     return stuffed + 13 + (stuffed - 1) // 4
 
 
-def names(identifiers: Iterable[tuple[int, bool]]) -> str:
+def format_identifiers(identifiers: Iterable[tuple[int, bool]]) -> str:
     """Identifiers for people."""
     return ", ".join(f"{number:08X}" if extended else f"{number:03X}" for number, extended in sorted(identifiers))

@@ -10,7 +10,7 @@ import math
 import os
 import time
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -18,11 +18,11 @@ import numpy as np
 import numpy.typing as npt
 
 from sysid.errors import InputError, SettingsError
-from sysid.runner.bus import ECHO, ON, TIME, BusSettings, MachineBus, ReceivedFrame, names
+from sysid.runner.bus import ECHO, ON, TIME, BusSettings, MachineBus, ReceivedFrame, format_identifiers
 from sysid.runner.channel_lock import lock_channel
 from sysid.runner.clock import SECOND, MonotonicClock
 from sysid.runner.line_delay import CommandRoundTrip, MachineClock
-from sysid.runner.transport import NOBODY, MachineInputs, Measurement
+from sysid.runner.transport import RELEASED_INPUTS, MachineInputs, Measurement
 
 if TYPE_CHECKING:
     from can import BusABC, Message
@@ -74,7 +74,7 @@ class CanTransport(MonotonicClock):
 
     def __init__(self, settings: CanSettings, where: str = "[transport]", bus: BusABC | None = None) -> None:
         self.settings, self.where = settings, where
-        _stays_here(settings, where)
+        _require_local(settings, where)
         self.machine = MachineBus(settings, where)
         self._bus = bus
         self._lock: BaseFileLock | None = None
@@ -82,15 +82,15 @@ class CanTransport(MonotonicClock):
         self._counts = dict.fromkeys(self.machine.signals, 0)
         self._status: ReceivedFrame | None = None
         self._status_ns = 0
-        self._clock, self._answers = MachineClock(), CommandRoundTrip()
+        self._clock, self._round_trip = MachineClock(), CommandRoundTrip()
         self._read_ns = 0
         #: What ended the reading, and what ended the sending: a line that brings nothing may still take the fail-safe bits.
-        self._fault, self._deaf = "", ""
+        self._fault, self._send_fault = "", ""
         self._commanded = False
         #: Frames that alive counters say were lost, those that are not as the database says, and those that it does not know.
         self.lost = self.malformed = 0
         self.unknown: set[tuple[int, bool]] = set()
-        self._garbled = ""
+        self._malformed_text = ""
 
     @property
     def signals(self) -> tuple[str, ...]:
@@ -134,22 +134,22 @@ class CanTransport(MonotonicClock):
         wrong: list[str] = []
         end = time.monotonic_ns() + round(self.settings.listen * SECOND)
         while time.monotonic_ns() < end:
-            for item in self._take():
+            for item in self._receive():
                 heard[item.message] = heard.get(item.message, 0) + item.fresh
                 if (text := self.machine.implausible(item)) and text not in wrong:
                     wrong.append(text)
-            if self._fault or self._garbled:
+            if self._fault or self._malformed_text:
                 break
             time.sleep(0.002)
-        if self._garbled:
-            wrong.insert(0, self._garbled)
+        if self._malformed_text:
+            wrong.insert(0, self._malformed_text)
         for message in self.machine.expected.values():
             due = self.settings.listen * 1e3 / (message.cycle_time or 1e3 * self.settings.listen)
             # The first frame counts as fresh whatever its counter.
             if heard.get(message.name, 0) < max(1, min(2, math.floor(due / 2))):
                 wrong.append(f"{message.name} does not come" if message.name not in heard else f"{message.name} repeats itself")
         if self.unknown:
-            wrong.append(f"the database does not know {names(self.unknown)}")
+            wrong.append(f"the database does not know {format_identifiers(self.unknown)}")
         if self._fault:
             wrong.insert(0, self._fault)
         if wrong:
@@ -162,11 +162,11 @@ class CanTransport(MonotonicClock):
             )
 
     def read(self) -> tuple[Mapping[str, Measurement], MachineInputs]:
-        self._take()
+        self._receive()
         self._read_ns = time.monotonic_ns()
         return dict(self._readings), self._inputs()
 
-    def _take(self) -> list[ReceivedFrame]:
+    def _receive(self) -> list[ReceivedFrame]:
         """Take what has come; errors of the line become the fault that :meth:`read` reports until the bus is opened anew.
 
         Whatever an adapter's driver raises is such an error: it may not end a run without a ramp.
@@ -196,10 +196,10 @@ class CanTransport(MonotonicClock):
             self.unknown.add(identity)
             return None
         try:
-            item = self.machine.hear(*identity, bytes(frame.data))
+            item = self.machine.decode(*identity, bytes(frame.data))
         except ValueError as error:  # what it would have said does not come, and ages
             self.malformed += 1
-            self._garbled = f"{error}"
+            self._malformed_text = f"{error}"
             return None
         if item is None:
             return None
@@ -210,7 +210,7 @@ class CanTransport(MonotonicClock):
             self._status, self._status_ns = item, now
             self._clock.tick(item.values.get(TIME), now)
             if self.machine.echoes:
-                self._answers.heard(int(item.values[ECHO]), now)
+                self._round_trip.echoed(int(item.values[ECHO]), now)
             return item
         measured = self._clock.measured(now)
         for signal, value in item.values.items():
@@ -220,13 +220,13 @@ class CanTransport(MonotonicClock):
 
     def _inputs(self) -> MachineInputs:
         if self._status is None or self._fault:
-            return MachineInputs(NOBODY.dead_man, NOBODY.emergency_stop, self._fault or "no status of the machine")
+            return replace(RELEASED_INPUTS, fault=self._fault or "no status of the machine")
         said = self._status.values
         late = time.monotonic_ns() - self._status_ns > STATUS_TIME_OUT_NS
         # Two bits each: off, on, error, not available. Whatever is not clear counts as the safe one.
         dead_man = int(said["dead_man"]) == ON and not late
         pressed = int(said["emergency_stop"]) != 0
-        text = "no status of the machine" if late else self._answers.late(time.monotonic_ns())
+        text = "no status of the machine" if late else self._round_trip.late(time.monotonic_ns())
         if not text and (code := int(said.get("fault", 0.0))):
             text = self._fault_text(code)
         return MachineInputs(dead_man, pressed, text)
@@ -240,20 +240,20 @@ class CanTransport(MonotonicClock):
     def write(self, commands: Array, enabled: bool) -> None:
         from can import Message
 
-        if self._bus is None or self._deaf:
-            raise OSError(self._deaf or "the bus is not open")
+        if self._bus is None or self._send_fault:
+            raise OSError(self._send_fault or "the bus is not open")
         self._commanded = True
         # They answer what was read in this cycle: a cycle that was held up since says so to the machine.
         answered = self._clock.now(self._read_ns)
         try:
-            for identifier, data in self.machine.say([float(command) for command in commands], enabled, answered):
+            for identifier, data in self.machine.encode([float(command) for command in commands], enabled, answered):
                 self._bus.send(Message(arbitration_id=identifier, is_extended_id=True, data=data), timeout=_SEND)
         except Exception as error:  # see _take
-            self._deaf = f"bus: {str(error) or type(error).__name__}"
-            self._fault = self._fault or self._deaf
-            raise OSError(self._deaf) from error
+            self._send_fault = f"bus: {str(error) or type(error).__name__}"
+            self._fault = self._fault or self._send_fault
+            raise OSError(self._send_fault) from error
         if self.machine.echoes:
-            self._answers.sent(self.machine.sent_count, time.monotonic_ns())
+            self._round_trip.sent(self.machine.sent_count, time.monotonic_ns())
 
     def set_inputs(self, dead_man: bool | None = None, emergency_stop: bool | None = None) -> None:
         """Of a simulated test bench.
@@ -265,9 +265,9 @@ class CanTransport(MonotonicClock):
             raise SettingsError(f"{self.where}: control", "none", "the control pipe of a simulated test bench")
         lines = [f"{name} {int(value)}\n" for name, value in (("dead_man", dead_man), ("emergency_stop", emergency_stop))
                  if value is not None]  # fmt: skip
-        self.tell("".join(lines))
+        self.send_control("".join(lines))
 
-    def tell(self, lines: str) -> None:
+    def send_control(self, lines: str) -> None:
         """Write ``lines`` to the control pipe of a simulated test bench."""
         assert self.settings.control is not None
         pipe = os.open(self.settings.control, os.O_WRONLY | os.O_NONBLOCK)
@@ -284,7 +284,7 @@ class CanTransport(MonotonicClock):
         if self._bus is None:
             return
         try:
-            if self._commanded and not self._deaf:
+            if self._commanded and not self._send_fault:
                 self.write(np.zeros(len(self.axes)), enabled=False)
         except OSError as error:
             self._fault = str(error)
@@ -312,7 +312,7 @@ def _open(settings: CanSettings) -> BusABC:
     return Bus(interface=settings.interface, channel=settings.channel, **options)
 
 
-def _stays_here(settings: CanSettings, where: str) -> None:
+def _require_local(settings: CanSettings, where: str) -> None:
     far = "://" in settings.channel
     if settings.interface in NETWORKED or far:
         raise SettingsError(

@@ -14,15 +14,15 @@ import numpy.typing as npt
 
 from sysid.machine import TabulatedLinkage
 from sysid.runner.limits import Limits
-from sysid.runner.valves import AxisValve, DeadReckoning, braked, stopping
+from sysid.runner.valves import AxisValve, DeadReckoning, braking_speed, stopping_distance
 
 Array = npt.NDArray[np.float64]
-Broken = tuple[str, int, float, float]
+ExceededLimit = tuple[str, int, float, float]
 
 #: What happens unseen for so long is still braked in time [s].
-UNSEEN_S = 0.08
+REACTION_S = 0.08
 #: A valve may be this much faster than the plant says.
-SPREAD = 1.25
+SPEED_MARGIN = 1.25
 #: Shares of what is asked for that are tried before nothing at all.
 SHARES = (1.0, 0.7, 0.4, 0.2, 0.0)
 
@@ -56,20 +56,20 @@ class CommandFilter:
         """The valves are neutral."""
         self.sent = np.zeros(len(self.valves))
 
-    def pass_on(self, asked: Array, drive: Array, dead_reckonings: Sequence[DeadReckoning]) -> tuple[Array, list[Broken]]:
+    def filter(self, asked: Array, drive: Array, dead_reckonings: Sequence[DeadReckoning]) -> tuple[Array, list[ExceededLimit]]:
         """What may be sent (A,) of what is asked for (A,), and what was broken: (check, axis or −1, found, limit).
 
         Args:
             drive: what the sensors say of what is driven, (A,).
         """
-        broken: list[Broken] = []
+        exceeded: list[ExceededLimit] = []
         commands = np.array(
-            [self._one(i, float(asked[i]), float(drive[i]), dead_reckonings[i], broken) for i in range(len(asked))]
+            [self._limit_axis(i, float(asked[i]), float(drive[i]), dead_reckonings[i], exceeded) for i in range(len(asked))]
         )
         if self.limits.fenced:
-            commands = self._fenced(commands, drive, dead_reckonings, broken)
+            commands = self._limit_by_fence(commands, drive, dead_reckonings, exceeded)
         self.sent = commands
-        return commands.copy(), broken
+        return commands.copy(), exceeded
 
     def ramp(self, drive: Array, dead_reckonings: Sequence[DeadReckoning]) -> Array:
         """The commands (A,) of a stop: from those sent last towards neutral within the braking of each axis."""
@@ -78,10 +78,10 @@ class CommandFilter:
             speed = valve.speed(float(self.sent[i]))
             left = max(0.0, abs(speed) - float(self.limits.braking[i]) * self.dt)
             commands[i] = valve.command(math.copysign(left, speed))
-        passed, _ = self.pass_on(commands, drive, dead_reckonings)
+        passed, _ = self.filter(commands, drive, dead_reckonings)
         return passed
 
-    def stopped(self, joints: Array, speeds: Array) -> Array:
+    def stop_ends(self, joints: Array, speeds: Array) -> Array:
         """Where stops end that begin at ``joints`` (n, A) in motion at ``speeds`` (n, A), evaluated as commands are.
 
         Returns:
@@ -92,8 +92,10 @@ class CommandFilter:
             q, v = joints[:, i], speeds[:, i]
             if linkage is not None:
                 q, v = linkage.displacement(q), (linkage.displacement(q + v * self.dt) - linkage.displacement(q)) / self.dt
-            after = valve.late * self.dt + self.dt + UNSEEN_S
-            driven[:, i] = np.clip(q + stopping(SPREAD * v, after, float(self.limits.braking[i])), valve.low, valve.high)
+            after = valve.dead_steps * self.dt + self.dt + REACTION_S
+            driven[:, i] = np.clip(
+                q + stopping_distance(SPEED_MARGIN * v, after, float(self.limits.braking[i])), valve.low, valve.high
+            )
         return self._joints(driven)
 
     def _joints(self, driven: Array) -> Array:
@@ -104,18 +106,20 @@ class CommandFilter:
                 joints[:, i] = linkage.joint(joints[:, i])
         return joints
 
-    def _one(self, i: int, asked: float, drive: float, dead_reckoning: DeadReckoning, broken: list[Broken]) -> float:
+    def _limit_axis(
+        self, i: int, asked: float, drive: float, dead_reckoning: DeadReckoning, exceeded: list[ExceededLimit]
+    ) -> float:
         valve, most = self.valves[i], float(self.limits.command[i])
         if not math.isfinite(asked):
-            broken.append(("command", i, asked, most))
+            exceeded.append(("command", i, asked, most))
             asked = 0.0
         command = min(max(asked, -most), most)
         step = float(self.limits.command_rate[i]) * self.dt
         last = float(self.sent[i])
         command = min(max(command, last - step), last + step)
         if abs(command - asked) > 1e-9:
-            broken.append(("command", i, asked, command))
-        speed = SPREAD * valve.speed(command)
+            exceeded.append(("command", i, asked, command))
+        speed = SPEED_MARGIN * valve.speed(command)
         if speed == 0.0:
             return command
         sign = math.copysign(1.0, speed)
@@ -123,32 +127,34 @@ class CommandFilter:
         if not places:
             return 0.0
         end = float(self.high[i] if sign > 0.0 else self.low[i])
-        room = min(sign * (end - place) for place in places) - SPREAD * dead_reckoning.ahead(sign)
-        allowed = braked(room, self.dt + UNSEEN_S, float(self.limits.braking[i]))
+        room = min(sign * (end - place) for place in places) - SPEED_MARGIN * dead_reckoning.pending_travel(sign)
+        allowed = braking_speed(room, self.dt + REACTION_S, float(self.limits.braking[i]))
         if abs(speed) > allowed:
-            broken.append(("position", i, places[0], end))
-            return valve.command(sign * allowed / SPREAD)
+            exceeded.append(("position", i, places[0], end))
+            return valve.command(sign * allowed / SPEED_MARGIN)
         return command
 
-    def _fenced(self, commands: Array, drive: Array, dead_reckonings: Sequence[DeadReckoning], broken: list[Broken]) -> Array:
+    def _limit_by_fence(
+        self, commands: Array, drive: Array, dead_reckonings: Sequence[DeadReckoning], exceeded: list[ExceededLimit]
+    ) -> Array:
         """The greatest share of ``commands`` with which a stop ends within the fence, or further in than with none."""
         speeds = np.array([valve.speed(float(command)) for valve, command in zip(self.valves, commands, strict=True)])
         if not speeds.any():
             return commands
         ends = np.empty((len(SHARES), 2, len(speeds)))
         for i, (valve, dead_reckoning) in enumerate(zip(self.valves, dead_reckonings, strict=True)):
-            coming = dead_reckoning.ahead(1.0) - dead_reckoning.ahead(-1.0)
+            coming = dead_reckoning.pending_travel(1.0) - dead_reckoning.pending_travel(-1.0)
             for k, share in enumerate(SHARES):
-                way = stopping(SPREAD * share * speeds[i], self.dt + UNSEEN_S, float(self.limits.braking[i]))
+                way = stopping_distance(SPEED_MARGIN * share * speeds[i], self.dt + REACTION_S, float(self.limits.braking[i]))
                 for n, place in enumerate((drive[i], dead_reckoning.position)):
-                    ends[k, n, i] = min(max(place + SPREAD * coming + way, valve.low), valve.high)
+                    ends[k, n, i] = min(max(place + SPEED_MARGIN * coming + way, valve.low), valve.high)
         joints = self._joints(ends.reshape(-1, len(speeds)))
         left = outside(self.tip(joints), self.limits.fence_low, self.limits.fence_high).reshape(len(SHARES), 2).max(axis=1)
         fits = left <= max(0.0, float(left[-1]) - 1e-9)
         if fits[0]:
             return commands
         share = SHARES[int(np.argmax(fits))] if fits.any() else 0.0
-        broken.append(("fence", -1, float(left[0]), 0.0))
+        exceeded.append(("fence", -1, float(left[0]), 0.0))
         kept = [valve.command(share * float(speed)) for valve, speed in zip(self.valves, speeds, strict=True)]
         return np.array(kept)
 

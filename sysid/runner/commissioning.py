@@ -16,7 +16,7 @@ from sysid.runner.checks.settings import SHORTEST_REASON
 from sysid.runner.modes.commission import Commission
 
 #: Parts of a recipe that bear on what is wired to what, and on how far and fast it may go. Its task, log and loop do not.
-PARTS = ("machine", "transport", "limits", "checks", "commission")
+RECIPE_SECTIONS = ("machine", "transport", "limits", "checks", "commission")
 
 
 def record_path(recipe: Path) -> Path:
@@ -27,7 +27,7 @@ def record_path(recipe: Path) -> Path:
 def digests(assembly: Assembly) -> dict[str, str]:
     """SHA-256 of everything that a commissioning holds for."""
     recipe = asdict(assembly.recipe)
-    chosen = {name: recipe[name] for name in PARTS}
+    chosen = {name: recipe[name] for name in RECIPE_SECTIONS}
     chosen["plant"] = recipe["versions"]["plant"]
     machine = assembly.machine_file.read_bytes() + (assembly.machine.urdf_text or "").encode()
     found = {
@@ -67,7 +67,7 @@ def require_commissioned(assembly: Assembly, recipe: Path) -> str:
         SettingsError: there is no record, it did not pass, or something has changed since, and the recipe does not waive it.
     """
     waived = assembly.recipe.commission.waived.strip()
-    missing = _missing(assembly, record_path(recipe))
+    missing = _invalid_reason(assembly, record_path(recipe))
     if not missing:
         return "commissioned as it is"
     if waived and len(waived) < SHORTEST_REASON:
@@ -82,7 +82,7 @@ def require_commissioned(assembly: Assembly, recipe: Path) -> str:
     )
 
 
-def _missing(assembly: Assembly, path: Path) -> str:
+def _invalid_reason(assembly: Assembly, path: Path) -> str:
     """Why the record does not hold; "" where it does."""
     try:
         record: Any = json.loads(path.read_text("utf-8"))

@@ -13,7 +13,7 @@ from sysid.runner.chain import ControlChain
 from sysid.runner.cycle import Violation
 from sysid.runner.modes.mode import Goal, Mode
 from sysid.runner.operator import Operator
-from sysid.runner.policy_thread import PolicyError, described
+from sysid.runner.policy_thread import PolicyError
 from sysid.runner.state_estimator import StateEstimate, StateEstimator
 from sysid.runner.supervisor import Supervisor
 
@@ -35,7 +35,7 @@ class CycleDecision:
     ended: Goal | None = None
 
 
-def nothing(axes: int) -> CycleDecision:
+def neutral_decision(axes: int) -> CycleDecision:
     """Neutral valves."""
     none = np.full(axes, np.nan)
     return CycleDecision(none, none, none, none, np.zeros(axes), np.full(3, np.nan))
@@ -64,24 +64,24 @@ class Decider:
         self.operator, self.fallback, self._now_ns = operator, fallback, now_ns
         #: Of the cycle before, (A,) of what the commands drive; None where there are none.
         self.drive_setpoints: Array | None = None
-        self._k, self._distrusted, self._late = 0, False, 0
+        self._k, self._policy_disabled, self._late = 0, False, 0
         self._held_at: Array | None = None
 
-    def begin(self, seen: StateEstimate) -> None:
+    def begin(self, estimate: StateEstimate) -> None:
         """The task starts with the machine at rest where it is seen."""
-        self.supervisor.begin(seen.joints)
-        self.chain.rest(seen.drive, seen.joints)
-        self.mode.begin(seen.joints, seen.ee)
-        self._k, self._distrusted, self._late, self._held_at, self.drive_setpoints = 0, False, 0, None, None
+        self.supervisor.begin(estimate.joints)
+        self.chain.rest(estimate.drive, estimate.joints)
+        self.mode.begin(estimate.joints, estimate.ee)
+        self._k, self._policy_disabled, self._late, self._held_at, self.drive_setpoints = 0, False, 0, None, None
 
-    def think(self, seen: StateEstimate, verdicts: list[Violation], until_ns: int) -> CycleDecision:
+    def decide(self, estimate: StateEstimate, verdicts: list[Violation], until_ns: int) -> CycleDecision:
         """A cycle of the task; what the supervisor finds in it is added to ``verdicts``.
 
         Args:
             until_ns: when a policy has to have answered.
         """
-        decision = nothing(len(self.chain.axes))
-        goal = self.mode.goal(self._k, seen.joints, seen.ee)
+        decision = neutral_decision(len(self.chain.axes))
+        goal = self.mode.goal(self._k, estimate.joints, estimate.ee)
         if goal.stop:
             decision.ended = goal
             return decision
@@ -90,54 +90,58 @@ class Decider:
         if goal.commands is not None and not held:
             decision.source, decision.commands_asked = goal.phase, goal.commands
             self.drive_setpoints = None
-            self.supervisor.limiter.reset(seen.joints)
-            self.chain.controller.reset(seen.drive)
+            self.supervisor.limiter.reset(estimate.joints)
+            self.chain.controller.reset(estimate.drive)
         else:
-            decision.asked, decision.source = self._ask(goal, seen, held, verdicts, until_ns)
-            decision.setpoints, broken = self.supervisor.setpoints(decision.asked)
-            verdicts += [] if held else broken  # standing still at once is nobody's wish: it is how a hold begins
-            drive_setpoints, decision.commands_asked = self.chain.commands(decision.setpoints, seen.drive)
+            decision.asked, decision.source = self._request_setpoints(goal, estimate, held, verdicts, until_ns)
+            decision.setpoints, exceeded = self.supervisor.setpoints(decision.asked)
+            verdicts += [] if held else exceeded  # standing still at once is nobody's wish: it is how a hold begins
+            drive_setpoints, decision.commands_asked = self.chain.commands(decision.setpoints, estimate.drive)
             decision.drive_setpoints = self.drive_setpoints = drive_setpoints
-        decision.commands, broken = self.supervisor.commands(decision.commands_asked, seen, self.estimator.dead_reckonings)
-        verdicts += broken
+        decision.commands, exceeded = self.supervisor.commands(
+            decision.commands_asked, estimate, self.estimator.dead_reckonings
+        )
+        verdicts += exceeded
         self.chain.took(decision.commands)
         if not held:
             self._k += 1
         return decision
 
-    def slow_down(self, seen: StateEstimate) -> CycleDecision:
+    def slow_down(self, estimate: StateEstimate) -> CycleDecision:
         """A cycle of a stop; enabled while there is speed to be taken out."""
-        decision = nothing(len(self.chain.axes))
+        decision = neutral_decision(len(self.chain.axes))
         decision.source = "stop"
         if self.supervisor.command_filter.sent.any():
-            decision.commands = self.supervisor.ramp(seen, self.estimator.dead_reckonings)
+            decision.commands = self.supervisor.ramp(estimate, self.estimator.dead_reckonings)
             decision.enabled = True
         return decision
 
-    def _ask(self, goal: Goal, seen: StateEstimate, held: bool, verdicts: list[Violation], until_ns: int) -> tuple[Array, str]:
+    def _request_setpoints(
+        self, goal: Goal, estimate: StateEstimate, held: bool, verdicts: list[Violation], until_ns: int
+    ) -> tuple[Array, str]:
         """Joint setpoints (A,), and whose they are."""
         here = self.supervisor.limiter.position
         if held:
             return self._hold(here)
-        if not self._distrusted or (self.fallback == "ik" and self.chain.policy is not None):
+        if not self._policy_disabled or (self.fallback == "ik" and self.chain.policy is not None):
             self._held_at = None
         if goal.joints is not None:
             self.chain.solve_from(goal.joints)
             return goal.joints, goal.phase
-        if not self._distrusted:
-            asked, wrong = self._policy(goal, seen, until_ns)
+        if not self._policy_disabled:
+            asked, wrong = self._ask_policy(goal, estimate, until_ns)
             if wrong is None:
                 return asked, goal.phase
             verdicts.append(wrong)
         if self.fallback == "hold" or self.chain.policy is None:
             return self._hold(here)
         try:
-            return self.chain.solve(seen.joints, goal.aim), "fallback"
+            return self.chain.solve(estimate.joints, goal.aim), "fallback"
         except Exception as problem:
-            verdicts.append(self.supervisor.no_answer(f"inverse kinematics fails: {described(problem)}"))
+            verdicts.append(self.supervisor.no_answer(f"inverse kinematics fails: {error_text(problem)}"))
             return self._hold(here)
 
-    def _policy(self, goal: Goal, seen: StateEstimate, until_ns: int) -> tuple[Array, Violation | None]:
+    def _ask_policy(self, goal: Goal, estimate: StateEstimate, until_ns: int) -> tuple[Array, Violation | None]:
         """What the policy asks for, and what is wrong with it.
 
         One that is late is asked again in the next cycle, until it was late in too many cycles in a row; one that fails is not.
@@ -145,18 +149,18 @@ class Decider:
         error, late, here = "", False, self.supervisor.limiter.position
         asked = here
         try:
-            asked = self.chain.ask(seen.joints, seen.ee, goal.aim, until_ns, self._now_ns)
+            asked = self.chain.ask(estimate.joints, estimate.ee, goal.aim, until_ns, self._now_ns)
         except PolicyError as problem:
             error, late = str(problem), problem.late
         except Exception as problem:  # of inverse kinematics, or of what the policy is shown
-            error = f"no setpoints: {described(problem)}"
+            error = f"no setpoints: {error_text(problem)}"
         self._late = self._late + 1 if late else 0
         if late and self._late < self.supervisor.checks.policy.late_turns:
             self.chain.solve_from(here)
             return here, self.supervisor.no_answer(error, "clamp")
         wrong = self.supervisor.policy(asked, error)
         if wrong is not None:
-            self._distrusted = True
+            self._policy_disabled = True
             self.chain.give_up()
             self.chain.solve_from(here)
             self.operator.notify(f"{wrong.text}: {'inverse kinematics goes on' if self.fallback == 'ik' else 'it holds'}")

@@ -12,7 +12,7 @@ from sysid.networks.forward import ForwardModel
 from sysid.runner.state_estimator import StateEstimate
 
 
-class Domains:
+class TrainingDomains:
     """Of a forward model and the networks of cylinders. Motion that leads back to the data is not objected to.
 
     Args:
@@ -37,10 +37,10 @@ class Domains:
         self._actuators = [(axis, i, trust.domain) for axis, i, trust in columns if trust is not None]
         self._before: dict[str, float] = {}
 
-    def __call__(self, seen: StateEstimate) -> str:
+    def __call__(self, estimate: StateEstimate) -> str:
         """Which network is asked beyond its data, and further than before; "" where none is."""
-        asked = [("forward", self._forward, seen.joints[None])]
-        asked += [(f"actuator of {axis}", domain, seen.drive[i : i + 1, None]) for axis, i, domain in self._actuators]
+        asked = [("forward", self._forward, estimate.joints[None])]
+        asked += [(f"actuator of {axis}", domain, estimate.drive[i : i + 1, None]) for axis, i, domain in self._actuators]
         for name, domain, query in asked:
             if not np.isfinite(query).all() or domain.inside(query)[0]:
                 self._before[name] = 0.0

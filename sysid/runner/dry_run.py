@@ -42,7 +42,7 @@ class RangeRecorder:
         #: Cycles in which the tracking error is known.
         self.tracked = 0
         self._squares, self._worst = np.zeros(3), np.zeros(3)
-        self._far, self._farthest = 0.0, 0.0
+        self._distance_sum, self._distance_max = 0.0, 0.0
 
     def record(self, cycle: Cycle) -> None:
         if not cycle.enabled:
@@ -60,7 +60,7 @@ class RangeRecorder:
             far = float(np.linalg.norm(error))
             self._squares += error**2
             np.fmax(self._worst, np.abs(error), out=self._worst)
-            self._far, self._farthest = self._far + far, max(self._farthest, far)
+            self._distance_sum, self._distance_max = self._distance_sum + far, max(self._distance_max, far)
             self.tracked += 1
         if np.isfinite(cycle.target).all():
             self._targets.append((cycle.at_ns + self._period_ns, cycle.target))
@@ -93,7 +93,7 @@ class RangeRecorder:
         if not self.tracked:
             return {}
         rmse = float(np.sqrt(self._squares.sum() / self.tracked))
-        return {"mean": self._far / self.tracked, "rmse": rmse, "max": self._farthest}
+        return {"mean": self._distance_sum / self.tracked, "rmse": rmse, "max": self._distance_max}
 
 
 @dataclass(frozen=True)

@@ -68,7 +68,7 @@ class FlightLog:
         machine: Path,
         axes: tuple[str, ...],
         signals: tuple[str, ...],
-        words: Mapping[str, Mapping[str, str]],
+        metadata: Mapping[str, Mapping[str, str]],
         *,
         kind: Kind = "motion",
         clock_ns: int | None = None,
@@ -83,10 +83,10 @@ class FlightLog:
             raise StorageError(
                 f"flight log {root}", f"{free / 2**20:.0f} MiB free", f"{reserve / 2**20:.0f} MiB", "Make room on the disk."
             )
-        beside(root, machine, axes, signals)
-        self._speaker = MessagePublisher(axes, now - (time.monotonic_ns() if clock_ns is None else clock_ns))
+        write_description(root, machine, axes, signals)
+        self._publisher = MessagePublisher(axes, now - (time.monotonic_ns() if clock_ns is None else clock_ns))
         self._queue: SimpleQueue[Cycle | None] = SimpleQueue()
-        self._last: list[tuple[str, dict[str, str]]] = []
+        self._final_metadata: list[tuple[str, dict[str, str]]] = []
         self._fault = ""
         self._broken = False
         #: Cycles that found no place in the queue, and those that were written.
@@ -94,9 +94,9 @@ class FlightLog:
         try:
             self._writer = PieceWriter(self.path, "ros2", f"sysid {__version__}")
             self._channels = {
-                topic: self._writer.channel(topic, kind_, text) for topic, kind_, text in self._speaker.topics(signals)
+                topic: self._writer.channel(topic, kind_, text) for topic, kind_, text in self._publisher.topics(signals)
             }
-            for group, values in words.items():
+            for group, values in metadata.items():
                 self._writer.metadata(group, values)
             self._writer.sync()
         except OSError as error:
@@ -112,9 +112,9 @@ class FlightLog:
             return
         self._queue.put(cycle)
 
-    def remark(self, group: str, values: Mapping[str, str]) -> None:
+    def add_metadata(self, group: str, values: Mapping[str, str]) -> None:
         """Words about the run that are known only when it is over: written at the end, before :meth:`close` returns."""
-        self._last.append((group, dict(values)))
+        self._final_metadata.append((group, dict(values)))
 
     @property
     def fault(self) -> str:
@@ -162,7 +162,7 @@ class FlightLog:
                 pass
             try:
                 if cycle is not None and not self._broken:
-                    self._say(cycle)
+                    self._publish(cycle)
                     cycles += 1
                 if not self._broken and (done or time.monotonic() - synced >= SYNC_EVERY):
                     self._writer.sync()
@@ -176,7 +176,7 @@ class FlightLog:
         try:
             if self.lost:
                 self._writer.metadata("lost", {"cycles": str(self.lost)})
-            for group, values in self._last:
+            for group, values in self._final_metadata:
                 self._writer.metadata(group, values)
             self._writer.finish()
         except OSError as error:
@@ -184,11 +184,11 @@ class FlightLog:
             self._fault = f"flight log: {error.strerror or error}"
         self._writer.close()
 
-    def _say(self, cycle: Cycle) -> None:
-        for said in self._speaker.said(cycle):
-            channel = self._channels.get(said.topic)
+    def _publish(self, cycle: Cycle) -> None:
+        for message in self._publisher.messages(cycle):
+            channel = self._channels.get(message.topic)
             if channel is not None:
-                self._writer.message(channel, cycle.number, said.log_ns, said.publish_ns, said.data)
+                self._writer.message(channel, cycle.number, message.log_ns, message.publish_ns, message.data)
 
 
 def provenance(files: Mapping[str, Path], versions: Mapping[str, str]) -> dict[str, dict[str, str]]:
@@ -208,7 +208,7 @@ def provenance(files: Mapping[str, Path], versions: Mapping[str, str]) -> dict[s
     }
 
 
-def beside(root: Path, machine: Path, axes: tuple[str, ...], signals: tuple[str, ...]) -> None:
+def write_description(root: Path, machine: Path, axes: tuple[str, ...], signals: tuple[str, ...]) -> None:
     """Put the description of the machine and the recipe that maps a flight log beside the recordings.
 
     Raises:

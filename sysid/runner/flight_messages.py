@@ -139,7 +139,7 @@ class MessagePublisher:
         for signal in signals:
             yield READINGS + signal, "sysid_msgs/msg/Reading", READING_TYPE
 
-    def said(self, cycle: Cycle) -> Iterator[OutgoingMessage]:
+    def messages(self, cycle: Cycle) -> Iterator[OutgoingMessage]:
         """The messages of a cycle; a reading is said once."""
         at = cycle.at_ns + self.offset_ns
         for signal, reading in cycle.readings.items():

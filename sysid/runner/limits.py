@@ -178,12 +178,12 @@ class SetpointLimiter:
 
     def step(self, wanted: Array) -> tuple[Array, list[tuple[str, int, float, float]]]:
         """Setpoints (A,) for what is wanted (A,), and the limits that it broke: (check, axis, found, limit)."""
-        broken: list[tuple[str, int, float, float]] = []
+        exceeded: list[tuple[str, int, float, float]] = []
         for i in range(len(wanted)):
-            self._step(i, float(wanted[i]), broken)
-        return self.position.copy(), broken
+            self._step(i, float(wanted[i]), exceeded)
+        return self.position.copy(), exceeded
 
-    def _step(self, i: int, asked: float, broken: list[tuple[str, int, float, float]]) -> None:
+    def _step(self, i: int, asked: float, exceeded: list[tuple[str, int, float, float]]) -> None:
         dt, at, speed, acceleration = self.dt, float(self.position[i]), float(self.speed[i]), float(self._acceleration[i])
         of = self.limits
         top, most, jerk = float(of.speed[i]), float(of.acceleration[i]), float(of.jerk[i])
@@ -193,14 +193,14 @@ class SetpointLimiter:
         self._wanted[i] = wanted
         self._own[i] += SMOOTH * ((moved if abs(moved) <= top else 0.0) - float(self._own[i]))
         if wanted != asked:
-            broken.append(("position", i, asked, low if asked < low else high))
+            exceeded.append(("position", i, asked, low if asked < low else high))
         v = (wanted - at) / dt
         a = (v - speed) / dt
         j = (a - acceleration) / dt
         over = (("speed", abs(v), top), ("acceleration", abs(a), most), ("jerk", abs(j), jerk))
         found = [(name, i, value, limit) for name, value, limit in over if value > limit * (1.0 + 1e-9) + 1e-9]
         if found:
-            broken += found
+            exceeded += found
             error = wanted - at
             toward = math.copysign(min(math.sqrt(2.0 * BRAKING * most * abs(error)), CATCH_UP * abs(error)), error)
             v = min(max(float(self._own[i]) + toward, -top), top)

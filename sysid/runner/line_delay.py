@@ -31,26 +31,26 @@ class MachineClock:
     def __init__(self) -> None:
         self._offset: float | None = None
         self._stamp: int | None = None
-        self._came = 0
+        self._received = 0
 
-    def tick(self, seconds: float | None, came_ns: int) -> None:
+    def tick(self, seconds: float | None, received_ns: int) -> None:
         """A status came with the machine's time in it [s]; None: it says none."""
-        passed, self._came = came_ns - self._came, came_ns
+        passed, self._received = received_ns - self._received, received_ns
         if seconds is None:
             self._stamp = None
             return
         stamp = round(seconds * SECOND)
         # No delay makes stamps go back: the clock was set, or has turned over.
         begins = self._offset is None or self._stamp is None or stamp < self._stamp
-        found = float(came_ns - stamp)
+        found = float(received_ns - stamp)
         self._offset = found if begins or self._offset is None else min(self._offset + DRIFT * passed, found)
         self._stamp = stamp
 
-    def measured(self, came_ns: int) -> int:
+    def measured(self, received_ns: int) -> int:
         """When a value that came at ``came_ns`` was measured, on this computer's clock; when it came where nothing says."""
         # A status that was lost would stamp the values of its cycle with the cycle before.
-        if self._stamp is None or self._offset is None or came_ns - self._came > SECOND // 200:
-            return came_ns
+        if self._stamp is None or self._offset is None or received_ns - self._received > SECOND // 200:
+            return received_ns
         return round(self._stamp + self._offset)
 
     def now(self, at_ns: int) -> float | None:
@@ -58,7 +58,7 @@ class MachineClock:
 
         The newest stamp, and what has passed since it came: how long it was on its way is left out.
         """
-        return None if self._stamp is None else (self._stamp + at_ns - self._came) / SECOND
+        return None if self._stamp is None else (self._stamp + at_ns - self._received) / SECOND
 
 
 class CommandRoundTrip:
@@ -76,7 +76,7 @@ class CommandRoundTrip:
         if self._open_ns is None:
             self._open_ns = now_ns
 
-    def heard(self, echo: int, now_ns: int) -> None:
+    def echoed(self, echo: int, now_ns: int) -> None:
         """A status came: the newest counter that the machine has heard is ``echo``."""
         if echo == self._echo:
             return

@@ -48,7 +48,7 @@ def show_flight(path: Path, machine: Machine, out: Path | None = None, idle_s: f
     """
     tail = Tail(path, frozenset((CYCLES, VERDICTS)))
     with _stream(path, machine, out) as stream:
-        screen = _Screen(stream, machine)
+        screen = _FlightView(stream, machine)
         grown = time.monotonic()
         while True:
             found = tail.new()
@@ -56,7 +56,7 @@ def show_flight(path: Path, machine: Machine, out: Path | None = None, idle_s: f
                 grown = time.monotonic()
                 screen.show(found)
             if tail.finished or time.monotonic() - grown > idle_s:
-                return screen.turns
+                return screen.cycles
             if not found:
                 time.sleep(POLL)
 
@@ -80,12 +80,12 @@ def _stream(path: Path, machine: Machine, out: Path | None) -> Iterator[Any]:
         stream.disconnect()
 
 
-class _Screen:
+class _FlightView:
     """What is drawn of the messages of one run."""
 
     def __init__(self, stream: Any, machine: Machine) -> None:
         rr = sdk()
-        self.stream, self.machine, self.turns = stream, machine, 0
+        self.stream, self.machine, self.cycles = stream, machine, 0
         self._kinematics = machine.kinematics()
         self._begin: int | None = None
         self._state = ""
@@ -113,14 +113,14 @@ class _Screen:
             self._show_cycles([1e-9 * (log_ns - self._begin) for log_ns, _ in cycles], [body for _, body in cycles])
         for heard in messages:
             if heard.topic == VERDICTS:
-                self._say(heard.log_ns, heard.body.text, _LEVELS.get(heard.body.reaction, "INFO"))
+                self._log_text(heard.log_ns, heard.body.text, _LEVELS.get(heard.body.reaction, "INFO"))
             elif heard.body.state != self._state:
                 self._state = heard.body.state
-                self._say(heard.log_ns, self._state, "CRITICAL" if self._state == "fault" else "INFO")
+                self._log_text(heard.log_ns, self._state, "CRITICAL" if self._state == "fault" else "INFO")
 
     def _show_cycles(self, seconds: list[float], cycles: list[Any]) -> None:
         rr = sdk()
-        self.turns += len(cycles)
+        self.cycles += len(cycles)
         time_s, joints, ee = np.array(seconds), _stacked(cycles, "joint"), _stacked(cycles, "ee")
         setpoints, commands = _stacked(cycles, "setpoint"), _stacked(cycles, "command")
         columns = {axis_signal(axis, "joint"): joints[:, k] for k, axis in enumerate(self.machine.axis_names)}
@@ -154,7 +154,7 @@ class _Screen:
             scalars = rr.Scalars.columns(scalars=values[known])
             rr.send_columns(entity, indexes=times, columns=scalars, recording=self.stream)
 
-    def _say(self, log_ns: int, text: str, level: str) -> None:
+    def _log_text(self, log_ns: int, text: str, level: str) -> None:
         assert self._begin is not None
         self.stream.set_time(TIMELINE, duration=1e-9 * (log_ns - self._begin))
         sdk().log("log", sdk().TextLog(text, level=level), recording=self.stream)

@@ -14,18 +14,18 @@ from sysid.runner.chain import ControlChain
 from sysid.runner.checks.machine import dead_man
 from sysid.runner.clock import SECOND
 from sysid.runner.cycle import Cycle, Recorder, Violation
-from sysid.runner.decision import CycleDecision, Decider, nothing
+from sysid.runner.decision import CycleDecision, Decider, neutral_decision
 from sysid.runner.modes.mode import Mode
 from sysid.runner.operator import Operator
 from sysid.runner.outcome import RunOutcome
-from sysid.runner.policy_thread import WARM_UP_S, PolicyError, described
-from sysid.runner.realtime import on_time, raise_thread
+from sysid.runner.policy_thread import WARM_UP_S, PolicyError, error_text
+from sysid.runner.realtime import prioritise_thread, real_time
 from sysid.runner.recipe import LoopSettings
 from sysid.runner.state_estimator import StateEstimate, StateEstimator
 from sysid.runner.state_machine import RunStateMachine
 from sysid.runner.states import States
 from sysid.runner.supervisor import Supervisor
-from sysid.runner.transport import NOBODY, Measurement, Transport
+from sysid.runner.transport import RELEASED_INPUTS, Measurement, Transport
 
 Array = npt.NDArray[np.float64]
 
@@ -68,7 +68,7 @@ class Loop:
         self._sent = self._zero
         self._readings: Mapping[str, Measurement] = {}
         self._missed = 0
-        self._line = ""
+        self._line_error = ""
         #: When the last command that lets the valves move went out; None where the last one was neutral.
         self._moved_ns: int | None = None
 
@@ -80,16 +80,16 @@ class Loop:
         self.supervisor.begin(joints)
         for dead_reckoning, place in zip(self.estimator.dead_reckonings, drive, strict=True):
             dead_reckoning.reset(float(place))
-        seen = self.estimator.see({}, NOBODY, 0)
-        seen.ee = ee
+        estimate = self.estimator.update({}, RELEASED_INPUTS, 0)
+        estimate.ee = ee
         self.chain.moved(joints, self._zero)
         with contextlib.suppress(PolicyError):  # found out again where it counts, and the fallback goes on
             self.chain.ask(joints, ee, ee, self.transport.now_ns() + round(WARM_UP_S * SECOND), self.transport.now_ns)
         self.chain.solve(joints, ee)
         setpoints, _ = self.supervisor.setpoints(joints + 1e-3)
         _, commands = self.chain.commands(setpoints, drive)
-        self.supervisor.look(seen, True, drive)
-        self.supervisor.commands(commands + 0.3, seen, self.estimator.dead_reckonings)
+        self.supervisor.check(estimate, True, drive)
+        self.supervisor.commands(commands + 0.3, estimate, self.estimator.dead_reckonings)
         self.supervisor.begin(joints)
         self.chain.rest(drive, joints)
         self.estimator.reset()
@@ -106,17 +106,17 @@ class Loop:
             InputError, SettingsError: the transport cannot be opened.
         """
         settings, outcome = self.settings, self.outcome
-        with on_time(settings.priority, settings.lock_memory) as refused:
+        with real_time(settings.priority, settings.lock_memory) as refused:
             for text in refused:
                 self.state_machine.note(text)
             if self.chain.thread is not None:
-                raise_thread(self.chain.thread.native_id, settings.priority)
+                prioritise_thread(self.chain.thread.native_id, settings.priority)
             try:
                 # Last: to lock the memory takes seconds, in which a line that nobody reads would overflow.
                 self.transport.open()
                 rest_s = 0.0
                 try:
-                    self._turns(watch)
+                    self._run_cycles(watch)
                 except BaseException as error:  # whatever it is, valves go neutral, and the run is told and recorded to its end
                     rest_s = settings.rest_s
                     self._failed(error)
@@ -128,19 +128,19 @@ class Loop:
                 try:
                     self.transport.close()
                 except Exception as error:  # a line that is gone cannot be closed any better
-                    outcome.notes.append(f"the line was not closed: {described(error)}")
+                    outcome.notes.append(f"the line was not closed: {error_text(error)}")
         outcome.state, outcome.why = self.states.state, self.states.why
         return outcome
 
-    def _turns(self, watch: Callable[[Cycle], None] | None) -> None:
+    def _run_cycles(self, watch: Callable[[Cycle], None] | None) -> None:
         begin = due = self.transport.now_ns() + self.period_ns
         self.states.entered_ns = begin
         while True:
             self.transport.wait_until(due)
-            cycle = self._one(due)
+            cycle = self._run_cycle(due)
             if watch is not None:
                 watch(cycle)
-            if self.state_machine.over(cycle.at_ns - begin, self.transport.now_ns()):
+            if self.state_machine.is_over(cycle.at_ns - begin, self.transport.now_ns()):
                 return
             due += self.period_ns
             late = self.transport.now_ns() - due
@@ -154,8 +154,8 @@ class Loop:
         self.outcome.error = "".join(traceback.format_exception(error))
         frames = traceback.extract_tb(error.__traceback__)
         place = f" ({Path(frames[-1].filename).name}, line {frames[-1].lineno})" if frames else ""
-        what = "interrupted" if isinstance(error, KeyboardInterrupt) else f"the runner failed: {described(error)}"
-        self.state_machine.broken(what + place, self.transport.now_ns())
+        what = "interrupted" if isinstance(error, KeyboardInterrupt) else f"the runner failed: {error_text(error)}"
+        self.state_machine.crashed(what + place, self.transport.now_ns())
 
     def _neutral(self, seconds: float) -> None:
         """Say that nobody commands, for ``seconds`` so that it is heard; where it is not, the machine's own time-out closes."""
@@ -169,37 +169,37 @@ class Loop:
                 except Exception:  # a clock that fails: what is left is to close the line
                     return
 
-    def _one(self, due: int) -> Cycle:
+    def _run_cycle(self, due: int) -> Cycle:
         now = self.transport.now_ns()
-        seen = self._see(now, now - due)
-        verdicts = self.supervisor.look(seen, self.states.moving, self.decider.drive_setpoints)
-        if self.states.state == "running" and not seen.inputs.dead_man:
+        estimate = self._update_estimate(now, now - due)
+        verdicts = self.supervisor.check(estimate, self.states.moving, self.decider.drive_setpoints)
+        if self.states.state == "running" and not estimate.inputs.dead_man:
             verdicts.append(dead_man(self.supervisor.checks))
         if not self.mode.moves:
             verdicts = [verdict for verdict in verdicts if verdict.check not in _OWN_MOTION]
         verdicts = self.supervisor.patience(verdicts)
         self.state_machine.react(verdicts, now)
-        if self.state_machine.listen(verdicts, now):
+        if self.state_machine.process_commands(verdicts, now):
             self.estimator.reset()
-            self._line = ""
-        if self.state_machine.advance(seen, verdicts, now):
-            self.decider.begin(seen)
-            if outside := self.supervisor.beyond(seen):
+            self._line_error = ""
+        if self.state_machine.advance(estimate, verdicts, now):
+            self.decider.begin(estimate)
+            if outside := self.supervisor.beyond(estimate):
                 self.state_machine.note(f"{outside}: only ways back inside are open")
-        decision = self._decide(seen, verdicts, now)
+        decision = self._decide(estimate, verdicts, now)
         dropped = False
         if decision.enabled and (expired := self._expired(now)) is not None:
             verdicts.append(expired)
             dropped = self._drop(decision, expired, now)
         if self.mode.writes and not dropped and not self._send(decision.commands, decision.enabled):
-            self.state_machine.fault(f"commands cannot be sent: {self._line}", now)
+            self.state_machine.fault(f"commands cannot be sent: {self._line_error}", now)
             decision.enabled = False
         moved = decision.commands if decision.enabled else self._zero
         self.estimator.step(moved)
         self._sent = moved
         done = self.transport.now_ns()
         cycle = Cycle(
-            self.outcome.turns, now, due, self.states.state, seen.inputs, self._readings, seen.joints, seen.ee, decision.target,
+            self.outcome.cycles, now, due, self.states.state, estimate.inputs, self._readings, estimate.joints, estimate.ee, decision.target,
             decision.asked, decision.setpoints, decision.drive_setpoints, decision.commands_asked, moved.copy(),
             decision.enabled, tuple(verdicts), decision.source, now - due, done - now,
         )  # fmt: skip
@@ -207,44 +207,44 @@ class Loop:
         self.outcome.lateness.add(now - due)
         self.outcome.latency.add(done - now)
         self.outcome.verdicts.update({verdict.check for verdict in verdicts})
-        self.outcome.turns += 1
+        self.outcome.cycles += 1
         return cycle
 
-    def _see(self, now: int, late_ns: int) -> StateEstimate:
+    def _update_estimate(self, now: int, late_ns: int) -> StateEstimate:
         try:
             self._readings, inputs = self.transport.read()
         except Exception as error:  # a driver may raise anything; the fail-safe bits are sent all the same
             self._readings = {}
-            seen = self.estimator.nothing(now, described(error))
+            estimate = self.estimator.without_readings(now, error_text(error))
         else:
-            seen = self.estimator.see(self._readings, inputs, now, late_ns / SECOND, self._missed)
-        if self._line and not seen.line:
-            seen.line = self._line
-        seen.recording = self.recorder.fault
-        if np.isfinite(seen.joints).all():
-            seen.ee = self.chain.tip(seen.joints[None])[0]
-            self.chain.moved(seen.joints, self._sent)
-        return seen
+            estimate = self.estimator.update(self._readings, inputs, now, late_ns / SECOND, self._missed)
+        if self._line_error and not estimate.line:
+            estimate.line = self._line_error
+        estimate.recording = self.recorder.fault
+        if np.isfinite(estimate.joints).all():
+            estimate.ee = self.chain.tip(estimate.joints[None])[0]
+            self.chain.moved(estimate.joints, self._sent)
+        return estimate
 
-    def _decide(self, seen: StateEstimate, verdicts: list[Violation], now: int) -> CycleDecision:
-        decision = nothing(len(self._zero))
-        if self.states.state == "running" or (self.state_machine.thinking and np.isfinite(seen.joints).all()):
-            decision = self.decider.think(seen, verdicts, now + round(POLICY_SHARE * self.period_ns))
+    def _decide(self, estimate: StateEstimate, verdicts: list[Violation], now: int) -> CycleDecision:
+        decision = neutral_decision(len(self._zero))
+        if self.states.state == "running" or (self.state_machine.computing and np.isfinite(estimate.joints).all()):
+            decision = self.decider.decide(estimate, verdicts, now + round(POLICY_SHARE * self.period_ns))
             if decision.ended is not None:
                 self.state_machine.end(decision.ended, now)
                 if self.states.state == "stopping":
-                    decision = self._slow_down(seen, now)
+                    decision = self._slow_down(estimate, now)
             else:
                 decision.enabled = self.mode.moves and self.state_machine.allow(verdicts, now)
         elif self.states.state == "stopping":
-            decision = self._slow_down(seen, now)
-        if self.states.state != "running" and not self.state_machine.thinking:
+            decision = self._slow_down(estimate, now)
+        if self.states.state != "running" and not self.state_machine.computing:
             self.decider.drive_setpoints = None
         return decision
 
-    def _slow_down(self, seen: StateEstimate, now: int) -> CycleDecision:
-        decision = self.decider.slow_down(seen)
-        self.state_machine.slowing(not decision.enabled, seen, now)
+    def _slow_down(self, estimate: StateEstimate, now: int) -> CycleDecision:
+        decision = self.decider.slow_down(estimate)
+        self.state_machine.braking(not decision.enabled, estimate, now)
         return decision
 
     def _expired(self, now: int) -> Violation | None:
@@ -273,7 +273,7 @@ class Loop:
         try:
             self.transport.write(commands, enabled)
         except Exception as error:  # see _see
-            self._line = described(error)
+            self._line_error = error_text(error)
             self._moved_ns = None if not enabled else self._moved_ns
             return False
         self._moved_ns = begin if enabled else None

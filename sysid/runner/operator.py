@@ -12,7 +12,7 @@ from sysid.runner.cycle import State
 from sysid.runner.transport import Settable
 
 #: What may be said: ``quit`` stops within the limits and ends the run, ``abort`` ends it with neutral valves at once.
-WORDS = ("arm", "disarm", "stop", "reset", "quit", "abort")
+OPERATOR_COMMANDS = ("arm", "disarm", "stop", "reset", "quit", "abort")
 #: Signals that end a run as ``quit`` does; nobody ends, or suspends, a process that moves a machine in any other way.
 SIGNALS = ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT", "SIGTSTP", "SIGXCPU", "SIGUSR1", "SIGUSR2", "SIGALRM")
 #: Of a terminal whose foreground another process has: reading it is an error then, and does not suspend this process.
@@ -25,7 +25,7 @@ class Operator(Protocol):
     #: Stays after a stop or a fault, for somebody to arm or reset; else the run is over then.
     stays: bool
 
-    def words(self, state: State, now_ns: int) -> Sequence[str]:
+    def commands(self, state: State, now_ns: int) -> Sequence[str]:
         """What was said since the last cycle, of :data:`WORDS`; a reason may stand behind a colon."""
         ...
 
@@ -51,7 +51,7 @@ class Unattended:
         self._armed = False
         self.lines: list[str] = []
 
-    def words(self, state: State, now_ns: int) -> Sequence[str]:
+    def commands(self, state: State, now_ns: int) -> Sequence[str]:
         if self._first_ns is None:
             self._first_ns = now_ns
             self.machine.set_inputs(dead_man=False)
@@ -84,8 +84,8 @@ class Interruptible:
         self._said = 0
         self._before: dict[int, Any] = {}
 
-    def words(self, state: State, now_ns: int) -> Sequence[str]:
-        said = list(self.operator.words(state, now_ns))
+    def commands(self, state: State, now_ns: int) -> Sequence[str]:
+        said = list(self.operator.commands(state, now_ns))
         for name in self._came[self._said :]:
             said.append(f"{'quit' if self._said == 0 else 'abort'}: {name}")
             self._said += 1

@@ -59,7 +59,7 @@ class RunOutcome:
     ended: Ended = "time"
     state: str = "idle"
     why: str = ""
-    turns: int = 0
+    cycles: int = 0
     missed: int = 0
     lateness: Histogram = field(default_factory=Histogram)
     latency: Histogram = field(default_factory=Histogram)

@@ -52,7 +52,7 @@ class PolicyThread:
 
     def __init__(self, policy: Policy, axes: int) -> None:
         self.policy, self._axes = policy, axes
-        self._questions: SimpleQueue[tuple[int, Array]] = SimpleQueue()
+        self._requests: SimpleQueue[tuple[int, Array]] = SimpleQueue()
         self._answers: SimpleQueue[tuple[int, Array | BaseException]] = SimpleQueue()
         self._asked = 0
         #: The question that the thread is at; 0: none. An exception may end an answer anywhere: this is right again after it.
@@ -66,7 +66,7 @@ class PolicyThread:
 
     @property
     def _busy(self) -> bool:
-        return self._at != 0 or not self._questions.empty()
+        return self._at != 0 or not self._requests.empty()
 
     def ask(self, observations: Array, until_ns: int, now_ns: Callable[[], int]) -> Array:
         """Setpoints (A,) for observations (1, O), by ``until_ns`` on the clock ``now_ns``.
@@ -80,14 +80,14 @@ class PolicyThread:
         if self._busy:
             raise PolicyError("the policy is still at an earlier cycle", late=True)
         self._asked += 1
-        self._questions.put((self._asked, observations.copy()))
+        self._requests.put((self._asked, observations.copy()))
         answer = self._wait(until_ns, now_ns)
         if isinstance(answer, PolicyError):
             if answer.late:
                 self.cancel()  # at once: Python code that computes takes turns with the loop, which needs the rest of this one
             raise answer
         if isinstance(answer, BaseException):
-            raise PolicyError(f"the policy fails: {described(answer)}")
+            raise PolicyError(f"the policy fails: {error_text(answer)}")
         return answer
 
     def cancel(self) -> None:
@@ -113,7 +113,7 @@ class PolicyThread:
         while True:
             with contextlib.suppress(BaseException):  # cancelled outside of the policy's own code
                 self._at = 0
-                number, observations = self._questions.get()
+                number, observations = self._requests.get()
                 self._at = number
                 self._answer(number, observations)
 
@@ -134,7 +134,7 @@ class PolicyThread:
         return np.array(answer[0], dtype=np.float64)
 
 
-def described(error: BaseException) -> str:
+def error_text(error: BaseException) -> str:
     """An error on one line, with its kind where the text is not that of the system."""
     try:
         text = " ".join(str(error).split())[:LONGEST]

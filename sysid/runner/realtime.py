@@ -15,7 +15,7 @@ _SWITCH = 0.0005
 
 
 @contextlib.contextmanager
-def on_time(priority: int, lock: bool) -> Iterator[tuple[str, ...]]:
+def real_time(priority: int, lock: bool) -> Iterator[tuple[str, ...]]:
     """Real-time priority (SCHED_FIFO), locked memory and no garbage collection inside the context; all given back after it.
 
     Other threads of this process hold the interpreter for half a millisecond at the most while the loop waits for it.
@@ -28,8 +28,8 @@ def on_time(priority: int, lock: bool) -> Iterator[tuple[str, ...]]:
         What was refused, a sentence each.
     """
     refused: list[str] = []
-    scheduled = priority > 0 and _prioritised(priority, refused)
-    locked = lock and _locked(refused)
+    scheduled = priority > 0 and _request_priority(priority, refused)
+    locked = lock and _lock_memory(refused)
     collecting = gc.isenabled()
     gc.collect()
     gc.freeze()
@@ -49,7 +49,7 @@ def on_time(priority: int, lock: bool) -> Iterator[tuple[str, ...]]:
             os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
 
 
-def _prioritised(priority: int, refused: list[str]) -> bool:
+def _request_priority(priority: int, refused: list[str]) -> bool:
     if not hasattr(os, "sched_setscheduler"):
         refused.append("real-time priority: this system has no SCHED_FIFO")
         return False
@@ -61,7 +61,7 @@ def _prioritised(priority: int, refused: list[str]) -> bool:
     return True
 
 
-def _locked(refused: list[str]) -> bool:
+def _lock_memory(refused: list[str]) -> bool:
     libc = ctypes.CDLL(None, use_errno=True)
     if not hasattr(libc, "mlockall"):
         refused.append("locked memory: this system has no mlockall")
@@ -73,7 +73,7 @@ def _locked(refused: list[str]) -> bool:
     return True
 
 
-def raise_thread(native_id: int | None, priority: int) -> None:
+def prioritise_thread(native_id: int | None, priority: int) -> None:
     """Give a thread that the loop waits for real-time priority as well, just below the loop's; where that is permitted."""
     if native_id is not None and priority > 1 and hasattr(os, "sched_setscheduler"):
         with contextlib.suppress(OSError):

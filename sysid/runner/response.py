@@ -27,7 +27,7 @@ STEP_S, EVERY_S, SAMPLE_S = 0.04, 0.05, 0.02
 #: A delay is there for longer than the window, or came so long ago [s].
 SINCE_S = (0.15, 0.3, 0.5)
 #: Comparisons in a row that have to find it.
-TIMES = 2
+REPEATS = 2
 #: True gain over the plant's.
 GAINS = (0.7, 1.4)
 #: True dead-band less the plant's, in commands, of each direction by itself.
@@ -72,8 +72,8 @@ class ResponseMonitor:
         for since in SINCE_S:
             rows += [np.where(samples < self._window - round(since / dt), 0, lag) for lag in late]
         self._delays, self._usual, self._samples = np.array(rows), len(usual), samples
-        self._turns = longest + samples - self._delays
-        self._found = np.zeros(axes, dtype=int)
+        self._columns = longest + samples - self._delays
+        self._hits = np.zeros(axes, dtype=int)
         self._fastest = np.array([valve.fastest for valve in valves])
         self._up = np.array([valve.up for valve in valves])
         self._down = np.array([valve.down for valve in valves])
@@ -85,11 +85,11 @@ class ResponseMonitor:
         #: Travel forwards and backwards by the commands, (2, bands, A, cycles), the newest last.
         self._travel = np.zeros((2, len(BANDS), axes, self._window + longest))
         #: Speeds that are still in the dead time, (2, bands, A, cycles), the newest first.
-        late_by = [valve.late for valve in valves]
+        late_by = [valve.dead_steps for valve in valves]
         self._coming = np.zeros((2, len(BANDS), axes, max(late_by)))
         self._arrives = np.arange(axes), np.array(late_by) - 1
         self._measured = np.full((axes, self._window), np.nan)
-        self._turn = 0
+        self._cycle = 0
         self._late: list[LateAxis | None] = [None] * axes
 
     @property
@@ -99,7 +99,7 @@ class ResponseMonitor:
 
     def reset(self) -> None:
         """Forget what was measured."""
-        self._measured[:], self._found[:] = np.nan, 0
+        self._measured[:], self._hits[:] = np.nan, 0
         self._late = [None] * len(self._late)
 
     def step(self, commands: Array) -> None:
@@ -111,12 +111,12 @@ class ResponseMonitor:
         backwards = np.minimum(np.maximum(-commands - self._negative, 0.0) ** self._exponent, self._limit)
         self._coming[0, ..., 0], self._coming[1, ..., 0] = self._up * forwards, -self._down * backwards
 
-    def look(self, measured: Array) -> None:
+    def measure(self, measured: Array) -> None:
         """What is driven is at ``measured`` (A,) now; NaN where no fresh and sound reading says so."""
         self._measured[:, :-1] = self._measured[:, 1:]
         self._measured[:, -1] = measured
-        self._turn += 1
-        axis = self._turn % self._every
+        self._cycle += 1
+        axis = self._cycle % self._every
         if axis < len(self._late):
             self._late[axis] = self._compare(axis)
 
@@ -124,18 +124,18 @@ class ResponseMonitor:
         measured, travel = self._measured[i, self._samples], self._travel[:, :, i]
         own = np.isfinite(measured)
         if own.mean() < ENOUGH or np.ptp(travel[:, 0], axis=1).max() < LEAST_S * self._fastest[i]:
-            self._found[i] = 0
+            self._hits[i] = 0
             return None
         both = _sums(travel)
-        turns = self._turns[:, own]
+        turns = self._columns[:, own]
         usual = float(_errors(measured[own], both[:, turns[: self._usual]]).min()) / self._fastest[i]
         if usual <= LEAST_S:
-            self._found[i] = 0
+            self._hits[i] = 0
             return None
         both = _sums(travel[:, ::COARSE])
         late = _errors(measured[own], both[:, turns[self._usual :]]).min(axis=0) / self._fastest[i]
-        self._found[i] = self._found[i] + 1 if max(float(late.min()), FLOOR_S) < SHARE * usual else 0
-        if self._found[i] < TIMES:
+        self._hits[i] = self._hits[i] + 1 if max(float(late.min()), FLOOR_S) < SHARE * usual else 0
+        if self._hits[i] < REPEATS:
             return None
         return LateAxis(i, float(self._delays[self._usual + int(np.argmin(late)), -1]) * self.dt)
 

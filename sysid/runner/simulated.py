@@ -58,7 +58,7 @@ class SimulatedTransport(SimulatedClock):
         self._enabled, self._written_ns = False, -TIME_OUT_NS
         self._inputs = MachineInputs(dead_man=False, emergency_stop=False)
         self._readings: dict[str, Measurement] = {}
-        self._sense()
+        self.measure()
 
     @property
     def signals(self) -> tuple[str, ...]:
@@ -107,10 +107,10 @@ class SimulatedTransport(SimulatedClock):
             self._lane = self._stepper.step(np.zeros(len(self._axes)) if self.neutral else self._commands)
             self._steps += 1
             self._now = self._steps * self._period
-            self._sense()
+            self.measure()
         super().wait_until(ns)
 
-    def _sense(self) -> None:
+    def measure(self) -> None:
         now = self._steps * self._period
         errors = self._sigma * self._rng.standard_normal(len(self._sigma))
         for (signal, (name, column)), error in zip(self._sources.items(), errors, strict=True):

@@ -13,14 +13,14 @@ from sysid.plant import Plant
 from sysid.runner.checks.settings import CheckSettings
 from sysid.runner.clock import SECOND
 from sysid.runner.response import LateAxis, ResponseMonitor
-from sysid.runner.transport import NOBODY, MachineInputs, Measurement
+from sysid.runner.transport import RELEASED_INPUTS, MachineInputs, Measurement
 from sysid.runner.valves import AxisValve, DeadReckoning
 from sysid.signals import axis_signal
 
 Array = npt.NDArray[np.float64]
 
 #: Dead reckoning leans on the sensors with this time constant [s].
-LEAN_S = 0.5
+CORRECTION_S = 0.5
 #: A sensor may be this much faster than the plant says its axis is.
 FASTER = 1.5
 #: Delays of a line are learned for so long before a clock counts as jumped [s].
@@ -110,7 +110,7 @@ class StateEstimator:
                 steep = float(np.abs(np.gradient(linkage.joints, linkage.displacements)).max())
                 self.extra.append(Sensor(signal, i, False, reach, valves[i].fastest * steep))
         self.sensors = [*self.driven, *self.extra]
-        self.dead_reckonings = [DeadReckoning(valve, dt, LEAN_S) for valve in valves]
+        self.dead_reckonings = [DeadReckoning(valve, dt, CORRECTION_S) for valve in valves]
         self.response = ResponseMonitor(valves, dt, settings.delay.after_s)
 
     def reset(self) -> None:
@@ -133,12 +133,12 @@ class StateEstimator:
             if not math.isnan(before):
                 sensor.still_since += abs(dead_reckoning.position - before)
 
-    def see(
+    def update(
         self, readings: Mapping[str, Measurement], inputs: MachineInputs, now_ns: int, lateness_s: float = 0.0, missed: int = 0
     ) -> StateEstimate:
         """Readings of this cycle, believed where they can be."""
         for sensor in self.sensors:
-            self._look(sensor, readings.get(sensor.signal), now_ns)
+            self._update_sensor(sensor, readings.get(sensor.signal), now_ns)
         drive, joints = np.empty(len(self.driven)), np.empty(len(self.driven))
         for i, (sensor, dead_reckoning) in enumerate(zip(self.driven, self.dead_reckonings, strict=True)):
             if sensor.sound:
@@ -151,20 +151,20 @@ class StateEstimator:
             linkage = self.linkages[i]
             joints[i] = drive[i] if linkage is None else _joint(linkage, drive[i])
         fresh = np.array([sensor.value if sensor.sound and sensor.fresh else math.nan for sensor in self.driven])
-        self.response.look(fresh)
+        self.response.measure(fresh)
         return StateEstimate(
             now_ns, lateness_s, missed, inputs, self.sensors, drive, np.array([sensor.sound for sensor in self.driven]),
             np.array([item.position for item in self.dead_reckonings]), joints,
             late=self.response.late,
         )  # fmt: skip
 
-    def nothing(self, now_ns: int, line: str) -> StateEstimate:
+    def without_readings(self, now_ns: int, line: str) -> StateEstimate:
         """What a cycle sees whose line is dead."""
-        seen = self.see({}, NOBODY, now_ns)
-        seen.line = line
-        return seen
+        estimate = self.update({}, RELEASED_INPUTS, now_ns)
+        estimate.line = line
+        return estimate
 
-    def _look(self, sensor: Sensor, reading: Measurement | None, now_ns: int) -> None:
+    def _update_sensor(self, sensor: Sensor, reading: Measurement | None, now_ns: int) -> None:
         if reading is None:
             sensor.age_s, sensor.sound, sensor.finite, sensor.jump, sensor.fresh = math.inf, False, True, 0.0, False
             return

@@ -13,7 +13,7 @@ from sysid.runner.checks.machine import check_machine
 from sysid.runner.checks.motion import MotionChecks
 from sysid.runner.checks.sensors import check_sensors
 from sysid.runner.checks.settings import CheckSettings
-from sysid.runner.command_filter import Broken, CommandFilter, outside
+from sysid.runner.command_filter import CommandFilter, ExceededLimit, outside
 from sysid.runner.cycle import REACTIONS, Reaction, Violation
 from sysid.runner.limits import Limits, SetpointLimiter
 from sysid.runner.state_estimator import StateEstimate
@@ -48,7 +48,7 @@ class Supervisor:
         tip: Callable[[Array], Array],
         dt: float,
         checks: CheckSettings,
-        inside: Inside = lambda seen: "",
+        inside: Inside = lambda estimate: "",
     ) -> None:
         self.axes, self.limits, self.checks, self.dt = tuple(axes), limits, checks, dt
         self.limiter = SetpointLimiter(limits, dt)
@@ -63,16 +63,16 @@ class Supervisor:
         self._motion.reset()
         self._held_s = 0.0
 
-    def look(self, seen: StateEstimate, moving: bool, drive_setpoints: Array | None) -> list[Violation]:
+    def check(self, estimate: StateEstimate, moving: bool, drive_setpoints: Array | None) -> list[Violation]:
         """What is wrong with what is seen.
 
         Args:
             moving: whether the valves are let move now.
             drive_setpoints: of the cycle before, (A,) of what is driven; None where there are none.
         """
-        found = check_machine(seen, self.checks)
-        found += check_sensors(seen, self.checks, moving)
-        return found + self._motion.check(seen, moving, drive_setpoints)
+        found = check_machine(estimate, self.checks)
+        found += check_sensors(estimate, self.checks, moving)
+        return found + self._motion.check(estimate, moving, drive_setpoints)
 
     def patience(self, verdicts: Sequence[Violation]) -> list[Violation]:
         """``verdicts``, with a stop added where one has been held for longer than the recipe's patience.
@@ -89,27 +89,31 @@ class Supervisor:
 
     def setpoints(self, asked: Array) -> tuple[Array, list[Violation]]:
         """Joint setpoints within their limits (A,) for what is asked for (A,)."""
-        passed, broken = self.limiter.step(asked)
-        return passed, self._verdicts(broken)
+        passed, exceeded = self.limiter.step(asked)
+        return passed, self._verdicts(exceeded)
 
     def commands(
-        self, asked: Array, seen: StateEstimate, dead_reckonings: Sequence[DeadReckoning]
+        self, asked: Array, estimate: StateEstimate, dead_reckonings: Sequence[DeadReckoning]
     ) -> tuple[Array, list[Violation]]:
         """Commands that may be sent (A,) for what is asked for (A,)."""
-        passed, broken = self.command_filter.pass_on(asked, seen.drive, dead_reckonings)
-        return passed, self._verdicts(broken)
+        passed, exceeded = self.command_filter.filter(asked, estimate.drive, dead_reckonings)
+        return passed, self._verdicts(exceeded)
 
-    def ramp(self, seen: StateEstimate, dead_reckonings: Sequence[DeadReckoning]) -> Array:
+    def ramp(self, estimate: StateEstimate, dead_reckonings: Sequence[DeadReckoning]) -> Array:
         """Commands of a stop, (A,)."""
-        return self.command_filter.ramp(seen.drive, dead_reckonings)
+        return self.command_filter.ramp(estimate.drive, dead_reckonings)
 
-    def beyond(self, seen: StateEstimate) -> str:
+    def beyond(self, estimate: StateEstimate) -> str:
         """Which limit the machine stands beyond, margins left out; "" where it is inside."""
-        for name, q, low, high in zip(self.axes, seen.joints, self.limits.hard_low, self.limits.hard_high, strict=True):
+        for name, q, low, high in zip(self.axes, estimate.joints, self.limits.hard_low, self.limits.hard_high, strict=True):
             if not low - 1e-6 <= q <= high + 1e-6:
                 return f"{name} stands at {q:.4g}, outside {low:.4g} … {high:.4g}"
         low, high = self.limits.hard_fence
-        if self.limits.fenced and math.isfinite(seen.ee[0]) and (left := float(outside(seen.ee[None], low, high)[0])) > 0.0:
+        if (
+            self.limits.fenced
+            and math.isfinite(estimate.ee[0])
+            and (left := float(outside(estimate.ee[None], low, high)[0])) > 0.0
+        ):
             return f"the end effector stands {1e3 * left:.0f} mm outside its fence"
         return ""
 
@@ -149,9 +153,9 @@ class Supervisor:
         """The commands of this cycle were not sent: the machine goes on with ``sent`` (A,)."""
         self.command_filter.sent = sent.copy()
 
-    def _verdicts(self, broken: Sequence[Broken]) -> list[Violation]:
+    def _verdicts(self, exceeded: Sequence[ExceededLimit]) -> list[Violation]:
         verdicts = []
-        for check, axis, value, limit in broken:
+        for check, axis, value, limit in exceeded:
             if not self.checks.on(check):
                 continue
             target = self.axes[axis] if axis >= 0 else "ee"
@@ -160,7 +164,7 @@ class Supervisor:
         return verdicts
 
 
-def sternest(verdicts: Sequence[Violation]) -> Violation | None:
+def most_severe(verdicts: Sequence[Violation]) -> Violation | None:
     """The verdict with the sternest reaction, the first of equals; None without any."""
     return max(verdicts, key=lambda verdict: REACTIONS.index(verdict.reaction), default=None)
 

@@ -39,7 +39,7 @@ class Console:
         self._thread = threading.Thread(target=self._write, name="console", daemon=True)
         self._thread.start()
 
-    def say(self, text: str) -> None:
+    def write(self, text: str) -> None:
         """Hand ``text`` over as it is."""
         if self.gone or self._queue.qsize() >= WAITING:
             self.lost += 1
@@ -74,12 +74,12 @@ class _Stream(io.TextIOBase):
         return True
 
     def write(self, text: str) -> int:
-        self._console.say(text)
+        self._console.write(text)
         return len(text)
 
 
 @contextlib.contextmanager
-def through(console: Console) -> Iterator[None]:
+def redirected_output(console: Console) -> Iterator[None]:
     """Inside, ``sys.stdout`` and ``sys.stderr`` are ``console``: a warning of some library waits for no terminal either."""
     stream = _Stream(console)
     with contextlib.redirect_stdout(stream), contextlib.redirect_stderr(stream):
@@ -102,7 +102,7 @@ class Terminal:
         self._left = False
         threading.Thread(target=self._read, name="terminal", daemon=True).start()
 
-    def words(self, state: State, now_ns: int) -> Sequence[str]:
+    def commands(self, state: State, now_ns: int) -> Sequence[str]:
         said: list[str] = []
         with contextlib.suppress(Empty):
             while len(said) < 16:
@@ -113,7 +113,7 @@ class Terminal:
         return said
 
     def notify(self, text: str) -> None:
-        self.console.say(text + "\n")
+        self.console.write(text + "\n")
 
     def _read(self) -> None:
         half, why = "", "end of file"

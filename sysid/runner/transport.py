@@ -45,7 +45,7 @@ class MachineInputs:
 
 
 #: Nobody there: as safe as it gets.
-NOBODY = MachineInputs(dead_man=False, emergency_stop=False)
+RELEASED_INPUTS = MachineInputs(dead_man=False, emergency_stop=False)
 
 
 class Transport(Protocol):

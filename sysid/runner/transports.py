@@ -28,7 +28,7 @@ class OpenTransport:
     """
 
     transport: Transport
-    stand_in: bool
+    simulated: bool
     wired: bool = True
     remarks: tuple[str, ...] = ()
 
@@ -89,7 +89,7 @@ def simulated(values: dict[str, Any], assembly: Assembly, registry: Registry) ->
     if joints.shape != (len(plant.machine.axes),):
         raise SettingsError("transport.joints", f"{len(joints)} values", f"{len(plant.machine.axes)}")
     return OpenTransport(
-        SimulatedTransport(plant, joints, noise=settings.noise, seed=settings.seed), stand_in=True, wired=False
+        SimulatedTransport(plant, joints, noise=settings.noise, seed=settings.seed), simulated=True, wired=False
     )
 
 
@@ -109,7 +109,7 @@ def can(values: dict[str, Any], assembly: Assembly, registry: Registry) -> OpenT
         valves={axis: settings.valves[axis] for axis in axes},
     )
     transport = CanTransport(settings, where)
-    return OpenTransport(transport, stand_in=settings.control is not None, remarks=transport.remarks)
+    return OpenTransport(transport, simulated=settings.control is not None, remarks=transport.remarks)
 
 
 def slcan(values: dict[str, Any], assembly: Assembly, registry: Registry) -> OpenTransport:

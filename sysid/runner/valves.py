@@ -36,7 +36,7 @@ class AxisValve:
         self.low, self.high = tuning.low, tuning.high
         self.fastest = tuning.fastest
         #: Steps from a command to its motion.
-        self.late = max(1, math.ceil(tuning.lead / dt - 1e-9))
+        self.dead_steps = max(1, math.ceil(tuning.lead / dt - 1e-9))
         self.rate = tuning.rate
 
     def speed(self, command: float) -> float:
@@ -57,14 +57,14 @@ class AxisValve:
         return math.copysign(min(found, 1.0), speed)
 
 
-def braked(distance: float, after: float, braking: float) -> float:
+def braking_speed(distance: float, after: float, braking: float) -> float:
     """The highest speed from which a stop that begins ``after`` seconds from now ends within ``distance``: v·t + v²/2a = d."""
     if distance <= 0.0:
         return 0.0
     return braking * (math.sqrt(after * after + 2.0 * distance / braking) - after)
 
 
-def stopping(speed: Speed, after: float, braking: float) -> Speed:
+def stopping_distance(speed: Speed, after: float, braking: float) -> Speed:
     """How far a stop goes that begins ``after`` seconds from now, with the sign of ``speed``."""
     return speed * after + abs(speed) * speed / (2.0 * braking)
 
@@ -78,14 +78,14 @@ class DeadReckoning:
         lean: time constant of leaning on the sensor [s].
     """
 
-    def __init__(self, valve: AxisValve, dt: float, lean: float) -> None:
-        self.valve, self.dt, self.lean = valve, dt, lean
+    def __init__(self, valve: AxisValve, dt: float, time_constant: float) -> None:
+        self.valve, self.dt, self.time_constant = valve, dt, time_constant
         self.position = math.nan
-        self.pending: list[float] = [0.0] * valve.late
+        self.pending: list[float] = [0.0] * valve.dead_steps
 
     def reset(self, position: float) -> None:
         """At rest at ``position``."""
-        self.position, self.pending = position, [0.0] * self.valve.late
+        self.position, self.pending = position, [0.0] * self.valve.dead_steps
 
     def step(self, command: float) -> None:
         """A step with ``command`` (neutral: zero) is over."""
@@ -95,13 +95,13 @@ class DeadReckoning:
 
     def correct(self, measured: float) -> None:
         """Lean on what a sound sensor says."""
-        self.position += (measured - self.position) * min(1.0, self.dt / self.lean)
+        self.position += (measured - self.position) * min(1.0, self.dt / self.time_constant)
 
-    def ahead(self, sign: float) -> float:
+    def pending_travel(self, sign: float) -> float:
         """How far commands already given will move it in the direction ``sign``; never less than nothing."""
         return sum(max(0.0, sign * speed) for speed in self.pending) * self.dt
 
 
-def valves(tuning: Sequence[AxisTuning], dt: float) -> tuple[AxisValve, ...]:
+def axis_valves(tuning: Sequence[AxisTuning], dt: float) -> tuple[AxisValve, ...]:
     """Of all axes."""
     return tuple(AxisValve(item, dt) for item in tuning)

@@ -78,7 +78,7 @@ def check_machine(own: Machine, machine: Machine, what: str, where: object) -> N
         for axis, twin in zip(own.axes, machine.axes, strict=True):
             for key in ("joint", "actuation", "drives", "gain", "stroke", "limits", "linkage"):
                 pairs.append((f"{key} of {axis.name}", getattr(axis, key), getattr(twin, key)))
-    pairs.append(("its URDF", _lines(own.urdf_text), _lines(machine.urdf_text)))
+    pairs.append(("its URDF", _stripped(own.urdf_text), _stripped(machine.urdf_text)))
     for name, one, other in pairs:
         if one != other:
             found = f"was made for another machine: {name} is " + ("another" if name == "its URDF" else f"{one!r}")
@@ -128,5 +128,5 @@ def _check_promoted(versions: list[ModelVersion], accepted: tuple[str, ...], whe
             )
 
 
-def _lines(text: str | None) -> list[str]:
+def _stripped(text: str | None) -> list[str]:
     return [line.rstrip() for line in (text or "").splitlines()]

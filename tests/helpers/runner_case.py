@@ -29,7 +29,7 @@ from sysid.runner.recipe import LoopSettings
 from sysid.runner.simulated import SimulatedTransport
 from sysid.runner.state_estimator import StateEstimator
 from sysid.runner.supervisor import Supervisor
-from sysid.runner.valves import valves
+from sysid.runner.valves import axis_valves
 
 Array = npt.NDArray[np.float64]
 DT = 0.01
@@ -60,8 +60,8 @@ def inverse() -> InverseKinematics:
 class Traced(SimulatedTransport):
     """Keeps the truth of every step."""
 
-    def _sense(self) -> None:
-        super()._sense()
+    def measure(self) -> None:
+        super().measure()
         if not hasattr(self, "joints"):
             self.joints, self.ends, self.drives, self.opened = [], [], [], []
         # Whether a valve was open in the step.
@@ -178,7 +178,7 @@ def case(
     transport = FaultyTransport(machine, tuple(plan))
     ahead = response_time(PLANT) if lookahead is None else lookahead
     chain = ControlChain(PLANT, Quick(PLANT), inverse(), policy=policy, lookahead=round(ahead, 2))
-    parts = valves(tune(PLANT), DT)
+    parts = axis_valves(tune(PLANT), DT)
     bounds = limits_of(PLANT, parts, limits or LimitSettings(), "test")
     rules = checks or CheckSettings()
     estimator = StateEstimator(PLANT, parts, DT, transport.signals, rules)

@@ -119,19 +119,19 @@ def test_switches_come_over_the_bus_and_are_safe_when_it_falls_silent(live: Live
     assert until(lambda: transport.read()[1].emergency_stop)
     assert live.truth["boom.passed"][-1] == 0.0, "the button takes the pressure away, whoever commands what"
     transport.set_inputs(emergency_stop=False)
-    live.tell("drop MACHINE_STATUS 40")
+    live.send_control("drop MACHINE_STATUS 40")
     assert until(lambda: transport.read()[1].fault == "no status of the machine")
     assert not transport.read()[1].dead_man
     assert until(lambda: transport.read()[1].dead_man)
 
 
 def test_a_counter_that_stands_still_says_nothing(live: Live, transport: CanTransport) -> None:
-    live.tell("stuck SLEW_SENSOR 1")
+    live.send_control("stuck SLEW_SENSOR 1")
     time.sleep(0.05)
     before, _ = transport.read()
     time.sleep(0.1)
     after, _ = transport.read()
-    live.tell("stuck SLEW_SENSOR 0")
+    live.send_control("stuck SLEW_SENSOR 0")
     assert after["slew.joint"].count == before["slew.joint"].count
     assert after["boom.cylinder"].count > before["boom.cylinder"].count + 5
 
@@ -139,7 +139,7 @@ def test_a_counter_that_stands_still_says_nothing(live: Live, transport: CanTran
 def test_lost_frames_are_counted(live: Live, transport: CanTransport) -> None:
     transport.read()
     lost = transport.lost
-    live.tell("drop SLEW_SENSOR 5")
+    live.send_control("drop SLEW_SENSOR 5")
 
     def counted() -> bool:
         transport.read()

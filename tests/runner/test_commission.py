@@ -21,12 +21,12 @@ from sysid.runner.chain import ControlChain
 from sysid.runner.commissioning import keep_record, record_path, require_commissioned
 from sysid.runner.faults import Fault, Injection
 from sysid.runner.limits import Limits
-from sysid.runner.modes.commission import ORDER, Commission, CommissionSettings, StrokeResult
+from sysid.runner.modes.commission import DIRECTIONS, Commission, CommissionSettings, StrokeResult
 from sysid.runner.modes.hold import Hold
 from sysid.runner.recipe import parse_runner
-from sysid.runner.valves import valves
+from sysid.runner.valves import axis_valves
 
-VALVES = valves(tune(PLANT), DT)
+VALVES = axis_valves(tune(PLANT), DT)
 LINKAGES = [PLANT.linkages[axis.name] if axis.drives == "cylinder" else None for axis in PLANT.machine.axes]
 DRIVEN = tuple(axis.driven for axis in PLANT.machine.axes)
 STANDS = {
@@ -174,7 +174,7 @@ def kept(tmp_path: Path) -> Path:
     task = Commission(PLANT.machine, VALVES, LINKAGES, case(lambda limits, chain: Hold(DT)).limits, Quick(PLANT).predict, DT,
                       CommissionSettings())  # fmt: skip
     stroke = StrokeResult("slew", 1, 0.2, {"slew": 0.01}, 0.01, True, 1.0, 0.0, 0.0, "")
-    task.strokes = [stroke] * (len(ORDER) * len(AXES))
+    task.strokes = [stroke] * (len(DIRECTIONS) * len(AXES))
     assert task.passed
     keep_record(assembly(tmp_path), task, tmp_path / "runner.toml", "flight.mcap")
     return tmp_path / "runner.toml"

@@ -32,7 +32,7 @@ AT = 1.0
 class Sweep:
     """Setpoints that go to and fro for ``seconds``; or a target, for a policy to find setpoints."""
 
-    name, moves, writes, thinks = "sweep", True, True, True
+    name, moves, writes, computes = "sweep", True, True, True
 
     def __init__(self, seconds: float = 2.0, *, aims: bool = False) -> None:
         self._last, self._aims = round(seconds / DT), aims

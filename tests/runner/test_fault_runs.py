@@ -50,6 +50,6 @@ def test_without_the_barrier_it_does(monkeypatch: pytest.MonkeyPatch) -> None:
         self.sent = np.clip(np.nan_to_num(asked), -1.0, 1.0)
         return self.sent.copy(), []
 
-    monkeypatch.setattr(CommandFilter, "pass_on", through)
+    monkeypatch.setattr(CommandFilter, "filter", through)
     left = sum(min(fault_run(seed)[1].values()) < -TOUCH for seed in FAST[:10])
     assert left >= 2

@@ -186,7 +186,7 @@ def test_provenance(tmp_path: Path) -> None:
 def test_how_a_run_ended_stands_in_the_log(tmp_path: Path) -> None:
     with FlightLog(tmp_path, MACHINE, AXES, SIGNALS, WORDS, clock_ns=0) as log:
         log.record(cycle(0))
-        log.remark("end", {"ended": "quit", "why": "SIGTERM"})
+        log.add_metadata("end", {"ended": "quit", "why": "SIGTERM"})
     with log.path.open("rb") as file:
         found = {item.name: item.metadata for item in make_reader(file).iter_metadata()}
     assert found == {**WORDS, "end": {"ended": "quit", "why": "SIGTERM"}}

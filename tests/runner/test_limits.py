@@ -11,9 +11,9 @@ from runner_case import DT, MIDDLE, PLANT
 from sysid.control import tune
 from sysid.errors import SettingsError
 from sysid.runner.limits import AxisLimits, LimitSettings, SetpointLimiter, limits_of
-from sysid.runner.valves import valves
+from sysid.runner.valves import axis_valves
 
-VALVES = valves(tune(PLANT), DT)
+VALVES = axis_valves(tune(PLANT), DT)
 LIMITS = limits_of(PLANT, VALVES, LimitSettings(), "runner.toml")
 
 

@@ -65,7 +65,7 @@ def test_the_line_is_opened_last(monkeypatch: pytest.MonkeyPatch) -> None:
         whole = getattr(made.transport, name)
         monkeypatch.setattr(made.transport, name, lambda *given: (order.append(name), whole(*given))[1])
 
-    monkeypatch.setattr("sysid.runner.loop.on_time", slow)
+    monkeypatch.setattr("sysid.runner.loop.real_time", slow)
     for name in ("open", "read", "close"):
         notify(name)
     made.loop.run()
@@ -86,13 +86,13 @@ def test_a_run_from_idle_to_rest() -> None:
     error = np.array([ee - target for target, ee in rows])
     assert np.sqrt((error**2).mean(axis=0)).max() < 2e-3
     assert made.machine.neutral
-    assert outcome.lateness.count == outcome.turns == len(made.cycles)
+    assert outcome.lateness.count == outcome.cycles == len(made.cycles)
 
 
 def test_a_dead_man_that_is_held_all_the_time_starts_nothing() -> None:
     class Taped(Unattended):
-        def words(self, state: str, now_ns: int) -> list[str]:  # type: ignore[override]
-            said = list(super().words(state, now_ns))  # type: ignore[arg-type]
+        def commands(self, state: str, now_ns: int) -> list[str]:  # type: ignore[override]
+            said = list(super().commands(state, now_ns))  # type: ignore[arg-type]
             self.machine.set_inputs(dead_man=True)
             return said
 

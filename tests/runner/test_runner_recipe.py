@@ -193,7 +193,7 @@ def test_a_machine_that_can_hurt_somebody_is_not_run_unattended(workspace: Path,
     from sysid.runner import transports
 
     build = transports.connect
-    monkeypatch.setattr(transports, "connect", lambda a, r: transports.OpenTransport(build(a, r).transport, stand_in=False))
+    monkeypatch.setattr(transports, "connect", lambda a, r: transports.OpenTransport(build(a, r).transport, simulated=False))
     error = invoke(workspace, write(workspace, ""), "--unattended").exception
     assert "a machine that can hurt somebody; expected a person at it" in str(error)
 

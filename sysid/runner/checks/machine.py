@@ -9,25 +9,25 @@ from sysid.runner.cycle import Violation
 from sysid.runner.state_estimator import StateEstimate
 
 
-def check_machine(seen: StateEstimate, settings: CheckSettings) -> list[Violation]:
+def check_machine(estimate: StateEstimate, settings: CheckSettings) -> list[Violation]:
     """What is wrong apart from signals; the dead-man switch is looked at where the machine moves, by the loop."""
     found = []
-    inputs = seen.inputs
+    inputs = estimate.inputs
     if inputs.emergency_stop:
         found.append(_plain("emergency", settings, "emergency stop"))
     if inputs.fault:
         found.append(_plain("machine", settings, f"the machine reports: {inputs.fault}"))
-    if seen.line:
-        found.append(_plain("line", settings, f"the line is dead: {seen.line}"))
-    if seen.recording:
-        found.append(_plain("recording", settings, f"the log: {seen.recording}"))
+    if estimate.line:
+        found.append(_plain("line", settings, f"the line is dead: {estimate.line}"))
+    if estimate.recording:
+        found.append(_plain("recording", settings, f"the log: {estimate.recording}"))
     rule = settings.overrun
-    if seen.lateness_s > rule.late_s:
-        text = f"a cycle began {1e3 * seen.lateness_s:.0f} ms late"
-        found.append(Violation("overrun", "machine", rule.reaction, seen.lateness_s, rule.late_s, text))
-    elif seen.missed >= rule.turns:
-        text = f"{seen.missed} cycles in a row missed their deadline"
-        found.append(Violation("overrun", "machine", rule.reaction, float(seen.missed), float(rule.turns), text))
+    if estimate.lateness_s > rule.late_s:
+        text = f"a cycle began {1e3 * estimate.lateness_s:.0f} ms late"
+        found.append(Violation("overrun", "machine", rule.reaction, estimate.lateness_s, rule.late_s, text))
+    elif estimate.missed >= rule.turns:
+        text = f"{estimate.missed} cycles in a row missed their deadline"
+        found.append(Violation("overrun", "machine", rule.reaction, float(estimate.missed), float(rule.turns), text))
     return found
 
 

@@ -12,9 +12,9 @@ from sysid.runner.state_estimator import Sensor, StateEstimate
 REPEATS = 4
 
 
-def check_sensors(seen: StateEstimate, settings: CheckSettings, moving: bool) -> list[Violation]:
+def check_sensors(estimate: StateEstimate, settings: CheckSettings, moving: bool) -> list[Violation]:
     """One verdict at most for each sensor, the first that holds."""
-    return [verdict for sensor in seen.sensors if (verdict := _check(sensor, settings, moving)) is not None]
+    return [verdict for sensor in estimate.sensors if (verdict := _check(sensor, settings, moving)) is not None]
 
 
 def _check(sensor: Sensor, settings: CheckSettings, moving: bool) -> Violation | None:

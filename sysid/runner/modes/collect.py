@@ -12,7 +12,7 @@ from sysid.runner.modes.mode import Goal, Move, done
 Array = npt.NDArray[np.float64]
 
 #: Moments of a move at which the fence is looked at.
-_LOOKED_AT = 24
+_SAMPLES = 24
 #: What the machine may be off its setpoints [m].
 CLEARANCE = 0.01
 #: Configurations that are tried for each one that is kept.
@@ -36,13 +36,13 @@ class SafeMoves:
         """
         if not self.limits.fenced:
             return 0.0
-        joints, speeds = Move(begin, end, self.limits, self.command_filter.dt).along(_LOOKED_AT)
-        ends = self.command_filter.tip(np.concatenate([joints, self.command_filter.stopped(joints, speeds)]))
+        joints, speeds = Move(begin, end, self.limits, self.command_filter.dt).sample(_SAMPLES)
+        ends = self.command_filter.tip(np.concatenate([joints, self.command_filter.stop_ends(joints, speeds)]))
         left = outside(ends, self.limits.fence_low + CLEARANCE, self.limits.fence_high - CLEARANCE)
         return max(float(left[len(joints) - 1]), float(left.max()) - float(left[0]))
 
 
-def draw(count: int, ways: SafeMoves, seed: int) -> Array:
+def draw_poses(count: int, safe_moves: SafeMoves, seed: int) -> Array:
     """Joints (count, A) at random within the limits, so that they, the moves between them, and from the last to the first keep
     away from the fence.
 
@@ -50,14 +50,14 @@ def draw(count: int, ways: SafeMoves, seed: int) -> Array:
         SettingsError: hardly any configuration does.
     """
     rng = np.random.default_rng(seed)
-    low, high = ways.limits.low, ways.limits.high
+    low, high = safe_moves.limits.low, safe_moves.limits.high
     found: list[Array] = []
     for number in range(count):
         for _ in range(_TRIES):
             joints = rng.uniform(low, high)
             first, last = (found[0], found[-1]) if found else (joints, joints)
-            closed = number < count - 1 or ways.outside(joints, first) == 0.0
-            if closed and ways.outside(last, joints) == 0.0:
+            closed = number < count - 1 or safe_moves.outside(joints, first) == 0.0
+            if closed and safe_moves.outside(last, joints) == 0.0:
                 break
         else:
             where = f"collect: pose {number + 1}"
@@ -79,15 +79,22 @@ class Collect:
         SettingsError: hardly any configuration stays inside the fence.
     """
 
-    name, moves, writes, thinks = "collect", True, True, True
+    name, moves, writes, computes = "collect", True, True, True
 
     def __init__(
-        self, poses: int | Array, ways: SafeMoves, dt: float, *, settle_s: float = 1.0, record_s: float = 0.5, seed: int = 0
+        self,
+        poses: int | Array,
+        safe_moves: SafeMoves,
+        dt: float,
+        *,
+        settle_s: float = 1.0,
+        record_s: float = 0.5,
+        seed: int = 0,
     ) -> None:
-        self._ways, self._dt = ways, dt
+        self._safe_moves, self._dt = safe_moves, dt
         self._stay = round(settle_s / dt), round(record_s / dt)
         #: In the order in which they are gone to; it begins with one to which the way is free.
-        self.poses = draw(poses, ways, seed) if isinstance(poses, int) else np.array(poses)
+        self.poses = draw_poses(poses, safe_moves, seed) if isinstance(poses, int) else np.array(poses)
         self._next, self._begun = 0, 0
         self._move: Move | None = None
 
@@ -95,12 +102,12 @@ class Collect:
         # The line waits: one after the other until one fits.
         left = []
         for pose in self.poses:
-            left.append(self._ways.outside(joints, pose))
+            left.append(self._safe_moves.outside(joints, pose))
             if left[-1] == 0.0:
                 break
         self.poses = np.roll(self.poses, -int(np.argmin(left)), axis=0)
         self._next, self._begun = 0, 0
-        self._move = Move(joints, self.poses[0], self._ways.limits, self._dt)
+        self._move = Move(joints, self.poses[0], self._safe_moves.limits, self._dt)
 
     def goal(self, k: int, joints: Array, ee: Array) -> Goal:
         assert self._move is not None
@@ -109,7 +116,7 @@ class Collect:
             self._next += 1
             if self._next >= len(self.poses):
                 return done("collect")
-            self._move = Move(self.poses[self._next - 1], self.poses[self._next], self._ways.limits, self._dt)
+            self._move = Move(self.poses[self._next - 1], self.poses[self._next], self._safe_moves.limits, self._dt)
             self._begun = k
         since = k - self._begun - self._move.steps
         phase = "move" if since < 0 else "settle" if since < settle else "record"

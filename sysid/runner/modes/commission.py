@@ -31,13 +31,13 @@ Array = npt.NDArray[np.float64]
 
 #: Directions of the strokes of an axis; it ends where it began. Those to the same side as the one before find play taken up: by
 #: them gains are evaluated.
-ORDER = (1, -1, -1, 1, 1, -1)
+DIRECTIONS = (1, -1, -1, 1, 1, -1)
 #: A command that rises takes so long from the beginning of motion to the speed of the recipe, on the fastest axis [s].
 RISE_S = 1.0
 #: Before each stroke, and after it, the machine rests [s]; readings of the last part of it say where it stands.
 REST_S, STAND_S = 0.7, 0.3
 #: Nothing moves up to this much beyond the plant's dead-band: the stroke ends [command].
-BEYOND = 0.15
+EXTRA_BAND = 0.15
 #: Where the plant says that the stroke is over and motion has only begun, it goes on for so long at the most [s].
 AFTER_S = 0.15
 #: An axis has moved if its reading has by so many standard errors.
@@ -47,7 +47,7 @@ NOISE = 1e-4
 #: Readings that are averaged to see motion begin.
 BEGINS = 8
 #: Of what the right axis moves at the boom tip, another one may seem to.
-OTHERS = 0.3
+CROSS_SHARE = 0.3
 #: True gain over the plant's that passes, and delay beyond the plant's dead time [s].
 GAIN, DELAY_S = (0.6, 1.5), 0.1
 #: A reading that went less than this share of a stroke says less of the gain: this passes then.
@@ -111,7 +111,7 @@ class Commission:
         settings: of the recipe.
     """
 
-    name, moves, writes, thinks = "commission", True, True, True
+    name, moves, writes, computes = "commission", True, True, True
 
     def __init__(
         self,
@@ -132,17 +132,17 @@ class Commission:
         self._rows: list[tuple[Array, Array]] = []
         self._last: dict[str, list[float]] = {}
         self._plan: list[tuple[int, int]] = []
-        self._wrong = ""
-        self._levers = np.zeros(len(self.axes))
-        self._begun = self._off = 0
+        self._failure = ""
+        self._tip_ratio = np.zeros(len(self.axes))
+        self._stroke_begin = self._off = 0
         self._seen: int | None = None
 
     @property
     def passed(self) -> bool:
         """All strokes were made and nothing was wrong."""
         return (
-            not self._wrong
-            and len(self.strokes) == len(ORDER) * len(self.axes)
+            not self._failure
+            and len(self.strokes) == len(DIRECTIONS) * len(self.axes)
             and not any(item.wrong for item in self.strokes)
         )
 
@@ -155,102 +155,104 @@ class Commission:
 
     def begin(self, joints: Array, ee: Array) -> None:
         """The machine stands where ``joints`` (A,) say."""
-        self._wrong = "" if len(self._rows) >= STAND_S / self.dt else "nothing was shown to it: loop.run(watch=mode.watch)"
-        if self._wrong:
+        self._failure = "" if len(self._rows) >= STAND_S / self.dt else "nothing was shown to it: loop.run(watch=mode.watch)"
+        if self._failure:
             return
         stands = np.array([np.mean(self._last[signal]) for signal in self.driven])
-        self._levers = self._lever(stands)
-        self._wrong = self._zero(stands)
+        self._tip_ratio = self._tip_ratios(stands)
+        self._failure = self._zero(stands)
         self._plan = []
         for i, axis in enumerate(self.axes):
-            if min(self._room(i, stands[i])) < 2.5 * self.settings.travel / self._levers[i] and not self._wrong:
-                self._wrong = f"{axis} has no room for a stroke within its limits: move it away from them by hand"
-            self._plan += [(i, sign) for sign in ORDER]
-        gains = [max(valve.up, valve.down) * lever for valve, lever in zip(self.valves, self._levers, strict=True)]
+            if min(self._room(i, stands[i])) < 2.5 * self.settings.travel / self._tip_ratio[i] and not self._failure:
+                self._failure = f"{axis} has no room for a stroke within its limits: move it away from them by hand"
+            self._plan += [(i, sign) for sign in DIRECTIONS]
+        gains = [max(valve.up, valve.down) * lever for valve, lever in zip(self.valves, self._tip_ratio, strict=True)]
         self._rate = self.settings.speed / (RISE_S * max(gains))
         self.strokes.clear()
         self._rest(0)
 
     def goal(self, k: int, joints: Array, ee: Array) -> Goal:
-        if self._wrong:
-            return Goal("commission", stop=self._wrong)
+        if self._failure:
+            return Goal("commission", stop=self._failure)
         if len(self.strokes) == len(self._plan):
             return done("commission")
         i, sign = self._plan[len(self.strokes)]
         phase, commands = f"{self.axes[i]} {'+' if sign > 0 else '−'}", np.zeros(len(self.axes))
-        since = k - self._begun - round(REST_S / self.dt)
+        since = k - self._stroke_begin - round(REST_S / self.dt)
         if since == 0:
             self._from, self._seen, self._off = len(self._rows), None, 0
-            self._stood = np.array([row for row, _ in self._rows[-round(STAND_S / self.dt) :]])
-            self._noise = np.maximum(self._stood.std(axis=0), NOISE * np.array([item.high - item.low for item in self.valves]))
-            self._predicted = [0.0] * (self.valves[i].late + 1)
+            self._at_rest = np.array([row for row, _ in self._rows[-round(STAND_S / self.dt) :]])
+            self._noise = np.maximum(
+                self._at_rest.std(axis=0), NOISE * np.array([item.high - item.low for item in self.valves])
+            )
+            self._predicted = [0.0] * (self.valves[i].dead_steps + 1)
         if since >= 0 and not self._off:
             command = self._rate * since * self.dt
-            if self._over(i, sign, command, since):
+            if self._stroke_is_over(i, sign, command, since):
                 self._off = since
             else:
                 commands[i] = sign * command
         if self._off and since >= self._off + round(REST_S / self.dt):
-            self.strokes.append(self._compared(i, sign))
+            self.strokes.append(self._compare(i, sign))
             if self.strokes[-1].wrong:
-                self._wrong = self.strokes[-1].wrong
-                return Goal(phase, stop=self._wrong)
+                self._failure = self.strokes[-1].wrong
+                return Goal(phase, stop=self._failure)
             self._rest(k)
         return Goal(phase, commands=commands)
 
     def _rest(self, k: int) -> None:
-        self._begun, self._off = k, 0
+        self._stroke_begin, self._off = k, 0
 
-    def _over(self, i: int, sign: int, command: float, since: int) -> bool:
+    def _stroke_is_over(self, i: int, sign: int, command: float, since: int) -> bool:
         """Whether a stroke of axis ``i`` to the side of ``sign`` ends before this ``command`` (magnitude)."""
         valve, travel = self.valves[i], self.settings.travel
         band = max(valve.positive, valve.negative)
         self._predicted.append(self._predicted[-1] + abs(valve.speed(sign * command)) * self.dt)
-        predicted = self._predicted[-1 - valve.late] * self._levers[i]
+        predicted = self._predicted[-1 - valve.dead_steps] * self._tip_ratio[i]
         fresh = np.array([row for row, _ in self._rows[-BEGINS:]])
-        went = np.abs(fresh.mean(axis=0) - self._stood.mean(axis=0))
+        went = np.abs(fresh.mean(axis=0) - self._at_rest.mean(axis=0))
         moved = went > SIGMAS * self._noise / math.sqrt(BEGINS)
         if self._seen is None and since >= BEGINS and moved.any():
             self._seen = since
-        farthest = float(np.nanmax(went * self._levers))
+        farthest = float(np.nanmax(went * self._tip_ratio))
         if self._seen is None:
-            return command > band + BEYOND
+            return command > band + EXTRA_BAND
         # Where the plant says that it is over, and little is seen of it: the sensor makes little of it, or play and a wider
         # dead-band came first.
         late = (since - self._seen) * self.dt > AFTER_S
         return farthest > travel or (predicted > travel and (late or farthest > 0.5 * travel))
 
-    def _compared(self, i: int, sign: int) -> StrokeResult:
+    def _compare(self, i: int, sign: int) -> StrokeResult:
         """The stroke of axis ``i`` that is over."""
-        axis, stood = self.axes[i], self._stood.mean(axis=0)
+        axis, stood = self.axes[i], self._at_rest.mean(axis=0)
         rows, sent = (np.array(part) for part in zip(*self._rows[self._from :], strict=True))
         went = rows[-round(STAND_S / self.dt) :].mean(axis=0) - stood
         error = SIGMAS * self._noise * math.sqrt(2.0 * self.dt / STAND_S)
-        at_tip = np.abs(went) * self._levers
+        at_tip = np.abs(went) * self._tip_ratio
         gain, band, delay = self._fit(i, sign, rows[:, i] - stood[i], sent[:, i])
         other = int(np.argmax(np.where(np.arange(len(self.axes)) == i, -1.0, at_tip)))
         top = float(np.abs(sent[:, i]).max())
-        stays = abs(went[i]) <= error[i]
-        strange = abs(went[other]) > error[other] and at_tip[other] > OTHERS * at_tip[i]
-        tight = bool(self.strokes) and (self.strokes[-1].axis, self.strokes[-1].direction) == (axis, sign)
+        still = abs(went[i]) <= error[i]
+        other_moved = abs(went[other]) > error[other] and at_tip[other] > CROSS_SHARE * at_tip[i]
+        taken_up = bool(self.strokes) and (self.strokes[-1].axis, self.strokes[-1].direction) == (axis, sign)
         low, high = GAIN if at_tip[i] >= SHORT * self.settings.travel else GAIN_SHORT
         wrong = ""
-        if strange:
+        if other_moved:
             wrong = f"the command of {axis} moves the reading of {self.axes[other]}: valves or sensors are swapped"
-            if not stays:
+            if not still:
                 wrong = f"the command of {axis} moves the reading of {self.axes[other]} as well"
-        elif stays:
+        elif still:
             wrong = (
                 f"the command of {axis} moves nothing up to {top:.2f}: its valve, its sensor or a dead-band beyond the plant's"
             )
         elif sign * went[i] < 0.0:
             wrong = f"{axis} goes the wrong way at a {'positive' if sign > 0 else 'negative'} command: a sign is turned"
-        elif tight and not low <= gain <= high:
+        elif taken_up and not low <= gain <= high:
             wrong = f"{axis} moves {gain:.2f} times as fast as its plant: the scale of its sensor, or another valve"
-        elif tight and delay > DELAY_S:
+        elif taken_up and delay > DELAY_S:
             wrong = f"{axis} answers {1e3 * delay:.0f} ms later than its plant: the line is late"
         moved = {name: float(value) for name, value in zip(self.axes, went, strict=True)}
-        return StrokeResult(axis, sign, top, moved, float(at_tip[i]), tight, gain, band, delay, wrong)
+        return StrokeResult(axis, sign, top, moved, float(at_tip[i]), taken_up, gain, band, delay, wrong)
 
     def _fit(self, i: int, sign: int, went: Array, sent: Array) -> tuple[float, float, float]:
         """Gain over the plant's, dead-band and delay beside the plant's, of what was measured and sent, (n,) each."""
@@ -261,7 +263,7 @@ class Commission:
         travel = np.cumsum(sign * top * effective * self.dt, axis=1)
         best = (math.inf, 0.0, 0.0, 0.0)
         for delay in DELAYS:
-            late = np.zeros((len(bands), valve.late + 1 + round(delay / self.dt)))
+            late = np.zeros((len(bands), valve.dead_steps + 1 + round(delay / self.dt)))
             shifted = np.concatenate([late, travel], axis=1)[:, : len(went)]
             size = (shifted**2).sum(axis=1)
             gains = (shifted @ went) / np.maximum(size, 1e-18)
@@ -312,7 +314,7 @@ class Commission:
                 joints[i] = linkage.joint(driven[i : i + 1])[0]
         return joints
 
-    def _lever(self, stands: Array) -> Array:
+    def _tip_ratios(self, stands: Array) -> Array:
         """How far the boom tip moves for each unit of what is driven, (A,)."""
         found = np.empty(len(stands))
         for i, valve in enumerate(self.valves):
@@ -338,5 +340,5 @@ class Commission:
             "strokes": [asdict(item) for item in self.strokes],
             "zeros": zeros,
             "zeros_not_seen": unseen,
-            "wrong": self._wrong,
+            "wrong": self._failure,
         }

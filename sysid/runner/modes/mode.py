@@ -17,7 +17,7 @@ Array = npt.NDArray[np.float64]
 SHARE = 0.7
 
 
-def _nowhere() -> Array:
+def _unknown_point() -> Array:
     return np.full(3, np.nan)
 
 
@@ -35,8 +35,8 @@ class Goal:
     """
 
     phase: str
-    target: Array = field(default_factory=_nowhere)
-    aim: Array = field(default_factory=_nowhere)
+    target: Array = field(default_factory=_unknown_point)
+    aim: Array = field(default_factory=_unknown_point)
     joints: Array | None = None
     commands: Array | None = None
     stop: str = ""
@@ -61,7 +61,7 @@ class Mode(Protocol):
     name: str
     moves: bool
     writes: bool
-    thinks: bool
+    computes: bool
 
     def begin(self, joints: Array, ee: Array) -> None:
         """The task starts with the machine at rest at ``joints`` (A,), its end effector at ``ee`` (3,)."""
@@ -101,7 +101,7 @@ class Move:
         s = min(max(k / self.steps, 0.0), 1.0)
         return np.asarray(self.begin + (self.end - self.begin) * _quintic(s))
 
-    def along(self, count: int) -> tuple[Array, Array]:
+    def sample(self, count: int) -> tuple[Array, Array]:
         """Joints and their speeds at ``count`` moments from the beginning to the end, (count, A) each."""
         s = np.linspace(0.0, 1.0, count)[:, None]
         way = self.end - self.begin

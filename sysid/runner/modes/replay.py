@@ -23,7 +23,7 @@ Array = npt.NDArray[np.float64]
 class ReplayJoints:
     """Joint setpoints (n, A), one a cycle; the machine goes to the first ones before."""
 
-    name, moves, writes, thinks = "replay", True, True, True
+    name, moves, writes, computes = "replay", True, True, True
 
     def __init__(self, joints: Array, limits: Limits, dt: float) -> None:
         self.joints, self._approach = joints, Approach(joints[0], limits, dt)
@@ -47,7 +47,7 @@ class ReplayCommands:
         watched: joint column → (lowest, highest) that ends the run where it is left.
     """
 
-    moves, writes, thinks = True, True, True
+    moves, writes, computes = True, True, True
 
     def __init__(
         self,

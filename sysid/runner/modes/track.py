@@ -47,7 +47,7 @@ class TrackPath:
         laps: how often it is followed; a path that does not close is followed there and back.
     """
 
-    name, moves, writes, thinks = "track", True, True, True
+    name, moves, writes, computes = "track", True, True, True
 
     def __init__(
         self, path: Path, start: Array, limits: Limits, dt: float, *, ahead: int = 0, ease_s: float = 1.0, laps: int = 1
@@ -89,7 +89,7 @@ class TrackLive:
         SettingsError: the port is taken.
     """
 
-    name, moves, writes, thinks = "track", True, True, True
+    name, moves, writes, computes = "track", True, True, True
 
     def __init__(self, port: int, speed: float, dt: float, seconds: float | None = None) -> None:
         self._step, self._last = speed * dt, math.inf if seconds is None else seconds / dt
