@@ -11,7 +11,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -38,20 +37,6 @@ CURRICULUM_START = 0.1
 TrainingCallback = Callable[[str, int, Mapping[str, float]], None]
 
 
-@dataclass(frozen=True)
-class Generators:
-    """Independent random generators, one for each purpose."""
-
-    weights: np.random.Generator
-    noise: np.random.Generator
-    actions: np.random.Generator
-    batches: np.random.Generator
-
-    @staticmethod
-    def of(seed: int) -> Generators:
-        return Generators(*(np.random.default_rng(child) for child in np.random.SeedSequence(seed).spawn(4)))
-
-
 class Trainer:
     """The training of one policy.
 
@@ -76,12 +61,13 @@ class Trainer:
             )
         self.environment, self.evaluation, self.recipe = environment, evaluation, recipe
         self.parts = ObservationSlices.of(environment.actions)
-        rngs = Generators.of(recipe.seed)
-        self._actions, self._batches = rngs.actions, rngs.batches
-        self.agent = Agent(_space(environment, self.parts, recipe), recipe.networks, learning, rngs.weights, recipe.device)
+        # Independent generators for each purpose.
+        seeds = np.random.SeedSequence(recipe.seed).spawn(4)
+        weights, noise, self._actions, self._batches = (np.random.default_rng(seed) for seed in seeds)
+        self.agent = Agent(_space(environment, self.parts, recipe), recipe.networks, learning, weights, recipe.device)
         self.noise = OrnsteinUhlenbeck(
             (environment.size, exploration.candidates, environment.actions),
-            exploration.theta, exploration.sigma, exploration.time_step, rngs.noise,
+            exploration.theta, exploration.sigma, exploration.time_step, noise,
         )  # fmt: skip
         self.replay = Replay(learning.buffer, environment.observations, environment.actions, recipe.device)
         self._batch = torch.empty((learning.batch, self.replay.width), device=recipe.device)

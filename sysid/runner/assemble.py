@@ -1,4 +1,4 @@
-"""From a recipe to a loop that is ready to turn."""
+"""From a recipe to a loop that is ready to run."""
 
 from __future__ import annotations
 
@@ -42,11 +42,11 @@ Array = npt.NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Assembly:
-    """Everything of a run but its line, its log and its operator; :meth:`loop` may be asked for several.
+    """Everything of a run except its line, log and operator.
 
     Args:
         lookahead: of the policy [s].
-        course: the path that is tracked, where one is.
+        tracking: the path and its joints, if the mode tracks a path.
     """
 
     recipe: RunnerRecipe
@@ -66,13 +66,13 @@ class Assembly:
 
     @property
     def middle(self) -> Array:
-        """Joints (A,) to begin at where nobody says where the machine stands."""
+        """Initial joints (A,) of a simulated machine: the start of the path, or the middle of the limits."""
         if self.tracking is not None:
             return np.clip(self.tracking.start, self.limits.low, self.limits.high)
         return np.asarray(0.5 * (self.limits.low + self.limits.high))
 
     def loop(self, transport: Transport, recorder: Recorder, operator: Operator) -> Loop:
-        """A loop, warmed up.
+        """A new loop, warmed up.
 
         Raises:
             SettingsError: the transport has other axes, or lacks a signal that is needed.
@@ -82,7 +82,7 @@ class Assembly:
             raise SettingsError("transport", f"axes {', '.join(transport.axes)}", ", ".join(axes))
         for axis in self.machine.axes:
             if axis.driven not in transport.signals:
-                raise SettingsError("transport", f"no signal {axis.driven}", "what every command drives, measured")
+                raise SettingsError("transport", f"no signal {axis.driven}", "a measurement of what every command drives")
         loaded, checks = self.loaded, self.recipe.checks
         chain = ControlChain(loaded.plant, loaded.forward, self.inverse, policy=loaded.policy, lookahead=self.lookahead)
         estimator = StateEstimator(loaded.plant, self.valves, self.dt, transport.signals, checks)
@@ -105,7 +105,7 @@ class Assembly:
                 self.tracking.path, self.tracking.start, limits, dt, ahead=chain.ahead, ease_s=track.ease_s, laps=track.laps
             )
         if name == "commission":
-            return Commission(self.machine, self.valves, command_filter.linkages, limits, chain.tip, dt, recipe.commission)
+            return Commission(self.machine, command_filter, recipe.commission)
         if name == "hold":
             return Hold(dt, recipe.hold.seconds)
         if name == "collect":
@@ -123,10 +123,10 @@ class Assembly:
 
 
 def assemble(recipe: RunnerRecipe, registry: Registry, path: Path) -> Assembly:
-    """Load and check everything that a recipe names; ``path`` is where it stands.
+    """Load and check everything that the recipe in the file ``path`` names.
 
     Raises:
-        SettingsError, StoreError, InputError: saying what does not fit.
+        SettingsError, StoreError, InputError: a part is missing, or parts do not fit.
     """
     folder = path.parent
     machine_file = (folder / recipe.machine).resolve()
@@ -152,7 +152,7 @@ def assemble(recipe: RunnerRecipe, registry: Registry, path: Path) -> Assembly:
 
 
 def _check_path(tracking: TrackingTask, limits: Limits, where: object) -> None:
-    """Refuse a path that leaves the limits or the fence, or asks for more than the valves can do."""
+    """Refuse a path that leaves the limits or the fence, or exceeds the speed of the valves."""
     names = tracking.plant.machine.axis_names
     for name, q, low, high in zip(names, tracking.joints.T, limits.low, limits.high, strict=True):
         if q.min() < low or q.max() > high:
@@ -166,5 +166,5 @@ def _check_path(tracking: TrackingTask, limits: Limits, where: object) -> None:
         raise SettingsError(f"{where}: track.path {tracking.path.name}", found, "a path inside limits.fence")
     for name, share in tracking.demand.items():
         if share > 0.95:
-            found = f"asks {name} for {100.0 * share:.0f} % of its top speed"
+            found = f"needs {100.0 * share:.0f} % of the top speed of {name}"
             raise SettingsError(f"{where}: track.path {tracking.path.name}", found, "at most 95 %", "Slow it down.")

@@ -1,7 +1,7 @@
 """Sensors to valves: joints → end effector → policy or inverse kinematics → joint setpoints → cylinder controller → commands.
 
-The parts are those that policies are trained and evaluated with (:mod:`sysid.rl.driven`): the same forward version, observation
-and :class:`sysid.control.CylinderController`; only the supervisor stands between them here.
+The parts are those of training and evaluation (:mod:`sysid.rl.driven`): the same forward version, observation and
+:class:`sysid.control.CylinderController`; here the supervisor is between them.
 """
 
 from __future__ import annotations
@@ -34,17 +34,17 @@ class SignalPolicy(NamedPolicy, Protocol):
 
 
 class ControlChain:
-    """Of one machine.
+    """The controllers of one machine.
 
     Args:
-        plant: whose linkages and effects the controller knows.
+        plant: linkages and effects for the cylinder controller.
         forward: joints → end effector.
-        inverse: inverse kinematics, the fallback, and what sets where there is no policy.
-        policy: a version from the registry; None: inverse kinematics.
-        lookahead: how long after the next sample the targets are meant that it is shown [s].
+        inverse: inverse kinematics, the fallback of a policy.
+        policy: None: inverse kinematics.
+        lookahead: of the targets, after the next sample [s].
 
     Raises:
-        SettingsError: a policy that sees or sets what this machine does not have.
+        SettingsError: observations or setpoints of the policy do not fit this machine.
     """
 
     def __init__(
@@ -62,7 +62,7 @@ class ControlChain:
         history = _history(policy.inputs if policy is not None else (), len(self.axes))
         self.view = DrivenObservation(self.axes, history, plant.machine.rate_hz)
         self._width = self.view.width
-        #: Asks the policy; None where there is none.
+        #: Runs the policy; None without one.
         self.thread: PolicyThread | None = None
         if policy is not None:
             self._check(policy)
@@ -84,13 +84,13 @@ class ControlChain:
         return np.asarray(self.forward.predict(joints))
 
     def rest(self, drive: Array, joints: Array) -> None:
-        """At rest with what is driven at ``drive`` (A,) and joints (A,)."""
+        """Reset to rest at ``drive`` (A,), what the commands drive, and joints (A,)."""
         self.controller.reset(drive)
         self.view.rest()
         self._joints, self._solved = joints[None].copy(), None
 
     def moved(self, joints: Array, commands: Array) -> None:
-        """A step with ``commands`` (A,), neutral ones as zero, led to ``joints`` (A,)."""
+        """Record a step with ``commands`` (A,), zero if neutral, that led to ``joints`` (A,)."""
         now = joints[None]
         before = now if self._joints is None else self._joints
         self.view.sent(commands[None])
@@ -98,13 +98,13 @@ class ControlChain:
         self._joints = now.copy()
 
     def ask(self, joints: Array, ee: Array, target: Array, until_ns: int, now_ns: Callable[[], int]) -> Array:
-        """Setpoints (A,) of the policy, or of inverse kinematics where there is none, for a target (3,).
+        """Setpoints (A,) of the policy, or of inverse kinematics without one, for a target (3,).
 
         Args:
-            until_ns: when the policy has to have answered, on the clock ``now_ns``.
+            until_ns: deadline of the policy on the clock ``now_ns``.
 
         Raises:
-            PolicyError: it has not, or not with setpoints.
+            PolicyError: no answer by then, or no setpoints.
         """
         if self.thread is None:
             return self.solve(joints, target)
@@ -112,26 +112,26 @@ class ControlChain:
         return self.thread.ask(seen[:, : self._width], until_ns, now_ns)
 
     def give_up(self) -> None:
-        """The policy is not asked any more; where it is still running it is ended."""
+        """Cancel the policy if it is running."""
         if self.thread is not None:
             self.thread.cancel()
 
     def solve(self, joints: Array, target: Array) -> Array:
-        """Setpoints (A,) of inverse kinematics, nearest to the last ones that it gave, at first to ``joints``."""
+        """Setpoints (A,) of inverse kinematics, nearest to its last ones, at first to ``joints``."""
         begin = joints[None] if self._solved is None else self._solved
         self._solved, _ = self.inverse.solve(target[None], begin)
         return np.asarray(self._solved[0].copy())
 
     def solve_from(self, setpoints: Array) -> None:
-        """Inverse kinematics goes on from ``setpoints`` (A,), which somebody else gave."""
+        """Continue inverse kinematics from ``setpoints`` (A,)."""
         self._solved = setpoints[None].copy()
 
     def commands(self, setpoints: Array, drive: Array) -> tuple[Array, Array]:
-        """Setpoints of what is driven, and valve commands, (A,) each; ``setpoints`` are joints, ``drive`` (A,) is measured."""
+        """Drive setpoints and valve commands, (A,) each, for joint setpoints and measured ``drive`` (A,)."""
         return self.controller.drive(setpoints)[0], self.controller.commands(setpoints, drive)[0]
 
     def took(self, commands: Array) -> None:
-        """What was really sent, (A,)."""
+        """Record the commands (A,) that were sent."""
         self.controller.took(commands)
 
     def _check(self, policy: SignalPolicy) -> None:
@@ -147,5 +147,5 @@ class ControlChain:
 
 
 def _history(inputs: Sequence[str], axes: int) -> int:
-    """How many past commands of each axis a policy sees."""
+    """Number of past commands of each axis in the observations of a policy."""
     return sum(".command[" in name for name in inputs) // axes

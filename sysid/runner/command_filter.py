@@ -1,7 +1,7 @@
-"""The last thing between a command and a valve: range, rate, and barriers that a stop from here must not cross.
+"""The command filter, last before the valves: range, rate, and a discrete-time control barrier.
 
-Whatever was asked for, a command passes only if the axis can still be brought to rest inside its limits, by what the sensors
-*and* the commands so far say of where it is; and the end effector inside its fence. Commands that lead back inside always pass.
+A command passes only if the axis can still stop inside its limits, from the measured position *and* from dead reckoning, and
+the end effector inside its fence. Commands that lead back inside always pass.
 """
 
 from __future__ import annotations
@@ -19,20 +19,20 @@ from sysid.runner.valves import AxisValve, DeadReckoning, braking_speed, stoppin
 Array = npt.NDArray[np.float64]
 ExceededLimit = tuple[str, int, float, float]
 
-#: What happens unseen for so long is still braked in time [s].
+#: Undetected motion of this duration can still be braked in time [s].
 REACTION_S = 0.08
-#: A valve may be this much faster than the plant says.
+#: A valve may be faster than that of the plant by this factor.
 SPEED_MARGIN = 1.25
-#: Shares of what is asked for that are tried before nothing at all.
+#: Shares of the requested commands that are tried for the fence.
 SHARES = (1.0, 0.7, 0.4, 0.2, 0.0)
 
 
 class CommandFilter:
-    """Of one machine.
+    """The filter of one machine.
 
     Args:
-        limits: in joints; they are turned into what the commands drive.
-        valves, linkages: of each axis; None where the command drives the joint.
+        limits: of the joints; converted to what the commands drive.
+        valves, linkages: of each axis; None if the command drives the joint.
         tip: joints (n, A) → end effector (n, 3) [m].
         dt: of a step [s].
     """
@@ -53,14 +53,14 @@ class CommandFilter:
         self.sent = np.zeros(len(self.valves))
 
     def reset(self) -> None:
-        """The valves are neutral."""
+        """Start with neutral valves."""
         self.sent = np.zeros(len(self.valves))
 
     def filter(self, asked: Array, drive: Array, dead_reckonings: Sequence[DeadReckoning]) -> tuple[Array, list[ExceededLimit]]:
-        """What may be sent (A,) of what is asked for (A,), and what was broken: (check, axis or −1, found, limit).
+        """Permitted commands (A,) for requested ones (A,), and exceeded limits: (check, axis or −1, found, limit).
 
         Args:
-            drive: what the sensors say of what is driven, (A,).
+            drive: measured position of what the commands drive, (A,).
         """
         exceeded: list[ExceededLimit] = []
         commands = np.array(
@@ -72,7 +72,7 @@ class CommandFilter:
         return commands.copy(), exceeded
 
     def ramp(self, drive: Array, dead_reckonings: Sequence[DeadReckoning]) -> Array:
-        """The commands (A,) of a stop: from those sent last towards neutral within the braking of each axis."""
+        """The commands (A,) of a stop: from the last ones towards neutral within the braking limit of each axis."""
         commands = np.zeros(len(self.valves))
         for i, valve in enumerate(self.valves):
             speed = valve.speed(float(self.sent[i]))
@@ -82,7 +82,7 @@ class CommandFilter:
         return passed
 
     def stop_ends(self, joints: Array, speeds: Array) -> Array:
-        """Where stops end that begin at ``joints`` (n, A) in motion at ``speeds`` (n, A), evaluated as commands are.
+        """End positions of stops that begin at ``joints`` (n, A) and ``speeds`` (n, A), with the margins of commands.
 
         Returns:
             Joints (n, A).
@@ -96,10 +96,10 @@ class CommandFilter:
             driven[:, i] = np.clip(
                 q + stopping_distance(SPEED_MARGIN * v, after, float(self.limits.braking[i])), valve.low, valve.high
             )
-        return self._joints(driven)
+        return self.joints(driven)
 
-    def _joints(self, driven: Array) -> Array:
-        """Joints (n, A) at places (n, A) of what is driven."""
+    def joints(self, driven: Array) -> Array:
+        """Joints (n, A) at positions (n, A) of what the commands drive."""
         joints = driven.copy()
         for i, linkage in enumerate(self.linkages):
             if linkage is not None:
@@ -137,7 +137,7 @@ class CommandFilter:
     def _limit_by_fence(
         self, commands: Array, drive: Array, dead_reckonings: Sequence[DeadReckoning], exceeded: list[ExceededLimit]
     ) -> Array:
-        """The greatest share of ``commands`` with which a stop ends within the fence, or further in than with none."""
+        """The greatest share of ``commands`` with which a stop ends within the fence, or farther inside than with none."""
         speeds = np.array([valve.speed(float(command)) for valve, command in zip(self.valves, commands, strict=True)])
         if not speeds.any():
             return commands
@@ -148,7 +148,7 @@ class CommandFilter:
                 way = stopping_distance(SPEED_MARGIN * share * speeds[i], self.dt + REACTION_S, float(self.limits.braking[i]))
                 for n, place in enumerate((drive[i], dead_reckoning.position)):
                     ends[k, n, i] = min(max(place + SPEED_MARGIN * coming + way, valve.low), valve.high)
-        joints = self._joints(ends.reshape(-1, len(speeds)))
+        joints = self.joints(ends.reshape(-1, len(speeds)))
         left = outside(self.tip(joints), self.limits.fence_low, self.limits.fence_high).reshape(len(SHARES), 2).max(axis=1)
         fits = left <= max(0.0, float(left[-1]) - 1e-9)
         if fits[0]:
@@ -160,5 +160,5 @@ class CommandFilter:
 
 
 def outside(points: Array, low: Array, high: Array) -> Array:
-    """How far points (n, 3) are outside a box, (n,) [m]; zero inside."""
+    """Distance of points (n, 3) from a box per coordinate, the largest, (n,) [m]; zero inside."""
     return np.asarray(np.maximum(np.maximum(low - points, points - high), 0.0).max(axis=1))

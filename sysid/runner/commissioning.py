@@ -1,4 +1,4 @@
-"""The record of a commissioning: kept beside the recipe, and asked for again when recipe, database, machine or plant change."""
+"""The record of a commissioning, beside the recipe; invalid after a change of recipe, database, machine or plant."""
 
 from __future__ import annotations
 
@@ -15,17 +15,17 @@ from sysid.runner.assemble import Assembly
 from sysid.runner.checks.settings import SHORTEST_REASON
 from sysid.runner.modes.commission import Commission
 
-#: Parts of a recipe that bear on what is wired to what, and on how far and fast it may go. Its task, log and loop do not.
+#: Sections of a recipe that concern wiring and limits, in contrast to task, log and loop.
 RECIPE_SECTIONS = ("machine", "transport", "limits", "checks", "commission")
 
 
 def record_path(recipe: Path) -> Path:
-    """Where the record of ``recipe`` stands."""
+    """The file of the record of ``recipe``."""
     return recipe.with_name(f"{recipe.stem}.commissioned.json")
 
 
 def digests(assembly: Assembly) -> dict[str, str]:
-    """SHA-256 of everything that a commissioning holds for."""
+    """SHA-256 of everything for which a commissioning is valid."""
     recipe = asdict(assembly.recipe)
     chosen = {name: recipe[name] for name in RECIPE_SECTIONS}
     chosen["plant"] = recipe["versions"]["plant"]
@@ -61,7 +61,7 @@ def keep_record(assembly: Assembly, mode: Commission, recipe: Path, log: str) ->
 
 
 def require_commissioned(assembly: Assembly, recipe: Path) -> str:
-    """What is to be said of the commissioning of a machine that is about to be moved.
+    """The state of the commissioning in words, before a machine is moved.
 
     Raises:
         SettingsError: there is no record, it did not pass, or something has changed since, and the recipe does not waive it.
@@ -77,13 +77,13 @@ def require_commissioned(assembly: Assembly, recipe: Path) -> str:
     raise SettingsError(
         f"{recipe}: commissioning",
         missing,
-        "a machine whose wiring, signs, scales and zeros have been looked at one axis at a time",
+        "a machine whose wiring, signs, scales and zeros were checked one axis at a time",
         f'First: sysid run {recipe} --commission. To run without it: [commission] waived = "why".',
     )
 
 
 def _invalid_reason(assembly: Assembly, path: Path) -> str:
-    """Why the record does not hold; "" where it does."""
+    """Why the record is not valid; "" if it is."""
     try:
         record: Any = json.loads(path.read_text("utf-8"))
         known, passed = dict(record["digests"]), record["passed"] is True and record["schema"] == 1

@@ -1,4 +1,4 @@
-"""One cycle's decision: what the mode wants, whose setpoints those become, and which commands the supervisor lets through."""
+"""The decision of a cycle: the goal of the mode, its setpoints, and the commands that the supervisor permits."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from sysid.runner.chain import ControlChain
 from sysid.runner.cycle import Violation
 from sysid.runner.modes.mode import Goal, Mode
 from sysid.runner.operator import Operator
-from sysid.runner.policy_thread import PolicyError
+from sysid.runner.policy_thread import PolicyError, error_text
 from sysid.runner.state_estimator import StateEstimate, StateEstimator
 from sysid.runner.supervisor import Supervisor
 
@@ -22,7 +22,7 @@ Array = npt.NDArray[np.float64]
 
 @dataclass
 class CycleDecision:
-    """Arrays (A,), NaN where nothing was decided; ``ended``: the goal that says that the task is over."""
+    """Arrays (A,), NaN without a decision; ``ended``: the goal that ends the task."""
 
     asked: Array
     setpoints: Array
@@ -36,17 +36,17 @@ class CycleDecision:
 
 
 def neutral_decision(axes: int) -> CycleDecision:
-    """Neutral valves."""
+    """A decision with neutral valves."""
     none = np.full(axes, np.nan)
     return CycleDecision(none, none, none, none, np.zeros(axes), np.full(3, np.nan))
 
 
 class Decider:
-    """Of one run.
+    """The decisions of one run.
 
     Args:
-        chain, senses, supervisor, mode, operator: of the run.
-        fallback: what sets where the policy is not trusted.
+        chain, estimator, supervisor, mode, operator: of the run.
+        fallback: setpoints after the policy was disabled.
         now_ns: clock of the cycles.
     """
 
@@ -62,23 +62,23 @@ class Decider:
     ) -> None:
         self.chain, self.estimator, self.supervisor, self.mode = chain, estimator, supervisor, mode
         self.operator, self.fallback, self._now_ns = operator, fallback, now_ns
-        #: Of the cycle before, (A,) of what the commands drive; None where there are none.
+        #: Of the cycle before, (A,); None without any.
         self.drive_setpoints: Array | None = None
         self._k, self._policy_disabled, self._late = 0, False, 0
         self._held_at: Array | None = None
 
     def begin(self, estimate: StateEstimate) -> None:
-        """The task starts with the machine at rest where it is seen."""
+        """Begin the task with the machine at rest at the estimate."""
         self.supervisor.begin(estimate.joints)
         self.chain.rest(estimate.drive, estimate.joints)
         self.mode.begin(estimate.joints, estimate.ee)
         self._k, self._policy_disabled, self._late, self._held_at, self.drive_setpoints = 0, False, 0, None, None
 
     def decide(self, estimate: StateEstimate, verdicts: list[Violation], until_ns: int) -> CycleDecision:
-        """A cycle of the task; what the supervisor finds in it is added to ``verdicts``.
+        """A cycle of the task; violations found in it are appended to ``verdicts``.
 
         Args:
-            until_ns: when a policy has to have answered.
+            until_ns: deadline of a policy.
         """
         decision = neutral_decision(len(self.chain.axes))
         goal = self.mode.goal(self._k, estimate.joints, estimate.ee)
@@ -95,7 +95,7 @@ class Decider:
         else:
             decision.asked, decision.source = self._request_setpoints(goal, estimate, held, verdicts, until_ns)
             decision.setpoints, exceeded = self.supervisor.setpoints(decision.asked)
-            verdicts += [] if held else exceeded  # standing still at once is nobody's wish: it is how a hold begins
+            verdicts += [] if held else exceeded  # the limits that a hold exceeds at its beginning are no violations
             drive_setpoints, decision.commands_asked = self.chain.commands(decision.setpoints, estimate.drive)
             decision.drive_setpoints = self.drive_setpoints = drive_setpoints
         decision.commands, exceeded = self.supervisor.commands(
@@ -108,7 +108,7 @@ class Decider:
         return decision
 
     def slow_down(self, estimate: StateEstimate) -> CycleDecision:
-        """A cycle of a stop; enabled while there is speed to be taken out."""
+        """A cycle of a stop; enabled while the last commands are not zero."""
         decision = neutral_decision(len(self.chain.axes))
         decision.source = "stop"
         if self.supervisor.command_filter.sent.any():
@@ -119,7 +119,7 @@ class Decider:
     def _request_setpoints(
         self, goal: Goal, estimate: StateEstimate, held: bool, verdicts: list[Violation], until_ns: int
     ) -> tuple[Array, str]:
-        """Joint setpoints (A,), and whose they are."""
+        """Joint setpoints (A,) and their source."""
         here = self.supervisor.limiter.position
         if held:
             return self._hold(here)
@@ -142,9 +142,9 @@ class Decider:
             return self._hold(here)
 
     def _ask_policy(self, goal: Goal, estimate: StateEstimate, until_ns: int) -> tuple[Array, Violation | None]:
-        """What the policy asks for, and what is wrong with it.
+        """The policy's setpoints, and the violation in them if any.
 
-        One that is late is asked again in the next cycle, until it was late in too many cycles in a row; one that fails is not.
+        A late policy is asked again in the next cycle, until it is late in too many cycles in a row; one that fails is not.
         """
         error, late, here = "", False, self.supervisor.limiter.position
         asked = here
@@ -152,7 +152,7 @@ class Decider:
             asked = self.chain.ask(estimate.joints, estimate.ee, goal.aim, until_ns, self._now_ns)
         except PolicyError as problem:
             error, late = str(problem), problem.late
-        except Exception as problem:  # of inverse kinematics, or of what the policy is shown
+        except Exception as problem:  # of inverse kinematics, or of the observation
             error = f"no setpoints: {error_text(problem)}"
         self._late = self._late + 1 if late else 0
         if late and self._late < self.supervisor.checks.policy.late_turns:
@@ -163,11 +163,11 @@ class Decider:
             self._policy_disabled = True
             self.chain.give_up()
             self.chain.solve_from(here)
-            self.operator.notify(f"{wrong.text}: {'inverse kinematics goes on' if self.fallback == 'ik' else 'it holds'}")
+            self.operator.notify(f"{wrong.text}: {'inverse kinematics continues' if self.fallback == 'ik' else 'it holds'}")
         return asked, wrong
 
     def _hold(self, here: Array) -> tuple[Array, str]:
-        """Where the hold began: a setpoint that went along with the limiter would keep the speed that it had."""
+        """The position at the beginning of the hold: a setpoint that follows the limiter would keep its speed."""
         if self._held_at is None:
             self._held_at = here.copy()
         return self._held_at.copy(), "hold"

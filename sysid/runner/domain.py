@@ -1,4 +1,4 @@
-"""Whether the networks are asked where their data were."""
+"""Whether the networks extrapolate."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from sysid.runner.state_estimator import StateEstimate
 
 
 class TrainingDomains:
-    """Of a forward model and the networks of cylinders. Motion that leads back to the data is not objected to.
+    """Training domains of a forward model and actuator networks. Motion back towards the data is no violation.
 
     Args:
         forward: joints → end effector.
@@ -21,16 +21,16 @@ class TrainingDomains:
         axes: names, in order.
 
     Raises:
-        SettingsError: the forward version does not know where its data were.
+        SettingsError: the forward version has no training domain.
     """
 
     def __init__(self, forward: ForwardModel, actuators: Mapping[str, ActuatorNetwork], axes: tuple[str, ...]) -> None:
         if forward.trust is None:
             raise SettingsError(
                 "checks.domain",
-                "the forward version does not know where its data were",
+                "the forward version has no training domain",
                 "one that was fitted by this release",
-                'Fit it again, or leave the check out: [checks.without] domain = "why".',
+                'Fit it again, or disable the check: [checks.without] domain = "why".',
             )
         self._forward = forward.trust.domain
         columns = [(axis, axes.index(axis), network.trust.get("to_joint")) for axis, network in actuators.items()]
@@ -38,7 +38,7 @@ class TrainingDomains:
         self._before: dict[str, float] = {}
 
     def __call__(self, estimate: StateEstimate) -> str:
-        """Which network is asked beyond its data, and further than before; "" where none is."""
+        """A text about the network that extrapolates, and farther than before; "" if none does."""
         asked = [("forward", self._forward, estimate.joints[None])]
         asked += [(f"actuator of {axis}", domain, estimate.drive[i : i + 1, None]) for axis, i, domain in self._actuators]
         for name, domain, query in asked:
@@ -49,5 +49,5 @@ class TrainingDomains:
             before = self._before.get(name, 0.0)
             self._before[name] = away
             if away >= before:
-                return f"network {name} is asked {away:.1f} times as far from its data as is usual among them"
+                return f"network {name} extrapolates: {away:.1f} times the usual distance between its training data"
         return ""

@@ -1,7 +1,7 @@
-"""A run in Rerun while it goes on: the machine and its target, setpoints and commands, lateness, and every objection.
+"""A run in Rerun while it is running: the machine and its target, setpoints and commands, lateness, and violations.
 
-It reads the flight log that the runner writes, in a process of its own: a viewer that stalls, or dies, is nothing to the loop.
-What it shows is as old as the log's last sync, a second at the most.
+It reads the flight log in a separate process, so that the viewer cannot affect the loop. The view is at most one second late,
+the interval of the log's syncs.
 """
 
 from __future__ import annotations
@@ -26,10 +26,10 @@ from sysid.view.layout import machine_view, screen
 
 Array = npt.NDArray[np.float64]
 
-#: Seconds between two looks at the log.
+#: Polling interval of the log [s].
 POLL = 0.25
 _TARGET = (230, 60, 90)
-#: How loud an objection is shown, by what followed from it.
+#: Log level of a violation by its reaction.
 _LEVELS = {"clamp": "INFO", "hold": "WARN", "stop": "ERROR", "fault": "CRITICAL"}
 
 
@@ -37,7 +37,7 @@ def show_flight(path: Path, machine: Machine, out: Path | None = None, idle_s: f
     """Show the flight log at ``path`` until its writer ends it, or writes nothing for ``idle_s``.
 
     Args:
-        machine: that flies.
+        machine: of the run.
         out: write an ``.rrd`` file instead of opening the viewer.
 
     Returns:
@@ -81,7 +81,7 @@ def _stream(path: Path, machine: Machine, out: Path | None) -> Iterator[Any]:
 
 
 class _FlightView:
-    """What is drawn of the messages of one run."""
+    """Draws the messages of one run."""
 
     def __init__(self, stream: Any, machine: Machine) -> None:
         rr = sdk()
@@ -170,7 +170,7 @@ def _layout(machine: Machine) -> Any:
     axes = [rrb.TimeSeriesView(origin=f"axes/{axis}", name=axis) for axis in machine.axis_names]
     left = rrb.Vertical(
         machine_view(("machine/now/ee", "machine/target"), TIMELINE),
-        rrb.TextLogView(origin="log", name="states and objections"),
+        rrb.TextLogView(origin="log", name="states and violations"),
         row_shares=[3, 1],
     )
     right = rrb.Vertical(

@@ -1,4 +1,4 @@
-"""The control loop, cycles on absolute deadlines: read → estimate → check → decide → filter → send → record."""
+"""The control loop with absolute deadlines: read → estimate → check → decide → filter → send → record."""
 
 from __future__ import annotations
 
@@ -29,9 +29,9 @@ from sysid.runner.transport import RELEASED_INPUTS, Measurement, Transport
 
 Array = npt.NDArray[np.float64]
 
-#: Of checks on motion that the runner did not ask for, nothing can be said.
+#: Checks of the runner's own motion, not evaluated while somebody else moves the machine.
 _OWN_MOTION = ("restless", "following", "motion", "frozen")
-#: A policy has this share of a cycle, from its beginning on, to answer: what comes after it takes the rest.
+#: Share of a cycle within which a policy must answer; the rest is for the steps after it.
 POLICY_SHARE = 0.6
 
 
@@ -39,11 +39,10 @@ class Loop:
     """One run of one machine.
 
     Args:
-        transport, chain, senses, supervisor, mode: of the machine and the task.
-        recorder: takes every cycle.
+        transport, chain, estimator, supervisor, mode: of the machine and the task.
+        recorder: of every cycle.
         operator: arms, stops, resets.
         settings: of the recipe.
-        period_s: of a cycle.
     """
 
     def __init__(
@@ -69,11 +68,11 @@ class Loop:
         self._readings: Mapping[str, Measurement] = {}
         self._missed = 0
         self._line_error = ""
-        #: When the last command that lets the valves move went out; None where the last one was neutral.
+        #: Time of the last command that let the valves move; None if the last one was neutral.
         self._moved_ns: int | None = None
 
     def warm_up(self, joints: Array) -> None:
-        """Compile and load what the first cycles would else wait for; nothing is read or sent."""
+        """Compile and load everything before the first cycle; nothing is read or sent."""
         drive = self.chain.controller.drive(joints)[0]
         self.chain.rest(drive, joints)
         ee = self.chain.tip(joints[None])[0]
@@ -83,7 +82,7 @@ class Loop:
         estimate = self.estimator.update({}, RELEASED_INPUTS, 0)
         estimate.ee = ee
         self.chain.moved(joints, self._zero)
-        with contextlib.suppress(PolicyError):  # found out again where it counts, and the fallback goes on
+        with contextlib.suppress(PolicyError):  # it occurs again in the run, and the fallback continues
             self.chain.ask(joints, ee, ee, self.transport.now_ns() + round(WARM_UP_S * SECOND), self.transport.now_ns)
         self.chain.solve(joints, ee)
         setpoints, _ = self.supervisor.setpoints(joints + 1e-3)
@@ -95,12 +94,12 @@ class Loop:
         self.estimator.reset()
 
     def run(self, watch: Callable[[Cycle], None] | None = None) -> RunOutcome:
-        """Open the transport, turn until the task is done, somebody says so, or a fault ends it, and let go, valves neutral.
+        """Open the transport, run until the task is done, the operator stops it, or a fault ends it; close it, valves neutral.
 
-        Whatever fails on the way, an interrupt included, is how the run ended and not an exception: see the outcome.
+        Any error during the run, an interrupt included, is part of the outcome and not an exception.
 
         Args:
-            watch: shown every cycle, for live views and tests.
+            watch: called with every cycle.
 
         Raises:
             InputError, SettingsError: the transport cannot be opened.
@@ -112,12 +111,12 @@ class Loop:
             if self.chain.thread is not None:
                 prioritise_thread(self.chain.thread.native_id, settings.priority)
             try:
-                # Last: to lock the memory takes seconds, in which a line that nobody reads would overflow.
+                # Last: locking memory takes seconds, in which an unread line would overflow.
                 self.transport.open()
                 rest_s = 0.0
                 try:
                     self._run_cycles(watch)
-                except BaseException as error:  # whatever it is, valves go neutral, and the run is told and recorded to its end
+                except BaseException as error:  # valves go to neutral after any error
                     rest_s = settings.rest_s
                     self._failed(error)
                 finally:
@@ -127,7 +126,7 @@ class Loop:
                 self.chain.give_up()
                 try:
                     self.transport.close()
-                except Exception as error:  # a line that is gone cannot be closed any better
+                except Exception as error:  # a missing line cannot be closed
                     outcome.notes.append(f"the line was not closed: {error_text(error)}")
         outcome.state, outcome.why = self.states.state, self.states.why
         return outcome
@@ -145,12 +144,12 @@ class Loop:
             due += self.period_ns
             late = self.transport.now_ns() - due
             self._missed = self._missed + 1 if late > 0 else 0
-            skipped = max(0, late) // self.period_ns  # cycles that are past are left out, never made up for
+            skipped = max(0, late) // self.period_ns  # missed cycles are skipped, not made up for
             self.outcome.missed += skipped + (late > 0)
             due += skipped * self.period_ns
 
     def _failed(self, error: BaseException) -> None:
-        """The runner itself failed; it says where on one line, and keeps the rest for whoever mends it."""
+        """Record an error of the runner itself: its place in one line, and the traceback in the outcome."""
         self.outcome.error = "".join(traceback.format_exception(error))
         frames = traceback.extract_tb(error.__traceback__)
         place = f" ({Path(frames[-1].filename).name}, line {frames[-1].lineno})" if frames else ""
@@ -158,7 +157,7 @@ class Loop:
         self.state_machine.crashed(what + place, self.transport.now_ns())
 
     def _neutral(self, seconds: float) -> None:
-        """Say that nobody commands, for ``seconds`` so that it is heard; where it is not, the machine's own time-out closes."""
+        """Send the fail-safe state for ``seconds``; if it does not arrive, the machine's own time-out closes the valves."""
         due = self.transport.now_ns()
         for _ in range(1 + round(seconds / self.dt)):
             self._send(self._zero, False)
@@ -166,7 +165,7 @@ class Loop:
             if seconds:
                 try:
                     self.transport.wait_until(due)
-                except Exception:  # a clock that fails: what is left is to close the line
+                except Exception:  # the clock fails: close the line
                     return
 
     def _run_cycle(self, due: int) -> Cycle:
@@ -199,9 +198,9 @@ class Loop:
         self._sent = moved
         done = self.transport.now_ns()
         cycle = Cycle(
-            self.outcome.cycles, now, due, self.states.state, estimate.inputs, self._readings, estimate.joints, estimate.ee, decision.target,
-            decision.asked, decision.setpoints, decision.drive_setpoints, decision.commands_asked, moved.copy(),
-            decision.enabled, tuple(verdicts), decision.source, now - due, done - now,
+            self.outcome.cycles, now, due, self.states.state, estimate.inputs, self._readings, estimate.joints, estimate.ee,
+            decision.target, decision.asked, decision.setpoints, decision.drive_setpoints, decision.commands_asked,
+            moved.copy(), decision.enabled, tuple(verdicts), decision.source, now - due, done - now,
         )  # fmt: skip
         self.recorder.record(cycle)
         self.outcome.lateness.add(now - due)
@@ -213,7 +212,7 @@ class Loop:
     def _update_estimate(self, now: int, late_ns: int) -> StateEstimate:
         try:
             self._readings, inputs = self.transport.read()
-        except Exception as error:  # a driver may raise anything; the fail-safe bits are sent all the same
+        except Exception as error:  # any exception of a driver; the fail-safe bits are still sent
             self._readings = {}
             estimate = self.estimator.without_readings(now, error_text(error))
         else:
@@ -248,15 +247,15 @@ class Loop:
         return decision
 
     def _expired(self, now: int) -> Violation | None:
-        """Why this cycle, which began at ``now``, is too old to open valves: the last thing that is asked before it is sent."""
+        """Whether this cycle, which began at ``now``, is too old to open valves: the last check before sending."""
         then = self.transport.now_ns()
         gap = 0 if self._moved_ns is None else then - self._moved_ns
         return self.supervisor.expired((then - now) / SECOND, gap / SECOND)
 
     def _drop(self, decision: CycleDecision, expired: Violation, now: int) -> bool:
-        """What becomes of a cycle that is too old; whether nothing at all is sent: the machine goes on with what it has.
+        """Drop a cycle that is too old; whether nothing is sent, so that the machine keeps its last commands.
 
-        That lasts until the next cycle, ``checks.expired.gap_s`` at the most, and is less of a jolt than neutral valves are.
+        It keeps them until the next cycle, at most for ``checks.expired.gap_s``: smoother than neutral valves.
         """
         if expired.reaction == "fault":
             self.state_machine.fault(expired.text, now)

@@ -1,4 +1,4 @@
-"""Who arms, stops and resets: a person at a terminal, or, on machines without people, a script."""
+"""The operator, who arms, stops and resets: a person at a terminal, or a program on simulated machines."""
 
 from __future__ import annotations
 
@@ -11,35 +11,35 @@ from typing import Any, Protocol
 from sysid.runner.cycle import State
 from sysid.runner.transport import Settable
 
-#: What may be said: ``quit`` stops within the limits and ends the run, ``abort`` ends it with neutral valves at once.
+#: ``quit`` stops within the limits and ends the run; ``abort`` ends it with neutral valves at once.
 OPERATOR_COMMANDS = ("arm", "disarm", "stop", "reset", "quit", "abort")
-#: Signals that end a run as ``quit`` does; nobody ends, or suspends, a process that moves a machine in any other way.
+#: Signals that act as ``quit``: a process that moves a machine must not be ended or suspended in any other way.
 SIGNALS = ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT", "SIGTSTP", "SIGXCPU", "SIGUSR1", "SIGUSR2", "SIGALRM")
-#: Of a terminal whose foreground another process has: reading it is an error then, and does not suspend this process.
+#: Ignored: reading a terminal in the background is then an error and does not suspend the process.
 IGNORED = ("SIGTTIN", "SIGTTOU", "SIGPIPE", "SIGXFSZ")
 
 
 class Operator(Protocol):
-    """Asked in every cycle; nothing here may wait for a person, a terminal or a file."""
+    """Polled in every cycle; no method may wait for a person, a terminal or a file."""
 
-    #: Stays after a stop or a fault, for somebody to arm or reset; else the run is over then.
+    #: Whether the run continues after a stop or a fault, until the operator arms or resets.
     stays: bool
 
     def commands(self, state: State, now_ns: int) -> Sequence[str]:
-        """What was said since the last cycle, of :data:`WORDS`; a reason may stand behind a colon."""
+        """Commands since the last cycle, of :data:`OPERATOR_COMMANDS`; a reason may follow after a colon."""
         ...
 
     def notify(self, text: str) -> None:
-        """One line for whoever stands there."""
+        """Show one line."""
         ...
 
 
 class Unattended:
-    """Arms a machine as soon as it is ready, and then holds its dead-man switch: for machines that nobody stands at.
+    """Arms a simulated machine as soon as it is ready, and then holds its dead-man switch.
 
     Args:
-        machine: whose switches a program holds.
-        script: (seconds since the first cycle, word) to say besides.
+        machine: with switches that a program can set.
+        script: further commands, (seconds since the first cycle, command).
     """
 
     stays = False
@@ -70,12 +70,12 @@ class Unattended:
 
 
 class Interruptible:
-    """An operator, and the signals that end a process: the first one is ``quit``, the second one ``abort``.
+    """An operator with signal handling: the first signal is ``quit``, the second one ``abort``.
 
-    A third one raises KeyboardInterrupt wherever the program is, for a loop that does not go on. A context manager.
+    A third one raises KeyboardInterrupt, for a loop that does not continue. A context manager.
 
     Args:
-        operator: who else is asked.
+        operator: for all other commands.
     """
 
     def __init__(self, operator: Operator) -> None:
@@ -95,7 +95,7 @@ class Interruptible:
         self.operator.notify(text)
 
     def __enter__(self) -> Interruptible:
-        # Signals that this system does not have, or lets nobody handle, are left as they are.
+        # Signals that this system does not have, or that cannot be handled, are skipped.
         for names, handler in ((SIGNALS, self._on), (IGNORED, signal.SIG_IGN)):
             for name in names:
                 number = getattr(signal, name, None)

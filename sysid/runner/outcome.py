@@ -10,13 +10,13 @@ from typing import Literal
 import numpy as np
 
 Ended = Literal["done", "stopped", "fault", "quit", "time"]
-#: A bin is this much wider than the one before: percentiles are known to 5 %.
+#: Ratio of the widths of successive bins: percentiles are accurate to 5 %.
 _RATIO = 1.05
 _BINS = 480
 
 
 class Histogram:
-    """Of durations from a microsecond to hours; shorter ones count as one microsecond."""
+    """Durations from a microsecond to hours in fixed bins, so that counting allocates no memory."""
 
     def __init__(self) -> None:
         self._counts = np.zeros(_BINS, dtype=np.int64)
@@ -24,7 +24,7 @@ class Histogram:
         self.largest_us = 0.0
 
     def add(self, ns: int) -> None:
-        """Count one duration."""
+        """Count a duration."""
         us = ns / 1000.0
         k = 0 if us <= 1.0 else min(int(math.log(us) / math.log(_RATIO)) + 1, _BINS - 1)
         self._counts[k] += 1
@@ -32,7 +32,7 @@ class Histogram:
         self.largest_us = max(self.largest_us, us)
 
     def percentile(self, share: float) -> float:
-        """The duration [µs] that ``share`` of all do not exceed, to 5 %; never more than the largest. NaN of none."""
+        """The quantile ``share`` [µs], accurate to 5 %, at most the largest duration; NaN without any."""
         if not self.count:
             return math.nan
         k = int(np.searchsorted(np.cumsum(self._counts), share * self.count - 1e-9))
@@ -45,15 +45,15 @@ class Histogram:
 
 @dataclass
 class RunOutcome:
-    """How a run went.
+    """The outcome of a run.
 
     Args:
-        ended: why it is over; ``state``, ``why``: of the machine of states then.
-        cycles: made; ``missed``: deadlines that passed before their cycle began.
+        ended: why it is over; ``state``, ``why``: of the state machine at the end.
+        cycles: number of cycles; ``missed``: deadlines that passed before their cycle began.
         lateness, latency: of all cycles.
-        verdicts: check → cycles in which it objected.
-        notes: what the operating system refused, and what the operator was told.
-        error: where the runner itself failed, for whoever mends it; "" where it did not.
+        verdicts: check → cycles with a violation.
+        notes: refusals of the operating system, and messages to the operator.
+        error: traceback of an error of the runner itself; "" without one.
     """
 
     ended: Ended = "time"

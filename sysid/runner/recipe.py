@@ -1,4 +1,4 @@
-"""``RUNNER.toml``: which machine, which versions, what for, within which limits. Strict: an unknown key is an error."""
+"""``RUNNER.toml``: machine, versions, mode, limits and checks of a run. Unknown keys are errors."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from sysid.runner.modes.commission import CommissionSettings
 
 ModeName = Literal["track", "hold", "collect", "experiment", "replay", "shadow", "teleop", "commission"]
 MODES: tuple[ModeName, ...] = get_args(ModeName)
-#: Instead of a policy: bounded inverse kinematics, and the same with targets ahead by the machine's dead time.
+#: In place of a policy: bounded inverse kinematics, and the same with targets ahead by the machine's dead time.
 KINEMATIC = ("ik", "ik-lookahead")
 
 
@@ -23,11 +23,11 @@ class Versions:
     """``[versions]``: ``name``, ``name@3`` or ``name@champion``.
 
     Args:
-        plant: whose linkages and effects the controller knows.
+        plant: linkages and effects for the controller.
         forward: joints → end effector.
         policy: ``ik``, ``ik-lookahead``, or a policy.
-        lookahead: how far ahead a policy is shown targets [s]; None: ``ik-lookahead`` by the dead time, others not at all.
-        unpromoted: versions that were never promoted and are to be run all the same, each spelt out as ``name@3``.
+        lookahead: of the targets [s]; None: the dead time for ``ik-lookahead``, zero for others.
+        unpromoted: permitted versions without promotion, each as ``name@3``.
     """
 
     __pydantic_config__ = STRICT
@@ -45,11 +45,11 @@ class TrackSettings:
 
     Args:
         path: ``helix``, ``circle``, or a CSV file (t, x, y, z) beside the recipe.
-        centre: of helix or circle [m]; else where the joints keep farthest from their limits.
-        laps: how often.
-        ease_s: over which the path comes up to its speed.
-        live_port: follow targets that come in datagrams to this port of the loopback instead.
-        live_speed: greatest speed of such a target [m/s]; ``live_s``: for how long.
+        centre: of helix or circle [m]; by default where the joints keep farthest from their limits.
+        laps: number of rounds.
+        ease_s: duration of the speed ramps at beginning and end.
+        live_port: follow targets from datagrams to this loopback port instead.
+        live_speed, live_s: greatest speed of such a target [m/s], and duration [s].
     """
 
     __pydantic_config__ = STRICT
@@ -65,7 +65,7 @@ class TrackSettings:
 
 @dataclass(frozen=True)
 class HoldSettings:
-    """``[hold]``: ``seconds``; None: until somebody stops it."""
+    """``[hold]``: ``seconds``; None: until the operator stops."""
 
     __pydantic_config__ = STRICT
 
@@ -74,7 +74,7 @@ class HoldSettings:
 
 @dataclass(frozen=True)
 class CollectSettings:
-    """``[collect]``: ``poses`` random configurations, ``settle_s`` and ``record_s`` at each; ``seed`` of the draw."""
+    """``[collect]``: number of random configurations, times at each of them, seed of the draw."""
 
     __pydantic_config__ = STRICT
 
@@ -86,7 +86,7 @@ class CollectSettings:
 
 @dataclass(frozen=True)
 class FileSettings:
-    """``[replay]`` (CSV) and ``[experiment]`` (TOML of the gap workflow): ``file``, beside the recipe or with a whole path."""
+    """``[replay]`` (CSV) and ``[experiment]`` (TOML of the gap workflow): path relative to the recipe."""
 
     __pydantic_config__ = STRICT
 
@@ -95,7 +95,7 @@ class FileSettings:
 
 @dataclass(frozen=True)
 class ShadowSettings:
-    """``[shadow]``: ``of`` which mode is computed."""
+    """``[shadow]``: the mode that is computed."""
 
     __pydantic_config__ = STRICT
 
@@ -107,13 +107,13 @@ class LoopSettings:
     """``[loop]``.
 
     Args:
-        settle_s: everything is sound for so long before the machine counts as ready.
-        ready_within_s: unattended runs end where it does not become ready within this.
-        rest_s: valves are neutral for so long before a stop counts as done; ``rest_within_s``: else it is a fault.
-        seconds: the run ends after so long at the latest; None: never.
-        priority: SCHED_FIFO, 1 … 99; 0: none is asked for.
-        lock_memory: ask for it.
-        fallback: what sets where the policy is not trusted.
+        settle_s: time without violations before the machine is ready.
+        ready_within_s: unattended runs end if it is not ready within this time.
+        rest_s: time with neutral valves before a stop is complete; later than ``rest_within_s`` it is a fault.
+        seconds: longest duration of the run; None: unlimited.
+        priority: SCHED_FIFO, 1 … 99; 0: not requested.
+        lock_memory: request locked memory.
+        fallback: setpoints after the policy was disabled.
     """
 
     __pydantic_config__ = STRICT
@@ -130,7 +130,7 @@ class LoopSettings:
 
 @dataclass(frozen=True)
 class LogSettings:
-    """``[log]``: ``folder`` for recordings, relative to where the command is given."""
+    """``[log]``: ``folder`` for recordings, relative to the working directory."""
 
     __pydantic_config__ = STRICT
 
@@ -139,7 +139,7 @@ class LogSettings:
 
 @dataclass(frozen=True)
 class RunnerRecipe:
-    """The whole recipe; ``transport`` has a ``kind`` and the keys of that kind."""
+    """The recipe; ``transport`` has a ``kind`` and the keys of that kind."""
 
     __pydantic_config__ = STRICT
 
@@ -211,7 +211,7 @@ def parse_runner(values: dict[str, Any], where: object) -> RunnerRecipe:
 
 
 def _check_distinct(entries: object, where: str, expected: str) -> None:
-    """Refuse two keys with one value: a machine would move, or be seen, twice by the same frame."""
+    """Refuse two keys with one value: two axes or signals must not share a frame."""
     owners: dict[str, str] = {}
     for name, value in entries.items() if isinstance(entries, dict) else ():
         if (owner := owners.setdefault(str(value), str(name))) != name:

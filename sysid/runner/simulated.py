@@ -1,4 +1,4 @@
-"""A machine in process: a plant on a simulated clock, with the switches and the time-out of a real one."""
+"""A simulated machine: a plant on a simulated clock, with the switches and the time-out of a real one."""
 
 from __future__ import annotations
 
@@ -16,16 +16,17 @@ from sysid.signals import axis_signal
 
 Array = npt.NDArray[np.float64]
 
-#: Without a command for so long the machine's side puts its valves to neutral by itself (ISOBUS).
+#: Without a command for this time the machine sets its valves to neutral (ISOBUS).
 TIME_OUT_NS = 100_000_000
 
 
 class SimulatedTransport(SimulatedClock):
-    """The plant answers; nobody else does. Its own clock starts at zero and goes only in :meth:`wait_until`.
+    """The plant as a machine. Its clock starts at zero and advances only in :meth:`wait_until`. It reports what each command
+    drives, and the joint of every cylinder.
 
     Args:
         plant: of velocity (valve) axes.
-        joints: where it stands at first, (A,) [rad or m].
+        joints: initial ones, (A,) [rad or m].
         noise: sensors have the noise of the machine's description.
         seed: of the noise.
 
@@ -46,36 +47,28 @@ class SimulatedTransport(SimulatedClock):
         }
         #: Signal → field and column of :class:`sysid.plant.stepper.LaneState`.
         self._sources = driven | joint_sensors
-        self._signals = tuple(self._sources)
-        self._sigma = np.array([machine.noise.get(signal, 0.0) if noise else 0.0 for signal in self._signals])
+        self.signals = tuple(self._sources)
+        self._sigma = np.array([machine.noise.get(signal, 0.0) if noise else 0.0 for signal in self.signals])
         self._rng = np.random.default_rng(seed)
-        self._axes = machine.axis_names
+        self.axes = machine.axis_names
         self._stepper = Stepper(plant, machine.rate_hz)
         self._period = round(SECOND / machine.rate_hz)
         self._lane = self._stepper.reset(np.asarray(joints, dtype=np.float64))
         self._steps = 0
-        self._commands = np.zeros(len(self._axes))
+        self._commands = np.zeros(len(self.axes))
         self._enabled, self._written_ns = False, -TIME_OUT_NS
         self._inputs = MachineInputs(dead_man=False, emergency_stop=False)
         self._readings: dict[str, Measurement] = {}
         self.measure()
 
     @property
-    def signals(self) -> tuple[str, ...]:
-        return self._signals
-
-    @property
-    def axes(self) -> tuple[str, ...]:
-        return self._axes
-
-    @property
     def truth(self) -> LaneState:
-        """Where the machine really is."""
+        """The true state of the machine."""
         return self._lane
 
     @property
     def neutral(self) -> bool:
-        """Whether its valves are kept neutral now."""
+        """Whether its valves are neutral."""
         late = self._now - self._written_ns >= TIME_OUT_NS
         return late or not self._enabled or self._inputs.emergency_stop or not self._inputs.dead_man
 
@@ -83,7 +76,7 @@ class SimulatedTransport(SimulatedClock):
         """Nothing to connect."""
 
     def close(self) -> None:
-        """Leave it neutral."""
+        """Set the valves to neutral."""
         self._enabled = False
 
     def read(self) -> tuple[Mapping[str, Measurement], MachineInputs]:
@@ -101,10 +94,10 @@ class SimulatedTransport(SimulatedClock):
         )
 
     def wait_until(self, ns: int) -> None:
-        """Bring the plant there, step by step; a step belongs to the command at its beginning."""
+        """Simulate the plant until then; each step uses the command at its beginning."""
         while (self._steps + 1) * self._period <= ns:
             self._now = max(self._now, self._steps * self._period)
-            self._lane = self._stepper.step(np.zeros(len(self._axes)) if self.neutral else self._commands)
+            self._lane = self._stepper.step(np.zeros(len(self.axes)) if self.neutral else self._commands)
             self._steps += 1
             self._now = self._steps * self._period
             self.measure()

@@ -1,4 +1,4 @@
-"""From readings to belief: what came, how old it is, whether it can be so, and where each axis is believed to be."""
+"""The state estimator: readings, their age and plausibility, and dead reckoning → one state estimate a cycle."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ from sysid.signals import axis_signal
 
 Array = npt.NDArray[np.float64]
 
-#: Dead reckoning leans on the sensors with this time constant [s].
+#: Time constant of the correction of dead reckoning by the sensors [s].
 CORRECTION_S = 0.5
-#: A sensor may be this much faster than the plant says its axis is.
+#: Permitted ratio of a reading's speed to the top speed of its axis.
 FASTER = 1.5
-#: Delays of a line are learned for so long before a clock counts as jumped [s].
+#: Time in which the usual delay of a line is learned [s].
 LEARN_S = 0.3
 
 
@@ -32,8 +32,8 @@ class Sensor:
     """One signal and its history.
 
     Args:
-        signal: its canonical name; ``axis`` it belongs to, ``driven``: what the command drives.
-        range: of its values; ``fastest``: of its axis, in its unit.
+        signal: its canonical name; ``axis``: its number; ``driven``: it measures what the command drives.
+        range: of its values; ``fastest``: top speed, in its unit.
     """
 
     signal: str
@@ -59,13 +59,13 @@ class Sensor:
 
 @dataclass(slots=True)
 class StateEstimate:
-    """What the supervisor evaluates in one cycle.
+    """The state estimate of one cycle, evaluated by the supervisor.
 
     Args:
-        sensors: driven ones first, in the order of axes; then joints of cylinders that have a sensor of their own.
-        drive, joints: as believed, (A,); ``measured``: whether a sound sensor says so, (A,).
-        reckoned: by the commands, (A,), of what is driven.
-        ee: as believed, (3,).
+        sensors: driven ones first, in the order of axes; then joint sensors of cylinder axes.
+        drive, joints: estimates, (A,); ``measured``: whether a valid sensor confirms them, (A,).
+        estimated_position: dead reckoning of what is driven, (A,).
+        ee: estimate of the end effector, (3,).
         late: axes that answer commands later than their plant.
     """
 
@@ -85,13 +85,13 @@ class StateEstimate:
 
 
 class StateEstimator:
-    """Keeps the history that single readings lack.
+    """The state estimator of one machine.
 
     Args:
-        plant: whose linkages turn cylinders into joints.
+        plant: with the linkages from cylinders to joints.
         valves: of its axes; ``dt`` of a step [s].
-        signals: that the transport has.
-        settings: from where on a sensor is not believed.
+        signals: of the transport.
+        settings: thresholds of valid sensors.
     """
 
     def __init__(
@@ -114,9 +114,9 @@ class StateEstimator:
         self.response = ResponseMonitor(valves, dt, settings.delay.after_s)
 
     def reset(self) -> None:
-        """Forget what was learned: after a fault, and before the first cycle.
+        """Reset the history, after a fault and before the first cycle.
 
-        Not the smallest delay so far: one that has grown would else be the usual one after each reset.
+        The usual delay is kept: a delay that has grown would otherwise become the usual one.
         """
         for sensor in self.sensors:
             sensor.good, sensor.count, sensor.first_ns, sensor.still_since = math.nan, -1, None, 0.0
@@ -125,7 +125,7 @@ class StateEstimator:
         self.response.reset()
 
     def step(self, commands: Array) -> None:
-        """The step with ``commands`` (A,) is over; neutral ones are zero."""
+        """Record a step with ``commands`` (A,), zero if neutral."""
         self.response.step(commands)
         for sensor, dead_reckoning, command in zip(self.driven, self.dead_reckonings, commands, strict=True):
             before = dead_reckoning.position
@@ -136,7 +136,7 @@ class StateEstimator:
     def update(
         self, readings: Mapping[str, Measurement], inputs: MachineInputs, now_ns: int, lateness_s: float = 0.0, missed: int = 0
     ) -> StateEstimate:
-        """Readings of this cycle, believed where they can be."""
+        """The estimate of this cycle from its readings."""
         for sensor in self.sensors:
             self._update_sensor(sensor, readings.get(sensor.signal), now_ns)
         drive, joints = np.empty(len(self.driven)), np.empty(len(self.driven))
@@ -149,7 +149,7 @@ class StateEstimator:
             else:
                 drive[i] = dead_reckoning.position
             linkage = self.linkages[i]
-            joints[i] = drive[i] if linkage is None else _joint(linkage, drive[i])
+            joints[i] = drive[i] if linkage is None else linkage.joint(drive[i : i + 1])[0]
         fresh = np.array([sensor.value if sensor.sound and sensor.fresh else math.nan for sensor in self.driven])
         self.response.measure(fresh)
         return StateEstimate(
@@ -159,7 +159,7 @@ class StateEstimator:
         )  # fmt: skip
 
     def without_readings(self, now_ns: int, line: str) -> StateEstimate:
-        """What a cycle sees whose line is dead."""
+        """The estimate of a cycle without readings, because of the error ``line``."""
         estimate = self.update({}, RELEASED_INPUTS, now_ns)
         estimate.line = line
         return estimate
@@ -194,8 +194,3 @@ class StateEstimator:
         sensor.sound = sensor.finite and not late and sensor.jump <= self.settings.jump.share * sensor.range
         if sensor.sound and fresh:
             sensor.good, sensor.good_ns = value, now_ns
-
-
-def _joint(linkage: object, displacement: float) -> float:
-    found: Array = linkage.joint(np.array([displacement]))  # type: ignore[attr-defined]
-    return float(found[0])

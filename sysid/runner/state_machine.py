@@ -1,4 +1,4 @@
-"""What verdicts, a person's words, switches and time make of the state of a run, and when the run is over."""
+"""The run state machine: effects of verdicts, operator commands, switches and time, and the end of a run."""
 
 from __future__ import annotations
 
@@ -17,17 +17,17 @@ from sysid.runner.state_estimator import StateEstimate
 from sysid.runner.states import States
 from sysid.runner.supervisor import at_least, most_severe
 
-#: Where one of these stopped the machine, it is not simply ready again: a person has to look, and reset it.
+#: After a stop by one of these checks a person must look, and reset the machine.
 LATCHING = ("stale", "not_finite", "jump", "frozen", "clock", "contradiction", "motion", "delay", "following", "expired")
 
 
 class RunStateMachine:
-    """Of one run.
+    """The state machine of one run.
 
     Args:
-        states: changed by this alone.
+        states: changed only here.
         mode, operator, settings, dt: of the run.
-        outcome: notes and the reason of the end are kept in it.
+        outcome: receives notes and the reason of the end.
     """
 
     def __init__(
@@ -35,14 +35,14 @@ class RunStateMachine:
     ) -> None:
         self.states, self.mode, self.operator, self.settings = states, mode, operator, settings
         self.dt, self.outcome = dt, outcome
-        #: A task that moves nothing is under way.
+        #: A task that moves nothing is running.
         self.computing = False
         self._sound_s, self._neutral_s = 0.0, 0.0
         self._released, self._ran, self._finishing = False, False, False
         self._last_violation, self._latch = "", ""
 
     def react(self, verdicts: Sequence[Violation], now: int) -> None:
-        """What is seen decides over the state."""
+        """Apply the verdicts of a cycle to the state."""
         worst, state = most_severe(verdicts), self.states.state
         if worst is None:
             return
@@ -55,7 +55,7 @@ class RunStateMachine:
             self._announce(self.states.on("unhealthy", now, worst.text))
 
     def process_commands(self, verdicts: Sequence[Violation], now: int) -> bool:
-        """Take what the operator says; whether that was a reset."""
+        """Execute the operator's commands; whether one of them was a reset."""
         reset = False
         for said in self.operator.commands(self.states.state, now):
             word, _, reason = (part.strip() for part in said.partition(":"))
@@ -86,7 +86,7 @@ class RunStateMachine:
         return reset
 
     def advance(self, estimate: StateEstimate, verdicts: Sequence[Violation], now: int) -> bool:
-        """What time and switches make of the state; whether the task starts now."""
+        """Apply time and switches to the state; whether the task begins now."""
         state = self.states.state
         sound = not at_least(verdicts, "hold") and bool(np.isfinite(estimate.joints).all())
         if state == "idle":
@@ -96,7 +96,7 @@ class RunStateMachine:
         else:
             self._sound_s = 0.0
         if state in ("ready", "armed") and not estimate.inputs.dead_man:
-            self._released = True  # a switch that is held all the time, or taped down, does not count
+            self._released = True  # a switch that is always held, or taped down, does not count
         if state == "armed" and estimate.inputs.dead_man and self._released and sound:
             self._released, self._ran = False, True
             self._neutral_s, self._latch = 0.0, ""
@@ -108,7 +108,7 @@ class RunStateMachine:
         return False
 
     def allow(self, verdicts: Sequence[Violation], now: int) -> bool:
-        """Whether the valves may still move after what a cycle's own setpoints and commands were found to be."""
+        """Whether the valves may move after the verdicts on the cycle's own setpoints and commands."""
         worst = most_severe(verdicts)
         if worst is not None and worst.reaction == "stop":
             self._halt(worst, now)
@@ -117,14 +117,14 @@ class RunStateMachine:
         return self.states.state != "fault"
 
     def end(self, goal: Goal, now: int) -> None:
-        """The task is over."""
+        """End the task."""
         self.computing = False
         if goal.done or not self.mode.moves:
             self._finish("done" if goal.done else "stopped")
         self._announce(self.states.on("stop", now, goal.stop))
 
     def braking(self, neutral: bool, estimate: StateEstimate, now: int) -> None:
-        """A cycle of a stop, with or without neutral valves."""
+        """A cycle of a stop; ``neutral``: the valves are."""
         self._neutral_s = self._neutral_s + self.dt if neutral else 0.0
         still = np.isfinite(estimate.drive).all() and bool(estimate.measured.all())
         if self._neutral_s >= self.settings.rest_s and self._latch:
@@ -132,23 +132,23 @@ class RunStateMachine:
         elif self._neutral_s >= self.settings.rest_s and still:
             self._announce(self.states.on("rest", now))
         elif self._neutral_s > self.settings.rest_within_s:
-            self.fault("nothing says that the machine came to rest", now)
+            self.fault("no sensor confirms that the machine is at rest", now)
 
     def fault(self, why: str, now: int) -> None:
         self._announce(self.states.on("fault", now, why))
 
     def is_over(self, elapsed_ns: int, now: int) -> bool:
-        """Whether the run is, ``elapsed_ns`` after its beginning."""
+        """Whether the run is over, ``elapsed_ns`` after its beginning."""
         settings, state = self.settings, self.states.state
         waited_s = (now - self.states.entered_ns) / SECOND
         if not self.operator.stays:
-            if state == "fault":  # neutral is said for a while, so that it is heard
+            if state == "fault":  # neutral commands are sent for a while
                 self._finishing, self.outcome.ended = True, "fault"
                 return waited_s >= settings.rest_s
             if self._ran and state == "ready":
                 self._finish("stopped")
             if state == "idle" and waited_s >= settings.ready_within_s:
-                self.states.why = self._last_violation or "nothing says that the machine is sound"
+                self.states.why = self._last_violation or "no sensor confirms that the machine is ready"
                 self._finish("stopped")
         if settings.seconds is not None and elapsed_ns >= settings.seconds * SECOND and not self._finishing:
             self._finish("time")
@@ -161,23 +161,23 @@ class RunStateMachine:
         return False
 
     def crashed(self, why: str, now: int) -> None:
-        """The runner itself failed: the run is over."""
+        """End the run after an error of the runner itself."""
         self._finishing, self.outcome.ended = True, "fault"
         self.fault(why, now)
 
     def note(self, text: str) -> None:
-        """For the operator, and kept."""
+        """Show ``text`` to the operator, and keep it in the outcome."""
         self.outcome.notes.append(text)
         self.operator.notify(text)
 
     def _halt(self, verdict: Violation, now: int) -> None:
-        """A verdict stops the machine."""
+        """Stop the machine because of ``verdict``."""
         if self.states.state == "running" and verdict.check in LATCHING:
             self._latch = verdict.text
         self._announce(self.states.on("stop", now, verdict.text))
 
     def _finish(self, ended: Ended) -> None:
-        """The run is over as soon as nothing moves any more."""
+        """End the run as soon as nothing moves."""
         if not self._finishing:
             self._finishing, self.outcome.ended = True, ended
 

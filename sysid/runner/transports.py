@@ -1,4 +1,4 @@
-"""Kinds of ``[transport]``: a name in the recipe → what builds it. Further kinds are entries of :data:`TRANSPORTS`."""
+"""Kinds of ``[transport]``; further kinds are entries of :data:`TRANSPORTS`."""
 
 from __future__ import annotations
 
@@ -20,11 +20,12 @@ from sysid.runner.transport import Transport
 
 @dataclass(frozen=True)
 class OpenTransport:
-    """A transport, and whether nobody can be hurt at its other end: a simulated machine with switches of ours.
+    """A transport and its properties.
 
     Args:
-        wired: there is a bus between, on which something may be swapped, turned round or out of scale.
-        remarks: what the machine's side cannot check, a sentence each.
+        simulated: a simulated machine, whose switches a program may set.
+        wired: it has a bus, on which signals may be swapped, reversed or wrongly scaled.
+        remarks: what the machine cannot check, one sentence each.
     """
 
     transport: Transport
@@ -35,7 +36,7 @@ class OpenTransport:
 
 Build = Callable[[dict[str, Any], Assembly, Registry], OpenTransport]
 
-#: ``module:function``, imported when it is asked for.
+#: ``module:function``, imported on demand.
 TRANSPORTS: dict[str, str] = {
     "simulated": "sysid.runner.transports:simulated",
     "can": "sysid.runner.transports:can",
@@ -44,10 +45,10 @@ TRANSPORTS: dict[str, str] = {
 
 
 def connect(assembly: Assembly, registry: Registry) -> OpenTransport:
-    """The line of a recipe, not yet open.
+    """The transport of a recipe, not yet open.
 
     Raises:
-        SettingsError: an unknown kind, or what that kind objects to.
+        SettingsError: an unknown kind, or invalid settings of that kind.
     """
     values = dict(assembly.recipe.transport)
     kind = str(values.pop("kind"))
@@ -63,9 +64,9 @@ class SimulatedSettings:
     """``[transport] kind = "simulated"``.
 
     Args:
-        plant: version that plays the machine; else the one that the controller knows.
-        joints: where it stands at first [rad or m]; else in the middle, or where the path begins.
-        noise: sensors have that of the machine's description; ``seed`` of it.
+        plant: version that simulates the machine; by default the controller's.
+        joints: initial ones [rad or m]; by default the start of the path, or the middle of the limits.
+        noise: sensors have the noise of the machine's description; ``seed`` of it.
     """
 
     __pydantic_config__ = STRICT
@@ -77,7 +78,7 @@ class SimulatedSettings:
 
 
 def simulated(values: dict[str, Any], assembly: Assembly, registry: Registry) -> OpenTransport:
-    """The machine in process."""
+    """The simulated machine."""
     settings = parse_settings(values, SimulatedSettings, "transport")
     plant = assembly.loaded.plant
     if settings.plant:
@@ -94,7 +95,7 @@ def simulated(values: dict[str, Any], assembly: Assembly, registry: Registry) ->
 
 
 def can(values: dict[str, Any], assembly: Assembly, registry: Registry) -> OpenTransport:
-    """A machine on a CAN bus; one with a control pipe is the simulated test bench, whose switches the pipe holds."""
+    """A machine on a CAN bus; with a control pipe, the simulated test bench."""
     from sysid.runner.can import CanSettings, CanTransport
 
     where = "transport"
@@ -113,5 +114,5 @@ def can(values: dict[str, Any], assembly: Assembly, registry: Registry) -> OpenT
 
 
 def slcan(values: dict[str, Any], assembly: Assembly, registry: Registry) -> OpenTransport:
-    """The same through an adapter on a serial line."""
+    """A machine on a CAN bus, through an adapter on a serial line."""
     return can(values | {"interface": "slcan"}, assembly, registry)

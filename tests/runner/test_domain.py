@@ -39,7 +39,7 @@ def test_beyond_the_data_and_back() -> None:
 
 
 def test_a_version_that_does_not_know_its_data_is_refused() -> None:
-    with pytest.raises(SettingsError, match=r"does not know where its data were; .* \[checks.without\] domain"):
+    with pytest.raises(SettingsError, match=r"has no training domain; .* \[checks.without\] domain"):
         TrainingDomains(learned(PLANT), {}, AXES)
 
 

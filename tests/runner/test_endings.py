@@ -99,7 +99,7 @@ class NamelessError(Exception):
         (lambda last: last[:, :3], "answers with float64 (1, 3), expected numbers (1, 4)"),
         (lambda last: last.astype(str), "expected numbers (1, 4)"),
         (lambda last: last.astype(complex), "expected numbers (1, 4)"),
-        (lambda last: last * np.inf, "what is no number"),
+        (lambda last: last * np.inf, "a number that is not finite"),
     ],
 )
 def test_whatever_a_policy_raises_or_returns_the_fallback_goes_on(fails: Callable[[Array], Array], text: str) -> None:

@@ -199,7 +199,7 @@ def test_a_disk_that_never_answers_does_not_keep_a_run_from_ending(tmp_path: Pat
     sync = log._writer.sync
     monkeypatch.setattr(log._writer, "sync", lambda: (gate.wait(20.0), sync()))
     log.record(cycle(0))
-    with pytest.raises(StorageError, match="the disk does not answer for"):
+    with pytest.raises(StorageError, match="the disk does not respond for"):
         log.close()
     gate.set()
     log._thread.join()

@@ -66,8 +66,8 @@ def test_whoever_stands_outside_may_come_back_and_no_further_out() -> None:
         (LimitSettings(axes={"slew": AxisLimits(speed=0.0)}), r"slew.speed: 0.0; expected a positive number"),
         (LimitSettings(axes={"slew": AxisLimits(command=1.5)}), r"slew.command: 1.5; expected at most 1"),
         (LimitSettings(fence={"w": (0.0, 1.0)}), r"unknown coordinate 'w'; expected x, y or z"),
-        (LimitSettings(fence={"z": (0.0, 0.05)}), r"limits.fence.z: \[0.0, 0.05\]; expected more room"),
-        (LimitSettings(margin=0.5), "a margin that leaves no room"),
+        (LimitSettings(fence={"z": (0.0, 0.05)}), r"limits.fence.z: \[0.0, 0.05\]; expected a range above two margins"),
+        (LimitSettings(margin=0.5), "a margin that leaves no range"),
     ],
 )
 def test_limits_that_cannot_be_are_refused(settings: LimitSettings, message: str) -> None:

@@ -263,7 +263,7 @@ def test_a_machine_that_stands_outside_comes_back_in_and_is_told_so() -> None:
         lambda limits, chain: ReplayJoints(np.tile(MIDDLE + np.array([0.3, 0.0, 0.0, 0.0]), (20, 1)), limits, DT), limits=narrow
     )
     assert made.loop.outcome.ended == "done"
-    assert "slew stands at" in "\n".join(made.loop.outcome.notes)
+    assert "slew is at" in "\n".join(made.loop.outcome.notes)
     joints = np.array(made.machine.joints)[:, 0]
     assert joints.min() > -2e-3
     assert abs(joints[-1] - 0.3) < 5e-3

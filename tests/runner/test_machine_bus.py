@@ -77,7 +77,7 @@ def test_load_of_the_bus() -> None:
     own = sum(frame_bits(m.length, m.is_extended_frame) / (m.cycle_time * 1e-3) for m in DESCRIBED.messages) / 250_000
     assert load == pytest.approx(own)
     assert 0.9 * seven * 100 / 250_000 < load < 1.3 * seven * 100 / 250_000
-    with pytest.raises(SettingsError, match=r"the bus would be \d+ % full at 250000 bit/s; expected 30 % at the most"):
+    with pytest.raises(SettingsError, match=r"a bus load of \d+ % at 250000 bit/s; expected at most 30 %"):
         MachineBus(dataclasses.replace(SETTINGS, max_load=0.3), "runner.toml")
 
 

@@ -85,7 +85,7 @@ def test_the_first_fault_is_the_one_that_is_told() -> None:
 
 def test_what_a_person_asks_for_at_the_wrong_time_is_refused_with_what_is_possible() -> None:
     states = States()
-    with pytest.raises(InputError, match="'arm' while idle; expected nothing: it has to become sound by itself"):
+    with pytest.raises(InputError, match="'arm' while idle; expected nothing: it must become ready by itself"):
         states.demand("arm", 0)
     states.on("fault", 0, "emergency stop")
     with pytest.raises(InputError, match=r"'arm' while fault \(emergency stop\); expected reset"):

@@ -1,4 +1,4 @@
-"""Switches, the machine's own word, the line to it, the log, and time."""
+"""Checks of switches, machine faults, the line, the log, and timing."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from sysid.runner.state_estimator import StateEstimate
 
 
 def check_machine(estimate: StateEstimate, settings: CheckSettings) -> list[Violation]:
-    """What is wrong apart from signals; the dead-man switch is looked at where the machine moves, by the loop."""
+    """Violations apart from signals. The loop checks the dead-man switch, only while the machine moves."""
     found = []
     inputs = estimate.inputs
     if inputs.emergency_stop:
@@ -32,8 +32,8 @@ def check_machine(estimate: StateEstimate, settings: CheckSettings) -> list[Viol
 
 
 def dead_man(settings: CheckSettings) -> Violation:
-    """Nobody holds the switch."""
-    return _plain("dead_man", settings, "the dead-man switch was let go")
+    """The switch is released."""
+    return _plain("dead_man", settings, "the dead-man switch was released")
 
 
 def _plain(check: str, settings: CheckSettings, text: str) -> Violation:

@@ -1,4 +1,4 @@
-"""Whether what is measured fits: sensors to each other, motion to commands, joints to setpoints, queries to data."""
+"""Consistency checks: between sensors, motion and commands, joints and setpoints, network inputs and training data."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ Array = npt.NDArray[np.float64]
 
 
 class MotionChecks:
-    """Checks that have to hold for a while before they object.
+    """Checks with memory, most of which report only a condition that persists.
 
     Args:
         axes, valves, linkages, dt: of the machine.
         settings: of the recipe.
-        inside: says which network is asked beyond its data, "" where none is.
+        inside: a text about the network that extrapolates; "" if none does.
     """
 
     def __init__(
@@ -43,11 +43,11 @@ class MotionChecks:
         self._neutral_s = 0.0
 
     def reset(self) -> None:
-        """The valves are let go."""
+        """Reset the persistence of all conditions; the valves are about to be enabled."""
         self._durations.clear()
 
     def check(self, estimate: StateEstimate, moving: bool, drive_setpoints: Array | None) -> list[Violation]:
-        """What is wrong."""
+        """Violations of this cycle; ``drive_setpoints`` (A,) are those of the cycle before, None without any."""
         found = []
         settings = self.settings
         if settings.on("contradiction"):
@@ -74,7 +74,7 @@ class MotionChecks:
             away, limit = abs(sensor.value - through), rule.share * sensor.range
             both = sensor.sound and bool(estimate.measured[sensor.axis])
             if self._persists("contradiction", sensor.signal, both and away > limit, rule.for_s):
-                text = f"{sensor.signal} reads {sensor.value:.4g}, its cylinder says {through:.4g}"
+                text = f"{sensor.signal} reads {sensor.value:.4g}, its cylinder gives {through:.4g}"
                 found.append(Violation("contradiction", sensor.signal, rule.reaction, away, limit, text))
         return found
 
@@ -83,7 +83,7 @@ class MotionChecks:
         for i, (name, valve) in enumerate(zip(self.axes, self.valves, strict=True)):
             away, limit = abs(float(estimate.drive[i] - estimate.estimated_position[i])), rule.seconds * valve.fastest
             if away > limit:
-                text = f"{name} is {away:.4g} from where its commands must have brought it"
+                text = f"{name} is {away:.4g} away from its dead reckoning by the commands"
                 found.append(Violation("motion", name, rule.reaction, away, limit, text))
         return found
 
@@ -106,7 +106,7 @@ class MotionChecks:
         return found
 
     def _restless(self, estimate: StateEstimate, moving: bool) -> list[Violation]:
-        """Motion with neutral valves; by how far an axis came within a tenth of a second, so that noise is none."""
+        """Motion with neutral valves; speeds are low-pass filtered over 0.1 s against noise."""
         rule = self.settings.restless
         self._neutral_s = 0.0 if moving else self._neutral_s + self.dt
         fresh = np.where(np.isnan(self._drive), 0.0, estimate.drive - self._drive)

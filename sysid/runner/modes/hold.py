@@ -1,4 +1,4 @@
-"""Stand still where the machine stands; watch what another mode would do; write down what a person does."""
+"""Hold the position; compute another mode without sending; record manual operation."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ Array = npt.NDArray[np.float64]
 
 
 class Hold:
-    """Hold the joints at which the run started, for ``seconds`` (None: until somebody stops it)."""
+    """Hold the initial joints for ``seconds`` (None: until the operator stops)."""
 
     name, moves, writes, computes = "hold", True, True, True
 
@@ -29,7 +29,7 @@ class Hold:
 
 
 class Shadow:
-    """Another mode computes and is recorded; nothing is sent, whatever it says. A person, or another controller, drives."""
+    """Compute and record another mode; nothing is sent. A person or another controller drives the machine."""
 
     name, moves, writes, computes = "shadow", False, False, True
 
