@@ -6,8 +6,10 @@ values inside the database's range, and no unknown identifier may appear. The da
 
 from __future__ import annotations
 
+import hashlib
 import math
 import os
+import tempfile
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
@@ -19,7 +21,6 @@ import numpy.typing as npt
 
 from sysid.errors import InputError, SettingsError
 from sysid.runner.bus import ECHO, ON, TIME, BusSettings, MachineBus, ReceivedFrame, format_identifiers
-from sysid.runner.channel_lock import lock_channel
 from sysid.runner.clock import SECOND, MonotonicClock
 from sysid.runner.line_delay import CommandRoundTrip, MachineClock
 from sysid.runner.transport import RELEASED_INPUTS, MachineInputs, Measurement
@@ -314,3 +315,33 @@ def _require_local(settings: CanSettings, where: str) -> None:
             "a CAN adapter at this computer (socketcan, slcan, pcan, kvaser …)",
             "A network can delay commands, or transmit those of somebody else.",
         )
+
+
+def lock_channel(interface: str, channel: str, where: str) -> BaseFileLock:
+    """Lock a line until the lock is released. Links to one device (``/dev/serial/by-id``) are one line.
+
+    Raises:
+        InputError: another process holds it, or the lock cannot be made.
+    """
+    from filelock import FileLock, Timeout
+
+    # A device in /dev is locked by its path, whatever driver of python-can uses it.
+    line = os.path.realpath(channel.partition("@")[0]) if "/" in channel else f"{interface}:{channel}"
+    lock = FileLock(_lock_folder() / f"sysid-line-{hashlib.sha256(line.encode()).hexdigest()[:16]}.lock", mode=0o666)
+    place = f"{where}: {channel or interface}"
+    try:
+        lock.acquire(timeout=0.0)
+    except Timeout:
+        expected = "one runner on a line"
+        raise InputError(place, "another runner has this line", expected, "End it first: both would send commands.") from None
+    except OSError as error:
+        raise InputError(place, f"{lock.lock_file}: {error.strerror}", "a lock file that can be written") from None
+    return lock
+
+
+def _lock_folder() -> Path:
+    """A folder that is the same for all users of this computer, independent of TMPDIR, if there is one."""
+    for folder in (Path("/run/lock"), Path("/tmp")):
+        if folder.is_dir() and os.access(folder, os.W_OK):
+            return folder
+    return Path(tempfile.gettempdir())

@@ -1,4 +1,4 @@
-"""The clocks of a loop: the system's monotonic clock, and a simulated one that jumps to the time waited for."""
+"""The clock of transports to real machines."""
 
 from __future__ import annotations
 
@@ -19,16 +19,3 @@ class MonotonicClock:
         while left > 0:
             time.sleep(left / SECOND)
             left = ns - time.monotonic_ns()
-
-
-class SimulatedClock:
-    """Time passes only in :meth:`wait_until`."""
-
-    def __init__(self) -> None:
-        self._now = 0
-
-    def now_ns(self) -> int:
-        return self._now
-
-    def wait_until(self, ns: int) -> None:
-        self._now = max(self._now, ns)

@@ -10,7 +10,7 @@ import numpy.typing as npt
 from sysid.errors import SettingsError
 from sysid.plant import Plant
 from sysid.plant.stepper import LaneState, Stepper
-from sysid.runner.clock import SECOND, SimulatedClock
+from sysid.runner.clock import SECOND
 from sysid.runner.transport import MachineInputs, Measurement
 from sysid.signals import axis_signal
 
@@ -20,7 +20,7 @@ Array = npt.NDArray[np.float64]
 TIME_OUT_NS = 100_000_000
 
 
-class SimulatedTransport(SimulatedClock):
+class SimulatedTransport:
     """The plant as a machine. Its clock starts at zero and advances only in :meth:`wait_until`. It reports what each command
     drives, and the joint of every cylinder.
 
@@ -35,7 +35,7 @@ class SimulatedTransport(SimulatedClock):
     """
 
     def __init__(self, plant: Plant, joints: npt.ArrayLike, *, noise: bool = True, seed: int = 0) -> None:
-        super().__init__()
+        self._now = 0
         machine = plant.machine
         where = f"simulated {machine.name}"
         for axis in machine.axes:
@@ -55,7 +55,7 @@ class SimulatedTransport(SimulatedClock):
         self._period = round(SECOND / machine.rate_hz)
         self._lane = self._stepper.reset(np.asarray(joints, dtype=np.float64))
         self._steps = 0
-        self._commands = np.zeros(len(self.axes))
+        self.commands = np.zeros(len(self.axes))
         self._enabled, self._written_ns = False, -TIME_OUT_NS
         self._inputs = MachineInputs(dead_man=False, emergency_stop=False)
         self._readings: dict[str, Measurement] = {}
@@ -83,7 +83,7 @@ class SimulatedTransport(SimulatedClock):
         return dict(self._readings), self._inputs
 
     def write(self, commands: Array, enabled: bool) -> None:
-        self._commands[:] = np.clip(np.nan_to_num(commands), -1.0, 1.0)
+        self.commands[:] = np.clip(np.nan_to_num(commands), -1.0, 1.0)
         self._enabled, self._written_ns = enabled, self._now
 
     def set_inputs(self, dead_man: bool | None = None, emergency_stop: bool | None = None) -> None:
@@ -93,15 +93,18 @@ class SimulatedTransport(SimulatedClock):
             old.emergency_stop if emergency_stop is None else emergency_stop,
         )
 
+    def now_ns(self) -> int:
+        return self._now
+
     def wait_until(self, ns: int) -> None:
         """Simulate the plant until then; each step uses the command at its beginning."""
         while (self._steps + 1) * self._period <= ns:
             self._now = max(self._now, self._steps * self._period)
-            self._lane = self._stepper.step(np.zeros(len(self.axes)) if self.neutral else self._commands)
+            self._lane = self._stepper.step(np.zeros(len(self.axes)) if self.neutral else self.commands)
             self._steps += 1
             self._now = self._steps * self._period
             self.measure()
-        super().wait_until(ns)
+        self._now = max(self._now, ns)
 
     def measure(self) -> None:
         now = self._steps * self._period

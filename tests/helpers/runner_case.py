@@ -65,7 +65,7 @@ class Traced(SimulatedTransport):
         if not hasattr(self, "joints"):
             self.joints, self.ends, self.drives, self.opened = [], [], [], []
         # Whether a valve was open in the step.
-        self.opened.append(bool(not self.neutral and self._commands.any()))
+        self.opened.append(bool(not self.neutral and self.commands.any()))
         self.joints.append(self.truth.joints[0])
         self.ends.append(self.truth.ee[0])
         self.drives.append(self.truth.drive[0])
