@@ -86,11 +86,11 @@ class Trainer:
     def is_done(self) -> bool:
         return self.step_count >= self.recipe.total_steps
 
-    def train(self, callback: TrainingCallback | None = None) -> Iterator[int]:
+    def train(self, callback: TrainingCallback = lambda kind, step, figures: None) -> Iterator[int]:
         """Train to the end; yields the step count after every step, where the training may be saved or left."""
         with _threads(self.recipe.threads):
             while not self.is_done:
-                self._step(callback or _no_callback)
+                self._step(callback)
                 yield self.step_count
 
     def explore(self) -> Array:
@@ -283,7 +283,3 @@ def _threads(count: int) -> Iterator[None]:
         yield
     finally:
         torch.set_num_threads(before)
-
-
-def _no_callback(kind: str, step: int, figures: Mapping[str, float]) -> None:
-    """The default callback."""

@@ -150,7 +150,8 @@ class DrivenEnvironment(Environment):
         stepper, controller = self._candidate_models(len(wanted))
         stepper.restore({name: np.repeat(values, each, axis=0) for name, values in self._stepper.state().items()})
         controller.restore({name: np.repeat(values, each, axis=0) for name, values in self._controller.state().items()})
-        lane = _repeated(self._current(), each)
+        present, names = self._current(), ("drive", "joints", "structure", "ee", "tool")
+        lane = LaneState(*(np.repeat(getattr(present, name), each, axis=0) for name in names))
         for _ in range(max(self.horizon, self.repeat)):
             lane = stepper.step(controller.commands(wanted, self._measured(lane)))
         return lane.ee
@@ -226,7 +227,3 @@ class DrivenEnvironment(Environment):
         below = np.array([sway, sway, 0.0 if sign > 0.0 else length])
         rest = [np.tile(commands, self.history), sign * speeds, sign * below, sign * np.full(3, swing)]
         return np.concatenate([joints, ends, ends, *rest])
-
-
-def _repeated(lane: LaneState, each: int) -> LaneState:
-    return LaneState(*(np.repeat(getattr(lane, name), each, axis=0) for name in ("drive", "joints", "structure", "ee", "tool")))

@@ -1,4 +1,4 @@
-"""What a policy is trained in: n copies of a machine side by side, joint setpoints in, observations and rewards out.
+"""The environment of a policy: n copies of a machine, joint setpoints in, observations and rewards out.
 
 An observation begins with the joints, the end effector and its target; the reward is that of :class:`sysid.rl.task.Task`.
 """

@@ -174,12 +174,13 @@ class InverseKinematics:
         error = self._tip(q) - targets
         cost = np.sum(error**2, axis=1)
         damping = np.full(len(q), 1e-4)
+        low, high = self.low / self.weights, self.high / self.weights
         for _ in range(STEPS):
             active = (cost > NEAR**2) & (damping < 1e6)
             if not active.any():
                 break
             jacobian = self._jacobian(q) * self.weights  # (n, 3, A)
-            change = self.weights * _least_squares(jacobian, error, damping, q / self.weights, *self._scaled)
+            change = self.weights * _least_squares(jacobian, error, damping, q / self.weights, low, high)
             trial = np.clip(q + change, self.low, self.high)
             away = self._tip(trial) - targets
             found = np.sum(away**2, axis=1)
@@ -188,10 +189,6 @@ class InverseKinematics:
             q[better], error[better], cost[better] = trial[better], away[better], found[better]
             damping = np.where(settled, np.inf, np.where(better, 0.2 * damping, 8.0 * damping))
         return q, np.sqrt(cost)
-
-    @cached_property
-    def _scaled(self) -> tuple[Array, Array]:
-        return self.low / self.weights, self.high / self.weights
 
     def _tip(self, q: Array) -> Array:
         return np.asarray(self.model.predict(q))

@@ -105,10 +105,10 @@ class MachineBus:
         self.expected = {(message.frame_id, message.is_extended_frame): message for message in wanted}
         self._counted: dict[str, int] = {}
         self.sent_count = 0
-        said = [signal.name for signal in self._status.signals]
+        fields = [signal.name for signal in self._status.signals]
         #: Whether the status echoes the command counter, and whether valve commands have time stamps.
-        self.echoes = ECHO in said
-        self.stamps = TIME in said and all(STAMP in [signal.name for signal in valve.signals] for valve in self._valves)
+        self.echoes = ECHO in fields
+        self.stamps = TIME in fields and all(STAMP in [signal.name for signal in valve.signals] for valve in self._valves)
         self.load = bus_load(database, settings.bitrate)
         if not self.load <= settings.max_load:
             raise SettingsError(
@@ -156,22 +156,22 @@ class MachineBus:
         if message is None:
             return None
         if len(data) != message.length:
-            raise ValueError(f"{message.name} has {len(data)} bytes where the database says {message.length}")
+            raise ValueError(f"{message.name} has {len(data)} bytes, {message.length} in the database")
         try:
-            said = message.decode(data, decode_choices=False)
+            fields = message.decode(data, decode_choices=False)
         except DecodeError as error:
             raise ValueError(f"{message.name} cannot be decoded ({error})") from None
-        assert isinstance(said, dict)
-        fresh, lost = self._count(message, said)
+        assert isinstance(fields, dict)
+        fresh, lost = self._count(message, fields)
         if message is self._status:
-            return ReceivedFrame(message.name, {name: _number(value) for name, value in said.items()}, fresh, lost)
+            return ReceivedFrame(message.name, {name: _number(value) for name, value in fields.items()}, fresh, lost)
         names = self._sources[message.name]
-        return ReceivedFrame(message.name, {names[name]: _number(said[name]) for name in names}, fresh, lost)
+        return ReceivedFrame(message.name, {names[name]: _number(fields[name]) for name in names}, fresh, lost)
 
-    def _count(self, message: Message, said: Mapping[str, object]) -> tuple[bool, int]:
-        if COUNTER not in said:
+    def _count(self, message: Message, fields: Mapping[str, object]) -> tuple[bool, int]:
+        if COUNTER not in fields:
             return True, 0
-        count = int(_number(said[COUNTER]))
+        count = int(_number(fields[COUNTER]))
         before = self._counted.get(message.name)
         self._counted[message.name] = count
         if before is None:
@@ -179,11 +179,11 @@ class MachineBus:
         ahead = (count - before) % (1 << message.get_signal_by_name(COUNTER).length)
         return ahead > 0, max(ahead - 1, 0)
 
-    def implausible(self, heard: ReceivedFrame) -> str:
+    def implausible(self, frame: ReceivedFrame) -> str:
         """A text about the first value outside its range in the database; "" if there is none."""
-        for signal, value in heard.values.items():
+        for signal, value in frame.values.items():
             source = self.settings.signals.get(signal)
-            own = self._messages[heard.message].get_signal_by_name(source.partition(".")[2] if source else signal)
+            own = self._messages[frame.message].get_signal_by_name(source.partition(".")[2] if source else signal)
             low, high = own.minimum, own.maximum
             if (
                 low is not None
@@ -191,7 +191,7 @@ class MachineBus:
                 and low < high
                 and not low - _half_step(own) <= value <= high + _half_step(own)
             ):
-                return f"{heard.message}.{own.name} = {value:g} is outside of [{low:g}, {high:g}]"
+                return f"{frame.message}.{own.name} = {value:g} is outside of [{low:g}, {high:g}]"
         return ""
 
     def encode(self, commands: Sequence[float], enabled: bool, answered: float | None = None) -> list[tuple[int, bytes]]:

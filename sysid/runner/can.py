@@ -67,7 +67,7 @@ class CanTransport(MonotonicClock):
     Args:
         settings: ``[transport]`` of the recipe, paths resolved.
         where: the recipe, for messages.
-        bus: an open bus instead of the one that the settings name.
+        bus: an open bus instead of that of the settings.
 
     Raises:
         SettingsError: settings that do not fit the database, a bus load above the limit, a network interface.
@@ -124,12 +124,12 @@ class CanTransport(MonotonicClock):
 
     def _listen(self) -> None:
         """Raise InputError unless the traffic fits the database."""
-        heard: dict[str, int] = {}
+        received: dict[str, int] = {}
         wrong: list[str] = []
         end = time.monotonic_ns() + round(self.settings.listen * SECOND)
         while time.monotonic_ns() < end:
             for item in self._receive():
-                heard[item.message] = heard.get(item.message, 0) + item.fresh
+                received[item.message] = received.get(item.message, 0) + item.fresh
                 if (text := self.machine.implausible(item)) and text not in wrong:
                     wrong.append(text)
             if self._fault or self._malformed_text:
@@ -140,8 +140,8 @@ class CanTransport(MonotonicClock):
         for message in self.machine.expected.values():
             due = self.settings.listen * 1e3 / (message.cycle_time or 1e3 * self.settings.listen)
             # The first frame counts as fresh whatever its counter.
-            if heard.get(message.name, 0) < max(1, min(2, math.floor(due / 2))):
-                wrong.append(f"{message.name} is missing" if message.name not in heard else f"{message.name} repeats itself")
+            if received.get(message.name, 0) < max(1, min(2, math.floor(due / 2))):
+                wrong.append(f"{message.name} is missing" if message.name not in received else f"{message.name} repeats itself")
         if self.unknown:
             wrong.append(f"the database does not know {format_identifiers(self.unknown)}")
         if self._fault:
@@ -165,19 +165,19 @@ class CanTransport(MonotonicClock):
 
         Any exception of the adapter's driver is such an error: it may not end a run without a ramp.
         """
-        heard: list[ReceivedFrame] = []
+        received: list[ReceivedFrame] = []
         if self._bus is None or self._fault:
-            return heard
+            return received
         try:
             for _ in range(_FRAMES):
                 frame = self._bus.recv(0)
                 if frame is None:
                     break
                 if (item := self._frame(frame)) is not None:
-                    heard.append(item)
+                    received.append(item)
         except Exception as error:
             self._fault = f"bus: {str(error) or type(error).__name__}"
-        return heard
+        return received
 
     def _frame(self, frame: Message) -> ReceivedFrame | None:
         now = time.monotonic_ns()
@@ -215,13 +215,13 @@ class CanTransport(MonotonicClock):
     def _inputs(self) -> MachineInputs:
         if self._status is None or self._fault:
             return replace(RELEASED_INPUTS, fault=self._fault or "no status of the machine")
-        said = self._status.values
+        values = self._status.values
         late = time.monotonic_ns() - self._status_ns > STATUS_TIME_OUT_NS
         # Two bits each: off, on, error, not available. The last two count as the safe state.
-        dead_man = int(said["dead_man"]) == ON and not late
-        pressed = int(said["emergency_stop"]) != 0
+        dead_man = int(values["dead_man"]) == ON and not late
+        pressed = int(values["emergency_stop"]) != 0
         text = "no status of the machine" if late else self._round_trip.late(time.monotonic_ns())
-        if not text and (code := int(said.get("fault", 0.0))):
+        if not text and (code := int(values.get("fault", 0.0))):
             text = self._fault_text(code)
         return MachineInputs(dead_man, pressed, text)
 

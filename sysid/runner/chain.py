@@ -6,7 +6,7 @@ The parts are those of training and evaluation (:mod:`sysid.rl.driven`): the sam
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import Protocol
 
 import numpy as np
@@ -59,7 +59,8 @@ class ControlChain:
         self.plant, self.forward, self.inverse, self.policy, self.lookahead = plant, forward, inverse, policy, lookahead
         self.axes = plant.machine.axis_names
         self.controller = CylinderController(plant, preview=lookahead)
-        history = _history(policy.inputs if policy is not None else (), len(self.axes))
+        # Number of past commands of each axis in the observations.
+        history = sum(".command[" in name for name in policy.inputs) // len(self.axes) if policy is not None else 0
         self.view = DrivenObservation(self.axes, history, plant.machine.rate_hz)
         self._width = self.view.width
         #: Runs the policy; None without one.
@@ -141,11 +142,6 @@ class ControlChain:
             raise SettingsError(where, f"sets {', '.join(policy.outputs)}", f"{', '.join(joints)}")
         for own, wanted in zip(self.view.names, policy.inputs, strict=False):
             if own != wanted:
-                raise SettingsError(where, f"sees {wanted!r}", f"{own!r} in its place: it was trained for another machine")
+                raise SettingsError(where, f"observes {wanted!r}", f"{own!r} in its place: it was trained for another machine")
         if len(policy.inputs) > self.view.width or len(policy.inputs) < ObservationSlices.of(len(self.axes)).width:
-            raise SettingsError(where, f"sees {len(policy.inputs)} numbers", f"{self.view.width}")
-
-
-def _history(inputs: Sequence[str], axes: int) -> int:
-    """Number of past commands of each axis in the observations of a policy."""
-    return sum(".command[" in name for name in inputs) // axes
+            raise SettingsError(where, f"observes {len(policy.inputs)} numbers", f"{self.view.width}")

@@ -56,7 +56,9 @@ class CommandFilter:
         """Start with neutral valves."""
         self.sent = np.zeros(len(self.valves))
 
-    def filter(self, asked: Array, drive: Array, dead_reckonings: Sequence[DeadReckoning]) -> tuple[Array, list[ExceededLimit]]:
+    def filter(
+        self, requested: Array, drive: Array, dead_reckonings: Sequence[DeadReckoning]
+    ) -> tuple[Array, list[ExceededLimit]]:
         """Permitted commands (A,) for requested ones (A,), and exceeded limits: (check, axis or −1, found, limit).
 
         Args:
@@ -64,7 +66,10 @@ class CommandFilter:
         """
         exceeded: list[ExceededLimit] = []
         commands = np.array(
-            [self._limit_axis(i, float(asked[i]), float(drive[i]), dead_reckonings[i], exceeded) for i in range(len(asked))]
+            [
+                self._limit_axis(i, float(requested[i]), float(drive[i]), dead_reckonings[i], exceeded)
+                for i in range(len(requested))
+            ]
         )
         if self.limits.fenced:
             commands = self._limit_by_fence(commands, drive, dead_reckonings, exceeded)
@@ -107,18 +112,18 @@ class CommandFilter:
         return joints
 
     def _limit_axis(
-        self, i: int, asked: float, drive: float, dead_reckoning: DeadReckoning, exceeded: list[ExceededLimit]
+        self, i: int, requested: float, drive: float, dead_reckoning: DeadReckoning, exceeded: list[ExceededLimit]
     ) -> float:
         valve, most = self.valves[i], float(self.limits.command[i])
-        if not math.isfinite(asked):
-            exceeded.append(("command", i, asked, most))
-            asked = 0.0
-        command = min(max(asked, -most), most)
+        if not math.isfinite(requested):
+            exceeded.append(("command", i, requested, most))
+            requested = 0.0
+        command = min(max(requested, -most), most)
         step = float(self.limits.command_rate[i]) * self.dt
         last = float(self.sent[i])
         command = min(max(command, last - step), last + step)
-        if abs(command - asked) > 1e-9:
-            exceeded.append(("command", i, asked, command))
+        if abs(command - requested) > 1e-9:
+            exceeded.append(("command", i, requested, command))
         speed = SPEED_MARGIN * valve.speed(command)
         if speed == 0.0:
             return command

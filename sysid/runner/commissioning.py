@@ -71,7 +71,7 @@ def require_commissioned(assembly: Assembly, recipe: Path) -> str:
     if not missing:
         return "commissioned as it is"
     if waived and len(waived) < SHORTEST_REASON:
-        raise SettingsError(f"{recipe}: commission.waived", f"the reason {waived!r}", "one sentence that says why")
+        raise SettingsError(f"{recipe}: commission.waived", f"the reason {waived!r}", "one sentence with the reason")
     if waived:
         return f"NOT commissioned ({missing}): {waived}"
     raise SettingsError(

@@ -74,10 +74,10 @@ class Cycle:
     joints: Array
     ee: Array
     target: Array
-    asked: Array
+    requested: Array
     setpoints: Array
     drive_setpoints: Array
-    commands_asked: Array
+    requested_commands: Array
     commands: Array
     enabled: bool
     verdicts: tuple[Violation, ...]

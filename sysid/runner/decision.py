@@ -24,10 +24,10 @@ Array = npt.NDArray[np.float64]
 class CycleDecision:
     """Arrays (A,), NaN without a decision; ``ended``: the goal that ends the task."""
 
-    asked: Array
+    requested: Array
     setpoints: Array
     drive_setpoints: Array
-    commands_asked: Array
+    requested_commands: Array
     commands: Array
     target: Array
     enabled: bool = False
@@ -88,18 +88,18 @@ class Decider:
         decision.target = goal.target
         held = any(verdict.reaction == "hold" and verdict.check != "policy" for verdict in verdicts)
         if goal.commands is not None and not held:
-            decision.source, decision.commands_asked = goal.phase, goal.commands
+            decision.source, decision.requested_commands = goal.phase, goal.commands
             self.drive_setpoints = None
             self.supervisor.limiter.reset(estimate.joints)
             self.chain.controller.reset(estimate.drive)
         else:
-            decision.asked, decision.source = self._request_setpoints(goal, estimate, held, verdicts, until_ns)
-            decision.setpoints, exceeded = self.supervisor.setpoints(decision.asked)
+            decision.requested, decision.source = self._request_setpoints(goal, estimate, held, verdicts, until_ns)
+            decision.setpoints, exceeded = self.supervisor.setpoints(decision.requested)
             verdicts += [] if held else exceeded  # the limits that a hold exceeds at its beginning are no violations
-            drive_setpoints, decision.commands_asked = self.chain.commands(decision.setpoints, estimate.drive)
+            drive_setpoints, decision.requested_commands = self.chain.commands(decision.setpoints, estimate.drive)
             decision.drive_setpoints = self.drive_setpoints = drive_setpoints
         decision.commands, exceeded = self.supervisor.commands(
-            decision.commands_asked, estimate, self.estimator.dead_reckonings
+            decision.requested_commands, estimate, self.estimator.dead_reckonings
         )
         verdicts += exceeded
         self.chain.took(decision.commands)
@@ -129,9 +129,9 @@ class Decider:
             self.chain.solve_from(goal.joints)
             return goal.joints, goal.phase
         if not self._policy_disabled:
-            asked, wrong = self._ask_policy(goal, estimate, until_ns)
+            requested, wrong = self._ask_policy(goal, estimate, until_ns)
             if wrong is None:
-                return asked, goal.phase
+                return requested, goal.phase
             verdicts.append(wrong)
         if self.fallback == "hold" or self.chain.policy is None:
             return self._hold(here)
@@ -147,9 +147,9 @@ class Decider:
         A late policy is asked again in the next cycle, until it is late in too many cycles in a row; one that fails is not.
         """
         error, late, here = "", False, self.supervisor.limiter.position
-        asked = here
+        requested = here
         try:
-            asked = self.chain.ask(estimate.joints, estimate.ee, goal.aim, until_ns, self._now_ns)
+            requested = self.chain.ask(estimate.joints, estimate.ee, goal.aim, until_ns, self._now_ns)
         except PolicyError as problem:
             error, late = str(problem), problem.late
         except Exception as problem:  # of inverse kinematics, or of the observation
@@ -158,13 +158,13 @@ class Decider:
         if late and self._late < self.supervisor.checks.policy.late_turns:
             self.chain.solve_from(here)
             return here, self.supervisor.no_answer(error, "clamp")
-        wrong = self.supervisor.policy(asked, error)
+        wrong = self.supervisor.policy(requested, error)
         if wrong is not None:
             self._policy_disabled = True
             self.chain.give_up()
             self.chain.solve_from(here)
             self.operator.notify(f"{wrong.text}: {'inverse kinematics continues' if self.fallback == 'ik' else 'it holds'}")
-        return asked, wrong
+        return requested, wrong
 
     def _hold(self, here: Array) -> tuple[Array, str]:
         """The position at the beginning of the hold: a setpoint that follows the limiter would keep its speed."""

@@ -167,5 +167,7 @@ class MessagePublisher:
         body = Cdr(at).pack("Q", cycle.number).text(cycle.state).text(cycle.source).text(inputs.fault)
         body.pack("?", inputs.dead_man).pack("?", inputs.emergency_stop).pack("?", cycle.enabled)
         body.pack("q", cycle.due_ns + self.offset_ns).pack("q", cycle.lateness_ns).pack("q", cycle.latency_ns)
-        body.texts(self.axes).array(cycle.joints).array(cycle.ee).array(cycle.target).array(cycle.asked)
-        return body.array(cycle.setpoints).array(cycle.drive_setpoints).array(cycle.commands_asked).array(cycle.commands).data
+        body.texts(self.axes).array(cycle.joints).array(cycle.ee).array(cycle.target).array(cycle.requested)
+        return (
+            body.array(cycle.setpoints).array(cycle.drive_setpoints).array(cycle.requested_commands).array(cycle.commands).data
+        )

@@ -183,17 +183,17 @@ class SetpointLimiter:
             self._step(i, float(wanted[i]), exceeded)
         return self.position.copy(), exceeded
 
-    def _step(self, i: int, asked: float, exceeded: list[tuple[str, int, float, float]]) -> None:
+    def _step(self, i: int, requested: float, exceeded: list[tuple[str, int, float, float]]) -> None:
         dt, at, speed, acceleration = self.dt, float(self.position[i]), float(self.speed[i]), float(self._acceleration[i])
         of = self.limits
         top, most, jerk = float(of.speed[i]), float(of.acceleration[i]), float(of.jerk[i])
         low, high = min(float(of.low[i]), at), max(float(of.high[i]), at)  # motion back inside is permitted
-        wanted = min(max(asked, low), high) if math.isfinite(asked) else at  # not finite: no motion
+        wanted = min(max(requested, low), high) if math.isfinite(requested) else at  # not finite: no motion
         moved = (wanted - float(self._wanted[i])) / dt  # the target's speed; zero for a jump
         self._wanted[i] = wanted
         self._own[i] += SMOOTH * ((moved if abs(moved) <= top else 0.0) - float(self._own[i]))
-        if wanted != asked:
-            exceeded.append(("position", i, asked, low if asked < low else high))
+        if wanted != requested:
+            exceeded.append(("position", i, requested, low if requested < low else high))
         v = (wanted - at) / dt
         a = (v - speed) / dt
         j = (a - acceleration) / dt

@@ -108,15 +108,15 @@ class _FlightView:
     def show(self, messages: Sequence[LogMessage]) -> None:
         """Draw ``messages``, in their order."""
         self._begin = messages[0].log_ns if self._begin is None else self._begin
-        cycles = [(heard.log_ns, heard.body) for heard in messages if heard.topic == CYCLES]
+        cycles = [(message.log_ns, message.body) for message in messages if message.topic == CYCLES]
         if cycles:
             self._show_cycles([1e-9 * (log_ns - self._begin) for log_ns, _ in cycles], [body for _, body in cycles])
-        for heard in messages:
-            if heard.topic == VERDICTS:
-                self._log_text(heard.log_ns, heard.body.text, _LEVELS.get(heard.body.reaction, "INFO"))
-            elif heard.body.state != self._state:
-                self._state = heard.body.state
-                self._log_text(heard.log_ns, self._state, "CRITICAL" if self._state == "fault" else "INFO")
+        for message in messages:
+            if message.topic == VERDICTS:
+                self._log_text(message.log_ns, message.body.text, _LEVELS.get(message.body.reaction, "INFO"))
+            elif message.body.state != self._state:
+                self._state = message.body.state
+                self._log_text(message.log_ns, self._state, "CRITICAL" if self._state == "fault" else "INFO")
 
     def _show_cycles(self, seconds: list[float], cycles: list[Any]) -> None:
         rr = sdk()

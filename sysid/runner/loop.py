@@ -199,7 +199,7 @@ class Loop:
         done = self.transport.now_ns()
         cycle = Cycle(
             self.outcome.cycles, now, due, self.states.state, estimate.inputs, self._readings, estimate.joints, estimate.ee,
-            decision.target, decision.asked, decision.setpoints, decision.drive_setpoints, decision.commands_asked,
+            decision.target, decision.requested, decision.setpoints, decision.drive_setpoints, decision.requested_commands,
             moved.copy(), decision.enabled, tuple(verdicts), decision.source, now - due, done - now,
         )  # fmt: skip
         self.recorder.record(cycle)

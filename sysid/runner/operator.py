@@ -55,15 +55,15 @@ class Unattended:
         if self._first_ns is None:
             self._first_ns = now_ns
             self.machine.set_inputs(dead_man=False)
-        said = []
+        commands = []
         while self._script and now_ns - self._first_ns >= 1e9 * self._script[0][0]:
-            said.append(self._script.pop(0)[1])
+            commands.append(self._script.pop(0)[1])
         if state == "ready" and not self._armed:
             self._armed = True
-            said.append("arm")
+            commands.append("arm")
         elif state == "armed":
             self.machine.set_inputs(dead_man=True)
-        return said
+        return commands
 
     def notify(self, text: str) -> None:
         self.lines.append(text)
@@ -85,11 +85,11 @@ class Interruptible:
         self._before: dict[int, Any] = {}
 
     def commands(self, state: State, now_ns: int) -> Sequence[str]:
-        said = list(self.operator.commands(state, now_ns))
+        commands = list(self.operator.commands(state, now_ns))
         for name in self._came[self._said :]:
-            said.append(f"{'quit' if self._said == 0 else 'abort'}: {name}")
+            commands.append(f"{'quit' if self._said == 0 else 'abort'}: {name}")
             self._said += 1
-        return said
+        return commands
 
     def notify(self, text: str) -> None:
         self.operator.notify(text)

@@ -54,7 +54,7 @@ class PolicyThread:
         self.policy, self._axes = policy, axes
         self._requests: SimpleQueue[tuple[int, Array]] = SimpleQueue()
         self._answers: SimpleQueue[tuple[int, Array | BaseException]] = SimpleQueue()
-        self._asked = 0
+        self._request_count = 0
         #: The request in progress; 0: none. Reset after an exception that ends an answer.
         self._at = 0
         self._thread: threading.Thread | None = None
@@ -63,10 +63,6 @@ class PolicyThread:
     def native_id(self) -> int | None:
         """Thread identifier of the operating system; None before the first request."""
         return self._thread.native_id if self._thread is not None else None
-
-    @property
-    def _busy(self) -> bool:
-        return self._at != 0 or not self._requests.empty()
 
     def ask(self, observations: Array, until_ns: int, now_ns: Callable[[], int]) -> Array:
         """Setpoints (A,) for observations (1, O), by ``until_ns`` on the clock ``now_ns``.
@@ -77,10 +73,10 @@ class PolicyThread:
         if self._thread is None:
             self._thread = threading.Thread(target=self._work, name="policy", daemon=True)
             self._thread.start()
-        if self._busy:
+        if self._at != 0 or not self._requests.empty():
             raise PolicyError("the policy is still at an earlier cycle", late=True)
-        self._asked += 1
-        self._requests.put((self._asked, observations.copy()))
+        self._request_count += 1
+        self._requests.put((self._request_count, observations.copy()))
         answer = self._wait(until_ns, now_ns)
         if isinstance(answer, PolicyError):
             if answer.late:
@@ -105,7 +101,7 @@ class PolicyThread:
             except Empty:
                 waits += 1 if now_ns() == begin else 2  # real time, or a simulated clock that stands still
             else:
-                if number == self._asked:  # not the answer to an earlier request
+                if number == self._request_count:  # not the answer to an earlier request
                     return answer
         return PolicyError("the policy does not answer within its cycle", late=True)
 

@@ -53,7 +53,7 @@ class Sensor:
     good_ns: int = 0
     still_since: float = 0.0
     repeats: int = 0
-    sound: bool = False
+    valid: bool = False
     fresh: bool = False
 
 
@@ -141,7 +141,7 @@ class StateEstimator:
             self._update_sensor(sensor, readings.get(sensor.signal), now_ns)
         drive, joints = np.empty(len(self.driven)), np.empty(len(self.driven))
         for i, (sensor, dead_reckoning) in enumerate(zip(self.driven, self.dead_reckonings, strict=True)):
-            if sensor.sound:
+            if sensor.valid:
                 if math.isnan(dead_reckoning.position):
                     dead_reckoning.position = sensor.value
                 dead_reckoning.correct(sensor.value)
@@ -150,10 +150,10 @@ class StateEstimator:
                 drive[i] = dead_reckoning.position
             linkage = self.linkages[i]
             joints[i] = drive[i] if linkage is None else linkage.joint(drive[i : i + 1])[0]
-        fresh = np.array([sensor.value if sensor.sound and sensor.fresh else math.nan for sensor in self.driven])
+        fresh = np.array([sensor.value if sensor.valid and sensor.fresh else math.nan for sensor in self.driven])
         self.response.measure(fresh)
         return StateEstimate(
-            now_ns, lateness_s, missed, inputs, self.sensors, drive, np.array([sensor.sound for sensor in self.driven]),
+            now_ns, lateness_s, missed, inputs, self.sensors, drive, np.array([sensor.valid for sensor in self.driven]),
             np.array([item.position for item in self.dead_reckonings]), joints,
             late=self.response.late,
         )  # fmt: skip
@@ -166,7 +166,7 @@ class StateEstimator:
 
     def _update_sensor(self, sensor: Sensor, reading: Measurement | None, now_ns: int) -> None:
         if reading is None:
-            sensor.age_s, sensor.sound, sensor.finite, sensor.jump, sensor.fresh = math.inf, False, True, 0.0, False
+            sensor.age_s, sensor.valid, sensor.finite, sensor.jump, sensor.fresh = math.inf, False, True, 0.0, False
             return
         lag = reading.received_ns - reading.measured_ns
         if sensor.usual_ns is None:
@@ -191,6 +191,6 @@ class StateEstimator:
             passed = max((now_ns - sensor.good_ns) / SECOND, self.dt)
             sensor.jump = max(0.0, abs(value - sensor.good) - FASTER * sensor.fastest * passed)
         late = sensor.age_s > self.settings.stale.after_s
-        sensor.sound = sensor.finite and not late and sensor.jump <= self.settings.jump.share * sensor.range
-        if sensor.sound and fresh:
+        sensor.valid = sensor.finite and not late and sensor.jump <= self.settings.jump.share * sensor.range
+        if sensor.valid and fresh:
             sensor.good, sensor.good_ns = value, now_ns

@@ -37,7 +37,7 @@ class RunStateMachine:
         self.dt, self.outcome = dt, outcome
         #: A task that moves nothing is running.
         self.computing = False
-        self._sound_s, self._neutral_s = 0.0, 0.0
+        self._healthy_s, self._neutral_s = 0.0, 0.0
         self._released, self._ran, self._finishing = False, False, False
         self._last_violation, self._latch = "", ""
 
@@ -88,16 +88,16 @@ class RunStateMachine:
     def advance(self, estimate: StateEstimate, verdicts: Sequence[Violation], now: int) -> bool:
         """Apply time and switches to the state; whether the task begins now."""
         state = self.states.state
-        sound = not at_least(verdicts, "hold") and bool(np.isfinite(estimate.joints).all())
+        valid = not at_least(verdicts, "hold") and bool(np.isfinite(estimate.joints).all())
         if state == "idle":
-            self._sound_s = self._sound_s + self.dt if sound else 0.0
-            if self._sound_s >= self.settings.settle_s:
+            self._healthy_s = self._healthy_s + self.dt if valid else 0.0
+            if self._healthy_s >= self.settings.settle_s:
                 self._announce(self.states.on("healthy", now))
         else:
-            self._sound_s = 0.0
+            self._healthy_s = 0.0
         if state in ("ready", "armed") and not estimate.inputs.dead_man:
             self._released = True  # a switch that is always held, or taped down, does not count
-        if state == "armed" and estimate.inputs.dead_man and self._released and sound:
+        if state == "armed" and estimate.inputs.dead_man and self._released and valid:
             self._released, self._ran = False, True
             self._neutral_s, self._latch = 0.0, ""
             self._announce(self.states.on("hold", now))

@@ -87,16 +87,16 @@ class Supervisor:
             return [*verdicts, Violation(first.check, first.target, "stop", first.found, first.limit, text)]
         return list(verdicts)
 
-    def setpoints(self, asked: Array) -> tuple[Array, list[Violation]]:
+    def setpoints(self, requested: Array) -> tuple[Array, list[Violation]]:
         """Limited joint setpoints (A,) for requested ones (A,), and violations."""
-        passed, exceeded = self.limiter.step(asked)
+        passed, exceeded = self.limiter.step(requested)
         return passed, self._verdicts(exceeded)
 
     def commands(
-        self, asked: Array, estimate: StateEstimate, dead_reckonings: Sequence[DeadReckoning]
+        self, requested: Array, estimate: StateEstimate, dead_reckonings: Sequence[DeadReckoning]
     ) -> tuple[Array, list[Violation]]:
         """Permitted commands (A,) for requested ones (A,), and violations."""
-        passed, exceeded = self.command_filter.filter(asked, estimate.drive, dead_reckonings)
+        passed, exceeded = self.command_filter.filter(requested, estimate.drive, dead_reckonings)
         return passed, self._verdicts(exceeded)
 
     def ramp(self, estimate: StateEstimate, dead_reckonings: Sequence[DeadReckoning]) -> Array:
@@ -117,12 +117,12 @@ class Supervisor:
             return f"the end effector is {1e3 * left:.0f} mm outside its fence"
         return ""
 
-    def policy(self, asked: Array, error: str) -> Violation | None:
+    def policy(self, requested: Array, error: str) -> Violation | None:
         """The violation in an answer (A,) of the policy, if any; ``error``: why there is no answer."""
         rule = self.checks.policy
-        if error or not np.isfinite(asked).all():
+        if error or not np.isfinite(requested).all():
             return self.no_answer(error or "the policy answers with a number that is not finite")
-        share = np.abs(asked - self.limiter.position) / (self.limits.hard_high - self.limits.hard_low)
+        share = np.abs(requested - self.limiter.position) / (self.limits.hard_high - self.limits.hard_low)
         worst = int(np.argmax(share))
         if share[worst] > rule.share:
             text = f"the policy lets {self.axes[worst]} jump by {100.0 * share[worst]:.0f} % of its range"

@@ -35,13 +35,13 @@ class Console:
         self._descriptor = descriptor
         self._queue: SimpleQueue[str | None] = SimpleQueue()
         #: The error that ended the writing, or ""; number of lost lines.
-        self.gone, self.lost = "", 0
+        self.error, self.lost = "", 0
         self._thread = threading.Thread(target=self._write, name="console", daemon=True)
         self._thread.start()
 
     def write(self, text: str) -> None:
         """Queue ``text`` unchanged."""
-        if self.gone or self._queue.qsize() >= WAITING:
+        if self.error or self._queue.qsize() >= WAITING:
             self.lost += 1
         else:
             self._queue.put(text)
@@ -60,7 +60,7 @@ class Console:
                 except BlockingIOError:  # a shell has made it non-blocking
                     select.select([], [self._descriptor], [], 1.0)
                 except OSError as error:
-                    self.gone = error.strerror or str(error)
+                    self.error = error.strerror or str(error)
                     return
 
 
@@ -103,14 +103,14 @@ class Terminal:
         threading.Thread(target=self._read, name="terminal", daemon=True).start()
 
     def commands(self, state: State, now_ns: int) -> Sequence[str]:
-        said: list[str] = []
+        commands: list[str] = []
         with contextlib.suppress(Empty):
-            while len(said) < 16:
-                said.append(self._typed.get_nowait())
-        if self.console.gone and not self._left:
+            while len(commands) < 16:
+                commands.append(self._typed.get_nowait())
+        if self.console.error and not self._left:
             self._left = True
-            said.append(f"quit: the terminal is closed ({self.console.gone})")
-        return said
+            commands.append(f"quit: the terminal is closed ({self.console.error})")
+        return commands
 
     def notify(self, text: str) -> None:
         self.console.write(text + "\n")

@@ -234,5 +234,5 @@ def test_it_may_be_waived_with_a_reason(kept: Path) -> None:
     reason = "the simulated test bench of the demo"
     said = require_commissioned(assembly(kept.parent, commission={"waived": reason}), kept)
     assert said == f"NOT commissioned (it was never commissioned): {reason}"
-    with pytest.raises(SettingsError, match="one sentence that says why"):
+    with pytest.raises(SettingsError, match="one sentence with the reason"):
         require_commissioned(assembly(kept.parent, commission={"waived": "yes"}), kept)

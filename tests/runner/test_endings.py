@@ -150,12 +150,12 @@ def test_a_policy_that_is_late_once_is_asked_again(monkeypatch: pytest.MonkeyPat
     monkeypatch.setattr("sysid.runner.policy_thread.SIMULATED_S", 0.1)
     policy = Policy(lambda last: last)
     answer, gate = policy.act, threading.Event()
-    asked = 0
+    requested = 0
 
     def act(observations: Array) -> Array:
-        nonlocal asked
-        asked += 1
-        if asked == 20:
+        nonlocal requested
+        requested += 1
+        if requested == 20:
             gate.wait(5.0)
         return answer(observations)
 

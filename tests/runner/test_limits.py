@@ -19,11 +19,11 @@ LIMITS = limits_of(PLANT, VALVES, LimitSettings(), "runner.toml")
 
 @given(st.lists(st.tuples(*[st.floats(-10.0, 10.0)] * 4), min_size=1, max_size=30), st.integers(1, 20))
 @settings(max_examples=50)
-def test_nothing_leaves_position_speed_and_acceleration(asked: list[tuple[float, ...]], hold: int) -> None:
+def test_nothing_leaves_position_speed_and_acceleration(requested: list[tuple[float, ...]], hold: int) -> None:
     limiter = SetpointLimiter(LIMITS, DT)
     limiter.reset(MIDDLE)
     path = [MIDDLE, MIDDLE]
-    path += [limiter.step(np.array(wanted))[0] for wanted in asked for _ in range(hold)]
+    path += [limiter.step(np.array(wanted))[0] for wanted in requested for _ in range(hold)]
     places = np.array(path)
     speeds = np.diff(places, axis=0) / DT
     assert (places >= LIMITS.low - 1e-12).all()

@@ -234,8 +234,8 @@ def test_who_watches_sends_nothing(mode: Callable[[Limits, ControlChain], Mode],
     monkeypatch.setattr(FaultyTransport, "write", never)
     made = run(mode, seconds=3.0)
     assert made.states() == ["idle", "ready"]
-    asked = np.array([cycle.asked for cycle in made.cycles])
-    assert np.isfinite(asked).any() == (made.loop.mode.name == "shadow")
+    requested = np.array([cycle.requested for cycle in made.cycles])
+    assert np.isfinite(requested).any() == (made.loop.mode.name == "shadow")
 
 
 def test_holding_stays() -> None:

@@ -61,7 +61,7 @@ def test_readings_counters_and_lost_frames() -> None:
     assert heard[0] is not None
     assert heard[0].values == pytest.approx({"slew.joint": 0.25})
     assert bus.decode(0x123, False, bytes(8)) is None
-    with pytest.raises(ValueError, match="SLEW_SENSOR has 3 bytes where the database says 8"):
+    with pytest.raises(ValueError, match="SLEW_SENSOR has 3 bytes, 8 in the database"):
         bus.decode(message.frame_id, False, bytes(3))
 
 

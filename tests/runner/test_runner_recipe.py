@@ -61,7 +61,7 @@ def test_the_shipped_recipe_is_read_and_says_the_defaults() -> None:
         ({"checks": {"expired": {"reaction": "stop"}}}, r"checks.expired.reaction: 'stop'; expected 'fault'"),
         ({"checks": {"patience_s": 60.0}}, "checks.patience_s: 60 s; expected above 0, at most 1 s"),
         ({"checks": {"without": {"stale": "it is always late here, we know"}}}, "checks.without.stale: cannot be disabled"),
-        ({"checks": {"without": {"domain": "no"}}}, "the reason 'no'; expected one sentence that says why"),
+        ({"checks": {"without": {"domain": "no"}}}, "the reason 'no'; expected one sentence with the reason"),
         ({"checks": {"without": {"contradicion": "nothing to compare it with"}}}, r"'contradiction'\?"),
         ({"loop": {"rest_s": 0.0}}, "loop.rest_s: 0; expected 0.1 to 60"),
         ({"mode": "replay"}, "replay.file: is missing"),

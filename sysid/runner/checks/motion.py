@@ -72,7 +72,7 @@ class MotionChecks:
                 continue
             through = float(estimate.joints[sensor.axis])
             away, limit = abs(sensor.value - through), rule.share * sensor.range
-            both = sensor.sound and bool(estimate.measured[sensor.axis])
+            both = sensor.valid and bool(estimate.measured[sensor.axis])
             if self._persists("contradiction", sensor.signal, both and away > limit, rule.for_s):
                 text = f"{sensor.signal} reads {sensor.value:.4g}, its cylinder gives {through:.4g}"
                 found.append(Violation("contradiction", sensor.signal, rule.reaction, away, limit, text))

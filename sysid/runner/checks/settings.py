@@ -288,8 +288,10 @@ def check_checks(settings: CheckSettings, where: object) -> CheckSettings:
             expected = " or ".join(repr(item) for item in REACTIONS[REACTIONS.index(MILDEST[name]) :])
             raise SettingsError(f"{where}: checks.{name}.reaction", repr(rule.reaction), expected)
         for item in fields(rule):
-            if item.name != "reaction":
-                _check_threshold(f"{name}.{item.name}", getattr(rule, item.name), where)
+            key, value = f"{name}.{item.name}", getattr(rule, item.name)
+            if item.name != "reaction" and not 0.0 < value <= BOUNDS[key].most:
+                expected = f"above 0, at most {BOUNDS[key].most:g}: {BOUNDS[key].why}"
+                raise SettingsError(f"{where}: checks.{key}", f"{value:g}", expected)
     if not 0.0 < settings.patience_s <= 1.0:
         raise SettingsError(f"{where}: checks.patience_s", f"{settings.patience_s:g} s", "above 0, at most 1 s")
     for name, reason in settings.without.items():
@@ -298,11 +300,5 @@ def check_checks(settings: CheckSettings, where: object) -> CheckSettings:
         if name not in OPTIONAL:
             raise SettingsError(f"{where}: checks.without.{name}", "cannot be disabled", f"one of: {', '.join(OPTIONAL)}")
         if len(reason.strip()) < SHORTEST_REASON:
-            raise SettingsError(f"{where}: checks.without.{name}", f"the reason {reason!r}", "one sentence that says why")
+            raise SettingsError(f"{where}: checks.without.{name}", f"the reason {reason!r}", "one sentence with the reason")
     return settings
-
-
-def _check_threshold(key: str, value: float, where: object) -> None:
-    bounds = BOUNDS[key]
-    if not 0.0 < value <= bounds.most:
-        raise SettingsError(f"{where}: checks.{key}", f"{value:g}", f"above 0, at most {bounds.most:g}: {bounds.why}")

@@ -149,12 +149,12 @@ class Commission:
         if len(self._rows) < STAND_S / self.dt:
             self._failure = "it did not receive the cycles: loop.run(watch=mode.watch)"
             return
-        stands = np.array([np.mean(self._last[signal]) for signal in self.driven])
-        self._tip_ratio = self._tip_ratios(stands)
-        self._failure = self._zero(stands)
+        positions = np.array([np.mean(self._last[signal]) for signal in self.driven])
+        self._tip_ratio = self._tip_ratios(positions)
+        self._failure = self._zero(positions)
         self._plan = []
         for i, axis in enumerate(self.axes):
-            room = min(stands[i] - self.command_filter.low[i], self.command_filter.high[i] - stands[i])
+            room = min(positions[i] - self.command_filter.low[i], self.command_filter.high[i] - positions[i])
             if room < 2.5 * self.settings.travel / self._tip_ratio[i] and not self._failure:
                 self._failure = f"{axis} has no space for a stroke within its limits: move it away from them by hand"
             self._plan += [(i, sign) for sign in DIRECTIONS]
@@ -264,9 +264,9 @@ class Commission:
                 best = float(errors[k]), float(gains[k]), float(bands[k]), float(delay)
         return best[1], best[2], best[3]
 
-    def _zero(self, stands: Array) -> str:
+    def _zero(self, positions: Array) -> str:
         """Compare all zeros with their references; the first violation, or ""."""
-        joints = self.command_filter.joints(stands[None])[0]
+        joints = self.command_filter.joints(positions[None])[0]
         here = self.tip(joints[None])[0]
         self.zeros.clear()
         for i, (axis, signal, linkage) in enumerate(zip(self.axes, self.driven, self.command_filter.linkages, strict=True)):
@@ -276,7 +276,7 @@ class Commission:
                 moved[i] = np.mean(self._last[other])
                 self.zeros[signal] = other, float(np.linalg.norm(self.tip(moved[None])[0] - here))
             if signal in self.settings.reference:
-                moved = stands.copy()
+                moved = positions.copy()
                 moved[i] = self.settings.reference[signal]
                 self.zeros[signal] = (
                     "reference",
@@ -300,14 +300,14 @@ class Commission:
                 )
         return ""
 
-    def _tip_ratios(self, stands: Array) -> Array:
+    def _tip_ratios(self, positions: Array) -> Array:
         """Motion of the boom tip per unit of what is driven, (A,)."""
-        found = np.empty(len(stands))
+        found = np.empty(len(positions))
         for i, valve in enumerate(self.valves):
-            step = 0.01 * (valve.high - valve.low) * (-1.0 if stands[i] > 0.5 * (valve.low + valve.high) else 1.0)
-            moved = stands.copy()
+            step = 0.01 * (valve.high - valve.low) * (-1.0 if positions[i] > 0.5 * (valve.low + valve.high) else 1.0)
+            moved = positions.copy()
             moved[i] += step
-            ends = self.tip(self.command_filter.joints(np.array([stands, moved])))
+            ends = self.tip(self.command_filter.joints(np.array([positions, moved])))
             found[i] = max(float(np.linalg.norm(ends[1] - ends[0])) / abs(step), 1e-6)
         return found
 
