@@ -94,24 +94,10 @@ class DrivenEnvironment(Environment):
         self.history = self.horizon if history is None else history
         self._target = np.full((size, 3), np.nan)
         self._view = DrivenObservation(plant.machine.axis_names, self.history, sampled, size)
+        self.observations, self.names = self._view.width, self._view.names
+        self.observation_low, self.observation_high = self._bounds(-1.0), self._bounds(1.0)
         self._lane: LaneState | None = None
         self._final = np.full((size, self.observations), np.nan)
-
-    @property
-    def observations(self) -> int:
-        return self._view.width
-
-    @property
-    def observation_low(self) -> Array:
-        return self._bounds(-1.0)
-
-    @property
-    def observation_high(self) -> Array:
-        return self._bounds(1.0)
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        return self._view.names
 
     @property
     def tool(self) -> Array:

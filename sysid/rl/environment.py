@@ -48,6 +48,15 @@ class Environment(ABC):
         SettingsError: plant and forward model do not fit each other, or ``size`` is below one.
     """
 
+    #: Number and names of an observation's columns, and bounds (O,) to scale networks.
+    observations: int
+    names: tuple[str, ...]
+    observation_low: Array
+    observation_high: Array
+    #: Targets, (n, 3), and the last observations, (n, O).
+    _target: Array
+    _final: Array
+
     def __init__(
         self, plant: Plant, forward: ForwardModel, size: int, seed: int, task: Task | None, reach: Reach | None
     ) -> None:
@@ -57,24 +66,12 @@ class Environment(ABC):
         self.plant, self.forward, self.size, self.task = plant, forward, size, task or Task()
         self.reach = reach or reach_of(plant, forward)
         self.model = compile_plant(plant)
-        self.rate_hz = plant.machine.rate_hz
+        self.rate_hz, self.actions, self.steps = plant.machine.rate_hz, self.model.axes, self.task.steps
         self.parts = ObservationSlices.of(self.actions)
         #: Distance of targets from the joints of a copy: 1, anywhere within reach; less, that share of the way there.
         self.spread = 1.0
         self._rng = np.random.default_rng(seed)
         self._count = np.zeros(size, dtype=np.int64)
-
-    @property
-    def actions(self) -> int:
-        return self.model.axes
-
-    @property
-    @abstractmethod
-    def observations(self) -> int: ...
-
-    @property
-    def steps(self) -> int:
-        return self.task.steps
 
     @property
     def action_low(self) -> Array:
@@ -83,19 +80,6 @@ class Environment(ABC):
     @property
     def action_high(self) -> Array:
         return self.reach.high.copy()
-
-    @property
-    @abstractmethod
-    def observation_low(self) -> Array: ...
-
-    @property
-    @abstractmethod
-    def observation_high(self) -> Array: ...
-
-    @property
-    @abstractmethod
-    def names(self) -> tuple[str, ...]:
-        """Columns of an observation."""
 
     @property
     def final(self) -> Array:
@@ -153,10 +137,6 @@ class Environment(ABC):
         Raises:
             InputError, SettingsError: it was taken from another environment.
         """
-
-    #: Targets, (n, 3), and the last observations, (n, O).
-    _target: Array
-    _final: Array
 
     @abstractmethod
     def _observe(self) -> Array:

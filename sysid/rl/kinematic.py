@@ -36,25 +36,12 @@ class KinematicEnvironment(Environment):
         reach: Reach | None = None,
     ) -> None:
         super().__init__(plant, forward, size, seed, task, reach)
-        self._now = np.full((size, self.parts.width), np.nan)
+        self.observations, self.names = self.parts.width, self.parts.names(plant.machine.axis_names)
+        self.observation_low = np.concatenate([self.reach.low, self.reach.ee_low, self.reach.ee_low])
+        self.observation_high = np.concatenate([self.reach.high, self.reach.ee_high, self.reach.ee_high])
+        self._now = np.full((size, self.observations), np.nan)
         self._target = self._now[:, self.parts.target]  # a view
         self._final = self._now.copy()
-
-    @property
-    def observations(self) -> int:
-        return self.parts.width
-
-    @property
-    def observation_low(self) -> Array:
-        return np.concatenate([self.reach.low, self.reach.ee_low, self.reach.ee_low])
-
-    @property
-    def observation_high(self) -> Array:
-        return np.concatenate([self.reach.high, self.reach.ee_high, self.reach.ee_high])
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        return self.parts.names(self.plant.machine.axis_names)
 
     def step(self, actions: npt.ArrayLike) -> tuple[Array, Array, Flags]:
         rewards, task = np.empty(self.size), self.task

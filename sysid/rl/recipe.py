@@ -6,14 +6,14 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
-from sysid.config import STRICT, parse_settings, read_toml
+from sysid.config import Strict, parse_settings, read_toml
 from sysid.errors import SettingsError
 from sysid.names import check_name
 from sysid.rl.task import Task
 
 
 @dataclass(frozen=True)
-class Setting:
+class Setting(Strict):
     """The environment.
 
     Args:
@@ -26,8 +26,6 @@ class Setting:
             reach; 0: they are anywhere from the start, as in the paper.
     """
 
-    __pydantic_config__ = STRICT
-
     copies: int = 1
     full: bool = False
     feedback: Literal["static", "plant"] = "static"
@@ -37,7 +35,7 @@ class Setting:
 
 
 @dataclass(frozen=True)
-class Exploration:
+class Exploration(Strict):
     """The exploring actions.
 
     Args:
@@ -49,8 +47,6 @@ class Exploration:
         random_steps: first steps of each copy, with actions from the whole range.
     """
 
-    __pydantic_config__ = STRICT
-
     candidates: int = 10
     sigma: float = 0.1
     theta: float = 0.15
@@ -60,7 +56,7 @@ class Exploration:
 
 
 @dataclass(frozen=True)
-class Networks:
+class Networks(Strict):
     """Perceptrons with ReLU.
 
     Args:
@@ -70,8 +66,6 @@ class Networks:
         critic_features: ``plain``, or ``sincos``: additional inputs sine and cosine of the action's angles.
     """
 
-    __pydantic_config__ = STRICT
-
     actor: tuple[int, ...] = (400, 300)
     critic: tuple[int, ...] = (400, 300)
     critic_head: Literal["value", "distance", "offset"] = "value"
@@ -79,7 +73,7 @@ class Networks:
 
 
 @dataclass(frozen=True)
-class Learning:
+class Learning(Strict):
     """The updates.
 
     Args:
@@ -98,8 +92,6 @@ class Learning:
         hindsight_near: standard deviation of the former [m].
     """
 
-    __pydantic_config__ = STRICT
-
     episodes: int = 1500
     updates: int = 1
     every: int = 1
@@ -116,7 +108,7 @@ class Learning:
 
 
 @dataclass(frozen=True)
-class TrainingRecipe:
+class TrainingRecipe(Strict):
     """The whole recipe.
 
     Args:
@@ -126,8 +118,6 @@ class TrainingRecipe:
         evaluations: number of evaluations of the actor alone.
         device, threads: of torch. The bits of a result depend on both.
     """
-
-    __pydantic_config__ = STRICT
 
     name: str
     plant: str

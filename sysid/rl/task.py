@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from sysid.config import STRICT
+from sysid.config import Strict
 from sysid.errors import SettingsError
 from sysid.networks.forward import ForwardModel
 from sysid.plant import Plant
@@ -20,7 +20,7 @@ Flags = npt.NDArray[np.bool_]
 
 
 @dataclass(frozen=True)
-class Task:
+class Task(Strict):
     """The task of an episode; its reward is ``step_reward + (near_reward − ‖target − ee‖) + outside_reward·[outside]``.
 
     Args:
@@ -30,8 +30,6 @@ class Task:
         near_reward: the distance [m] at which the distance term is zero.
         outside_reward: penalty of a step in which any setpoint leaves its limits (below zero).
     """
-
-    __pydantic_config__ = STRICT
 
     steps: int = 1000
     targets: int = 1

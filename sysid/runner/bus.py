@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from sysid.config import STRICT
+from sysid.config import Strict
 from sysid.errors import SettingsError, nearest
 from sysid.logs.can_signals import load_database
 
@@ -36,7 +36,7 @@ OFF, ON = 0, 1
 
 
 @dataclass(frozen=True)
-class BusSettings:
+class BusSettings(Strict):
     """``[transport]`` of a machine on a CAN bus.
 
     Args:
@@ -48,8 +48,6 @@ class BusSettings:
         alive: message with ``counter`` and ``enabled`` that the runner sends.
         bitrate: [bit/s]. max_load: highest permitted bus load, with frames of maximum length.
     """
-
-    __pydantic_config__ = STRICT
 
     database: Path
     signals: Mapping[str, str]

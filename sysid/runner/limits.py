@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 
-from sysid.config import STRICT
+from sysid.config import Strict
 from sysid.errors import SettingsError, nearest
 from sysid.plant import Plant
 from sysid.rl.reach import joint_limits
@@ -31,7 +31,7 @@ SMOOTH = 0.1
 
 
 @dataclass(frozen=True)
-class AxisLimits:
+class AxisLimits(Strict):
     """Limits of one joint [rad or m, s]; None: those of the machine's description and the plant.
 
     Args:
@@ -40,8 +40,6 @@ class AxisLimits:
         command: greatest magnitude of the valve command.
         command_rate: greatest change of it [1/s].
     """
-
-    __pydantic_config__ = STRICT
 
     low: float | None = None
     high: float | None = None
@@ -53,7 +51,7 @@ class AxisLimits:
 
 
 @dataclass(frozen=True)
-class LimitSettings:
+class LimitSettings(Strict):
     """``[limits]``.
 
     Args:
@@ -62,8 +60,6 @@ class LimitSettings:
         fence_margin: distance from the fence [m].
         axes: per axis.
     """
-
-    __pydantic_config__ = STRICT
 
     margin: float = 0.03
     fence: dict[str, tuple[float, float]] = field(default_factory=dict)

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal, get_args
 
-from sysid.config import STRICT, parse_settings, read_toml
+from sysid.config import Strict, parse_settings, read_toml
 from sysid.errors import SettingsError, nearest
 from sysid.runner.checks.settings import CheckSettings, check_checks
 from sysid.runner.limits import LimitSettings
@@ -19,7 +19,7 @@ KINEMATIC = ("ik", "ik-lookahead")
 
 
 @dataclass(frozen=True)
-class Versions:
+class Versions(Strict):
     """``[versions]``: ``name``, ``name@3`` or ``name@champion``.
 
     Args:
@@ -30,8 +30,6 @@ class Versions:
         unpromoted: permitted versions without promotion, each as ``name@3``.
     """
 
-    __pydantic_config__ = STRICT
-
     plant: str
     forward: str
     policy: str = "ik-lookahead"
@@ -40,7 +38,7 @@ class Versions:
 
 
 @dataclass(frozen=True)
-class TrackSettings:
+class TrackSettings(Strict):
     """``[track]``.
 
     Args:
@@ -52,8 +50,6 @@ class TrackSettings:
         live_speed, live_s: greatest speed of such a target [m/s], and duration [s].
     """
 
-    __pydantic_config__ = STRICT
-
     path: str = "helix"
     centre: tuple[float, float, float] | None = None
     laps: int = 1
@@ -64,19 +60,15 @@ class TrackSettings:
 
 
 @dataclass(frozen=True)
-class HoldSettings:
+class HoldSettings(Strict):
     """``[hold]``: ``seconds``; None: until the operator stops."""
-
-    __pydantic_config__ = STRICT
 
     seconds: float | None = 10.0
 
 
 @dataclass(frozen=True)
-class CollectSettings:
+class CollectSettings(Strict):
     """``[collect]``: number of random configurations, times at each of them, seed of the draw."""
-
-    __pydantic_config__ = STRICT
 
     poses: int = 500
     settle_s: float = 1.0
@@ -85,25 +77,21 @@ class CollectSettings:
 
 
 @dataclass(frozen=True)
-class FileSettings:
+class FileSettings(Strict):
     """``[replay]`` (CSV) and ``[experiment]`` (TOML of the gap workflow): path relative to the recipe."""
-
-    __pydantic_config__ = STRICT
 
     file: str = ""
 
 
 @dataclass(frozen=True)
-class ShadowSettings:
+class ShadowSettings(Strict):
     """``[shadow]``: the mode that is computed."""
-
-    __pydantic_config__ = STRICT
 
     of: Literal["track", "hold", "replay", "collect"] = "track"
 
 
 @dataclass(frozen=True)
-class LoopSettings:
+class LoopSettings(Strict):
     """``[loop]``.
 
     Args:
@@ -116,8 +104,6 @@ class LoopSettings:
         fallback: setpoints after the policy was disabled.
     """
 
-    __pydantic_config__ = STRICT
-
     settle_s: float = 0.5
     ready_within_s: float = 10.0
     rest_s: float = 0.3
@@ -129,19 +115,15 @@ class LoopSettings:
 
 
 @dataclass(frozen=True)
-class LogSettings:
+class LogSettings(Strict):
     """``[log]``: ``folder`` for recordings, relative to the working directory."""
-
-    __pydantic_config__ = STRICT
 
     folder: str = "flights"
 
 
 @dataclass(frozen=True)
-class RunnerRecipe:
+class RunnerRecipe(Strict):
     """The recipe; ``transport`` has a ``kind`` and the keys of that kind."""
-
-    __pydantic_config__ = STRICT
 
     schema: Literal[1]
     name: str

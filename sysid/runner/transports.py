@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from sysid.config import STRICT, parse_settings
+from sysid.config import Strict, parse_settings
 from sysid.errors import SettingsError, nearest
 from sysid.plant import plant_from_files
 from sysid.registry import Registry
@@ -60,7 +60,7 @@ def connect(assembly: Assembly, registry: Registry) -> OpenTransport:
 
 
 @dataclass(frozen=True)
-class SimulatedSettings:
+class SimulatedSettings(Strict):
     """``[transport] kind = "simulated"``.
 
     Args:
@@ -68,8 +68,6 @@ class SimulatedSettings:
         joints: initial ones [rad or m]; by default the start of the path, or the middle of the limits.
         noise: sensors have the noise of the machine's description; ``seed`` of it.
     """
-
-    __pydantic_config__ = STRICT
 
     plant: str = ""
     joints: tuple[float, ...] = ()

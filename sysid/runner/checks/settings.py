@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, fields
 
-from sysid.config import STRICT
+from sysid.config import Strict
 from sysid.errors import SettingsError, nearest
 from sysid.runner.cycle import REACTIONS, Reaction
 
@@ -17,175 +17,156 @@ SHORTEST_REASON = 12
 
 
 @dataclass(frozen=True)
-class StaleCheck:
+class StaleCheck(Strict):
     """No fresh reading for ``after_s``, or one whose delay exceeds the usual delay by that."""
 
-    __pydantic_config__ = STRICT
     reaction: Reaction = "hold"
     after_s: float = 0.045
 
 
 @dataclass(frozen=True)
-class NotFiniteCheck:
+class NotFiniteCheck(Strict):
     """A sensor sends NaN or infinity."""
 
-    __pydantic_config__ = STRICT
     reaction: Reaction = "hold"
 
 
 @dataclass(frozen=True)
-class JumpCheck:
+class JumpCheck(Strict):
     """A reading moved by ``share`` of its range more than the axis can have moved."""
 
-    __pydantic_config__ = STRICT
     reaction: Reaction = "hold"
     share: float = 0.01
 
 
 @dataclass(frozen=True)
-class FrozenValueCheck:
+class FrozenValueCheck(Strict):
     """A reading stays the same to the last bit while, by dead reckoning, its axis moved by ``share`` of the range."""
 
-    __pydantic_config__ = STRICT
     reaction: Reaction = "stop"
     share: float = 0.005
 
 
 @dataclass(frozen=True)
-class ClockCheck:
+class ClockCheck(Strict):
     """The machine's clock jumps ahead by more than ``jump_s``."""
 
-    __pydantic_config__ = STRICT
     reaction: Reaction = "stop"
     jump_s: float = 0.05
 
 
 @dataclass(frozen=True)
-class ContradictionCheck:
+class ContradictionCheck(Strict):
     """A cylinder, through its network, and the joint's own sensor differ by ``share`` of the joint's range for ``for_s``."""
 
-    __pydantic_config__ = STRICT
     reaction: Reaction = "stop"
     share: float = 0.03
     for_s: float = 0.03
 
 
 @dataclass(frozen=True)
-class MotionCheck:
+class MotionCheck(Strict):
     """Measured position and dead reckoning differ by ``seconds`` at top speed: the machine does not follow its commands."""
 
-    __pydantic_config__ = STRICT
     reaction: Reaction = "stop"
     seconds: float = 0.3
 
 
 @dataclass(frozen=True)
-class DelayCheck:
+class DelayCheck(Strict):
     """The machine answers commands ``after_s`` later than its plant, by its motion, independent of stamps."""
 
-    __pydantic_config__ = STRICT
     reaction: Reaction = "stop"
     after_s: float = 0.08
 
 
 @dataclass(frozen=True)
-class DomainLeftCheck:
+class DomainLeftCheck(Strict):
     """A network extrapolates for ``for_s``, and the motion does not lead back to its training domain."""
 
-    __pydantic_config__ = STRICT
     reaction: Reaction = "stop"
     for_s: float = 0.2
 
 
 @dataclass(frozen=True)
-class FollowingCheck:
+class FollowingCheck(Strict):
     """A setpoint is ahead of its axis by more than ``seconds`` at top speed, for ``for_s``."""
 
-    __pydantic_config__ = STRICT
     reaction: Reaction = "stop"
     seconds: float = 0.5
     for_s: float = 0.2
 
 
 @dataclass(frozen=True)
-class OverrunCheck:
+class OverrunCheck(Strict):
     """A cycle begins ``late_s`` late, or ``turns`` cycles in a row miss their deadline."""
 
-    __pydantic_config__ = STRICT
     reaction: Reaction = "stop"
     late_s: float = 0.08
     turns: int = 5
 
 
 @dataclass(frozen=True)
-class ExpiredCheck:
+class ExpiredCheck(Strict):
     """A command that is ready later than ``age_s`` after its readings is dropped. Later than ``gap_s`` after the last command
     that let the valves move, none is sent any more: the machine's watchdog may have closed them, and no command may open them
     again before a person has looked. ``reaction`` is that of the latter."""
 
-    __pydantic_config__ = STRICT
     reaction: Reaction = "fault"
     age_s: float = 0.05
     gap_s: float = 0.08
 
 
 @dataclass(frozen=True)
-class PolicyAnswerCheck:
+class PolicyAnswerCheck(Strict):
     """The policy fails, does not return setpoints, jumps by ``share`` of a joint's range within a cycle, or is late in
     ``late_turns`` cycles in a row. With ``hold`` the fallback continues for the rest of the run; in a single late cycle it
     sets that cycle only."""
 
-    __pydantic_config__ = STRICT
     reaction: Reaction = "hold"
     share: float = 0.2
     late_turns: int = 3
 
 
 @dataclass(frozen=True)
-class BoundCheck:
+class BoundCheck(Strict):
     """A limit of ``[limits]`` would be exceeded; the output stays within it whatever the reaction."""
 
-    __pydantic_config__ = STRICT
     reaction: Reaction = "clamp"
 
 
 @dataclass(frozen=True)
-class StopCheck:
+class StopCheck(Strict):
     """The end effector would leave its fence (it is braked before in any case), the dead-man switch is released, or the log
     cannot be written."""
 
-    __pydantic_config__ = STRICT
     reaction: Reaction = "stop"
 
 
 @dataclass(frozen=True)
-class LatchedCheck:
+class LatchedCheck(Strict):
     """Emergency stop, a fault that the machine reports, a dead line."""
 
-    __pydantic_config__ = STRICT
     reaction: Reaction = "fault"
 
 
 @dataclass(frozen=True)
-class RestlessCheck:
+class RestlessCheck(Strict):
     """An axis moves at ``share`` of its top speed, ``after_s`` after its valve went to neutral."""
 
-    __pydantic_config__ = STRICT
     reaction: Reaction = "fault"
     share: float = 0.15
     after_s: float = 0.6
 
 
 @dataclass(frozen=True)
-class CheckSettings:
+class CheckSettings(Strict):
     """All checks.
 
     Args:
         patience_s: a hold of this duration becomes a stop.
         without: disabled check → reason.
     """
-
-    __pydantic_config__ = STRICT
 
     patience_s: float = 0.1
     stale: StaleCheck = field(default_factory=StaleCheck)

@@ -17,7 +17,7 @@ from dataclasses import asdict, dataclass, field
 import numpy as np
 import numpy.typing as npt
 
-from sysid.config import STRICT
+from sysid.config import Strict
 from sysid.machine import Machine
 from sysid.runner.command_filter import CommandFilter
 from sysid.runner.cycle import Cycle
@@ -54,7 +54,7 @@ BANDS, DELAYS = np.arange(-0.20, 0.201, 0.01), np.arange(0.0, 0.401, 0.04)
 
 
 @dataclass(frozen=True)
-class CommissionSettings:
+class CommissionSettings(Strict):
     """``[commission]``.
 
     Args:
@@ -64,8 +64,6 @@ class CommissionSettings:
         unseen: driven signal whose zero cannot be checked → why that is accepted.
         waived: why the machine runs without a record of its commissioning; empty: it does not.
     """
-
-    __pydantic_config__ = STRICT
 
     speed: float = 0.03
     travel: float = 0.007
