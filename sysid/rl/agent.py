@@ -226,9 +226,9 @@ class Agent:
         return self._buffers[key]
 
     def _padded(self, name: str, s: torch.Tensor) -> torch.Tensor:
-        room = self._buffer(name, s, self.models["actor"].sizes[0])
-        room[0, :, : s.shape[1]] = s
-        return room
+        buffer = self._buffer(name, s, self.models["actor"].sizes[0])
+        buffer[0, :, : s.shape[1]] = s
+        return buffer
 
     def _q(self, name: str, s: torch.Tensor, a: torch.Tensor, target: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor | None]:
         """Q (N,) of observations and actions, both normalised; with the distance head also (p − target)/‖p − target‖."""

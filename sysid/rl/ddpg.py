@@ -60,11 +60,11 @@ class Trainer:
                 "evaluation environment", f"episodes of {evaluation.steps} steps", f"more than {2 * SETTLE_STEPS}"
             )
         self.environment, self.evaluation, self.recipe = environment, evaluation, recipe
-        self.parts = ObservationSlices.of(environment.actions)
+        self.slices = ObservationSlices.of(environment.actions)
         # Independent generators for each purpose.
         seeds = np.random.SeedSequence(recipe.seed).spawn(4)
         weights, noise, self._actions, self._batches = (np.random.default_rng(seed) for seed in seeds)
-        self.agent = Agent(_space(environment, self.parts, recipe), recipe.networks, learning, weights, recipe.device)
+        self.agent = Agent(_space(environment, self.slices, recipe), recipe.networks, learning, weights, recipe.device)
         self.noise = OrnsteinUhlenbeck(
             (environment.size, exploration.candidates, environment.actions),
             exploration.theta, exploration.sigma, exploration.time_step, noise,
@@ -109,8 +109,8 @@ class Trainer:
             return np.asarray(actions[:, 0])
         seen = np.repeat(self.observations, candidates, axis=0)
         ends = environment.predicted(seen, actions.reshape(-1, acts))
-        away = np.linalg.norm(ends - environment.targets(seen), axis=1).reshape(size, candidates)
-        return np.asarray(actions[np.arange(size), away.argmin(axis=1)])
+        distances = np.linalg.norm(ends - environment.targets(seen), axis=1).reshape(size, candidates)
+        return np.asarray(actions[np.arange(size), distances.argmin(axis=1)])
 
     def evaluate(self) -> dict[str, float]:
         """Errors [m] of the actor alone: from random poses to random targets (``reach``), then staying there (``hold``)."""
@@ -122,7 +122,7 @@ class Trainer:
         for phase in ("reach", "hold"):
             for _ in range(settle):
                 observations, _, _ = evaluation.step(self.greedy(observations))
-            error = evaluation.final[:, self.parts.ee] - wanted
+            error = evaluation.final[:, self.slices.ee] - wanted
             for axis, name in enumerate("xyz"):
                 found[f"{phase}_rmse_{name}"] = float(np.sqrt(np.mean(error[:, axis] ** 2)))
             found[f"{phase}_max"] = float(np.linalg.norm(error, axis=1).max())
@@ -195,7 +195,7 @@ class Trainer:
         return np.clip(space.action_centre + shares * space.action_half, space.action_low, space.action_high)
 
     def _update(self) -> None:
-        rows, parts = self.replay.sample(self.recipe.learning.batch, self._batches, self._batch), self.replay.parts
+        rows, parts = self.replay.sample(self.recipe.learning.batch, self._batches, self._batch), self.replay.columns
         observations, actions, rewards, following = (rows[:, part] for part in parts)
         if self.recipe.learning.hindsight > 0.0:
             self.relabel(observations, rewards, following)
@@ -207,7 +207,7 @@ class Trainer:
         """Replace the targets of a share of a batch, and recompute its rewards (hindsight)."""
         import torch
 
-        learning, ee, target = self.recipe.learning, self.parts.ee, self.parts.target
+        learning, ee, target = self.recipe.learning, self.slices.ee, self.slices.target
         count = round(learning.hindsight * len(rewards))
         near = count // 2
         reached = following[:count, ee]
@@ -221,7 +221,7 @@ class Trainer:
     def _record(self, rewards: Array, final: Array, truncated: npt.NDArray[np.bool_], callback: TrainingCallback) -> None:
         size = self.environment.size
         self._returns += rewards
-        self._distance += np.linalg.norm(final[:, self.parts.ee] - final[:, self.parts.target], axis=1)
+        self._distance += np.linalg.norm(final[:, self.slices.ee] - final[:, self.slices.target], axis=1)
         if truncated.any():
             self.noise.begin(truncated)
             steps = self.environment.steps

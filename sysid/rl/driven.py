@@ -111,7 +111,7 @@ class DrivenEnvironment(Environment):
 
     def step(self, actions: npt.ArrayLike) -> tuple[Array, Array, Flags]:
         wanted = self._checked(actions)
-        self._require(bool(np.isfinite(wanted).all()))
+        self._require_finite(bool(np.isfinite(wanted).all()))
         lane, setpoints = self._current(), np.clip(wanted, self.reach.low, self.reach.high)
         for _ in range(self.repeat):
             lane = self._sample(setpoints, lane)

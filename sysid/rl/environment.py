@@ -67,7 +67,7 @@ class Environment(ABC):
         self.reach = reach or reach_of(plant, forward)
         self.model = compile_plant(plant)
         self.rate_hz, self.actions, self.steps = plant.machine.rate_hz, self.model.axes, self.task.steps
-        self.parts = ObservationSlices.of(self.actions)
+        self.slices = ObservationSlices.of(self.actions)
         #: Distance of targets from the joints of a copy: 1, anywhere within reach; less, that share of the way there.
         self.spread = 1.0
         self._rng = np.random.default_rng(seed)
@@ -109,7 +109,7 @@ class Environment(ABC):
 
     def targets(self, observations: Array) -> Array:
         """Targets (m, 3) inside observations (m, O)."""
-        return np.asarray(observations)[:, self.parts.target]
+        return np.asarray(observations)[:, self.slices.target]
 
     @abstractmethod
     def predicted(self, observations: Array, actions: Array) -> Array:
@@ -152,7 +152,7 @@ class Environment(ABC):
             raise InputError("environment", f"actions of shape {wanted.shape}", f"({self.size}, {self.actions})")
         return wanted
 
-    def _require(self, finite: bool) -> None:
+    def _require_finite(self, finite: bool) -> None:
         if not finite:
             raise InputError("environment", "an action that is no finite number", "joint setpoints [rad or m]")
 

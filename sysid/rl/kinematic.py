@@ -36,11 +36,11 @@ class KinematicEnvironment(Environment):
         reach: Reach | None = None,
     ) -> None:
         super().__init__(plant, forward, size, seed, task, reach)
-        self.observations, self.names = self.parts.width, self.parts.names(plant.machine.axis_names)
+        self.observations, self.names = self.slices.width, self.slices.names(plant.machine.axis_names)
         self.observation_low = np.concatenate([self.reach.low, self.reach.ee_low, self.reach.ee_low])
         self.observation_high = np.concatenate([self.reach.high, self.reach.ee_high, self.reach.ee_high])
         self._now = np.full((size, self.observations), np.nan)
-        self._target = self._now[:, self.parts.target]  # a view
+        self._target = self._now[:, self.slices.target]  # a view
         self._final = self._now.copy()
 
     def step(self, actions: npt.ArrayLike) -> tuple[Array, Array, Flags]:
@@ -49,8 +49,8 @@ class KinematicEnvironment(Environment):
             self.model.theta, self.model.rig, self._checked(actions), self.reach.low, self.reach.high, self._now, self._count,
             rewards, task.step_reward + task.near_reward, task.outside_reward,
         )  # fmt: skip
-        self._require(finite)
-        observations, truncated = self._end_of_step(self._now[:, self.parts.joints])
+        self._require_finite(finite)
+        observations, truncated = self._end_of_step(self._now[:, self.slices.joints])
         return observations, rewards, truncated
 
     def predicted(self, observations: Array, actions: Array) -> Array:
@@ -76,7 +76,7 @@ class KinematicEnvironment(Environment):
         return self._now.copy()
 
     def _put(self, which: Flags, joints: Array, targets: Array) -> None:
-        self._now[which, self.parts.joints] = np.clip(joints, self.reach.low, self.reach.high)
-        self._now[which, self.parts.ee] = tips(self.model, self._now[which, self.parts.joints])
+        self._now[which, self.slices.joints] = np.clip(joints, self.reach.low, self.reach.high)
+        self._now[which, self.slices.ee] = tips(self.model, self._now[which, self.slices.joints])
         self._target[which] = targets
         self._count[which] = 0

@@ -27,7 +27,7 @@ class DrivenObservation:
 
     def __init__(self, axes: Sequence[str], history: int, rate_hz: float, size: int = 1) -> None:
         self.axes, self.history, self.rate_hz, self.size = tuple(axes), history, rate_hz, size
-        self.parts = ObservationSlices.of(len(self.axes))
+        self.slices = ObservationSlices.of(len(self.axes))
         #: The last commands, newest first, (n, H, A).
         self.commands = np.zeros((size, history, len(self.axes)))
         #: Speeds of the joints and of the tool below the tip, (n, A + 3).
@@ -35,14 +35,14 @@ class DrivenObservation:
 
     @property
     def width(self) -> int:
-        return self.parts.width + (self.history + 1) * len(self.axes) + 6
+        return self.slices.width + (self.history + 1) * len(self.axes) + 6
 
     @property
     def names(self) -> tuple[str, ...]:
         """Names of the columns."""
         past = tuple(f"{axis}.command[{-1 - k}]" for k in range(self.history) for axis in self.axes)
         below = tuple(f"tool.{what}{axis}" for what in ("below.", "speed.") for axis in "xyz")
-        return (*self.parts.names(self.axes), *past, *(f"{axis}.speed" for axis in self.axes), *below)
+        return (*self.slices.names(self.axes), *past, *(f"{axis}.speed" for axis in self.axes), *below)
 
     def rest(self, which: npt.NDArray[np.bool_] | None = None) -> None:
         """Put those of a mask, or all, at rest with neutral valves."""

@@ -116,9 +116,9 @@ def centre_for(
         begin, left = inverse.reach(centre + shape[0], rng, _TRIES)
         if left > REACHED:
             continue
-        joints, away = inverse.follow(centre + shape, begin)
+        joints, distance = inverse.follow(centre + shape, begin)
         margin = float(inverse.margin(joints).min())
-        if away.max() < REACHED and margin > score:
+        if distance.max() < REACHED and margin > score:
             best, score = centre, margin
     if best is None:
         found = f"no place for a helix of radius {radius} m and height {height} m"
@@ -185,12 +185,12 @@ def check_reach(path: Path, inverse: InverseKinematics) -> Array:
     begin, _ = inverse.reach(path.points[0], np.random.default_rng(0))
     joints, left = inverse.follow(path.points, begin)
     for k in np.flatnonzero(left > REACHED):  # another posture may reach the point
-        again, away = inverse.reach(path.points[k], np.random.default_rng(int(k)))
-        if away > REACHED:
+        again, distance = inverse.reach(path.points[k], np.random.default_rng(int(k)))
+        if distance > REACHED:
             worst, place = int(np.argmax(left)), ", ".join(f"{value:.3f}" for value in path.points[k])
             raise InputError(
                 f"path {path.name}",
-                f"at {path.time[k]:.2f} s ({place}) the machine stays {1e3 * away:.0f} mm away, and "
+                f"at {path.time[k]:.2f} s ({place}) the machine stays {1e3 * distance:.0f} mm away, and "
                 f"{1e3 * left[worst]:.0f} mm at {path.time[worst]:.2f} s",
                 "points that the machine reaches",
                 "Move or shrink the path.",

@@ -42,7 +42,7 @@ class Replay:
         #: Rows added since the beginning, and those of them that are in files.
         self.count, self.saved = 0, 0
         ends = np.cumsum([observations, actions, 1, observations])
-        self.parts = [
+        self.columns = [
             slice(end - width, end) for end, width in zip(ends, (observations, actions, 1, observations), strict=True)
         ]
 

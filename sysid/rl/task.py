@@ -48,8 +48,10 @@ class Task(Strict):
 
     def reward(self, ee: npt.ArrayLike, target: npt.ArrayLike, outside: npt.ArrayLike) -> Array:
         """Rewards (n,) of end effectors and targets (n, 3) [m], ``outside`` (n,): whether a setpoint left its limits."""
-        away = np.linalg.norm(np.asarray(target, dtype=np.float64) - np.asarray(ee, dtype=np.float64), axis=-1)
-        return np.asarray(self.step_reward + self.near_reward - away + self.outside_reward * np.asarray(outside, dtype=float))
+        distance = np.linalg.norm(np.asarray(target, dtype=np.float64) - np.asarray(ee, dtype=np.float64), axis=-1)
+        return np.asarray(
+            self.step_reward + self.near_reward - distance + self.outside_reward * np.asarray(outside, dtype=float)
+        )
 
 
 @dataclass(frozen=True)

@@ -40,18 +40,18 @@ class InversePolicy:
     """Bounded least-squares inverse kinematics as a policy: the solution nearest to the last setpoint."""
 
     def __init__(self, inverse: InverseKinematics) -> None:
-        self.inverse, self._parts = inverse, ObservationSlices.of(len(inverse.low))
+        self.inverse, self._slices = inverse, ObservationSlices.of(len(inverse.low))
         self._last: Array | None = None
 
     def reset(self, observations: Array) -> None:
         """Search from the measured joints."""
-        self._last = np.array(observations[:, self._parts.joints], dtype=np.float64)
+        self._last = np.array(observations[:, self._slices.joints], dtype=np.float64)
 
     def act(self, observations: Array) -> Array:
         if self._last is None or len(self._last) != len(observations):
             self.reset(observations)
         assert self._last is not None
-        self._last, _ = self.inverse.solve(observations[:, self._parts.target], self._last)
+        self._last, _ = self.inverse.solve(observations[:, self._slices.target], self._last)
         return self._last.copy()
 
 
@@ -113,13 +113,13 @@ class TrackingResult:
         }
 
     def _figures(self) -> dict[str, Any]:
-        away = np.linalg.norm(self.error, axis=1)
+        distance = np.linalg.norm(self.error, axis=1)
         sway = np.linalg.norm((self.tool - self.ee)[:, :2], axis=1)
         swings = bool(np.isfinite(sway).all()) and len(sway) > 0
         return {
             "rmse_mm": [float(1e3 * value) for value in self.rmse],
             "max_mm": [float(1e3 * value) for value in self.worst],
-            "distance_mm": {"rms": float(1e3 * np.sqrt(np.mean(away**2))), "max": float(1e3 * away.max())},
+            "distance_mm": {"rms": float(1e3 * np.sqrt(np.mean(distance**2))), "max": float(1e3 * distance.max())},
             "sway_mm": {"rms": float(1e3 * np.sqrt(np.mean(sway**2))), "max": float(1e3 * sway.max())} if swings else None,
         }
 

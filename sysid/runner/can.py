@@ -259,14 +259,9 @@ class CanTransport(MonotonicClock):
             raise SettingsError(f"{self.where}: control", "none", "the control pipe of a simulated test bench")
         lines = [f"{name} {int(value)}\n" for name, value in (("dead_man", dead_man), ("emergency_stop", emergency_stop))
                  if value is not None]  # fmt: skip
-        self.send_control("".join(lines))
-
-    def send_control(self, lines: str) -> None:
-        """Write ``lines`` to the control pipe of a simulated test bench."""
-        assert self.settings.control is not None
         pipe = os.open(self.settings.control, os.O_WRONLY | os.O_NONBLOCK)
         try:
-            os.write(pipe, lines.encode())
+            os.write(pipe, "".join(lines).encode())
         finally:
             os.close(pipe)
 

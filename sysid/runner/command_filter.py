@@ -128,14 +128,14 @@ class CommandFilter:
         if speed == 0.0:
             return command
         sign = math.copysign(1.0, speed)
-        places = [place for place in (drive, dead_reckoning.position) if math.isfinite(place)]
-        if not places:
+        positions = [position for position in (drive, dead_reckoning.position) if math.isfinite(position)]
+        if not positions:
             return 0.0
         end = float(self.high[i] if sign > 0.0 else self.low[i])
-        room = min(sign * (end - place) for place in places) - SPEED_MARGIN * dead_reckoning.pending_travel(sign)
+        room = min(sign * (end - position) for position in positions) - SPEED_MARGIN * dead_reckoning.pending_travel(sign)
         allowed = braking_speed(room, self.dt + REACTION_S, float(self.limits.braking[i]))
         if abs(speed) > allowed:
-            exceeded.append(("position", i, places[0], end))
+            exceeded.append(("position", i, positions[0], end))
             return valve.command(sign * allowed / SPEED_MARGIN)
         return command
 
@@ -148,11 +148,13 @@ class CommandFilter:
             return commands
         ends = np.empty((len(SHARES), 2, len(speeds)))
         for i, (valve, dead_reckoning) in enumerate(zip(self.valves, dead_reckonings, strict=True)):
-            coming = dead_reckoning.pending_travel(1.0) - dead_reckoning.pending_travel(-1.0)
+            pending = dead_reckoning.pending_travel(1.0) - dead_reckoning.pending_travel(-1.0)
             for k, share in enumerate(SHARES):
-                way = stopping_distance(SPEED_MARGIN * share * speeds[i], self.dt + REACTION_S, float(self.limits.braking[i]))
-                for n, place in enumerate((drive[i], dead_reckoning.position)):
-                    ends[k, n, i] = min(max(place + SPEED_MARGIN * coming + way, valve.low), valve.high)
+                travel = stopping_distance(
+                    SPEED_MARGIN * share * speeds[i], self.dt + REACTION_S, float(self.limits.braking[i])
+                )
+                for n, position in enumerate((drive[i], dead_reckoning.position)):
+                    ends[k, n, i] = min(max(position + SPEED_MARGIN * pending + travel, valve.low), valve.high)
         joints = self.joints(ends.reshape(-1, len(speeds)))
         left = outside(self.tip(joints), self.limits.fence_low, self.limits.fence_high).reshape(len(SHARES), 2).max(axis=1)
         fits = left <= max(0.0, float(left[-1]) - 1e-9)

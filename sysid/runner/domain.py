@@ -45,9 +45,9 @@ class TrainingDomains:
             if not np.isfinite(query).all() or domain.inside(query)[0]:
                 self._before[name] = 0.0
                 continue
-            away = float(domain.distance(query)[0])
+            distance = float(domain.distance(query)[0])
             before = self._before.get(name, 0.0)
-            self._before[name] = away
-            if away >= before:
-                return f"network {name} extrapolates: {away:.1f} times the usual distance between its training data"
+            self._before[name] = distance
+            if distance >= before:
+                return f"network {name} extrapolates: {distance:.1f} times the usual distance between its training data"
         return ""

@@ -189,9 +189,9 @@ def test_noise_starts_anew_with_an_episode() -> None:
 def test_other_targets_give_the_rewards_that_they_would_have_given() -> None:
     each = trainer(recipe(learning={"hindsight": 0.75}))
     steps(each, 12)
-    parts, task = each.parts, Task()
+    parts, task = each.slices, Task()
     rows = each.replay.rows[: len(each.replay)].clone()
-    observations, _, rewards, following = (rows[:, part] for part in each.replay.parts)
+    observations, _, rewards, following = (rows[:, part] for part in each.replay.columns)
     before = following[:, parts.target].clone()
     each.relabel(observations, rewards, following)
     count = round(0.75 * len(rows))
@@ -209,8 +209,8 @@ def test_the_end_of_an_episode_is_no_end_of_the_world() -> None:
     each = trainer(recipe(learning={"start": 300}))
     steps(each, 15)
     assert len(each.episodes) == 1
-    ee = each.replay.rows[56:60, each.replay.parts[3]][:, each.parts.ee]
-    actions = each.replay.rows[56:60, each.replay.parts[1]]
+    ee = each.replay.rows[56:60, each.replay.columns[3]][:, each.slices.ee]
+    actions = each.replay.rows[56:60, each.replay.columns[1]]
     np.testing.assert_allclose(ee, FORWARD.predict(actions.double().numpy()), atol=1e-5)
 
 
@@ -220,7 +220,7 @@ def test_targets_of_a_curriculum_move_away_until_they_are_anywhere(full: bool) -
     setting = {"copies": 64, "full": full, "curriculum": 0.5, "task": {"steps": 4, "targets": 2}}
     each = trainer(recipe(setting=setting, learning={"episodes": 64 * 20, "start": 100_000, "buffer": 200_000}))
     asked: list[float] = []
-    parts = each.parts
+    parts = each.slices
 
     def mean_way() -> float:
         return float(np.linalg.norm(each.observations[:, parts.target] - each.observations[:, parts.ee], axis=1).mean())

@@ -119,19 +119,19 @@ def test_switches_come_over_the_bus_and_are_safe_when_it_falls_silent(live: Live
     assert until(lambda: transport.read()[1].emergency_stop)
     assert live.truth["boom.passed"][-1] == 0.0, "the button takes the pressure away, whoever commands what"
     transport.set_inputs(emergency_stop=False)
-    live.send_control("drop MACHINE_STATUS 40")
+    live.tell("drop MACHINE_STATUS 40")
     assert until(lambda: transport.read()[1].fault == "no status of the machine")
     assert not transport.read()[1].dead_man
     assert until(lambda: transport.read()[1].dead_man)
 
 
 def test_a_counter_that_stands_still_says_nothing(live: Live, transport: CanTransport) -> None:
-    live.send_control("stuck SLEW_SENSOR 1")
+    live.tell("stuck SLEW_SENSOR 1")
     time.sleep(0.05)
     before, _ = transport.read()
     time.sleep(0.1)
     after, _ = transport.read()
-    live.send_control("stuck SLEW_SENSOR 0")
+    live.tell("stuck SLEW_SENSOR 0")
     assert after["slew.joint"].count == before["slew.joint"].count
     assert after["boom.cylinder"].count > before["boom.cylinder"].count + 5
 
@@ -139,7 +139,7 @@ def test_a_counter_that_stands_still_says_nothing(live: Live, transport: CanTran
 def test_lost_frames_are_counted(live: Live, transport: CanTransport) -> None:
     transport.read()
     lost = transport.lost
-    live.send_control("drop SLEW_SENSOR 5")
+    live.tell("drop SLEW_SENSOR 5")
 
     def counted() -> bool:
         transport.read()
@@ -193,7 +193,7 @@ def test_a_machine_that_dies_is_a_fault(tmp_path: Path) -> None:
     [
         ({"interface": "udp_multicast"}, "'udp_multicast' uses a network"),
         ({"channel": "socket://10.0.0.1:3333"}, "uses a network"),
-        ({"bitrate": 125_000}, "bus would be .* % full at 125000 bit/s; expected 70 % at the most"),
+        ({"bitrate": 125_000}, "a bus load of .* % at 125000 bit/s; expected at most 70 %"),
         ({"signals": {"slew.joint": "SLEW_SENSOR.slwe"}}, "has no signal 'slwe'; expected 'slew'"),
         ({"signals": {"slew.joint": "SLEW.slew"}}, "no message 'SLEW'"),
         ({"valves": {"slew": "DRAW_WIRES"}}, "no signal 'flow'"),

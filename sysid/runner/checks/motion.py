@@ -71,29 +71,29 @@ class MotionChecks:
             if sensor.driven:
                 continue
             through = float(estimate.joints[sensor.axis])
-            away, limit = abs(sensor.value - through), rule.share * sensor.range
+            deviation, limit = abs(sensor.value - through), rule.share * sensor.range
             both = sensor.valid and bool(estimate.measured[sensor.axis])
-            if self._persists("contradiction", sensor.signal, both and away > limit, rule.for_s):
+            if self._persists("contradiction", sensor.signal, both and deviation > limit, rule.for_s):
                 text = f"{sensor.signal} reads {sensor.value:.4g}, its cylinder gives {through:.4g}"
-                found.append(Violation("contradiction", sensor.signal, rule.reaction, away, limit, text))
+                found.append(Violation("contradiction", sensor.signal, rule.reaction, deviation, limit, text))
         return found
 
     def _motion(self, estimate: StateEstimate) -> list[Violation]:
         found, rule = [], self.settings.motion
         for i, (name, valve) in enumerate(zip(self.axes, self.valves, strict=True)):
-            away, limit = abs(float(estimate.drive[i] - estimate.estimated_position[i])), rule.seconds * valve.fastest
-            if away > limit:
-                text = f"{name} is {away:.4g} away from its dead reckoning by the commands"
-                found.append(Violation("motion", name, rule.reaction, away, limit, text))
+            deviation, limit = abs(float(estimate.drive[i] - estimate.estimated_position[i])), rule.seconds * valve.fastest
+            if deviation > limit:
+                text = f"{name} is {deviation:.4g} away from its dead reckoning by the commands"
+                found.append(Violation("motion", name, rule.reaction, deviation, limit, text))
         return found
 
     def _following(self, estimate: StateEstimate, drive_setpoints: Array) -> list[Violation]:
         found, rule = [], self.settings.following
         for i, (name, valve) in enumerate(zip(self.axes, self.valves, strict=True)):
-            away, limit = abs(float(drive_setpoints[i] - estimate.drive[i])), rule.seconds * valve.fastest
-            if self._persists("following", name, away > limit, rule.for_s):
-                text = f"{name} is {away:.4g} behind its setpoint"
-                found.append(Violation("following", name, rule.reaction, away, limit, text))
+            deviation, limit = abs(float(drive_setpoints[i] - estimate.drive[i])), rule.seconds * valve.fastest
+            if self._persists("following", name, deviation > limit, rule.for_s):
+                text = f"{name} is {deviation:.4g} behind its setpoint"
+                found.append(Violation("following", name, rule.reaction, deviation, limit, text))
         return found
 
     def _late(self, estimate: StateEstimate) -> list[Violation]:

@@ -123,7 +123,7 @@ class Commission:
         self._failure = ""
         self._tip_ratio = np.zeros(len(self.axes))
         self._stroke_begin = self._off = 0
-        self._seen: int | None = None
+        self._motion_begin: int | None = None
 
     @property
     def passed(self) -> bool:
@@ -156,7 +156,7 @@ class Commission:
             if room < 2.5 * self.settings.travel / self._tip_ratio[i] and not self._failure:
                 self._failure = f"{axis} has no space for a stroke within its limits: move it away from them by hand"
             self._plan += [(i, sign) for sign in DIRECTIONS]
-        gains = [max(valve.up, valve.down) * lever for valve, lever in zip(self.valves, self._tip_ratio, strict=True)]
+        gains = [max(valve.up, valve.down) * ratio for valve, ratio in zip(self.valves, self._tip_ratio, strict=True)]
         self._rate = self.settings.speed / (RISE_S * max(gains))
         self.strokes.clear()
         self._rest(0)
@@ -170,7 +170,7 @@ class Commission:
         phase, commands = f"{self.axes[i]} {'+' if sign > 0 else '−'}", np.zeros(len(self.axes))
         since = k - self._stroke_begin - round(REST_S / self.dt)
         if since == 0:
-            self._from, self._seen, self._off = len(self._rows), None, 0
+            self._from, self._motion_begin, self._off = len(self._rows), None, 0
             self._at_rest = np.array([row for row, _ in self._rows[-round(STAND_S / self.dt) :]])
             self._noise = np.maximum(
                 self._at_rest.std(axis=0), NOISE * np.array([item.high - item.low for item in self.valves])
@@ -202,13 +202,13 @@ class Commission:
         fresh = np.array([row for row, _ in self._rows[-BEGINS:]])
         went = np.abs(fresh.mean(axis=0) - self._at_rest.mean(axis=0))
         moved = went > SIGMAS * self._noise / math.sqrt(BEGINS)
-        if self._seen is None and since >= BEGINS and moved.any():
-            self._seen = since
+        if self._motion_begin is None and since >= BEGINS and moved.any():
+            self._motion_begin = since
         farthest = float(np.nanmax(went * self._tip_ratio))
-        if self._seen is None:
+        if self._motion_begin is None:
             return command > band + EXTRA_BAND
         # Over by the plant with little measured motion: a small scale of the sensor, or backlash or a wider dead-band.
-        late = (since - self._seen) * self.dt > AFTER_S
+        late = (since - self._motion_begin) * self.dt > AFTER_S
         return farthest > travel or (predicted > travel and (late or farthest > 0.5 * travel))
 
     def _compare(self, i: int, sign: int) -> StrokeResult:
