@@ -242,7 +242,7 @@ class CanTransport(MonotonicClock):
         try:
             for identifier, data in self.machine.encode([float(command) for command in commands], enabled, answered):
                 self._bus.send(Message(arbitration_id=identifier, is_extended_id=True, data=data), timeout=_SEND)
-        except Exception as error:  # see _take
+        except Exception as error:  # see _receive
             self._send_fault = f"bus: {str(error) or type(error).__name__}"
             self._fault = self._fault or self._send_fault
             raise OSError(self._send_fault) from error

@@ -112,7 +112,7 @@ class ControlChain:
         seen = self.view.seen(joints[None], ee[None], target[None], self._below)
         return self.thread.ask(seen[:, : self._width], until_ns, now_ns)
 
-    def give_up(self) -> None:
+    def cancel_policy(self) -> None:
         """Cancel the policy if it is running."""
         if self.thread is not None:
             self.thread.cancel()

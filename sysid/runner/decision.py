@@ -161,7 +161,7 @@ class Decider:
         wrong = self.supervisor.policy(requested, error)
         if wrong is not None:
             self._policy_disabled = True
-            self.chain.give_up()
+            self.chain.cancel_policy()
             self.chain.solve_from(here)
             self.operator.notify(f"{wrong.text}: {'inverse kinematics continues' if self.fallback == 'ik' else 'it holds'}")
         return requested, wrong

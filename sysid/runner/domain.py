@@ -39,9 +39,9 @@ class TrainingDomains:
 
     def __call__(self, estimate: StateEstimate) -> str:
         """A text about the network that extrapolates, and farther than before; "" if none does."""
-        requested = [("forward", self._forward, estimate.joints[None])]
-        requested += [(f"actuator of {axis}", domain, estimate.drive[i : i + 1, None]) for axis, i, domain in self._actuators]
-        for name, domain, query in requested:
+        queries = [("forward", self._forward, estimate.joints[None])]
+        queries += [(f"actuator of {axis}", domain, estimate.drive[i : i + 1, None]) for axis, i, domain in self._actuators]
+        for name, domain, query in queries:
             if not np.isfinite(query).all() or domain.inside(query)[0]:
                 self._before[name] = 0.0
                 continue

@@ -123,7 +123,7 @@ class Loop:
                     if self.mode.writes:
                         self._neutral(rest_s)
             finally:
-                self.chain.give_up()
+                self.chain.cancel_policy()
                 try:
                     self.transport.close()
                 except Exception as error:  # a missing line cannot be closed
@@ -271,7 +271,7 @@ class Loop:
         begin = self.transport.now_ns()
         try:
             self.transport.write(commands, enabled)
-        except Exception as error:  # see _see
+        except Exception as error:  # see _update_estimate
             self._line_error = error_text(error)
             self._moved_ns = None if not enabled else self._moved_ns
             return False

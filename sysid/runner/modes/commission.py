@@ -200,11 +200,11 @@ class Commission:
         self._predicted.append(self._predicted[-1] + abs(valve.speed(sign * command)) * self.dt)
         predicted = self._predicted[-1 - valve.dead_steps] * self._tip_ratio[i]
         fresh = np.array([row for row, _ in self._rows[-BEGINS:]])
-        went = np.abs(fresh.mean(axis=0) - self._at_rest.mean(axis=0))
-        moved = went > SIGMAS * self._noise / math.sqrt(BEGINS)
+        travelled = np.abs(fresh.mean(axis=0) - self._at_rest.mean(axis=0))
+        moved = travelled > SIGMAS * self._noise / math.sqrt(BEGINS)
         if self._motion_begin is None and since >= BEGINS and moved.any():
             self._motion_begin = since
-        farthest = float(np.nanmax(went * self._tip_ratio))
+        farthest = float(np.nanmax(travelled * self._tip_ratio))
         if self._motion_begin is None:
             return command > band + EXTRA_BAND
         # Over by the plant with little measured motion: a small scale of the sensor, or backlash or a wider dead-band.
@@ -213,16 +213,16 @@ class Commission:
 
     def _compare(self, i: int, sign: int) -> StrokeResult:
         """Compare the finished stroke of axis ``i`` with the plant."""
-        axis, stood = self.axes[i], self._at_rest.mean(axis=0)
+        axis, rest_position = self.axes[i], self._at_rest.mean(axis=0)
         rows, sent = (np.array(part) for part in zip(*self._rows[self._from :], strict=True))
-        went = rows[-round(STAND_S / self.dt) :].mean(axis=0) - stood
+        travelled = rows[-round(STAND_S / self.dt) :].mean(axis=0) - rest_position
         error = SIGMAS * self._noise * math.sqrt(2.0 * self.dt / STAND_S)
-        at_tip = np.abs(went) * self._tip_ratio
-        gain, band, delay = self._fit(i, sign, rows[:, i] - stood[i], sent[:, i])
+        at_tip = np.abs(travelled) * self._tip_ratio
+        gain, band, delay = self._fit(i, sign, rows[:, i] - rest_position[i], sent[:, i])
         other = int(np.argmax(np.where(np.arange(len(self.axes)) == i, -1.0, at_tip)))
         top = float(np.abs(sent[:, i]).max())
-        still = abs(went[i]) <= error[i]
-        other_moved = abs(went[other]) > error[other] and at_tip[other] > CROSS_SHARE * at_tip[i]
+        still = abs(travelled[i]) <= error[i]
+        other_moved = abs(travelled[other]) > error[other] and at_tip[other] > CROSS_SHARE * at_tip[i]
         taken_up = bool(self.strokes) and (self.strokes[-1].axis, self.strokes[-1].direction) == (axis, sign)
         low, high = GAIN if at_tip[i] >= SHORT * self.settings.travel else GAIN_SHORT
         wrong = ""
@@ -234,16 +234,16 @@ class Commission:
             wrong = (
                 f"the command of {axis} moves nothing up to {top:.2f}: its valve, its sensor or a dead-band beyond the plant's"
             )
-        elif sign * went[i] < 0.0:
+        elif sign * travelled[i] < 0.0:
             wrong = f"{axis} moves in the wrong direction at a {'positive' if sign > 0 else 'negative'} command: reversed sign"
         elif taken_up and not low <= gain <= high:
             wrong = f"{axis} moves {gain:.2f} times as fast as its plant: the scale of its sensor, or another valve"
         elif taken_up and delay > DELAY_S:
             wrong = f"{axis} answers {1e3 * delay:.0f} ms later than its plant: the line is late"
-        moved = {name: float(value) for name, value in zip(self.axes, went, strict=True)}
+        moved = {name: float(value) for name, value in zip(self.axes, travelled, strict=True)}
         return StrokeResult(axis, sign, top, moved, float(at_tip[i]), taken_up, gain, band, delay, wrong)
 
-    def _fit(self, i: int, sign: int, went: Array, sent: Array) -> tuple[float, float, float]:
+    def _fit(self, i: int, sign: int, travelled: Array, sent: Array) -> tuple[float, float, float]:
         """Gain over the plant's, dead-band and delay minus the plant's, of measured motion and sent commands, (n,) each."""
         valve = self.valves[i]
         top, own = (valve.up, valve.positive) if sign > 0 else (valve.down, valve.negative)
@@ -253,10 +253,10 @@ class Commission:
         best = (math.inf, 0.0, 0.0, 0.0)
         for delay in DELAYS:
             late = np.zeros((len(bands), valve.dead_steps + 1 + round(delay / self.dt)))
-            shifted = np.concatenate([late, travel], axis=1)[:, : len(went)]
+            shifted = np.concatenate([late, travel], axis=1)[:, : len(travelled)]
             size = (shifted**2).sum(axis=1)
-            gains = (shifted @ went) / np.maximum(size, 1e-18)
-            errors = np.where(size > 1e-18, went @ went - gains**2 * size, math.inf)
+            gains = (shifted @ travelled) / np.maximum(size, 1e-18)
+            errors = np.where(size > 1e-18, travelled @ travelled - gains**2 * size, math.inf)
             k = int(np.argmin(errors))
             if errors[k] < best[0]:
                 best = float(errors[k]), float(gains[k]), float(bands[k]), float(delay)
