@@ -21,7 +21,7 @@ from sysid.pictures import PictureCurve, svg
 from sysid.plant import plant_from_files
 from sysid.registry import Registry
 from sysid.rl.tracking import InversePolicy, TrackingResult, track, track_environment
-from sysid.rl.tracking_task import TrackingTask, lay_out
+from sysid.rl.tracking_task import TrackingTask, plan_tracking
 from sysid.rl.versions import load_versions
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -60,7 +60,7 @@ def follow(course: TrackingTask, name: str, tuning: Tuning, lookahead: float, no
 def main(workspace: Path, plant: str, before: str, forward: str) -> None:
     registry = Registry(workspace)
     machine, model = load_versions(registry, plant, forward)
-    course = lay_out(machine, model, "helix", full=True)
+    course = plan_tracking(machine, model, "helix", full=True)
     old = registry.load(before)
     rows, runs = [], {}
     for name, tuning, lookahead in stages(course, tune(plant_from_files(old.files, old.reference))):

@@ -49,7 +49,7 @@ from sysid.runner.modes.commission import Commission
 from sysid.runner.operator import Interruptible, Unattended
 from sysid.runner.policy_thread import PolicyThread
 from sysid.runner.recipe import load_runner
-from sysid.runner.terminal import Console, Terminal, through
+from sysid.runner.terminal import Console, Terminal, redirected_output
 from sysid.runner.transports import connect
 
 Array = npt.NDArray[np.float64]
@@ -154,8 +154,8 @@ class Attended:
     def __init__(self, program: Unattended, terminal: Terminal) -> None:
         self.program, self.terminal = program, terminal
 
-    def words(self, state: State, now_ns: int) -> Sequence[str]:
-        return [*self.program.words(state, now_ns), *self.terminal.words(state, now_ns)]
+    def commands(self, state: State, now_ns: int) -> Sequence[str]:
+        return [*self.program.commands(state, now_ns), *self.terminal.commands(state, now_ns)]
 
     def notify(self, text: str) -> None:
         self.terminal.notify(text)
@@ -265,7 +265,7 @@ def fly(flight: Flight) -> dict[str, Any]:
     log = FlightLog(folder / "logs", assembly.machine_file, transport.axes, transport.signals, words)
     console = Console()
     operator = Attended(Unattended(transport), Terminal(console))
-    with closing(console), Interruptible(operator) as person, through(console):
+    with closing(console), Interruptible(operator) as person, redirected_output(console):
         loop = assembly.loop(transport, log, person)
         policy = None
         if flight.fault in POLICY:
@@ -283,7 +283,7 @@ def fly(flight: Flight) -> dict[str, Any]:
         "ended": outcome.ended,
         "state": outcome.state,
         "why": outcome.why,
-        "turns": outcome.turns,
+        "turns": outcome.cycles,
         "missed": outcome.missed,
         "lateness_us": outcome.lateness.to_json(),
         "turn_us": outcome.latency.to_json(),

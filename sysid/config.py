@@ -22,6 +22,12 @@ T = TypeVar("T")
 STRICT = ConfigDict(extra="forbid", strict=False, arbitrary_types_allowed=True, allow_inf_nan=False)
 
 
+class Strict:
+    """Base class of settings dataclasses: unknown keys, NaN and infinity fail."""
+
+    __pydantic_config__ = STRICT
+
+
 def read_toml(path: Path) -> dict[str, Any]:
     """Parse a TOML file into a dictionary.
 

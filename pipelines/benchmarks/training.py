@@ -69,7 +69,7 @@ def _ours(batch: int, hidden: tuple[int, ...], rows: tuple[Any, ...]) -> Any:
     def run(updates: int) -> None:
         for _ in range(updates):
             drawn = replay.sample(batch, rng, room)
-            s, a, r, following = (drawn[:, part] for part in replay.parts)
+            s, a, r, following = (drawn[:, part] for part in replay.columns)
             agent.update(s, a, r[:, 0], following)
 
     return run

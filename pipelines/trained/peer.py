@@ -14,7 +14,7 @@ from sysid.progress import Progress
 from sysid.registry import Registry
 from sysid.rl.kinematic import KinematicEnvironment
 from sysid.rl.recipe import parse_training
-from sysid.rl.tracking_task import lay_out
+from sysid.rl.tracking_task import plan_tracking
 from sysid.rl.versions import load_versions
 from trained.policies import kept
 from trained.runs import PAPER, RECIPES
@@ -44,7 +44,7 @@ def _trained(workspace: str, seed: int, limit: float, progress: Progress) -> dic
     torch.set_num_threads(1)
     recipe = parse_training(read_toml(RECIPES / "quick.toml"), "quick")
     plant, forward = load_versions(Registry(Path(workspace)), recipe.plant, recipe.forward)
-    course = lay_out(plant, forward, "helix")
+    course = plan_tracking(plant, forward, "helix")
     inner = KinematicEnvironment(plant, forward, size=1, seed=seed, task=recipe.setting.task, reach=course.reach)
     low, high = inner.observation_low, inner.observation_high
     middle, half = 0.5 * (inner.action_high + inner.action_low), 0.5 * (inner.action_high - inner.action_low)

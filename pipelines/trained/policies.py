@@ -28,7 +28,7 @@ from sysid.rl.inverse_kinematics import chain_of_plant
 from sysid.rl.policy import CandidateSearchPolicy
 from sysid.rl.recipe import parse_training
 from sysid.rl.tracking import SETTLED_S, InversePolicy, TrackingResult
-from sysid.rl.tracking_task import TrackingTask, TruncatedObservationPolicy, lay_out
+from sysid.rl.tracking_task import TrackingTask, TruncatedObservationPolicy, plan_tracking
 from sysid.rl.training import environments, policy_of
 from sysid.rl.versions import load_versions
 from trained.runs import AHEAD, AT_RUN_TIME, DRIVEN, MISREAD, RECIPES, SCATTER, Run
@@ -106,7 +106,7 @@ def _trained(workspace: str, folder: Path, run: Run, progress: Progress) -> dict
         if files.is_due:
             marks.save()
             files.save(trainer)
-        progress(turn / recipe.turns, run.name)
+        progress(turn / recipe.total_steps, run.name)
     last, policy = marks.found[-1], policy_of(trainer)
     if course.full:
         ahead = recipe.setting.repeat / plant.machine.rate_hz
@@ -135,7 +135,7 @@ def _trained(workspace: str, folder: Path, run: Run, progress: Progress) -> dict
 def _course(plant: Plant, forward: ForwardModel, driven: str | None = None) -> TrackingTask:
     """The helix where joints follow at once, or above a controller of :data:`DRIVEN`."""
     tuning = proportional_tuning(plant) if driven == DRIVEN[0] else None
-    return lay_out(plant, forward, "helix", full=driven is not None, tuning=tuning)
+    return plan_tracking(plant, forward, "helix", full=driven is not None, tuning=tuning)
 
 
 class _Marks:
@@ -144,7 +144,7 @@ class _Marks:
     def __init__(self, path: Path, trainer: Trainer, course: TrackingTask) -> None:
         self.path, self.trainer, self.course = path, trainer, course
         self.found: list[dict[str, Any]] = []
-        now = trainer.turn * trainer.environment.size
+        now = trainer.step_count * trainer.environment.size
         if now and path.exists():
             self.found = [mark for mark in json.loads(path.read_text("utf-8"))["marks"] if mark["step"] <= now]
         self._spent = self.found[-1]["cpu_seconds"] if self.found else 0.0

@@ -60,7 +60,7 @@ def run(
     from sysid.runner.modes.commission import Commission
     from sysid.runner.operator import Interruptible, Operator, Unattended
     from sysid.runner.recipe import load_runner
-    from sysid.runner.terminal import Console, Terminal, through
+    from sysid.runner.terminal import Console, Terminal, redirected_output
     from sysid.runner.transport import Settable
     from sysid.runner.transports import connect
     from sysid.workspace import open_workspace
@@ -87,7 +87,7 @@ def run(
     for text in line.remarks:
         printer.line(f"  note: {text}")
     program = unattended or settings.transport["kind"] == "simulated"
-    if program and not (line.stand_in and isinstance(transport, Settable)):
+    if program and not (line.simulated and isinstance(transport, Settable)):
         raise SettingsError("--unattended", "a machine that can hurt somebody", "a person at it: run without --unattended")
     ranges = RangeRecorder(len(assembly.machine.axes), round(SECOND * assembly.dt))
     pair = Both(ranges)
@@ -98,7 +98,7 @@ def run(
     words = provenance(files, versions) | {"run": {"name": settings.name, "mode": settings.mode}}
     folder = log or Path(settings.log.folder)
     kind: Any = "poses" if settings.mode == "collect" else "motion"
-    with contextlib.closing(console), Interruptible(operator) as person, through(console):
+    with contextlib.closing(console), Interruptible(operator) as person, redirected_output(console):
         loop = assembly.loop(transport, pair, person)
         mode = loop.mode
         if line.wired and mode.moves and not isinstance(mode, Commission):
@@ -113,7 +113,7 @@ def run(
             outcome = loop.run(mode.watch if isinstance(mode, Commission) else None)
         finally:
             ended = loop.outcome
-            flight.remark("end", {"ended": ended.ended, "state": ended.state, "why": ended.why, "error": ended.error})
+            flight.add_metadata("end", {"ended": ended.ended, "state": ended.state, "why": ended.why, "error": ended.error})
             unwritten = _closed(flight)
     if console.lost:
         outcome.notes.append(f"{console.lost} lines found no room at the terminal")
@@ -267,7 +267,7 @@ def _tell(out: Printer, assembly: Assembly, outcome: RunOutcome, ranges: RangeRe
         out.line(f"tracking error of {_tracked(assembly)}, over {ranges.tracked} cycles: distance mean {far['mean']}, "
                  f"RMSE {far['rmse']}, max {far['max']} mm; x / y / z: RMSE {rmse}, max {worst} mm")  # fmt: skip
     late, spent = outcome.lateness, outcome.latency
-    out.line(f"{outcome.turns} cycles, {outcome.missed} deadlines missed; lateness p50 {late.percentile(0.5):.0f}, "
+    out.line(f"{outcome.cycles} cycles, {outcome.missed} deadlines missed; lateness p50 {late.percentile(0.5):.0f}, "
              f"p99 {late.percentile(0.99):.0f}, max {late.largest_us:.0f} µs; a cycle took p50 {spent.percentile(0.5):.0f}, "
              f"p99 {spent.percentile(0.99):.0f}, max {spent.largest_us:.0f} µs")  # fmt: skip
     for check, count in outcome.verdicts.most_common():
@@ -280,7 +280,7 @@ def _tell(out: Printer, assembly: Assembly, outcome: RunOutcome, ranges: RangeRe
 def _tracked(assembly: Assembly) -> str:
     """What was followed, by what, through what, and who says where the end effector was."""
     recipe, forward = assembly.recipe, next(item.reference for item in assembly.loaded.versions if item.kind == "forward")
-    path = assembly.course.path.name if assembly.course is not None else "its target"
+    path = assembly.tracking.path.name if assembly.tracking is not None else "its target"
     setting = f"{path} by {recipe.versions.policy} through {recipe.transport['kind']}"
     return f"{setting}, as the machine's sensors and {forward} see it (their own errors included)"
 
@@ -293,7 +293,7 @@ def _figures(assembly: Assembly, outcome: RunOutcome, ranges: RangeRecorder) -> 
         "ended": outcome.ended,
         "state": outcome.state,
         "why": outcome.why,
-        "turns": outcome.turns,
+        "turns": outcome.cycles,
         "missed_deadlines": outcome.missed,
         "lateness_us": outcome.lateness.to_json(),
         "turn_us": outcome.latency.to_json(),

@@ -70,8 +70,8 @@ def track(
     from sysid.errors import SettingsError
     from sysid.names import check_file_name
     from sysid.rl.policy import CandidateSearchPolicy, load_policy
-    from sysid.rl.record import keep
-    from sysid.rl.tracking_task import BASELINES, TrackingTask, TruncatedObservationPolicy, lay_out
+    from sysid.rl.record import write_results
+    from sysid.rl.tracking_task import BASELINES, TrackingTask, TruncatedObservationPolicy, plan_tracking
     from sysid.rl.versions import load_versions
     from sysid.workspace import open_workspace
 
@@ -90,7 +90,7 @@ def track(
         raise SettingsError("--untuned", "without --full", "--full: only there is a controller below")
     with progress_bar("track") as progress:
         progress(0.0, f"a place for {path}")
-        course: TrackingTask = lay_out(
+        course: TrackingTask = plan_tracking(
             simulation, model, path, full=full, centre=centre, tuning=proportional_tuning(simulation) if untuned else None
         )
         progress(0.3, policy)
@@ -109,7 +109,7 @@ def track(
         kind = "full" if full else "kinematic"
         name = check_file_name(f"{policy.replace('@', '-')}-{course.path.name}-{kind}", "path")
         folder = out or place.root.make(f"tracks/{name}")
-        files = keep(folder, simulation.machine, runs)
+        files = write_results(folder, simulation.machine, runs)
     printer = Printer(json_file)
     _show(printer, runs)
     how = "cylinder controller, valves and plant" if full else "joints follow at once (the paper's setting)"

@@ -1,4 +1,4 @@
-"""Actor, critic and their targets: what they answer, and one update of all of them, with the gradients written out.
+"""Actor, critic and their target networks: inference, and one update of all of them with explicit gradients.
 
 Actor ``μ(s) = tanh(perceptron)`` in shares of half the range; critic ``Q(s, a)``; from a batch of N transitions (s, a, r, s')::
 
@@ -43,8 +43,7 @@ class Space:
         low, high: of observations, (O,) [SI].
         action_low, action_high: of actions, (A,) [SI].
         angles: which actions are angles, (A,).
-        target: where the target stands in an observation, (first, last + 1).
-        ee: likewise the end effector.
+        ee, target: columns of end effector and target in an observation, (first, last + 1).
     """
 
     low: Array
@@ -73,17 +72,16 @@ class Space:
 
     @property
     def reach(self) -> float:
-        """The largest half range of the target [m]: the unit of the critic's points."""
+        """Largest half range of the target [m]: the unit of the critic's points."""
         return float(self.half[slice(*self.target)].max())
 
 
 class Agent:
-    """The four networks of one policy, and what an update needs.
+    """The four networks of one policy and their optimisers.
 
     Args:
-        space: ranges.
         networks, learning: of the recipe.
-        rng: initial weights.
+        rng: of the initial weights.
         device: of torch.
     """
 
@@ -119,8 +117,8 @@ class Agent:
             constant(values[self.angles]) for values in (space.action_centre, space.action_half)
         )
         self._target_centre = constant(space.centre[slice(*space.target)])
-        self._rooms: dict[tuple[str, int], torch.Tensor] = {}
-        #: Of the last update: L, and mean Q of the actor's actions.
+        self._buffers: dict[tuple[str, int], torch.Tensor] = {}
+        #: Of the last update: critic loss L, and mean Q of the actor's actions.
         self.loss = self.value = torch.zeros((), device=self.device)
 
     def act(self, observations: Array) -> Array:
@@ -142,40 +140,40 @@ class Agent:
 
         learning, models = self.learning, self.models
         with torch.no_grad():
-            target = self._point(s)
+            target = self._critic_target(s)
             s, a = self._normalised(s), (a - self._action_centre) * self._action_per_half
-            # What the critic is to say.
+            # Target values of the critic.
             if learning.discount > 0.0:
-                s_next, target_next = self._normalised(following), self._point(following)
+                s_next, target_next = self._normalised(following), self._critic_target(following)
                 mu = torch.tanh(models["target_actor"].forward(self._padded("actor", s_next))[0, :, : a.shape[1]])
-                value, _ = self._value("target_critic", s_next, mu, target_next)
+                value, _ = self._q("target_critic", s_next, mu, target_next)
                 r = r + learning.discount * value
             # Critic.
-            q, way = self._value("critic", s, a, target)
+            q, way = self._q("critic", s, a, target)
             error = q - r
             self.loss = error.square().mean()
-            models["critic"].backward(self._room("critic", s), self._back(way, error * (2.0 / len(s))))
+            models["critic"].backward(self._buffer("critic", s), self._output_gradient(way, error * (2.0 / len(s))))
             self.adams["critic"].step(models["critic"], [rate * learning.critic_rate])
-            # Actor: up the critic's slope.
+            # Actor: ascent along the critic's gradient.
             x = self._padded("actor", s)
             mu = torch.tanh(models["actor"].forward(x)[0, :, : a.shape[1]])
-            q, way = self._value("critic", s, mu, target)
+            q, way = self._q("critic", s, mu, target)
             self.value = q.mean()
             slope = models["critic"].backward(
-                self._room("critic", s), self._back(way, torch.full_like(q, -1.0 / len(s))), of="inputs"
+                self._buffer("critic", s), self._output_gradient(way, torch.full_like(q, -1.0 / len(s))), of="inputs"
             )
-            delta = torch.zeros_like(self._room("delta", s, models["actor"].sizes[-1]))
-            delta[0, :, : a.shape[1]] = self._slope(slope, s.shape[1], mu) * (1.0 - mu.square())
+            delta = torch.zeros_like(self._buffer("delta", s, models["actor"].sizes[-1]))
+            delta[0, :, : a.shape[1]] = self._action_gradient(slope, s.shape[1], mu) * (1.0 - mu.square())
             models["actor"].backward(x, delta)
             self.adams["actor"].step(models["actor"], [rate * learning.actor_rate])
-            # Targets follow.
+            # Target networks.
             if learning.discount > 0.0:
                 for name in TRAINED:
                     models[f"target_{name}"].parameters.flat.lerp_(models[name].parameters.flat, learning.tau)
         self.updates += 1
 
     def is_finite(self) -> bool:
-        """Whether every number of the networks is one."""
+        """Whether all weights are finite."""
         import torch
 
         return all(bool(torch.isfinite(model.parameters.flat).all()) for model in self.models.values())
@@ -185,7 +183,7 @@ class Agent:
         return unpack(self.sizes["actor"], self.models["actor"].parameters.row(0))
 
     def state(self) -> dict[str, Any]:
-        """Every number that the future depends on."""
+        """All weights, optimiser states and the number of updates."""
         found: dict[str, Any] = {"updates": self.updates}
         for name, model in self.models.items():
             found[name] = model.parameters.flat.cpu().numpy().copy()
@@ -195,7 +193,7 @@ class Agent:
         return found
 
     def restore(self, state: Mapping[str, Any]) -> None:
-        """Go on exactly where :meth:`state` was taken."""
+        """Continue exactly where :meth:`state` was taken."""
         import torch
 
         self.updates = int(state["updates"])
@@ -213,31 +211,29 @@ class Agent:
     def _normalised(self, observations: torch.Tensor) -> torch.Tensor:
         return (observations - self._centre) * self._per_half
 
-    def _point(self, observations: torch.Tensor) -> torch.Tensor:
-        """Targets in the critic's unit, from the end effector or from the middle of their range, (N, 3)."""
+    def _critic_target(self, observations: torch.Tensor) -> torch.Tensor:
+        """Targets (N, 3) in the critic's unit, relative to the end effector or to the middle of their range."""
         begin = observations[:, slice(*self.space.ee)] if self.networks.critic_head == "offset" else self._target_centre
         return (observations[:, slice(*self.space.target)] - begin) / self.space.reach
 
-    def _room(self, name: str, like: torch.Tensor, width: int = 0) -> torch.Tensor:
-        """A table (1, N, width) that is kept for the next time, zero where nothing is written."""
+    def _buffer(self, name: str, like: torch.Tensor, width: int = 0) -> torch.Tensor:
+        """A reusable buffer (1, N, width), zero where nothing is written."""
         import torch
 
         key = (name, len(like))
-        if key not in self._rooms:
-            self._rooms[key] = torch.zeros((1, len(like), width), device=self.device)
-        return self._rooms[key]
+        if key not in self._buffers:
+            self._buffers[key] = torch.zeros((1, len(like), width), device=self.device)
+        return self._buffers[key]
 
     def _padded(self, name: str, s: torch.Tensor) -> torch.Tensor:
-        room = self._room(name, s, self.models["actor"].sizes[0])
-        room[0, :, : s.shape[1]] = s
-        return room
+        buffer = self._buffer(name, s, self.models["actor"].sizes[0])
+        buffer[0, :, : s.shape[1]] = s
+        return buffer
 
-    def _value(
-        self, name: str, s: torch.Tensor, a: torch.Tensor, target: torch.Tensor
-    ) -> tuple[torch.Tensor, torch.Tensor | None]:
+    def _q(self, name: str, s: torch.Tensor, a: torch.Tensor, target: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor | None]:
         """Q (N,) of observations and actions, both normalised; with the distance head also (p − target)/‖p − target‖."""
         wide, acts, turns = s.shape[1], a.shape[1], len(self.angles)
-        x = self._room("critic", s, self.models[name].sizes[0])
+        x = self._buffer("critic", s, self.models[name].sizes[0])
         x[0, :, :wide] = s
         x[0, :, wide : wide + acts] = a
         if turns:
@@ -251,11 +247,11 @@ class Agent:
         distance = away.norm(dim=1, keepdim=True).clamp_min_(1e-9)
         return out[:, 3] - self.space.reach * distance[:, 0], away / distance
 
-    def _back(self, way: torch.Tensor | None, slope: torch.Tensor) -> torch.Tensor:
+    def _output_gradient(self, way: torch.Tensor | None, slope: torch.Tensor) -> torch.Tensor:
         """From the gradient with respect to Q, (N,), to that of the critic's last layer, (1, N, padded)."""
         import torch
 
-        delta = torch.zeros_like(self._room("critic_delta", slope, self.models["critic"].sizes[-1]))
+        delta = torch.zeros_like(self._buffer("critic_delta", slope, self.models["critic"].sizes[-1]))
         if way is None:
             delta[0, :, 0] = slope
         else:
@@ -263,7 +259,7 @@ class Agent:
             delta[0, :, 3] = slope
         return delta
 
-    def _slope(self, inputs: torch.Tensor, wide: int, a: torch.Tensor) -> torch.Tensor:
+    def _action_gradient(self, inputs: torch.Tensor, wide: int, a: torch.Tensor) -> torch.Tensor:
         """From the gradient of the critic's inputs to that of the normalised action, (N, A)."""
         acts, turns = a.shape[1], len(self.angles)
         found = inputs[0, :, wide : wide + acts].clone()

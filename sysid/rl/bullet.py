@@ -1,7 +1,7 @@
-"""The same plant in PyBullet: worlds side by side that step like the lanes of the compiled chain, only slower.
+"""The same plant in PyBullet: parallel worlds with the interface of the compiled chain, but slower.
 
-The compiled chain moves the driven joints, rigid bodies do the rest (:mod:`sysid.world`). PyBullet does not give its inner
-state away to the last bit, so a run is resumed exactly at the beginning of an episode, which depends on the joints alone.
+The compiled chain moves the driven joints, rigid bodies the rest (:mod:`sysid.world`). PyBullet does not export its complete
+state, so a run can be resumed exactly only at the beginning of an episode, which depends on the joints alone.
 """
 
 from __future__ import annotations
@@ -35,12 +35,12 @@ class Worlds:
         self._moved = np.zeros(lanes, dtype=np.bool_)
 
     def close(self) -> None:
-        """Give PyBullet's clients back."""
+        """Close PyBullet's clients."""
         for world in self._worlds:
             world.close()
 
     def reset(self, joints: npt.ArrayLike, *, which: npt.ArrayLike | None = None) -> LaneState:
-        """At rest at ``joints`` (A,) or (rows, A): all worlds, or those of a mask or indices; the state of all."""
+        """Put all worlds, or those of a mask or indices, at rest at ``joints`` (A,) or (rows, A); the state of all."""
         lanes = np.arange(self.lanes) if which is None else np.arange(self.lanes)[np.asarray(which)]
         rows = np.broadcast_to(np.asarray(joints, dtype=np.float64), (len(lanes), self._begun_at.shape[1]))
         for lane, row in zip(lanes, rows, strict=True):
@@ -56,7 +56,7 @@ class Worlds:
         return self._state()
 
     def state(self) -> dict[str, Array]:
-        """Where the episodes began.
+        """Joints at the beginning of the episodes.
 
         Raises:
             SettingsError: a world has moved since.
@@ -67,7 +67,7 @@ class Worlds:
         return {"begun_at": self._begun_at.copy()}
 
     def restore(self, state: Mapping[str, Array]) -> LaneState:
-        """Begin the episodes that :meth:`state` was taken at."""
+        """Begin the episodes of :meth:`state`."""
         return self.reset(state["begun_at"])
 
     def _keep(self, lane: int, state: WorldState) -> None:

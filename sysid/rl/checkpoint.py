@@ -1,7 +1,7 @@
-"""Where training stands, in files: one safetensors file with a JSON header, replaced atomically, beside the replay buffer's.
+"""Checkpoints of a training: one safetensors file with a JSON header, replaced atomically, and the replay buffer's files.
 
-The folder is named after all that decides the result: recipe, plant, forward model, versions of the libraries. Training that
-differs in any of it does not find the folder; training that does not goes on to the bits it would have reached without a break.
+The name of the folder is a digest of everything that decides the result: recipe, plant, forward model, library versions. A
+training with the same digest continues to the same bits as without an interruption.
 """
 
 from __future__ import annotations
@@ -25,15 +25,15 @@ from sysid.rl.ddpg import Trainer
 from sysid.rl.recipe import TrainingRecipe
 from sysid.root import Root
 
-#: Of the files; another one is another name.
+#: Version of the file format; part of the folder's digest.
 FORMAT = 1
 STATE = "state.safetensors"
-#: Libraries whose versions decide the bits.
+#: Libraries whose versions decide the bits of a result.
 LIBRARIES = ("torch", "numpy", "numba")
 
 
 def training_folder(root: Path, recipe: TrainingRecipe, origin: Mapping[str, str]) -> Path:
-    """Where the training of ``recipe`` on versions of these digests stands."""
+    """Folder of the training of ``recipe`` on model versions with the digests ``origin``."""
     libraries = {name: importlib.metadata.version(name) for name in LIBRARIES}
     decided = {"format": FORMAT, "recipe": recipe.to_json(), "origin": dict(origin), "libraries": libraries}
     digest = hashlib.sha256(json.dumps(decided, sort_keys=True).encode()).hexdigest()
@@ -43,10 +43,10 @@ def training_folder(root: Path, recipe: TrainingRecipe, origin: Mapping[str, str
 
 @dataclass
 class TrainingFiles:
-    """The files of training that is under way; they stay when it is interrupted.
+    """The files of an unfinished training.
 
     Args:
-        folder: made when it is missing.
+        folder: created if it is missing.
         every: seconds between two checkpoints.
     """
 
@@ -59,7 +59,7 @@ class TrainingFiles:
         return time.monotonic() - self._last >= self.every
 
     def save(self, trainer: Trainer) -> None:
-        """Keep where ``trainer`` stands.
+        """Save the state of ``trainer``.
 
         Raises:
             SettingsError: a network holds NaN; the last checkpoint stays.
@@ -72,15 +72,15 @@ class TrainingFiles:
         arrays: dict[str, np.ndarray[Any, Any]] = {}
         rest = _split(trainer.state(), "", arrays)
         content = save(arrays, {"format": str(FORMAT), "state": json.dumps(rest)})
-        write_durably(self.folder / STATE, content, "checkpoint", REMEDY)  # with its name, so that older segments may go
+        write_durably(self.folder / STATE, content, "checkpoint", REMEDY)  # durable, so that older segments can be deleted
         trainer.replay.prune(self.folder)
         self._last = time.monotonic()
 
     def load(self, trainer: Trainer) -> bool:
-        """Bring ``trainer`` to where it was saved; False where nothing was.
+        """Restore ``trainer``; False if there is no checkpoint.
 
         Raises:
-            StoreError: files that are no checkpoint of it.
+            StoreError: the files are no checkpoint of it.
         """
         from safetensors import SafetensorError, safe_open
 
@@ -100,13 +100,13 @@ class TrainingFiles:
         return True
 
     def remove(self) -> None:
-        """Training is done. The state goes first: without it what is left is no checkpoint."""
+        """Remove the files, the state first: without it the rest is no checkpoint."""
         (self.folder / STATE).unlink(missing_ok=True)
         shutil.rmtree(self.folder, ignore_errors=True)
 
 
 def _split(value: Any, key: str, arrays: dict[str, np.ndarray[Any, Any]]) -> Any:
-    """Take the arrays out of a nested state, by dotted key; the rest is JSON."""
+    """Move the arrays of a nested state into ``arrays``, by dotted key; the rest is JSON."""
     if isinstance(value, np.ndarray):
         arrays[key] = np.ascontiguousarray(value)
         return {"array": key}

@@ -1,7 +1,7 @@
-"""Bounded damped least squares on an open chain, compiled: target → joints, from where they are.
+"""Bounded damped least squares on an open chain, compiled: target → joints, searched from given joints.
 
-Each step minimises ``‖J·W·z + e‖² + λ‖z‖²`` (Levenberg–Marquardt), ``dq = W·z``: of all joint motions that take the tip there,
-the one that asks least of the weighted joints. A joint at its bound that would leave it is held, and the rest solved again.
+Each step minimises ``‖J·W·z + e‖² + λ‖z‖²`` (Levenberg–Marquardt), ``dq = W·z``: the smallest weighted joint motion that
+brings the tip to the target. A joint that would leave its bound is held, and the step is solved again without it.
 
 Source: Nakamura & Hanafusa, J. Dyn. Sys. 108 (1986); Nocedal & Wright, Numerical Optimization, §10.3.
 """
@@ -18,15 +18,15 @@ from sysid.effects.compiled import inlined, kernel
 COLUMN, STRETCH, OFFSET, PRISMATIC, SHIFT, ROTATION, AXIS = 0, 1, 2, 3, 4, 7, 16
 WIDTH = 19
 
-#: Damping at the start, relative to the squared length of the machine that the Jacobian has.
+#: Initial damping, relative to the squared norm of the weighted Jacobian.
 DAMPING = 1e-6
-#: A step that is shorter than this share of the weights changes nothing any more.
+#: A step shorter than this share of the weights ends the search.
 SHORT = 1e-12
 
 
 @inlined
-def place(rows, last, q, frame, origins, axes, tip):
-    """Origins and axes of all joints in the base frame, (J, 3) each, and the tip (3,); ``frame`` (7, 3) is used inside."""
+def forward_kinematics(rows, last, q, frame, origins, axes, tip):
+    """Origins and axes of all joints in the base frame, (J, 3) each, and the tip (3,); ``frame`` (7, 3) is scratch."""
     r, t, p = frame[:3], frame[3:6], frame[6]
     for c in range(3):
         p[c] = 0.0
@@ -48,7 +48,7 @@ def place(rows, last, q, frame, origins, axes, tip):
             for c in range(3):
                 p[c] += value * axes[j, c]
                 r[c, 0], r[c, 1], r[c, 2] = t[c, 0], t[c, 1], t[c, 2]
-        else:  # columns of the frame turned about the joint's own axis (Rodrigues)
+        else:  # Rodrigues rotation of the frame's columns about the joint axis
             sin, cos = math.sin(value), math.cos(value)
             rest = 1.0 - cos
             for c in range(3):
@@ -62,8 +62,8 @@ def place(rows, last, q, frame, origins, axes, tip):
 
 
 @inlined
-def slopes(rows, origins, axes, tip, jacobian):
-    """Derivatives of the tip by the joints, (3, A)."""
+def position_jacobian(rows, origins, axes, tip, jacobian):
+    """Derivatives of the tip with respect to the joints, (3, A)."""
     jacobian[:] = 0.0
     for j in range(len(rows)):
         i, stretch = int(rows[j, COLUMN]), rows[j, STRETCH]
@@ -80,8 +80,8 @@ def slopes(rows, origins, axes, tip, jacobian):
 
 
 @inlined
-def step(jacobian, weights, error, damping, q, low, high, held, z):
-    """Change ``z`` (A,) of the joints, within their bounds; ``held`` (A,) is used inside."""
+def damped_step(jacobian, weights, error, damping, q, low, high, held, z):
+    """Change ``z`` (A,) of the joints, within their bounds; ``held`` (A,) is scratch."""
     count = len(weights)
     held[:] = False
     for _ in range(count):
@@ -127,10 +127,11 @@ def solve(rows, last, low, high, weights, begin, targets, follow, steps, near, o
     Args:
         rows: (J, WIDTH); ``last`` (3,) the tip in the frame of the last joint.
         low, high, weights: (A,).
-        begin: where the search begins, (n, A); with ``follow`` where the one before ended, the first at ``begin[0]``.
+        begin: joints at which each search begins, (n, A); with ``follow`` it begins at the result before, the first at
+            ``begin[0]``.
         targets: (n, 3) [m].
-        steps: at most, for each target; ``near``: [m] close enough.
-        out: joints, (n, A); ``left``: distance that remains, (n,) [m].
+        steps: at most, for each target; ``near``: distance at which a search ends [m].
+        out: joints, (n, A); ``left``: remaining distances, (n,) [m].
     """
     count = len(weights)
     origins, axes = np.empty((len(rows), 3)), np.empty((len(rows), 3))
@@ -142,7 +143,7 @@ def solve(rows, last, low, high, weights, begin, targets, follow, steps, near, o
         for i in range(count):
             x = out[k - 1, i] if follow and k > 0 else begin[k, i]
             q[i] = min(max(x, low[i]), high[i])
-        place(rows, last, q, frame, origins, axes, tip)
+        forward_kinematics(rows, last, q, frame, origins, axes, tip)
         cost = 0.0
         for c in range(3):
             error[c] = tip[c] - targets[k, c]
@@ -151,7 +152,7 @@ def solve(rows, last, low, high, weights, begin, targets, follow, steps, near, o
         for _ in range(steps):
             if cost <= near * near:
                 break
-            slopes(rows, origins, axes, tip, jacobian)
+            position_jacobian(rows, origins, axes, tip, jacobian)
             scale = 0.0
             for i in range(count):
                 for c in range(3):
@@ -160,14 +161,14 @@ def solve(rows, last, low, high, weights, begin, targets, follow, steps, near, o
                 damping = DAMPING * scale
             better = False
             for _ in range(12):
-                step(jacobian, weights, error, damping, q, low, high, held, z)
+                damped_step(jacobian, weights, error, damping, q, low, high, held, z)
                 length = 0.0
                 for i in range(count):
                     trial[i] = min(max(q[i] + z[i], low[i]), high[i])
                     length += (z[i] / weights[i]) ** 2
                 if length < SHORT * SHORT:
                     break
-                place(rows, last, trial, frame, origins, axes, tip)
+                forward_kinematics(rows, last, trial, frame, origins, axes, tip)
                 found = 0.0
                 for c in range(3):
                     away[c] = tip[c] - targets[k, c]
@@ -195,4 +196,4 @@ def tips(rows, last, joints, out):
     """Tips (n, 3) at joints (n, A)."""
     frame, origins, axes = np.empty((7, 3)), np.empty((len(rows), 3)), np.empty((len(rows), 3))
     for k in range(len(joints)):
-        place(rows, last, joints[k], frame, origins, axes, out[k])
+        forward_kinematics(rows, last, joints[k], frame, origins, axes, out[k])

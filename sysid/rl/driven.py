@@ -1,7 +1,6 @@
 """The full path: joint setpoint → actuator network → cylinder controller → valve → plant → joints → tip → tool.
 
-Ten numbers are no Markov state under delay, lag and sway: the observation goes on with the commands of the dead time, the
-speeds of the joints, and place and speed of the tool below the tip.
+The observation is that of :class:`sysid.rl.observation.DrivenObservation`.
 """
 
 from __future__ import annotations
@@ -20,10 +19,10 @@ from sysid.errors import InputError, SettingsError, nearest
 from sysid.networks.forward import ForwardModel
 from sysid.plant import Plant
 from sysid.plant.stepper import LaneState, Stepper
+from sysid.rl.environment import Environment
 from sysid.rl.observation import DrivenObservation
 from sysid.rl.reach import Reach
 from sysid.rl.task import Flags, Task
-from sysid.rl.vector_environment import VectorEnvironment
 
 if TYPE_CHECKING:
     from sysid.rl.bullet import Worlds
@@ -33,21 +32,21 @@ Feedback = Literal["static", "plant"]
 Mover = Literal["compiled", "pybullet"]
 
 
-class DrivenEnvironment(VectorEnvironment):
+class DrivenEnvironment(Environment):
     """Observation: joints (A,), end effector (3,), target (3,), the last commands (H·A,), speeds of the joints (A,), tool
     relative to the tip (3,) and its speed there (3,). Action: joint setpoints (A,) in SI.
 
     Args:
         plant, forward, size, seed, task, reach: as of :class:`sysid.rl.kinematic.KinematicEnvironment`.
-        tuning: of the cylinder controller; else what the plant says (:func:`sysid.control.tune`).
-        preview: how long after its step a setpoint is meant [s]; for policies that look ahead.
-        history: how many past commands are seen; else as many as the longest dead time has steps.
-        repeat: samples of the machine for which an action stays, one step of the environment; its reward is that of the last.
-            For training: under delay and lag a single sample of 10 ms tells next to nothing about an action.
-        feedback: how candidates are evaluated: ``static``, by the forward model; ``plant``, by where the plant itself, from the
-            state it is in, brings the end effector when a candidate is held for the longest dead time, or for ``repeat``.
+        tuning: of the cylinder controller; by default from the plant (:func:`sysid.control.tune`).
+        preview: time after its step for which a setpoint is meant [s], for policies with look-ahead.
+        history: number of observed past commands; by default the steps of the longest dead time.
+        repeat: samples of the machine for which an action is held, one step of the environment; its reward is that of the last.
+            For training: under delay and lag a single sample of 10 ms shows little of the effect of an action.
+        feedback: evaluation of candidates: ``static``, by the forward model; ``plant``, by simulating the plant from its
+            present state while a candidate is held for the longest dead time, or for ``repeat``.
         mover: ``compiled``, the chain of effects; ``pybullet``, the same plant with rigid bodies (:mod:`sysid.rl.bullet`).
-        noise: the controller reads its sensors with the noise that the machine's description gives them.
+        noise: the controller reads its sensors with the noise of the machine's description.
 
     Raises:
         SettingsError: plant and forward model do not fit, a force axis, an unknown feedback, ``size`` or ``repeat`` below one.
@@ -90,80 +89,42 @@ class DrivenEnvironment(VectorEnvironment):
         self._controller = CylinderController(plant, tuning, copies=size, preview=preview)
         signals = [axis.driven for axis in plant.machine.axes]
         self._noise = np.array([plant.machine.noise.get(signal, 0.0) if noise else 0.0 for signal in signals])
-        self._evaluations: tuple[Stepper, CylinderController] | None = None
+        self._candidates: tuple[Stepper, CylinderController] | None = None
         self.horizon = max(1, math.ceil(response_time(plant) * sampled) + 1)
         self.history = self.horizon if history is None else history
         self._target = np.full((size, 3), np.nan)
         self._view = DrivenObservation(plant.machine.axis_names, self.history, sampled, size)
+        self.observations, self.names = self._view.width, self._view.names
+        self.observation_low, self.observation_high = self._bounds(-1.0), self._bounds(1.0)
         self._lane: LaneState | None = None
         self._final = np.full((size, self.observations), np.nan)
 
     @property
-    def observations(self) -> int:
-        return self._view.width
-
-    @property
-    def observation_low(self) -> Array:
-        return self._bounds(-1.0)
-
-    @property
-    def observation_high(self) -> Array:
-        return self._bounds(1.0)
-
-    @property
-    def final(self) -> Array:
-        """Observations (n, O) to which the last step led, before any copy was reset."""
-        return self._final.copy()
-
-    @property
     def tool(self) -> Array:
-        """Where the tools are, (n, 3) [m]."""
-        return self._at().tool.copy()
+        """Positions of the tools, (n, 3) [m]."""
+        return self._current().tool.copy()
 
     @property
     def commands(self) -> Array:
         """The last commands, (n, A)."""
         return self._controller.last
 
-    def reset(self) -> Array:
-        """All copies at rest at random joints, with random targets; the observations (n, O)."""
-        self._reset(np.ones(self.size, dtype=np.bool_))
-        return self._seen()
-
     def step(self, actions: npt.ArrayLike) -> tuple[Array, Array, Flags]:
-        """Ask for the joints ``actions`` (n, A); see :meth:`sysid.rl.kinematic.KinematicEnvironment.step`.
-
-        Raises:
-            InputError: another shape, or a setpoint that is no number.
-        """
         wanted = self._checked(actions)
-        if not np.isfinite(wanted).all():
-            raise InputError("environment", "an action that is no finite number", "joint setpoints [rad or m]")
-        lane, setpoints = self._at(), np.clip(wanted, self.reach.low, self.reach.high)
+        self._require_finite(bool(np.isfinite(wanted).all()))
+        lane, setpoints = self._current(), np.clip(wanted, self.reach.low, self.reach.high)
         for _ in range(self.repeat):
             lane = self._sample(setpoints, lane)
         outside = ((wanted < self.reach.low) | (wanted > self.reach.high)).any(axis=1)
         rewards = self.task.reward(lane.ee, self._target, outside)
         self._count += 1
-        truncated = self._count >= self.task.steps
-        self._final = self._seen()
-        fresh = ~truncated & (self._count % self.task.hold == 0) & (self.task.targets > 1)
-        if fresh.any():
-            self._target[fresh] = self._aims(lane.joints[fresh])
-        if truncated.any():
-            self._reset(truncated)
-        changed = fresh.any() or truncated.any()
-        return self._seen() if changed else self._final.copy(), rewards, truncated
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """What the columns of an observation are."""
-        return self._view.names
+        observations, truncated = self._end_of_step(lane.joints)
+        return observations, rewards, truncated
 
     def predicted(self, observations: Array, actions: Array) -> Array:
-        """Where candidate ``actions`` (m, A) lead, (m, 3).
+        """End effectors (m, 3) to which candidate ``actions`` (m, A) lead.
 
-        With ``feedback = "plant"`` candidates start from the states the copies are in now: m is a multiple of the number of
+        With ``feedback = "plant"`` candidates start from the current states of the copies: m is a multiple of the number of
         copies, and the candidates of a copy follow each other.
         """
         wanted = np.clip(actions, self.reach.low, self.reach.high)
@@ -172,27 +133,16 @@ class DrivenEnvironment(VectorEnvironment):
         each, rest = divmod(len(wanted), self.size)
         if rest or not each:
             raise InputError("environment", f"{len(wanted)} candidates", f"as many for each of {self.size} copies")
-        stepper, controller = self._evaluated_by(len(wanted))
+        stepper, controller = self._candidate_models(len(wanted))
         stepper.restore({name: np.repeat(values, each, axis=0) for name, values in self._stepper.state().items()})
         controller.restore({name: np.repeat(values, each, axis=0) for name, values in self._controller.state().items()})
-        lane = _repeated(self._at(), each)
+        present, names = self._current(), ("drive", "joints", "structure", "ee", "tool")
+        lane = LaneState(*(np.repeat(getattr(present, name), each, axis=0) for name in names))
         for _ in range(max(self.horizon, self.repeat)):
             lane = stepper.step(controller.commands(wanted, self._measured(lane)))
         return lane.ee
 
-    def begin(self, joints: npt.ArrayLike, targets: npt.ArrayLike) -> Array:
-        """Put all copies at rest at ``joints`` (A,) or (n, A) with ``targets`` (3,) or (n, 3); an episode begins."""
-        rows = np.broadcast_to(np.asarray(joints, dtype=np.float64), (self.size, self.actions))
-        self._put(np.ones(self.size, dtype=np.bool_), rows, np.asarray(targets, dtype=np.float64))
-        return self._seen()
-
-    def aim(self, targets: npt.ArrayLike) -> Array:
-        """Replace the targets, (3,) or (n, 3)."""
-        self._target[:] = np.asarray(targets, dtype=np.float64)
-        return self._seen()
-
     def state(self) -> dict[str, Any]:
-        """Everything that the future depends on: arrays, and the generator as plain JSON values."""
         view = {"commands": self._view.commands, "speed": self._view.speed}
         own = {"target": self._target, **view, "final": self._final}
         return {
@@ -204,11 +154,6 @@ class DrivenEnvironment(VectorEnvironment):
         }
 
     def restore(self, state: Mapping[str, Any]) -> None:
-        """Go on exactly where :meth:`state` was taken.
-
-        Raises:
-            InputError, SettingsError: it was taken from another environment.
-        """
         plant = {name.removeprefix("plant."): np.asarray(values) for name, values in state.items() if name.startswith("plant.")}
         self._controller.restore(state)
         self._lane = self._stepper.restore(plant)
@@ -219,7 +164,7 @@ class DrivenEnvironment(VectorEnvironment):
         self._rng.bit_generator.state = state["generator"]
 
     def _sample(self, setpoints: Array, before: LaneState) -> LaneState:
-        """One sample of the machine: sensors, controller, valves, plant, and what is seen of it."""
+        """One sample of the machine: sensors, controller, valves, plant, observation."""
         measured = self._measured(before)
         if self._noise.any():
             measured += self._noise * self._rng.standard_normal(measured.shape)
@@ -229,24 +174,24 @@ class DrivenEnvironment(VectorEnvironment):
         self._view.moved(lane.joints, before.joints, lane.tool - lane.ee, before.tool - before.ee)
         return lane
 
-    def _at(self) -> LaneState:
+    def _current(self) -> LaneState:
         if self._lane is None:
             raise SettingsError("environment", "was never reset", "reset() before the first step")
         return self._lane
 
     def _measured(self, lane: LaneState) -> Array:
-        """What the controller sees: draw wires of the cylinders, sensors of the other joints."""
+        """Measurements of the controller: draw wires of the cylinders, sensors of the other joints."""
         return np.where(self._controller.cylinders, lane.drive, lane.joints)
 
-    def _seen(self) -> Array:
-        lane = self._at()
+    def _observe(self) -> Array:
+        lane = self._current()
         return self._view.seen(lane.joints, lane.ee, self._target, lane.tool - lane.ee)
 
-    def _evaluated_by(self, count: int) -> tuple[Stepper, CylinderController]:
-        if self._evaluations is None or self._evaluations[0].lanes != count:
+    def _candidate_models(self, count: int) -> tuple[Stepper, CylinderController]:
+        if self._candidates is None or self._candidates[0].lanes != count:
             controller = CylinderController(self.plant, self._controller.tuning, copies=count, preview=self.preview)
-            self._evaluations = Stepper(self.plant, self.plant.machine.rate_hz, count), controller
-        return self._evaluations
+            self._candidates = Stepper(self.plant, self.plant.machine.rate_hz, count), controller
+        return self._candidates
 
     def _put(self, which: Flags, joints: Array, targets: Array) -> None:
         self._lane = lane = self._stepper.reset(np.clip(joints, self.reach.low, self.reach.high), which=which)
@@ -256,7 +201,7 @@ class DrivenEnvironment(VectorEnvironment):
         self._count[which] = 0
 
     def _bounds(self, sign: float) -> Array:
-        """Lower or upper bounds of an observation, for networks to scale by; speeds and sway are typical, not limits."""
+        """Lower or upper bounds of an observation, to scale networks; speeds and sway are typical values, not limits."""
         reach, tuning = self.reach, self._controller.tuning
         joints, ends = (reach.low, reach.ee_low) if sign < 0.0 else (reach.high, reach.ee_high)
         servo = np.array([item.servo for item in tuning], dtype=np.bool_)
@@ -268,7 +213,3 @@ class DrivenEnvironment(VectorEnvironment):
         below = np.array([sway, sway, 0.0 if sign > 0.0 else length])
         rest = [np.tile(commands, self.history), sign * speeds, sign * below, sign * np.full(3, swing)]
         return np.concatenate([joints, ends, ends, *rest])
-
-
-def _repeated(lane: LaneState, each: int) -> LaneState:
-    return LaneState(*(np.repeat(getattr(lane, name), each, axis=0) for name in ("drive", "joints", "structure", "ee", "tool")))

@@ -1,4 +1,4 @@
-"""The one way to an environment: joints that follow at once, or the full path through controller, valves and plant."""
+"""Make an environment: joints that follow at once, or the full path through controller, valves and plant."""
 
 from __future__ import annotations
 
@@ -31,11 +31,11 @@ def make_environment(
 
     Args:
         full: joint setpoints pass actuator networks, cylinder controller, valves and plant; else joints follow at once.
-        reach: limits, starts and targets; else those of plant and forward model.
+        reach: limits, starts and targets; by default those of plant and forward model.
         settings: of :class:`sysid.rl.driven.DrivenEnvironment` (``full`` only).
 
     Raises:
-        SettingsError: plant and forward model do not fit each other, or settings that joints which follow at once do not have.
+        SettingsError: plant and forward model do not fit each other, or settings of the full path without ``full``.
     """
     if full:
         return DrivenEnvironment(plant, forward, size=size, seed=seed, task=task, reach=reach, **settings)
@@ -45,28 +45,15 @@ def make_environment(
     return KinematicEnvironment(plant, forward, size=size, seed=seed, task=task, reach=reach)
 
 
-def from_versions(
-    registry: Registry,
-    plant: str,
-    forward: str,
-    *,
-    size: int = 1,
-    seed: int = 0,
-    task: Task | None = None,
-    full: bool = False,
-    **settings: Any,
-) -> Environment:
-    """The environment of a registered plant, evaluated by a registered forward model.
+def from_versions(registry: Registry, plant: str, forward: str, **settings: Any) -> Environment:
+    """The environment of a registered plant and a registered forward model.
 
     Args:
         plant, forward: ``name``, ``name@3`` or ``name@champion``.
-        size: copies side by side.
-        full: joint setpoints pass actuator networks, cylinder controller, valves and plant; else joints follow at once.
-        settings: of :class:`sysid.rl.driven.DrivenEnvironment` (``full`` only).
+        settings: of :func:`make_environment`.
 
     Raises:
         StoreError: no such version, or one of another kind.
         SettingsError: the plant lacks a joint, or the forward model belongs to another machine.
     """
-    machine, model = load_versions(registry, plant, forward)
-    return make_environment(machine, model, full=full, size=size, seed=seed, task=task, **settings)
+    return make_environment(*load_versions(registry, plant, forward), **settings)

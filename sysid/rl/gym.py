@@ -20,7 +20,7 @@ from sysid.rl.environment import Environment
 Array = npt.NDArray[np.float64]
 Observation = npt.NDArray[np.float32]
 
-#: Observations may leave the bounds that networks scale by; the spaces are wider by this share of their range.
+#: Observations may leave the bounds for the scaling of networks; the spaces are wider by this share of their range.
 ROOM = 0.25
 
 
@@ -63,7 +63,7 @@ class MachineEnv(gymnasium.Env[Any, Any]):
 
 
 class MachineVectorEnv(VectorEnv[Array, Array, Array]):
-    """All copies of an environment; where an episode ends the next one begins in the same step (``SAME_STEP``)."""
+    """All copies of an environment; when an episode ends, the next one begins in the same step (``SAME_STEP``)."""
 
     metadata: dict[str, Any] = {"render_modes": [], "autoreset_mode": AutoresetMode.SAME_STEP}  # noqa: RUF012
 
@@ -99,7 +99,7 @@ def spaces(environment: Environment, normalised: bool) -> tuple[Box, Box]:
     room = ROOM * (high - low)
     low, high = low - room, high + room
     basic = environment.actions + 6
-    low[basic:], high[basic:] = -np.inf, np.inf  # speeds and sway have typical values, not bounds
+    low[basic:], high[basic:] = -np.inf, np.inf  # speeds and sway have no bounds
     acts = np.ones(environment.actions)
     bounds = (-acts, acts) if normalised else (environment.action_low, environment.action_high)
     return (

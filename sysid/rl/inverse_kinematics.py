@@ -1,7 +1,7 @@
-"""Inverse kinematics: the baseline that any policy has to be measured against, and what says whether a path can be reached.
+"""Inverse kinematics: the baseline of every policy, and the test whether a path can be reached.
 
 On calibrated kinematics (a ``structured`` forward model without a network, or a plant) the solver is compiled; on any other
-forward model the same steps are taken with slopes by differences.
+forward model the same steps use a Jacobian by finite differences.
 """
 
 from __future__ import annotations
@@ -22,9 +22,9 @@ from sysid.rl import damped_least_squares as solver
 
 Array = npt.NDArray[np.float64]
 
-#: Steps for a target, and how near is near enough [m].
+#: Most steps for a target, and the distance at which a search ends [m].
 STEPS, NEAR = 60, 1e-7
-#: Difference by which the slopes of a learned model are taken, as a share of a joint's range: beyond its kinks.
+#: Finite difference for a learned model, as a share of a joint's range: larger than its kinks.
 DIFFERENCE = 1e-4
 
 
@@ -49,7 +49,7 @@ class KinematicChain:
 
 
 def chain_of_forward(model: ForwardModel) -> KinematicChain | None:
-    """The kinematics inside a calibrated forward model; None where it is, or carries, a network."""
+    """The kinematics inside a calibrated forward model; None where it is or contains a network."""
     if not isinstance(model, StructuredForward) or model.members or not isinstance(model.structure, Calibration):
         return None
     folded = model.structure.geometry.folded(model.structure.values)
@@ -66,7 +66,7 @@ def chain_of_forward(model: ForwardModel) -> KinematicChain | None:
 
 
 def chain_of_plant(plant: Plant) -> KinematicChain:
-    """The kinematics of a plant, without its play and sag.
+    """The kinematics of a plant, without backlash and compliance.
 
     Raises:
         SettingsError: its machine has no URDF.
@@ -108,24 +108,25 @@ class InverseKinematics:
     Args:
         model: joints → end effector; a :class:`KinematicChain` is solved by compiled code.
         low, high: bounds, (A,) [rad or m].
-        weights: how far each joint goes for the same effort, (A,): its top speed, or its range.
     """
 
     model: KinematicChain | ForwardModel
     low: Array
     high: Array
-    weights: Array
 
     @staticmethod
-    def of(forward: ForwardModel | KinematicChain, low: Array, high: Array, weights: Array | None = None) -> InverseKinematics:
-        """For a forward model; the kinematics inside it are used where it has any."""
+    def of(forward: ForwardModel | KinematicChain, low: Array, high: Array) -> InverseKinematics:
+        """For a forward model; its kinematics are used if it has any."""
         chain = forward if isinstance(forward, KinematicChain) else chain_of_forward(forward)
-        return InverseKinematics(
-            chain or forward, low, high, high - low if weights is None else np.asarray(weights, dtype=np.float64)
-        )
+        return InverseKinematics(chain or forward, low, high)
+
+    @cached_property
+    def weights(self) -> Array:
+        """Weight of each joint's motion, (A,): its range."""
+        return self.high - self.low
 
     def solve(self, targets: npt.ArrayLike, begin: npt.ArrayLike) -> tuple[Array, Array]:
-        """Joints (n, A) for targets (n, 3), each searched from its row of ``begin`` (n, A), and the distances left (n,) [m]."""
+        """Joints (n, A) for targets (n, 3), each searched from its row of ``begin`` (n, A); remaining distances (n,) [m]."""
         return self._solve(targets, begin, follow=False)
 
     def follow(self, points: npt.ArrayLike, begin: npt.ArrayLike) -> tuple[Array, Array]:
@@ -133,7 +134,7 @@ class InverseKinematics:
         return self._solve(points, np.atleast_2d(np.asarray(begin, dtype=np.float64)), follow=True)
 
     def reach(self, point: npt.ArrayLike, rng: np.random.Generator, tries: int = 64) -> tuple[Array, float]:
-        """Joints (A,) for one point (3,) that stay farthest from their bounds, of ``tries`` beginnings, and the distance."""
+        """Joints (A,) for one point (3,), farthest from their bounds of ``tries`` random searches, and the distance [m]."""
         begin = rng.uniform(self.low, self.high, (tries, len(self.low)))
         joints, left = self.solve(np.tile(np.asarray(point, dtype=np.float64), (tries, 1)), begin)
         score = np.where(left < left.min() + 1e-5, self.margin(joints), -1.0)
@@ -141,7 +142,7 @@ class InverseKinematics:
         return joints[best], float(left[best])
 
     def margin(self, joints: Array) -> Array:
-        """Distance of the joint that is nearest to its bound, as a share of its range, (n,) for (n, A)."""
+        """Smallest distance of a joint from its bound, as a share of its range, (n,) for joints (n, A)."""
         return np.asarray((np.minimum(joints - self.low, self.high - joints) / (self.high - self.low)).min(axis=-1))
 
     def _solve(self, targets: npt.ArrayLike, begin: npt.ArrayLike, follow: bool) -> tuple[Array, Array]:
@@ -168,34 +169,31 @@ class InverseKinematics:
         return out, left
 
     def _descend(self, targets: Array, begin: Array) -> tuple[Array, Array]:
-        """The compiled solver's steps for any model, on all rows at once."""
+        """The compiled solver's steps for any model, on all rows together."""
         q = np.clip(begin, self.low, self.high)
         error = self._tip(q) - targets
         cost = np.sum(error**2, axis=1)
         damping = np.full(len(q), 1e-4)
+        low, high = self.low / self.weights, self.high / self.weights
         for _ in range(STEPS):
-            wanting = (cost > NEAR**2) & (damping < 1e6)
-            if not wanting.any():
+            active = (cost > NEAR**2) & (damping < 1e6)
+            if not active.any():
                 break
-            jacobian = self._slopes(q) * self.weights  # (n, 3, A)
-            change = self.weights * _least_squares(jacobian, error, damping, q / self.weights, *self._scaled)
+            jacobian = self._jacobian(q) * self.weights  # (n, 3, A)
+            change = self.weights * _least_squares(jacobian, error, damping, q / self.weights, low, high)
             trial = np.clip(q + change, self.low, self.high)
             away = self._tip(trial) - targets
             found = np.sum(away**2, axis=1)
-            better = wanting & (found < cost)
+            better = active & (found < cost)
             settled = better & (cost - found < 1e-9 * cost)
             q[better], error[better], cost[better] = trial[better], away[better], found[better]
             damping = np.where(settled, np.inf, np.where(better, 0.2 * damping, 8.0 * damping))
         return q, np.sqrt(cost)
 
-    @cached_property
-    def _scaled(self) -> tuple[Array, Array]:
-        return self.low / self.weights, self.high / self.weights
-
     def _tip(self, q: Array) -> Array:
         return np.asarray(self.model.predict(q))
 
-    def _slopes(self, q: Array) -> Array:
+    def _jacobian(self, q: Array) -> Array:
         step = DIFFERENCE * (self.high - self.low)
         count = len(self.low)
         moved = np.repeat(q, 2 * count, axis=0).reshape(len(q), count, 2, count)
@@ -207,7 +205,7 @@ class InverseKinematics:
 
 
 def _least_squares(jacobian: Array, error: Array, damping: Array, at: Array, low: Array, high: Array) -> Array:
-    """Damped steps (n, A) for slopes (n, 3, A) and errors (n, 3); joints at a bound that would leave it are held."""
+    """Damped steps (n, A) for Jacobians (n, 3, A) and errors (n, 3); joints that would leave their bound are held."""
     held = np.zeros(at.shape, dtype=np.bool_)
     for _ in range(at.shape[1]):
         free = np.where(held[:, None, :], 0.0, jacobian)

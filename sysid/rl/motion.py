@@ -13,8 +13,8 @@ from sysid.plant.pose import SCRATCH, pose
 
 
 @inlined
-def stand(joints, p, rig, soft, s, q, load, scratch, tip):
-    """Joints at rest (A,) in the middle of their play → end effector ``tip`` (3,); the other arrays are used inside."""
+def resting_tip(joints, p, rig, soft, s, q, load, scratch, tip):
+    """Joints at rest (A,) in the middle of their backlash → end effector ``tip`` (3,); the other arrays are scratch."""
     for sag in range(2 if soft else 1):
         for i in range(len(joints)):
             s[STATE.backlash_structure] = np.nan
@@ -23,8 +23,8 @@ def stand(joints, p, rig, soft, s, q, load, scratch, tip):
 
 
 @inlined
-def gives_way(p, axes):
-    """Whether any joint of the structure sags."""
+def is_compliant(p, axes):
+    """Whether any joint of the structure is compliant."""
     soft = False
     for i in range(axes):
         soft |= p[i * AXIS_WIDTH + AT.joint_compliance_structure] != 0.0
@@ -32,24 +32,24 @@ def gives_way(p, axes):
 
 
 @kernel
-def stands(p, rig, joints, out):
-    """End effectors (n, 3) of poses (n, A) that have nothing to do with each other."""
+def resting_tips(p, rig, joints, out):
+    """End effectors (n, 3) of independent poses (n, A)."""
     axes = joints.shape[1]
     s, q, load = np.empty(STATE.input_delay), np.empty(axes), np.empty(axes)
     scratch = np.empty((len(rig.links), SCRATCH))
-    soft = gives_way(p, axes)
+    soft = is_compliant(p, axes)
     for k in range(len(joints)):
-        stand(joints[k], p, rig, soft, s, q, load, scratch, out[k])
+        resting_tip(joints[k], p, rig, soft, s, q, load, scratch, out[k])
 
 
 @kernel
-def follow(p, rig, wanted, low, high, now, count, rewards, near, outside):
-    """Move all copies by one step; False, and nothing moves, where a setpoint is no finite number.
+def move_copies(p, rig, wanted, low, high, now, count, rewards, near, outside):
+    """Move all copies by one step; False, without motion, if a setpoint is not finite.
 
     Args:
         wanted: setpoints (n, A); ``low`` and ``high`` (A,) limit them.
         now: observations (n, A + 6), in and out; ``count`` (n,) steps of the episode, in and out; ``rewards`` (n,), out.
-        near, outside: reward at no distance, and added where a setpoint is outside.
+        near, outside: reward at zero distance, and penalty for a setpoint outside its limits.
     """
     lanes, axes = wanted.shape
     for lane in range(lanes):
@@ -58,7 +58,7 @@ def follow(p, rig, wanted, low, high, now, count, rewards, near, outside):
                 return False
     s, q, load, tip = np.empty(STATE.input_delay), np.empty(axes), np.empty(axes), np.empty(3)
     scratch = np.empty((len(rig.links), SCRATCH))
-    soft = gives_way(p, axes)
+    soft = is_compliant(p, axes)
     for lane in range(lanes):
         left = False
         for i in range(axes):
@@ -70,7 +70,7 @@ def follow(p, rig, wanted, low, high, now, count, rewards, near, outside):
                 x = high[i]
                 left = True
             now[lane, i] = x
-        stand(now[lane, :axes], p, rig, soft, s, q, load, scratch, tip)
+        resting_tip(now[lane, :axes], p, rig, soft, s, q, load, scratch, tip)
         away = 0.0
         for c in range(3):
             now[lane, axes + c] = tip[c]

@@ -1,4 +1,4 @@
-"""Ornstein–Uhlenbeck noise: random walks that are drawn back to zero."""
+"""Ornstein–Uhlenbeck noise."""
 
 from __future__ import annotations
 
@@ -12,11 +12,9 @@ Flags = npt.NDArray[np.bool_]
 
 
 class OrnsteinUhlenbeck:
-    """Independent processes ``x ← x − θ·x·dt + σ·√dt·n`` (Euler–Maruyama), with n standard normal; at rest they spread by
-    ``σ/√(2θ − θ²·dt)``.
-
-    The time step belongs to it: with the same σ and θ, dt = 0.01 moves a tenth as far in a step as dt = 1 and remembers a
-    hundred times as long.
+    """Independent processes ``x ← x − θ·x·dt + σ·√dt·n`` (Euler–Maruyama), n standard normal; stationary standard deviation
+    ``σ/√(2θ − θ²·dt)``. With the same σ and θ, dt = 0.01 gives a tenth of the increments of dt = 1 and a hundred times its
+    correlation time.
 
     Args:
         shape: of the processes, the first axis the copies of an environment.
@@ -36,7 +34,7 @@ class OrnsteinUhlenbeck:
         return self.value
 
     def begin(self, copies: Flags) -> None:
-        """A new episode of these copies: their processes start at zero."""
+        """A new episode of these copies: their processes begin at zero."""
         self.value[copies] = 0.0
 
     def state(self) -> dict[str, Any]:

@@ -1,7 +1,7 @@
-"""What a policy of the full path sees, and the memory it takes: one code for environments and for the runner.
+"""The observation on the full path and its memory, shared by environments and runner.
 
-Ten numbers are no Markov state under delay, lag and sway: the observation goes on with the commands of the dead time, the
-speeds of the joints, and place and speed of the tool below the tip.
+Joints, end effector and target are no Markov state under delay, lag and sway: the observation also has the commands of the dead
+time, the speeds of the joints, and position and speed of the tool relative to the tip.
 """
 
 from __future__ import annotations
@@ -17,17 +17,17 @@ Array = npt.NDArray[np.float64]
 
 
 class DrivenObservation:
-    """Of ``size`` machines side by side.
+    """Of ``size`` machines.
 
     Args:
         axes: names, in order.
-        history: how many past commands are seen.
-        rate_hz: steps a second.
+        history: number of past commands.
+        rate_hz: steps per second.
     """
 
     def __init__(self, axes: Sequence[str], history: int, rate_hz: float, size: int = 1) -> None:
         self.axes, self.history, self.rate_hz, self.size = tuple(axes), history, rate_hz, size
-        self.parts = ObservationSlices.of(len(self.axes))
+        self.slices = ObservationSlices.of(len(self.axes))
         #: The last commands, newest first, (n, H, A).
         self.commands = np.zeros((size, history, len(self.axes)))
         #: Speeds of the joints and of the tool below the tip, (n, A + 3).
@@ -35,28 +35,28 @@ class DrivenObservation:
 
     @property
     def width(self) -> int:
-        return self.parts.width + (self.history + 1) * len(self.axes) + 6
+        return self.slices.width + (self.history + 1) * len(self.axes) + 6
 
     @property
     def names(self) -> tuple[str, ...]:
-        """What the columns are."""
+        """Names of the columns."""
         past = tuple(f"{axis}.command[{-1 - k}]" for k in range(self.history) for axis in self.axes)
         below = tuple(f"tool.{what}{axis}" for what in ("below.", "speed.") for axis in "xyz")
-        return (*self.parts.names(self.axes), *past, *(f"{axis}.speed" for axis in self.axes), *below)
+        return (*self.slices.names(self.axes), *past, *(f"{axis}.speed" for axis in self.axes), *below)
 
     def rest(self, which: npt.NDArray[np.bool_] | None = None) -> None:
-        """Those of a mask, or all, are at rest with neutral valves."""
+        """Put those of a mask, or all, at rest with neutral valves."""
         lanes = slice(None) if which is None else which
         self.commands[lanes], self.speed[lanes] = 0.0, 0.0
 
     def sent(self, commands: Array) -> None:
-        """``commands`` (n, A) were sent."""
+        """Record the sent ``commands`` (n, A)."""
         if self.history:
             self.commands[:, 1:] = self.commands[:, :-1]
             self.commands[:, 0] = commands
 
     def moved(self, joints: Array, before: Array, below: Array, below_before: Array) -> None:
-        """A step led from ``before`` to ``joints`` (n, A), the tool below the tip from ``below_before`` to ``below`` (n, 3)."""
+        """Record a step from ``before`` to ``joints`` (n, A), and of the tool relative to the tip (n, 3)."""
         count = len(self.axes)
         self.speed[:, :count] = (joints - before) * self.rate_hz
         self.speed[:, count:] = (below - below_before) * self.rate_hz

@@ -1,7 +1,7 @@
-"""Who is told how training goes: a file of JSON lines, TensorBoard, an MLflow server.
+"""Training callbacks: a file of JSON lines, TensorBoard, an MLflow server.
 
-An observer decides nothing. What it was told before an interruption and is told again afterwards is the same, at the same step;
-each of them keeps it once.
+They do not influence training. After an interruption, training repeats the records since its checkpoint with the same values at
+the same steps; each observer stores them once.
 """
 
 from __future__ import annotations
@@ -15,27 +15,26 @@ from typing import IO, Any, Protocol
 
 from sysid.errors import SettingsError
 from sysid.rl.ddpg import Trainer
-from sysid.rl.recipe import TrainingRecipe
 from sysid.root import Root
 
 
 class Observer(Protocol):
-    """Told of every episode and evaluation while its context is open."""
+    """Records every episode and evaluation while its context is open."""
 
-    def watching(self, recipe: TrainingRecipe, folder: Path, trainer: Trainer) -> AbstractContextManager[None]: ...
+    def opened(self, folder: Path, trainer: Trainer) -> AbstractContextManager[None]: ...
 
-    def told(self, kind: str, step: int, figures: Mapping[str, float]) -> None: ...
+    def record(self, kind: str, step: int, figures: Mapping[str, float]) -> None: ...
 
 
 @dataclass
 class JsonLines:
-    """One line an episode or evaluation: ``{"kind": …, "step": …, figures}``; what the checkpoint knows is written first."""
+    """One line for each episode or evaluation: ``{"kind": …, "step": …, figures}``, those of the checkpoint first."""
 
     path: Path
     _file: IO[str] | None = field(default=None, repr=False)
 
     @contextmanager
-    def watching(self, recipe: TrainingRecipe, folder: Path, trainer: Trainer) -> Iterator[None]:
+    def opened(self, folder: Path, trainer: Trainer) -> Iterator[None]:
         self.path.parent.mkdir(parents=True, exist_ok=True)
         with self.path.open("w", encoding="utf-8") as self._file:
             for kind, entries in (("episode", trainer.episodes), ("evaluation", trainer.evaluations)):
@@ -44,7 +43,7 @@ class JsonLines:
             yield
         self._file = None
 
-    def told(self, kind: str, step: int, figures: Mapping[str, float]) -> None:
+    def record(self, kind: str, step: int, figures: Mapping[str, float]) -> None:
         self._write({"kind": kind, "step": step, **figures})
 
     def _write(self, line: Mapping[str, Any]) -> None:
@@ -55,55 +54,51 @@ class JsonLines:
 
 @dataclass
 class TensorBoard:
-    """Event files below ``folder``; those of an interrupted run are cut at the step where it goes on."""
+    """Event files below ``folder``; those of an interrupted run are purged from the step at which it continues."""
 
     folder: Path
     _writer: Any = field(default=None, repr=False)
 
     @contextmanager
-    def watching(self, recipe: TrainingRecipe, folder: Path, trainer: Trainer) -> Iterator[None]:
+    def opened(self, folder: Path, trainer: Trainer) -> Iterator[None]:
         try:
             from torch.utils.tensorboard import SummaryWriter
         except ImportError:
-            raise SettingsError(
-                "sysid train --tensorboard",
-                "tensorboard is not installed",
-                "the extra",
-                "Type: pip install 'sysid[tensorboard]'",
-            ) from None
-        step = trainer.turn * trainer.environment.size
+            found, remedy = "tensorboard is not installed", "Type: pip install 'sysid[tensorboard]'"
+            raise SettingsError("sysid train --tensorboard", found, "the extra", remedy) from None
+        step = trainer.step_count * trainer.environment.size
         self._writer = SummaryWriter(str(Root(self.folder).make(folder.name)), purge_step=step + 1 if step else None)
         try:
             yield
         finally:
             self._writer.close()
 
-    def told(self, kind: str, step: int, figures: Mapping[str, float]) -> None:
+    def record(self, kind: str, step: int, figures: Mapping[str, float]) -> None:
         for name, value in figures.items():
             self._writer.add_scalar(f"{kind}/{name}", value, step)
 
 
 @dataclass
 class MlflowRun:
-    """A run of the experiment ``policies`` at ``uri``; an interrupted training goes on in its own run."""
+    """A run of the experiment ``policies`` at ``uri``; an interrupted training continues its run."""
 
     uri: str
-    experiment: str = "policies"
     _client: Any = field(default=None, repr=False)
     _run: str = field(default="", repr=False)
 
     @contextmanager
-    def watching(self, recipe: TrainingRecipe, folder: Path, trainer: Trainer) -> Iterator[None]:
+    def opened(self, folder: Path, trainer: Trainer) -> Iterator[None]:
         from mlflow.tracking import MlflowClient
 
         self._client = MlflowClient(self.uri)
-        found = self._client.get_experiment_by_name(self.experiment)
-        experiment = found.experiment_id if found is not None else self._client.create_experiment(self.experiment)
+        found = self._client.get_experiment_by_name("policies")
+        experiment = found.experiment_id if found is not None else self._client.create_experiment("policies")
         runs = self._client.search_runs([experiment], f"tags.training = '{folder.name}'", max_results=1)
         if runs:
             self._run = runs[0].info.run_id
             self._client.update_run(self._run, status="RUNNING")
         else:
+            recipe = trainer.recipe
             name = f"{recipe.name} seed {recipe.seed}"
             self._run = self._client.create_run(experiment, tags={"training": folder.name}, run_name=name).info.run_id
             for key, value in _flat(recipe.to_json()):
@@ -115,10 +110,10 @@ class MlflowRun:
             raise
         self._client.set_terminated(self._run)
 
-    def told(self, kind: str, step: int, figures: Mapping[str, float]) -> None:
+    def record(self, kind: str, step: int, figures: Mapping[str, float]) -> None:
         from mlflow.entities import Metric
 
-        # The step is the time as well: what is told again after an interruption is the same entry.
+        # The step is the time as well: a repeated record is the same entry.
         metrics = [Metric(f"{kind}.{name}", value, step, step) for name, value in figures.items()]
         self._client.log_batch(self._run, metrics=metrics)
 

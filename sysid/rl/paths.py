@@ -1,14 +1,14 @@
-"""Paths that an end effector is to follow: the helix and circle of the paper, and those in a CSV file.
+"""Paths of an end effector: helix and circle, and paths in a CSV file.
 
 The paper does not state its helix. The default here: radius 0.20 m, 10 s a turn, 0.02 m climb a turn, 3 turns, about a vertical
-axis whose place is where the machine keeps farthest from its joint limits (:func:`centre_for`).
+axis at which the joints keep farthest from their limits (:func:`centre_for`).
 """
 
 from __future__ import annotations
 
 import csv
+import itertools
 import math
-from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path as File
 
@@ -22,24 +22,24 @@ from sysid.rl.inverse_kinematics import InverseKinematics
 Array = npt.NDArray[np.float64]
 
 RADIUS, TURN_S, CLIMB, TURNS = 0.20, 10.0, 0.02, 3
-#: Columns of a path's file: seconds and metres.
+#: Columns of a CSV file: seconds and metres.
 COLUMNS = ("t", "x", "y", "z")
-#: A point counts as reached by the joints within this distance [m].
+#: A point counts as reached within this distance [m].
 REACHED = 1e-3
-#: Places that are tried for the centre of a path lie so far apart [m].
+#: Grid of the candidates for the centre of a path [m].
 GRID = 0.05
-#: Points of a path at which a centre is tried, and tries for the first of them.
-_LOOKED_AT, _TRIES = 13, 48
+#: Points of a path at which a centre is evaluated, and searches for the first of them.
+_SAMPLES, _TRIES = 13, 48
 
 
 @dataclass(frozen=True)
 class Path:
-    """Targets at even times.
+    """Targets at equal time steps.
 
     Args:
         name: for people.
         rate_hz: points a second.
-        points: (n, 3) [m] in the base frame; the first one is where the end effector starts.
+        points: (n, 3) [m] in the base frame; the first one is the start.
     """
 
     name: str
@@ -53,11 +53,11 @@ class Path:
 
     @property
     def speed(self) -> float:
-        """The greatest [m/s]."""
+        """Greatest speed [m/s]."""
         return float(np.linalg.norm(np.diff(self.points, axis=0), axis=1).max()) * self.rate_hz
 
     def at(self, steps: int | Array) -> Array:
-        """The point so many steps after the beginning; the last one beyond the end."""
+        """The points ``steps`` after the beginning; the last point beyond the end."""
         return self.points[np.minimum(steps, len(self.points) - 1)]
 
 
@@ -83,9 +83,9 @@ def helix(
     return Path(name, rate_hz, points)
 
 
-def circle(centre: npt.ArrayLike, rate_hz: float = 100.0, *, radius: float = RADIUS, turn_s: float = TURN_S) -> Path:
+def circle(centre: npt.ArrayLike, rate_hz: float = 100.0) -> Path:
     """One level turn about ``centre`` (3,)."""
-    return helix(centre, rate_hz, radius=radius, turn_s=turn_s, climb=0.0, turns=1.0, name="circle")
+    return helix(centre, rate_hz, climb=0.0, turns=1.0, name="circle")
 
 
 def centre_for(
@@ -97,26 +97,28 @@ def centre_for(
     radius: float = RADIUS,
     height: float = CLIMB * TURNS,
 ) -> Array:
-    """The middle of a helix (3,) at which the joints keep farthest from their bounds all along it.
+    """The centre (3,) [m] of a helix along which the joints keep farthest from their bounds.
 
-    Tried on a grid of :data:`GRID` in the plane y = 0 of the base frame, inside the box ``low`` … ``high`` (3,) of what the
-    machine reaches, and all of it above ``floor``.
+    Candidates are a grid of :data:`GRID` in the plane y = 0 of the base frame, inside the box ``low`` … ``high`` (3,) that the
+    machine reaches; the whole helix stays above ``floor``.
 
     Raises:
-        SettingsError: it does not fit anywhere.
+        SettingsError: no candidate fits.
     """
     rng = np.random.default_rng(0)
-    shape = helix(np.zeros(3), 1.0, radius=radius, turn_s=_LOOKED_AT - 1, climb=height, turns=1.0).points
+    shape = helix(np.zeros(3), 1.0, radius=radius, turn_s=_SAMPLES - 1, climb=height, turns=1.0).points
     best, score = None, 0.0
-    for centre in _grid(low, high):
+    first, last = np.ceil(low / GRID).astype(int), np.floor(high / GRID).astype(int)
+    for x, z in itertools.product(range(first[0], last[0] + 1), range(first[2], last[2] + 1)):
+        centre = np.array([GRID * x, 0.0, GRID * z])
         if centre[2] - 0.5 * height < floor - 1e-9:
             continue
         begin, left = inverse.reach(centre + shape[0], rng, _TRIES)
         if left > REACHED:
             continue
-        joints, away = inverse.follow(centre + shape, begin)
+        joints, distance = inverse.follow(centre + shape, begin)
         margin = float(inverse.margin(joints).min())
-        if away.max() < REACHED and margin > score:
+        if distance.max() < REACHED and margin > score:
             best, score = centre, margin
     if best is None:
         found = f"no place for a helix of radius {radius} m and height {height} m"
@@ -124,8 +126,8 @@ def centre_for(
     return best
 
 
-def floor_of(machine: Machine) -> float:
-    """How high the tip has to stay so that what hangs from it clears the foot of the machine (z = 0) by :data:`GRID`."""
+def lowest_height(machine: Machine) -> float:
+    """Lowest height of the tip [m] at which the hanging tool clears the foot of the machine (z = 0) by :data:`GRID`."""
     kinematics = machine.kinematics()
     if kinematics is None or machine.tool is None:
         return GRID
@@ -137,18 +139,11 @@ def floor_of(machine: Machine) -> float:
     return GRID + length
 
 
-def _grid(low: Array, high: Array) -> Iterator[Array]:
-    first, last = np.ceil(low / GRID).astype(int), np.floor(high / GRID).astype(int)
-    for x in range(first[0], last[0] + 1):
-        for z in range(first[2], last[2] + 1):
-            yield np.array([GRID * x, 0.0, GRID * z])
-
-
 def read_path(file: File, rate_hz: float) -> Path:
     """A path in a CSV file with the columns t [s], x, y, z [m], linear between its rows.
 
     Raises:
-        InputError: no such file, other columns, a row that is no four finite numbers, or time that does not rise.
+        InputError: no such file, other columns, a row without four finite numbers, or time that does not increase.
     """
     try:
         lines = list(csv.reader(file.read_text("utf-8").splitlines()))
@@ -165,7 +160,7 @@ def read_path(file: File, rate_hz: float) -> Path:
     back = np.flatnonzero(np.diff(rows[:, 0]) <= 0.0)
     if len(back):
         number = int(back[0]) + 1
-        raise InputError(file, f"time {rows[number, 0]:g} s follows {rows[number - 1, 0]:g} s", "time that rises")
+        raise InputError(file, f"time {rows[number, 0]:g} s follows {rows[number - 1, 0]:g} s", "increasing time")
     time = np.arange(math.floor((rows[-1, 0] - rows[0, 0]) * rate_hz + 1e-9) + 1) / rate_hz
     points = np.column_stack([np.interp(time, rows[:, 0] - rows[0, 0], column) for column in rows.T[1:]])
     return Path(file.stem, rate_hz, points)
@@ -182,27 +177,23 @@ def _row(file: File, number: int, line: list[str]) -> list[float]:
 
 
 def check_reach(path: Path, inverse: InverseKinematics) -> Array:
-    """Joints (n, A) along the path from the beginning that keeps farthest from the bounds.
+    """Joints (n, A) along the path, from the start that keeps farthest from the bounds.
 
     Raises:
-        InputError: the end effector cannot be at some point; names the first and the worst.
+        InputError: a point out of reach; the message names the first and the worst.
     """
     begin, _ = inverse.reach(path.points[0], np.random.default_rng(0))
     joints, left = inverse.follow(path.points, begin)
-    for k in np.flatnonzero(left > REACHED):  # another posture may reach what this one does not
-        again, away = inverse.reach(path.points[k], np.random.default_rng(int(k)))
-        if away > REACHED:
-            worst = int(np.argmax(left))
+    for k in np.flatnonzero(left > REACHED):  # another posture may reach the point
+        again, distance = inverse.reach(path.points[k], np.random.default_rng(int(k)))
+        if distance > REACHED:
+            worst, place = int(np.argmax(left)), ", ".join(f"{value:.3f}" for value in path.points[k])
             raise InputError(
                 f"path {path.name}",
-                f"at {path.time[k]:.2f} s ({_point(path.points[k])}) the machine stays {1e3 * away:.0f} mm away, and "
+                f"at {path.time[k]:.2f} s ({place}) the machine stays {1e3 * distance:.0f} mm away, and "
                 f"{1e3 * left[worst]:.0f} mm at {path.time[worst]:.2f} s",
                 "points that the machine reaches",
                 "Move or shrink the path.",
             )
         joints[k:], left[k:] = inverse.follow(path.points[k:], again)
     return joints
-
-
-def _point(values: Array) -> str:
-    return ", ".join(f"{value:.3f}" for value in values)

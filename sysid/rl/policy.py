@@ -26,17 +26,16 @@ def load_policy(version: ModelVersion) -> PolicyNetwork:
 
 
 class CandidateSearchPolicy:
-    """A policy with a choice at run time: of candidates around its answer, the one nearest to the target by the forward model.
+    """Search at run time: of candidates around the policy's action, the one nearest to the target by the forward model.
 
-    This is a random search over inverse kinematics with a policy as its first guess, no property of the policy: its figures
-    belong in a row of their own. The answer itself is among the candidates.
+    This is a random search with the policy's action as its first candidate; report its figures separately from the policy's.
 
     Args:
-        policy: joints, end effector and target first among what it sees.
+        policy: its observations begin with joints, end effector and target.
         forward: joints (n, A) → end effector (n, 3) [m].
-        candidates: besides the policy's own answer.
-        sigma: how far they scatter, of half the range of each setpoint.
-        seed: of the scatter.
+        candidates: besides the policy's own action.
+        sigma: standard deviation of the candidates, in half ranges of each setpoint.
+        seed: of the candidates.
     """
 
     def __init__(
@@ -48,7 +47,7 @@ class CandidateSearchPolicy:
 
     @property
     def inputs(self) -> tuple[str, ...]:
-        """What it observes: what the policy does."""
+        """Observations of the policy."""
         return self.policy.inputs
 
     def act(self, observations: npt.ArrayLike) -> Array:

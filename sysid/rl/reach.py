@@ -1,4 +1,4 @@
-"""Where a machine can go: joint limits of the structure, and end effectors drawn from within them."""
+"""The reach of a machine: joint limits of the structure, and random joints within them."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from sysid.errors import SettingsError
 from sysid.networks.forward import ForwardModel
 from sysid.plant import Plant
 from sysid.plant.model import Model, compile_plant
-from sysid.rl.motion import stands
+from sysid.rl.motion import resting_tips
 
 Array = npt.NDArray[np.float64]
 
-#: Poses from which the box around all end effectors is taken.
+#: Poses for the bounding box of the end effectors.
 _POSES = 4096
 
 
@@ -25,44 +25,44 @@ class Reach:
 
     Args:
         low, high: of the joints, (A,) [rad or m]: the narrowest of URDF, stroke of the cylinder and end stops.
-        taught_low, taught_high: within them, what the forward model has seen, (A,); starts and targets come from there.
-        ee_low, ee_high: box around the end effectors of these, (3,) [m].
+        trained_low, trained_high: within them, the training range of the forward model, (A,), for starts and targets.
+        ee_low, ee_high: bounding box of the end effectors of these, (3,) [m].
     """
 
     low: Array
     high: Array
-    taught_low: Array
-    taught_high: Array
+    trained_low: Array
+    trained_high: Array
     ee_low: Array
     ee_high: Array
 
     def draw(self, count: int, rng: np.random.Generator) -> Array:
-        """Joints at random, (count, A)."""
-        return rng.uniform(self.taught_low, self.taught_high, (count, len(self.low)))
+        """Random joints, (count, A)."""
+        return rng.uniform(self.trained_low, self.trained_high, (count, len(self.low)))
 
 
 def reach_of(plant: Plant, forward: ForwardModel | None = None) -> Reach:
-    """The reach of a plant, within what ``forward`` was fitted on.
+    """The reach of a plant, within the training range of ``forward``.
 
     Raises:
-        SettingsError: a joint without limits, a cylinder without linkage, or a forward model that saw nothing of the range.
+        SettingsError: a joint without limits, a cylinder without linkage, or a forward model without data inside the limits.
     """
     where = f"plant {plant.reference or plant.machine.name}"
     low, high = joint_limits(plant)
-    taught_low, taught_high = low.copy(), high.copy()
+    trained_low, trained_high = low.copy(), high.copy()
     if forward is not None:
-        taught_low, taught_high = np.maximum(low, forward.low), np.minimum(high, forward.high)
-        for name, first, last in zip(plant.machine.axis_names, taught_low, taught_high, strict=True):
+        trained_low, trained_high = np.maximum(low, forward.low), np.minimum(high, forward.high)
+        for name, first, last in zip(plant.machine.axis_names, trained_low, trained_high, strict=True):
             if not first < last:
-                found = f"the forward model saw no value of {name}.joint within its limits"
+                found = f"the forward model has no training data for {name}.joint within its limits"
                 raise SettingsError(where, found, "a forward model of this machine", "Fit it on poses of the whole range.")
-    poses = np.random.default_rng(0).uniform(taught_low, taught_high, (_POSES, len(low)))
+    poses = np.random.default_rng(0).uniform(trained_low, trained_high, (_POSES, len(low)))
     ends = tips(compile_plant(plant), poses)
-    return Reach(low, high, taught_low, taught_high, ends.min(axis=0), ends.max(axis=0))
+    return Reach(low, high, trained_low, trained_high, ends.min(axis=0), ends.max(axis=0))
 
 
 def joint_limits(plant: Plant) -> tuple[Array, Array]:
-    """Lower and upper limits of the joints, (A,) each: those of the URDF, and where the ends of the stroke lie.
+    """Lower and upper limits of the joints, (A,) each: the narrower of URDF and stroke.
 
     Raises:
         SettingsError: a joint without limits, or a cylinder without linkage.
@@ -83,7 +83,7 @@ def joint_limits(plant: Plant) -> tuple[Array, Array]:
 
 
 def tips(model: Model, joints: Array) -> Array:
-    """End effectors of the plant, as measured, at rest at joints as their sensors read them, (n, A) → (n, 3) [m]."""
+    """Measured end effectors of the plant at rest at measured joints, (n, A) → (n, 3) [m]."""
     out = np.empty((len(joints), 3))
-    stands(model.theta, model.rig, np.ascontiguousarray(joints, dtype=np.float64), out)
+    resting_tips(model.theta, model.rig, np.ascontiguousarray(joints, dtype=np.float64), out)
     return out

@@ -1,8 +1,4 @@
-"""How a policy is trained: a frozen recipe, by default that of the paper, of which a TOML file overrides single keys.
-
-The paper gives episodes, steps, buffer, batch, γ, τ, both learning rates and σ. Number of candidates, sizes of the networks, θ
-and time step of the noise are ours (``docs/ddpg.md`` lists them).
-"""
+"""The recipe of a training. The defaults are the paper's, with the choices that it leaves open listed in ``docs/ddpg.md``."""
 
 from __future__ import annotations
 
@@ -10,28 +6,25 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
-from sysid.config import STRICT, parse_settings, read_toml
+from sysid.config import Strict, parse_settings, read_toml
 from sysid.errors import SettingsError
 from sysid.names import check_name
 from sysid.rl.task import Task
 
 
 @dataclass(frozen=True)
-class Setting:
-    """Where the policy acts.
+class Setting(Strict):
+    """The environment.
 
     Args:
-        copies: of the machine side by side; the paper has one.
+        copies: of the machine in parallel.
         full: joint setpoints pass cylinder controllers, valves and plant; else joints follow at once, as in the paper.
-        feedback: how candidates are evaluated: ``static``, by the forward model, as in the paper; ``plant``, on the full path
-            alone, by where the machine will be, delay and lag included.
-        repeat: samples for which an action stays while training, on the full path alone; the policy acts at every sample.
+        feedback, repeat: of :class:`sysid.rl.driven.DrivenEnvironment`, on the full path only; a trained policy acts at every
+            sample.
         task: steps of an episode and its rewards.
-        curriculum: share of the training in which targets move away from where an episode begins, from a tenth of the way to
-            anywhere within reach; 0: they are anywhere from the start, as in the paper.
+        curriculum: share of the training in which the distance of targets grows, from a tenth of the way to anywhere within
+            reach; 0: they are anywhere from the start, as in the paper.
     """
-
-    __pydantic_config__ = STRICT
 
     copies: int = 1
     full: bool = False
@@ -42,19 +35,17 @@ class Setting:
 
 
 @dataclass(frozen=True)
-class Exploration:
-    """Which action is tried in a state.
+class Exploration(Strict):
+    """The exploring actions.
 
     Args:
-        candidates: actions drawn around the actor's; the one that the forward model puts nearest to the target is executed.
-            One is plain DDPG, without feedback.
-        sigma, theta, time_step: Ornstein–Uhlenbeck process of each candidate, of half the range of the action:
-            ``x ← x − θ·x·dt + σ·√dt·n``. With dt = 1, σ is what is added at each step; Stable-Baselines3 has dt = 0.01.
-        sigma_end: what σ falls to by the end, in equal ratios; None: it stays.
-        random_steps: steps of each copy, at the start, whose actions are drawn from the whole range.
+        candidates: actions drawn around the actor's, of which the one nearest to the target by the forward model is executed;
+            one is plain DDPG, without feedback.
+        sigma, theta, time_step: σ, θ and dt of :class:`sysid.rl.noise.OrnsteinUhlenbeck`, in half ranges of the action.
+            With dt = 1, σ is the increment of a step; Stable-Baselines3 has dt = 0.01.
+        sigma_end: final σ of a geometric decay; None: σ is constant.
+        random_steps: first steps of each copy, with actions from the whole range.
     """
-
-    __pydantic_config__ = STRICT
 
     candidates: int = 10
     sigma: float = 0.1
@@ -65,18 +56,15 @@ class Exploration:
 
 
 @dataclass(frozen=True)
-class Networks:
+class Networks(Strict):
     """Perceptrons with ReLU.
 
     Args:
         actor, critic: hidden layers.
-        critic_head: ``value``: the last layer is Q. ``distance``: it is a point p and an offset b, and Q = b − ‖p − target‖:
-            the form of the reward is built in, and where an action leads is left to learn. ``offset``: p is given from the end
-            effector, for the full path, on which an action leads not far.
-        critic_features: ``plain``, or ``sincos``: sine and cosine of the angles of the action beside it.
+        critic_head: ``value``: the last layer is Q. ``distance``: it is a point p and an offset b, Q = b − ‖p − target‖, the
+            form of the reward. ``offset``: the same with p relative to the end effector, for the full path.
+        critic_features: ``plain``, or ``sincos``: additional inputs sine and cosine of the action's angles.
     """
-
-    __pydantic_config__ = STRICT
 
     actor: tuple[int, ...] = (400, 300)
     critic: tuple[int, ...] = (400, 300)
@@ -85,26 +73,24 @@ class Networks:
 
 
 @dataclass(frozen=True)
-class Learning:
-    """How much is learned from what was tried.
+class Learning(Strict):
+    """The updates.
 
     Args:
         episodes: of all copies together, each of ``setting.task.steps`` steps.
-        updates, every: so many updates after every so many steps of all copies.
+        updates, every: ``updates`` after every ``every`` steps of all copies.
         start: transitions in the buffer before the first update.
         buffer: transitions kept.
         batch: transitions of an update.
-        discount: γ. Where every setpoint can be reached within a step, γ = 0 has the same best policy as any other.
-        tau: share of a network that its target takes over at each update.
+        discount: γ. Where every setpoint is reached within a step, γ = 0 has the same optimal policy as any other.
+        tau: τ of the target networks.
         actor_rate, critic_rate: of Adam.
         schedule: ``cosine``: both rates fall to zero by the end.
-        hindsight: share of a batch whose target is replaced: the reward is a function of end effector and target, so any
-            target may stand in a transition. Half of them get one near where the end effector came to, as far off as the
-            actor still errs, half that of another transition.
-        hindsight_near: typical distance of the former [m].
+        hindsight: share of a batch whose targets are replaced and rewards recomputed (the reward is a function of end
+            effector and target): half of them by points near the reached end effector, half by end effectors of other
+            transitions.
+        hindsight_near: standard deviation of the former [m].
     """
-
-    __pydantic_config__ = STRICT
 
     episodes: int = 1500
     updates: int = 1
@@ -122,18 +108,16 @@ class Learning:
 
 
 @dataclass(frozen=True)
-class TrainingRecipe:
+class TrainingRecipe(Strict):
     """The whole recipe.
 
     Args:
         name: of the policy in the registry.
         plant, forward: model versions: ``name``, ``name@3`` or ``name@champion``.
-        seed: decides initial weights, starts, targets, noise and batches.
-        evaluations: how often the actor alone is evaluated.
-        device: of torch; ``threads``: its own, on a CPU. The bits of a result depend on both.
+        seed: of initial weights, starts, targets, noise and batches.
+        evaluations: number of evaluations of the actor alone.
+        device, threads: of torch. The bits of a result depend on both.
     """
-
-    __pydantic_config__ = STRICT
 
     name: str
     plant: str
@@ -149,17 +133,17 @@ class TrainingRecipe:
     learning: Learning = field(default_factory=Learning)
 
     @property
-    def turns(self) -> int:
+    def total_steps(self) -> int:
         """Steps of all copies together."""
         return -(-self.learning.episodes // self.setting.copies) * self.setting.task.steps
 
     def to_json(self) -> dict[str, Any]:
-        """For lineage records; :func:`parse_training` takes it back."""
+        """For lineage records; the inverse of :func:`parse_training`."""
         return asdict(self)
 
 
 def load_training(path: Path) -> TrainingRecipe:
-    """The recipe in ``path``; keys that it leaves out mean the paper's.
+    """The recipe in ``path``; missing keys have their defaults.
 
     Raises:
         SettingsError: unknown keys, wrong types, impossible values.

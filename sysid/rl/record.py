@@ -1,4 +1,4 @@
-"""What a tracking run leaves behind: a table of every step, pictures as in the paper, a Rerun recording."""
+"""Files of a tracking run: a table of all steps, pictures as in the paper, a Rerun recording."""
 
 from __future__ import annotations
 
@@ -20,11 +20,10 @@ Array = npt.NDArray[np.float64]
 #: Runs in one picture.
 DRAWN = 3
 _COLOURS = ("#0f766e", "#c2410c", "#4338ca")
-_AXES = ("#0f766e", "#c2410c", "#4338ca")
 
 
 def table(machine: Machine, run: TrackingResult) -> pd.DataFrame:
-    """One row a step: time, target, end effector, joints, setpoints; commands and tool where there are any."""
+    """One row for each step: time, target, end effector, joints, setpoints; commands and tool if known."""
     columns: dict[str, Array] = {"time": run.time}
     for name, values in (("target", run.target), ("ee", run.ee), ("tool", run.tool)):
         if np.isfinite(values).any():
@@ -49,13 +48,13 @@ def pictures(runs: Sequence[TrackingResult]) -> dict[str, str]:
         found[f"{name}.svg"] = svg(title, f"{'xyz'[a]} [m]", f"{'xyz'[b]} [m]", lines, equal)
     for run in runs:
         error = 1e3 * run.error
-        lines = [PictureCurve(axis, run.time, error[:, k], _AXES[k]) for k, axis in enumerate("xyz")]
+        lines = [PictureCurve(axis, run.time, error[:, k], _COLOURS[k]) for k, axis in enumerate("xyz")]
         found[f"error-{_file(run.policy)}.svg"] = svg(f"error of {run.policy}", "time [s]", "error [mm]", lines)
     return found
 
 
-def keep(folder: Path, machine: Machine, runs: Sequence[TrackingResult], rerun: bool = True) -> dict[str, Path]:
-    """Write tables, pictures and the Rerun recording of runs along one path.
+def write_results(folder: Path, machine: Machine, runs: Sequence[TrackingResult], rerun: bool = True) -> dict[str, Path]:
+    """Write tables, pictures and the Rerun recording of the runs of one path.
 
     Returns:
         What → file.

@@ -1,7 +1,7 @@
 """The replay buffer: the newest transitions in one table, and their files.
 
-The files are segments of a record that is only ever appended to, so that writing newer rows never touches those that the last
-checkpoint stands on: a process that is killed in between finds them as they were. Segments older than the buffer are deleted.
+The files are append-only segments: newer rows never change those of the last checkpoint, even if the process is killed while it
+writes. Segments older than the buffer are deleted.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 Array = npt.NDArray[np.float64]
 
-#: Transitions of a file.
+#: Transitions in a file.
 SEGMENT = 65_536
 
 
@@ -29,9 +29,9 @@ class Replay:
     """Rows ``observation | action | reward | next observation`` in float32.
 
     Args:
-        capacity: rows kept; the oldest make room.
-        observations, actions: widths O and A; a row is 2·O + A + 1 wide.
-        device: where the table lies.
+        capacity: rows kept; the oldest are overwritten.
+        observations, actions: widths O and A; a row has 2·O + A + 1 columns.
+        device: of the table.
     """
 
     def __init__(self, capacity: int, observations: int, actions: int, device: torch.device | str = "cpu") -> None:
@@ -39,10 +39,10 @@ class Replay:
 
         self.capacity, self.width = capacity, 2 * observations + actions + 1
         self.rows = torch.zeros((capacity, self.width), device=device)
-        #: Rows that were ever added, and those of them that are in files.
+        #: Rows added since the beginning, and those of them that are in files.
         self.count, self.saved = 0, 0
         ends = np.cumsum([observations, actions, 1, observations])
-        self.parts = [
+        self.columns = [
             slice(end - width, end) for end, width in zip(ends, (observations, actions, 1, observations), strict=True)
         ]
 
@@ -63,17 +63,17 @@ class Replay:
         self.count += len(fresh)
 
     def sample(self, count: int, rng: np.random.Generator, out: torch.Tensor) -> torch.Tensor:
-        """``count`` rows, each drawn from all that are there, into ``out`` (count, width)."""
+        """``count`` random rows, drawn with replacement, in ``out`` (count, width)."""
         import torch
 
         chosen = torch.from_numpy(rng.integers(0, len(self), count)).to(self.rows.device)
         return torch.index_select(self.rows, 0, chosen, out=out)
 
     def save(self, folder: Path) -> None:
-        """Bring the files up to date with the buffer.
+        """Write the rows that are not in files yet.
 
         Raises:
-            StorageError: the disk is full or fails; what the last checkpoint stands on is as it was.
+            StorageError: the disk is full or fails; the rows of the last checkpoint stay.
         """
         begin = max(self.saved, self.count - self.capacity)
         try:
@@ -91,14 +91,14 @@ class Replay:
         self.saved = self.count
 
     def prune(self, folder: Path) -> None:
-        """Delete segments that hold nothing of the buffer any more; to be called when a checkpoint that says so is on the disk,
-        its name too: else a power cut could bring back the one before, which needs them."""
+        """Delete segments older than the buffer. To be called after the new checkpoint is durable, name included: a power cut
+        could otherwise restore the previous one, which needs them."""
         for path in folder.glob("replay-*.f32"):
             if (int(path.stem.partition("-")[2]) + 1) * SEGMENT <= self.count - self.capacity:
                 path.unlink()
 
     def load(self, folder: Path, count: int) -> None:
-        """The buffer as it was when ``count`` rows had been added.
+        """Restore the buffer after its first ``count`` rows.
 
         Raises:
             StoreError: files that are missing or too short.
@@ -110,16 +110,15 @@ class Replay:
             end = min(count, (begin // SEGMENT + 1) * SEGMENT)
             path = _segment(folder, begin)
             content = self._read(path, begin, end)
-            # Piece by piece: a segment may end in the middle of the table.
-            at = (np.arange(begin, end)) % self.capacity
+            at = np.arange(begin, end) % self.capacity
             self.rows[torch.from_numpy(at).to(self.rows.device)] = torch.from_numpy(content).to(self.rows.device)
             begin = end
         self.count = self.saved = count
 
     def _write(self, path: Path, begin: int, end: int) -> None:
-        at = np.arange(begin, end) % self.capacity
         import torch
 
+        at = np.arange(begin, end) % self.capacity
         content = self.rows[torch.from_numpy(at).to(self.rows.device)].cpu().numpy().tobytes()
         with open(os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o644), "r+b") as file:
             file.seek((begin % SEGMENT) * 4 * self.width)

@@ -1,4 +1,4 @@
-"""Several trainings side by side, a process each: torch's threads would wait for one another in one."""
+"""Several trainings in parallel, one process each: in one process torch's threads would wait for one another."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from sysid.progress import Progress, silent
 
 T = TypeVar("T")
 
-#: Seconds between two looks at how far they are.
-LOOK = 0.5
+#: Seconds between two progress reports.
+POLL_S = 0.5
 
 
 def side_by_side(
@@ -24,11 +24,11 @@ def side_by_side(
     """``work(*call, progress)`` for every call, ``workers`` at a time; results in the order of the calls.
 
     Args:
-        work: a function of a module.
-        workers: processes; None: one a core.
+        work: a module-level function.
+        workers: processes; None: one for each core.
 
     Raises:
-        What the first of them raises; those that have not begun are left out then, the others have their checkpoints.
+        The error of the first call that fails; calls that have not begun are then cancelled.
     """
     count = min(workers or len(os.sched_getaffinity(0)), len(calls))
     context = multiprocessing.get_context("spawn")
@@ -38,10 +38,10 @@ def side_by_side(
         done, watched = threading.Event(), 0.0
         for future in futures:
             future.add_done_callback(lambda _: done.set() if all(other.done() for other in futures) else None)
-        while not done.wait(LOOK):
-            told = dict(shares)
-            watched = max(watched, sum(share for share, _ in told.values()) / len(calls))
-            progress(watched, ", ".join(text for share, text in told.values() if share < 1.0))
+        while not done.wait(POLL_S):
+            reported = dict(shares)
+            watched = max(watched, sum(share for share, _ in reported.values()) / len(calls))
+            progress(watched, ", ".join(text for share, text in reported.values() if share < 1.0))
             if any(future.done() and future.exception() is not None for future in futures):
                 for future in futures:
                     future.cancel()

@@ -1,4 +1,4 @@
-"""What is asked in an episode and where it stands in an observation; source: the paper's DDPG components."""
+"""The task of an episode and its columns in an observation. Source: the paper's DDPG components."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from sysid.config import STRICT
+from sysid.config import Strict
 from sysid.errors import SettingsError
 from sysid.networks.forward import ForwardModel
 from sysid.plant import Plant
@@ -20,18 +20,16 @@ Flags = npt.NDArray[np.bool_]
 
 
 @dataclass(frozen=True)
-class Task:
-    """What is asked in an episode.
+class Task(Strict):
+    """The task of an episode; its reward is ``step_reward + (near_reward − ‖target − ee‖) + outside_reward·[outside]``.
 
     Args:
         steps: of an episode.
-        targets: how many targets an episode has, one after the other for equal times; the paper has one.
+        targets: number of targets of an episode, one after the other for equal times; the paper has one.
         step_reward: for every step.
-        near_reward: the distance [m] at which the reward of being near is zero.
-        outside_reward: of a step in which any setpoint leaves its limits (below zero).
+        near_reward: the distance [m] at which the distance term is zero.
+        outside_reward: penalty of a step in which any setpoint leaves its limits (below zero).
     """
-
-    __pydantic_config__ = STRICT
 
     steps: int = 1000
     targets: int = 1
@@ -45,18 +43,20 @@ class Task:
 
     @property
     def hold(self) -> int:
-        """Steps for which a target stays."""
+        """Steps for each target."""
         return -(-self.steps // self.targets)
 
     def reward(self, ee: npt.ArrayLike, target: npt.ArrayLike, outside: npt.ArrayLike) -> Array:
         """Rewards (n,) of end effectors and targets (n, 3) [m], ``outside`` (n,): whether a setpoint left its limits."""
-        away = np.linalg.norm(np.asarray(target, dtype=np.float64) - np.asarray(ee, dtype=np.float64), axis=-1)
-        return np.asarray(self.step_reward + self.near_reward - away + self.outside_reward * np.asarray(outside, dtype=float))
+        distance = np.linalg.norm(np.asarray(target, dtype=np.float64) - np.asarray(ee, dtype=np.float64), axis=-1)
+        return np.asarray(
+            self.step_reward + self.near_reward - distance + self.outside_reward * np.asarray(outside, dtype=float)
+        )
 
 
 @dataclass(frozen=True)
 class ObservationSlices:
-    """Where the parts of an observation stand, (first, last + 1); every environment begins with these three."""
+    """Columns of an observation; every observation begins with these three parts."""
 
     joints: slice
     ee: slice
@@ -67,18 +67,18 @@ class ObservationSlices:
         return ObservationSlices(slice(0, axes), slice(axes, axes + 3), slice(axes + 3, axes + 6))
 
     def names(self, axes: Sequence[str]) -> tuple[str, ...]:
-        """What the columns are."""
+        """Names of the columns."""
         points = (f"{what}.{axis}" for what in ("ee", "target") for axis in "xyz")
         return (*(axis_signal(axis, "joint") for axis in axes), *points)
 
     @property
     def width(self) -> int:
-        """Of an observation that has nothing else."""
+        """Columns of the three parts."""
         return int(self.target.stop)
 
 
 def check_pair(plant: Plant, forward: ForwardModel, name: str = "forward model") -> None:
-    """Refuse a plant that cannot be posed, and a forward model of other joints.
+    """Check that a plant has kinematics, and that the forward model has the same joints.
 
     Raises:
         SettingsError: naming the joint.

@@ -1,7 +1,6 @@
 """A policy follows a path: end effector at t + 1 against target at t + 1, as in the paper.
 
-A policy is anything with ``act(observations) -> actions``. One that remembers has ``reset(observations)`` too, which is called
-once before the first step.
+A policy with memory also has ``reset(observations)``, which is called once before the first step.
 """
 
 from __future__ import annotations
@@ -17,7 +16,7 @@ from sysid.errors import InputError, SettingsError
 from sysid.networks.forward import ForwardModel
 from sysid.plant import Plant
 from sysid.rl.driven import DrivenEnvironment
-from sysid.rl.environment import Environment
+from sysid.rl.environment import Environment, Policy
 from sysid.rl.factory import make_environment
 from sysid.rl.inverse_kinematics import InverseKinematics
 from sysid.rl.paths import Path
@@ -26,53 +25,46 @@ from sysid.rl.task import ObservationSlices, Task
 
 Array = npt.NDArray[np.float64]
 
-#: A machine at rest has caught up with its path after so many seconds.
+#: A machine that starts at rest has reached its moving target after this time [s].
 SETTLED_S = 1.0
-
-
-class Policy(Protocol):
-    """Observations (n, O) → joint setpoints (n, A) in SI."""
-
-    def act(self, observations: Array) -> Array: ...
 
 
 @runtime_checkable
 class StatefulPolicy(Protocol):
-    """A policy that has to be told where a path begins."""
+    """A policy with memory."""
 
     def reset(self, observations: Array) -> None: ...
 
 
 class InversePolicy:
-    """Bounded least-squares inverse kinematics as a policy: the joints nearest to the last ones that reach the target."""
+    """Bounded least-squares inverse kinematics as a policy: the solution nearest to the last setpoint."""
 
-    def __init__(self, inverse: InverseKinematics, parts: ObservationSlices | None = None) -> None:
-        self.inverse, self.parts = inverse, parts or ObservationSlices.of(len(inverse.low))
+    def __init__(self, inverse: InverseKinematics) -> None:
+        self.inverse, self._slices = inverse, ObservationSlices.of(len(inverse.low))
         self._last: Array | None = None
 
     def reset(self, observations: Array) -> None:
-        """Search from the joints that are measured now."""
-        self._last = np.array(observations[:, self.parts.joints], dtype=np.float64)
+        """Search from the measured joints."""
+        self._last = np.array(observations[:, self._slices.joints], dtype=np.float64)
 
     def act(self, observations: Array) -> Array:
         if self._last is None or len(self._last) != len(observations):
             self.reset(observations)
         assert self._last is not None
-        self._last, _ = self.inverse.solve(observations[:, self.parts.target], self._last)
+        self._last, _ = self.inverse.solve(observations[:, self._slices.target], self._last)
         return self._last.copy()
 
 
 @dataclass(frozen=True)
 class TrackingResult:
-    """How a path was followed; row k is step k, which leads to time ``(k + 1)/rate_hz``.
+    """A tracking run; row k is step k, which leads to time ``(k + 1)/rate_hz``.
 
     Args:
-        policy: what followed it.
-        path: its name.
-        lookahead: how far ahead the policy saw [s].
+        policy, path: names.
+        lookahead: of the policy [s].
         time: (n,) [s].
         target, ee: (n, 3) [m].
-        joints, actions: measured and asked for, (n, A) [rad or m].
+        joints, actions: measured joints and setpoints, (n, A) [rad or m].
         tool: (n, 3) [m], NaN in the paper's setting; ``commands`` (n, A) to the valves, NaN there.
     """
 
@@ -103,13 +95,13 @@ class TrackingResult:
         return np.asarray(np.abs(self.error).max(axis=0))
 
     def after(self, seconds: float) -> TrackingResult:
-        """Without the first seconds, in which a machine at rest catches up with a path that moves at once."""
+        """Without the first ``seconds``, in which a machine that starts at rest approaches its moving target."""
         late = self.time > seconds
         rows = {item.name: getattr(self, item.name)[late] for item in fields(self)[3:]}
         return replace(self, **rows)
 
     def to_json(self) -> dict[str, Any]:
-        """The figures, in millimetres; ``settled``: after the first second; sway: how far the tool is from below the tip."""
+        """The figures, in millimetres; ``settled``: after the first second; sway: horizontal distance of tool and tip."""
         late = self.after(SETTLED_S)
         return {
             "policy": self.policy,
@@ -121,13 +113,13 @@ class TrackingResult:
         }
 
     def _figures(self) -> dict[str, Any]:
-        away = np.linalg.norm(self.error, axis=1)
+        distance = np.linalg.norm(self.error, axis=1)
         sway = np.linalg.norm((self.tool - self.ee)[:, :2], axis=1)
         swings = bool(np.isfinite(sway).all()) and len(sway) > 0
         return {
             "rmse_mm": [float(1e3 * value) for value in self.rmse],
             "max_mm": [float(1e3 * value) for value in self.worst],
-            "distance_mm": {"rms": float(1e3 * np.sqrt(np.mean(away**2))), "max": float(1e3 * away.max())},
+            "distance_mm": {"rms": float(1e3 * np.sqrt(np.mean(distance**2))), "max": float(1e3 * distance.max())},
             "sway_mm": {"rms": float(1e3 * np.sqrt(np.mean(sway**2))), "max": float(1e3 * sway.max())} if swings else None,
         }
 
@@ -138,11 +130,11 @@ def track(
     """Follow ``path`` with one copy of a machine that begins at rest at the joints ``start`` (A,).
 
     Args:
-        lookahead: the policy is shown the target of so many seconds after the next sample.
+        lookahead: the policy observes the target this long after the next sample [s].
 
     Raises:
         SettingsError: several copies, an episode shorter than the path, another rate.
-        InputError: the policy answers with another shape or with what is no number.
+        InputError: the policy answers with another shape or with a number that is not finite.
     """
     steps = len(path.points) - 1
     if environment.size != 1:
@@ -182,10 +174,7 @@ def track_environment(
     reach: Reach | None = None,
     settings: Mapping[str, Any] | None = None,
 ) -> Environment:
-    """One copy of a machine with an episode as long as the path.
-
-    Args:
-        full: the full path; ``settings`` are then those of :class:`sysid.rl.driven.DrivenEnvironment`.
-    """
+    """One copy of a machine, with an episode as long as the path; ``settings`` (``full`` only) are those of
+    :class:`sysid.rl.driven.DrivenEnvironment`."""
     task = Task(steps=len(path.points) + 1)
     return make_environment(plant, forward, full=full, task=task, reach=reach, **(dict(settings or {}) if full else {}))

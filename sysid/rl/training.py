@@ -1,4 +1,4 @@
-"""From a recipe to a policy version: environment of the named versions, training that can be interrupted, registration."""
+"""From a recipe to a policy version: environments of the named versions, resumable training, registration."""
 
 from __future__ import annotations
 
@@ -7,11 +7,11 @@ from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from sysid.control import AxisTuning
+from sysid.files import plain
 from sysid.networks.forward import ForwardModel
 from sysid.networks.mlp import Mlp, Normalisation
 from sysid.networks.policy import PolicyNetwork, policy_to_files
@@ -19,7 +19,7 @@ from sysid.plant import Plant
 from sysid.progress import Progress, silent
 from sysid.registry import ModelVersion, Registry
 from sysid.rl.checkpoint import TrainingFiles, training_folder
-from sysid.rl.ddpg import SETTLE, Trainer
+from sysid.rl.ddpg import SETTLE_STEPS, Trainer
 from sysid.rl.environment import Environment
 from sysid.rl.factory import make_environment
 from sysid.rl.observers import Observer
@@ -28,19 +28,19 @@ from sysid.rl.recipe import TrainingRecipe
 from sysid.rl.task import Task
 from sysid.rl.versions import load_versions
 
-#: The actor is evaluated on so many copies, with the same starts and targets whatever the seed.
+#: Copies and seed of the evaluation: starts and targets are the same for every seed of the training.
 EVALUATION_COPIES, EVALUATION_SEED = 512, 2**31
 
 
 @dataclass(frozen=True)
 class TrainedPolicy:
-    """A policy that is done.
+    """A trained policy.
 
     Args:
         version: in the registry.
         figures: of the actor alone, at the end.
-        seconds, cpu_seconds: of this process; what was done before an interruption is not in them.
-        updates_per_second: over the same time; None where it had been trained before and nothing was left to do.
+        seconds, cpu_seconds: of this process, without the time before an interruption.
+        updates_per_second: over the same time; None if the policy was registered already.
     """
 
     version: ModelVersion
@@ -58,13 +58,13 @@ def train_policy(
     observers: Sequence[Observer] = (),
     every: float = 20.0,
 ) -> TrainedPolicy:
-    """Train the policy of a recipe and register it as ``recipe.name``; goes on where it was interrupted, even by a kill.
+    """Train the policy of a recipe and register it as ``recipe.name``; an interrupted training continues, even after a kill.
 
-    A policy of the same recipe, seed and versions that is registered already is returned as it is.
+    If a policy of the same recipe, seed and versions is registered already, it is returned.
 
     Args:
-        root: folder of checkpoints and of the replay buffer's files, one folder a training; removed when it is done.
-        observers: told of every episode and evaluation.
+        root: folder of checkpoints, one subfolder for each training, removed when it is done.
+        observers: record every episode and evaluation.
         every: seconds between two checkpoints.
 
     Raises:
@@ -81,7 +81,7 @@ def train_policy(
         "recipe": recipe.to_json(),
     }
     for version in registry.versions(recipe.name):
-        if version.kind == "policy" and version.lineage == _plain(lineage):
+        if version.kind == "policy" and version.lineage == plain(lineage):
             return TrainedPolicy(version, dict(version.metrics), 0.0, 0.0, None)
 
     files = TrainingFiles(training_folder(root, recipe, {"plant": plant.digest, "forward": forward.digest}), every)
@@ -90,16 +90,16 @@ def train_policy(
     before, begin, begin_cpu = trainer.agent.updates, time.perf_counter(), time.process_time()
     with ExitStack() as stack:
         for observer in observers:
-            stack.enter_context(observer.watching(recipe, files.folder, trainer))
+            stack.enter_context(observer.opened(files.folder, trainer))
 
-        def told(kind: str, step: int, figures: Mapping[str, float]) -> None:
+        def record(kind: str, step: int, figures: Mapping[str, float]) -> None:
             for observer in observers:
-                observer.told(kind, step, figures)
+                observer.record(kind, step, figures)
 
-        for turn in trainer.train(told):
+        for step in trainer.train(record):
             if files.is_due:
                 files.save(trainer)
-            progress(turn / recipe.turns, _how(trainer))
+            progress(step / recipe.total_steps, _progress_text(trainer))
     trainer.check()
     seconds, cpu_seconds = time.perf_counter() - begin, time.process_time() - begin_cpu
     figures = {key: value for key, value in trainer.evaluations[-1].items() if key not in ("step", "updates")}
@@ -118,14 +118,14 @@ def environments(
     *,
     reach: Reach | None = None,
     tuning: tuple[AxisTuning, ...] | None = None,
-    judged: int = EVALUATION_COPIES,
+    evaluation_copies: int = EVALUATION_COPIES,
 ) -> tuple[Environment, Environment]:
-    """What a policy is trained in, and what its actor alone is evaluated in.
+    """The environments of training and of evaluation (the actor alone).
 
     Args:
-        reach: limits, starts and targets; else those of plant and forward model.
-        tuning: of the cylinder controller, on the full path; else what the plant says.
-        evaluated: copies of the evaluation environment, the same for every seed.
+        reach: limits, starts and targets; by default those of plant and forward model.
+        tuning: of the cylinder controller, on the full path; by default from the plant.
+        evaluation_copies: size of the evaluation environment.
 
     Raises:
         SettingsError: plant and forward model do not fit each other.
@@ -138,17 +138,17 @@ def environments(
 
     return (
         environment(setting.copies, recipe.seed, setting.task, setting.repeat),
-        environment(judged, EVALUATION_SEED, evaluation_task(setting.task), 1),
+        environment(evaluation_copies, EVALUATION_SEED, evaluation_task(setting.task), 1),
     )
 
 
 def evaluation_task(task: Task) -> Task:
-    """The same task, with one target and episodes that outlast an evaluation."""
-    return replace(task, steps=max(task.steps, 2 * SETTLE + 1), targets=1)
+    """The same task with one target and episodes longer than an evaluation."""
+    return replace(task, steps=max(task.steps, 2 * SETTLE_STEPS + 1), targets=1)
 
 
 def policy_of(trainer: Trainer) -> PolicyNetwork:
-    """The actor as it is now, for use without torch."""
+    """The current actor, for use without torch."""
     space, forward = trainer.agent.space, trainer.environment.forward
     weights, biases = trainer.agent.layers()
     acts = len(space.action_low)
@@ -165,17 +165,10 @@ def policy_of(trainer: Trainer) -> PolicyNetwork:
     )
 
 
-def _how(trainer: Trainer) -> str:
+def _progress_text(trainer: Trainer) -> str:
     episode = trainer.episodes[-1]["return"] if trainer.episodes else float("nan")
     if not trainer.evaluations:
         return f"return {episode:.2f}"
     last = trainer.evaluations[-1]
     errors = "/".join(f"{1e3 * last[f'hold_rmse_{axis}']:.1f}" for axis in "xyz")
-    return f"return {episode:.2f}, actor alone off by {errors} mm"
-
-
-def _plain(value: Any) -> Any:
-    """Tuples as the lists that JSON makes of them."""
-    if isinstance(value, Mapping):
-        return {key: _plain(item) for key, item in value.items()}
-    return [_plain(item) for item in value] if isinstance(value, list | tuple) else value
+    return f"return {episode:.2f}, error of the actor alone {errors} mm"

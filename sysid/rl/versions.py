@@ -1,4 +1,4 @@
-"""A plant and a forward model from the registry that belong to the same machine."""
+"""A plant and a forward model of the same machine from the registry."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def load_versions(registry: Registry, plant: str, forward: str) -> tuple[Plant, 
 
 
 def _check_lineage(registry: Registry, plant: ModelVersion, forward: ModelVersion) -> None:
-    """Refuse a forward model that was not trained on a dataset that the plant, or what it was made of, comes from."""
+    """Refuse a forward model that was trained on a dataset of another machine than the plant and its sources."""
     from sysid.registry.lineage import made_of
 
     trained_on = str(forward.lineage.get("dataset", "")).partition("@")[0]

@@ -1,4 +1,4 @@
-"""From a recipe to a loop that is ready to turn."""
+"""From a recipe to a loop that is ready to run."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from sysid.machine import Machine, load_machine
 from sysid.registry import Registry
 from sysid.rl.inverse_kinematics import InverseKinematics, chain_of_forward, chain_of_plant
 from sysid.rl.reach import joint_limits
-from sysid.rl.tracking_task import TrackingTask, lay_out
+from sysid.rl.tracking_task import TrackingTask, plan_tracking
 from sysid.runner.chain import ControlChain
 from sysid.runner.command_filter import CommandFilter
 from sysid.runner.cycle import Recorder
-from sysid.runner.domain import Domains
+from sysid.runner.domain import TrainingDomains
 from sysid.runner.limits import Limits, limits_of
 from sysid.runner.loop import Loop
 from sysid.runner.modes.collect import Collect, SafeMoves
@@ -34,7 +34,7 @@ from sysid.runner.recipe import RunnerRecipe
 from sysid.runner.state_estimator import StateEstimator
 from sysid.runner.supervisor import Supervisor
 from sysid.runner.transport import Transport
-from sysid.runner.valves import AxisValve, valves
+from sysid.runner.valves import AxisValve, axis_valves
 from sysid.runner.versions import LoadedVersions, load
 
 Array = npt.NDArray[np.float64]
@@ -42,11 +42,11 @@ Array = npt.NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Assembly:
-    """Everything of a run but its line, its log and its operator; :meth:`loop` may be asked for several.
+    """Everything of a run except its line, log and operator.
 
     Args:
         lookahead: of the policy [s].
-        course: the path that is tracked, where one is.
+        tracking: the path and its joints, if the mode tracks a path.
     """
 
     recipe: RunnerRecipe
@@ -58,7 +58,7 @@ class Assembly:
     valves: tuple[AxisValve, ...]
     limits: Limits
     lookahead: float
-    course: TrackingTask | None
+    tracking: TrackingTask | None
 
     @property
     def dt(self) -> float:
@@ -66,18 +66,13 @@ class Assembly:
 
     @property
     def middle(self) -> Array:
-        """Joints (A,) to begin at where nobody says where the machine stands."""
-        if self.course is not None:
-            return np.clip(self.course.start, self.limits.low, self.limits.high)
+        """Initial joints (A,) of a simulated machine: the start of the path, or the middle of the limits."""
+        if self.tracking is not None:
+            return np.clip(self.tracking.start, self.limits.low, self.limits.high)
         return np.asarray(0.5 * (self.limits.low + self.limits.high))
 
-    def chain(self) -> ControlChain:
-        return ControlChain(
-            self.loaded.plant, self.loaded.forward, self.inverse, policy=self.loaded.policy, lookahead=self.lookahead
-        )
-
     def loop(self, transport: Transport, recorder: Recorder, operator: Operator) -> Loop:
-        """A loop, warmed up.
+        """A new loop, warmed up.
 
         Raises:
             SettingsError: the transport has other axes, or lacks a signal that is needed.
@@ -87,10 +82,11 @@ class Assembly:
             raise SettingsError("transport", f"axes {', '.join(transport.axes)}", ", ".join(axes))
         for axis in self.machine.axes:
             if axis.driven not in transport.signals:
-                raise SettingsError("transport", f"no signal {axis.driven}", "what every command drives, measured")
-        chain, checks = self.chain(), self.recipe.checks
-        estimator = StateEstimator(self.loaded.plant, self.valves, self.dt, transport.signals, checks)
-        inside = Domains(self.loaded.forward, self.loaded.actuators, axes) if checks.on("domain") else lambda seen: ""
+                raise SettingsError("transport", f"no signal {axis.driven}", "a measurement of what every command drives")
+        loaded, checks = self.loaded, self.recipe.checks
+        chain = ControlChain(loaded.plant, loaded.forward, self.inverse, policy=loaded.policy, lookahead=self.lookahead)
+        estimator = StateEstimator(loaded.plant, self.valves, self.dt, transport.signals, checks)
+        inside = TrainingDomains(loaded.forward, loaded.actuators, axes) if checks.on("domain") else lambda estimate: ""
         supervisor = Supervisor(axes, self.limits, self.valves, estimator.linkages, chain.tip, self.dt, checks, inside)
         mode = self.mode(self.recipe.mode, chain, supervisor.command_filter)
         loop = Loop(transport, chain, estimator, supervisor, mode, recorder, operator, self.recipe.loop)
@@ -104,12 +100,12 @@ class Assembly:
             track = recipe.track
             if track.live_port is not None:
                 return TrackLive(track.live_port, track.live_speed, dt, track.live_s)
-            assert self.course is not None
+            assert self.tracking is not None
             return TrackPath(
-                self.course.path, self.course.start, limits, dt, ahead=chain.ahead, ease_s=track.ease_s, laps=track.laps
+                self.tracking.path, self.tracking.start, limits, dt, ahead=chain.ahead, ease_s=track.ease_s, laps=track.laps
             )
         if name == "commission":
-            return Commission(self.machine, self.valves, command_filter.linkages, limits, chain.tip, dt, recipe.commission)
+            return Commission(self.machine, command_filter, recipe.commission)
         if name == "hold":
             return Hold(dt, recipe.hold.seconds)
         if name == "collect":
@@ -127,52 +123,48 @@ class Assembly:
 
 
 def assemble(recipe: RunnerRecipe, registry: Registry, path: Path) -> Assembly:
-    """Load and check everything that a recipe names; ``path`` is where it stands.
+    """Load and check everything that the recipe in the file ``path`` names.
 
     Raises:
-        SettingsError, StoreError, InputError: saying what does not fit.
+        SettingsError, StoreError, InputError: a part is missing, or parts do not fit.
     """
     folder = path.parent
     machine_file = (folder / recipe.machine).resolve()
     machine = load_machine(machine_file)
     loaded = load(registry, recipe, machine, path)
-    parts = valves(tune(loaded.plant), 1.0 / machine.rate_hz)
+    parts = axis_valves(tune(loaded.plant), 1.0 / machine.rate_hz)
     limits = limits_of(loaded.plant, parts, recipe.limits, path)
     lookahead = recipe.versions.lookahead
     if lookahead is None:
         lookahead = 0.0
         if recipe.versions.policy == "ik-lookahead":
             lookahead = math.ceil(response_time(loaded.plant) * machine.rate_hz - 1e-9) / machine.rate_hz
-    course, inverse = None, _inverse(loaded)
+    low, high = joint_limits(loaded.plant)
+    tracking, inverse = None, InverseKinematics.of(chain_of_forward(loaded.forward) or chain_of_plant(loaded.plant), low, high)
     tracks = recipe.mode == "track" or (recipe.mode == "shadow" and recipe.shadow.of == "track")
     if tracks and recipe.track.live_port is None:
         given = recipe.track.path
         place = given if given in ("helix", "circle") else str(folder / given)
-        course = lay_out(loaded.plant, loaded.forward, place, full=True, centre=recipe.track.centre)
-        inverse = course.inverse
-        _check_course(course, limits, path)
-    return Assembly(recipe, folder, machine_file, machine, loaded, inverse, parts, limits, lookahead, course)
+        tracking = plan_tracking(loaded.plant, loaded.forward, place, full=True, centre=recipe.track.centre)
+        inverse = tracking.inverse
+        _check_path(tracking, limits, path)
+    return Assembly(recipe, folder, machine_file, machine, loaded, inverse, parts, limits, lookahead, tracking)
 
 
-def _inverse(loaded: LoadedVersions) -> InverseKinematics:
-    low, high = joint_limits(loaded.plant)
-    return InverseKinematics.of(chain_of_forward(loaded.forward) or chain_of_plant(loaded.plant), low, high)
-
-
-def _check_course(course: TrackingTask, limits: Limits, where: object) -> None:
-    """Refuse a path that leaves the limits or the fence, or asks for more than the valves can do."""
-    names = course.plant.machine.axis_names
-    for name, q, low, high in zip(names, course.joints.T, limits.low, limits.high, strict=True):
+def _check_path(tracking: TrackingTask, limits: Limits, where: object) -> None:
+    """Refuse a path that leaves the limits or the fence, or exceeds the speed of the valves."""
+    names = tracking.plant.machine.axis_names
+    for name, q, low, high in zip(names, tracking.joints.T, limits.low, limits.high, strict=True):
         if q.min() < low or q.max() > high:
             found = f"takes {name} to {q.min():.3f} … {q.max():.3f}"
-            raise SettingsError(f"{where}: track.path {course.path.name}", found, f"within {low:.3f} … {high:.3f}")
-    points = course.path.points
+            raise SettingsError(f"{where}: track.path {tracking.path.name}", found, f"within {low:.3f} … {high:.3f}")
+    points = tracking.path.points
     left = np.maximum(limits.fence_low - points, points - limits.fence_high).max(axis=0)
     if (left > 0.0).any():
         letter = "xyz"[int(np.argmax(left))]
         found = f"is {1e3 * left.max():.0f} mm outside the fence in {letter}, margin included"
-        raise SettingsError(f"{where}: track.path {course.path.name}", found, "a path inside limits.fence")
-    for name, share in course.demand.items():
+        raise SettingsError(f"{where}: track.path {tracking.path.name}", found, "a path inside limits.fence")
+    for name, share in tracking.demand.items():
         if share > 0.95:
-            found = f"asks {name} for {100.0 * share:.0f} % of its top speed"
-            raise SettingsError(f"{where}: track.path {course.path.name}", found, "at most 95 %", "Slow it down.")
+            found = f"needs {100.0 * share:.0f} % of the top speed of {name}"
+            raise SettingsError(f"{where}: track.path {tracking.path.name}", found, "at most 95 %", "Slow it down.")

@@ -1,25 +1,25 @@
-"""What a machine's CAN database says of its bus: readings out of frames, frames out of commands, and how full the bus will be.
+"""Decode and encode frames by a machine's CAN database, and compute the bus load.
 
-Valve commands are those of ISO 11783-7 (PGN 65072 … 65079): flow in steps of 0.4 %, the port in the state, fail-safe bits. Any
-message may carry an alive counter, a signal called ``counter``: a frame whose counter stands still says nothing new.
+Valve commands follow ISO 11783-7 (PGN 65072 … 65079): flow in steps of 0.4 %, the port in the state, fail-safe bits. Any
+message may have an alive counter, a signal ``counter``: a frame with an unchanged counter is not new.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from sysid.config import STRICT
+from sysid.config import Strict
 from sysid.errors import SettingsError, nearest
 from sysid.logs.can_signals import load_database
 
 if TYPE_CHECKING:
     from cantools.database.can import Database, Message, Signal
 
-#: Auxiliary valve commands (ISO 11783-7), and the words in them.
+#: Auxiliary valve commands (ISO 11783-7) and their values.
 FIRST_PGN, LAST_PGN = 65072, 65079
 BLOCKED, EXTEND, RETRACT = 0, 1, 2
 FAIL_SAFE_BLOCK, FAIL_SAFE_ERROR = 0, 2
@@ -27,17 +27,16 @@ FAIL_SAFE_BLOCK, FAIL_SAFE_ERROR = 0, 2
 FULL = 250
 #: An alive counter.
 COUNTER = "counter"
-#: In the machine's status: its time, and the newest alive counter of the runner that it has heard.
+#: In the machine's status: its time, and the newest alive counter that it received from the runner.
 TIME, ECHO = "time", "echo"
-#: In a valve command: the machine's own time that it answers, counted from 0 to the signal's maximum and from 0 again. All ones
-#: mean that it is not known.
+#: In a valve command: the machine's time that it answers, modulo the signal's maximum. All ones: not known.
 STAMP = "stamp"
-#: J1939 two-bit states: everything but these two counts as not known.
+#: J1939 two-bit states; other values are not available.
 OFF, ON = 0, 1
 
 
 @dataclass(frozen=True)
-class BusSettings:
+class BusSettings(Strict):
     """``[transport]`` of a machine on a CAN bus.
 
     Args:
@@ -45,12 +44,10 @@ class BusSettings:
         signals: canonical signal → ``MESSAGE.signal`` of the database.
         valves: axis → its valve command message, in the order of the machine's axes.
         status: message with ``dead_man``, ``emergency_stop``, optionally ``fault``, ``time`` (of the machine's clock, s) and
-            ``echo`` (the newest alive counter that the machine has heard).
-        alive: message with ``counter`` and ``enabled`` that says that the runner lives.
-        bitrate: [bit/s]. max_load: share of it that may be used, by frames of the longest.
+            ``echo`` (the newest alive counter that the machine received).
+        alive: message with ``counter`` and ``enabled`` that the runner sends.
+        bitrate: [bit/s]. max_load: highest permitted bus load, with frames of maximum length.
     """
-
-    __pydantic_config__ = STRICT
 
     database: Path
     signals: Mapping[str, str]
@@ -63,13 +60,13 @@ class BusSettings:
 
 @dataclass(frozen=True)
 class ReceivedFrame:
-    """What a frame said.
+    """A decoded frame.
 
     Args:
         message: its name.
         values: canonical signal → SI value; for the status message its own signals.
-        fresh: its alive counter has gone on, or it has none.
-        lost: frames that its counter says are missing before it.
+        fresh: its alive counter has changed, or it has none.
+        lost: frames missing before it, by its counter.
     """
 
     message: str
@@ -78,28 +75,16 @@ class ReceivedFrame:
     lost: int
 
 
-@dataclass
 class MachineBus:
     """Encoder and decoder of one machine.
 
     Raises:
-        SettingsError: names that the database does not have, valves that are none, a bus that would be too full.
+        SettingsError: names that the database does not have, messages that are no valve commands, a bus load above the limit.
         InputError: no database.
     """
 
-    settings: BusSettings
-    where: str
-    axes: tuple[str, ...] = field(init=False)
-    signals: tuple[str, ...] = field(init=False)
-    #: Messages that have to come, by identifier and whether it is an extended one.
-    expected: dict[tuple[int, bool], Message] = field(init=False)
-    known: frozenset[tuple[int, bool]] = field(init=False)
-    #: The machine says which command it has heard; its valve commands say which of its times they answer.
-    echoes: bool = field(init=False)
-    stamps: bool = field(init=False)
-
-    def __post_init__(self) -> None:
-        settings = self.settings
+    def __init__(self, settings: BusSettings, where: str) -> None:
+        self.settings, self.where = settings, where
         database = load_database(settings.database)
         self._messages = {message.name: message for message in database.messages}
         self.known = frozenset((message.frame_id, message.is_extended_frame) for message in database.messages)
@@ -113,19 +98,21 @@ class MachineBus:
             name, _, own = source.partition(".")
             self._message(name, f"signals.{signal!r}", (own,))
             self._sources.setdefault(name, {})[own] = signal
+        #: Required messages, by identifier and whether it is an extended one.
         wanted = (self._status, *(self._messages[name] for name in self._sources))
         self.expected = {(message.frame_id, message.is_extended_frame): message for message in wanted}
         self._counted: dict[str, int] = {}
         self.sent_count = 0
-        said = [signal.name for signal in self._status.signals]
-        self.echoes = ECHO in said
-        self.stamps = TIME in said and all(STAMP in [signal.name for signal in valve.signals] for valve in self._valves)
+        fields = [signal.name for signal in self._status.signals]
+        #: Whether the status echoes the command counter, and whether valve commands have time stamps.
+        self.echoes = ECHO in fields
+        self.stamps = TIME in fields and all(STAMP in [signal.name for signal in valve.signals] for valve in self._valves)
         self.load = bus_load(database, settings.bitrate)
         if not self.load <= settings.max_load:
             raise SettingsError(
                 f"{self.where}: bitrate",
-                f"the bus would be {100 * self.load:.0f} % full at {settings.bitrate} bit/s",
-                f"{100 * settings.max_load:.0f} % at the most (max_load)",
+                f"a bus load of {100 * self.load:.0f} % at {settings.bitrate} bit/s",
+                f"at most {100 * settings.max_load:.0f} % (max_load)",
                 "Raise the bit rate, or send less often (GenMsgCycleTime of the database).",
             )
 
@@ -155,11 +142,11 @@ class MachineBus:
             )
         return message
 
-    def hear(self, identifier: int, extended: bool, data: bytes) -> ReceivedFrame | None:
-        """What a frame says; None for messages that nobody asked for.
+    def decode(self, identifier: int, extended: bool, data: bytes) -> ReceivedFrame | None:
+        """A decoded frame; None for messages that are not required.
 
         Raises:
-            ValueError: it is not as long as the database says, or cannot be decoded.
+            ValueError: it has another length than in the database, or cannot be decoded.
         """
         from cantools.database.errors import DecodeError
 
@@ -167,22 +154,22 @@ class MachineBus:
         if message is None:
             return None
         if len(data) != message.length:
-            raise ValueError(f"{message.name} has {len(data)} bytes where the database says {message.length}")
+            raise ValueError(f"{message.name} has {len(data)} bytes, {message.length} in the database")
         try:
-            said = message.decode(data, decode_choices=False)
+            fields = message.decode(data, decode_choices=False)
         except DecodeError as error:
             raise ValueError(f"{message.name} cannot be decoded ({error})") from None
-        assert isinstance(said, dict)
-        fresh, lost = self._count(message, said)
+        assert isinstance(fields, dict)
+        fresh, lost = self._count(message, fields)
         if message is self._status:
-            return ReceivedFrame(message.name, {name: _number(value) for name, value in said.items()}, fresh, lost)
+            return ReceivedFrame(message.name, {name: _number(value) for name, value in fields.items()}, fresh, lost)
         names = self._sources[message.name]
-        return ReceivedFrame(message.name, {names[name]: _number(said[name]) for name in names}, fresh, lost)
+        return ReceivedFrame(message.name, {names[name]: _number(fields[name]) for name in names}, fresh, lost)
 
-    def _count(self, message: Message, said: Mapping[str, object]) -> tuple[bool, int]:
-        if COUNTER not in said:
+    def _count(self, message: Message, fields: Mapping[str, object]) -> tuple[bool, int]:
+        if COUNTER not in fields:
             return True, 0
-        count = int(_number(said[COUNTER]))
+        count = int(_number(fields[COUNTER]))
         before = self._counted.get(message.name)
         self._counted[message.name] = count
         if before is None:
@@ -190,23 +177,28 @@ class MachineBus:
         ahead = (count - before) % (1 << message.get_signal_by_name(COUNTER).length)
         return ahead > 0, max(ahead - 1, 0)
 
-    def implausible(self, heard: ReceivedFrame) -> str:
-        """The first value outside of what the database allows for it, in words; "" where there is none."""
-        for signal, value in heard.values.items():
+    def implausible(self, frame: ReceivedFrame) -> str:
+        """A text about the first value outside its range in the database; "" if there is none."""
+        for signal, value in frame.values.items():
             source = self.settings.signals.get(signal)
-            own = self._messages[heard.message].get_signal_by_name(source.partition(".")[2] if source else signal)
+            own = self._messages[frame.message].get_signal_by_name(source.partition(".")[2] if source else signal)
             low, high = own.minimum, own.maximum
-            if low is not None and high is not None and low < high and not low - _slack(own) <= value <= high + _slack(own):
-                return f"{heard.message}.{own.name} = {value:g} is outside of [{low:g}, {high:g}]"
+            if (
+                low is not None
+                and high is not None
+                and low < high
+                and not low - _half_step(own) <= value <= high + _half_step(own)
+            ):
+                return f"{frame.message}.{own.name} = {value:g} is outside of [{low:g}, {high:g}]"
         return ""
 
-    def say(self, commands: Sequence[float], enabled: bool, answered: float | None = None) -> list[tuple[int, bytes]]:
+    def encode(self, commands: Sequence[float], enabled: bool, answered: float | None = None) -> list[tuple[int, bytes]]:
         """Frames (29-bit identifier, data) of a set of commands in [-1, 1], the status of the runner last.
 
-        Not enabled, or with a command that is no number: no flow, blocked, and fail-safe bits that say that nobody commands.
+        Not enabled, or with a command that is not finite: no flow, blocked, and fail-safe bits for an error.
 
         Args:
-            answered: the machine's own time that this set answers [s]; None: not known.
+            answered: the machine's time that this set answers [s]; None: not known.
         """
         enabled = enabled and all(math.isfinite(command) for command in commands)
         out = []
@@ -217,7 +209,7 @@ class MachineBus:
             coded = {"flow": flow, "state": state, "fail_safe": safe}
             if self.stamps:
                 coded[STAMP] = _stamp(message.get_signal_by_name(STAMP), answered)
-            # Not known is beyond the signal's maximum.
+            # Not strict: the stamp for "not known" is above the signal's maximum.
             out.append((message.frame_id, bytes(message.encode(coded, scaling=False, padding=True, strict=False))))
         self.sent_count = (self.sent_count + 1) % (1 << self._alive.get_signal_by_name(COUNTER).length)
         coded = {COUNTER: self.sent_count, "enabled": ON if enabled else OFF}
@@ -226,7 +218,7 @@ class MachineBus:
 
 
 def _stamp(signal: Signal, seconds: float | None) -> int:
-    """``seconds`` as the signal counts them, cut off and not rounded: a stamp is never ahead of its clock."""
+    """``seconds`` in the signal's steps, rounded down: a stamp is never ahead of its clock."""
     unknown = (1 << signal.length) - 1
     if seconds is None or not math.isfinite(seconds):
         return unknown
@@ -240,13 +232,13 @@ def _number(value: object) -> float:
     return float(value)
 
 
-def _slack(signal: Signal) -> float:
-    """Half a step, for ends that are no whole number of steps."""
+def _half_step(signal: Signal) -> float:
+    """Half a quantisation step, for limits between two steps."""
     return 0.5 * abs(float(signal.scale))
 
 
 def bus_load(database: Database, bitrate: int) -> float:
-    """Share of the bus that all cyclic messages of ``database`` take, each frame with all the stuff bits there can be."""
+    """Share of the bus that all cyclic messages of ``database`` use, with the maximum of stuff bits."""
     return sum(
         frame_bits(message.length, message.is_extended_frame) * 1e3 / message.cycle_time
         for message in database.messages
@@ -255,7 +247,7 @@ def bus_load(database: Database, bitrate: int) -> float:
 
 
 def frame_bits(length: int, extended: bool) -> int:
-    """Bits of a data frame of ``length`` bytes at most, the space before the next one included.
+    """Most bits of a data frame of ``length`` bytes, interframe space included.
 
     Source: Tindell, Burns, Wellings, Calculating controller area network (CAN) message response times (1995), corrected by
     Davis et al. (2007): g + 8s + 13 + ⌊(g + 8s − 1)/4⌋ bits, g = 34 or 54 that can be stuffed besides the data.
@@ -264,6 +256,6 @@ def frame_bits(length: int, extended: bool) -> int:
     return stuffed + 13 + (stuffed - 1) // 4
 
 
-def names(identifiers: Iterable[tuple[int, bool]]) -> str:
-    """Identifiers for people."""
+def format_identifiers(identifiers: Iterable[tuple[int, bool]]) -> str:
+    """Identifiers in hexadecimal."""
     return ", ".join(f"{number:08X}" if extended else f"{number:03X}" for number, extended in sorted(identifiers))

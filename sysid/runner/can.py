@@ -1,16 +1,18 @@
-"""A machine on a CAN bus, through python-can: any adapter that it drives (socketcan, slcan, pcan, kvaser …) at this computer.
+"""A machine on a CAN bus, through any local adapter of python-can (socketcan, slcan, pcan, kvaser …).
 
-Before the first command the bus is listened to: every message that the recipe maps has to come, with a counter that goes on and
-values that its database allows, and nobody may speak whom the database does not know. Another machine's database fails here.
+Before the first command the transport listens: every message that the recipe maps must arrive with a changing counter and
+values inside the database's range, and no unknown identifier may appear. The database of another machine fails this test.
 """
 
 from __future__ import annotations
 
+import hashlib
 import math
 import os
+import tempfile
 import time
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -18,11 +20,10 @@ import numpy as np
 import numpy.typing as npt
 
 from sysid.errors import InputError, SettingsError
-from sysid.runner.bus import ECHO, ON, TIME, BusSettings, MachineBus, ReceivedFrame, names
-from sysid.runner.channel_lock import lock_channel
+from sysid.runner.bus import ECHO, ON, TIME, BusSettings, MachineBus, ReceivedFrame, format_identifiers
 from sysid.runner.clock import SECOND, MonotonicClock
 from sysid.runner.line_delay import CommandRoundTrip, MachineClock
-from sysid.runner.transport import NOBODY, MachineInputs, Measurement
+from sysid.runner.transport import RELEASED_INPUTS, MachineInputs, Measurement
 
 if TYPE_CHECKING:
     from can import BusABC, Message
@@ -30,15 +31,15 @@ if TYPE_CHECKING:
 
 Array = npt.NDArray[np.float64]
 
-#: Interfaces of python-can that leave this computer by a network: nothing that commands a machine goes that way.
+#: Interfaces of python-can that use a network; commands to a machine are not sent through it.
 NETWORKED = ("udp_multicast", "socketcand", "remote", "zmq")
-#: Switches of which nothing has been heard for so long are released [ns].
+#: Without a status for this time the switches count as released [ns].
 STATUS_TIME_OUT_NS = 100_000_000
-#: Error frame of socketcan that says that the controller is off the bus (CAN_ERR_BUSOFF).
+#: Error frame of socketcan: the controller is off the bus (CAN_ERR_BUSOFF).
 _BUS_OFF = 0x40
-#: Longest that a frame may wait for its place in the adapter [s]; half of what the machine waits for commands.
+#: Longest wait of a frame for the adapter [s]; half of the machine's time-out.
 _SEND = 0.05
-#: At the most so many frames are taken in one cycle: a bus that never falls silent may not hold up the loop.
+#: Most frames read in one cycle: a busy bus may not delay the loop.
 _FRAMES = 256
 
 
@@ -48,9 +49,9 @@ class CanSettings(BusSettings):
 
     Args:
         interface, channel: of python-can: ``slcan`` and ``/dev/ttyACM0``, ``socketcan`` and ``can0``.
-        options: further ones of that interface.
-        listen: how long the bus is listened to before anything is sent [s].
-        control: pipe with the switches of a simulated test bench, where nobody stands at it.
+        options: further options of that interface.
+        listen: listening time before anything is sent [s].
+        control: control pipe of a simulated test bench (its switches).
     """
 
     interface: str = "slcan"
@@ -61,60 +62,53 @@ class CanSettings(BusSettings):
 
 
 class CanTransport(MonotonicClock):
-    """See :class:`sysid.runner.transport.Transport`. Stamps of the machine are brought to this computer's monotonic clock.
+    """See :class:`sysid.runner.transport.Transport`. Stamps of the machine are mapped to this computer's monotonic clock.
 
     Args:
         settings: ``[transport]`` of the recipe, paths resolved.
         where: the recipe, for messages.
-        bus: an open bus instead of the one that the settings name.
+        bus: an open bus instead of that of the settings.
 
     Raises:
-        SettingsError: what does not fit the database; a bus that would be too full; an interface that is a network.
+        SettingsError: settings that do not fit the database, a bus load above the limit, a network interface.
     """
 
     def __init__(self, settings: CanSettings, where: str = "[transport]", bus: BusABC | None = None) -> None:
         self.settings, self.where = settings, where
-        _stays_here(settings, where)
+        _require_local(settings, where)
         self.machine = MachineBus(settings, where)
+        self.signals, self.axes = self.machine.signals, self.machine.axes
         self._bus = bus
         self._lock: BaseFileLock | None = None
         self._readings: dict[str, Measurement] = {}
-        self._counts = dict.fromkeys(self.machine.signals, 0)
+        self._counts = dict.fromkeys(self.signals, 0)
         self._status: ReceivedFrame | None = None
         self._status_ns = 0
-        self._clock, self._answers = MachineClock(), CommandRoundTrip()
+        self._clock, self._round_trip = MachineClock(), CommandRoundTrip()
         self._read_ns = 0
-        #: What ended the reading, and what ended the sending: a line that brings nothing may still take the fail-safe bits.
-        self._fault, self._deaf = "", ""
+        #: Errors that ended reading and sending: a line that cannot be read may still transmit the fail-safe bits.
+        self._fault, self._send_fault = "", ""
         self._commanded = False
-        #: Frames that alive counters say were lost, those that are not as the database says, and those that it does not know.
+        #: Numbers of lost frames (by alive counters) and malformed frames; unknown identifiers.
         self.lost = self.malformed = 0
         self.unknown: set[tuple[int, bool]] = set()
-        self._garbled = ""
-
-    @property
-    def signals(self) -> tuple[str, ...]:
-        return self.machine.signals
-
-    @property
-    def axes(self) -> tuple[str, ...]:
-        return self.machine.axes
+        self._malformed_text = ""
 
     @property
     def remarks(self) -> tuple[str, ...]:
-        """What this machine's side cannot check, a sentence each."""
+        """What this machine cannot check, one sentence each."""
         found, settings = [], self.settings
         if not self.machine.echoes:
-            found.append(f"{settings.status} has no {ECHO}: a line that is late without stamps shows only in the motion")
+            found.append(f"{settings.status} has no {ECHO}: a late line without stamps is detected by the motion only")
         if not self.machine.stamps:
-            found.append("the valve commands have no stamp: the machine executes late what was held up on the way")
+            found.append("the valve commands have no stamp: the machine executes delayed commands")
         return tuple(found)
 
     def open(self) -> None:
         """Open the adapter and listen.
 
         Raises:
-            InputError: no such adapter, or a bus on which something else is spoken.
+            InputError: no such adapter, or traffic that does not fit the database.
         """
         from can import CanError
 
@@ -129,27 +123,27 @@ class CanTransport(MonotonicClock):
         self._listen()
 
     def _listen(self) -> None:
-        """Raise unless what is spoken is what the database says."""
-        heard: dict[str, int] = {}
+        """Raise InputError unless the traffic fits the database."""
+        received: dict[str, int] = {}
         wrong: list[str] = []
         end = time.monotonic_ns() + round(self.settings.listen * SECOND)
         while time.monotonic_ns() < end:
-            for item in self._take():
-                heard[item.message] = heard.get(item.message, 0) + item.fresh
+            for item in self._receive():
+                received[item.message] = received.get(item.message, 0) + item.fresh
                 if (text := self.machine.implausible(item)) and text not in wrong:
                     wrong.append(text)
-            if self._fault or self._garbled:
+            if self._fault or self._malformed_text:
                 break
             time.sleep(0.002)
-        if self._garbled:
-            wrong.insert(0, self._garbled)
+        if self._malformed_text:
+            wrong.insert(0, self._malformed_text)
         for message in self.machine.expected.values():
             due = self.settings.listen * 1e3 / (message.cycle_time or 1e3 * self.settings.listen)
             # The first frame counts as fresh whatever its counter.
-            if heard.get(message.name, 0) < max(1, min(2, math.floor(due / 2))):
-                wrong.append(f"{message.name} does not come" if message.name not in heard else f"{message.name} repeats itself")
+            if received.get(message.name, 0) < max(1, min(2, math.floor(due / 2))):
+                wrong.append(f"{message.name} is missing" if message.name not in received else f"{message.name} repeats itself")
         if self.unknown:
-            wrong.append(f"the database does not know {names(self.unknown)}")
+            wrong.append(f"the database does not know {format_identifiers(self.unknown)}")
         if self._fault:
             wrong.insert(0, self._fault)
         if wrong:
@@ -158,32 +152,32 @@ class CanTransport(MonotonicClock):
                 f"{self.where}: {self.settings.channel or self.settings.interface}",
                 "; ".join(wrong[:4]),
                 f"the messages of {self.settings.database}",
-                "Is the machine on, at this bit rate, and the database its own?",
+                "Is the machine on, at this bit rate, and is this its database?",
             )
 
     def read(self) -> tuple[Mapping[str, Measurement], MachineInputs]:
-        self._take()
+        self._receive()
         self._read_ns = time.monotonic_ns()
         return dict(self._readings), self._inputs()
 
-    def _take(self) -> list[ReceivedFrame]:
-        """Take what has come; errors of the line become the fault that :meth:`read` reports until the bus is opened anew.
+    def _receive(self) -> list[ReceivedFrame]:
+        """Read the waiting frames; an error of the line becomes the fault that :meth:`read` reports until the bus is reopened.
 
-        Whatever an adapter's driver raises is such an error: it may not end a run without a ramp.
+        Any exception of the adapter's driver is such an error: it may not end a run without a ramp.
         """
-        heard: list[ReceivedFrame] = []
+        received: list[ReceivedFrame] = []
         if self._bus is None or self._fault:
-            return heard
+            return received
         try:
             for _ in range(_FRAMES):
                 frame = self._bus.recv(0)
                 if frame is None:
                     break
                 if (item := self._frame(frame)) is not None:
-                    heard.append(item)
+                    received.append(item)
         except Exception as error:
             self._fault = f"bus: {str(error) or type(error).__name__}"
-        return heard
+        return received
 
     def _frame(self, frame: Message) -> ReceivedFrame | None:
         now = time.monotonic_ns()
@@ -196,10 +190,10 @@ class CanTransport(MonotonicClock):
             self.unknown.add(identity)
             return None
         try:
-            item = self.machine.hear(*identity, bytes(frame.data))
-        except ValueError as error:  # what it would have said does not come, and ages
+            item = self.machine.decode(*identity, bytes(frame.data))
+        except ValueError as error:  # its readings age
             self.malformed += 1
-            self._garbled = f"{error}"
+            self._malformed_text = f"{error}"
             return None
         if item is None:
             return None
@@ -210,7 +204,7 @@ class CanTransport(MonotonicClock):
             self._status, self._status_ns = item, now
             self._clock.tick(item.values.get(TIME), now)
             if self.machine.echoes:
-                self._answers.heard(int(item.values[ECHO]), now)
+                self._round_trip.echoed(int(item.values[ECHO]), now)
             return item
         measured = self._clock.measured(now)
         for signal, value in item.values.items():
@@ -220,19 +214,19 @@ class CanTransport(MonotonicClock):
 
     def _inputs(self) -> MachineInputs:
         if self._status is None or self._fault:
-            return MachineInputs(NOBODY.dead_man, NOBODY.emergency_stop, self._fault or "no status of the machine")
-        said = self._status.values
+            return replace(RELEASED_INPUTS, fault=self._fault or "no status of the machine")
+        values = self._status.values
         late = time.monotonic_ns() - self._status_ns > STATUS_TIME_OUT_NS
-        # Two bits each: off, on, error, not available. Whatever is not clear counts as the safe one.
-        dead_man = int(said["dead_man"]) == ON and not late
-        pressed = int(said["emergency_stop"]) != 0
-        text = "no status of the machine" if late else self._answers.late(time.monotonic_ns())
-        if not text and (code := int(said.get("fault", 0.0))):
+        # Two bits each: off, on, error, not available. The last two count as the safe state.
+        dead_man = int(values["dead_man"]) == ON and not late
+        pressed = int(values["emergency_stop"]) != 0
+        text = "no status of the machine" if late else self._round_trip.late(time.monotonic_ns())
+        if not text and (code := int(values.get("fault", 0.0))):
             text = self._fault_text(code)
         return MachineInputs(dead_man, pressed, text)
 
     def _fault_text(self, code: int) -> str:
-        """Of a code of the machine; that it hears no commands is no fault while nobody commands."""
+        """The text of a fault code of the machine."""
         status = next(m for m in self.machine.expected.values() if m.name == self.settings.status)
         choices: Mapping[int, Any] = status.get_signal_by_name("fault").choices or {}
         return f"machine: {choices.get(code, code)}"
@@ -240,57 +234,52 @@ class CanTransport(MonotonicClock):
     def write(self, commands: Array, enabled: bool) -> None:
         from can import Message
 
-        if self._bus is None or self._deaf:
-            raise OSError(self._deaf or "the bus is not open")
+        if self._bus is None or self._send_fault:
+            raise OSError(self._send_fault or "the bus is not open")
         self._commanded = True
-        # They answer what was read in this cycle: a cycle that was held up since says so to the machine.
+        # The commands answer the readings of this cycle: the stamp shows a delay since then to the machine.
         answered = self._clock.now(self._read_ns)
         try:
-            for identifier, data in self.machine.say([float(command) for command in commands], enabled, answered):
+            for identifier, data in self.machine.encode([float(command) for command in commands], enabled, answered):
                 self._bus.send(Message(arbitration_id=identifier, is_extended_id=True, data=data), timeout=_SEND)
-        except Exception as error:  # see _take
-            self._deaf = f"bus: {str(error) or type(error).__name__}"
-            self._fault = self._fault or self._deaf
-            raise OSError(self._deaf) from error
+        except Exception as error:  # see _receive
+            self._send_fault = f"bus: {str(error) or type(error).__name__}"
+            self._fault = self._fault or self._send_fault
+            raise OSError(self._send_fault) from error
         if self.machine.echoes:
-            self._answers.sent(self.machine.sent_count, time.monotonic_ns())
+            self._round_trip.sent(self.machine.sent_count, time.monotonic_ns())
 
     def set_inputs(self, dead_man: bool | None = None, emergency_stop: bool | None = None) -> None:
-        """Of a simulated test bench.
+        """Set the switches of a simulated test bench.
 
         Raises:
-            SettingsError: a machine with people at it, who hold its switches.
+            SettingsError: the machine has no control pipe: a person holds its switches.
         """
         if self.settings.control is None:
             raise SettingsError(f"{self.where}: control", "none", "the control pipe of a simulated test bench")
         lines = [f"{name} {int(value)}\n" for name, value in (("dead_man", dead_man), ("emergency_stop", emergency_stop))
                  if value is not None]  # fmt: skip
-        self.tell("".join(lines))
-
-    def tell(self, lines: str) -> None:
-        """Write ``lines`` to the control pipe of a simulated test bench."""
-        assert self.settings.control is not None
         pipe = os.open(self.settings.control, os.O_WRONLY | os.O_NONBLOCK)
         try:
-            os.write(pipe, lines.encode())
+            os.write(pipe, "".join(lines).encode())
         finally:
             os.close(pipe)
 
     def close(self) -> None:
-        """Say that nobody commands any more, if somebody did, and let go of the bus.
+        """Send the fail-safe state if commands were sent, and close the bus. May be called again.
 
-        Where the machine does not hear it, its own time-out does.
+        If the machine does not receive it, its own time-out closes the valves.
         """
         if self._bus is None:
             return
         try:
-            if self._commanded and not self._deaf:
+            if self._commanded and not self._send_fault:
                 self.write(np.zeros(len(self.axes)), enabled=False)
         except OSError as error:
             self._fault = str(error)
         try:
             self._bus.shutdown()
-        except Exception as error:  # an adapter that is gone cannot be closed any better
+        except Exception as error:  # a missing adapter cannot be closed
             self._fault = self._fault or f"bus: {str(error) or type(error).__name__}"
         self._bus = None
         if self._lock is not None:
@@ -304,7 +293,7 @@ def _open(settings: CanSettings) -> BusABC:
     if settings.interface == "slcan":
         from sysid.runner.slcan import SlcanBus
 
-        # The waits that some serial boards need after opening are an option; reading never waits.
+        # Some serial boards need a wait after opening: an option. Reading never waits.
         options = {"sleep_after_open": 0.0, "timeout": 0.0} | options
         return SlcanBus(settings.channel, bitrate=settings.bitrate, **options)
     if settings.interface != "socketcan":
@@ -312,12 +301,42 @@ def _open(settings: CanSettings) -> BusABC:
     return Bus(interface=settings.interface, channel=settings.channel, **options)
 
 
-def _stays_here(settings: CanSettings, where: str) -> None:
+def _require_local(settings: CanSettings, where: str) -> None:
     far = "://" in settings.channel
     if settings.interface in NETWORKED or far:
         raise SettingsError(
             f"{where}: {'channel' if far else 'interface'}",
-            f"{settings.channel if far else settings.interface!r} goes through a network",
+            f"{settings.channel if far else settings.interface!r} uses a network",
             "a CAN adapter at this computer (socketcan, slcan, pcan, kvaser …)",
-            "Commands that may come late or from somebody else move no machine.",
+            "A network can delay commands, or transmit those of somebody else.",
         )
+
+
+def lock_channel(interface: str, channel: str, where: str) -> BaseFileLock:
+    """Lock a line until the lock is released. Links to one device (``/dev/serial/by-id``) are one line.
+
+    Raises:
+        InputError: another process holds it, or the lock cannot be made.
+    """
+    from filelock import FileLock, Timeout
+
+    # A device in /dev is locked by its path, whatever driver of python-can uses it.
+    line = os.path.realpath(channel.partition("@")[0]) if "/" in channel else f"{interface}:{channel}"
+    lock = FileLock(_lock_folder() / f"sysid-line-{hashlib.sha256(line.encode()).hexdigest()[:16]}.lock", mode=0o666)
+    place = f"{where}: {channel or interface}"
+    try:
+        lock.acquire(timeout=0.0)
+    except Timeout:
+        expected = "one runner on a line"
+        raise InputError(place, "another runner has this line", expected, "End it first: both would send commands.") from None
+    except OSError as error:
+        raise InputError(place, f"{lock.lock_file}: {error.strerror}", "a lock file that can be written") from None
+    return lock
+
+
+def _lock_folder() -> Path:
+    """A folder that is the same for all users of this computer, independent of TMPDIR, if there is one."""
+    for folder in (Path("/run/lock"), Path("/tmp")):
+        if folder.is_dir() and os.access(folder, os.W_OK):
+            return folder
+    return Path(tempfile.gettempdir())

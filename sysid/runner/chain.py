@@ -1,53 +1,50 @@
 """Sensors to valves: joints → end effector → policy or inverse kinematics → joint setpoints → cylinder controller → commands.
 
-The parts are those that policies are trained and evaluated with (:mod:`sysid.rl.driven`): the same forward version, observation
-and :class:`sysid.control.CylinderController`; only the supervisor stands between them here.
+The parts are those of training and evaluation (:mod:`sysid.rl.driven`): the same forward version, observation and
+:class:`sysid.control.CylinderController`; here the supervisor is between them.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import Protocol
 
 import numpy as np
 import numpy.typing as npt
 
-from sysid.control import AxisTuning, CylinderController
+from sysid.control import CylinderController
 from sysid.effects import gripper_sway
 from sysid.errors import SettingsError
 from sysid.networks.forward import ForwardModel
 from sysid.plant import Plant
+from sysid.rl.environment import NamedPolicy
 from sysid.rl.inverse_kinematics import InverseKinematics
 from sysid.rl.observation import DrivenObservation
 from sysid.rl.task import ObservationSlices
-from sysid.runner.policy_thread import PolicyThread, Setter
+from sysid.runner.policy_thread import PolicyThread
 
 Array = npt.NDArray[np.float64]
 
 
-class SignalPolicy(Setter, Protocol):
-    """A policy that names what it sees and sets."""
-
-    @property
-    def inputs(self) -> tuple[str, ...]: ...
+class SignalPolicy(NamedPolicy, Protocol):
+    """A policy with the names of its observations and setpoints."""
 
     @property
     def outputs(self) -> tuple[str, ...]: ...
 
 
 class ControlChain:
-    """Of one machine.
+    """The controllers of one machine.
 
     Args:
-        plant: whose linkages and effects the controller knows.
+        plant: linkages and effects for the cylinder controller.
         forward: joints → end effector.
-        inverse: inverse kinematics, the fallback, and what sets where there is no policy.
-        policy: a version from the registry; None: inverse kinematics.
-        lookahead: how long after the next sample the targets are meant that it is shown [s].
-        tuning: of the cylinder controller.
+        inverse: inverse kinematics, the fallback of a policy.
+        policy: None: inverse kinematics.
+        lookahead: of the targets, after the next sample [s].
 
     Raises:
-        SettingsError: a policy that sees or sets what this machine does not have.
+        SettingsError: observations or setpoints of the policy do not fit this machine.
     """
 
     def __init__(
@@ -58,15 +55,15 @@ class ControlChain:
         *,
         policy: SignalPolicy | None = None,
         lookahead: float = 0.0,
-        tuning: Sequence[AxisTuning] | None = None,
     ) -> None:
         self.plant, self.forward, self.inverse, self.policy, self.lookahead = plant, forward, inverse, policy, lookahead
         self.axes = plant.machine.axis_names
-        self.controller = CylinderController(plant, tuning, preview=lookahead)
-        history = _history(policy.inputs if policy is not None else (), len(self.axes))
+        self.controller = CylinderController(plant, preview=lookahead)
+        # Number of past commands of each axis in the observations.
+        history = sum(".command[" in name for name in policy.inputs) // len(self.axes) if policy is not None else 0
         self.view = DrivenObservation(self.axes, history, plant.machine.rate_hz)
         self._width = self.view.width
-        #: Asks the policy; None where there is none.
+        #: Runs the policy; None without one.
         self.thread: PolicyThread | None = None
         if policy is not None:
             self._check(policy)
@@ -88,13 +85,13 @@ class ControlChain:
         return np.asarray(self.forward.predict(joints))
 
     def rest(self, drive: Array, joints: Array) -> None:
-        """At rest with what is driven at ``drive`` (A,) and joints (A,)."""
+        """Reset to rest at ``drive`` (A,), what the commands drive, and joints (A,)."""
         self.controller.reset(drive)
         self.view.rest()
         self._joints, self._solved = joints[None].copy(), None
 
     def moved(self, joints: Array, commands: Array) -> None:
-        """A step with ``commands`` (A,), neutral ones as zero, led to ``joints`` (A,)."""
+        """Record a step with ``commands`` (A,), zero if neutral, that led to ``joints`` (A,)."""
         now = joints[None]
         before = now if self._joints is None else self._joints
         self.view.sent(commands[None])
@@ -102,40 +99,40 @@ class ControlChain:
         self._joints = now.copy()
 
     def ask(self, joints: Array, ee: Array, target: Array, until_ns: int, now_ns: Callable[[], int]) -> Array:
-        """Setpoints (A,) of the policy, or of inverse kinematics where there is none, for a target (3,).
+        """Setpoints (A,) of the policy, or of inverse kinematics without one, for a target (3,).
 
         Args:
-            until_ns: when the policy has to have answered, on the clock ``now_ns``.
+            until_ns: deadline of the policy on the clock ``now_ns``.
 
         Raises:
-            PolicyError: it has not, or not with setpoints.
+            PolicyError: no answer by then, or no setpoints.
         """
         if self.thread is None:
             return self.solve(joints, target)
         seen = self.view.seen(joints[None], ee[None], target[None], self._below)
         return self.thread.ask(seen[:, : self._width], until_ns, now_ns)
 
-    def give_up(self) -> None:
-        """The policy is not asked any more; where it is still running it is ended."""
+    def cancel_policy(self) -> None:
+        """Cancel the policy if it is running."""
         if self.thread is not None:
             self.thread.cancel()
 
     def solve(self, joints: Array, target: Array) -> Array:
-        """Setpoints (A,) of inverse kinematics, nearest to the last ones that it gave, at first to ``joints``."""
+        """Setpoints (A,) of inverse kinematics, nearest to its last ones, at first to ``joints``."""
         begin = joints[None] if self._solved is None else self._solved
         self._solved, _ = self.inverse.solve(target[None], begin)
         return np.asarray(self._solved[0].copy())
 
     def solve_from(self, setpoints: Array) -> None:
-        """Inverse kinematics goes on from ``setpoints`` (A,), which somebody else gave."""
+        """Continue inverse kinematics from ``setpoints`` (A,)."""
         self._solved = setpoints[None].copy()
 
     def commands(self, setpoints: Array, drive: Array) -> tuple[Array, Array]:
-        """Setpoints of what is driven, and valve commands, (A,) each; ``setpoints`` are joints, ``drive`` (A,) is measured."""
+        """Drive setpoints and valve commands, (A,) each, for joint setpoints and measured ``drive`` (A,)."""
         return self.controller.drive(setpoints)[0], self.controller.commands(setpoints, drive)[0]
 
     def override(self, commands: Array) -> None:
-        """What was really sent, (A,)."""
+        """Record the commands (A,) that were sent."""
         self.controller.override(commands)
 
     def _check(self, policy: SignalPolicy) -> None:
@@ -145,11 +142,6 @@ class ControlChain:
             raise SettingsError(where, f"sets {', '.join(policy.outputs)}", f"{', '.join(joints)}")
         for own, wanted in zip(self.view.names, policy.inputs, strict=False):
             if own != wanted:
-                raise SettingsError(where, f"sees {wanted!r}", f"{own!r} in its place: it was trained for another machine")
+                raise SettingsError(where, f"observes {wanted!r}", f"{own!r} in its place: it was trained for another machine")
         if len(policy.inputs) > self.view.width or len(policy.inputs) < ObservationSlices.of(len(self.axes)).width:
-            raise SettingsError(where, f"sees {len(policy.inputs)} numbers", f"{self.view.width}")
-
-
-def _history(inputs: Sequence[str], axes: int) -> int:
-    """How many past commands of each axis a policy sees."""
-    return sum(".command[" in name for name in inputs) // axes
+            raise SettingsError(where, f"observes {len(policy.inputs)} numbers", f"{self.view.width}")

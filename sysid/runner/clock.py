@@ -1,4 +1,4 @@
-"""The clocks a loop goes by: the system's monotonic one, and a simulated one that jumps to where it is waited for."""
+"""The clock of transports to real machines."""
 
 from __future__ import annotations
 
@@ -8,27 +8,14 @@ SECOND = 1_000_000_000
 
 
 class MonotonicClock:
-    """Real time. Transports to real machines inherit ``now_ns`` and ``wait_until`` from here."""
+    """Real time; the base class of transports to real machines."""
 
     def now_ns(self) -> int:
         return time.monotonic_ns()
 
     def wait_until(self, ns: int) -> None:
-        """Sleep until ``ns``; at once where that is past."""
+        """Sleep until ``ns``; return at once if it is past."""
         left = ns - time.monotonic_ns()
         while left > 0:
             time.sleep(left / SECOND)
             left = ns - time.monotonic_ns()
-
-
-class SimulatedClock:
-    """Time passes only where somebody waits."""
-
-    def __init__(self) -> None:
-        self._now = 0
-
-    def now_ns(self) -> int:
-        return self._now
-
-    def wait_until(self, ns: int) -> None:
-        self._now = max(self._now, ns)

@@ -1,7 +1,7 @@
-"""The last thing between a command and a valve: range, rate, and barriers that a stop from here must not cross.
+"""The command filter, last before the valves: range, rate, and a discrete-time control barrier.
 
-Whatever was asked for, a command passes only if the axis can still be brought to rest inside its limits, by what the sensors
-*and* the commands so far say of where it is; and the end effector inside its fence. Commands that lead back inside always pass.
+A command passes only if the axis can still stop inside its limits, from the measured position *and* from dead reckoning, and
+the end effector inside its fence. Commands that lead back inside always pass.
 """
 
 from __future__ import annotations
@@ -14,25 +14,25 @@ import numpy.typing as npt
 
 from sysid.machine import TabulatedLinkage
 from sysid.runner.limits import Limits
-from sysid.runner.valves import AxisValve, DeadReckoning, braked, stopping
+from sysid.runner.valves import AxisValve, DeadReckoning, braking_speed, stopping_distance
 
 Array = npt.NDArray[np.float64]
-Broken = tuple[str, int, float, float]
+ExceededLimit = tuple[str, int, float, float]
 
-#: What happens unseen for so long is still braked in time [s].
-UNSEEN_S = 0.08
-#: A valve may be this much faster than the plant says.
-SPREAD = 1.25
-#: Shares of what is asked for that are tried before nothing at all.
+#: Undetected motion of this duration can still be braked in time [s].
+REACTION_S = 0.08
+#: A valve may be faster than that of the plant by this factor.
+SPEED_MARGIN = 1.25
+#: Shares of the requested commands that are tried for the fence.
 SHARES = (1.0, 0.7, 0.4, 0.2, 0.0)
 
 
 class CommandFilter:
-    """Of one machine.
+    """The filter of one machine.
 
     Args:
-        limits: in joints; they are turned into what the commands drive.
-        valves, linkages: of each axis; None where the command drives the joint.
+        limits: of the joints; converted to what the commands drive.
+        valves, linkages: of each axis; None if the command drives the joint.
         tip: joints (n, A) → end effector (n, 3) [m].
         dt: of a step [s].
     """
@@ -53,36 +53,41 @@ class CommandFilter:
         self.sent = np.zeros(len(self.valves))
 
     def reset(self) -> None:
-        """The valves are neutral."""
+        """Start with neutral valves."""
         self.sent = np.zeros(len(self.valves))
 
-    def pass_on(self, asked: Array, drive: Array, dead_reckonings: Sequence[DeadReckoning]) -> tuple[Array, list[Broken]]:
-        """What may be sent (A,) of what is asked for (A,), and what was broken: (check, axis or −1, found, limit).
+    def filter(
+        self, requested: Array, drive: Array, dead_reckonings: Sequence[DeadReckoning]
+    ) -> tuple[Array, list[ExceededLimit]]:
+        """Permitted commands (A,) for requested ones (A,), and exceeded limits: (check, axis or −1, found, limit).
 
         Args:
-            drive: what the sensors say of what is driven, (A,).
+            drive: measured position of what the commands drive, (A,).
         """
-        broken: list[Broken] = []
+        exceeded: list[ExceededLimit] = []
         commands = np.array(
-            [self._one(i, float(asked[i]), float(drive[i]), dead_reckonings[i], broken) for i in range(len(asked))]
+            [
+                self._limit_axis(i, float(requested[i]), float(drive[i]), dead_reckonings[i], exceeded)
+                for i in range(len(requested))
+            ]
         )
         if self.limits.fenced:
-            commands = self._fenced(commands, drive, dead_reckonings, broken)
+            commands = self._limit_by_fence(commands, drive, dead_reckonings, exceeded)
         self.sent = commands
-        return commands.copy(), broken
+        return commands.copy(), exceeded
 
     def ramp(self, drive: Array, dead_reckonings: Sequence[DeadReckoning]) -> Array:
-        """The commands (A,) of a stop: from those sent last towards neutral within the braking of each axis."""
+        """The commands (A,) of a stop: from the last ones towards neutral within the braking limit of each axis."""
         commands = np.zeros(len(self.valves))
         for i, valve in enumerate(self.valves):
             speed = valve.speed(float(self.sent[i]))
             left = max(0.0, abs(speed) - float(self.limits.braking[i]) * self.dt)
             commands[i] = valve.command(math.copysign(left, speed))
-        passed, _ = self.pass_on(commands, drive, dead_reckonings)
+        passed, _ = self.filter(commands, drive, dead_reckonings)
         return passed
 
-    def stopped(self, joints: Array, speeds: Array) -> Array:
-        """Where stops end that begin at ``joints`` (n, A) in motion at ``speeds`` (n, A), evaluated as commands are.
+    def stop_ends(self, joints: Array, speeds: Array) -> Array:
+        """End positions of stops that begin at ``joints`` (n, A) and ``speeds`` (n, A), with the margins of commands.
 
         Returns:
             Joints (n, A).
@@ -92,67 +97,75 @@ class CommandFilter:
             q, v = joints[:, i], speeds[:, i]
             if linkage is not None:
                 q, v = linkage.displacement(q), (linkage.displacement(q + v * self.dt) - linkage.displacement(q)) / self.dt
-            after = valve.late * self.dt + self.dt + UNSEEN_S
-            driven[:, i] = np.clip(q + stopping(SPREAD * v, after, float(self.limits.braking[i])), valve.low, valve.high)
-        return self._joints(driven)
+            after = valve.dead_steps * self.dt + self.dt + REACTION_S
+            driven[:, i] = np.clip(
+                q + stopping_distance(SPEED_MARGIN * v, after, float(self.limits.braking[i])), valve.low, valve.high
+            )
+        return self.joints(driven)
 
-    def _joints(self, driven: Array) -> Array:
-        """Joints (n, A) at places (n, A) of what is driven."""
+    def joints(self, driven: Array) -> Array:
+        """Joints (n, A) at positions (n, A) of what the commands drive."""
         joints = driven.copy()
         for i, linkage in enumerate(self.linkages):
             if linkage is not None:
                 joints[:, i] = linkage.joint(joints[:, i])
         return joints
 
-    def _one(self, i: int, asked: float, drive: float, dead_reckoning: DeadReckoning, broken: list[Broken]) -> float:
+    def _limit_axis(
+        self, i: int, requested: float, drive: float, dead_reckoning: DeadReckoning, exceeded: list[ExceededLimit]
+    ) -> float:
         valve, most = self.valves[i], float(self.limits.command[i])
-        if not math.isfinite(asked):
-            broken.append(("command", i, asked, most))
-            asked = 0.0
-        command = min(max(asked, -most), most)
+        if not math.isfinite(requested):
+            exceeded.append(("command", i, requested, most))
+            requested = 0.0
+        command = min(max(requested, -most), most)
         step = float(self.limits.command_rate[i]) * self.dt
         last = float(self.sent[i])
         command = min(max(command, last - step), last + step)
-        if abs(command - asked) > 1e-9:
-            broken.append(("command", i, asked, command))
-        speed = SPREAD * valve.speed(command)
+        if abs(command - requested) > 1e-9:
+            exceeded.append(("command", i, requested, command))
+        speed = SPEED_MARGIN * valve.speed(command)
         if speed == 0.0:
             return command
         sign = math.copysign(1.0, speed)
-        places = [place for place in (drive, dead_reckoning.position) if math.isfinite(place)]
-        if not places:
+        positions = [position for position in (drive, dead_reckoning.position) if math.isfinite(position)]
+        if not positions:
             return 0.0
         end = float(self.high[i] if sign > 0.0 else self.low[i])
-        room = min(sign * (end - place) for place in places) - SPREAD * dead_reckoning.ahead(sign)
-        allowed = braked(room, self.dt + UNSEEN_S, float(self.limits.braking[i]))
+        room = min(sign * (end - position) for position in positions) - SPEED_MARGIN * dead_reckoning.pending_travel(sign)
+        allowed = braking_speed(room, self.dt + REACTION_S, float(self.limits.braking[i]))
         if abs(speed) > allowed:
-            broken.append(("position", i, places[0], end))
-            return valve.command(sign * allowed / SPREAD)
+            exceeded.append(("position", i, positions[0], end))
+            return valve.command(sign * allowed / SPEED_MARGIN)
         return command
 
-    def _fenced(self, commands: Array, drive: Array, dead_reckonings: Sequence[DeadReckoning], broken: list[Broken]) -> Array:
-        """The greatest share of ``commands`` with which a stop ends within the fence, or further in than with none."""
+    def _limit_by_fence(
+        self, commands: Array, drive: Array, dead_reckonings: Sequence[DeadReckoning], exceeded: list[ExceededLimit]
+    ) -> Array:
+        """The greatest share of ``commands`` with which a stop ends within the fence, or farther inside than with none."""
         speeds = np.array([valve.speed(float(command)) for valve, command in zip(self.valves, commands, strict=True)])
         if not speeds.any():
             return commands
         ends = np.empty((len(SHARES), 2, len(speeds)))
         for i, (valve, dead_reckoning) in enumerate(zip(self.valves, dead_reckonings, strict=True)):
-            coming = dead_reckoning.ahead(1.0) - dead_reckoning.ahead(-1.0)
+            pending = dead_reckoning.pending_travel(1.0) - dead_reckoning.pending_travel(-1.0)
             for k, share in enumerate(SHARES):
-                way = stopping(SPREAD * share * speeds[i], self.dt + UNSEEN_S, float(self.limits.braking[i]))
-                for n, place in enumerate((drive[i], dead_reckoning.position)):
-                    ends[k, n, i] = min(max(place + SPREAD * coming + way, valve.low), valve.high)
-        joints = self._joints(ends.reshape(-1, len(speeds)))
+                travel = stopping_distance(
+                    SPEED_MARGIN * share * speeds[i], self.dt + REACTION_S, float(self.limits.braking[i])
+                )
+                for n, position in enumerate((drive[i], dead_reckoning.position)):
+                    ends[k, n, i] = min(max(position + SPEED_MARGIN * pending + travel, valve.low), valve.high)
+        joints = self.joints(ends.reshape(-1, len(speeds)))
         left = outside(self.tip(joints), self.limits.fence_low, self.limits.fence_high).reshape(len(SHARES), 2).max(axis=1)
         fits = left <= max(0.0, float(left[-1]) - 1e-9)
         if fits[0]:
             return commands
         share = SHARES[int(np.argmax(fits))] if fits.any() else 0.0
-        broken.append(("fence", -1, float(left[0]), 0.0))
+        exceeded.append(("fence", -1, float(left[0]), 0.0))
         kept = [valve.command(share * float(speed)) for valve, speed in zip(self.valves, speeds, strict=True)]
         return np.array(kept)
 
 
 def outside(points: Array, low: Array, high: Array) -> Array:
-    """How far points (n, 3) are outside a box, (n,) [m]; zero inside."""
+    """Distance of points (n, 3) from a box per coordinate, the largest, (n,) [m]; zero inside."""
     return np.asarray(np.maximum(np.maximum(low - points, points - high), 0.0).max(axis=1))

@@ -1,33 +1,33 @@
-"""The record of a commissioning: kept beside the recipe, and asked for again when recipe, database, machine or plant change."""
+"""The record of a commissioning, beside the recipe; invalid after a change of recipe, database, machine or plant."""
 
 from __future__ import annotations
 
 import hashlib
 import json
-import os
 from dataclasses import asdict
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
 from sysid.errors import SettingsError
+from sysid.files import write_durably
 from sysid.runner.assemble import Assembly
 from sysid.runner.checks.settings import SHORTEST_REASON
 from sysid.runner.modes.commission import Commission
 
-#: Parts of a recipe that bear on what is wired to what, and on how far and fast it may go. Its task, log and loop do not.
-PARTS = ("machine", "transport", "limits", "checks", "commission")
+#: Sections of a recipe that concern wiring and limits, in contrast to task, log and loop.
+RECIPE_SECTIONS = ("machine", "transport", "limits", "checks", "commission")
 
 
 def record_path(recipe: Path) -> Path:
-    """Where the record of ``recipe`` stands."""
+    """The file of the record of ``recipe``."""
     return recipe.with_name(f"{recipe.stem}.commissioned.json")
 
 
 def digests(assembly: Assembly) -> dict[str, str]:
-    """SHA-256 of everything that a commissioning holds for."""
+    """SHA-256 of everything for which a commissioning is valid."""
     recipe = asdict(assembly.recipe)
-    chosen = {name: recipe[name] for name in PARTS}
+    chosen = {name: recipe[name] for name in RECIPE_SECTIONS}
     chosen["plant"] = recipe["versions"]["plant"]
     machine = assembly.machine_file.read_bytes() + (assembly.machine.urdf_text or "").encode()
     found = {
@@ -42,50 +42,48 @@ def digests(assembly: Assembly) -> dict[str, str]:
 
 
 def keep_record(assembly: Assembly, mode: Commission, recipe: Path, log: str) -> Path:
-    """Write what a commissioning found, whether or not it passed; in one piece or not at all.
+    """Write the results of a commissioning, whether or not it passed, as a whole or not at all.
 
     Returns:
         The file.
+
+    Raises:
+        StorageError: the disk is full or fails.
     """
     path = record_path(recipe)
     record = {
         "schema": 1, "recipe": recipe.name, "machine": assembly.machine.name, "passed": mode.passed,
         "date": datetime.now(UTC).isoformat(timespec="seconds"), "log": log, "digests": digests(assembly), **mode.figures(),
     }  # fmt: skip
-    new = path.with_name(f".{path.name}.new")
-    with new.open("w", encoding="utf-8") as file:
-        json.dump(record, file, indent=1, ensure_ascii=False)
-        file.write("\n")
-        file.flush()
-        os.fsync(file.fileno())
-    new.replace(path)
+    text = json.dumps(record, indent=1, ensure_ascii=False) + "\n"
+    write_durably(path, text.encode(), "record of the commissioning", "Make room on the disk, and commission again.")
     return path
 
 
 def require_commissioned(assembly: Assembly, recipe: Path) -> str:
-    """What is to be said of the commissioning of a machine that is about to be moved.
+    """The state of the commissioning in words, before a machine is moved.
 
     Raises:
         SettingsError: there is no record, it did not pass, or something has changed since, and the recipe does not waive it.
     """
     waived = assembly.recipe.commission.waived.strip()
-    missing = _missing(assembly, record_path(recipe))
+    missing = _invalid_reason(assembly, record_path(recipe))
     if not missing:
         return "commissioned as it is"
     if waived and len(waived) < SHORTEST_REASON:
-        raise SettingsError(f"{recipe}: commission.waived", f"the reason {waived!r}", "one sentence that says why")
+        raise SettingsError(f"{recipe}: commission.waived", f"the reason {waived!r}", "one sentence with the reason")
     if waived:
         return f"NOT commissioned ({missing}): {waived}"
     raise SettingsError(
         f"{recipe}: commissioning",
         missing,
-        "a machine whose wiring, signs, scales and zeros have been looked at one axis at a time",
+        "a machine whose wiring, signs, scales and zeros were checked one axis at a time",
         f'First: sysid run {recipe} --commission. To run without it: [commission] waived = "why".',
     )
 
 
-def _missing(assembly: Assembly, path: Path) -> str:
-    """Why the record does not hold; "" where it does."""
+def _invalid_reason(assembly: Assembly, path: Path) -> str:
+    """Why the record is not valid; "" if it is."""
     try:
         record: Any = json.loads(path.read_text("utf-8"))
         known, passed = dict(record["digests"]), record["passed"] is True and record["schema"] == 1

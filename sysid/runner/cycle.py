@@ -1,4 +1,4 @@
-"""Everything that one cycle of the loop saw, decided and did: what the flight log keeps."""
+"""One cycle of the loop, as the flight log stores it: inputs, estimate, decision and output."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from sysid.runner.transport import MachineInputs, Measurement
 
 Array = npt.NDArray[np.float64]
 
-#: What a verdict makes of a cycle, mildest first.
+#: Reactions to a violation, mildest first.
 Reaction = Literal["clamp", "hold", "stop", "fault"]
 REACTIONS: tuple[Reaction, ...] = ("clamp", "hold", "stop", "fault")
 #: States of a run; transitions in :mod:`sysid.runner.states`.
@@ -27,9 +27,9 @@ class Violation:
     Args:
         check: its name, as in ``[checks]`` of the recipe.
         target: axis, signal or "machine".
-        reaction: what follows.
-        found, limit: SI; NaN where there is no number.
-        text: one line for people.
+        reaction: to it.
+        found, limit: SI; NaN if there is no number.
+        text: one line.
     """
 
     check: str
@@ -42,27 +42,27 @@ class Violation:
 
 @dataclass(frozen=True, slots=True)
 class Cycle:
-    """One cycle of the loop. Arrays belong to it; NaN where something is not known.
+    """One cycle of the loop. It owns its arrays; NaN marks unknown values.
 
     Args:
         number: of the cycle, from 0.
-        at_ns: when it began, on the transport's clock; ``due_ns`` when it should have.
-        state: of the machine of states after this cycle.
-        inputs: switches and faults of the machine's side.
+        at_ns, due_ns: actual and planned beginning, on the transport's clock.
+        state: of the run after this cycle.
+        inputs: switches and faults of the machine.
         readings: newest of each signal.
-        joints: as believed, (A,) [rad or m].
-        ee: end effector as believed, (3,) [m].
-        target: where it should be, (3,) [m].
-        asked: joint setpoints of the policy, (A,) [rad or m].
-        setpoints: those that the supervisor let through, (A,).
+        joints: estimate, (A,) [rad or m].
+        ee: estimate of the end effector, (3,) [m].
+        target: of the end effector, (3,) [m].
+        asked: requested joint setpoints, (A,) [rad or m].
+        setpoints: after the supervisor, (A,).
         drive_setpoints: of what the commands drive, cylinder [m] or joint, (A,).
         commands_asked: of the cylinder controller, (A,).
         commands: sent, (A,).
-        enabled: whether the valves were let move.
-        verdicts: what the supervisor found.
-        source: whose setpoints these were: policy, fallback, hold, stop, none …
-        lateness_ns: how much later than due the cycle began.
-        latency_ns: from its beginning until the commands were out.
+        enabled: whether the valves were enabled.
+        verdicts: violations found by the supervisor.
+        source: of the setpoints: policy, fallback, hold, stop, none …
+        lateness_ns: delay of the beginning.
+        latency_ns: from the beginning until the commands were sent.
     """
 
     number: int
@@ -74,10 +74,10 @@ class Cycle:
     joints: Array
     ee: Array
     target: Array
-    asked: Array
+    requested: Array
     setpoints: Array
     drive_setpoints: Array
-    commands_asked: Array
+    requested_commands: Array
     commands: Array
     enabled: bool
     verdicts: tuple[Violation, ...]
@@ -87,11 +87,11 @@ class Cycle:
 
 
 class Recorder(Protocol):
-    """Takes cycles without ever holding up the loop."""
+    """Records cycles without delaying the loop."""
 
     def record(self, cycle: Cycle) -> None: ...
 
     @property
     def fault(self) -> str:
-        """What keeps it from recording (disk full, queue overflown); "" while it records."""
+        """Why it cannot record (disk full, queue overflow); "" while it records."""
         ...

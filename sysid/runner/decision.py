@@ -1,4 +1,4 @@
-"""One cycle's decision: what the mode wants, whose setpoints those become, and which commands the supervisor lets through."""
+"""The decision of a cycle: the goal of the mode, its setpoints, and the commands that the supervisor permits."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from sysid.runner.chain import ControlChain
 from sysid.runner.cycle import Violation
 from sysid.runner.modes.mode import Goal, Mode
 from sysid.runner.operator import Operator
-from sysid.runner.policy_thread import PolicyError, described
+from sysid.runner.policy_thread import PolicyError, error_text
 from sysid.runner.state_estimator import StateEstimate, StateEstimator
 from sysid.runner.supervisor import Supervisor
 
@@ -22,12 +22,12 @@ Array = npt.NDArray[np.float64]
 
 @dataclass
 class CycleDecision:
-    """Arrays (A,), NaN where nothing was decided; ``ended``: the goal that says that the task is over."""
+    """Arrays (A,), NaN without a decision; ``ended``: the goal that ends the task."""
 
-    asked: Array
+    requested: Array
     setpoints: Array
     drive_setpoints: Array
-    commands_asked: Array
+    requested_commands: Array
     commands: Array
     target: Array
     enabled: bool = False
@@ -35,18 +35,18 @@ class CycleDecision:
     ended: Goal | None = None
 
 
-def nothing(axes: int) -> CycleDecision:
-    """Neutral valves."""
+def neutral_decision(axes: int) -> CycleDecision:
+    """A decision with neutral valves."""
     none = np.full(axes, np.nan)
     return CycleDecision(none, none, none, none, np.zeros(axes), np.full(3, np.nan))
 
 
 class Decider:
-    """Of one run.
+    """The decisions of one run.
 
     Args:
-        chain, senses, supervisor, mode, operator: of the run.
-        fallback: what sets where the policy is not trusted.
+        chain, estimator, supervisor, mode, operator: of the run.
+        fallback: setpoints after the policy was disabled.
         now_ns: clock of the cycles.
     """
 
@@ -62,108 +62,112 @@ class Decider:
     ) -> None:
         self.chain, self.estimator, self.supervisor, self.mode = chain, estimator, supervisor, mode
         self.operator, self.fallback, self._now_ns = operator, fallback, now_ns
-        #: Of the cycle before, (A,) of what the commands drive; None where there are none.
+        #: Of the cycle before, (A,); None without any.
         self.drive_setpoints: Array | None = None
-        self._k, self._distrusted, self._late = 0, False, 0
+        self._k, self._policy_disabled, self._late = 0, False, 0
         self._held_at: Array | None = None
 
-    def begin(self, seen: StateEstimate) -> None:
-        """The task starts with the machine at rest where it is seen."""
-        self.supervisor.begin(seen.joints)
-        self.chain.rest(seen.drive, seen.joints)
-        self.mode.begin(seen.joints, seen.ee)
-        self._k, self._distrusted, self._late, self._held_at, self.drive_setpoints = 0, False, 0, None, None
+    def begin(self, estimate: StateEstimate) -> None:
+        """Begin the task with the machine at rest at the estimate."""
+        self.supervisor.begin(estimate.joints)
+        self.chain.rest(estimate.drive, estimate.joints)
+        self.mode.begin(estimate.joints, estimate.ee)
+        self._k, self._policy_disabled, self._late, self._held_at, self.drive_setpoints = 0, False, 0, None, None
 
-    def think(self, seen: StateEstimate, verdicts: list[Violation], until_ns: int) -> CycleDecision:
-        """A cycle of the task; what the supervisor finds in it is added to ``verdicts``.
+    def decide(self, estimate: StateEstimate, verdicts: list[Violation], until_ns: int) -> CycleDecision:
+        """A cycle of the task; violations found in it are appended to ``verdicts``.
 
         Args:
-            until_ns: when a policy has to have answered.
+            until_ns: deadline of a policy.
         """
-        decision = nothing(len(self.chain.axes))
-        goal = self.mode.goal(self._k, seen.joints, seen.ee)
+        decision = neutral_decision(len(self.chain.axes))
+        goal = self.mode.goal(self._k, estimate.joints, estimate.ee)
         if goal.stop:
             decision.ended = goal
             return decision
         decision.target = goal.target
         held = any(verdict.reaction == "hold" and verdict.check != "policy" for verdict in verdicts)
         if goal.commands is not None and not held:
-            decision.source, decision.commands_asked = goal.phase, goal.commands
+            decision.source, decision.requested_commands = goal.phase, goal.commands
             self.drive_setpoints = None
-            self.supervisor.limiter.reset(seen.joints)
-            self.chain.controller.reset(seen.drive)
+            self.supervisor.limiter.reset(estimate.joints)
+            self.chain.controller.reset(estimate.drive)
         else:
-            decision.asked, decision.source = self._ask(goal, seen, held, verdicts, until_ns)
-            decision.setpoints, broken = self.supervisor.setpoints(decision.asked)
-            verdicts += [] if held else broken  # standing still at once is nobody's wish: it is how a hold begins
-            drive_setpoints, decision.commands_asked = self.chain.commands(decision.setpoints, seen.drive)
+            decision.requested, decision.source = self._request_setpoints(goal, estimate, held, verdicts, until_ns)
+            decision.setpoints, exceeded = self.supervisor.setpoints(decision.requested)
+            verdicts += [] if held else exceeded  # the limits that a hold exceeds at its beginning are no violations
+            drive_setpoints, decision.requested_commands = self.chain.commands(decision.setpoints, estimate.drive)
             decision.drive_setpoints = self.drive_setpoints = drive_setpoints
-        decision.commands, broken = self.supervisor.commands(decision.commands_asked, seen, self.estimator.dead_reckonings)
-        verdicts += broken
+        decision.commands, exceeded = self.supervisor.commands(
+            decision.requested_commands, estimate, self.estimator.dead_reckonings
+        )
+        verdicts += exceeded
         self.chain.override(decision.commands)
         if not held:
             self._k += 1
         return decision
 
-    def slow_down(self, seen: StateEstimate) -> CycleDecision:
-        """A cycle of a stop; enabled while there is speed to be taken out."""
-        decision = nothing(len(self.chain.axes))
+    def slow_down(self, estimate: StateEstimate) -> CycleDecision:
+        """A cycle of a stop; enabled while the last commands are not zero."""
+        decision = neutral_decision(len(self.chain.axes))
         decision.source = "stop"
         if self.supervisor.command_filter.sent.any():
-            decision.commands = self.supervisor.ramp(seen, self.estimator.dead_reckonings)
+            decision.commands = self.supervisor.ramp(estimate, self.estimator.dead_reckonings)
             decision.enabled = True
         return decision
 
-    def _ask(self, goal: Goal, seen: StateEstimate, held: bool, verdicts: list[Violation], until_ns: int) -> tuple[Array, str]:
-        """Joint setpoints (A,), and whose they are."""
+    def _request_setpoints(
+        self, goal: Goal, estimate: StateEstimate, held: bool, verdicts: list[Violation], until_ns: int
+    ) -> tuple[Array, str]:
+        """Joint setpoints (A,) and their source."""
         here = self.supervisor.limiter.position
         if held:
             return self._hold(here)
-        if not self._distrusted or (self.fallback == "ik" and self.chain.policy is not None):
+        if not self._policy_disabled or (self.fallback == "ik" and self.chain.policy is not None):
             self._held_at = None
         if goal.joints is not None:
             self.chain.solve_from(goal.joints)
             return goal.joints, goal.phase
-        if not self._distrusted:
-            asked, wrong = self._policy(goal, seen, until_ns)
+        if not self._policy_disabled:
+            requested, wrong = self._ask_policy(goal, estimate, until_ns)
             if wrong is None:
-                return asked, goal.phase
+                return requested, goal.phase
             verdicts.append(wrong)
         if self.fallback == "hold" or self.chain.policy is None:
             return self._hold(here)
         try:
-            return self.chain.solve(seen.joints, goal.aim), "fallback"
+            return self.chain.solve(estimate.joints, goal.aim), "fallback"
         except Exception as problem:
-            verdicts.append(self.supervisor.no_answer(f"inverse kinematics fails: {described(problem)}"))
+            verdicts.append(self.supervisor.no_answer(f"inverse kinematics fails: {error_text(problem)}"))
             return self._hold(here)
 
-    def _policy(self, goal: Goal, seen: StateEstimate, until_ns: int) -> tuple[Array, Violation | None]:
-        """What the policy asks for, and what is wrong with it.
+    def _ask_policy(self, goal: Goal, estimate: StateEstimate, until_ns: int) -> tuple[Array, Violation | None]:
+        """The policy's setpoints, and the violation in them if any.
 
-        One that is late is asked again in the next cycle, until it was late in too many cycles in a row; one that fails is not.
+        A late policy is asked again in the next cycle, until it is late in too many cycles in a row; one that fails is not.
         """
         error, late, here = "", False, self.supervisor.limiter.position
-        asked = here
+        requested = here
         try:
-            asked = self.chain.ask(seen.joints, seen.ee, goal.aim, until_ns, self._now_ns)
+            requested = self.chain.ask(estimate.joints, estimate.ee, goal.aim, until_ns, self._now_ns)
         except PolicyError as problem:
             error, late = str(problem), problem.late
-        except Exception as problem:  # of inverse kinematics, or of what the policy is shown
-            error = f"no setpoints: {described(problem)}"
+        except Exception as problem:  # of inverse kinematics, or of the observation
+            error = f"no setpoints: {error_text(problem)}"
         self._late = self._late + 1 if late else 0
         if late and self._late < self.supervisor.checks.policy.late_turns:
             self.chain.solve_from(here)
             return here, self.supervisor.no_answer(error, "clamp")
-        wrong = self.supervisor.policy(asked, error)
+        wrong = self.supervisor.policy(requested, error)
         if wrong is not None:
-            self._distrusted = True
-            self.chain.give_up()
+            self._policy_disabled = True
+            self.chain.cancel_policy()
             self.chain.solve_from(here)
-            self.operator.notify(f"{wrong.text}: {'inverse kinematics goes on' if self.fallback == 'ik' else 'it holds'}")
-        return asked, wrong
+            self.operator.notify(f"{wrong.text}: {'inverse kinematics continues' if self.fallback == 'ik' else 'it holds'}")
+        return requested, wrong
 
     def _hold(self, here: Array) -> tuple[Array, str]:
-        """Where the hold began: a setpoint that went along with the limiter would keep the speed that it had."""
+        """The position at the beginning of the hold: a setpoint that follows the limiter would keep its speed."""
         if self._held_at is None:
             self._held_at = here.copy()
         return self._held_at.copy(), "hold"

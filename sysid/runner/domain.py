@@ -1,4 +1,4 @@
-"""Whether the networks are asked where their data were."""
+"""Whether the networks extrapolate."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from sysid.networks.forward import ForwardModel
 from sysid.runner.state_estimator import StateEstimate
 
 
-class Domains:
-    """Of a forward model and the networks of cylinders. Motion that leads back to the data is not objected to.
+class TrainingDomains:
+    """Training domains of a forward model and actuator networks. Motion back towards the data is no violation.
 
     Args:
         forward: joints → end effector.
@@ -21,33 +21,33 @@ class Domains:
         axes: names, in order.
 
     Raises:
-        SettingsError: the forward version does not know where its data were.
+        SettingsError: the forward version has no training domain.
     """
 
     def __init__(self, forward: ForwardModel, actuators: Mapping[str, ActuatorNetwork], axes: tuple[str, ...]) -> None:
         if forward.uncertainty is None:
             raise SettingsError(
                 "checks.domain",
-                "the forward version does not know where its data were",
+                "the forward version has no training domain",
                 "one that was fitted by this release",
-                'Fit it again, or leave the check out: [checks.without] domain = "why".',
+                'Fit it again, or disable the check: [checks.without] domain = "why".',
             )
         self._forward = forward.uncertainty.domain
         columns = [(axis, axes.index(axis), network.uncertainty.get("to_joint")) for axis, network in actuators.items()]
         self._actuators = [(axis, i, uncertainty.domain) for axis, i, uncertainty in columns if uncertainty is not None]
         self._before: dict[str, float] = {}
 
-    def __call__(self, seen: StateEstimate) -> str:
-        """Which network is asked beyond its data, and further than before; "" where none is."""
-        asked = [("forward", self._forward, seen.joints[None])]
-        asked += [(f"actuator of {axis}", domain, seen.drive[i : i + 1, None]) for axis, i, domain in self._actuators]
-        for name, domain, query in asked:
+    def __call__(self, estimate: StateEstimate) -> str:
+        """A text about the network that extrapolates, and farther than before; "" if none does."""
+        queries = [("forward", self._forward, estimate.joints[None])]
+        queries += [(f"actuator of {axis}", domain, estimate.drive[i : i + 1, None]) for axis, i, domain in self._actuators]
+        for name, domain, query in queries:
             if not np.isfinite(query).all() or domain.inside(query)[0]:
                 self._before[name] = 0.0
                 continue
-            away = float(domain.distance(query)[0])
+            distance = float(domain.distance(query)[0])
             before = self._before.get(name, 0.0)
-            self._before[name] = away
-            if away >= before:
-                return f"network {name} is asked {away:.1f} times as far from its data as is usual among them"
+            self._before[name] = distance
+            if distance >= before:
+                return f"network {name} extrapolates: {distance:.1f} times the usual distance between its training data"
         return ""

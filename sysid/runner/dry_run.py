@@ -1,4 +1,4 @@
-"""A dry run: the same recipe on the simulated machine, and where it would go."""
+"""A dry run: the same recipe on the simulated machine, and its range of motion."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ Array = npt.NDArray[np.float64]
 
 
 class RangeRecorder:
-    """A recorder that keeps nothing but how far everything went while the machine moved, and how well it followed.
+    """A recorder of the range of motion and of the tracking error.
 
-    The tracking error is the end effector as the machine's sensors and the forward model see it, with the errors of both, less
-    its target when they measured. The true one is known to an outside measurement alone.
+    The tracking error is the end effector by sensors and forward model, with the errors of both, minus its target at the time
+    of the measurement. The true error needs an external measurement.
 
     Args:
-        axes: how many.
+        axes: number of axes.
         period_ns: of a cycle: a target is for its end.
     """
 
@@ -42,7 +42,7 @@ class RangeRecorder:
         #: Cycles in which the tracking error is known.
         self.tracked = 0
         self._squares, self._worst = np.zeros(3), np.zeros(3)
-        self._far, self._farthest = 0.0, 0.0
+        self._distance_sum, self._distance_max = 0.0, 0.0
 
     def record(self, cycle: Cycle) -> None:
         if not cycle.enabled:
@@ -60,7 +60,7 @@ class RangeRecorder:
             far = float(np.linalg.norm(error))
             self._squares += error**2
             np.fmax(self._worst, np.abs(error), out=self._worst)
-            self._far, self._farthest = self._far + far, max(self._farthest, far)
+            self._distance_sum, self._distance_max = self._distance_sum + far, max(self._distance_max, far)
             self.tracked += 1
         if np.isfinite(cycle.target).all():
             self._targets.append((cycle.at_ns + self._period_ns, cycle.target))
@@ -68,7 +68,7 @@ class RangeRecorder:
             self._targets.clear()
 
     def _target(self, cycle: Cycle) -> Array | None:
-        """Where the end effector should have been when it was measured, (3,); None where no target is known for then."""
+        """The target (3,) at the time of the measurement; None if unknown."""
         if not cycle.readings or not np.isfinite(cycle.ee).all():
             return None
         measured = float(np.median([reading.measured_ns for reading in cycle.readings.values()]))
@@ -79,7 +79,7 @@ class RangeRecorder:
 
     @property
     def rmse(self) -> Array | None:
-        """RMSE of the tracking error per coordinate, (3,) [m]; None where nothing was tracked."""
+        """RMSE of the tracking error per coordinate, (3,) [m]; None without tracking."""
         return np.sqrt(self._squares / self.tracked) if self.tracked else None
 
     @property
@@ -89,16 +89,16 @@ class RangeRecorder:
 
     @property
     def distance(self) -> dict[str, float]:
-        """Mean, RMSE and maximum of the Euclidean norm of the tracking error [m]; nothing where nothing was tracked."""
+        """Mean, RMSE and maximum of the Euclidean norm of the tracking error [m]; empty without tracking."""
         if not self.tracked:
             return {}
         rmse = float(np.sqrt(self._squares.sum() / self.tracked))
-        return {"mean": self._far / self.tracked, "rmse": rmse, "max": self._farthest}
+        return {"mean": self._distance_sum / self.tracked, "rmse": rmse, "max": self._distance_max}
 
 
 @dataclass(frozen=True)
 class DryRun:
-    """What a dry run found."""
+    """The result of a dry run."""
 
     outcome: RunOutcome
     ranges: RangeRecorder
@@ -106,7 +106,7 @@ class DryRun:
 
 
 def run_dry(assembly: Assembly, seconds: float = 60.0) -> DryRun:
-    """Run a recipe on the plant that its controller knows, for at most ``seconds`` of simulated time; nothing is opened."""
+    """Run a recipe on its plant for at most ``seconds`` of simulated time; nothing is opened."""
     recipe = assembly.recipe
     loop_settings = replace(recipe.loop, seconds=min(seconds, recipe.loop.seconds or seconds), priority=0, lock_memory=False)
     machine = SimulatedTransport(assembly.loaded.plant, assembly.middle)

@@ -1,6 +1,6 @@
-"""Faults that are put between the runner and a machine, at stated times: what the supervisor is tried with.
+"""Fault injection between the runner and a machine, for tests of the supervisor.
 
-Each fault is a small frozen dataclass; a plan says which one is there from when to when. Nothing here is used in earnest.
+Each fault is a frozen dataclass; a plan gives the times at which it is active.
 """
 
 from __future__ import annotations
@@ -21,21 +21,21 @@ Readings = dict[str, Measurement]
 
 @dataclass(frozen=True)
 class DroppedFrames:
-    """Frames do not come: readings stay what they were. ``signals`` empty: all."""
+    """Frames are lost: readings keep their values. ``signals`` empty: all."""
 
     signals: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
 class Frozen:
-    """A sensor goes on sending one value."""
+    """A sensor repeats one value."""
 
     signal: str
 
 
 @dataclass(frozen=True)
 class Delayed:
-    """Readings come late by ``seconds``; with ``stamped`` false nothing in them says so."""
+    """Readings are delayed by ``seconds``; with ``stamped`` false their stamps do not show it."""
 
     seconds: float
     signals: tuple[str, ...] = ()
@@ -51,7 +51,7 @@ class NotANumber:
 
 @dataclass(frozen=True)
 class Jumped:
-    """A sensor is off by ``by`` [m or rad]."""
+    """A sensor has the bias ``by`` [m or rad]."""
 
     signal: str
     by: float
@@ -59,7 +59,7 @@ class Jumped:
 
 @dataclass(frozen=True)
 class Scaled:
-    """A sensor reads ``factor`` times what it should, from ``zero`` on [m or rad]."""
+    """A sensor has the scale ``factor`` about ``zero`` [m or rad]."""
 
     signal: str
     factor: float
@@ -84,62 +84,62 @@ class ValvesSwapped:
 
 @dataclass(frozen=True)
 class ValveTurned:
-    """The valve of an axis, by number, is wired the other way round."""
+    """The valve of an axis, by number, has reversed polarity."""
 
     axis: int
 
 
 @dataclass(frozen=True)
 class Unplugged:
-    """A sensor is gone: there is no reading of it."""
+    """A sensor has no readings."""
 
     signal: str
 
 
 @dataclass(frozen=True)
 class BusOff:
-    """Nothing comes and nothing goes; ``silent``: nobody says so."""
+    """The bus transmits nothing; ``silent``: without an error."""
 
     silent: bool = False
 
 
 @dataclass(frozen=True)
 class ReadFails:
-    """Reading the line is an error; commands would still arrive."""
+    """Reading the line is an error; commands still arrive."""
 
 
 @dataclass(frozen=True)
 class WritesLost:
-    """Commands do not arrive, and nobody says so."""
+    """Commands do not arrive, without an error."""
 
 
 @dataclass(frozen=True)
 class Paused:
-    """The process stands still for ``seconds``, once."""
+    """The process pauses for ``seconds``, once."""
 
     seconds: float
 
 
 @dataclass(frozen=True)
 class ClockJumped:
-    """The machine's clock is off by ``seconds``."""
+    """The machine's clock jumps by ``seconds``."""
 
     seconds: float
 
 
 @dataclass(frozen=True)
 class DeadManReleased:
-    """Nobody holds the switch."""
+    """The dead-man switch is released."""
 
 
 @dataclass(frozen=True)
 class EmergencyPressed:
-    """Somebody pressed the button."""
+    """The emergency stop is pressed."""
 
 
 @dataclass(frozen=True)
 class MachineReportsFault:
-    """The machine's side reports a fault."""
+    """The machine reports a fault."""
 
     text: str = "valve driver"
 
@@ -152,7 +152,7 @@ Fault = (
 
 @dataclass(frozen=True)
 class Injection:
-    """A fault ``begin`` … ``end`` seconds after :meth:`FaultyTransport.start`, or after opening."""
+    """A fault, active from ``begin`` to ``end`` [s] after :meth:`FaultyTransport.start`, or after opening."""
 
     fault: Fault
     begin: float
@@ -164,30 +164,23 @@ class FaultyTransport:
 
     Args:
         transport: of the machine.
-        plan: the faults, in any order; where several change one reading they do so in this order.
+        plan: the faults; several faults of one reading apply in this order.
     """
 
     def __init__(self, transport: Transport, plan: tuple[Injection, ...]) -> None:
         self.transport, self.plan = transport, plan
+        self.signals, self.axes = transport.signals, transport.axes
         self._begin_ns = 0
         self._kept: dict[int, Readings] = {}
         self._late: deque[tuple[int, Readings]] = deque(maxlen=256)
         self._paused: set[int] = set()
-
-    @property
-    def signals(self) -> tuple[str, ...]:
-        return self.transport.signals
-
-    @property
-    def axes(self) -> tuple[str, ...]:
-        return self.transport.axes
 
     def open(self) -> None:
         self.transport.open()
         self.start()
 
     def start(self) -> None:
-        """Count the plan's times from now on."""
+        """Set the origin of the plan's times to now."""
         self._begin_ns = self.transport.now_ns()
         self._kept.clear()
         self._paused.clear()
@@ -207,7 +200,7 @@ class FaultyTransport:
         self.transport.wait_until(ns)
 
     def set_inputs(self, dead_man: bool | None = None, emergency_stop: bool | None = None) -> None:
-        """Of the machine behind, where a program can hold its switches."""
+        """Set the switches of the machine, if a program can."""
         getattr(self.transport, "set_inputs")(dead_man, emergency_stop)  # noqa: B009 - not every transport has it
 
     def read(self) -> tuple[Mapping[str, Measurement], MachineInputs]:
@@ -283,7 +276,7 @@ def _changed(fault: Frozen | NotANumber | Jumped | Scaled, value: float, kept: R
 
 
 def _wired(fault: Fault, commands: Array) -> Array:
-    """``commands`` (A,) as they reach the valves."""
+    """Commands (A,) as they reach the valves."""
     found = commands.copy()
     if isinstance(fault, ValvesSwapped):
         found[[fault.one, fault.other]] = commands[[fault.other, fault.one]]

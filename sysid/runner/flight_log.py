@@ -1,13 +1,13 @@
 """The flight log: every input, output, decision and verdict of a run, on the disk within a second.
 
-The loop hands over cycles and goes on; a thread writes them. The file is a recording that ``sysid ingest`` takes as it is:
+A thread writes the cycles of the loop. The file is a recording that ``sysid ingest`` reads without changes:
 
     LOGS/recipe.toml, machine.toml …       written once
     LOGS/motion-20260503T141500/flight.mcap
     LOGS/poses-20260503T160210/flight.mcap   of the collection of poses
 
-A run that was killed leaves what was synced, a second at the most missing. A disk that is full, or too slow, is a fault that
-the loop sees (:attr:`FlightLog.fault`) and reacts to by its recipe; it never waits.
+A killed run loses at most one second. A full or slow disk is a fault (:attr:`FlightLog.fault`) to which the loop reacts by its
+recipe; the loop never waits.
 """
 
 from __future__ import annotations
@@ -34,13 +34,13 @@ from sysid.runner.cycle import Cycle
 from sysid.runner.flight_messages import COMMANDS, READINGS, MessagePublisher
 from sysid.runner.mcap_pieces import PieceWriter
 
-#: Seconds between two syncs, and how many cycles may wait to be written.
+#: Seconds between two syncs, and most cycles in the queue.
 SYNC_EVERY, WAITING = 1.0, 3000
-#: Room that has to be left on the disk [bytes]: some minutes of a run, and a little for whoever has to make room.
+#: Free space that must remain on the disk [bytes]: some minutes of a run, and a reserve for the user.
 RESERVE = 64 * 2**20
-#: Longest that the end of a log waits for a disk that does not answer [s].
+#: Longest wait at the end of a log for a disk that does not respond [s].
 CLOSE_S = 10.0
-#: Real-time priority of the thread, where it is permitted.
+#: Real-time priority of the thread, if permitted.
 PRIORITY = 5
 Kind = Literal["motion", "poses"]
 
@@ -52,14 +52,14 @@ class FlightLog:
         root: the folder LOGS.
         machine: ``machine.toml``; copied beside the recipe, with its URDF.
         axes, signals: of the transport.
-        words: of the run, by group: its recipe, versions and checksums of everything that runs (:func:`provenance`).
-        kind: what the recording is to ``sysid ingest``.
-        clock_ns: of the loop now; the log is stamped with the date, by an offset taken once.
-        reserve: less room than this on the disk is a fault [bytes].
+        metadata: of the run, by group: recipe, versions and checksums (:func:`provenance`).
+        kind: of the recording for ``sysid ingest``.
+        clock_ns: of the loop now; stamps are dates, by an offset that is fixed here.
+        reserve: less free space than this is a fault [bytes].
 
     Raises:
-        StorageError: no room, or a folder that cannot be written.
-        SettingsError: a folder of another machine's logs.
+        StorageError: no space, or a folder that cannot be written.
+        SettingsError: a folder with logs of another machine.
     """
 
     def __init__(
@@ -68,7 +68,7 @@ class FlightLog:
         machine: Path,
         axes: tuple[str, ...],
         signals: tuple[str, ...],
-        words: Mapping[str, Mapping[str, str]],
+        metadata: Mapping[str, Mapping[str, str]],
         *,
         kind: Kind = "motion",
         clock_ns: int | None = None,
@@ -83,20 +83,20 @@ class FlightLog:
             raise StorageError(
                 f"flight log {root}", f"{free / 2**20:.0f} MiB free", f"{reserve / 2**20:.0f} MiB", "Make room on the disk."
             )
-        beside(root, machine, axes, signals)
-        self._speaker = MessagePublisher(axes, now - (time.monotonic_ns() if clock_ns is None else clock_ns))
+        write_description(root, machine, axes, signals)
+        self._publisher = MessagePublisher(axes, now - (time.monotonic_ns() if clock_ns is None else clock_ns))
         self._queue: SimpleQueue[Cycle | None] = SimpleQueue()
-        self._last: list[tuple[str, dict[str, str]]] = []
+        self._final_metadata: list[tuple[str, dict[str, str]]] = []
         self._fault = ""
         self._broken = False
-        #: Cycles that found no place in the queue, and those that were written.
+        #: Cycles lost because the queue was full, and cycles written.
         self.lost = self.written = 0
         try:
             self._writer = PieceWriter(self.path, "ros2", f"sysid {__version__}")
             self._channels = {
-                topic: self._writer.channel(topic, kind_, text) for topic, kind_, text in self._speaker.topics(signals)
+                topic: self._writer.channel(topic, kind_, text) for topic, kind_, text in self._publisher.topics(signals)
             }
-            for group, values in words.items():
+            for group, values in metadata.items():
                 self._writer.metadata(group, values)
             self._writer.sync()
         except OSError as error:
@@ -105,33 +105,33 @@ class FlightLog:
         self._thread.start()
 
     def record(self, cycle: Cycle) -> None:
-        """Take a cycle; never waits. One that finds the queue full is counted, and the log is at fault from then on."""
+        """Take a cycle without waiting. With a full queue it is lost, and the log has a fault from then on."""
         if self._queue.qsize() >= WAITING:
             self.lost += 1
             self._fault = self._fault or f"flight log: the disk is too slow, {WAITING} cycles wait"
             return
         self._queue.put(cycle)
 
-    def remark(self, group: str, values: Mapping[str, str]) -> None:
-        """Words about the run that are known only when it is over: written at the end, before :meth:`close` returns."""
-        self._last.append((group, dict(values)))
+    def add_metadata(self, group: str, values: Mapping[str, str]) -> None:
+        """Add metadata that is known only at the end of the run; :meth:`close` writes it."""
+        self._final_metadata.append((group, dict(values)))
 
     @property
     def fault(self) -> str:
-        """What keeps it from recording; "" while it records."""
+        """Why it cannot record; "" while it records."""
         return self._fault
 
     def close(self) -> None:
-        """Write what waits, and the end of the file; one without a cycle is taken away. May be called again.
+        """Write the queue and the end of the file; a file without a cycle is removed. May be called again.
 
         Raises:
-            StorageError: that cannot be written. What was synced before is there.
+            StorageError: the disk fails. Everything synced before stays.
         """
         if self._thread.is_alive():
             self._queue.put(None)
             self._thread.join(CLOSE_S)
             if self._thread.is_alive():
-                found = f"the disk does not answer for {CLOSE_S:g} s"
+                found = f"the disk does not respond for {CLOSE_S:g} s"
                 raise StorageError(str(self.path), found, "a disk that writes", f"{self.written} cycles are written.")
             if not (self.written or self._broken):
                 self.path.unlink(missing_ok=True)
@@ -146,8 +146,8 @@ class FlightLog:
         self.close()
 
     def _write(self) -> None:
-        """The thread: one cycle at a time, so that it holds the interpreter for a fraction of a millisecond only."""
-        # A thread that other processes push aside while it holds the interpreter holds up the loop: above them, below the loop.
+        """The thread: one cycle at a time, so that it holds the interpreter for less than a millisecond."""
+        # Priority above other processes, which could preempt it while it holds the interpreter, and below the loop.
         with contextlib.suppress(OSError, AttributeError):
             os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(PRIORITY))
         synced = time.monotonic()
@@ -162,7 +162,7 @@ class FlightLog:
                 pass
             try:
                 if cycle is not None and not self._broken:
-                    self._say(cycle)
+                    self._publish(cycle)
                     cycles += 1
                 if not self._broken and (done or time.monotonic() - synced >= SYNC_EVERY):
                     self._writer.sync()
@@ -176,7 +176,7 @@ class FlightLog:
         try:
             if self.lost:
                 self._writer.metadata("lost", {"cycles": str(self.lost)})
-            for group, values in self._last:
+            for group, values in self._final_metadata:
                 self._writer.metadata(group, values)
             self._writer.finish()
         except OSError as error:
@@ -184,15 +184,15 @@ class FlightLog:
             self._fault = f"flight log: {error.strerror or error}"
         self._writer.close()
 
-    def _say(self, cycle: Cycle) -> None:
-        for said in self._speaker.said(cycle):
-            channel = self._channels.get(said.topic)
+    def _publish(self, cycle: Cycle) -> None:
+        for message in self._publisher.messages(cycle):
+            channel = self._channels.get(message.topic)
             if channel is not None:
-                self._writer.message(channel, cycle.number, said.log_ns, said.publish_ns, said.data)
+                self._writer.message(channel, cycle.number, message.log_ns, message.publish_ns, message.data)
 
 
 def provenance(files: Mapping[str, Path], versions: Mapping[str, str]) -> dict[str, dict[str, str]]:
-    """Words of a run: sha256 of ``files`` by what they are, ``versions`` of what ran, and the software underneath.
+    """Metadata of a run: sha256 of ``files`` by their roles, model ``versions``, and software versions.
 
     Raises:
         OSError: a file cannot be read.
@@ -208,11 +208,12 @@ def provenance(files: Mapping[str, Path], versions: Mapping[str, str]) -> dict[s
     }
 
 
-def beside(root: Path, machine: Path, axes: tuple[str, ...], signals: tuple[str, ...]) -> None:
-    """Put the description of the machine and the recipe that maps a flight log beside the recordings.
+def write_description(root: Path, machine: Path, axes: tuple[str, ...], signals: tuple[str, ...]) -> None:
+    """Write the description of the machine and the ingest recipe beside the recordings.
 
     Raises:
-        StorageError: the disk. SettingsError: the folder has logs of another machine.
+        StorageError: the disk fails.
+        SettingsError: the folder has logs of another machine.
     """
     own = root / "machine.toml"
     text = machine.read_bytes()
@@ -232,7 +233,7 @@ def recipe_text(root: Path, axes: tuple[str, ...], signals: tuple[str, ...]) -> 
     """The ingest recipe of the flight logs in ``root``."""
     kinds = [kind for kind in ("motion", "poses") if any(root.glob(f"{kind}-*"))]
     lines = [
-        "# Flight logs of the runner, as they are.",
+        "# Flight logs of the runner.",
         "schema = 1",
         'machine = "machine.toml"',
         "",
@@ -252,7 +253,7 @@ def recipe_text(root: Path, axes: tuple[str, ...], signals: tuple[str, ...]) -> 
 
 
 def _recording(root: Path, kind: Kind, now_ns: int) -> Path:
-    """A new folder of this moment."""
+    """A new folder named after the time."""
     moment = datetime.fromtimestamp(now_ns // 1_000_000_000, UTC)
     name = f"{kind}-{moment:%Y%m%dT%H%M%S}"
     try:

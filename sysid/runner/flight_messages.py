@@ -1,4 +1,4 @@
-"""What a flight log says of a cycle, as ROS 2 messages: any tool that reads MCAP shows it, and ``sysid ingest`` takes it."""
+"""A cycle as ROS 2 messages of a flight log."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ string text
 
 
 class Cdr:
-    """Fields of a message one after the other, little endian, each at a multiple of its size. Source: OMG CDR 1.2, ch. 9.3."""
+    """Serialised fields of a message, little endian, each aligned to its size. Source: OMG CDR 1.2, ch. 9.3."""
 
     def __init__(self, stamp_ns: int) -> None:
         self._body = bytearray()
@@ -108,7 +108,7 @@ class Cdr:
 
 @dataclass(frozen=True)
 class OutgoingMessage:
-    """A message: topic, when it was recorded and published on the clock of the log [ns], and its bytes."""
+    """A message: topic, times of recording and publication on the log's clock [ns], and its bytes."""
 
     topic: str
     log_ns: int
@@ -118,11 +118,11 @@ class OutgoingMessage:
 
 @dataclass
 class MessagePublisher:
-    """Cycles cycles into messages.
+    """Convert cycles to messages.
 
     Args:
         axes: names in the order of the arrays.
-        offset_ns: from the loop's clock to the log's, fixed for the whole run: the log's clock never jumps.
+        offset_ns: from the loop's clock to the log's, fixed for the run: the log's clock never jumps.
     """
 
     axes: tuple[str, ...]
@@ -132,15 +132,15 @@ class MessagePublisher:
         self._counts: dict[str, int] = {}
 
     def topics(self, signals: Iterable[str]) -> Iterator[tuple[str, str, str]]:
-        """Topic, type and definition of everything that will be said."""
+        """Topic, type and definition of all messages."""
         yield COMMANDS, "sysid_msgs/msg/Commands", COMMAND_TYPE
         yield CYCLES, "sysid_msgs/msg/Cycle", CYCLE_TYPE
         yield VERDICTS, "sysid_msgs/msg/Verdict", VERDICT_TYPE
         for signal in signals:
             yield READINGS + signal, "sysid_msgs/msg/Reading", READING_TYPE
 
-    def said(self, cycle: Cycle) -> Iterator[OutgoingMessage]:
-        """The messages of a cycle; a reading is said once."""
+    def messages(self, cycle: Cycle) -> Iterator[OutgoingMessage]:
+        """The messages of a cycle; each reading is sent once."""
         at = cycle.at_ns + self.offset_ns
         for signal, reading in cycle.readings.items():
             if self._counts.get(signal) != reading.count:
@@ -158,7 +158,7 @@ class MessagePublisher:
 
     def _reading(self, signal: str, reading: Measurement, at: int) -> OutgoingMessage:
         measured, received = reading.measured_ns + self.offset_ns, reading.received_ns + self.offset_ns
-        # A machine's clock can say anything; a stamp before the year 1970 cannot be written.
+        # A stamp before the year 1970, of a wrong clock, cannot be written.
         body = Cdr(max(measured, 0)).pack("d", reading.value).pack("q", received).pack("Q", reading.count)
         return OutgoingMessage(READINGS + signal, at, max(received, 0), body.data)
 
@@ -167,5 +167,7 @@ class MessagePublisher:
         body = Cdr(at).pack("Q", cycle.number).text(cycle.state).text(cycle.source).text(inputs.fault)
         body.pack("?", inputs.dead_man).pack("?", inputs.emergency_stop).pack("?", cycle.enabled)
         body.pack("q", cycle.due_ns + self.offset_ns).pack("q", cycle.lateness_ns).pack("q", cycle.latency_ns)
-        body.texts(self.axes).array(cycle.joints).array(cycle.ee).array(cycle.target).array(cycle.asked)
-        return body.array(cycle.setpoints).array(cycle.drive_setpoints).array(cycle.commands_asked).array(cycle.commands).data
+        body.texts(self.axes).array(cycle.joints).array(cycle.ee).array(cycle.target).array(cycle.requested)
+        return (
+            body.array(cycle.setpoints).array(cycle.drive_setpoints).array(cycle.requested_commands).array(cycle.commands).data
+        )

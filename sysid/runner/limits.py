@@ -1,7 +1,7 @@
-"""``[limits]`` of a recipe, and how setpoints are kept within them: position, speed, acceleration and jerk of each joint.
+"""``[limits]`` of a recipe, and the limiter of position, speed, acceleration and jerk of joint setpoints.
 
-Each step is clamped against the *previous setpoint*, never against the measured position: a clamp against what is measured
-throttles an actuator that lags (ros2_control issue 2183). Motion back inside a limit is always permitted.
+Each step is limited relative to the *previous setpoint*: a limit relative to the measured position slows down an actuator that
+lags (ros2_control issue 2183). Motion back inside a limit is always permitted.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 
-from sysid.config import STRICT
+from sysid.config import Strict
 from sysid.errors import SettingsError, nearest
 from sysid.plant import Plant
 from sysid.rl.reach import joint_limits
@@ -20,19 +20,19 @@ from sysid.runner.valves import AxisValve
 
 Array = npt.NDArray[np.float64]
 
-#: Full speed is reached within this time [s], full acceleration within that, where a recipe says nothing.
+#: Defaults: times to reach full speed, and full acceleration [s].
 SPEED_UP_S, JERK_S = 0.2, 0.05
-#: Part of the acceleration that braking before a target plans with; the rest is for jerk.
+#: Share of the acceleration for planned braking before a target; the rest is for the jerk limit.
 BRAKING = 0.5
-#: A setpoint that was held back closes what is left at this rate [1/s]: slower than jerk allows, so that it does not ring.
+#: Rate at which a limited setpoint approaches its target [1/s]: slow enough for the jerk limit to avoid oscillation.
 CATCH_UP = 8.0
-#: Share by which the target's own speed is renewed each cycle.
+#: Coefficient of the low-pass filter of the target's speed.
 SMOOTH = 0.1
 
 
 @dataclass(frozen=True)
-class AxisLimits:
-    """Of one joint [rad or m, s]; None: what the machine's description and the plant give.
+class AxisLimits(Strict):
+    """Limits of one joint [rad or m, s]; None: those of the machine's description and the plant.
 
     Args:
         low, high: of its position.
@@ -40,8 +40,6 @@ class AxisLimits:
         command: greatest magnitude of the valve command.
         command_rate: greatest change of it [1/s].
     """
-
-    __pydantic_config__ = STRICT
 
     low: float | None = None
     high: float | None = None
@@ -53,17 +51,15 @@ class AxisLimits:
 
 
 @dataclass(frozen=True)
-class LimitSettings:
+class LimitSettings(Strict):
     """``[limits]``.
 
     Args:
-        margin: share of a joint's range that is kept to its ends.
-        fence: of the end effector, ``{x = [low, high], …}`` [m]; what is left out is not bounded.
-        fence_margin: kept to the fence [m].
+        margin: distance from the ends of a joint, as a share of its range.
+        fence: of the end effector, ``{x = [low, high], …}`` [m]; missing coordinates are not bounded.
+        fence_margin: distance from the fence [m].
         axes: per axis.
     """
-
-    __pydantic_config__ = STRICT
 
     margin: float = 0.03
     fence: dict[str, tuple[float, float]] = field(default_factory=dict)
@@ -73,11 +69,11 @@ class LimitSettings:
 
 @dataclass(frozen=True)
 class Limits:
-    """Of all joints, arrays (A,) in SI; ``hard_low``/``hard_high`` without the margin.
+    """Limits of all joints, arrays (A,) in SI; ``hard_low``/``hard_high`` without the margin.
 
     Args:
-        braking: deceleration of what the command drives that stops plan with, (A,).
-        fence_low, fence_high: within the margin, (3,) [m], infinite where there is none; ``hard_fence``: without.
+        braking: planned deceleration of stops, of what the command drives, (A,).
+        fence_low, fence_high: within the margin, (3,) [m], infinite without a fence; ``hard_fence``: without the margin.
     """
 
     low: Array
@@ -103,7 +99,7 @@ def limits_of(plant: Plant, valves: tuple[AxisValve, ...], settings: LimitSettin
     """The limits of a machine, narrowed by a recipe.
 
     Raises:
-        SettingsError: an unknown axis or coordinate, limits beyond the machine's own or that leave no room.
+        SettingsError: an unknown axis or coordinate, limits beyond the machine's own, or an empty range.
     """
     names = plant.machine.axis_names
     for axis in settings.axes:
@@ -113,9 +109,9 @@ def limits_of(plant: Plant, valves: tuple[AxisValve, ...], settings: LimitSettin
         if letter not in ("x", "y", "z"):
             raise SettingsError(f"{where}: limits.fence", f"unknown coordinate {letter!r}", "x, y or z")
         if not ends[1] - ends[0] > 2.0 * settings.fence_margin:
-            raise SettingsError(f"{where}: limits.fence.{letter}", f"{list(ends)}", "more room than two margins")
+            raise SettingsError(f"{where}: limits.fence.{letter}", f"{list(ends)}", "a range above two margins")
     if not (0.0 <= settings.margin < 0.5 and settings.fence_margin >= 0.0):
-        raise SettingsError(f"{where}: limits", "a margin that leaves no room", "margin in 0 … 0.5, fence_margin ≥ 0")
+        raise SettingsError(f"{where}: limits", "a margin that leaves no range", "margin in 0 … 0.5, fence_margin ≥ 0")
     own_low, own_high = joint_limits(plant)
     low, high = own_low.copy(), own_high.copy()
     rows = []
@@ -147,7 +143,7 @@ def limits_of(plant: Plant, valves: tuple[AxisValve, ...], settings: LimitSettin
 
 
 def _least_slope(plant: Plant, i: int, low: float, high: float) -> float:
-    """The least joint speed per speed of what is driven, over the middle of the range."""
+    """Least ratio of joint speed to the speed of what is driven, over the middle 80 % of the range."""
     axis = plant.machine.axes[i]
     if axis.drives != "cylinder":
         return 1.0
@@ -157,10 +153,10 @@ def _least_slope(plant: Plant, i: int, low: float, high: float) -> float:
 
 
 class SetpointLimiter:
-    """Joint setpoints within their limits, a step at a time.
+    """Limits joint setpoints step by step.
 
-    What keeps all limits passes as it is. Else the joint moves towards it as fast as they allow, braking before it, and catches
-    up with a target that moves on.
+    A setpoint within all limits passes unchanged. Otherwise the joint moves towards it as fast as the limits allow, brakes
+    before it, and catches up with a moving target.
     """
 
     def __init__(self, limits: Limits, dt: float) -> None:
@@ -172,39 +168,39 @@ class SetpointLimiter:
         self._own = np.zeros(len(limits.low))
 
     def reset(self, joints: Array) -> None:
-        """At rest at ``joints`` (A,)."""
+        """Reset to rest at ``joints`` (A,)."""
         self.position, self._wanted = np.array(joints, dtype=np.float64), np.array(joints, dtype=np.float64)
         self.speed, self._acceleration, self._own = np.zeros(len(joints)), np.zeros(len(joints)), np.zeros(len(joints))
 
     def step(self, wanted: Array) -> tuple[Array, list[tuple[str, int, float, float]]]:
-        """Setpoints (A,) for what is wanted (A,), and the limits that it broke: (check, axis, found, limit)."""
-        broken: list[tuple[str, int, float, float]] = []
+        """Limited setpoints (A,) for requested ones (A,), and exceeded limits: (check, axis, found, limit)."""
+        exceeded: list[tuple[str, int, float, float]] = []
         for i in range(len(wanted)):
-            self._step(i, float(wanted[i]), broken)
-        return self.position.copy(), broken
+            self._step(i, float(wanted[i]), exceeded)
+        return self.position.copy(), exceeded
 
-    def _step(self, i: int, asked: float, broken: list[tuple[str, int, float, float]]) -> None:
+    def _step(self, i: int, requested: float, exceeded: list[tuple[str, int, float, float]]) -> None:
         dt, at, speed, acceleration = self.dt, float(self.position[i]), float(self.speed[i]), float(self._acceleration[i])
         of = self.limits
         top, most, jerk = float(of.speed[i]), float(of.acceleration[i]), float(of.jerk[i])
-        low, high = min(float(of.low[i]), at), max(float(of.high[i]), at)  # whoever stands outside may come back
-        wanted = min(max(asked, low), high) if math.isfinite(asked) else at  # no number asks for nothing
-        moved = (wanted - float(self._wanted[i])) / dt  # the target's own speed; a jump has none
+        low, high = min(float(of.low[i]), at), max(float(of.high[i]), at)  # motion back inside is permitted
+        wanted = min(max(requested, low), high) if math.isfinite(requested) else at  # not finite: no motion
+        moved = (wanted - float(self._wanted[i])) / dt  # the target's speed; zero for a jump
         self._wanted[i] = wanted
         self._own[i] += SMOOTH * ((moved if abs(moved) <= top else 0.0) - float(self._own[i]))
-        if wanted != asked:
-            broken.append(("position", i, asked, low if asked < low else high))
+        if wanted != requested:
+            exceeded.append(("position", i, requested, low if requested < low else high))
         v = (wanted - at) / dt
         a = (v - speed) / dt
         j = (a - acceleration) / dt
         over = (("speed", abs(v), top), ("acceleration", abs(a), most), ("jerk", abs(j), jerk))
         found = [(name, i, value, limit) for name, value, limit in over if value > limit * (1.0 + 1e-9) + 1e-9]
         if found:
-            broken += found
+            exceeded += found
             error = wanted - at
             toward = math.copysign(min(math.sqrt(2.0 * BRAKING * most * abs(error)), CATCH_UP * abs(error)), error)
             v = min(max(float(self._own[i]) + toward, -top), top)
-            ease = min(most, math.sqrt(2.0 * jerk * abs(v - speed)))  # it has to be gone when the speed is there
+            ease = min(most, math.sqrt(2.0 * jerk * abs(v - speed)))  # the acceleration must vanish at the target speed
             a = min(max((v - speed) / dt, -ease, acceleration - jerk * dt), max(ease, acceleration - jerk * dt))
             a = min(a, acceleration + jerk * dt)
             v = min(max(speed + a * dt, -top), top)

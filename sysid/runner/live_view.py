@@ -1,7 +1,7 @@
-"""A run in Rerun while it goes on: the machine and its target, setpoints and commands, lateness, and every objection.
+"""A run in Rerun while it is running: the machine and its target, setpoints and commands, lateness, and violations.
 
-It reads the flight log that the runner writes, in a process of its own: a viewer that stalls, or dies, is nothing to the loop.
-What it shows is as old as the log's last sync, a second at the most.
+It reads the flight log in a separate process, so that the viewer cannot affect the loop. The view is at most one second late,
+the interval of the log's syncs.
 """
 
 from __future__ import annotations
@@ -26,10 +26,10 @@ from sysid.view.layout import machine_view, screen
 
 Array = npt.NDArray[np.float64]
 
-#: Seconds between two looks at the log.
+#: Polling interval of the log [s].
 POLL = 0.25
 _TARGET = (230, 60, 90)
-#: How loud an objection is shown, by what followed from it.
+#: Log level of a violation by its reaction.
 _LEVELS = {"clamp": "INFO", "hold": "WARN", "stop": "ERROR", "fault": "CRITICAL"}
 
 
@@ -37,7 +37,7 @@ def show_flight(path: Path, machine: Machine, out: Path | None = None, idle_s: f
     """Show the flight log at ``path`` until its writer ends it, or writes nothing for ``idle_s``.
 
     Args:
-        machine: that flies.
+        machine: of the run.
         out: write an ``.rrd`` file instead of opening the viewer.
 
     Returns:
@@ -48,7 +48,7 @@ def show_flight(path: Path, machine: Machine, out: Path | None = None, idle_s: f
     """
     tail = Tail(path, frozenset((CYCLES, VERDICTS)))
     with _stream(path, machine, out) as stream:
-        screen = _Screen(stream, machine)
+        screen = _FlightView(stream, machine)
         grown = time.monotonic()
         while True:
             found = tail.new()
@@ -56,7 +56,7 @@ def show_flight(path: Path, machine: Machine, out: Path | None = None, idle_s: f
                 grown = time.monotonic()
                 screen.show(found)
             if tail.finished or time.monotonic() - grown > idle_s:
-                return screen.turns
+                return screen.cycles
             if not found:
                 time.sleep(POLL)
 
@@ -80,12 +80,12 @@ def _stream(path: Path, machine: Machine, out: Path | None) -> Iterator[Any]:
         stream.disconnect()
 
 
-class _Screen:
-    """What is drawn of the messages of one run."""
+class _FlightView:
+    """Draws the messages of one run."""
 
     def __init__(self, stream: Any, machine: Machine) -> None:
         rr = sdk()
-        self.stream, self.machine, self.turns = stream, machine, 0
+        self.stream, self.machine, self.cycles = stream, machine, 0
         self._kinematics = machine.kinematics()
         self._begin: int | None = None
         self._state = ""
@@ -108,19 +108,19 @@ class _Screen:
     def show(self, messages: Sequence[LogMessage]) -> None:
         """Draw ``messages``, in their order."""
         self._begin = messages[0].log_ns if self._begin is None else self._begin
-        cycles = [(heard.log_ns, heard.body) for heard in messages if heard.topic == CYCLES]
+        cycles = [(message.log_ns, message.body) for message in messages if message.topic == CYCLES]
         if cycles:
             self._show_cycles([1e-9 * (log_ns - self._begin) for log_ns, _ in cycles], [body for _, body in cycles])
-        for heard in messages:
-            if heard.topic == VERDICTS:
-                self._say(heard.log_ns, heard.body.text, _LEVELS.get(heard.body.reaction, "INFO"))
-            elif heard.body.state != self._state:
-                self._state = heard.body.state
-                self._say(heard.log_ns, self._state, "CRITICAL" if self._state == "fault" else "INFO")
+        for message in messages:
+            if message.topic == VERDICTS:
+                self._log_text(message.log_ns, message.body.text, _LEVELS.get(message.body.reaction, "INFO"))
+            elif message.body.state != self._state:
+                self._state = message.body.state
+                self._log_text(message.log_ns, self._state, "CRITICAL" if self._state == "fault" else "INFO")
 
     def _show_cycles(self, seconds: list[float], cycles: list[Any]) -> None:
         rr = sdk()
-        self.turns += len(cycles)
+        self.cycles += len(cycles)
         time_s, joints, ee = np.array(seconds), _stacked(cycles, "joint"), _stacked(cycles, "ee")
         setpoints, commands = _stacked(cycles, "setpoint"), _stacked(cycles, "command")
         columns = {axis_signal(axis, "joint"): joints[:, k] for k, axis in enumerate(self.machine.axis_names)}
@@ -154,7 +154,7 @@ class _Screen:
             scalars = rr.Scalars.columns(scalars=values[known])
             rr.send_columns(entity, indexes=times, columns=scalars, recording=self.stream)
 
-    def _say(self, log_ns: int, text: str, level: str) -> None:
+    def _log_text(self, log_ns: int, text: str, level: str) -> None:
         assert self._begin is not None
         self.stream.set_time(TIMELINE, duration=1e-9 * (log_ns - self._begin))
         sdk().log("log", sdk().TextLog(text, level=level), recording=self.stream)
@@ -170,7 +170,7 @@ def _layout(machine: Machine) -> Any:
     axes = [rrb.TimeSeriesView(origin=f"axes/{axis}", name=axis) for axis in machine.axis_names]
     left = rrb.Vertical(
         machine_view(("machine/now/ee", "machine/target"), TIMELINE),
-        rrb.TextLogView(origin="log", name="states and objections"),
+        rrb.TextLogView(origin="log", name="states and violations"),
         row_shares=[3, 1],
     )
     right = rrb.Vertical(

@@ -1,4 +1,4 @@
-"""The control loop, cycles on absolute deadlines: read → estimate → check → decide → filter → send → record."""
+"""The control loop with absolute deadlines: read → estimate → check → decide → filter → send → record."""
 
 from __future__ import annotations
 
@@ -14,24 +14,24 @@ from sysid.runner.chain import ControlChain
 from sysid.runner.checks.machine import dead_man
 from sysid.runner.clock import SECOND
 from sysid.runner.cycle import Cycle, Recorder, Violation
-from sysid.runner.decision import CycleDecision, Decider, nothing
-from sysid.runner.loop_settings import LoopSettings
+from sysid.runner.decision import CycleDecision, Decider, neutral_decision
 from sysid.runner.modes.mode import Mode
 from sysid.runner.operator import Operator
 from sysid.runner.outcome import RunOutcome
-from sysid.runner.policy_thread import WARM_UP_S, PolicyError, described
-from sysid.runner.realtime import on_time, raise_thread
+from sysid.runner.policy_thread import WARM_UP_S, PolicyError, error_text
+from sysid.runner.realtime import prioritise_thread, real_time
+from sysid.runner.recipe import LoopSettings
 from sysid.runner.state_estimator import StateEstimate, StateEstimator
 from sysid.runner.state_machine import RunStateMachine
 from sysid.runner.states import States
 from sysid.runner.supervisor import Supervisor
-from sysid.runner.transport import NOBODY, Measurement, Transport
+from sysid.runner.transport import RELEASED_INPUTS, Measurement, Transport
 
 Array = npt.NDArray[np.float64]
 
-#: Of checks on motion that the runner did not ask for, nothing can be said.
+#: Checks of the runner's own motion, not evaluated while somebody else moves the machine.
 _OWN_MOTION = ("restless", "following", "motion", "frozen")
-#: A policy has this share of a cycle, from its beginning on, to answer: what comes after it takes the rest.
+#: Share of a cycle within which a policy must answer; the rest is for the steps after it.
 POLICY_SHARE = 0.6
 
 
@@ -39,11 +39,10 @@ class Loop:
     """One run of one machine.
 
     Args:
-        transport, chain, senses, supervisor, mode: of the machine and the task.
-        recorder: takes every cycle.
+        transport, chain, estimator, supervisor, mode: of the machine and the task.
+        recorder: of every cycle.
         operator: arms, stops, resets.
         settings: of the recipe.
-        period_s: of a cycle.
     """
 
     def __init__(
@@ -55,10 +54,10 @@ class Loop:
         mode: Mode,
         recorder: Recorder,
         operator: Operator,
-        settings: LoopSettings | None = None,
+        settings: LoopSettings,
     ) -> None:
         self.transport, self.chain, self.estimator, self.supervisor, self.mode = transport, chain, estimator, supervisor, mode
-        self.recorder, self.operator, self.settings = recorder, operator, settings or LoopSettings()
+        self.recorder, self.operator, self.settings = recorder, operator, settings
         self.dt = 1.0 / chain.plant.machine.rate_hz
         self.period_ns = round(SECOND * self.dt)
         self.states, self.outcome = States(), RunOutcome()
@@ -68,97 +67,97 @@ class Loop:
         self._sent = self._zero
         self._readings: Mapping[str, Measurement] = {}
         self._missed = 0
-        self._line = ""
-        #: When the last command that lets the valves move went out; None where the last one was neutral.
+        self._line_error = ""
+        #: Time of the last command that let the valves move; None if the last one was neutral.
         self._moved_ns: int | None = None
 
     def warm_up(self, joints: Array) -> None:
-        """Compile and load what the first cycles would else wait for; nothing is read or sent."""
+        """Compile and load everything before the first cycle; nothing is read or sent."""
         drive = self.chain.controller.drive(joints)[0]
         self.chain.rest(drive, joints)
         ee = self.chain.tip(joints[None])[0]
         self.supervisor.begin(joints)
         for dead_reckoning, place in zip(self.estimator.dead_reckonings, drive, strict=True):
             dead_reckoning.reset(float(place))
-        seen = self.estimator.see({}, NOBODY, 0)
-        seen.ee = ee
+        estimate = self.estimator.update({}, RELEASED_INPUTS, 0)
+        estimate.ee = ee
         self.chain.moved(joints, self._zero)
-        with contextlib.suppress(PolicyError):  # found out again where it counts, and the fallback goes on
+        with contextlib.suppress(PolicyError):  # it occurs again in the run, and the fallback continues
             self.chain.ask(joints, ee, ee, self.transport.now_ns() + round(WARM_UP_S * SECOND), self.transport.now_ns)
         self.chain.solve(joints, ee)
         setpoints, _ = self.supervisor.setpoints(joints + 1e-3)
         _, commands = self.chain.commands(setpoints, drive)
-        self.supervisor.look(seen, True, drive)
-        self.supervisor.commands(commands + 0.3, seen, self.estimator.dead_reckonings)
+        self.supervisor.check(estimate, True, drive)
+        self.supervisor.commands(commands + 0.3, estimate, self.estimator.dead_reckonings)
         self.supervisor.begin(joints)
         self.chain.rest(drive, joints)
         self.estimator.reset()
 
     def run(self, watch: Callable[[Cycle], None] | None = None) -> RunOutcome:
-        """Open the transport, turn until the task is done, somebody says so, or a fault ends it, and let go, valves neutral.
+        """Open the transport, run until the task is done, the operator stops it, or a fault ends it; close it, valves neutral.
 
-        Whatever fails on the way, an interrupt included, is how the run ended and not an exception: see the outcome.
+        Any error during the run, an interrupt included, is part of the outcome and not an exception.
 
         Args:
-            watch: shown every cycle, for live views and tests.
+            watch: called with every cycle.
 
         Raises:
             InputError, SettingsError: the transport cannot be opened.
         """
         settings, outcome = self.settings, self.outcome
-        with on_time(settings.priority, settings.lock_memory) as refused:
+        with real_time(settings.priority, settings.lock_memory) as refused:
             for text in refused:
                 self.state_machine.note(text)
             if self.chain.thread is not None:
-                raise_thread(self.chain.thread.native_id, settings.priority)
+                prioritise_thread(self.chain.thread.native_id, settings.priority)
             try:
-                # Last: to lock the memory takes seconds, in which a line that nobody reads would overflow.
+                # Last: locking memory takes seconds, in which an unread line would overflow.
                 self.transport.open()
                 rest_s = 0.0
                 try:
-                    self._turns(watch)
-                except BaseException as error:  # whatever it is, valves go neutral, and the run is told and recorded to its end
+                    self._run_cycles(watch)
+                except BaseException as error:  # valves go to neutral after any error
                     rest_s = settings.rest_s
                     self._failed(error)
                 finally:
                     if self.mode.writes:
                         self._neutral(rest_s)
             finally:
-                self.chain.give_up()
+                self.chain.cancel_policy()
                 try:
                     self.transport.close()
-                except Exception as error:  # a line that is gone cannot be closed any better
-                    outcome.notes.append(f"the line was not closed: {described(error)}")
+                except Exception as error:  # a missing line cannot be closed
+                    outcome.notes.append(f"the line was not closed: {error_text(error)}")
         outcome.state, outcome.why = self.states.state, self.states.why
         return outcome
 
-    def _turns(self, watch: Callable[[Cycle], None] | None) -> None:
+    def _run_cycles(self, watch: Callable[[Cycle], None] | None) -> None:
         begin = due = self.transport.now_ns() + self.period_ns
         self.states.entered_ns = begin
         while True:
             self.transport.wait_until(due)
-            cycle = self._one(due)
+            cycle = self._run_cycle(due)
             if watch is not None:
                 watch(cycle)
-            if self.state_machine.over(cycle.at_ns - begin, self.transport.now_ns()):
+            if self.state_machine.is_over(cycle.at_ns - begin, self.transport.now_ns()):
                 return
             due += self.period_ns
             late = self.transport.now_ns() - due
             self._missed = self._missed + 1 if late > 0 else 0
-            skipped = max(0, late) // self.period_ns  # cycles that are past are left out, never made up for
+            skipped = max(0, late) // self.period_ns  # missed cycles are skipped, not made up for
             self.outcome.missed += skipped + (late > 0)
             due += skipped * self.period_ns
 
     def _failed(self, error: BaseException) -> None:
-        """The runner itself failed; it says where on one line, and keeps the rest for whoever mends it."""
+        """Record an error of the runner itself: its place in one line, and the traceback in the outcome."""
         self.outcome.error = "".join(traceback.format_exception(error))
         frames = traceback.extract_tb(error.__traceback__)
         place = f" ({Path(frames[-1].filename).name}, line {frames[-1].lineno})" if frames else ""
-        what = "interrupted" if isinstance(error, KeyboardInterrupt) else f"the runner failed: {described(error)}"
-        self.state_machine.broken(what + place, self.transport.now_ns())
+        what = "interrupted" if isinstance(error, KeyboardInterrupt) else f"the runner failed: {error_text(error)}"
+        self.state_machine.crashed(what + place, self.transport.now_ns())
 
     def _neutral(self, seconds: float) -> None:
-        """Say that nobody commands, for ``seconds`` so that it is heard; where it is not, the machine's own time-out closes."""
+        """Send the fail-safe state for ``seconds``; if it does not arrive, the machine's own time-out closes the valves."""
         due = self.transport.now_ns()
         for _ in range(1 + round(seconds / self.dt)):
             self._send(self._zero, False)
@@ -166,97 +165,97 @@ class Loop:
             if seconds:
                 try:
                     self.transport.wait_until(due)
-                except Exception:  # a clock that fails: what is left is to close the line
+                except Exception:  # the clock fails: close the line
                     return
 
-    def _one(self, due: int) -> Cycle:
+    def _run_cycle(self, due: int) -> Cycle:
         now = self.transport.now_ns()
-        seen = self._see(now, now - due)
-        verdicts = self.supervisor.look(seen, self.states.moving, self.decider.drive_setpoints)
-        if self.states.state == "running" and not seen.inputs.dead_man:
+        estimate = self._update_estimate(now, now - due)
+        verdicts = self.supervisor.check(estimate, self.states.moving, self.decider.drive_setpoints)
+        if self.states.state == "running" and not estimate.inputs.dead_man:
             verdicts.append(dead_man(self.supervisor.checks))
         if not self.mode.moves:
             verdicts = [verdict for verdict in verdicts if verdict.check not in _OWN_MOTION]
         verdicts = self.supervisor.patience(verdicts)
         self.state_machine.react(verdicts, now)
-        if self.state_machine.listen(verdicts, now):
+        if self.state_machine.process_commands(verdicts, now):
             self.estimator.reset()
-            self._line = ""
-        if self.state_machine.advance(seen, verdicts, now):
-            self.decider.begin(seen)
-            if outside := self.supervisor.beyond(seen):
+            self._line_error = ""
+        if self.state_machine.advance(estimate, verdicts, now):
+            self.decider.begin(estimate)
+            if outside := self.supervisor.beyond(estimate):
                 self.state_machine.note(f"{outside}: only ways back inside are open")
-        decision = self._decide(seen, verdicts, now)
+        decision = self._decide(estimate, verdicts, now)
         dropped = False
         if decision.enabled and (expired := self._expired(now)) is not None:
             verdicts.append(expired)
             dropped = self._drop(decision, expired, now)
         if self.mode.writes and not dropped and not self._send(decision.commands, decision.enabled):
-            self.state_machine.fault(f"commands cannot be sent: {self._line}", now)
+            self.state_machine.fault(f"commands cannot be sent: {self._line_error}", now)
             decision.enabled = False
         moved = decision.commands if decision.enabled else self._zero
         self.estimator.step(moved)
         self._sent = moved
         done = self.transport.now_ns()
         cycle = Cycle(
-            self.outcome.turns, now, due, self.states.state, seen.inputs, self._readings, seen.joints, seen.ee, decision.target,
-            decision.asked, decision.setpoints, decision.drive_setpoints, decision.commands_asked, moved.copy(),
-            decision.enabled, tuple(verdicts), decision.source, now - due, done - now,
+            self.outcome.cycles, now, due, self.states.state, estimate.inputs, self._readings, estimate.joints, estimate.ee,
+            decision.target, decision.requested, decision.setpoints, decision.drive_setpoints, decision.requested_commands,
+            moved.copy(), decision.enabled, tuple(verdicts), decision.source, now - due, done - now,
         )  # fmt: skip
         self.recorder.record(cycle)
         self.outcome.lateness.add(now - due)
         self.outcome.latency.add(done - now)
         self.outcome.verdicts.update({verdict.check for verdict in verdicts})
-        self.outcome.turns += 1
+        self.outcome.cycles += 1
         return cycle
 
-    def _see(self, now: int, late_ns: int) -> StateEstimate:
+    def _update_estimate(self, now: int, late_ns: int) -> StateEstimate:
         try:
             self._readings, inputs = self.transport.read()
-        except Exception as error:  # a driver may raise anything; the fail-safe bits are sent all the same
+        except Exception as error:  # any exception of a driver; the fail-safe bits are still sent
             self._readings = {}
-            seen = self.estimator.nothing(now, described(error))
+            estimate = self.estimator.without_readings(now, error_text(error))
         else:
-            seen = self.estimator.see(self._readings, inputs, now, late_ns / SECOND, self._missed)
-        if self._line and not seen.line:
-            seen.line = self._line
-        seen.recording = self.recorder.fault
-        if np.isfinite(seen.joints).all():
-            seen.ee = self.chain.tip(seen.joints[None])[0]
-            self.chain.moved(seen.joints, self._sent)
-        return seen
+            estimate = self.estimator.update(self._readings, inputs, now, late_ns / SECOND, self._missed)
+        if self._line_error and not estimate.line:
+            estimate.line = self._line_error
+        estimate.recording = self.recorder.fault
+        if np.isfinite(estimate.joints).all():
+            estimate.ee = self.chain.tip(estimate.joints[None])[0]
+            self.chain.moved(estimate.joints, self._sent)
+        return estimate
 
-    def _decide(self, seen: StateEstimate, verdicts: list[Violation], now: int) -> CycleDecision:
-        decision = nothing(len(self._zero))
-        if self.states.state == "running" or (self.state_machine.thinking and np.isfinite(seen.joints).all()):
-            decision = self.decider.think(seen, verdicts, now + round(POLICY_SHARE * self.period_ns))
+    def _decide(self, estimate: StateEstimate, verdicts: list[Violation], now: int) -> CycleDecision:
+        decision = neutral_decision(len(self._zero))
+        if self.states.state == "running" or (self.state_machine.computing and np.isfinite(estimate.joints).all()):
+            decision = self.decider.decide(estimate, verdicts, now + round(POLICY_SHARE * self.period_ns))
             if decision.ended is not None:
                 self.state_machine.end(decision.ended, now)
                 if self.states.state == "stopping":
-                    decision = self._slow_down(seen, now)
+                    decision = self._slow_down(estimate, now)
             else:
                 decision.enabled = self.mode.moves and self.state_machine.allow(verdicts, now)
         elif self.states.state == "stopping":
-            decision = self._slow_down(seen, now)
-        if self.states.state != "running" and not self.state_machine.thinking:
+            decision = self._slow_down(estimate, now)
+        if self.states.state != "running" and not self.state_machine.computing:
             self.decider.drive_setpoints = None
         return decision
 
-    def _slow_down(self, seen: StateEstimate, now: int) -> CycleDecision:
-        decision = self.decider.slow_down(seen)
-        self.state_machine.slowing(not decision.enabled, seen, now)
+    def _slow_down(self, estimate: StateEstimate, now: int) -> CycleDecision:
+        decision = self.decider.slow_down(estimate)
+        self.state_machine.braking(not decision.enabled, estimate, now)
         return decision
 
     def _expired(self, now: int) -> Violation | None:
-        """Why this cycle, which began at ``now``, is too old to open valves: the last thing that is asked before it is sent."""
+        """Whether this cycle, which began at ``now``, is too old to open valves: the last check before sending."""
         then = self.transport.now_ns()
         gap = 0 if self._moved_ns is None else then - self._moved_ns
         return self.supervisor.expired((then - now) / SECOND, gap / SECOND)
 
     def _drop(self, decision: CycleDecision, expired: Violation, now: int) -> bool:
-        """What becomes of a cycle that is too old; whether nothing at all is sent: the machine goes on with what it has.
+        """Drop a cycle that is too old; whether nothing is sent, so that the machine keeps its last commands.
 
-        That lasts until the next cycle, ``checks.expired.gap_s`` at the most, and is less of a jolt than neutral valves are.
+        It keeps them until the next cycle, at most for ``checks.expired.gap_s``: smoother than neutral valves.
         """
         if expired.reaction == "fault":
             self.state_machine.fault(expired.text, now)
@@ -272,8 +271,8 @@ class Loop:
         begin = self.transport.now_ns()
         try:
             self.transport.write(commands, enabled)
-        except Exception as error:  # see _see
-            self._line = described(error)
+        except Exception as error:  # see _update_estimate
+            self._line_error = error_text(error)
             self._moved_ns = None if not enabled else self._moved_ns
             return False
         self._moved_ns = begin if enabled else None

@@ -1,7 +1,7 @@
-"""An MCAP file that is on the disk piece by piece: whatever happens to its writer, what was synced can be read.
+"""An MCAP file that is written durably in pieces: everything synced can be read after a crash of the writer.
 
-Definitions come first and are synced before any message; messages are kept back until :meth:`PieceWriter.sync` writes them as
-one chunk with its checksum and waits for the disk. A file without an end is read like one that was cut off.
+Definitions are synced before any message. Messages are buffered until :meth:`PieceWriter.sync` writes them as one chunk with
+its checksum and waits for the disk. A file without an end is read like a truncated one.
 Source: MCAP specification (mcap.dev/spec).
 """
 
@@ -39,7 +39,7 @@ class PieceWriter:
     """One file, new.
 
     Raises (every method that writes):
-        OSError: the disk is full or fails. What was synced before stays whole and can be read.
+        OSError: the disk is full or fails. Everything synced before stays readable.
     """
 
     def __init__(self, path: Path, profile: str, library: str) -> None:
@@ -61,7 +61,7 @@ class PieceWriter:
         self._first = self._last = 0
 
     def _append(self, data: bytes) -> int:
-        """Write ``data`` whole and return where it starts; on an error the file ends where it did."""
+        """Append ``data`` and return its position; after an error the file has its previous length."""
         start = self._size
         view = memoryview(data)
         try:
@@ -85,12 +85,12 @@ class PieceWriter:
         return number
 
     def metadata(self, name: str, values: Mapping[str, str]) -> None:
-        """Words about the file."""
+        """Write metadata."""
         record = _bytes(Metadata(name=name, metadata=dict(values)))
         self._metadata.append(MetadataIndex(self._append(record), len(record), name))
 
     def message(self, channel: int, sequence: int, log_ns: int, publish_ns: int, data: bytes) -> None:
-        """Keep a message for the next :meth:`sync`."""
+        """Buffer a message for the next :meth:`sync`."""
         if channel not in self._index:
             self._index[channel] = MessageIndex(channel, [])
         self._first = min(self._first, log_ns) if self._first else log_ns
@@ -99,7 +99,7 @@ class PieceWriter:
         Message(channel, log_ns, data, publish_ns, sequence & 0xFFFFFFFF).write(self._builder)
 
     def sync(self) -> None:
-        """Write what was kept, and wait until it is on the disk."""
+        """Write the buffered messages, and wait until they are on the disk."""
         if self._index:
             records: bytes = self._builder.end()  # type: ignore[no-untyped-call]
             packed = zstandard.compress(records)

@@ -1,4 +1,4 @@
-"""Who arms, stops and resets: a person at a terminal, or, on machines without people, a script."""
+"""The operator, who arms, stops and resets: a person at a terminal, or a program on simulated machines."""
 
 from __future__ import annotations
 
@@ -11,35 +11,35 @@ from typing import Any, Protocol
 from sysid.runner.cycle import State
 from sysid.runner.transport import Settable
 
-#: What may be said: ``quit`` stops within the limits and ends the run, ``abort`` ends it with neutral valves at once.
-WORDS = ("arm", "disarm", "stop", "reset", "quit", "abort")
-#: Signals that end a run as ``quit`` does; nobody ends, or suspends, a process that moves a machine in any other way.
+#: ``quit`` stops within the limits and ends the run; ``abort`` ends it with neutral valves at once.
+OPERATOR_COMMANDS = ("arm", "disarm", "stop", "reset", "quit", "abort")
+#: Signals that act as ``quit``: a process that moves a machine must not be ended or suspended in any other way.
 SIGNALS = ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT", "SIGTSTP", "SIGXCPU", "SIGUSR1", "SIGUSR2", "SIGALRM")
-#: Of a terminal whose foreground another process has: reading it is an error then, and does not suspend this process.
+#: Ignored: reading a terminal in the background is then an error and does not suspend the process.
 IGNORED = ("SIGTTIN", "SIGTTOU", "SIGPIPE", "SIGXFSZ")
 
 
 class Operator(Protocol):
-    """Asked in every cycle; nothing here may wait for a person, a terminal or a file."""
+    """Polled in every cycle; no method may wait for a person, a terminal or a file."""
 
-    #: Stays after a stop or a fault, for somebody to arm or reset; else the run is over then.
+    #: Whether the run continues after a stop or a fault, until the operator arms or resets.
     stays: bool
 
-    def words(self, state: State, now_ns: int) -> Sequence[str]:
-        """What was said since the last cycle, of :data:`WORDS`; a reason may stand behind a colon."""
+    def commands(self, state: State, now_ns: int) -> Sequence[str]:
+        """Commands since the last cycle, of :data:`OPERATOR_COMMANDS`; a reason may follow after a colon."""
         ...
 
     def notify(self, text: str) -> None:
-        """One line for whoever stands there."""
+        """Show one line."""
         ...
 
 
 class Unattended:
-    """Arms a machine as soon as it is ready, and then holds its dead-man switch: for machines that nobody stands at.
+    """Arms a simulated machine as soon as it is ready, and then holds its dead-man switch.
 
     Args:
-        machine: whose switches a program holds.
-        script: (seconds since the first cycle, word) to say besides.
+        machine: with switches that a program can set.
+        script: further commands, (seconds since the first cycle, command).
     """
 
     stays = False
@@ -51,31 +51,31 @@ class Unattended:
         self._armed = False
         self.lines: list[str] = []
 
-    def words(self, state: State, now_ns: int) -> Sequence[str]:
+    def commands(self, state: State, now_ns: int) -> Sequence[str]:
         if self._first_ns is None:
             self._first_ns = now_ns
             self.machine.set_inputs(dead_man=False)
-        said = []
+        commands = []
         while self._script and now_ns - self._first_ns >= 1e9 * self._script[0][0]:
-            said.append(self._script.pop(0)[1])
+            commands.append(self._script.pop(0)[1])
         if state == "ready" and not self._armed:
             self._armed = True
-            said.append("arm")
+            commands.append("arm")
         elif state == "armed":
             self.machine.set_inputs(dead_man=True)
-        return said
+        return commands
 
     def notify(self, text: str) -> None:
         self.lines.append(text)
 
 
 class Interruptible:
-    """An operator, and the signals that end a process: the first one is ``quit``, the second one ``abort``.
+    """An operator with signal handling: the first signal is ``quit``, the second one ``abort``.
 
-    A third one raises KeyboardInterrupt wherever the program is, for a loop that does not go on. A context manager.
+    A third one raises KeyboardInterrupt, for a loop that does not continue. A context manager.
 
     Args:
-        operator: who else is asked.
+        operator: for all other commands.
     """
 
     def __init__(self, operator: Operator) -> None:
@@ -84,18 +84,18 @@ class Interruptible:
         self._said = 0
         self._before: dict[int, Any] = {}
 
-    def words(self, state: State, now_ns: int) -> Sequence[str]:
-        said = list(self.operator.words(state, now_ns))
+    def commands(self, state: State, now_ns: int) -> Sequence[str]:
+        commands = list(self.operator.commands(state, now_ns))
         for name in self._came[self._said :]:
-            said.append(f"{'quit' if self._said == 0 else 'abort'}: {name}")
+            commands.append(f"{'quit' if self._said == 0 else 'abort'}: {name}")
             self._said += 1
-        return said
+        return commands
 
     def notify(self, text: str) -> None:
         self.operator.notify(text)
 
     def __enter__(self) -> Interruptible:
-        # Signals that this system does not have, or lets nobody handle, are left as they are.
+        # Signals that this system does not have, or that cannot be handled, are skipped.
         for names, handler in ((SIGNALS, self._on), (IGNORED, signal.SIG_IGN)):
             for name in names:
                 number = getattr(signal, name, None)
@@ -113,15 +113,3 @@ class Interruptible:
         self._came.append(signal.Signals(number).name)
         if len(self._came) > 2:
             raise KeyboardInterrupt
-
-
-class Nobody:
-    """Says nothing: for runs that never move anything."""
-
-    stays = False
-
-    def words(self, state: State, now_ns: int) -> Sequence[str]:
-        return ()
-
-    def notify(self, text: str) -> None:
-        """Nobody listens."""

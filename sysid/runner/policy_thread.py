@@ -1,9 +1,9 @@
-"""A policy in a thread of its own, with a deadline: it answers within its cycle, or the cycle goes on without it.
+"""A policy in its own thread with a deadline: a cycle continues without an answer that is late.
 
-Whatever it raises or returns ends no run. An answer that comes late is dropped. Python code that never ends is ended by an
-exception in its thread; native code that never ends is left behind, and does not keep the process from ending. Native code that
-also keeps the interpreter for itself stops the loop: the machine's own time-out closes the valves then, and the cycle is too
-old to be sent when it goes on (:class:`sysid.runner.checks.settings.ExpiredCheck`).
+No exception or answer of the policy ends the run. Python code that does not return is ended by an exception in its thread;
+native code that does not return stays behind and does not prevent the process from ending. Native code that also keeps the
+interpreter lock stops the loop: the machine's time-out closes the valves, and the cycle is too old to be sent when the loop
+continues (:class:`sysid.runner.checks.settings.ExpiredCheck`).
 """
 
 from __future__ import annotations
@@ -13,34 +13,28 @@ import ctypes
 import threading
 from collections.abc import Callable
 from queue import Empty, SimpleQueue
-from typing import Protocol
 
 import numpy as np
 import numpy.typing as npt
 
+from sysid.rl.environment import Policy
 from sysid.runner.clock import SECOND
 
 Array = npt.NDArray[np.float64]
 
-#: On a clock that stands still while somebody computes (a simulated one) a policy has so long [s].
+#: Deadline on a simulated clock, which does not advance during a computation [s].
 SIMULATED_S = 2.0
-#: Its first answer, which compiles and loads, may take so long [s].
+#: Deadline of the first answer, which compiles and loads [s].
 WARM_UP_S = 30.0
-#: An error's text is cut off here [characters].
+#: Longest text of an error [characters].
 LONGEST = 200
 
 
-class Setter(Protocol):
-    """Anything that answers observations (1, O) with joint setpoints (1, A)."""
-
-    def act(self, observations: Array) -> Array: ...
-
-
 class PolicyError(Exception):
-    """The policy gave no answer that can be used; the text says why.
+    """The policy gave no valid answer; the text is the reason.
 
     Args:
-        late: because it was not there in time, and may be in another cycle.
+        late: it missed its deadline, and may answer in another cycle.
     """
 
     def __init__(self, why: str, *, late: bool = False) -> None:
@@ -49,55 +43,51 @@ class PolicyError(Exception):
 
 
 class PolicyThread:
-    """Of one policy.
+    """The thread of one policy.
 
     Args:
-        policy: is asked.
-        axes: how many setpoints it has to give.
+        policy: observations (1, O) → setpoints (1, A).
+        axes: number A of setpoints.
     """
 
-    def __init__(self, policy: Setter, axes: int) -> None:
+    def __init__(self, policy: Policy, axes: int) -> None:
         self.policy, self._axes = policy, axes
-        self._questions: SimpleQueue[tuple[int, Array]] = SimpleQueue()
+        self._requests: SimpleQueue[tuple[int, Array]] = SimpleQueue()
         self._answers: SimpleQueue[tuple[int, Array | BaseException]] = SimpleQueue()
-        self._asked = 0
-        #: The question that the thread is at; 0: none. An exception may end an answer anywhere: this is right again after it.
+        self._request_count = 0
+        #: The request in progress; 0: none. Reset after an exception that ends an answer.
         self._at = 0
         self._thread: threading.Thread | None = None
 
     @property
     def native_id(self) -> int | None:
-        """Of the thread, for the operating system; None while there is none."""
+        """Thread identifier of the operating system; None before the first request."""
         return self._thread.native_id if self._thread is not None else None
-
-    @property
-    def _busy(self) -> bool:
-        return self._at != 0 or not self._questions.empty()
 
     def ask(self, observations: Array, until_ns: int, now_ns: Callable[[], int]) -> Array:
         """Setpoints (A,) for observations (1, O), by ``until_ns`` on the clock ``now_ns``.
 
         Raises:
-            PolicyError: none by then, none of this shape, or what the policy raised.
+            PolicyError: no answer by then, another shape, or an exception of the policy.
         """
         if self._thread is None:
             self._thread = threading.Thread(target=self._work, name="policy", daemon=True)
             self._thread.start()
-        if self._busy:
+        if self._at != 0 or not self._requests.empty():
             raise PolicyError("the policy is still at an earlier cycle", late=True)
-        self._asked += 1
-        self._questions.put((self._asked, observations.copy()))
+        self._request_count += 1
+        self._requests.put((self._request_count, observations.copy()))
         answer = self._wait(until_ns, now_ns)
         if isinstance(answer, PolicyError):
             if answer.late:
-                self.cancel()  # at once: Python code that computes takes turns with the loop, which needs the rest of this one
+                self.cancel()  # at once: it competes with the loop for the interpreter
             raise answer
         if isinstance(answer, BaseException):
-            raise PolicyError(f"the policy fails: {described(answer)}")
+            raise PolicyError(f"the policy fails: {error_text(answer)}")
         return answer
 
     def cancel(self) -> None:
-        """Nobody waits for the answer any more: Python code that is still at it is ended."""
+        """Discard the answer, and end Python code that is still running."""
         thread = self._thread
         if self._at and thread is not None and thread.ident is not None:
             ctypes.pythonapi.PyThreadState_SetAsyncExc(ctypes.c_ulong(thread.ident), ctypes.py_object(SystemExit))
@@ -109,17 +99,17 @@ class PolicyThread:
             try:
                 number, answer = self._answers.get(timeout=max(left, 0.0))
             except Empty:
-                waits += 1 if now_ns() == begin else 2  # time passes by itself, or stands still while somebody computes
+                waits += 1 if now_ns() == begin else 2  # real time, or a simulated clock that stands still
             else:
-                if number == self._asked:  # not one of a cycle that is over
+                if number == self._request_count:  # not the answer to an earlier request
                     return answer
         return PolicyError("the policy does not answer within its cycle", late=True)
 
     def _work(self) -> None:
         while True:
-            with contextlib.suppress(BaseException):  # cancelled outside of the policy's own code
+            with contextlib.suppress(BaseException):  # cancelled outside of the policy's code
                 self._at = 0
-                number, observations = self._questions.get()
+                number, observations = self._requests.get()
                 self._at = number
                 self._answer(number, observations)
 
@@ -127,7 +117,7 @@ class PolicyThread:
         answer: Array | BaseException
         try:
             answer = self._checked(self.policy.act(observations))
-        except BaseException as error:  # even what ends a program ends no run
+        except BaseException as error:  # SystemExit as well
             answer = error
         self._answers.put((number, answer))
 
@@ -140,11 +130,11 @@ class PolicyThread:
         return np.array(answer[0], dtype=np.float64)
 
 
-def described(error: BaseException) -> str:
-    """An error on one line, with its kind where the text is not that of the system."""
+def error_text(error: BaseException) -> str:
+    """An error in one line, with its class unless it is an error of the operating system."""
     try:
         text = " ".join(str(error).split())[:LONGEST]
-    except Exception:  # an error of somebody else's, whose text is one more
+    except Exception:  # the text of a foreign error may raise
         text = ""
     if isinstance(error, OSError) and text:
         return text

@@ -1,4 +1,4 @@
-"""What the operating system can do for a loop that must be on time; what it refuses is said, and the loop runs without."""
+"""Real-time settings of the operating system; the loop also runs without those that are refused."""
 
 from __future__ import annotations
 
@@ -10,26 +10,26 @@ import sys
 from collections.abc import Iterator
 
 _CURRENT, _FUTURE = 1, 2
-#: Another thread of the interpreter gives it back to the loop within this [s].
+#: Switch interval of the interpreter between threads [s].
 _SWITCH = 0.0005
 
 
 @contextlib.contextmanager
-def on_time(priority: int, lock: bool) -> Iterator[tuple[str, ...]]:
-    """Real-time priority (SCHED_FIFO), locked memory and no garbage collection inside the context; all given back after it.
+def real_time(priority: int, lock: bool) -> Iterator[tuple[str, ...]]:
+    """Real-time priority (SCHED_FIFO), locked memory and no garbage collection inside the context.
 
-    Other threads of this process hold the interpreter for half a millisecond at the most while the loop waits for it.
+    Other threads of this process hold the interpreter for at most half a millisecond while the loop waits for it.
 
     Args:
-        priority: 1 … 99; 0: none is asked for.
-        lock: ask for locked memory.
+        priority: 1 … 99; 0: not requested.
+        lock: request locked memory.
 
     Yields:
-        What was refused, a sentence each.
+        Refusals, one sentence each.
     """
     refused: list[str] = []
-    scheduled = priority > 0 and _prioritised(priority, refused)
-    locked = lock and _locked(refused)
+    scheduled = priority > 0 and _request_priority(priority, refused)
+    locked = lock and _lock_memory(refused)
     collecting = gc.isenabled()
     gc.collect()
     gc.freeze()
@@ -49,7 +49,7 @@ def on_time(priority: int, lock: bool) -> Iterator[tuple[str, ...]]:
             os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
 
 
-def _prioritised(priority: int, refused: list[str]) -> bool:
+def _request_priority(priority: int, refused: list[str]) -> bool:
     if not hasattr(os, "sched_setscheduler"):
         refused.append("real-time priority: this system has no SCHED_FIFO")
         return False
@@ -61,7 +61,7 @@ def _prioritised(priority: int, refused: list[str]) -> bool:
     return True
 
 
-def _locked(refused: list[str]) -> bool:
+def _lock_memory(refused: list[str]) -> bool:
     libc = ctypes.CDLL(None, use_errno=True)
     if not hasattr(libc, "mlockall"):
         refused.append("locked memory: this system has no mlockall")
@@ -73,8 +73,8 @@ def _locked(refused: list[str]) -> bool:
     return True
 
 
-def raise_thread(native_id: int | None, priority: int) -> None:
-    """Give a thread that the loop waits for real-time priority as well, just below the loop's; where that is permitted."""
+def prioritise_thread(native_id: int | None, priority: int) -> None:
+    """Give a thread that the loop waits for real-time priority just below the loop's, if permitted."""
     if native_id is not None and priority > 1 and hasattr(os, "sched_setscheduler"):
         with contextlib.suppress(OSError):
             os.sched_setscheduler(native_id, os.SCHED_FIFO, os.sched_param(priority - 1))

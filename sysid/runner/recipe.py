@@ -1,4 +1,4 @@
-"""``RUNNER.toml``: which machine, which versions, what for, within which limits. Strict: an unknown key is an error."""
+"""``RUNNER.toml``: machine, versions, mode, limits and checks of a run. Unknown keys are errors."""
 
 from __future__ import annotations
 
@@ -6,32 +6,29 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal, get_args
 
-from sysid.config import STRICT, parse_settings, read_toml
+from sysid.config import Strict, parse_settings, read_toml
 from sysid.errors import SettingsError, nearest
 from sysid.runner.checks.settings import CheckSettings, check_checks
 from sysid.runner.limits import LimitSettings
-from sysid.runner.loop_settings import LoopSettings
 from sysid.runner.modes.commission import CommissionSettings
 
 ModeName = Literal["track", "hold", "collect", "experiment", "replay", "shadow", "teleop", "commission"]
 MODES: tuple[ModeName, ...] = get_args(ModeName)
-#: Instead of a policy: bounded inverse kinematics, and the same with targets ahead by the machine's dead time.
+#: In place of a policy: bounded inverse kinematics, and the same with targets ahead by the machine's dead time.
 KINEMATIC = ("ik", "ik-lookahead")
 
 
 @dataclass(frozen=True)
-class Versions:
+class Versions(Strict):
     """``[versions]``: ``name``, ``name@3`` or ``name@champion``.
 
     Args:
-        plant: whose linkages and effects the controller knows.
+        plant: linkages and effects for the controller.
         forward: joints → end effector.
         policy: ``ik``, ``ik-lookahead``, or a policy.
-        lookahead: how far ahead a policy is shown targets [s]; None: ``ik-lookahead`` by the dead time, others not at all.
-        unpromoted: versions that were never promoted and are to be run all the same, each spelt out as ``name@3``.
+        lookahead: of the targets [s]; None: the dead time for ``ik-lookahead``, zero for others.
+        unpromoted: permitted versions without promotion, each as ``name@3``.
     """
-
-    __pydantic_config__ = STRICT
 
     plant: str
     forward: str
@@ -41,19 +38,17 @@ class Versions:
 
 
 @dataclass(frozen=True)
-class TrackSettings:
+class TrackSettings(Strict):
     """``[track]``.
 
     Args:
         path: ``helix``, ``circle``, or a CSV file (t, x, y, z) beside the recipe.
-        centre: of helix or circle [m]; else where the joints keep farthest from their limits.
-        laps: how often.
-        ease_s: over which the path comes up to its speed.
-        live_port: follow targets that come in datagrams to this port of the loopback instead.
-        live_speed: greatest speed of such a target [m/s]; ``live_s``: for how long.
+        centre: of helix or circle [m]; by default where the joints keep farthest from their limits.
+        laps: number of rounds.
+        ease_s: duration of the speed ramps at beginning and end.
+        live_port: follow targets from datagrams to this loopback port instead.
+        live_speed, live_s: greatest speed of such a target [m/s], and duration [s].
     """
-
-    __pydantic_config__ = STRICT
 
     path: str = "helix"
     centre: tuple[float, float, float] | None = None
@@ -65,19 +60,15 @@ class TrackSettings:
 
 
 @dataclass(frozen=True)
-class HoldSettings:
-    """``[hold]``: ``seconds``; None: until somebody stops it."""
-
-    __pydantic_config__ = STRICT
+class HoldSettings(Strict):
+    """``[hold]``: ``seconds``; None: until the operator stops."""
 
     seconds: float | None = 10.0
 
 
 @dataclass(frozen=True)
-class CollectSettings:
-    """``[collect]``: ``poses`` random configurations, ``settle_s`` and ``record_s`` at each; ``seed`` of the draw."""
-
-    __pydantic_config__ = STRICT
+class CollectSettings(Strict):
+    """``[collect]``: number of random configurations, times at each of them, seed of the draw."""
 
     poses: int = 500
     settle_s: float = 1.0
@@ -86,37 +77,53 @@ class CollectSettings:
 
 
 @dataclass(frozen=True)
-class FileSettings:
-    """``[replay]`` (CSV) and ``[experiment]`` (TOML of the gap workflow): ``file``, beside the recipe or with a whole path."""
-
-    __pydantic_config__ = STRICT
+class FileSettings(Strict):
+    """``[replay]`` (CSV) and ``[experiment]`` (TOML of the gap workflow): path relative to the recipe."""
 
     file: str = ""
 
 
 @dataclass(frozen=True)
-class ShadowSettings:
-    """``[shadow]``: ``of`` which mode is computed."""
-
-    __pydantic_config__ = STRICT
+class ShadowSettings(Strict):
+    """``[shadow]``: the mode that is computed."""
 
     of: Literal["track", "hold", "replay", "collect"] = "track"
 
 
 @dataclass(frozen=True)
-class LogSettings:
-    """``[log]``: ``folder`` for recordings, relative to where the command is given."""
+class LoopSettings(Strict):
+    """``[loop]``.
 
-    __pydantic_config__ = STRICT
+    Args:
+        settle_s: time without violations before the machine is ready.
+        ready_within_s: unattended runs end if it is not ready within this time.
+        rest_s: time with neutral valves before a stop is complete; later than ``rest_within_s`` it is a fault.
+        seconds: longest duration of the run; None: unlimited.
+        priority: SCHED_FIFO, 1 … 99; 0: not requested.
+        lock_memory: request locked memory.
+        fallback: setpoints after the policy was disabled.
+    """
+
+    settle_s: float = 0.5
+    ready_within_s: float = 10.0
+    rest_s: float = 0.3
+    rest_within_s: float = 3.0
+    seconds: float | None = None
+    priority: int = 50
+    lock_memory: bool = True
+    fallback: Literal["ik", "hold"] = "ik"
+
+
+@dataclass(frozen=True)
+class LogSettings(Strict):
+    """``[log]``: ``folder`` for recordings, relative to the working directory."""
 
     folder: str = "flights"
 
 
 @dataclass(frozen=True)
-class RunnerRecipe:
-    """The whole recipe; ``transport`` has a ``kind`` and the keys of that kind."""
-
-    __pydantic_config__ = STRICT
+class RunnerRecipe(Strict):
+    """The recipe; ``transport`` has a ``kind`` and the keys of that kind."""
 
     schema: Literal[1]
     name: str
@@ -186,7 +193,7 @@ def parse_runner(values: dict[str, Any], where: object) -> RunnerRecipe:
 
 
 def _check_distinct(entries: object, where: str, expected: str) -> None:
-    """Refuse two keys with one value: a machine would move, or be seen, twice by the same frame."""
+    """Refuse two keys with one value: two axes or signals must not share a frame."""
     owners: dict[str, str] = {}
     for name, value in entries.items() if isinstance(entries, dict) else ():
         if (owner := owners.setdefault(str(value), str(name))) != name:

@@ -1,11 +1,12 @@
-"""How late the machine answers commands: measured motion against the motion that the plant makes of the commands sent.
+"""Delay of the machine's response: measured motion compared with the plant's response to the commands sent.
 
-For each axis, the last :data:`WINDOW_S` of what is measured is compared with ``y(t) = c + g·x(t − τ)``, x the travel by the
-commands sent through the plant's valve after its dead time. τ is delay beyond that dead time, of commands and readings
-together; it needs no stamp. It may have come within the window: τ = 0 until :data:`SINCE_S` ago. What a plant need not know
-is left open: where the axis stands (c), its gain (g within :data:`GAINS`), and how far its dead-band is from the plant's
-(:data:`BANDS`). An axis answers late if no τ up to half of what is accepted explains what is measured, by :data:`LEAST_S` at
-top speed, and a τ of at least what is accepted leaves a third of that error or less, :data:`TIMES` times in a row.
+For each axis, the measurements of the last :data:`WINDOW_S` are compared with ``y(t) = c + g·x(t − τ)``; x is the travel by the
+commands through the plant's valve after its dead time, τ the delay beyond that dead time, of commands and readings together. It
+needs no stamp, and may have begun within the window: τ = 0 until :data:`SINCE_S` ago. Free parameters are the position c, the
+gain g within :data:`GAINS`, and the difference of the dead-bands from the plant's (:data:`BANDS`).
+
+An axis is late if every τ up to half of the accepted delay leaves an error above :data:`LEAST_S` at top speed, and a τ of at
+least the accepted delay leaves at most :data:`SHARE` of it, :data:`REPEATS` times in a row.
 """
 
 from __future__ import annotations
@@ -20,42 +21,42 @@ from sysid.runner.valves import AxisValve
 
 Array = npt.NDArray[np.float64]
 
-#: Window of the comparison, and the longest delay that is looked for [s]: what is later than that, ``motion`` sees.
+#: Window of the comparison, and the longest delay of the search [s]; the check ``motion`` detects longer ones.
 WINDOW_S, LONGEST_S = 0.8, 0.4
-#: Delays are distinguished by this, each axis is looked at this often, and every so often a reading is taken [s].
+#: Grid of the delays, interval of the comparisons of an axis, and sampling interval of the readings [s].
 STEP_S, EVERY_S, SAMPLE_S = 0.04, 0.05, 0.02
-#: A delay is there for longer than the window, or came so long ago [s].
+#: Possible beginnings of a delay within the window [s ago].
 SINCE_S = (0.15, 0.3, 0.5)
-#: Comparisons in a row that have to find it.
-TIMES = 2
-#: True gain over the plant's.
+#: Comparisons in a row that must find a delay.
+REPEATS = 2
+#: Range of the true gain over the plant's.
 GAINS = (0.7, 1.4)
-#: True dead-band less the plant's, in commands, of each direction by itself.
+#: True dead-band minus the plant's [command], for each direction separately.
 BANDS = tuple(0.02 * k for k in range(-4, 9))
-#: Every fourth of them is compared with a late answer. A command that rises slowly crosses a wrong dead-band late: an
-#: answer in time has the finer steps.
+#: Late responses use every fourth of them. A slow command crosses a wrong dead-band late, so that a response in time needs the
+#: finer grid.
 COARSE = 4
-#: Error that has to be explained, RMS, as time at top speed [s]; what noise and formula may leave of the better explanation.
+#: RMS errors as time at top speed [s]: smallest unexplained error, and residual that noise and model may leave.
 LEAST_S, FLOOR_S = 0.006, 0.0015
-#: The late explanation has to leave this share of the error or less.
+#: Largest share of the error that remains with the delay.
 SHARE = 1.0 / 3.0
-#: Share of the window for which a fresh reading is needed.
+#: Share of the window with fresh readings that a comparison needs.
 ENOUGH = 0.6
 
 
 @dataclass(frozen=True)
 class LateAxis:
-    """An axis that answers late: by ``seconds`` beyond the plant's dead time."""
+    """A late axis: by ``seconds`` beyond the plant's dead time."""
 
     axis: int
     seconds: float
 
 
 class ResponseMonitor:
-    """Of all axes of one machine.
+    """The comparison for all axes of one machine.
 
     Args:
-        valves: of the axes, by the plant.
+        valves: of the axes, from the plant.
         dt: of a cycle [s].
         accepted: delay beyond the plant's dead time [s].
     """
@@ -67,13 +68,13 @@ class ResponseMonitor:
         lags = np.arange(0, longest + 1, max(1, round(STEP_S / dt)))
         usual, late = lags[lags * dt <= 0.5 * accepted + 1e-9], lags[lags * dt >= accepted - 1e-9]
         samples = np.arange(self._window - 1, -1, -max(1, round(SAMPLE_S / dt)))[::-1]
-        # Delay of each sample, one row an explanation: usual ones, then late ones that came before the window or within it.
+        # Delay of each sample, one row per hypothesis: delays in time, then late ones that began before or within the window.
         rows = [np.full(len(samples), lag) for lag in (*usual, *late)]
         for since in SINCE_S:
             rows += [np.where(samples < self._window - round(since / dt), 0, lag) for lag in late]
         self._delays, self._usual, self._samples = np.array(rows), len(usual), samples
-        self._turns = longest + samples - self._delays
-        self._found = np.zeros(axes, dtype=int)
+        self._columns = longest + samples - self._delays
+        self._hits = np.zeros(axes, dtype=int)
         self._fastest = np.array([valve.fastest for valve in valves])
         self._up = np.array([valve.up for valve in valves])
         self._down = np.array([valve.down for valve in valves])
@@ -84,26 +85,26 @@ class ResponseMonitor:
         self._negative = np.maximum(np.array([valve.negative for valve in valves]) + bands, 0.0)
         #: Travel forwards and backwards by the commands, (2, bands, A, cycles), the newest last.
         self._travel = np.zeros((2, len(BANDS), axes, self._window + longest))
-        #: Speeds that are still in the dead time, (2, bands, A, cycles), the newest first.
-        late_by = [valve.late for valve in valves]
+        #: Speeds within the dead time, (2, bands, A, cycles), the newest first.
+        late_by = [valve.dead_steps for valve in valves]
         self._coming = np.zeros((2, len(BANDS), axes, max(late_by)))
         self._arrives = np.arange(axes), np.array(late_by) - 1
         self._measured = np.full((axes, self._window), np.nan)
-        self._turn = 0
+        self._cycle = 0
         self._late: list[LateAxis | None] = [None] * axes
 
     @property
     def late(self) -> tuple[LateAxis, ...]:
-        """Axes that answer late, by the newest comparison."""
+        """Late axes by the newest comparison."""
         return tuple(item for item in self._late if item is not None)
 
     def reset(self) -> None:
-        """Forget what was measured."""
-        self._measured[:], self._found[:] = np.nan, 0
+        """Discard the measurements."""
+        self._measured[:], self._hits[:] = np.nan, 0
         self._late = [None] * len(self._late)
 
     def step(self, commands: Array) -> None:
-        """The step with ``commands`` (A,), neutral ones as zero, is over."""
+        """Record a step with ``commands`` (A,), zero if neutral."""
         self._travel[..., :-1] = self._travel[..., 1:]
         self._travel[..., -1] += self._coming[:, :, *self._arrives] * self.dt
         self._coming[..., 1:] = self._coming[..., :-1].copy()
@@ -111,12 +112,12 @@ class ResponseMonitor:
         backwards = np.minimum(np.maximum(-commands - self._negative, 0.0) ** self._exponent, self._limit)
         self._coming[0, ..., 0], self._coming[1, ..., 0] = self._up * forwards, -self._down * backwards
 
-    def look(self, measured: Array) -> None:
-        """What is driven is at ``measured`` (A,) now; NaN where no fresh and sound reading says so."""
+    def measure(self, measured: Array) -> None:
+        """Record ``measured`` (A,), what the commands drive; NaN without a fresh and valid reading."""
         self._measured[:, :-1] = self._measured[:, 1:]
         self._measured[:, -1] = measured
-        self._turn += 1
-        axis = self._turn % self._every
+        self._cycle += 1
+        axis = self._cycle % self._every
         if axis < len(self._late):
             self._late[axis] = self._compare(axis)
 
@@ -124,18 +125,18 @@ class ResponseMonitor:
         measured, travel = self._measured[i, self._samples], self._travel[:, :, i]
         own = np.isfinite(measured)
         if own.mean() < ENOUGH or np.ptp(travel[:, 0], axis=1).max() < LEAST_S * self._fastest[i]:
-            self._found[i] = 0
+            self._hits[i] = 0
             return None
         both = _sums(travel)
-        turns = self._turns[:, own]
+        turns = self._columns[:, own]
         usual = float(_errors(measured[own], both[:, turns[: self._usual]]).min()) / self._fastest[i]
         if usual <= LEAST_S:
-            self._found[i] = 0
+            self._hits[i] = 0
             return None
         both = _sums(travel[:, ::COARSE])
         late = _errors(measured[own], both[:, turns[self._usual :]]).min(axis=0) / self._fastest[i]
-        self._found[i] = self._found[i] + 1 if max(float(late.min()), FLOOR_S) < SHARE * usual else 0
-        if self._found[i] < TIMES:
+        self._hits[i] = self._hits[i] + 1 if max(float(late.min()), FLOOR_S) < SHARE * usual else 0
+        if self._hits[i] < REPEATS:
             return None
         return LateAxis(i, float(self._delays[self._usual + int(np.argmin(late)), -1]) * self.dt)
 
@@ -146,7 +147,7 @@ def _sums(travel: Array) -> Array:
 
 
 def _errors(measured: Array, travel: Array) -> Array:
-    """RMS of what each explanation leaves of ``measured`` (n,), in its unit, for ``travel`` (bands, delays, n)."""
+    """RMS residual of each hypothesis ``travel`` (bands, delays, n) for ``measured`` (n,), in its unit."""
     y = measured - measured.mean()
     x = travel - travel.mean(axis=2, keepdims=True)
     xx, xy = np.einsum("bln,bln->bl", x, x), x @ y

@@ -1,4 +1,4 @@
-"""A machine in process: a plant on a simulated clock, with the switches and the time-out of a real one."""
+"""A simulated machine: a plant on a simulated clock, with the switches and the time-out of a real one."""
 
 from __future__ import annotations
 
@@ -7,79 +7,68 @@ from collections.abc import Mapping
 import numpy as np
 import numpy.typing as npt
 
-from sysid.errors import SettingsError, nearest
+from sysid.errors import SettingsError
 from sysid.plant import Plant
 from sysid.plant.stepper import LaneState, Stepper
-from sysid.runner.clock import SECOND, SimulatedClock
+from sysid.runner.clock import SECOND
 from sysid.runner.transport import MachineInputs, Measurement
-from sysid.signals import POINTS, axis_signal
+from sysid.signals import axis_signal
 
 Array = npt.NDArray[np.float64]
 
-#: Without a command for so long the machine's side puts its valves to neutral by itself (ISOBUS).
+#: Without a command for this time the machine sets its valves to neutral (ISOBUS).
 TIME_OUT_NS = 100_000_000
 
 
-class SimulatedTransport(SimulatedClock):
-    """The plant answers; nobody else does. Its own clock starts at zero and goes only in :meth:`wait_until`.
+class SimulatedTransport:
+    """The plant as a machine. Its clock starts at zero and advances only in :meth:`wait_until`. It reports what each command
+    drives, and the joint of every cylinder.
 
     Args:
         plant: of velocity (valve) axes.
-        joints: where it stands at first, (A,) [rad or m].
-        signals: that it reports; by default what each command drives, and the joint of every cylinder.
+        joints: initial ones, (A,) [rad or m].
         noise: sensors have the noise of the machine's description.
         seed: of the noise.
 
     Raises:
-        SettingsError: an axis without a valve, or a signal that the plant does not have.
+        SettingsError: an axis without a valve.
     """
 
-    def __init__(
-        self, plant: Plant, joints: npt.ArrayLike, *, signals: tuple[str, ...] = (), noise: bool = True, seed: int = 0
-    ) -> None:
-        super().__init__()
+    def __init__(self, plant: Plant, joints: npt.ArrayLike, *, noise: bool = True, seed: int = 0) -> None:
+        self._now = 0
         machine = plant.machine
         where = f"simulated {machine.name}"
         for axis in machine.axes:
             if axis.actuation != "velocity":
                 raise SettingsError(f"{where}: axis {axis.name}", f"actuation = {axis.actuation!r}", "'velocity' (a valve)")
-        own = sources(plant)
-        usual = [axis.driven for axis in machine.axes]
-        usual += [axis_signal(axis.name, "joint") for axis in machine.axes if axis.drives == "cylinder"]
-        self._signals = signals or tuple(usual)
-        for signal in self._signals:
-            if signal not in own:
-                raise SettingsError(f"{where}: signals", f"unknown signal {signal!r}", nearest(signal, own))
-        self._sources = [own[signal] for signal in self._signals]
-        self._sigma = np.array([machine.noise.get(signal, 0.0) if noise else 0.0 for signal in self._signals])
+        driven = {axis.driven: ("drive" if axis.drives == "cylinder" else "joints", i) for i, axis in enumerate(machine.axes)}
+        joint_sensors = {
+            axis_signal(axis.name, "joint"): ("joints", i) for i, axis in enumerate(machine.axes) if axis.drives == "cylinder"
+        }
+        #: Signal → field and column of :class:`sysid.plant.stepper.LaneState`.
+        self._sources = driven | joint_sensors
+        self.signals = tuple(self._sources)
+        self._sigma = np.array([machine.noise.get(signal, 0.0) if noise else 0.0 for signal in self.signals])
         self._rng = np.random.default_rng(seed)
-        self._axes = machine.axis_names
+        self.axes = machine.axis_names
         self._stepper = Stepper(plant, machine.rate_hz)
         self._period = round(SECOND / machine.rate_hz)
         self._lane = self._stepper.reset(np.asarray(joints, dtype=np.float64))
         self._steps = 0
-        self._commands = np.zeros(len(self._axes))
+        self.commands = np.zeros(len(self.axes))
         self._enabled, self._written_ns = False, -TIME_OUT_NS
         self._inputs = MachineInputs(dead_man=False, emergency_stop=False)
         self._readings: dict[str, Measurement] = {}
-        self._sense()
-
-    @property
-    def signals(self) -> tuple[str, ...]:
-        return self._signals
-
-    @property
-    def axes(self) -> tuple[str, ...]:
-        return self._axes
+        self.measure()
 
     @property
     def truth(self) -> LaneState:
-        """Where the machine really is."""
+        """The true state of the machine."""
         return self._lane
 
     @property
     def neutral(self) -> bool:
-        """Whether its valves are kept neutral now."""
+        """Whether its valves are neutral."""
         late = self._now - self._written_ns >= TIME_OUT_NS
         return late or not self._enabled or self._inputs.emergency_stop or not self._inputs.dead_man
 
@@ -87,14 +76,14 @@ class SimulatedTransport(SimulatedClock):
         """Nothing to connect."""
 
     def close(self) -> None:
-        """Leave it neutral."""
+        """Set the valves to neutral."""
         self._enabled = False
 
     def read(self) -> tuple[Mapping[str, Measurement], MachineInputs]:
         return dict(self._readings), self._inputs
 
     def write(self, commands: Array, enabled: bool) -> None:
-        self._commands[:] = np.clip(np.nan_to_num(commands), -1.0, 1.0)
+        self.commands[:] = np.clip(np.nan_to_num(commands), -1.0, 1.0)
         self._enabled, self._written_ns = enabled, self._now
 
     def set_inputs(self, dead_man: bool | None = None, emergency_stop: bool | None = None) -> None:
@@ -104,32 +93,22 @@ class SimulatedTransport(SimulatedClock):
             old.emergency_stop if emergency_stop is None else emergency_stop,
         )
 
+    def now_ns(self) -> int:
+        return self._now
+
     def wait_until(self, ns: int) -> None:
-        """Bring the plant there, step by step; a step belongs to the command at its beginning."""
+        """Simulate the plant until then; each step uses the command at its beginning."""
         while (self._steps + 1) * self._period <= ns:
             self._now = max(self._now, self._steps * self._period)
-            self._lane = self._stepper.step(np.zeros(len(self._axes)) if self.neutral else self._commands)
+            self._lane = self._stepper.step(np.zeros(len(self.axes)) if self.neutral else self.commands)
             self._steps += 1
             self._now = self._steps * self._period
-            self._sense()
-        super().wait_until(ns)
+            self.measure()
+        self._now = max(self._now, ns)
 
-    def _sense(self) -> None:
+    def measure(self) -> None:
         now = self._steps * self._period
         errors = self._sigma * self._rng.standard_normal(len(self._sigma))
-        for signal, (name, column), error in zip(self._signals, self._sources, errors, strict=True):
+        for (signal, (name, column)), error in zip(self._sources.items(), errors, strict=True):
             value = float(getattr(self._lane, name)[0, column] + error)
             self._readings[signal] = Measurement(value, now, now, self._steps + 1)
-
-
-def sources(plant: Plant) -> dict[str, tuple[str, int]]:
-    """Signal → field and column of :class:`sysid.plant.stepper.LaneState`."""
-    found = {}
-    for i, axis in enumerate(plant.machine.axes):
-        found[axis_signal(axis.name, "joint")] = "joints", i
-        if axis.drives == "cylinder":
-            found[axis_signal(axis.name, "cylinder")] = "drive", i
-    for point in POINTS:
-        for k, letter in enumerate("xyz"):
-            found[f"{point}.{letter}"] = point, k
-    return found

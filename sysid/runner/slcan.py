@@ -1,8 +1,8 @@
-"""An adapter on a serial line (slcan): python-can's interface with a reader that survives any byte.
+"""An adapter on a serial line (slcan): python-can's interface with a robust reader.
 
 The protocol has no checksum, and its answers share the line with the frames: ``\\r`` and ``\\a`` (done, refused), ``z`` and
-``Z`` (sent), versions and states. A line is a data frame if all of it is one; anything else is passed over and, where it claims
-to be a frame, counted. Everything that waits is taken at once, so that answers cannot hold up the frames behind them.
+``Z`` (sent), versions and states. A line that is a complete data frame is decoded; anything else is skipped, and counted if it
+begins like a frame. All waiting bytes are read at once, so that answers do not delay the frames behind them.
 
 Source of the lines: Lawicel, CANUSB manual, "ASCII commands".
 """
@@ -18,25 +18,25 @@ from can import CanOperationError, Message
 from can.exceptions import error_check
 from can.interfaces.slcan import slcanBus
 
-#: No line is longer: T, 8 digits of identifier, length, 8 bytes, 4 digits of an adapter's own stamp, and some room.
+#: Longest line: T, 8 digits of identifier, length, 8 bytes, 4 digits of the adapter's stamp, and a reserve.
 LONGEST = 64
-#: Bytes that may wait in the computer for an adapter that does not take them: four sets of commands.
+#: Most bytes in the output buffer: four sets of commands.
 WAITING = 512
 _ENDS = re.compile(rb"[\r\a]")
 _FRAME = re.compile(rb"(?:([Tx])([0-9A-Fa-f]{8})|t([0-9A-Fa-f]{3}))([0-8])((?:[0-9A-Fa-f]{2})*)")
-#: First letters of lines that claim to be data frames, of CAN FD as well.
+#: First letters of data frames, CAN FD included.
 _CLAIMS = b"TtxdDbB"
 
 
 def parse_line(line: bytes) -> Message | None:
-    """The data frame that ``line``, without its end, says; None for everything else, damaged frames included."""
+    """The data frame in ``line``, without its end; None for everything else, damaged frames included."""
     found = _FRAME.fullmatch(line)
     if found is None:
         return None
     extended = found[1] is not None
     identifier, length = int(found[2] if extended else found[3], 16), int(found[4])
     digits = found[5]
-    # Four more digits are the adapter's own stamp.
+    # Four more digits: the adapter's stamp.
     if len(digits) - 2 * length not in (0, 4) or identifier >= 1 << (29 if extended else 11):
         return None
     return Message(
@@ -46,12 +46,12 @@ def parse_line(line: bytes) -> Message | None:
 
 
 class SlcanBus(slcanBus):
-    """See :class:`can.interfaces.slcan.slcanBus`; what is read, and that nothing waits for the adapter, differs."""
+    """Like :class:`can.interfaces.slcan.slcanBus`, with another reader, and without waiting for the adapter."""
 
     def __init__(self, channel: str, **options: Any) -> None:
         self._frames: deque[Message] = deque()
         self._rest = b""
-        #: Lines that claimed to be frames and were none.
+        #: Number of damaged frames.
         self.damaged = 0
         super().__init__(channel, **options)
 
@@ -67,11 +67,11 @@ class SlcanBus(slcanBus):
             time.sleep(0.0005)
 
     def _take(self) -> None:
-        """Frames out of all bytes that wait."""
+        """Decode all waiting bytes."""
         with error_check("Could not read from serial device"):
             data = self._rest + self.serialPortOrig.read(max(1, self.serialPortOrig.in_waiting))
         *lines, rest = _ENDS.split(data)
-        self._rest = rest[-LONGEST:]  # a line without end is noise
+        self._rest = rest[-LONGEST:]  # an endless line is noise
         for line in lines:
             frame = parse_line(line.strip(b"\n"))
             if frame is not None:

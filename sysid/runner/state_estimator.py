@@ -1,4 +1,4 @@
-"""From readings to belief: what came, how old it is, whether it can be so, and where each axis is believed to be."""
+"""The state estimator: readings, their age and plausibility, and dead reckoning → one state estimate a cycle."""
 
 from __future__ import annotations
 
@@ -13,17 +13,17 @@ from sysid.plant import Plant
 from sysid.runner.checks.settings import CheckSettings
 from sysid.runner.clock import SECOND
 from sysid.runner.response import LateAxis, ResponseMonitor
-from sysid.runner.transport import NOBODY, MachineInputs, Measurement
+from sysid.runner.transport import RELEASED_INPUTS, MachineInputs, Measurement
 from sysid.runner.valves import AxisValve, DeadReckoning
 from sysid.signals import axis_signal
 
 Array = npt.NDArray[np.float64]
 
-#: Dead reckoning leans on the sensors with this time constant [s].
-LEAN_S = 0.5
-#: A sensor may be this much faster than the plant says its axis is.
+#: Time constant of the correction of dead reckoning by the sensors [s].
+CORRECTION_S = 0.5
+#: Permitted ratio of a reading's speed to the top speed of its axis.
 FASTER = 1.5
-#: Delays of a line are learned for so long before a clock counts as jumped [s].
+#: Time in which the usual delay of a line is learned [s].
 LEARN_S = 0.3
 
 
@@ -32,8 +32,8 @@ class Sensor:
     """One signal and its history.
 
     Args:
-        signal: its canonical name; ``axis`` it belongs to, ``driven``: what the command drives.
-        range: of its values; ``fastest``: of its axis, in its unit.
+        signal: its canonical name; ``axis``: its number; ``driven``: it measures what the command drives.
+        range: of its values; ``fastest``: top speed, in its unit.
     """
 
     signal: str
@@ -53,19 +53,19 @@ class Sensor:
     good_ns: int = 0
     still_since: float = 0.0
     repeats: int = 0
-    sound: bool = False
+    valid: bool = False
     fresh: bool = False
 
 
 @dataclass(slots=True)
 class StateEstimate:
-    """What the supervisor evaluates in one cycle.
+    """The state estimate of one cycle, evaluated by the supervisor.
 
     Args:
-        sensors: driven ones first, in the order of axes; then joints of cylinders that have a sensor of their own.
-        drive, joints: as believed, (A,); ``measured``: whether a sound sensor says so, (A,).
-        reckoned: by the commands, (A,), of what is driven.
-        ee: as believed, (3,).
+        sensors: driven ones first, in the order of axes; then joint sensors of cylinder axes.
+        drive, joints: estimates, (A,); ``measured``: whether a valid sensor confirms them, (A,).
+        estimated_position: dead reckoning of what is driven, (A,).
+        ee: estimate of the end effector, (3,).
         late: axes that answer commands later than their plant.
     """
 
@@ -85,13 +85,13 @@ class StateEstimate:
 
 
 class StateEstimator:
-    """Keeps the history that single readings lack.
+    """The state estimator of one machine.
 
     Args:
-        plant: whose linkages turn cylinders into joints.
+        plant: with the linkages from cylinders to joints.
         valves: of its axes; ``dt`` of a step [s].
-        signals: that the transport has.
-        settings: from where on a sensor is not believed.
+        signals: of the transport.
+        settings: thresholds of valid sensors.
     """
 
     def __init__(
@@ -110,13 +110,13 @@ class StateEstimator:
                 steep = float(np.abs(np.gradient(linkage.joints, linkage.displacements)).max())
                 self.extra.append(Sensor(signal, i, False, reach, valves[i].fastest * steep))
         self.sensors = [*self.driven, *self.extra]
-        self.dead_reckonings = [DeadReckoning(valve, dt, LEAN_S) for valve in valves]
+        self.dead_reckonings = [DeadReckoning(valve, dt, CORRECTION_S) for valve in valves]
         self.response = ResponseMonitor(valves, dt, settings.delay.after_s)
 
     def reset(self) -> None:
-        """Forget what was learned: after a fault, and before the first cycle.
+        """Reset the history, after a fault and before the first cycle.
 
-        Not the smallest delay so far: one that has grown would else be the usual one after each reset.
+        The usual delay is kept: a delay that has grown would otherwise become the usual one.
         """
         for sensor in self.sensors:
             sensor.good, sensor.count, sensor.first_ns, sensor.still_since = math.nan, -1, None, 0.0
@@ -125,7 +125,7 @@ class StateEstimator:
         self.response.reset()
 
     def step(self, commands: Array) -> None:
-        """The step with ``commands`` (A,) is over; neutral ones are zero."""
+        """Record a step with ``commands`` (A,), zero if neutral."""
         self.response.step(commands)
         for sensor, dead_reckoning, command in zip(self.driven, self.dead_reckonings, commands, strict=True):
             before = dead_reckoning.position
@@ -133,15 +133,15 @@ class StateEstimator:
             if not math.isnan(before):
                 sensor.still_since += abs(dead_reckoning.position - before)
 
-    def see(
+    def update(
         self, readings: Mapping[str, Measurement], inputs: MachineInputs, now_ns: int, lateness_s: float = 0.0, missed: int = 0
     ) -> StateEstimate:
-        """Readings of this cycle, believed where they can be."""
+        """The estimate of this cycle from its readings."""
         for sensor in self.sensors:
-            self._look(sensor, readings.get(sensor.signal), now_ns)
+            self._update_sensor(sensor, readings.get(sensor.signal), now_ns)
         drive, joints = np.empty(len(self.driven)), np.empty(len(self.driven))
         for i, (sensor, dead_reckoning) in enumerate(zip(self.driven, self.dead_reckonings, strict=True)):
-            if sensor.sound:
+            if sensor.valid:
                 if math.isnan(dead_reckoning.position):
                     dead_reckoning.position = sensor.value
                 dead_reckoning.correct(sensor.value)
@@ -149,24 +149,24 @@ class StateEstimator:
             else:
                 drive[i] = dead_reckoning.position
             linkage = self.linkages[i]
-            joints[i] = drive[i] if linkage is None else _joint(linkage, drive[i])
-        fresh = np.array([sensor.value if sensor.sound and sensor.fresh else math.nan for sensor in self.driven])
-        self.response.look(fresh)
+            joints[i] = drive[i] if linkage is None else linkage.joint(drive[i : i + 1])[0]
+        fresh = np.array([sensor.value if sensor.valid and sensor.fresh else math.nan for sensor in self.driven])
+        self.response.measure(fresh)
         return StateEstimate(
-            now_ns, lateness_s, missed, inputs, self.sensors, drive, np.array([sensor.sound for sensor in self.driven]),
+            now_ns, lateness_s, missed, inputs, self.sensors, drive, np.array([sensor.valid for sensor in self.driven]),
             np.array([item.position for item in self.dead_reckonings]), joints,
             late=self.response.late,
         )  # fmt: skip
 
-    def nothing(self, now_ns: int, line: str) -> StateEstimate:
-        """What a cycle sees whose line is dead."""
-        seen = self.see({}, NOBODY, now_ns)
-        seen.line = line
-        return seen
+    def without_readings(self, now_ns: int, line: str) -> StateEstimate:
+        """The estimate of a cycle without readings, because of the error ``line``."""
+        estimate = self.update({}, RELEASED_INPUTS, now_ns)
+        estimate.line = line
+        return estimate
 
-    def _look(self, sensor: Sensor, reading: Measurement | None, now_ns: int) -> None:
+    def _update_sensor(self, sensor: Sensor, reading: Measurement | None, now_ns: int) -> None:
         if reading is None:
-            sensor.age_s, sensor.sound, sensor.finite, sensor.jump, sensor.fresh = math.inf, False, True, 0.0, False
+            sensor.age_s, sensor.valid, sensor.finite, sensor.jump, sensor.fresh = math.inf, False, True, 0.0, False
             return
         lag = reading.received_ns - reading.measured_ns
         if sensor.usual_ns is None:
@@ -191,11 +191,6 @@ class StateEstimator:
             passed = max((now_ns - sensor.good_ns) / SECOND, self.dt)
             sensor.jump = max(0.0, abs(value - sensor.good) - FASTER * sensor.fastest * passed)
         late = sensor.age_s > self.settings.stale.after_s
-        sensor.sound = sensor.finite and not late and sensor.jump <= self.settings.jump.share * sensor.range
-        if sensor.sound and fresh:
+        sensor.valid = sensor.finite and not late and sensor.jump <= self.settings.jump.share * sensor.range
+        if sensor.valid and fresh:
             sensor.good, sensor.good_ns = value, now_ns
-
-
-def _joint(linkage: object, displacement: float) -> float:
-    found: Array = linkage.joint(np.array([displacement]))  # type: ignore[attr-defined]
-    return float(found[0])

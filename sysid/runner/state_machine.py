@@ -1,4 +1,4 @@
-"""What verdicts, a person's words, switches and time make of the state of a run, and when the run is over."""
+"""The run state machine: effects of verdicts, operator commands, switches and time, and the end of a run."""
 
 from __future__ import annotations
 
@@ -9,25 +9,25 @@ import numpy as np
 from sysid.errors import InputError
 from sysid.runner.clock import SECOND
 from sysid.runner.cycle import Violation
-from sysid.runner.loop_settings import LoopSettings
 from sysid.runner.modes.mode import Goal, Mode
-from sysid.runner.operator import WORDS, Operator
+from sysid.runner.operator import OPERATOR_COMMANDS, Operator
 from sysid.runner.outcome import Ended, RunOutcome
+from sysid.runner.recipe import LoopSettings
 from sysid.runner.state_estimator import StateEstimate
 from sysid.runner.states import States
-from sysid.runner.supervisor import at_least, sternest
+from sysid.runner.supervisor import at_least, most_severe
 
-#: Where one of these stopped the machine, it is not simply ready again: a person has to look, and reset it.
+#: After a stop by one of these checks a person must look, and reset the machine.
 LATCHING = ("stale", "not_finite", "jump", "frozen", "clock", "contradiction", "motion", "delay", "following", "expired")
 
 
 class RunStateMachine:
-    """Of one run.
+    """The state machine of one run.
 
     Args:
-        states: changed by this alone.
+        states: changed only here.
         mode, operator, settings, dt: of the run.
-        outcome: notes and the reason of the end are kept in it.
+        outcome: receives notes and the reason of the end.
     """
 
     def __init__(
@@ -35,38 +35,38 @@ class RunStateMachine:
     ) -> None:
         self.states, self.mode, self.operator, self.settings = states, mode, operator, settings
         self.dt, self.outcome = dt, outcome
-        #: A task that moves nothing is under way.
-        self.thinking = False
-        self._sound_s, self._neutral_s = 0.0, 0.0
-        self._released, self._ran, self._leaving = False, False, False
-        self._wrong, self._latch = "", ""
+        #: A task that moves nothing is running.
+        self.computing = False
+        self._healthy_s, self._neutral_s = 0.0, 0.0
+        self._released, self._ran, self._finishing = False, False, False
+        self._last_violation, self._latch = "", ""
 
     def react(self, verdicts: Sequence[Violation], now: int) -> None:
-        """What is seen decides over the state."""
-        worst, state = sternest(verdicts), self.states.state
+        """Apply the verdicts of a cycle to the state."""
+        worst, state = most_severe(verdicts), self.states.state
         if worst is None:
             return
-        self._wrong = worst.text
+        self._last_violation = worst.text
         if worst.reaction == "fault":
             self.fault(worst.text, now)
         elif worst.reaction == "stop" and state == "running":
             self._halt(worst, now)
         elif worst.reaction in ("hold", "stop") and state in ("ready", "armed"):
-            self._tell(self.states.on("unhealthy", now, worst.text))
+            self._announce(self.states.on("unhealthy", now, worst.text))
 
-    def listen(self, verdicts: Sequence[Violation], now: int) -> bool:
-        """Take what the operator says; whether that was a reset."""
+    def process_commands(self, verdicts: Sequence[Violation], now: int) -> bool:
+        """Execute the operator's commands; whether one of them was a reset."""
         reset = False
-        for said in self.operator.words(self.states.state, now):
+        for said in self.operator.commands(self.states.state, now):
             word, _, reason = (part.strip() for part in said.partition(":"))
             if word in ("quit", "abort"):
-                self._leave("quit")
+                self._finish("quit")
                 if word == "abort":
                     self.fault(reason or "the operator aborts", now)
-                elif not self._tell(self.states.on("stop", now, reason or "the operator quits")):
+                elif not self._announce(self.states.on("stop", now, reason or "the operator quits")):
                     self.note(reason or "the operator quits")
-            elif word not in WORDS:
-                self.operator.notify(f"{word!r} is none of {', '.join(WORDS)}")
+            elif word not in OPERATOR_COMMANDS:
+                self.operator.notify(f"{word!r} is none of {', '.join(OPERATOR_COMMANDS)}")
             elif word == "reset" and at_least(verdicts, "fault"):
                 self.operator.notify(f"not reset while it lasts: {next(v.text for v in verdicts if v.reaction == 'fault')}")
             elif word == "arm" and not self.mode.moves:
@@ -80,36 +80,36 @@ class RunStateMachine:
                 if word == "stop":
                     self.states.why = "the operator says stop"
                 if word in ("stop", "disarm") and not self.operator.stays and not self.states.moving:
-                    self._leave("stopped")
+                    self._finish("stopped")
                 reset = reset or word == "reset"
-                self._tell(True)
+                self._announce(True)
         return reset
 
-    def advance(self, seen: StateEstimate, verdicts: Sequence[Violation], now: int) -> bool:
-        """What time and switches make of the state; whether the task starts now."""
+    def advance(self, estimate: StateEstimate, verdicts: Sequence[Violation], now: int) -> bool:
+        """Apply time and switches to the state; whether the task begins now."""
         state = self.states.state
-        sound = not at_least(verdicts, "hold") and bool(np.isfinite(seen.joints).all())
+        valid = not at_least(verdicts, "hold") and bool(np.isfinite(estimate.joints).all())
         if state == "idle":
-            self._sound_s = self._sound_s + self.dt if sound else 0.0
-            if self._sound_s >= self.settings.settle_s:
-                self._tell(self.states.on("healthy", now))
+            self._healthy_s = self._healthy_s + self.dt if valid else 0.0
+            if self._healthy_s >= self.settings.settle_s:
+                self._announce(self.states.on("healthy", now))
         else:
-            self._sound_s = 0.0
-        if state in ("ready", "armed") and not seen.inputs.dead_man:
-            self._released = True  # a switch that is held all the time, or taped down, does not count
-        if state == "armed" and seen.inputs.dead_man and self._released and sound:
+            self._healthy_s = 0.0
+        if state in ("ready", "armed") and not estimate.inputs.dead_man:
+            self._released = True  # a switch that is always held, or taped down, does not count
+        if state == "armed" and estimate.inputs.dead_man and self._released and valid:
             self._released, self._ran = False, True
             self._neutral_s, self._latch = 0.0, ""
-            self._tell(self.states.on("hold", now))
+            self._announce(self.states.on("hold", now))
             return True
-        if state == "ready" and not self.mode.moves and self.mode.thinks and not self.thinking:
-            self.thinking = True
+        if state == "ready" and not self.mode.moves and self.mode.computes and not self.computing:
+            self.computing = True
             return True
         return False
 
     def allow(self, verdicts: Sequence[Violation], now: int) -> bool:
-        """Whether the valves may still move after what a cycle's own setpoints and commands were found to be."""
-        worst = sternest(verdicts)
+        """Whether the valves may move after the verdicts on the cycle's own setpoints and commands."""
+        worst = most_severe(verdicts)
         if worst is not None and worst.reaction == "stop":
             self._halt(worst, now)
         elif worst is not None and worst.reaction == "fault":
@@ -117,71 +117,71 @@ class RunStateMachine:
         return self.states.state != "fault"
 
     def end(self, goal: Goal, now: int) -> None:
-        """The task is over."""
-        self.thinking = False
+        """End the task."""
+        self.computing = False
         if goal.done or not self.mode.moves:
-            self._leave("done" if goal.done else "stopped")
-        self._tell(self.states.on("stop", now, goal.stop))
+            self._finish("done" if goal.done else "stopped")
+        self._announce(self.states.on("stop", now, goal.stop))
 
-    def slowing(self, neutral: bool, seen: StateEstimate, now: int) -> None:
-        """A cycle of a stop, with or without neutral valves."""
+    def braking(self, neutral: bool, estimate: StateEstimate, now: int) -> None:
+        """A cycle of a stop; ``neutral``: the valves are."""
         self._neutral_s = self._neutral_s + self.dt if neutral else 0.0
-        still = np.isfinite(seen.drive).all() and bool(seen.measured.all())
+        still = np.isfinite(estimate.drive).all() and bool(estimate.measured.all())
         if self._neutral_s >= self.settings.rest_s and self._latch:
             self.fault(self._latch, now)
         elif self._neutral_s >= self.settings.rest_s and still:
-            self._tell(self.states.on("rest", now))
+            self._announce(self.states.on("rest", now))
         elif self._neutral_s > self.settings.rest_within_s:
-            self.fault("nothing says that the machine came to rest", now)
+            self.fault("no sensor confirms that the machine is at rest", now)
 
     def fault(self, why: str, now: int) -> None:
-        self._tell(self.states.on("fault", now, why))
+        self._announce(self.states.on("fault", now, why))
 
-    def over(self, elapsed_ns: int, now: int) -> bool:
-        """Whether the run is, ``elapsed_ns`` after its beginning."""
+    def is_over(self, elapsed_ns: int, now: int) -> bool:
+        """Whether the run is over, ``elapsed_ns`` after its beginning."""
         settings, state = self.settings, self.states.state
         waited_s = (now - self.states.entered_ns) / SECOND
         if not self.operator.stays:
-            if state == "fault":  # neutral is said for a while, so that it is heard
-                self._leaving, self.outcome.ended = True, "fault"
+            if state == "fault":  # neutral commands are sent for a while
+                self._finishing, self.outcome.ended = True, "fault"
                 return waited_s >= settings.rest_s
             if self._ran and state == "ready":
-                self._leave("stopped")
+                self._finish("stopped")
             if state == "idle" and waited_s >= settings.ready_within_s:
-                self.states.why = self._wrong or "nothing says that the machine is sound"
-                self._leave("stopped")
-        if settings.seconds is not None and elapsed_ns >= settings.seconds * SECOND and not self._leaving:
-            self._leave("time")
-            self._tell(self.states.on("stop", now, f"{settings.seconds:g} s are over"))
-        if self._leaving and not self.states.moving:
+                self.states.why = self._last_violation or "no sensor confirms that the machine is ready"
+                self._finish("stopped")
+        if settings.seconds is not None and elapsed_ns >= settings.seconds * SECOND and not self._finishing:
+            self._finish("time")
+            self._announce(self.states.on("stop", now, f"{settings.seconds:g} s are over"))
+        if self._finishing and not self.states.moving:
             if self.states.state != "fault":
                 return True
             self.outcome.ended = "fault"
             return waited_s >= settings.rest_s  # see above
         return False
 
-    def broken(self, why: str, now: int) -> None:
-        """The runner itself failed: the run is over."""
-        self._leaving, self.outcome.ended = True, "fault"
+    def crashed(self, why: str, now: int) -> None:
+        """End the run after an error of the runner itself."""
+        self._finishing, self.outcome.ended = True, "fault"
         self.fault(why, now)
 
     def note(self, text: str) -> None:
-        """For the operator, and kept."""
+        """Show ``text`` to the operator, and keep it in the outcome."""
         self.outcome.notes.append(text)
         self.operator.notify(text)
 
     def _halt(self, verdict: Violation, now: int) -> None:
-        """A verdict stops the machine."""
+        """Stop the machine because of ``verdict``."""
         if self.states.state == "running" and verdict.check in LATCHING:
             self._latch = verdict.text
-        self._tell(self.states.on("stop", now, verdict.text))
+        self._announce(self.states.on("stop", now, verdict.text))
 
-    def _leave(self, ended: Ended) -> None:
-        """The run is over as soon as nothing moves any more."""
-        if not self._leaving:
-            self._leaving, self.outcome.ended = True, ended
+    def _finish(self, ended: Ended) -> None:
+        """End the run as soon as nothing moves."""
+        if not self._finishing:
+            self._finishing, self.outcome.ended = True, ended
 
-    def _tell(self, changed: bool) -> bool:
+    def _announce(self, changed: bool) -> bool:
         if changed:
             self.note(f"{self.states.state}" + (f": {self.states.why}" if self.states.why else ""))
         return changed

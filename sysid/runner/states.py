@@ -1,4 +1,4 @@
-"""The states of a run and the events that lead from one to the next; what the table does not have does not happen.
+"""The states of a run and the transitions by events; there are no others than those in the table.
 
 idle → ready → armed → running → stopping → ready        any → fault → (a person's reset) → idle
 """
@@ -10,13 +10,12 @@ from typing import Literal, get_args
 from sysid.errors import InputError
 from sysid.runner.cycle import State
 
-#: ``healthy``/``unhealthy``: everything needed is there and sound, or not. ``hold``: the dead-man switch is taken in hand.
-#: ``rest``: the machine stands still with neutral valves.
+#: ``healthy``/``unhealthy``: everything required is present and valid, or not. ``hold``: the dead-man switch is pressed.
+#: ``rest``: the machine is at rest with neutral valves.
 Event = Literal["healthy", "unhealthy", "arm", "disarm", "hold", "stop", "rest", "fault", "reset"]
-#: Events that only a person causes.
+#: Events that only a person can cause.
 PERSONAL: tuple[Event, ...] = ("arm", "disarm", "hold", "reset")
 STATES: tuple[State, ...] = get_args(State)
-EVENTS: tuple[Event, ...] = get_args(Event)
 
 TABLE: dict[tuple[State, Event], State] = {
     ("idle", "healthy"): "ready",
@@ -35,21 +34,12 @@ TABLE: dict[tuple[State, Event], State] = {
 MOVING: tuple[State, ...] = ("running", "stopping")
 
 
-def following(state: State, event: Event) -> State | None:
-    """The state that ``event`` leads to from ``state``; None where it leads nowhere."""
-    return TABLE.get((state, event))
-
-
 class States:
-    """The state of one run. A fault stays until :meth:`on` is told of a person's reset; why it came is kept.
-
-    Args:
-        state: at first.
-    """
+    """The state of one run. A fault and its reason stay until a person's ``reset``."""
 
     def __init__(self) -> None:
         self.state: State = "idle"
-        #: Why it is in ``fault``, or why it stopped last.
+        #: Reason of the fault, or of the last stop.
         self.why = ""
         self.entered_ns = 0
 
@@ -59,9 +49,9 @@ class States:
         return self.state in MOVING
 
     def on(self, event: Event, now_ns: int, why: str = "") -> bool:
-        """Take ``event``; whether the state is another one now. What leads nowhere from here changes nothing.
+        """Apply ``event``; whether the state has changed. Events without a transition have no effect.
 
-        A second fault while in ``fault`` does not replace the first one's reason.
+        A second fault does not replace the reason of the first.
         """
         found = TABLE.get((self.state, event))
         if found is None or found == self.state:
@@ -74,12 +64,12 @@ class States:
         return True
 
     def demand(self, event: Event, now_ns: int) -> None:
-        """A person's event.
+        """Apply a person's event.
 
         Raises:
-            InputError: it leads nowhere from here.
+            InputError: there is no transition from the present state.
         """
         if not self.on(event, now_ns):
             possible = sorted(name for state, name in TABLE if state == self.state and name in (*PERSONAL, "stop"))
             found = f"{event!r} while {self.state}" + (f" ({self.why})" if self.state == "fault" else "")
-            raise InputError("runner", found, " or ".join(possible) or "nothing: it has to become sound by itself")
+            raise InputError("runner", found, " or ".join(possible) or "nothing: it must become ready by itself")

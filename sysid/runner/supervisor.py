@@ -1,4 +1,4 @@
-"""Separate from whatever requests motion: checks the state estimate, limits commands, and says what has to follow."""
+"""The supervisor, independent of policy and mode: checks the state estimate and limits setpoints and commands."""
 
 from __future__ import annotations
 
@@ -9,12 +9,11 @@ import numpy as np
 import numpy.typing as npt
 
 from sysid.machine import TabulatedLinkage
-from sysid.runner.checks.delay import check_delay
 from sysid.runner.checks.machine import check_machine
 from sysid.runner.checks.motion import MotionChecks
 from sysid.runner.checks.sensors import check_sensors
 from sysid.runner.checks.settings import CheckSettings
-from sysid.runner.command_filter import Broken, CommandFilter, outside
+from sysid.runner.command_filter import CommandFilter, ExceededLimit, outside
 from sysid.runner.cycle import REACTIONS, Reaction, Violation
 from sysid.runner.limits import Limits, SetpointLimiter
 from sysid.runner.state_estimator import StateEstimate
@@ -23,21 +22,21 @@ from sysid.runner.valves import AxisValve, DeadReckoning
 Array = npt.NDArray[np.float64]
 Inside = Callable[[StateEstimate], str]
 
-#: What the broken limits are called for people.
+#: Names of the limits in messages.
 _WORDS = {
     "position": "position", "speed": "speed", "acceleration": "acceleration", "jerk": "jerk", "command": "valve command",
-    "fence": "way of the end effector, outside the fence by",
+    "fence": "distance outside the fence",
 }  # fmt: skip
 
 
 class Supervisor:
-    """Of one run.
+    """The supervisor of one run.
 
     Args:
         axes: names, in order.
         limits, valves, linkages, tip, dt: of the machine.
         checks: of the recipe.
-        inside: says which network is asked beyond its data, "" where none is.
+        inside: a text about the network that extrapolates; "" if none does.
     """
 
     def __init__(
@@ -49,7 +48,7 @@ class Supervisor:
         tip: Callable[[Array], Array],
         dt: float,
         checks: CheckSettings,
-        inside: Inside = lambda seen: "",
+        inside: Inside = lambda estimate: "",
     ) -> None:
         self.axes, self.limits, self.checks, self.dt = tuple(axes), limits, checks, dt
         self.limiter = SetpointLimiter(limits, dt)
@@ -58,30 +57,27 @@ class Supervisor:
         self._held_s = 0.0
 
     def begin(self, joints: Array) -> None:
-        """The valves are let go at ``joints`` (A,)."""
+        """Reset at ``joints`` (A,), before the valves are enabled."""
         self.limiter.reset(joints)
         self.command_filter.reset()
         self._motion.reset()
         self._held_s = 0.0
 
-    def look(self, seen: StateEstimate, moving: bool, drive_setpoints: Array | None) -> list[Violation]:
-        """What is wrong with what is seen.
+    def check(self, estimate: StateEstimate, moving: bool, drive_setpoints: Array | None) -> list[Violation]:
+        """Violations in the state estimate.
 
         Args:
-            moving: whether the valves are let move now.
-            drive_setpoints: of the cycle before, (A,) of what is driven; None where there are none.
+            moving: whether the valves may move.
+            drive_setpoints: of the cycle before, (A,); None without any.
         """
-        found = check_machine(seen, self.checks)
-        found += check_sensors(seen, self.checks, moving)
-        found += self._motion.check(seen, moving, drive_setpoints)
-        if moving and self.checks.on("delay"):
-            found += check_delay(seen, self.checks, self.axes)
-        return found
+        found = check_machine(estimate, self.checks)
+        found += check_sensors(estimate, self.checks, moving)
+        return found + self._motion.check(estimate, moving, drive_setpoints)
 
     def patience(self, verdicts: Sequence[Violation]) -> list[Violation]:
-        """``verdicts``, with a stop added where one has been held for longer than the recipe's patience.
+        """``verdicts``, with a stop added if a hold lasts longer than ``patience_s``.
 
-        A policy that was taken off counts once: the fallback goes on in its place.
+        The hold of a disabled policy does not count: the fallback continues.
         """
         held = [verdict for verdict in verdicts if verdict.reaction == "hold" and verdict.check != "policy"]
         self._held_s = self._held_s + self.dt if held else 0.0
@@ -91,54 +87,58 @@ class Supervisor:
             return [*verdicts, Violation(first.check, first.target, "stop", first.found, first.limit, text)]
         return list(verdicts)
 
-    def setpoints(self, asked: Array) -> tuple[Array, list[Violation]]:
-        """Joint setpoints within their limits (A,) for what is asked for (A,)."""
-        passed, broken = self.limiter.step(asked)
-        return passed, self._verdicts(broken)
+    def setpoints(self, requested: Array) -> tuple[Array, list[Violation]]:
+        """Limited joint setpoints (A,) for requested ones (A,), and violations."""
+        passed, exceeded = self.limiter.step(requested)
+        return passed, self._verdicts(exceeded)
 
     def commands(
-        self, asked: Array, seen: StateEstimate, dead_reckonings: Sequence[DeadReckoning]
+        self, requested: Array, estimate: StateEstimate, dead_reckonings: Sequence[DeadReckoning]
     ) -> tuple[Array, list[Violation]]:
-        """Commands that may be sent (A,) for what is asked for (A,)."""
-        passed, broken = self.command_filter.pass_on(asked, seen.drive, dead_reckonings)
-        return passed, self._verdicts(broken)
+        """Permitted commands (A,) for requested ones (A,), and violations."""
+        passed, exceeded = self.command_filter.filter(requested, estimate.drive, dead_reckonings)
+        return passed, self._verdicts(exceeded)
 
-    def ramp(self, seen: StateEstimate, dead_reckonings: Sequence[DeadReckoning]) -> Array:
+    def ramp(self, estimate: StateEstimate, dead_reckonings: Sequence[DeadReckoning]) -> Array:
         """Commands of a stop, (A,)."""
-        return self.command_filter.ramp(seen.drive, dead_reckonings)
+        return self.command_filter.ramp(estimate.drive, dead_reckonings)
 
-    def beyond(self, seen: StateEstimate) -> str:
-        """Which limit the machine stands beyond, margins left out; "" where it is inside."""
-        for name, q, low, high in zip(self.axes, seen.joints, self.limits.hard_low, self.limits.hard_high, strict=True):
+    def beyond(self, estimate: StateEstimate) -> str:
+        """A text about the limit, without margin, that the machine exceeds; "" if none."""
+        for name, q, low, high in zip(self.axes, estimate.joints, self.limits.hard_low, self.limits.hard_high, strict=True):
             if not low - 1e-6 <= q <= high + 1e-6:
-                return f"{name} stands at {q:.4g}, outside {low:.4g} … {high:.4g}"
+                return f"{name} is at {q:.4g}, outside {low:.4g} … {high:.4g}"
         low, high = self.limits.hard_fence
-        if self.limits.fenced and math.isfinite(seen.ee[0]) and (left := float(outside(seen.ee[None], low, high)[0])) > 0.0:
-            return f"the end effector stands {1e3 * left:.0f} mm outside its fence"
+        if (
+            self.limits.fenced
+            and math.isfinite(estimate.ee[0])
+            and (left := float(outside(estimate.ee[None], low, high)[0])) > 0.0
+        ):
+            return f"the end effector is {1e3 * left:.0f} mm outside its fence"
         return ""
 
-    def policy(self, asked: Array, error: str) -> Violation | None:
-        """What is wrong with an answer of the policy (A,); ``error``: that it gave none."""
+    def policy(self, requested: Array, error: str) -> Violation | None:
+        """The violation in an answer (A,) of the policy, if any; ``error``: why there is no answer."""
         rule = self.checks.policy
-        if error or not np.isfinite(asked).all():
-            return self.no_answer(error or "the policy answers with what is no number")
-        share = np.abs(asked - self.limiter.position) / (self.limits.hard_high - self.limits.hard_low)
+        if error or not np.isfinite(requested).all():
+            return self.no_answer(error or "the policy answers with a number that is not finite")
+        share = np.abs(requested - self.limiter.position) / (self.limits.hard_high - self.limits.hard_low)
         worst = int(np.argmax(share))
         if share[worst] > rule.share:
-            text = f"the policy asks {self.axes[worst]} to jump by {100.0 * share[worst]:.0f} % of its range"
+            text = f"the policy lets {self.axes[worst]} jump by {100.0 * share[worst]:.0f} % of its range"
             return Violation("policy", self.axes[worst], rule.reaction, float(share[worst]), rule.share, text)
         return None
 
     def no_answer(self, text: str, reaction: Reaction | None = None) -> Violation:
-        """Nobody gives setpoints in this cycle; ``reaction``: another one than that of ``checks.policy``."""
+        """The violation of a cycle without an answer; ``reaction``: by default that of ``checks.policy``."""
         return Violation("policy", "machine", reaction or self.checks.policy.reaction, math.nan, math.nan, text)
 
     def expired(self, age_s: float, gap_s: float) -> Violation | None:
-        """Why a command may not be sent any more.
+        """The violation of a command that is too old to be sent, if it is.
 
         Args:
-            age_s: since the readings that it comes from.
-            gap_s: since the last command that let the valves move; 0 where they are neutral.
+            age_s: since its readings.
+            gap_s: since the last command that let the valves move; 0 if they are neutral.
         """
         rule = self.checks.expired
         if gap_s > rule.gap_s:
@@ -150,12 +150,12 @@ class Supervisor:
         return None
 
     def dropped(self, sent: Array) -> None:
-        """The commands of this cycle were not sent: the machine goes on with ``sent`` (A,)."""
+        """The commands of this cycle were not sent: the machine keeps ``sent`` (A,)."""
         self.command_filter.sent = sent.copy()
 
-    def _verdicts(self, broken: Sequence[Broken]) -> list[Violation]:
+    def _verdicts(self, exceeded: Sequence[ExceededLimit]) -> list[Violation]:
         verdicts = []
-        for check, axis, value, limit in broken:
+        for check, axis, value, limit in exceeded:
             if not self.checks.on(check):
                 continue
             target = self.axes[axis] if axis >= 0 else "ee"
@@ -164,11 +164,11 @@ class Supervisor:
         return verdicts
 
 
-def sternest(verdicts: Sequence[Violation]) -> Violation | None:
-    """The verdict with the sternest reaction, the first of equals; None without any."""
+def most_severe(verdicts: Sequence[Violation]) -> Violation | None:
+    """The verdict with the most severe reaction, the first of equals; None without any."""
     return max(verdicts, key=lambda verdict: REACTIONS.index(verdict.reaction), default=None)
 
 
 def at_least(verdicts: Sequence[Violation], reaction: Reaction) -> bool:
-    """Whether any verdict asks for ``reaction`` or more."""
+    """Whether any verdict has ``reaction`` or a more severe one."""
     return any(REACTIONS.index(verdict.reaction) >= REACTIONS.index(reaction) for verdict in verdicts)

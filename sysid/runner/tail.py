@@ -1,6 +1,6 @@
-"""The messages of an MCAP file that somebody is still writing: those that are new, as often as one asks.
+"""New messages of an MCAP file that is still being written.
 
-What is not whole yet is left for the next time. The file may lose an unfinished end again, as a full disk makes a writer do.
+Incomplete records are read later. The file may be truncated to its last complete record, as by a writer on a full disk.
 Source: MCAP specification (mcap.dev/spec).
 """
 
@@ -20,12 +20,12 @@ from mcap_ros2.decoder import DecoderFactory
 from sysid.errors import InputError
 from sysid.runner.mcap_pieces import MAGIC
 
-#: Opcode and length before every record.
+#: Bytes of opcode and length before every record.
 _HEAD = 9
 
 
 class LogMessage(NamedTuple):
-    """A message: topic, when it was recorded [ns], its fields as attributes."""
+    """A message: topic, time of recording [ns], and a body with its fields as attributes."""
 
     topic: str
     log_ns: int
@@ -33,11 +33,10 @@ class LogMessage(NamedTuple):
 
 
 class Tail:
-    """Of one file.
+    """The reader of one file.
 
     Args:
-        path: of the file.
-        topics: whose messages are wanted.
+        topics: of the messages to read.
 
     Raises:
         InputError: it is no MCAP file.
@@ -45,7 +44,7 @@ class Tail:
 
     def __init__(self, path: Path, topics: frozenset[str]) -> None:
         self.path, self._topics, self._at = path, topics, len(MAGIC)
-        #: The writer has written its end.
+        #: Whether the end of the file was read.
         self.finished = False
         self._schemas: dict[int, Schema] = {}
         self._channels: dict[int, Channel] = {}
@@ -55,7 +54,7 @@ class Tail:
                 raise InputError(str(path), "no MCAP file", "a flight log of the runner")
 
     def new(self) -> list[LogMessage]:
-        """Messages since the last time; none any more where the log was taken away, as that of a run that never began is."""
+        """Messages since the last call; the file is finished if it was removed, as the log of a run without a cycle is."""
         try:
             with self.path.open("rb") as file:
                 file.seek(self._at)

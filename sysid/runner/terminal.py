@@ -1,7 +1,7 @@
-"""The terminal as the runner uses it: threads read and write, so that one that is stopped, slow or closed holds up nothing.
+"""The terminal of the runner: threads read and write, so that a stopped, slow or closed terminal does not delay the loop.
 
-A terminal stops taking output for as long as somebody likes (Ctrl-S, a frozen ssh). The loop hands a line over and goes on;
-lines for which there is no room any more are counted. A terminal that is gone (end of file, an error) ends the run.
+A terminal may stop its output for any time (Ctrl-S, a frozen ssh). Lines wait in a queue; lines beyond its capacity are counted
+and lost. The end of the terminal (end of file, an error) ends the run.
 """
 
 from __future__ import annotations
@@ -16,16 +16,16 @@ from queue import Empty, SimpleQueue
 
 from sysid.runner.cycle import State
 
-#: So many lines wait for a terminal that takes none.
+#: Most waiting lines.
 WAITING = 2000
-#: Longest that a run which is over waits for its last lines to be taken [s].
+#: Longest wait for the last lines at the end of a run [s].
 FLUSH_S = 1.0
-#: A line that is typed is cut off here [characters].
+#: Longest typed line [characters].
 LONGEST = 256
 
 
 class Console:
-    """Writes to a file descriptor by a thread; :meth:`say` never waits.
+    """Writes to a file descriptor in a thread; :meth:`write` never waits.
 
     Args:
         descriptor: of the terminal, pipe or file; standard error by default.
@@ -34,20 +34,20 @@ class Console:
     def __init__(self, descriptor: int = 2) -> None:
         self._descriptor = descriptor
         self._queue: SimpleQueue[str | None] = SimpleQueue()
-        #: What ended the writing; "" while it goes on. ``lost``: lines that found no room.
-        self.gone, self.lost = "", 0
+        #: The error that ended the writing, or ""; number of lost lines.
+        self.error, self.lost = "", 0
         self._thread = threading.Thread(target=self._write, name="console", daemon=True)
         self._thread.start()
 
-    def say(self, text: str) -> None:
-        """Hand ``text`` over as it is."""
-        if self.gone or self._queue.qsize() >= WAITING:
+    def write(self, text: str) -> None:
+        """Queue ``text`` unchanged."""
+        if self.error or self._queue.qsize() >= WAITING:
             self.lost += 1
         else:
             self._queue.put(text)
 
     def close(self) -> None:
-        """Wait a moment until everything is written; a terminal that takes nothing is left alone. May be called again."""
+        """Wait for the queue, at most :data:`FLUSH_S`. May be called again."""
         self._queue.put(None)
         self._thread.join(FLUSH_S)
 
@@ -57,15 +57,15 @@ class Console:
             while data:
                 try:
                     data = data[os.write(self._descriptor, data) :]
-                except BlockingIOError:  # a shell has set it so
+                except BlockingIOError:  # a shell has made it non-blocking
                     select.select([], [self._descriptor], [], 1.0)
                 except OSError as error:
-                    self.gone = error.strerror or str(error)
+                    self.error = error.strerror or str(error)
                     return
 
 
 class _Stream(io.TextIOBase):
-    """What libraries print and warn, by way of a console."""
+    """Output of libraries, written to a console."""
 
     def __init__(self, console: Console) -> None:
         self._console = console
@@ -74,24 +74,24 @@ class _Stream(io.TextIOBase):
         return True
 
     def write(self, text: str) -> int:
-        self._console.say(text)
+        self._console.write(text)
         return len(text)
 
 
 @contextlib.contextmanager
-def through(console: Console) -> Iterator[None]:
-    """Inside, ``sys.stdout`` and ``sys.stderr`` are ``console``: a warning of some library waits for no terminal either."""
+def redirected_output(console: Console) -> Iterator[None]:
+    """Redirect ``sys.stdout`` and ``sys.stderr`` to ``console``, so that output of libraries does not wait for a terminal."""
     stream = _Stream(console)
     with contextlib.redirect_stdout(stream), contextlib.redirect_stderr(stream):
         yield
 
 
 class Terminal:
-    """An operator at a terminal: typed lines in, lines out.
+    """An operator at a terminal.
 
     Args:
-        console: takes what is told.
-        descriptor: that is read, standard input by default.
+        console: for output.
+        descriptor: for input, standard input by default.
     """
 
     stays = True
@@ -102,25 +102,25 @@ class Terminal:
         self._left = False
         threading.Thread(target=self._read, name="terminal", daemon=True).start()
 
-    def words(self, state: State, now_ns: int) -> Sequence[str]:
-        said: list[str] = []
+    def commands(self, state: State, now_ns: int) -> Sequence[str]:
+        commands: list[str] = []
         with contextlib.suppress(Empty):
-            while len(said) < 16:
-                said.append(self._typed.get_nowait())
-        if self.console.gone and not self._left:
+            while len(commands) < 16:
+                commands.append(self._typed.get_nowait())
+        if self.console.error and not self._left:
             self._left = True
-            said.append(f"quit: the terminal is closed ({self.console.gone})")
-        return said
+            commands.append(f"quit: the terminal is closed ({self.console.error})")
+        return commands
 
     def notify(self, text: str) -> None:
-        self.console.say(text + "\n")
+        self.console.write(text + "\n")
 
     def _read(self) -> None:
         half, why = "", "end of file"
         while True:
             try:
                 fresh = os.read(self._descriptor, 4096).decode("utf-8", "replace")
-            except BlockingIOError:  # a shell has set it so
+            except BlockingIOError:  # a shell has made it non-blocking
                 select.select([self._descriptor], [], [], 1.0)
                 continue
             except OSError as error:
@@ -132,5 +132,5 @@ class Terminal:
             for line in lines:
                 if (word := line.strip().lower()) and self._typed.qsize() < WAITING:
                     self._typed.put(word[:LONGEST])
-        # Whoever could stop it is gone.
+        # Without input nobody can stop the run.
         self._typed.put(f"quit: the terminal is closed ({why})")

@@ -1,4 +1,4 @@
-"""What connects the runner to a machine: newest readings in, commands out, and the clock that both go by."""
+"""The interface between runner and machine: newest readings, commands, and their clock."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ class Measurement:
 
     Args:
         value: SI.
-        measured_ns: when it was measured, on the machine's clock where the machine says so; else when it came.
-        received_ns: when the runner got it, on the transport's clock.
-        count: how many came so far; one that stands still says that nothing comes any more.
+        measured_ns: time of the measurement if the machine states it, else of the arrival, on the transport's clock.
+        received_ns: time of the arrival, on the transport's clock.
+        count: number of values so far; constant without new values.
     """
 
     value: float
@@ -31,12 +31,12 @@ class Measurement:
 
 @dataclass(frozen=True, slots=True)
 class MachineInputs:
-    """What a person, or the machine itself, says besides signals.
+    """Switches and faults of the machine.
 
     Args:
-        dead_man: somebody holds the dead-man switch.
+        dead_man: the dead-man switch is held.
         emergency_stop: the emergency stop is pressed.
-        fault: what the machine's side or the line to it reports; "" where all is well.
+        fault: of the machine or the line; "" without one.
     """
 
     dead_man: bool
@@ -44,12 +44,12 @@ class MachineInputs:
     fault: str = ""
 
 
-#: Nobody there: as safe as it gets.
-NOBODY = MachineInputs(dead_man=False, emergency_stop=False)
+#: The safe state of the switches, without a person.
+RELEASED_INPUTS = MachineInputs(dead_man=False, emergency_stop=False)
 
 
 class Transport(Protocol):
-    """A machine within reach. Valves are neutral unless a fresh ``write`` with ``enabled`` says otherwise."""
+    """A connected machine. Valves are neutral without a recent ``write`` with ``enabled``."""
 
     @property
     def signals(self) -> tuple[str, ...]:
@@ -65,39 +65,39 @@ class Transport(Protocol):
         """Connect.
 
         Raises:
-            InputError, SettingsError: no such machine, or it speaks another language.
+            InputError, SettingsError: no machine, or one that does not fit the settings.
         """
         ...
 
     def read(self) -> tuple[Mapping[str, Measurement], MachineInputs]:
-        """Newest readings and inputs; never blocks. A signal of which nothing came yet is missing."""
+        """Newest readings and inputs; never blocks. A signal without a value so far is missing."""
         ...
 
     def write(self, commands: Array, enabled: bool) -> None:
         """Commands (axes,) in [-1, 1]; with ``enabled`` false the fail-safe state: valves neutral whatever the commands.
 
         Raises:
-            OSError: they cannot be sent. Whoever called has to take it that the machine does not hear him any more.
+            OSError: they cannot be sent; the machine may not receive any further ones.
         """
         ...
 
     def close(self) -> None:
-        """Leave the machine neutral and let go of it; may be called again."""
+        """Set the machine to neutral and disconnect; may be called again."""
         ...
 
     def now_ns(self) -> int:
-        """Monotonic clock of the loop; the simulated clock for a machine in process."""
+        """Monotonic clock of the loop; simulated for a simulated machine."""
         ...
 
     def wait_until(self, ns: int) -> None:
-        """Return at ``ns`` on that clock, or at once where it is past; a simulated clock is brought there."""
+        """Return at ``ns`` on that clock, or at once if it is past; a simulated clock advances to it."""
         ...
 
 
 @runtime_checkable
 class Settable(Protocol):
-    """A machine without people at it, whose switches a program holds: simulations."""
+    """A simulated machine, whose switches a program can set."""
 
     def set_inputs(self, dead_man: bool | None = None, emergency_stop: bool | None = None) -> None:
-        """Hold or release the dead-man switch, press or release the emergency stop; None leaves it."""
+        """Set the dead-man switch and the emergency stop; None leaves them unchanged."""
         ...

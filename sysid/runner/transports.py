@@ -1,4 +1,4 @@
-"""Kinds of ``[transport]``: a name in the recipe → what builds it. Further kinds are entries of :data:`TRANSPORTS`."""
+"""Kinds of ``[transport]``; further kinds are entries of :data:`TRANSPORTS`."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from sysid.config import STRICT, parse_settings
+from sysid.config import Strict, parse_settings
 from sysid.errors import SettingsError, nearest
 from sysid.plant import plant_from_files
 from sysid.registry import Registry
@@ -20,22 +20,23 @@ from sysid.runner.transport import Transport
 
 @dataclass(frozen=True)
 class OpenTransport:
-    """A transport, and whether nobody can be hurt at its other end: a simulated machine with switches of ours.
+    """A transport and its properties.
 
     Args:
-        wired: there is a bus between, on which something may be swapped, turned round or out of scale.
-        remarks: what the machine's side cannot check, a sentence each.
+        simulated: a simulated machine, whose switches a program may set.
+        wired: it has a bus, on which signals may be swapped, reversed or wrongly scaled.
+        remarks: what the machine cannot check, one sentence each.
     """
 
     transport: Transport
-    stand_in: bool
+    simulated: bool
     wired: bool = True
     remarks: tuple[str, ...] = ()
 
 
 Build = Callable[[dict[str, Any], Assembly, Registry], OpenTransport]
 
-#: ``module:function``, imported when it is asked for.
+#: ``module:function``, imported on demand.
 TRANSPORTS: dict[str, str] = {
     "simulated": "sysid.runner.transports:simulated",
     "can": "sysid.runner.transports:can",
@@ -44,10 +45,10 @@ TRANSPORTS: dict[str, str] = {
 
 
 def connect(assembly: Assembly, registry: Registry) -> OpenTransport:
-    """The line of a recipe, not yet open.
+    """The transport of a recipe, not yet open.
 
     Raises:
-        SettingsError: an unknown kind, or what that kind objects to.
+        SettingsError: an unknown kind, or invalid settings of that kind.
     """
     values = dict(assembly.recipe.transport)
     kind = str(values.pop("kind"))
@@ -59,16 +60,14 @@ def connect(assembly: Assembly, registry: Registry) -> OpenTransport:
 
 
 @dataclass(frozen=True)
-class SimulatedSettings:
+class SimulatedSettings(Strict):
     """``[transport] kind = "simulated"``.
 
     Args:
-        plant: version that plays the machine; else the one that the controller knows.
-        joints: where it stands at first [rad or m]; else in the middle, or where the path begins.
-        noise: sensors have that of the machine's description; ``seed`` of it.
+        plant: version that simulates the machine; by default the controller's.
+        joints: initial ones [rad or m]; by default the start of the path, or the middle of the limits.
+        noise: sensors have the noise of the machine's description; ``seed`` of it.
     """
-
-    __pydantic_config__ = STRICT
 
     plant: str = ""
     joints: tuple[float, ...] = ()
@@ -77,7 +76,7 @@ class SimulatedSettings:
 
 
 def simulated(values: dict[str, Any], assembly: Assembly, registry: Registry) -> OpenTransport:
-    """The machine in process."""
+    """The simulated machine."""
     settings = parse_settings(values, SimulatedSettings, "transport")
     plant = assembly.loaded.plant
     if settings.plant:
@@ -89,12 +88,12 @@ def simulated(values: dict[str, Any], assembly: Assembly, registry: Registry) ->
     if joints.shape != (len(plant.machine.axes),):
         raise SettingsError("transport.joints", f"{len(joints)} values", f"{len(plant.machine.axes)}")
     return OpenTransport(
-        SimulatedTransport(plant, joints, noise=settings.noise, seed=settings.seed), stand_in=True, wired=False
+        SimulatedTransport(plant, joints, noise=settings.noise, seed=settings.seed), simulated=True, wired=False
     )
 
 
 def can(values: dict[str, Any], assembly: Assembly, registry: Registry) -> OpenTransport:
-    """A machine on a CAN bus; one with a control pipe is the simulated test bench, whose switches the pipe holds."""
+    """A machine on a CAN bus; with a control pipe, the simulated test bench."""
     from sysid.runner.can import CanSettings, CanTransport
 
     where = "transport"
@@ -109,9 +108,9 @@ def can(values: dict[str, Any], assembly: Assembly, registry: Registry) -> OpenT
         valves={axis: settings.valves[axis] for axis in axes},
     )
     transport = CanTransport(settings, where)
-    return OpenTransport(transport, stand_in=settings.control is not None, remarks=transport.remarks)
+    return OpenTransport(transport, simulated=settings.control is not None, remarks=transport.remarks)
 
 
 def slcan(values: dict[str, Any], assembly: Assembly, registry: Registry) -> OpenTransport:
-    """The same through an adapter on a serial line."""
+    """A machine on a CAN bus, through an adapter on a serial line."""
     return can(values | {"interface": "slcan"}, assembly, registry)

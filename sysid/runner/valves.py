@@ -1,6 +1,6 @@
-"""What each valve makes of a command, and back: the plain numbers behind barriers, ramps and dead reckoning.
+"""Valve characteristics in both directions, for command filter, ramps and dead reckoning.
 
-Speeds are of what the command drives [m/s or rad/s]. Nothing here follows a setpoint: that is the cylinder controller's.
+Speeds are those of what the command drives [m/s or rad/s].
 """
 
 from __future__ import annotations
@@ -14,15 +14,15 @@ import numpy.typing as npt
 
 from sysid.control import AxisTuning
 
-#: One, or one of each of many.
+#: A number or an array.
 Speed = TypeVar("Speed", float, npt.NDArray[np.float64])
 
-#: Below this share of the top speed a valve counts as shut.
+#: Below this share of the top speed a valve counts as closed.
 SHUT = 1e-3
 
 
 class AxisValve:
-    """One axis.
+    """The valve of one axis.
 
     Args:
         tuning: of the cylinder controller.
@@ -36,11 +36,11 @@ class AxisValve:
         self.low, self.high = tuning.low, tuning.high
         self.fastest = tuning.fastest
         #: Steps from a command to its motion.
-        self.late = max(1, math.ceil(tuning.dead_time / dt - 1e-9))
+        self.dead_steps = max(1, math.ceil(tuning.dead_time / dt - 1e-9))
         self.rate = tuning.rate
 
     def speed(self, command: float) -> float:
-        """Speed at ``command`` once it has come through."""
+        """Speed at ``command`` after the dead time."""
         if command > self.positive:
             return float(self.up * min(self.limit, (command - self.positive) ** self.exponent))
         if command < -self.negative:
@@ -48,7 +48,7 @@ class AxisValve:
         return 0.0
 
     def command(self, speed: float) -> float:
-        """The command for ``speed``, in [-1, 1]; zero where it is hardly any."""
+        """The command for ``speed``, in [-1, 1]; zero below :data:`SHUT`."""
         top = self.up if speed > 0.0 else self.down
         if abs(speed) <= SHUT * top:
             return 0.0
@@ -57,51 +57,51 @@ class AxisValve:
         return math.copysign(min(found, 1.0), speed)
 
 
-def braked(distance: float, after: float, braking: float) -> float:
-    """The highest speed from which a stop that begins ``after`` seconds from now ends within ``distance``: v·t + v²/2a = d."""
+def braking_speed(distance: float, after: float, braking: float) -> float:
+    """Highest speed for which a stop that begins ``after`` seconds from now ends within ``distance``: v·t + v²/2a = d."""
     if distance <= 0.0:
         return 0.0
     return braking * (math.sqrt(after * after + 2.0 * distance / braking) - after)
 
 
-def stopping(speed: Speed, after: float, braking: float) -> Speed:
-    """How far a stop goes that begins ``after`` seconds from now, with the sign of ``speed``."""
+def stopping_distance(speed: Speed, after: float, braking: float) -> Speed:
+    """Distance of a stop that begins ``after`` seconds from now, with the sign of ``speed``."""
     return speed * after + abs(speed) * speed / (2.0 * braking)
 
 
 class DeadReckoning:
-    """Where an axis must be by its commands: dead reckoning that leans on the sensor.
+    """Position of an axis by its commands, corrected by the sensor.
 
     Args:
         valve: of the axis.
         dt: of a step [s].
-        lean: time constant of leaning on the sensor [s].
+        time_constant: of the correction [s].
     """
 
-    def __init__(self, valve: AxisValve, dt: float, lean: float) -> None:
-        self.valve, self.dt, self.lean = valve, dt, lean
+    def __init__(self, valve: AxisValve, dt: float, time_constant: float) -> None:
+        self.valve, self.dt, self.time_constant = valve, dt, time_constant
         self.position = math.nan
-        self.pending: list[float] = [0.0] * valve.late
+        self.pending: list[float] = [0.0] * valve.dead_steps
 
     def reset(self, position: float) -> None:
-        """At rest at ``position``."""
-        self.position, self.pending = position, [0.0] * self.valve.late
+        """Reset to rest at ``position``."""
+        self.position, self.pending = position, [0.0] * self.valve.dead_steps
 
     def step(self, command: float) -> None:
-        """A step with ``command`` (neutral: zero) is over."""
+        """Record a step with ``command`` (neutral: zero)."""
         self.position += self.pending[-1] * self.dt
         self.pending = [self.valve.speed(command), *self.pending[:-1]]
         self.position = min(max(self.position, self.valve.low), self.valve.high)
 
     def correct(self, measured: float) -> None:
-        """Lean on what a sound sensor says."""
-        self.position += (measured - self.position) * min(1.0, self.dt / self.lean)
+        """Correct by a valid measurement."""
+        self.position += (measured - self.position) * min(1.0, self.dt / self.time_constant)
 
-    def ahead(self, sign: float) -> float:
-        """How far commands already given will move it in the direction ``sign``; never less than nothing."""
+    def pending_travel(self, sign: float) -> float:
+        """Travel in the direction ``sign`` by commands within the dead time; at least zero."""
         return sum(max(0.0, sign * speed) for speed in self.pending) * self.dt
 
 
-def valves(tuning: Sequence[AxisTuning], dt: float) -> tuple[AxisValve, ...]:
-    """Of all axes."""
+def axis_valves(tuning: Sequence[AxisTuning], dt: float) -> tuple[AxisValve, ...]:
+    """The valves of all axes."""
     return tuple(AxisValve(item, dt) for item in tuning)

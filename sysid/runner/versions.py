@@ -1,4 +1,4 @@
-"""The versions that a run is made of: loaded, promoted or accepted by name, and of this very machine."""
+"""The model versions of a run: loaded, promoted or accepted by name, and of this machine."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ from sysid.runner.recipe import KINEMATIC, RunnerRecipe
 
 @dataclass(frozen=True)
 class LoadedVersions:
-    """What runs.
+    """The loaded versions.
 
     Args:
         policy: None: inverse kinematics.
-        actuators: axis → network, where the plant's linkages came from one.
-        versions: of all of them, for the log.
-        remarks: what somebody should know, a sentence each.
+        actuators: axis → network, if the plant's linkages come from networks.
+        versions: all of them, for the log.
+        remarks: for the operator, one sentence each.
     """
 
     plant: Plant
@@ -41,7 +41,7 @@ def load(registry: Registry, recipe: RunnerRecipe, machine: Machine, where: obje
 
     Raises:
         StoreError: no such version, or one of another kind.
-        SettingsError: of another machine, or never promoted and not named in ``versions.unpromoted``.
+        SettingsError: a version of another machine, or one that was never promoted and is not in ``versions.unpromoted``.
     """
     wanted = recipe.versions
     plant, forward = load_versions(registry, wanted.plant, wanted.forward)
@@ -64,10 +64,10 @@ def load(registry: Registry, recipe: RunnerRecipe, machine: Machine, where: obje
 
 
 def check_machine(own: Machine, machine: Machine, what: str, where: object) -> None:
-    """Refuse a version that was made for another machine, or for this one before it was rebuilt.
+    """Check that a version was made for this machine as it is.
 
     Raises:
-        SettingsError: naming what differs.
+        SettingsError: names what differs.
     """
     pairs = [
         ("its name", own.name, machine.name),
@@ -78,7 +78,7 @@ def check_machine(own: Machine, machine: Machine, what: str, where: object) -> N
         for axis, twin in zip(own.axes, machine.axes, strict=True):
             for key in ("joint", "actuation", "drives", "gain", "stroke", "limits", "linkage"):
                 pairs.append((f"{key} of {axis.name}", getattr(axis, key), getattr(twin, key)))
-    pairs.append(("its URDF", _lines(own.urdf_text), _lines(machine.urdf_text)))
+    pairs.append(("its URDF", _stripped(own.urdf_text), _stripped(machine.urdf_text)))
     for name, one, other in pairs:
         if one != other:
             found = f"was made for another machine: {name} is " + ("another" if name == "its URDF" else f"{one!r}")
@@ -89,7 +89,7 @@ def check_machine(own: Machine, machine: Machine, what: str, where: object) -> N
 def _policy_lineage(
     registry: Registry, policy: ModelVersion, others: list[ModelVersion], machine: Machine, where: object
 ) -> list[str]:
-    """What is to be said of the versions that a policy was trained on; refused where these are of another machine."""
+    """Remarks on the versions that a policy was trained on; those of another machine are refused."""
     remarks = []
     for kind, running in zip(("plant", "forward"), others, strict=False):
         trained = str(policy.lineage.get(kind, ""))
@@ -128,5 +128,5 @@ def _check_promoted(versions: list[ModelVersion], accepted: tuple[str, ...], whe
             )
 
 
-def _lines(text: str | None) -> list[str]:
+def _stripped(text: str | None) -> list[str]:
     return [line.rstrip() for line in (text or "").splitlines()]

@@ -31,7 +31,7 @@ TOUCH = 1e-6
 class Wild:
     """Asks for anything: targets and joints that jump, extremes, no numbers, or valves wide open."""
 
-    name, moves, writes, thinks = "wild", True, True, True
+    name, moves, writes, computes = "wild", True, True, True
 
     def __init__(self, rng: np.random.Generator, limits: Limits) -> None:
         self._rng, self._limits = rng, limits

@@ -23,13 +23,13 @@ from sysid.runner.cycle import Cycle
 from sysid.runner.faults import FaultyTransport, Injection
 from sysid.runner.limits import Limits, LimitSettings, limits_of
 from sysid.runner.loop import Loop
-from sysid.runner.loop_settings import LoopSettings
 from sysid.runner.modes.mode import Mode
 from sysid.runner.operator import Operator, Unattended
+from sysid.runner.recipe import LoopSettings
 from sysid.runner.simulated import SimulatedTransport
 from sysid.runner.state_estimator import StateEstimator
 from sysid.runner.supervisor import Supervisor
-from sysid.runner.valves import valves
+from sysid.runner.valves import axis_valves
 
 Array = npt.NDArray[np.float64]
 DT = 0.01
@@ -60,12 +60,12 @@ def inverse() -> InverseKinematics:
 class Traced(SimulatedTransport):
     """Keeps the truth of every step."""
 
-    def _sense(self) -> None:
-        super()._sense()
+    def measure(self) -> None:
+        super().measure()
         if not hasattr(self, "joints"):
             self.joints, self.ends, self.drives, self.opened = [], [], [], []
         # Whether a valve was open in the step.
-        self.opened.append(bool(not self.neutral and self._commands.any()))
+        self.opened.append(bool(not self.neutral and self.commands.any()))
         self.joints.append(self.truth.joints[0])
         self.ends.append(self.truth.ee[0])
         self.drives.append(self.truth.drive[0])
@@ -178,7 +178,7 @@ def case(
     transport = FaultyTransport(machine, tuple(plan))
     ahead = response_time(PLANT) if lookahead is None else lookahead
     chain = ControlChain(PLANT, Quick(PLANT), inverse(), policy=policy, lookahead=round(ahead, 2))
-    parts = valves(tune(PLANT), DT)
+    parts = axis_valves(tune(PLANT), DT)
     bounds = limits_of(PLANT, parts, limits or LimitSettings(), "test")
     rules = checks or CheckSettings()
     estimator = StateEstimator(PLANT, parts, DT, transport.signals, rules)

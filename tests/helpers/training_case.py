@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from typing import Any
 
 from crane_model import Perfect, crane_plant
@@ -40,4 +41,10 @@ def recipe(**parts: Any) -> TrainingRecipe:
 
 
 def trainer(settings: TrainingRecipe) -> Trainer:
-    return Trainer(*environments(settings, PLANT, FORWARD, judged=16), settings)
+    return Trainer(*environments(settings, PLANT, FORWARD, evaluation_copies=16), settings)
+
+
+def steps(each: Trainer, count: int) -> None:
+    """``count`` steps of a training."""
+    for _ in itertools.islice(each.train(), count):
+        pass

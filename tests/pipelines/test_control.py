@@ -11,7 +11,7 @@ from crane_model import Perfect, crane_plant
 
 from sysid.control import AxisTuning, tune
 from sysid.machine import KnownEffect
-from sysid.rl.tracking_task import lay_out
+from sysid.rl.tracking_task import plan_tracking
 
 PLANT = crane_plant(KnownEffect("backlash", "slew", {"width": 0.01}, "drive"))
 
@@ -26,7 +26,7 @@ def changed(one: tuple[AxisTuning, ...], other: tuple[AxisTuning, ...]) -> set[s
 
 
 def test_each_row_has_one_thing_more(pipeline: Callable[[str], ModuleType]) -> None:
-    course = lay_out(PLANT, Perfect(PLANT), "circle", full=True, centre=(0.85, 0.0, 0.3))
+    course = plan_tracking(PLANT, Perfect(PLANT), "circle", full=True, centre=(0.85, 0.0, 0.3))
     rows = pipeline("control").stages(course, tune(crane_plant()))
     steps = [changed(one[1], other[1]) for one, other in itertools.pairwise(rows)]
     assert steps[0] <= {"up", "down", "exponent", "positive", "negative", "limit", "creep"}

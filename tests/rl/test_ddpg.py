@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import torch
 from crane_model import Perfect
-from training_case import FORWARD, PLANT, recipe, trainer
+from training_case import FORWARD, PLANT, recipe, steps, trainer
 
 from sysid.errors import SettingsError
 from sysid.networks.batch import unpack
@@ -144,10 +144,10 @@ def test_the_best_candidate_is_executed() -> None:
     for each in (many, one):
         found = []
         for _ in range(20):
-            actions = each.explored()
+            actions = each.explore()
             assert (actions >= each.environment.action_low).all()
             assert (actions <= each.environment.action_high).all()
-            found.append(np.linalg.norm(FORWARD.predict(actions) - each.environment.targets(each._now), axis=1))
+            found.append(np.linalg.norm(FORWARD.predict(actions) - each.environment.targets(each.observations), axis=1))
         away.append(np.mean(found))
     assert away[0] < 0.85 * away[1]
 
@@ -159,7 +159,7 @@ def test_candidates_are_judged_by_the_forward_model_and_not_by_the_plant(monkeyp
         trainer(recipe(exploration={"candidates": 20, "sigma": 0.5})),
     )
     monkeypatch.setattr(other.environment, "predicted", lambda seen, actions: -FORWARD.predict(actions))
-    assert not np.array_equal(mine.explored(), other.explored())
+    assert not np.array_equal(mine.explore(), other.explore())
 
 
 def test_noise_spreads_as_its_equation_says() -> None:
@@ -188,13 +188,12 @@ def test_noise_starts_anew_with_an_episode() -> None:
 
 def test_other_targets_give_the_rewards_that_they_would_have_given() -> None:
     each = trainer(recipe(learning={"hindsight": 0.75}))
-    for _ in range(12):
-        each._turn(lambda *_: None)
-    parts, task = each.parts, Task()
+    steps(each, 12)
+    parts, task = each.slices, Task()
     rows = each.replay.rows[: len(each.replay)].clone()
-    observations, _, rewards, following = (rows[:, part] for part in each.replay.parts)
+    observations, _, rewards, following = (rows[:, part] for part in each.replay.columns)
     before = following[:, parts.target].clone()
-    each._aim_elsewhere(observations, rewards, following)
+    each.relabel(observations, rewards, following)
     count = round(0.75 * len(rows))
     moved = (following[:, parts.target] != before).any(dim=1)
     assert moved[:count].all()
@@ -208,11 +207,10 @@ def test_other_targets_give_the_rewards_that_they_would_have_given() -> None:
 def test_the_end_of_an_episode_is_no_end_of_the_world() -> None:
     """What is kept is where the step led, not where the next episode begins."""
     each = trainer(recipe(learning={"start": 300}))
-    for _ in range(15):
-        each._turn(lambda *_: None)
+    steps(each, 15)
     assert len(each.episodes) == 1
-    ee = each.replay.rows[56:60, each.replay.parts[3]][:, each.parts.ee]
-    actions = each.replay.rows[56:60, each.replay.parts[1]]
+    ee = each.replay.rows[56:60, each.replay.columns[3]][:, each.slices.ee]
+    actions = each.replay.rows[56:60, each.replay.columns[1]]
     np.testing.assert_allclose(ee, FORWARD.predict(actions.double().numpy()), atol=1e-5)
 
 
@@ -222,15 +220,14 @@ def test_targets_of_a_curriculum_move_away_until_they_are_anywhere(full: bool) -
     setting = {"copies": 64, "full": full, "curriculum": 0.5, "task": {"steps": 4, "targets": 2}}
     each = trainer(recipe(setting=setting, learning={"episodes": 64 * 20, "start": 100_000, "buffer": 200_000}))
     asked: list[float] = []
-    parts = each.parts
+    parts = each.slices
 
     def mean_way() -> float:
-        return float(np.linalg.norm(each._now[:, parts.target] - each._now[:, parts.ee], axis=1).mean())
+        return float(np.linalg.norm(each.observations[:, parts.target] - each.observations[:, parts.ee], axis=1).mean())
 
     asked.append(mean_way())
-    while not each.is_done:
-        each._turn(lambda *_: None)
-        asked.append(mean_way() if each.turn % 2 == 0 else np.nan)
+    for _ in each.train():
+        asked.append(mean_way() if each.step_count % 2 == 0 else np.nan)
     way = np.array(asked)
     anywhere = np.nanmean(way[48:])
     assert way[0] < 0.25 * anywhere

@@ -10,7 +10,7 @@ from crane_model import crane, crane_plant
 
 from sysid.errors import InputError, SettingsError
 from sysid.rl.inverse_kinematics import InverseKinematics, chain_of_plant
-from sysid.rl.paths import Path, centre_for, check_reach, circle, floor_of, helix, read_path
+from sysid.rl.paths import Path, centre_for, check_reach, circle, helix, lowest_height, read_path
 from sysid.rl.reach import reach_of
 
 PLANT = crane_plant()
@@ -41,7 +41,7 @@ def test_a_circle_closes() -> None:
 
 
 def test_the_centre_is_where_the_helix_fits_best() -> None:
-    floor = floor_of(crane())
+    floor = lowest_height(crane())
     assert floor == pytest.approx(0.05 + 0.22)  # the gripper hangs 0.22 m below the tip
     centre = centre_for(INVERSE, REACH.ee_low, REACH.ee_high, floor=floor)
     path = helix(centre)
@@ -70,7 +70,7 @@ def test_a_file_is_read_and_put_on_the_grid(tmp_path: File) -> None:
         ("t,x,y,z\n0,1,2,3\n1,1,two,3\n", "line 3: 1,1,two,3; expected four numbers"),
         ("t,x,y,z\n0,1,2,nan\n", "line 2: 0,1,2,nan"),
         ("t,x,y,z\n0,1,2,3\n", "1 points; expected at least two"),
-        ("t,x,y,z\n0,1,2,3\n2,1,2,3\n1.5,1,2,3\n", "time 1.5 s follows 2 s; expected time that rises"),
+        ("t,x,y,z\n0,1,2,3\n2,1,2,3\n1.5,1,2,3\n", "time 1.5 s follows 2 s; expected increasing time"),
     ],
 )
 def test_a_file_that_is_no_path_is_refused(tmp_path: File, text: str, message: str) -> None:

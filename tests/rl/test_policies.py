@@ -233,7 +233,7 @@ def test_the_recipes_are_the_papers() -> None:
         learning = each.learning
         assert (learning.episodes, each.setting.task.steps, learning.buffer, learning.batch) == (1500, 1000, 1_000_000, 1024)
         assert (learning.discount, learning.tau, learning.actor_rate, learning.critic_rate) == (0.99, 1e-3, 1e-3, 1e-3)
-        assert (each.exploration.sigma, each.setting.copies, each.turns) == (0.1, 1, 1_500_000)
+        assert (each.exploration.sigma, each.setting.copies, each.total_steps) == (0.1, 1, 1_500_000)
     assert plain == replace(feedback, name=plain.name, exploration=replace(feedback.exploration, candidates=1))
     assert quick.exploration.candidates == feedback.exploration.candidates
     names = {"name": feedback.name, "plant": feedback.plant, "forward": feedback.forward}
@@ -260,8 +260,8 @@ def test_impossible_recipes_say_why(values: dict[str, Any], message: str) -> Non
 
 
 def test_several_seeds_side_by_side_and_the_error_of_one() -> None:
-    told: list[float] = []
-    assert side_by_side(squared, [(2,), (3,)], 2, lambda share, _: told.append(share)) == [4, 9]
+    record: list[float] = []
+    assert side_by_side(squared, [(2,), (3,)], 2, lambda share, _: record.append(share)) == [4, 9]
     with pytest.raises(SettingsError, match=r"^seed 1: failed; expected luck$"):
         side_by_side(squared, [(1,)], 1)
 
@@ -275,8 +275,8 @@ def test_tensorboard_is_told(tmp_path: Path) -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # of the packages that it brings
         observer, settings = TensorBoard(tmp_path), recipe()
-        with observer.watching(settings, Path("small-seed0-abc"), trainer(settings)):
-            observer.told("evaluation", 40, {"hold_max": 0.5})
+        with observer.opened(Path("small-seed0-abc"), trainer(settings)):
+            observer.record("evaluation", 40, {"hold_max": 0.5})
         from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
         events = EventAccumulator(str(tmp_path / "small-seed0-abc"))

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 import torch
 from test_ddpg import SEEN, assert_same
-from training_case import recipe, trainer
+from training_case import recipe, steps, trainer
 
 from sysid.errors import SettingsError, StorageError, StoreError
 from sysid.rl import replay as replay_module
@@ -30,11 +30,11 @@ def run(
     files = TrainingFiles(folder, every) if folder is not None else None
     if files is not None:
         files.load(each)
-    for turn in each.train():
+    for step_count in each.train():
         if files is not None and files.is_due:
             files.save(each)
         time.sleep(pause)
-        if turn == until:
+        if step_count == until:
             break
     return each
 
@@ -56,14 +56,14 @@ def test_going_on_anywhere_gives_the_same_bits(tmp_path: Path) -> None:
     settings = recipe()
     whole = run(None, settings)
     for until in (3, 22, 121, 200):
-        assert run(tmp_path, settings, until=until).turn == until
+        assert run(tmp_path, settings, until=until).step_count == until
     assert_equal(run(tmp_path, settings), whole)
     assert whole.replay.count == 900 > whole.replay.capacity
 
 
 def test_a_curriculum_goes_on_where_it_was(tmp_path: Path) -> None:
     settings = recipe(setting={"curriculum": 0.7})
-    assert run(tmp_path, settings, until=121).turn == 121
+    assert run(tmp_path, settings, until=121).step_count == 121
     assert_equal(run(tmp_path, settings), run(None, settings))
 
 
@@ -88,7 +88,7 @@ def test_a_killed_process_is_resumed_to_the_same_bits(tmp_path: Path) -> None:
         assert (tmp_path / STATE).exists()
     begun = trainer(settings)
     TrainingFiles(tmp_path).load(begun)
-    assert 80 <= begun.turn < begun.recipe.turns
+    assert 80 <= begun.step_count < begun.recipe.total_steps
     assert_equal(run(tmp_path, settings), run(None, settings))
 
 
@@ -156,8 +156,7 @@ def test_newer_rows_leave_those_of_the_last_checkpoint_alone(tmp_path: Path) -> 
     """A process may die after it wrote rows and before it wrote the checkpoint that counts them."""
     settings = recipe()
     each = run(tmp_path, settings, until=150)
-    for _ in range(60):
-        each._turn(lambda *_: None)
+    steps(each, 60)
     each.replay.save(tmp_path)
     assert_equal(run(tmp_path, settings), run(None, settings))
 
@@ -193,7 +192,7 @@ def test_the_full_path_goes_on_to_the_same_bits_too(tmp_path: Path) -> None:
     setting = {"copies": 2, "full": True, "feedback": "plant", "task": {"steps": 9}}
     settings = recipe(setting=setting, learning={"episodes": 4, "start": 16}, evaluations=1)
     whole = run(None, settings)
-    assert run(tmp_path, settings, until=13).turn == 13
+    assert run(tmp_path, settings, until=13).step_count == 13
     assert_equal(run(tmp_path, settings), whole)
     assert whole.environment.observations > 10
     assert whole.agent.updates > 0

@@ -15,10 +15,10 @@ from sysid.errors import InputError, SettingsError
 from sysid.machine import KnownEffect
 from sysid.rl.kinematic import KinematicEnvironment
 from sysid.rl.paths import Path, helix
-from sysid.rl.record import keep, pictures, table
+from sysid.rl.record import pictures, table, write_results
 from sysid.rl.task import Task
 from sysid.rl.tracking import InversePolicy, track, track_environment
-from sysid.rl.tracking_task import TrackingTask, TruncatedObservationPolicy, lay_out
+from sysid.rl.tracking_task import TrackingTask, TruncatedObservationPolicy, plan_tracking
 
 Array = npt.NDArray[np.float64]
 PLANT = crane_plant(
@@ -30,12 +30,12 @@ CENTRE = (0.85, 0.0, 0.3)
 
 @pytest.fixture(scope="module")
 def still() -> TrackingTask:
-    return lay_out(PLANT, Perfect(PLANT), "helix", centre=CENTRE)
+    return plan_tracking(PLANT, Perfect(PLANT), "helix", centre=CENTRE)
 
 
 @pytest.fixture(scope="module")
 def driven() -> TrackingTask:
-    return lay_out(PLANT, Perfect(PLANT), "circle", full=True, centre=CENTRE)
+    return plan_tracking(PLANT, Perfect(PLANT), "circle", full=True, centre=CENTRE)
 
 
 def test_with_a_perfect_static_plant_inverse_kinematics_is_exact(still: TrackingTask) -> None:
@@ -55,7 +55,7 @@ def test_the_error_is_that_of_the_next_sample() -> None:
 
     points = np.linspace([0.85, 0.0, 0.3], [0.85, 0.05, 0.3], 6)
     path = Path("line", 100.0, points)
-    course = lay_out(PLANT, Perfect(PLANT), "helix", centre=CENTRE)
+    course = plan_tracking(PLANT, Perfect(PLANT), "helix", centre=CENTRE)
     start, _ = course.inverse.reach(points[0], np.random.default_rng(0))
     run = track(track_environment(PLANT, Perfect(PLANT), path), Stay(), path, start)
     np.testing.assert_allclose(run.error[:, 1], -0.01 * np.arange(1, 6), atol=1e-6)
@@ -77,19 +77,19 @@ def test_what_a_path_asks_of_each_axis_is_said(driven: TrackingTask, tmp_path: F
     assert 0.3 < max(driven.demand.values()) < 1.0
     fast = tmp_path / "fast.csv"
     fast.write_text("t,x,y,z\n0,0.85,-0.2,0.3\n0.5,0.85,0.2,0.3\n", "utf-8")
-    course = lay_out(PLANT, Perfect(PLANT), str(fast), full=True)
+    course = plan_tracking(PLANT, Perfect(PLANT), str(fast), full=True)
     assert course.demand["slew"] > 1.5
     assert course.baseline("ik").worst.max() > 0.05
 
 
 def test_the_low_level_controller_decides(driven: TrackingTask) -> None:
-    poor = lay_out(PLANT, Perfect(PLANT), "circle", full=True, centre=CENTRE, tuning=proportional_tuning(PLANT))
+    poor = plan_tracking(PLANT, Perfect(PLANT), "circle", full=True, centre=CENTRE, tuning=proportional_tuning(PLANT))
     assert poor.baseline("ik").after(1.0).rmse.max() > 20.0 * driven.baseline("ik").after(1.0).rmse.max()
 
 
 def test_a_controller_that_feeds_nothing_forward_is_not_told_to_wait() -> None:
     """What is shown to it ahead makes up for some of its lag, instead of being kept until it is due."""
-    poor = lay_out(PLANT, Perfect(PLANT), "circle", full=True, centre=CENTRE, tuning=proportional_tuning(PLANT))
+    poor = plan_tracking(PLANT, Perfect(PLANT), "circle", full=True, centre=CENTRE, tuning=proportional_tuning(PLANT))
     late, ahead = (poor.baseline(name).after(1.0).to_json()["distance_mm"]["rms"] for name in ("ik", "ik-lookahead"))
     assert ahead < 0.9 * late
 
@@ -112,7 +112,7 @@ def test_a_policy_of_the_papers_setting_may_drive_the_full_path(driven: Tracking
 
 def test_what_is_kept_can_be_looked_at(driven: TrackingTask, tmp_path: File) -> None:
     runs = [driven.baseline("ik")]
-    files = keep(tmp_path / "run", PLANT.machine, runs)
+    files = write_results(tmp_path / "run", PLANT.machine, runs)
     assert {"steps of ik", "from above", "error ik", "rerun"} <= set(files)
     rows = pd.read_csv(files["steps of ik"])
     assert list(rows.columns) == list(table(PLANT.machine, runs[0]).columns)
@@ -134,7 +134,7 @@ def test_mistakes_are_named(still: TrackingTask, driven: TrackingTask) -> None:
     with pytest.raises(SettingsError, match="2 copies; expected one"):
         track(KinematicEnvironment(PLANT, Perfect(PLANT), size=2, task=Task(steps=4000)), policy, path, still.start)
     with pytest.raises(SettingsError, match="expected 'helix'"):
-        lay_out(PLANT, Perfect(PLANT), "hellix")
+        plan_tracking(PLANT, Perfect(PLANT), "hellix")
     with pytest.raises(SettingsError, match=r"a path at 50\.0 Hz; expected 100\.0 Hz"):
         track(track_environment(PLANT, Perfect(PLANT), path), policy, helix(CENTRE, 50.0), still.start)
 

@@ -18,15 +18,16 @@ from sysid.machine import KnownEffect
 from sysid.plant import Plant
 from sysid.runner import faults as f
 from sysid.runner.chain import ControlChain
+from sysid.runner.command_filter import CommandFilter
 from sysid.runner.commissioning import keep_record, record_path, require_commissioned
 from sysid.runner.faults import Fault, Injection
 from sysid.runner.limits import Limits
-from sysid.runner.modes.commission import ORDER, Commission, CommissionSettings, StrokeResult
+from sysid.runner.modes.commission import DIRECTIONS, Commission, CommissionSettings, StrokeResult
 from sysid.runner.modes.hold import Hold
 from sysid.runner.recipe import parse_runner
-from sysid.runner.valves import valves
+from sysid.runner.valves import axis_valves
 
-VALVES = valves(tune(PLANT), DT)
+VALVES = axis_valves(tune(PLANT), DT)
 LINKAGES = [PLANT.linkages[axis.name] if axis.drives == "cylinder" else None for axis in PLANT.machine.axes]
 DRIVEN = tuple(axis.driven for axis in PLANT.machine.axes)
 STANDS = {
@@ -44,7 +45,7 @@ def commissioned(
     chosen = CommissionSettings(reference=STANDS) if settings is None else settings
 
     def mode(limits: Limits, chain: ControlChain) -> Commission:
-        return Commission(PLANT.machine, VALVES, LINKAGES, limits, chain.tip, DT, chosen)
+        return Commission(PLANT.machine, CommandFilter(limits, VALVES, LINKAGES, chain.tip, DT), chosen)
 
     made = case(mode, true=true, start=start, seed=seed, settle_s=0.5, plan=[Injection(fault, 0.0) for fault in faults])
     made.loop.warm_up(MIDDLE)
@@ -91,7 +92,7 @@ def _named(fault: Fault, said: str, name: str, *, slow: bool = False) -> Any:
     return pytest.param(fault, said, id=name, marks=[pytest.mark.slow] if slow else [])
 
 
-SWAPPED = "swapped|moves nothing|moves the reading|is off: by reference|its cylinder says|though its valve is neutral"
+SWAPPED = "swapped|moves nothing|moves the reading|is off: by reference|its cylinder gives|though its valve is neutral"
 FAULTS = [
     _named(f.ValvesSwapped(0, 1), SWAPPED, "valves of slew and boom"),
     *[
@@ -104,13 +105,13 @@ FAULTS = [
         for a, b in ((0, 1), (0, 2), (0, 3), (2, 3))
     ],
     *[
-        _named(f.Scaled(DRIVEN[a], -1.0, STANDS[DRIVEN[a]]), "the wrong way", f"sensor {a} turned", slow=a > 0)
+        _named(f.Scaled(DRIVEN[a], -1.0, STANDS[DRIVEN[a]]), "the wrong direction", f"sensor {a} turned", slow=a > 0)
         for a in range(4)
     ],
-    *[_named(f.ValveTurned(a), "the wrong way", f"valve {a} turned", slow=a > 0) for a in range(4)],
+    *[_named(f.ValveTurned(a), "the wrong direction", f"valve {a} turned", slow=a > 0) for a in range(4)],
     *[_named(f.Scaled(DRIVEN[a], 2.0, STANDS[DRIVEN[a]]), TIMES, f"sensor {a} x 2", slow=a > 0) for a in range(4)],
     *[_named(f.Scaled(DRIVEN[a], 0.1, STANDS[DRIVEN[a]]), TIMES, f"sensor {a} / 10", slow=a > 0) for a in range(4)],
-    *[_named(f.Jumped(DRIVEN[a], 0.02), "zero of .* is off|its cylinder says", f"zero {a}", slow=a < 3) for a in range(4)],
+    *[_named(f.Jumped(DRIVEN[a], 0.02), "zero of .* is off|its cylinder gives", f"zero {a}", slow=a < 3) for a in range(4)],
 ]
 
 
@@ -127,7 +128,7 @@ def test_what_is_wrong_from_the_beginning_is_found_slowly(fault: Fault, said: st
 
 def test_a_zero_that_nothing_shows_is_said() -> None:
     made, task = commissioned(settings=CommissionSettings(reference={"boom.cylinder": STANDS["boom.cylinder"]}))
-    assert "nothing shows whether the zero of slew.joint is right" in made.loop.outcome.why
+    assert "no reference for the zero of slew.joint" in made.loop.outcome.why
     assert slow(made)[1] < 1e-3
     assert not task.passed
 
@@ -137,18 +138,19 @@ def test_a_machine_without_room_is_not_moved() -> None:
     start[3] = 0.012
     reference = STANDS | {"telescope.joint": 0.012}
     made, _ = commissioned(settings=CommissionSettings(reference=reference), start=start)
-    assert "telescope has no room for a stroke" in made.loop.outcome.why
+    assert "telescope has no space for a stroke" in made.loop.outcome.why
     assert slow(made)[1] < 1e-3
 
 
 def test_without_its_turns_it_moves_nothing() -> None:
     def mode(limits: Limits, chain: ControlChain) -> Commission:
-        return Commission(PLANT.machine, VALVES, LINKAGES, limits, chain.tip, DT, CommissionSettings(reference=STANDS))
+        command_filter = CommandFilter(limits, VALVES, LINKAGES, chain.tip, DT)
+        return Commission(PLANT.machine, command_filter, CommissionSettings(reference=STANDS))
 
     made = case(mode)
     made.loop.warm_up(MIDDLE)
     made.loop.run()
-    assert "nothing was shown to it" in made.loop.outcome.why
+    assert "it did not receive the cycles" in made.loop.outcome.why
 
 
 RECIPE: dict[str, Any] = {
@@ -171,10 +173,11 @@ def kept(tmp_path: Path) -> Path:
     """A recipe whose machine was commissioned."""
     (tmp_path / "machine.toml").write_text("name")
     (tmp_path / "machine.dbc").write_bytes(b"dbc")
-    task = Commission(PLANT.machine, VALVES, LINKAGES, case(lambda limits, chain: Hold(DT)).limits, Quick(PLANT).predict, DT,
-                      CommissionSettings())  # fmt: skip
+    limits = case(lambda limits, chain: Hold(DT)).limits
+    command_filter = CommandFilter(limits, VALVES, LINKAGES, Quick(PLANT).predict, DT)
+    task = Commission(PLANT.machine, command_filter, CommissionSettings())
     stroke = StrokeResult("slew", 1, 0.2, {"slew": 0.01}, 0.01, True, 1.0, 0.0, 0.0, "")
-    task.strokes = [stroke] * (len(ORDER) * len(AXES))
+    task.strokes = [stroke] * (len(DIRECTIONS) * len(AXES))
     assert task.passed
     keep_record(assembly(tmp_path), task, tmp_path / "runner.toml", "flight.mcap")
     return tmp_path / "runner.toml"
@@ -231,5 +234,5 @@ def test_it_may_be_waived_with_a_reason(kept: Path) -> None:
     reason = "the simulated test bench of the demo"
     said = require_commissioned(assembly(kept.parent, commission={"waived": reason}), kept)
     assert said == f"NOT commissioned (it was never commissioned): {reason}"
-    with pytest.raises(SettingsError, match="one sentence that says why"):
+    with pytest.raises(SettingsError, match="one sentence with the reason"):
         require_commissioned(assembly(kept.parent, commission={"waived": "yes"}), kept)

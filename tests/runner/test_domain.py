@@ -11,17 +11,19 @@ from runner_case import DT, MIDDLE, PLANT, case
 
 from sysid.errors import SettingsError
 from sysid.networks.uncertainty import NetworkUncertainty
-from sysid.runner.domain import Domains
+from sysid.runner.domain import TrainingDomains
 from sysid.runner.faults import Injection, Scaled
 from sysid.runner.modes.hold import Hold
 from sysid.runner.state_estimator import StateEstimate
-from sysid.runner.transport import NOBODY
+from sysid.runner.transport import RELEASED_INPUTS
 
 AXES = PLANT.machine.axis_names
 
 
 def at(joints: np.ndarray) -> StateEstimate:
-    return StateEstimate(0, 0.0, 0, NOBODY, [], joints.copy(), np.ones(4, dtype=np.bool_), joints.copy(), joints.copy())
+    return StateEstimate(
+        0, 0.0, 0, RELEASED_INPUTS, [], joints.copy(), np.ones(4, dtype=np.bool_), joints.copy(), joints.copy()
+    )
 
 
 def test_beyond_the_data_and_back() -> None:
@@ -30,15 +32,15 @@ def test_beyond_the_data_and_back() -> None:
     model = replace(
         learned(PLANT), uncertainty=NetworkUncertainty.of(poses, 1e-3 * rng.standard_normal((800, 3)), np.zeros((800, 3)))
     )
-    domains = Domains(model, {}, AXES)
+    domains = TrainingDomains(model, {}, AXES)
     way = np.array([0.0, 0.1, 0.4, 0.6, 0.5, 0.3, 0.1])
     said = [bool(domains(at(MIDDLE + np.array([step, 0.0, 0.0, 0.0])))) for step in way]
     assert said == [False, False, True, True, False, False, False]
 
 
 def test_a_version_that_does_not_know_its_data_is_refused() -> None:
-    with pytest.raises(SettingsError, match=r"does not know where its data were; .* \[checks.without\] domain"):
-        Domains(learned(PLANT), {}, AXES)
+    with pytest.raises(SettingsError, match=r"has no training domain; .* \[checks.without\] domain"):
+        TrainingDomains(learned(PLANT), {}, AXES)
 
 
 def test_a_joint_sensor_that_contradicts_its_cylinder_stops_and_latches() -> None:

@@ -32,7 +32,7 @@ AT = 1.0
 class Sweep:
     """Setpoints that go to and fro for ``seconds``; or a target, for a policy to find setpoints."""
 
-    name, moves, writes, thinks = "sweep", True, True, True
+    name, moves, writes, computes = "sweep", True, True, True
 
     def __init__(self, seconds: float = 2.0, *, aims: bool = False) -> None:
         self._last, self._aims = round(seconds / DT), aims
@@ -99,7 +99,7 @@ class NamelessError(Exception):
         (lambda last: last[:, :3], "answers with float64 (1, 3), expected numbers (1, 4)"),
         (lambda last: last.astype(str), "expected numbers (1, 4)"),
         (lambda last: last.astype(complex), "expected numbers (1, 4)"),
-        (lambda last: last * np.inf, "what is no number"),
+        (lambda last: last * np.inf, "a number that is not finite"),
     ],
 )
 def test_whatever_a_policy_raises_or_returns_the_fallback_goes_on(fails: Callable[[Array], Array], text: str) -> None:
@@ -150,12 +150,12 @@ def test_a_policy_that_is_late_once_is_asked_again(monkeypatch: pytest.MonkeyPat
     monkeypatch.setattr("sysid.runner.policy_thread.SIMULATED_S", 0.1)
     policy = Policy(lambda last: last)
     answer, gate = policy.act, threading.Event()
-    asked = 0
+    requested = 0
 
     def act(observations: Array) -> Array:
-        nonlocal asked
-        asked += 1
-        if asked == 20:
+        nonlocal requested
+        requested += 1
+        if requested == 20:
             gate.wait(5.0)
         return answer(observations)
 

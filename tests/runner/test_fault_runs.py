@@ -47,10 +47,10 @@ def test_nothing_leaves_the_fence_in_a_thousand_runs() -> None:
 def test_without_the_barrier_it_does(monkeypatch: pytest.MonkeyPatch) -> None:
     """The runs above would show it: with the barrier taken out several of the first ten leave."""
 
-    def through(self: CommandFilter, asked: Array, drive: Array, dead_reckonings: object) -> tuple[Array, list[object]]:
-        self.sent = np.clip(np.nan_to_num(asked), -1.0, 1.0)
+    def through(self: CommandFilter, requested: Array, drive: Array, dead_reckonings: object) -> tuple[Array, list[object]]:
+        self.sent = np.clip(np.nan_to_num(requested), -1.0, 1.0)
         return self.sent.copy(), []
 
-    monkeypatch.setattr(CommandFilter, "pass_on", through)
+    monkeypatch.setattr(CommandFilter, "filter", through)
     left = sum(min(fault_run(seed)[1].values()) < -TOUCH for seed in FAST[:10])
     assert left >= 2

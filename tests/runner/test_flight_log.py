@@ -26,6 +26,7 @@ from sysid.logs.mcap import McapReader
 from sysid.logs.reader import ReadOptions
 from sysid.runner.cycle import Violation
 from sysid.runner.flight_log import WAITING, FlightLog, provenance
+from sysid.runner.mcap_pieces import PieceWriter
 
 pytestmark = pytest.mark.realtime
 
@@ -186,7 +187,7 @@ def test_provenance(tmp_path: Path) -> None:
 def test_how_a_run_ended_stands_in_the_log(tmp_path: Path) -> None:
     with FlightLog(tmp_path, MACHINE, AXES, SIGNALS, WORDS, clock_ns=0) as log:
         log.record(cycle(0))
-        log.remark("end", {"ended": "quit", "why": "SIGTERM"})
+        log.add_metadata("end", {"ended": "quit", "why": "SIGTERM"})
     with log.path.open("rb") as file:
         found = {item.name: item.metadata for item in make_reader(file).iter_metadata()}
     assert found == {**WORDS, "end": {"ended": "quit", "why": "SIGTERM"}}
@@ -196,10 +197,11 @@ def test_a_disk_that_never_answers_does_not_keep_a_run_from_ending(tmp_path: Pat
     monkeypatch.setattr("sysid.runner.flight_log.CLOSE_S", 0.05)
     log = FlightLog(tmp_path, MACHINE, AXES, SIGNALS, WORDS, clock_ns=0)
     gate = threading.Event()
-    sync = log._writer.sync
-    monkeypatch.setattr(log._writer, "sync", lambda: (gate.wait(20.0), sync()))
+    monkeypatch.setattr(PieceWriter, "sync", lambda writer: gate.wait(20.0))
     log.record(cycle(0))
-    with pytest.raises(StorageError, match="the disk does not answer for"):
+    with pytest.raises(StorageError, match="the disk does not respond for"):
         log.close()
     gate.set()
-    log._thread.join()
+    for thread in threading.enumerate():
+        if thread.name == "flight log":
+            thread.join()

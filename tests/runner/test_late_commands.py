@@ -39,11 +39,11 @@ def run(database: Path, late: Callable[[int], int], turns: int = 150) -> tuple[l
         frames, row = process.cycle(end)
         rows.append(row)
         for frame in frames:
-            heard = bus.hear(frame.identifier, frame.extended, frame.data)
+            heard = bus.decode(frame.identifier, frame.extended, frame.data)
             if heard is not None and heard.message == "MACHINE_STATUS":
                 clock.tick(heard.values["time"], end)
         # One step of the valve a cycle: each value is of one cycle alone.
-        said = bus.say([(turn + 1) / 250.0] * 4, True, clock.now(end + MS))
+        said = bus.encode([(turn + 1) / 250.0] * 4, True, clock.now(end + MS))
         waits.setdefault(turn + late(turn), []).extend(CanFrame(number, True, data) for number, data in said)
         process.heard(waits.pop(turn, []), end + MS)
     table = np.array(rows)

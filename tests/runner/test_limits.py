@@ -11,19 +11,19 @@ from runner_case import DT, MIDDLE, PLANT
 from sysid.control import tune
 from sysid.errors import SettingsError
 from sysid.runner.limits import AxisLimits, LimitSettings, SetpointLimiter, limits_of
-from sysid.runner.valves import valves
+from sysid.runner.valves import axis_valves
 
-VALVES = valves(tune(PLANT), DT)
+VALVES = axis_valves(tune(PLANT), DT)
 LIMITS = limits_of(PLANT, VALVES, LimitSettings(), "runner.toml")
 
 
 @given(st.lists(st.tuples(*[st.floats(-10.0, 10.0)] * 4), min_size=1, max_size=30), st.integers(1, 20))
 @settings(max_examples=50)
-def test_nothing_leaves_position_speed_and_acceleration(asked: list[tuple[float, ...]], hold: int) -> None:
+def test_nothing_leaves_position_speed_and_acceleration(requested: list[tuple[float, ...]], hold: int) -> None:
     limiter = SetpointLimiter(LIMITS, DT)
     limiter.reset(MIDDLE)
     path = [MIDDLE, MIDDLE]
-    path += [limiter.step(np.array(wanted))[0] for wanted in asked for _ in range(hold)]
+    path += [limiter.step(np.array(wanted))[0] for wanted in requested for _ in range(hold)]
     places = np.array(path)
     speeds = np.diff(places, axis=0) / DT
     assert (places >= LIMITS.low - 1e-12).all()
@@ -66,8 +66,8 @@ def test_whoever_stands_outside_may_come_back_and_no_further_out() -> None:
         (LimitSettings(axes={"slew": AxisLimits(speed=0.0)}), r"slew.speed: 0.0; expected a positive number"),
         (LimitSettings(axes={"slew": AxisLimits(command=1.5)}), r"slew.command: 1.5; expected at most 1"),
         (LimitSettings(fence={"w": (0.0, 1.0)}), r"unknown coordinate 'w'; expected x, y or z"),
-        (LimitSettings(fence={"z": (0.0, 0.05)}), r"limits.fence.z: \[0.0, 0.05\]; expected more room"),
-        (LimitSettings(margin=0.5), "a margin that leaves no room"),
+        (LimitSettings(fence={"z": (0.0, 0.05)}), r"limits.fence.z: \[0.0, 0.05\]; expected a range above two margins"),
+        (LimitSettings(margin=0.5), "a margin that leaves no range"),
     ],
 )
 def test_limits_that_cannot_be_are_refused(settings: LimitSettings, message: str) -> None:

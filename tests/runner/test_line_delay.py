@@ -74,13 +74,13 @@ def test_a_clock_that_was_set_begins_anew(to: float) -> None:
 def answered(late: Callable[[int], int], turns: int, hear: Callable[[int], bool] = lambda turn: True) -> list[str]:
     """What is said of a line each cycle of 10 ms on which the answer to cycle k comes ``late(k)`` cycles after it."""
     trip, said, echo = CommandRoundTrip(), [], 200
-    trip.heard(echo, 0)  # of a runner before this one
+    trip.echoed(echo, 0)  # of a runner before this one
     for turn in range(1, turns):
         now = 10 * MS * turn
         done = [k for k in range(1, turn) if k + late(k) <= turn]
         if done and hear(turn):
             echo = max(done) % 256
-        trip.heard(echo, now)
+        trip.echoed(echo, now)
         said.append(trip.late(now))
         trip.sent(turn % 256, now + MS)
     return said
@@ -113,7 +113,7 @@ def test_a_delay_that_grows_on_both_ways_is_said_at_60_ms() -> None:
 def test_who_says_nothing_is_not_answered() -> None:
     trip = CommandRoundTrip()
     for turn in range(100):
-        trip.heard(17, 10 * MS * turn)
+        trip.echoed(17, 10 * MS * turn)
         assert trip.late(10 * MS * turn) == ""
 
 

@@ -23,7 +23,7 @@ from sysid.runner.modes.hold import Hold, Shadow, Teleop
 from sysid.runner.modes.mode import Mode
 from sysid.runner.modes.replay import ReplayJoints
 from sysid.runner.modes.track import TrackPath
-from sysid.runner.operator import Nobody, Unattended
+from sysid.runner.operator import Unattended
 
 Array = npt.NDArray[np.float64]
 EE = Quick(PLANT).predict(MIDDLE)[0]
@@ -65,7 +65,7 @@ def test_the_line_is_opened_last(monkeypatch: pytest.MonkeyPatch) -> None:
         whole = getattr(made.transport, name)
         monkeypatch.setattr(made.transport, name, lambda *given: (order.append(name), whole(*given))[1])
 
-    monkeypatch.setattr("sysid.runner.loop.on_time", slow)
+    monkeypatch.setattr("sysid.runner.loop.real_time", slow)
     for name in ("open", "read", "close"):
         notify(name)
     made.loop.run()
@@ -86,13 +86,13 @@ def test_a_run_from_idle_to_rest() -> None:
     error = np.array([ee - target for target, ee in rows])
     assert np.sqrt((error**2).mean(axis=0)).max() < 2e-3
     assert made.machine.neutral
-    assert outcome.lateness.count == outcome.turns == len(made.cycles)
+    assert outcome.lateness.count == outcome.cycles == len(made.cycles)
 
 
 def test_a_dead_man_that_is_held_all_the_time_starts_nothing() -> None:
     class Taped(Unattended):
-        def words(self, state: str, now_ns: int) -> list[str]:  # type: ignore[override]
-            said = list(super().words(state, now_ns))  # type: ignore[arg-type]
+        def commands(self, state: str, now_ns: int) -> list[str]:  # type: ignore[override]
+            said = list(super().commands(state, now_ns))  # type: ignore[arg-type]
             self.machine.set_inputs(dead_man=True)
             return said
 
@@ -232,10 +232,10 @@ def test_who_watches_sends_nothing(mode: Callable[[Limits, ControlChain], Mode],
         raise AssertionError("something was sent")
 
     monkeypatch.setattr(FaultyTransport, "write", never)
-    made = run(mode, operator=lambda machine: Nobody(), seconds=3.0)
+    made = run(mode, seconds=3.0)
     assert made.states() == ["idle", "ready"]
-    asked = np.array([cycle.asked for cycle in made.cycles])
-    assert np.isfinite(asked).any() == (made.loop.mode.name == "shadow")
+    requested = np.array([cycle.requested for cycle in made.cycles])
+    assert np.isfinite(requested).any() == (made.loop.mode.name == "shadow")
 
 
 def test_holding_stays() -> None:
@@ -263,7 +263,7 @@ def test_a_machine_that_stands_outside_comes_back_in_and_is_told_so() -> None:
         lambda limits, chain: ReplayJoints(np.tile(MIDDLE + np.array([0.3, 0.0, 0.0, 0.0]), (20, 1)), limits, DT), limits=narrow
     )
     assert made.loop.outcome.ended == "done"
-    assert "slew stands at" in "\n".join(made.loop.outcome.notes)
+    assert "slew is at" in "\n".join(made.loop.outcome.notes)
     joints = np.array(made.machine.joints)[:, 0]
     assert joints.min() > -2e-3
     assert abs(joints[-1] - 0.3) < 5e-3

@@ -22,7 +22,7 @@ DESCRIBED = cantools.database.load_file(DATABASE)
 
 @given(st.lists(st.floats(-1.0, 1.0), min_size=4, max_size=4))
 def test_commands_arrive_to_half_a_step(commands: list[float]) -> None:
-    frames = BUS.say(commands, enabled=True)
+    frames = BUS.encode(commands, enabled=True)
     for (identifier, data), command in zip(frames, commands, strict=False):
         said = DESCRIBED.decode_message(identifier, data, decode_choices=False)
         sign = {0: 0.0, 1: 1.0, 2: -1.0}[said["state"]]
@@ -34,7 +34,9 @@ def test_commands_arrive_to_half_a_step(commands: list[float]) -> None:
 
 @given(st.lists(st.floats(), min_size=4, max_size=4), st.booleans())
 def test_nothing_leaves_the_range_and_no_number_enables_nothing(commands: list[float], enabled: bool) -> None:
-    said = [DESCRIBED.decode_message(identifier, data, decode_choices=False) for identifier, data in BUS.say(commands, enabled)]
+    said = [
+        DESCRIBED.decode_message(identifier, data, decode_choices=False) for identifier, data in BUS.encode(commands, enabled)
+    ]
     fit = enabled and bool(np.isfinite(commands).all())
     assert said[-1]["enabled"] == int(fit)
     for valve in said[:-1]:
@@ -44,7 +46,7 @@ def test_nothing_leaves_the_range_and_no_number_enables_nothing(commands: list[f
 
 
 def test_the_alive_counter_goes_on() -> None:
-    counts = [BUS.say([0.0] * 4, True)[-1][1][0] for _ in range(300)]
+    counts = [BUS.encode([0.0] * 4, True)[-1][1][0] for _ in range(300)]
     assert set(np.diff(counts) % 256) == {1}
 
 
@@ -52,15 +54,15 @@ def test_readings_counters_and_lost_frames() -> None:
     bus = MachineBus(SETTINGS, "runner.toml")
     message = DESCRIBED.get_message_by_name("SLEW_SENSOR")
     heard = [
-        bus.hear(message.frame_id, False, bytes(message.encode({"slew": 0.25, "counter": counter}, padding=True)))
+        bus.decode(message.frame_id, False, bytes(message.encode({"slew": 0.25, "counter": counter}, padding=True)))
         for counter in (254, 255, 255, 0, 4)
     ]
     assert [(item.fresh, item.lost) for item in heard if item] == [(True, 0), (True, 0), (False, 0), (True, 0), (True, 3)]
     assert heard[0] is not None
     assert heard[0].values == pytest.approx({"slew.joint": 0.25})
-    assert bus.hear(0x123, False, bytes(8)) is None
-    with pytest.raises(ValueError, match="SLEW_SENSOR has 3 bytes where the database says 8"):
-        bus.hear(message.frame_id, False, bytes(3))
+    assert bus.decode(0x123, False, bytes(8)) is None
+    with pytest.raises(ValueError, match="SLEW_SENSOR has 3 bytes, 8 in the database"):
+        bus.decode(message.frame_id, False, bytes(3))
 
 
 def test_bits_of_a_frame() -> None:
@@ -75,7 +77,7 @@ def test_load_of_the_bus() -> None:
     own = sum(frame_bits(m.length, m.is_extended_frame) / (m.cycle_time * 1e-3) for m in DESCRIBED.messages) / 250_000
     assert load == pytest.approx(own)
     assert 0.9 * seven * 100 / 250_000 < load < 1.3 * seven * 100 / 250_000
-    with pytest.raises(SettingsError, match=r"the bus would be \d+ % full at 250000 bit/s; expected 30 % at the most"):
+    with pytest.raises(SettingsError, match=r"a bus load of \d+ % at 250000 bit/s; expected at most 30 %"):
         MachineBus(dataclasses.replace(SETTINGS, max_load=0.3), "runner.toml")
 
 
@@ -102,7 +104,7 @@ def test_a_valve_command_needs_its_pgn(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(("seconds", "raw"), [(0.0, 0), (12.3459, 12345), (63.9999, 63999), (64.0, 0), (429496.0, 56000)])
 def test_a_command_says_which_time_of_the_machine_it_answers(seconds: float, raw: int) -> None:
-    for _, data in BUS.say([0.5] * 4, True, seconds)[:-1]:
+    for _, data in BUS.encode([0.5] * 4, True, seconds)[:-1]:
         assert int.from_bytes(data[3:5], "little") == raw
         assert data[5:] == b"\xff" * 3
 
@@ -111,4 +113,4 @@ def test_a_database_without_stamp_and_echo_is_one_all_the_same(tmp_path: Path) -
     bus = MachineBus(dataclasses.replace(SETTINGS, database=old_database(tmp_path)), "runner.toml")
     assert (bus.stamps, bus.echoes) == (False, False)
     assert (BUS.stamps, BUS.echoes) == (True, True)
-    assert [data[3:] for _, data in bus.say([0.5] * 4, True, 3.0)[:-1]] == [b"\xff" * 5] * 4
+    assert [data[3:] for _, data in bus.encode([0.5] * 4, True, 3.0)[:-1]] == [b"\xff" * 5] * 4

@@ -17,13 +17,13 @@ from sysid.rl.paths import Path as Course
 from sysid.rl.paths import circle
 from sysid.runner.command_filter import CommandFilter, outside
 from sysid.runner.limits import AxisLimits, Limits, LimitSettings, limits_of
-from sysid.runner.modes.collect import Collect, SafeMoves, draw
+from sysid.runner.modes.collect import Collect, SafeMoves, draw_poses
 from sysid.runner.modes.mode import Move
 from sysid.runner.modes.replay import ReplayCommands, ReplayJoints, of_experiment, of_file
 from sysid.runner.modes.track import TrackLive, eased
-from sysid.runner.valves import valves
+from sysid.runner.valves import axis_valves
 
-VALVES = valves(tune(PLANT), DT)
+VALVES = axis_valves(tune(PLANT), DT)
 TIP = Quick(PLANT).predict
 EE = TIP(MIDDLE)[0]
 FENCED = LimitSettings(
@@ -58,7 +58,7 @@ def test_an_eased_path_has_the_same_points_and_starts_from_rest() -> None:
 
 
 def test_collect_draws_inside_and_stays_at_each_pose() -> None:
-    poses = draw(20, ways(LIMITS), 3)
+    poses = draw_poses(20, ways(LIMITS), 3)
     assert ((poses >= LIMITS.low) & (poses <= LIMITS.high)).all()
     assert not outside(TIP(poses), LIMITS.fence_low, LIMITS.fence_high).any()
     made = case(
@@ -77,19 +77,19 @@ def test_collect_draws_inside_and_stays_at_each_pose() -> None:
 def test_a_stop_on_any_way_of_a_collection_ends_inside() -> None:
     """Not only at the poses: the barrier would end the collection at the first way that it cannot stop on."""
     known = ways(LIMITS)
-    poses = draw(30, known, 1)
+    poses = draw_poses(30, known, 1)
     for begin, end in zip(poses, np.roll(poses, -1, axis=0), strict=True):
         move = Move(begin, end, LIMITS, DT)
         joints = np.array([move.at(k) for k in range(move.steps + 1)])
         speeds = np.gradient(joints, DT, axis=0)
-        stopped = known.command_filter.stopped(joints, speeds)
+        stopped = known.command_filter.stop_ends(joints, speeds)
         assert not outside(TIP(joints), LIMITS.fence_low, LIMITS.fence_high).any()
         assert not outside(TIP(stopped), LIMITS.fence_low, LIMITS.fence_high).any()
 
 
 def test_joints_and_speeds_along_a_move() -> None:
     move = Move(MIDDLE, MIDDLE + np.array([0.4, -0.3, 0.2, 0.05]), LIMITS, DT)
-    joints, speeds = move.along(move.steps + 1)
+    joints, speeds = move.sample(move.steps + 1)
     np.testing.assert_allclose(joints, [move.at(k) for k in range(move.steps + 1)], atol=1e-12)
     np.testing.assert_allclose(speeds[1:-1], (joints[2:] - joints[:-2]) / (2.0 * DT), atol=2e-4)
 

@@ -13,9 +13,9 @@ from sysid.plant import Plant
 from sysid.runner import faults as f
 from sysid.runner.faults import Injection
 from sysid.runner.response import ResponseMonitor
-from sysid.runner.valves import valves
+from sysid.runner.valves import axis_valves
 
-VALVES = valves(tune(PLANT), DT)
+VALVES = axis_valves(tune(PLANT), DT)
 LATE = f.Delayed(0.2, stamped=False)
 
 
@@ -25,12 +25,12 @@ def answers(late: int, gain: float = 1.0, band: float = 0.0, seconds: float = 6.
     drive, past, found = np.zeros(4), [np.zeros(4)] * 100, []
     for k in range(round(seconds / DT)):
         command = 0.5 * np.sin(2.0 * np.pi * k * DT / 3.0) * np.ones(4)
-        response.look(drive + 1e-4 * np.array([5.0, 0.2, 0.2, 0.2]) * rng.standard_normal(4))
+        response.measure(drive + 1e-4 * np.array([5.0, 0.2, 0.2, 0.2]) * rng.standard_normal(4))
         found.append(max((item.seconds for item in response.late), default=0.0))
         response.step(command)
         past = [*past[1:], command]
         for i, valve in enumerate(VALVES):
-            u = past[-1 - valve.late - late][i]
+            u = past[-1 - valve.dead_steps - late][i]
             drive[i] += gain * valve.speed(float(np.sign(u) * max(0.0, abs(u) - band))) * DT
     return found
 
@@ -52,7 +52,7 @@ def test_gain_and_dead_band_are_no_delay(late: int, gain: float, band: float) ->
 def test_readings_that_do_not_come_are_no_delay() -> None:
     response = ResponseMonitor(VALVES, DT, 0.08)
     for k in range(200):
-        response.look(np.full(4, np.nan if k % 3 else 0.0))
+        response.measure(np.full(4, np.nan if k % 3 else 0.0))
         response.step(np.full(4, 0.5))
     assert response.late == ()
 

@@ -60,8 +60,8 @@ def test_the_shipped_recipe_is_read_and_says_the_defaults() -> None:
         ({"checks": {"expired": {"gap_s": 0.2}}}, "checks.expired.gap_s: 0.2; .*a later command would open them again"),
         ({"checks": {"expired": {"reaction": "stop"}}}, r"checks.expired.reaction: 'stop'; expected 'fault'"),
         ({"checks": {"patience_s": 60.0}}, "checks.patience_s: 60 s; expected above 0, at most 1 s"),
-        ({"checks": {"without": {"stale": "it is always late here, we know"}}}, "checks.without.stale: cannot be left out"),
-        ({"checks": {"without": {"domain": "no"}}}, "the reason 'no'; expected one sentence that says why"),
+        ({"checks": {"without": {"stale": "it is always late here, we know"}}}, "checks.without.stale: cannot be disabled"),
+        ({"checks": {"without": {"domain": "no"}}}, "the reason 'no'; expected one sentence with the reason"),
         ({"checks": {"without": {"contradicion": "nothing to compare it with"}}}, r"'contradiction'\?"),
         ({"loop": {"rest_s": 0.0}}, "loop.rest_s: 0; expected 0.1 to 60"),
         ({"mode": "replay"}, "replay.file: is missing"),
@@ -193,7 +193,7 @@ def test_a_machine_that_can_hurt_somebody_is_not_run_unattended(workspace: Path,
     from sysid.runner import transports
 
     build = transports.connect
-    monkeypatch.setattr(transports, "connect", lambda a, r: transports.OpenTransport(build(a, r).transport, stand_in=False))
+    monkeypatch.setattr(transports, "connect", lambda a, r: transports.OpenTransport(build(a, r).transport, simulated=False))
     error = invoke(workspace, write(workspace, ""), "--unattended").exception
     assert "a machine that can hurt somebody; expected a person at it" in str(error)
 

@@ -134,13 +134,17 @@ def test_any_line_is_a_whole_frame_or_none(line: bytes) -> None:
     assert frame is None or frame.dlc == len(frame.data) <= 8
 
 
+def connected(adapter: Adapter, kind: type[SlcanBus] = SlcanBus) -> CanTransport:
+    settings = CanSettings(DATABASE, SIGNALS, VALVES, channel=adapter.channel, listen=0.0)
+    return CanTransport(settings, bus=kind(adapter.channel, bitrate=250_000, sleep_after_open=0.0, timeout=0.0))
+
+
 @pytest.fixture(scope="module")
 def machine() -> Iterator[tuple[Adapter, CanTransport, LiveBus]]:
     """A transport that listened to a machine, whose end of the line is now the test's."""
     adapter, spoken = Adapter(), LiveBus(DATABASE, survey=False)
-    transport = CanTransport(CanSettings(DATABASE, SIGNALS, VALVES, channel=adapter.channel, listen=0.0))
     cycle = b"".join(frame.line() for k in range(3) for frame in spoken.frames(READINGS, k, {**STATUS, "time": 0.01 * k}))
-    transport._bus = SlcanBus(adapter.channel, bitrate=250_000, sleep_after_open=0.0, timeout=0.0)
+    transport = connected(adapter)
     adapter.say(cycle)
     yield adapter, transport, spoken
     transport.close()
@@ -180,8 +184,7 @@ def test_no_byte_ends_the_reading(machine: tuple[Adapter, CanTransport, LiveBus]
 def test_an_adapter_that_acknowledges(adapter: Adapter) -> None:
     """After each frame that it has sent it says so; the machine's frames are all read in the cycle in which they came."""
     spoken = LiveBus(DATABASE, survey=False)
-    transport = CanTransport(CanSettings(DATABASE, SIGNALS, VALVES, channel=adapter.channel, listen=0.0))
-    transport._bus = SlcanBus(adapter.channel, bitrate=250_000, sleep_after_open=0.0, timeout=0.0)
+    transport = connected(adapter)
     for turn in range(60):
         transport.write(np.full(4, 0.2), True)
         time.sleep(0.001)
@@ -197,8 +200,7 @@ def test_an_adapter_that_acknowledges(adapter: Adapter) -> None:
 
 
 def test_an_adapter_that_takes_nothing_is_a_fault(adapter: Adapter) -> None:
-    transport = CanTransport(CanSettings(DATABASE, SIGNALS, VALVES, channel=adapter.channel, listen=0.0))
-    transport._bus = SlcanBus(adapter.channel, bitrate=250_000, sleep_after_open=0.0, timeout=0.0)
+    transport = connected(adapter)
 
     def until_full() -> None:
         for _ in range(1000):
@@ -226,8 +228,7 @@ def test_a_receiver_that_fails_leaves_the_sender(adapter: Adapter) -> None:
         def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
             raise IndexError("string index out of range")
 
-    transport = CanTransport(CanSettings(DATABASE, SIGNALS, VALVES, channel=adapter.channel, listen=0.0))
-    transport._bus = Broken(adapter.channel, bitrate=250_000, sleep_after_open=0.0, timeout=0.0)
+    transport = connected(adapter, Broken)
     _, inputs = transport.read()
     assert inputs.fault == "bus: string index out of range"
     adapter.heard()

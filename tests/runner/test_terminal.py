@@ -16,7 +16,7 @@ from runner_case import MIDDLE, RealTime, case, reopened
 from test_endings import Sweep
 
 from sysid.runner.cycle import Cycle
-from sysid.runner.terminal import WAITING, Console, Terminal, through
+from sysid.runner.terminal import WAITING, Console, Terminal, redirected_output
 
 pytestmark = pytest.mark.realtime
 
@@ -52,7 +52,7 @@ def words(terminal: Terminal, count: int) -> list[str]:
     """What was typed, once there are ``count`` words."""
     said: list[str] = []
     while len(said) < count:
-        said += terminal.words("ready", 0)
+        said += terminal.commands("ready", 0)
         time.sleep(0.002)
     return said
 
@@ -72,7 +72,7 @@ def test_typed_lines_are_words(ends: tuple[int, int]) -> None:
 
 def test_nothing_waits_for_a_terminal_that_takes_nothing(ends: tuple[int, int]) -> None:
     console = Console(ends[1])
-    with through(console):
+    with redirected_output(console):
         for _ in range(WAITING + 100):
             sys.stdout.write(LINE)
         sys.stderr.write(LINE)
@@ -96,7 +96,7 @@ def test_a_terminal_that_cannot_be_written_quits() -> None:
     terminal = Terminal(console, typed)
     terminal.notify("anybody there?")
     assert words(terminal, 1) == ["quit: the terminal is closed (Broken pipe)"]
-    assert not terminal.words("ready", 0)
+    assert not terminal.commands("ready", 0)
     terminal.notify("nobody")
     assert console.lost == 1
     for descriptor in (writing, typing):

@@ -1,1 +1,1 @@
-"""What the supervisor looks at, one kind a file."""
+"""The checks of the supervisor."""

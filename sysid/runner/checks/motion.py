@@ -1,4 +1,4 @@
-"""Whether what is measured fits: sensors to each other, motion to commands, joints to setpoints, queries to data."""
+"""Consistency checks: between sensors, motion and commands, joints and setpoints, network inputs and training data."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ Array = npt.NDArray[np.float64]
 
 
 class MotionChecks:
-    """Checks that have to hold for a while before they object.
+    """Checks with memory, most of which report only a condition that persists.
 
     Args:
         axes, valves, linkages, dt: of the machine.
         settings: of the recipe.
-        inside: says which network is asked beyond its data, "" where none is.
+        inside: a text about the network that extrapolates; "" if none does.
     """
 
     def __init__(
@@ -37,70 +37,82 @@ class MotionChecks:
     ) -> None:
         self.axes, self.valves, self.linkages, self.dt = tuple(axes), tuple(valves), tuple(linkages), dt
         self.settings, self._inside = settings, inside
-        self._lasted: dict[tuple[str, str], float] = {}
+        self._durations: dict[tuple[str, str], float] = {}
         self._drive = np.full(len(self.axes), np.nan)
         self._moved = np.zeros(len(self.axes))
         self._neutral_s = 0.0
 
     def reset(self) -> None:
-        """The valves are let go."""
-        self._lasted.clear()
+        """Reset the persistence of all conditions; the valves are about to be enabled."""
+        self._durations.clear()
 
-    def check(self, seen: StateEstimate, moving: bool, drive_setpoints: Array | None) -> list[Violation]:
-        """What is wrong."""
+    def check(self, estimate: StateEstimate, moving: bool, drive_setpoints: Array | None) -> list[Violation]:
+        """Violations of this cycle; ``drive_setpoints`` (A,) are those of the cycle before, None without any."""
         found = []
         settings = self.settings
         if settings.on("contradiction"):
-            found += self._contradictions(seen)
+            found += self._contradictions(estimate)
         if settings.on("motion") and moving:
-            found += self._unexplained(seen)
+            found += self._motion(estimate)
         if settings.on("following") and moving and drive_setpoints is not None:
-            found += self._behind(seen, drive_setpoints)
+            found += self._following(estimate, drive_setpoints)
         if settings.on("domain") and moving:
-            text = self._inside(seen)
-            if self._lasts("domain", "networks", bool(text), settings.domain.for_s):
+            text = self._inside(estimate)
+            if self._persists("domain", "networks", bool(text), settings.domain.for_s):
                 found.append(Violation("domain", "networks", settings.domain.reaction, math.nan, math.nan, text))
-        return found + self._restless(seen, moving)
+        found += self._restless(estimate, moving)
+        if settings.on("delay") and moving:
+            found += self._late(estimate)
+        return found
 
-    def _contradictions(self, seen: StateEstimate) -> list[Violation]:
+    def _contradictions(self, estimate: StateEstimate) -> list[Violation]:
         found, rule = [], self.settings.contradiction
-        for sensor in seen.sensors:
+        for sensor in estimate.sensors:
             if sensor.driven:
                 continue
-            through = float(seen.joints[sensor.axis])
-            away, limit = abs(sensor.value - through), rule.share * sensor.range
-            both = sensor.sound and bool(seen.measured[sensor.axis])
-            if self._lasts("contradiction", sensor.signal, both and away > limit, rule.for_s):
-                text = f"{sensor.signal} reads {sensor.value:.4g}, its cylinder says {through:.4g}"
-                found.append(Violation("contradiction", sensor.signal, rule.reaction, away, limit, text))
+            through = float(estimate.joints[sensor.axis])
+            deviation, limit = abs(sensor.value - through), rule.share * sensor.range
+            both = sensor.valid and bool(estimate.measured[sensor.axis])
+            if self._persists("contradiction", sensor.signal, both and deviation > limit, rule.for_s):
+                text = f"{sensor.signal} reads {sensor.value:.4g}, its cylinder gives {through:.4g}"
+                found.append(Violation("contradiction", sensor.signal, rule.reaction, deviation, limit, text))
         return found
 
-    def _unexplained(self, seen: StateEstimate) -> list[Violation]:
+    def _motion(self, estimate: StateEstimate) -> list[Violation]:
         found, rule = [], self.settings.motion
         for i, (name, valve) in enumerate(zip(self.axes, self.valves, strict=True)):
-            away, limit = abs(float(seen.drive[i] - seen.estimated_position[i])), rule.seconds * valve.fastest
-            if away > limit:
-                text = f"{name} is {away:.4g} from where its commands must have brought it"
-                found.append(Violation("motion", name, rule.reaction, away, limit, text))
+            deviation, limit = abs(float(estimate.drive[i] - estimate.estimated_position[i])), rule.seconds * valve.fastest
+            if deviation > limit:
+                text = f"{name} is {deviation:.4g} away from its dead reckoning by the commands"
+                found.append(Violation("motion", name, rule.reaction, deviation, limit, text))
         return found
 
-    def _behind(self, seen: StateEstimate, drive_setpoints: Array) -> list[Violation]:
+    def _following(self, estimate: StateEstimate, drive_setpoints: Array) -> list[Violation]:
         found, rule = [], self.settings.following
         for i, (name, valve) in enumerate(zip(self.axes, self.valves, strict=True)):
-            away, limit = abs(float(drive_setpoints[i] - seen.drive[i])), rule.seconds * valve.fastest
-            if self._lasts("following", name, away > limit, rule.for_s):
-                text = f"{name} is {away:.4g} behind its setpoint"
-                found.append(Violation("following", name, rule.reaction, away, limit, text))
+            deviation, limit = abs(float(drive_setpoints[i] - estimate.drive[i])), rule.seconds * valve.fastest
+            if self._persists("following", name, deviation > limit, rule.for_s):
+                text = f"{name} is {deviation:.4g} behind its setpoint"
+                found.append(Violation("following", name, rule.reaction, deviation, limit, text))
         return found
 
-    def _restless(self, seen: StateEstimate, moving: bool) -> list[Violation]:
-        """Motion with neutral valves; by how far an axis came within a tenth of a second, so that noise is none."""
+    def _late(self, estimate: StateEstimate) -> list[Violation]:
+        """Axes that answer commands later than the plant, whatever the stamps say."""
+        found, rule = [], self.settings.delay
+        for late in estimate.late:
+            name = self.axes[late.axis]
+            text = f"{name} answers commands {1e3 * late.seconds:.0f} ms later than its plant: the line is late"
+            found.append(Violation("delay", name, rule.reaction, late.seconds, rule.after_s, text))
+        return found
+
+    def _restless(self, estimate: StateEstimate, moving: bool) -> list[Violation]:
+        """Motion with neutral valves; speeds are low-pass filtered over 0.1 s against noise."""
         rule = self.settings.restless
         self._neutral_s = 0.0 if moving else self._neutral_s + self.dt
-        fresh = np.where(np.isnan(self._drive), 0.0, seen.drive - self._drive)
+        fresh = np.where(np.isnan(self._drive), 0.0, estimate.drive - self._drive)
         keep = math.exp(-self.dt / 0.1)
         self._moved = keep * self._moved + (1.0 - keep) * np.nan_to_num(fresh) / self.dt
-        self._drive = np.where(seen.measured, seen.drive, np.nan)
+        self._drive = np.where(estimate.measured, estimate.drive, np.nan)
         found = []
         if self._neutral_s > rule.after_s:
             for name, valve, speed in zip(self.axes, self.valves, self._moved, strict=True):
@@ -111,7 +123,7 @@ class MotionChecks:
                     )
         return found
 
-    def _lasts(self, check: str, target: str, wrong: bool, seconds: float) -> bool:
-        lasted = self._lasted.get((check, target), 0.0) + self.dt if wrong else 0.0
-        self._lasted[check, target] = lasted
+    def _persists(self, check: str, target: str, wrong: bool, seconds: float) -> bool:
+        lasted = self._durations.get((check, target), 0.0) + self.dt if wrong else 0.0
+        self._durations[check, target] = lasted
         return lasted > seconds + 1e-9

@@ -1,4 +1,4 @@
-"""Sensors that are late, gone, stuck, jumping, no number, or whose clock was set."""
+"""Checks of single sensors: late, missing, stuck, jumping, not finite, or with a clock jump."""
 
 from __future__ import annotations
 
@@ -8,19 +8,19 @@ from sysid.runner.checks.settings import CheckSettings
 from sysid.runner.cycle import Violation
 from sysid.runner.state_estimator import Sensor, StateEstimate
 
-#: A value came so often that its being old does not explain it.
+#: Repetitions of a value by which it counts as stuck, not as old.
 REPEATS = 4
 
 
-def check_sensors(seen: StateEstimate, settings: CheckSettings, moving: bool) -> list[Violation]:
-    """One verdict at most for each sensor, the first that holds."""
-    return [verdict for sensor in seen.sensors if (verdict := _check(sensor, settings, moving)) is not None]
+def check_sensors(estimate: StateEstimate, settings: CheckSettings, moving: bool) -> list[Violation]:
+    """At most one violation for each sensor, the first that applies."""
+    return [verdict for sensor in estimate.sensors if (verdict := _check(sensor, settings, moving)) is not None]
 
 
 def _check(sensor: Sensor, settings: CheckSettings, moving: bool) -> Violation | None:
     name = sensor.signal
     if sensor.age_s > settings.stale.after_s:
-        text = f"{name} does not come" if math.isinf(sensor.age_s) else f"{name} is {1e3 * sensor.age_s:.0f} ms old"
+        text = f"{name} is missing" if math.isinf(sensor.age_s) else f"{name} is {1e3 * sensor.age_s:.0f} ms old"
         return Violation("stale", name, settings.stale.reaction, sensor.age_s, settings.stale.after_s, text)
     if not sensor.finite:
         return Violation("not_finite", name, settings.not_finite.reaction, sensor.value, math.nan, f"{name} is no number")

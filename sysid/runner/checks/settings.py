@@ -1,206 +1,172 @@
-"""``[checks]`` of a recipe: what the supervisor looks at, from where on it objects, and what follows.
+"""``[checks]`` of a recipe: thresholds and reactions of the supervisor's checks.
 
-A reaction may be made sterner than its default, or milder down to what :data:`MILDEST` allows. A check that may be left out at
-all (:data:`OPTIONAL`) is left out by name, with the reason in words; it is printed at every start and stands in the log.
+A reaction may be stricter than its default, or milder down to :data:`MILDEST`. A check in :data:`OPTIONAL` can be disabled by
+name with a reason, which is printed at every start and stored in the log.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field, fields
 
-from sysid.config import STRICT
+from sysid.config import Strict
 from sysid.errors import SettingsError, nearest
 from sysid.runner.cycle import REACTIONS, Reaction
 
-#: A reason that says less is none.
+#: Shortest accepted reason [characters].
 SHORTEST_REASON = 12
 
 
 @dataclass(frozen=True)
-class StaleCheck:
-    """No fresh reading for ``after_s``, or one that was measured so much longer ago than usual."""
+class StaleCheck(Strict):
+    """No fresh reading for ``after_s``, or one whose delay exceeds the usual delay by that."""
 
-    __pydantic_config__ = STRICT
     reaction: Reaction = "hold"
     after_s: float = 0.045
 
 
 @dataclass(frozen=True)
-class NotFiniteCheck:
-    """A sensor sends what is no number."""
+class NotFiniteCheck(Strict):
+    """A sensor sends NaN or infinity."""
 
-    __pydantic_config__ = STRICT
     reaction: Reaction = "hold"
 
 
 @dataclass(frozen=True)
-class JumpCheck:
+class JumpCheck(Strict):
     """A reading moved by ``share`` of its range more than the axis can have moved."""
 
-    __pydantic_config__ = STRICT
     reaction: Reaction = "hold"
     share: float = 0.01
 
 
 @dataclass(frozen=True)
-class FrozenValueCheck:
-    """A reading stays the same to the last bit while the commands must have moved its axis by ``share`` of the range."""
+class FrozenValueCheck(Strict):
+    """A reading stays the same to the last bit while, by dead reckoning, its axis moved by ``share`` of the range."""
 
-    __pydantic_config__ = STRICT
     reaction: Reaction = "stop"
     share: float = 0.005
 
 
 @dataclass(frozen=True)
-class ClockCheck:
+class ClockCheck(Strict):
     """The machine's clock jumps ahead by more than ``jump_s``."""
 
-    __pydantic_config__ = STRICT
     reaction: Reaction = "stop"
     jump_s: float = 0.05
 
 
 @dataclass(frozen=True)
-class ContradictionCheck:
+class ContradictionCheck(Strict):
     """A cylinder, through its network, and the joint's own sensor differ by ``share`` of the joint's range for ``for_s``."""
 
-    __pydantic_config__ = STRICT
     reaction: Reaction = "stop"
     share: float = 0.03
     for_s: float = 0.03
 
 
 @dataclass(frozen=True)
-class MotionCheck:
-    """Measured and reckoned position differ by what ``seconds`` at top speed make: the machine does not do what it is told."""
+class MotionCheck(Strict):
+    """Measured position and dead reckoning differ by ``seconds`` at top speed: the machine does not follow its commands."""
 
-    __pydantic_config__ = STRICT
     reaction: Reaction = "stop"
     seconds: float = 0.3
 
 
 @dataclass(frozen=True)
-class DelayCheck:
-    """The machine answers commands ``after_s`` later than its plant, by its motion and whatever its stamps say."""
+class DelayCheck(Strict):
+    """The machine answers commands ``after_s`` later than its plant, by its motion, independent of stamps."""
 
-    __pydantic_config__ = STRICT
     reaction: Reaction = "stop"
     after_s: float = 0.08
 
 
 @dataclass(frozen=True)
-class DomainLeftCheck:
-    """A network is asked beyond its data for ``for_s``, and the way does not lead back."""
+class DomainLeftCheck(Strict):
+    """A network extrapolates for ``for_s``, and the motion does not lead back to its training domain."""
 
-    __pydantic_config__ = STRICT
     reaction: Reaction = "stop"
     for_s: float = 0.2
 
 
 @dataclass(frozen=True)
-class FollowingCheck:
-    """A setpoint is further ahead of its axis than ``seconds`` at top speed, for ``for_s``."""
+class FollowingCheck(Strict):
+    """A setpoint is ahead of its axis by more than ``seconds`` at top speed, for ``for_s``."""
 
-    __pydantic_config__ = STRICT
     reaction: Reaction = "stop"
     seconds: float = 0.5
     for_s: float = 0.2
 
 
 @dataclass(frozen=True)
-class OverrunCheck:
-    """A cycle begins ``late_s`` late, or ``turns`` in a row miss their deadline."""
+class OverrunCheck(Strict):
+    """A cycle begins ``late_s`` late, or ``turns`` cycles in a row miss their deadline."""
 
-    __pydantic_config__ = STRICT
     reaction: Reaction = "stop"
     late_s: float = 0.08
     turns: int = 5
 
 
 @dataclass(frozen=True)
-class ExpiredCheck:
-    """A command is ready only ``age_s`` after the readings that it comes from were taken: it is dropped, and the next cycle has
-    the word. ``gap_s`` after the last command that let the valves move none is sent any more: the machine's watchdog may have
-    closed them, and nothing opens them again before a person has looked. ``reaction`` is what follows from the latter."""
+class ExpiredCheck(Strict):
+    """A command that is ready later than ``age_s`` after its readings is dropped. Later than ``gap_s`` after the last command
+    that let the valves move, none is sent any more: the machine's watchdog may have closed them, and no command may open them
+    again before a person has looked. ``reaction`` is that of the latter."""
 
-    __pydantic_config__ = STRICT
     reaction: Reaction = "fault"
     age_s: float = 0.05
     gap_s: float = 0.08
 
 
 @dataclass(frozen=True)
-class PolicyAnswerCheck:
-    """The policy fails, answers with what are no setpoints, jumps by ``share`` of a joint's range within a cycle, or is late in
-    ``late_turns`` cycles in a row; ``hold`` means that the fallback takes over for the rest of the run. In a single cycle
-    that it is late the fallback stands in."""
+class PolicyAnswerCheck(Strict):
+    """The policy fails, does not return setpoints, jumps by ``share`` of a joint's range within a cycle, or is late in
+    ``late_turns`` cycles in a row. With ``hold`` the fallback continues for the rest of the run; in a single late cycle it
+    sets that cycle only."""
 
-    __pydantic_config__ = STRICT
     reaction: Reaction = "hold"
     share: float = 0.2
     late_turns: int = 3
 
 
 @dataclass(frozen=True)
-class BoundCheck:
-    """A limit of ``[limits]`` that would have been left; what is sent stays within it whatever the reaction."""
+class BoundCheck(Strict):
+    """A limit of ``[limits]`` would be exceeded; the output stays within it whatever the reaction."""
 
-    __pydantic_config__ = STRICT
     reaction: Reaction = "clamp"
 
 
 @dataclass(frozen=True)
-class FenceCheck:
-    """The end effector would leave its fence; it is braked before whatever the reaction."""
+class StopCheck(Strict):
+    """The end effector would leave its fence (it is braked before in any case), the dead-man switch is released, or the log
+    cannot be written."""
 
-    __pydantic_config__ = STRICT
     reaction: Reaction = "stop"
 
 
 @dataclass(frozen=True)
-class DeadManCheck:
-    """The switch is let go."""
+class LatchedCheck(Strict):
+    """Emergency stop, a fault that the machine reports, a dead line."""
 
-    __pydantic_config__ = STRICT
-    reaction: Reaction = "stop"
-
-
-@dataclass(frozen=True)
-class LatchedCheck:
-    """Emergency stop, a fault that the machine reports, a line that is dead."""
-
-    __pydantic_config__ = STRICT
     reaction: Reaction = "fault"
 
 
 @dataclass(frozen=True)
-class RestlessCheck:
-    """The machine moves by ``share`` of its top speed, ``after_s`` after its valves were put to neutral."""
+class RestlessCheck(Strict):
+    """An axis moves at ``share`` of its top speed, ``after_s`` after its valve went to neutral."""
 
-    __pydantic_config__ = STRICT
     reaction: Reaction = "fault"
     share: float = 0.15
     after_s: float = 0.6
 
 
 @dataclass(frozen=True)
-class RecordingCheck:
-    """The log does not take what it is given."""
-
-    __pydantic_config__ = STRICT
-    reaction: Reaction = "stop"
-
-
-@dataclass(frozen=True)
-class CheckSettings:
+class CheckSettings(Strict):
     """All checks.
 
     Args:
-        patience_s: a hold that lasts so long becomes a stop.
-        without: check that is left out → why.
+        patience_s: a hold of this duration becomes a stop.
+        without: disabled check → reason.
     """
-
-    __pydantic_config__ = STRICT
 
     patience_s: float = 0.1
     stale: StaleCheck = field(default_factory=StaleCheck)
@@ -221,27 +187,27 @@ class CheckSettings:
     acceleration: BoundCheck = field(default_factory=BoundCheck)
     jerk: BoundCheck = field(default_factory=BoundCheck)
     command: BoundCheck = field(default_factory=BoundCheck)
-    fence: FenceCheck = field(default_factory=FenceCheck)
-    dead_man: DeadManCheck = field(default_factory=DeadManCheck)
+    fence: StopCheck = field(default_factory=StopCheck)
+    dead_man: StopCheck = field(default_factory=StopCheck)
     emergency: LatchedCheck = field(default_factory=LatchedCheck)
     machine: LatchedCheck = field(default_factory=LatchedCheck)
     line: LatchedCheck = field(default_factory=LatchedCheck)
     restless: RestlessCheck = field(default_factory=RestlessCheck)
-    recording: RecordingCheck = field(default_factory=RecordingCheck)
+    recording: StopCheck = field(default_factory=StopCheck)
     without: dict[str, str] = field(default_factory=dict)
 
     def reaction(self, check: str) -> Reaction:
-        """What follows where ``check`` objects."""
+        """The reaction to a violation of ``check``."""
         found: Reaction = getattr(self, check).reaction
         return found
 
     def on(self, check: str) -> bool:
-        """Whether it is looked at at all."""
+        """Whether the check is enabled."""
         return check not in self.without
 
 
 CHECKS: tuple[str, ...] = tuple(item.name for item in fields(CheckSettings) if item.name not in ("patience_s", "without"))
-#: No recipe may ask for less.
+#: Mildest permitted reactions.
 MILDEST: dict[str, Reaction] = {
     "stale": "hold", "not_finite": "hold", "jump": "hold", "frozen": "stop", "clock": "hold", "contradiction": "stop",
     "motion": "hold", "delay": "stop", "domain": "clamp", "following": "hold", "overrun": "stop", "expired": "fault",
@@ -249,13 +215,13 @@ MILDEST: dict[str, Reaction] = {
     "fence": "clamp", "dead_man": "stop", "emergency": "fault", "machine": "stop", "line": "fault", "restless": "fault",
     "recording": "clamp",
 }  # fmt: skip
-#: What the machine's own watchdog waits for commands [s] (docs/can.md): the measure of everything that may be late.
+#: Time-out of the machine's watchdog [s] (docs/can.md): the reference of all time limits.
 WATCHDOG_S = 0.1
 
 
 @dataclass(frozen=True)
 class ThresholdBounds:
-    """Of a threshold: above 0 and at most ``most``, in the unit of its key; ``why`` no check means anything beyond."""
+    """A threshold is above 0 and at most ``most``, in the unit of its key, for the reason ``why``."""
 
     most: float
     why: str
@@ -265,41 +231,37 @@ _WATCHED = "the machine closes its valves by itself after 0.1 s without commands
 #: Every threshold of every check.
 BOUNDS: dict[str, ThresholdBounds] = {
     "stale.after_s": ThresholdBounds(WATCHDOG_S, _WATCHED),
-    "jump.share": ThresholdBounds(
-        0.1, "the fastest axis of the demo's crane takes a quarter of a second for so much of its range"
-    ),
-    "frozen.share": ThresholdBounds(0.05, "an axis whose sensor stands still moves unseen for so much of its range"),
-    "clock.jump_s": ThresholdBounds(0.5, "readings pass for newer than they are by as much"),
+    "jump.share": ThresholdBounds(0.1, "the fastest axis of the demo's crane moves that share of its range in 0.25 s"),
+    "frozen.share": ThresholdBounds(0.05, "an axis with a stuck sensor moves that share of its range undetected"),
+    "clock.jump_s": ThresholdBounds(0.5, "readings count as newer than they are by that time"),
     "contradiction.share": ThresholdBounds(
         0.2, "two sensors of one axis that differ by a fifth of its range do not measure the same"
     ),
-    "contradiction.for_s": ThresholdBounds(0.5, "the machine moves by a wrong sensor for so long"),
-    "motion.seconds": ThresholdBounds(1.0, "the fastest axis of the demo's crane crosses 40 % of its range in 1 s, unseen"),
+    "contradiction.for_s": ThresholdBounds(0.5, "the machine moves with a wrong sensor for that time"),
+    "motion.seconds": ThresholdBounds(1.0, "the fastest axis of the demo's crane moves 40 % of its range in 1 s, undetected"),
     "delay.after_s": ThresholdBounds(0.2, "a line that is 0.2 s late takes a crane 67 mm off its path (docs/guide/runner.md)"),
-    "domain.for_s": ThresholdBounds(2.0, "networks are not to be believed outside of their data"),
-    "following.seconds": ThresholdBounds(1.0, "a setpoint that is 1 s at full speed ahead is not followed"),
-    "following.for_s": ThresholdBounds(1.0, "the setpoint runs away for so long"),
+    "domain.for_s": ThresholdBounds(2.0, "networks are not reliable outside of their training data"),
+    "following.seconds": ThresholdBounds(1.0, "a setpoint 1 s ahead at full speed is not followed"),
+    "following.for_s": ThresholdBounds(1.0, "the setpoint moves ahead for that time"),
     "overrun.late_s": ThresholdBounds(WATCHDOG_S, _WATCHED),
-    "overrun.turns": ThresholdBounds(10, "ten cycles of 10 ms are what the machine waits for commands"),
-    "expired.age_s": ThresholdBounds(
-        0.06, "a machine that checks the stamp of a command takes none that answers older readings"
-    ),
-    "expired.gap_s": ThresholdBounds(0.09, f"{_WATCHED}, within a cycle of 10 ms; a later command would open them again"),
+    "overrun.turns": ThresholdBounds(10, "ten cycles of 10 ms are the machine's time-out for commands"),
+    "expired.age_s": ThresholdBounds(0.06, "a machine that checks stamps ignores commands that answer older readings"),
+    "expired.gap_s": ThresholdBounds(0.09, f"{_WATCHED}, less a cycle of 10 ms; a later command would open them again"),
     "policy.share": ThresholdBounds(1.0, "no setpoint can jump by more than the whole range"),
-    "policy.late_turns": ThresholdBounds(10, "ten cycles without the policy are what the machine waits for commands"),
-    "restless.share": ThresholdBounds(0.5, "half of full speed with neutral valves is a valve that is open"),
+    "policy.late_turns": ThresholdBounds(10, "ten cycles without the policy are the machine's time-out for commands"),
+    "restless.share": ThresholdBounds(0.5, "half of full speed with neutral valves means an open valve"),
     "restless.after_s": ThresholdBounds(2.0, "valves close in a tenth of a second"),
 }
-#: May be left out, one by one.
+#: Checks that can be disabled, one by one.
 OPTIONAL: tuple[str, ...] = ("clock", "contradiction", "motion", "delay", "domain", "following", "jerk")
 
 
 def check_checks(settings: CheckSettings, where: object) -> CheckSettings:
-    """``settings`` unless they ask for less than is allowed.
+    """``settings``, if reactions, thresholds and disabled checks are permitted.
 
     Raises:
-        SettingsError: a reaction that is too mild, a check left out that must not be, or without a reason; a threshold outside
-            of its :data:`BOUNDS`.
+        SettingsError: a reaction below :data:`MILDEST`, a disabled check that is not :data:`OPTIONAL` or has no reason, a
+            threshold outside :data:`BOUNDS`.
     """
     for name in CHECKS:
         rule = getattr(settings, name)
@@ -307,21 +269,17 @@ def check_checks(settings: CheckSettings, where: object) -> CheckSettings:
             expected = " or ".join(repr(item) for item in REACTIONS[REACTIONS.index(MILDEST[name]) :])
             raise SettingsError(f"{where}: checks.{name}.reaction", repr(rule.reaction), expected)
         for item in fields(rule):
-            if item.name != "reaction":
-                _check_threshold(f"{name}.{item.name}", getattr(rule, item.name), where)
+            key, value = f"{name}.{item.name}", getattr(rule, item.name)
+            if item.name != "reaction" and not 0.0 < value <= BOUNDS[key].most:
+                expected = f"above 0, at most {BOUNDS[key].most:g}: {BOUNDS[key].why}"
+                raise SettingsError(f"{where}: checks.{key}", f"{value:g}", expected)
     if not 0.0 < settings.patience_s <= 1.0:
         raise SettingsError(f"{where}: checks.patience_s", f"{settings.patience_s:g} s", "above 0, at most 1 s")
     for name, reason in settings.without.items():
         if name not in CHECKS:
             raise SettingsError(f"{where}: checks.without", f"unknown check {name!r}", nearest(name, OPTIONAL))
         if name not in OPTIONAL:
-            raise SettingsError(f"{where}: checks.without.{name}", "cannot be left out", f"one of: {', '.join(OPTIONAL)}")
+            raise SettingsError(f"{where}: checks.without.{name}", "cannot be disabled", f"one of: {', '.join(OPTIONAL)}")
         if len(reason.strip()) < SHORTEST_REASON:
-            raise SettingsError(f"{where}: checks.without.{name}", f"the reason {reason!r}", "one sentence that says why")
+            raise SettingsError(f"{where}: checks.without.{name}", f"the reason {reason!r}", "one sentence with the reason")
     return settings
-
-
-def _check_threshold(key: str, value: float, where: object) -> None:
-    bounds = BOUNDS[key]
-    if not 0.0 < value <= bounds.most:
-        raise SettingsError(f"{where}: checks.{key}", f"{value:g}", f"above 0, at most {bounds.most:g}: {bounds.why}")

@@ -1,1 +1,1 @@
-"""What a run is for: follow, hold, collect, replay, watch."""
+"""The modes of a run."""

@@ -1,4 +1,4 @@
-"""The paper's autonomous collection: random joint configurations within the limits, settle, record."""
+"""The paper's autonomous collection of poses: random joint configurations within the limits, settle, record."""
 
 from __future__ import annotations
 
@@ -11,96 +11,98 @@ from sysid.runner.modes.mode import Goal, Move, done
 
 Array = npt.NDArray[np.float64]
 
-#: Moments of a move at which the fence is looked at.
-_LOOKED_AT = 24
-#: What the machine may be off its setpoints [m].
+#: Samples of a move at which the fence is checked.
+_SAMPLES = 24
+#: Allowance for the tracking error [m].
 CLEARANCE = 0.01
-#: Configurations that are tried for each one that is kept.
+#: Most random draws for each accepted configuration.
 _TRIES = 200
 
 
 class SafeMoves:
-    """Which straight moves keep away from the fence, so far that a stop from anywhere on them ends inside it.
-
-    Args:
-        barrier: of the machine.
-    """
+    """Tests whether straight moves, and stops from any point on them, stay inside the fence."""
 
     def __init__(self, command_filter: CommandFilter) -> None:
         self.command_filter, self.limits = command_filter, command_filter.limits
 
     def outside(self, begin: Array, end: Array) -> float:
-        """How far the move from ``begin`` to ``end`` (A,), or a stop from it, leaves the fence less a clearance [m].
+        """Distance by which the move from ``begin`` to ``end`` (A,), or a stop from it, leaves the fence less a clearance [m].
 
-        Where it begins outside, what counts is how much farther it leads.
+        For a move that begins outside, only a larger distance counts.
         """
         if not self.limits.fenced:
             return 0.0
-        joints, speeds = Move(begin, end, self.limits, self.command_filter.dt).along(_LOOKED_AT)
-        ends = self.command_filter.tip(np.concatenate([joints, self.command_filter.stopped(joints, speeds)]))
+        joints, speeds = Move(begin, end, self.limits, self.command_filter.dt).sample(_SAMPLES)
+        ends = self.command_filter.tip(np.concatenate([joints, self.command_filter.stop_ends(joints, speeds)]))
         left = outside(ends, self.limits.fence_low + CLEARANCE, self.limits.fence_high - CLEARANCE)
         return max(float(left[len(joints) - 1]), float(left.max()) - float(left[0]))
 
 
-def draw(count: int, ways: SafeMoves, seed: int) -> Array:
-    """Joints (count, A) at random within the limits, so that they, the moves between them, and from the last to the first keep
-    away from the fence.
+def draw_poses(count: int, safe_moves: SafeMoves, seed: int) -> Array:
+    """Random joints (count, A) within the limits; the moves between them, and from the last to the first, are safe.
 
     Raises:
-        SettingsError: hardly any configuration does.
+        SettingsError: no safe configuration in :data:`_TRIES` draws.
     """
     rng = np.random.default_rng(seed)
-    low, high = ways.limits.low, ways.limits.high
+    low, high = safe_moves.limits.low, safe_moves.limits.high
     found: list[Array] = []
     for number in range(count):
         for _ in range(_TRIES):
             joints = rng.uniform(low, high)
             first, last = (found[0], found[-1]) if found else (joints, joints)
-            closed = number < count - 1 or ways.outside(joints, first) == 0.0
-            if closed and ways.outside(last, joints) == 0.0:
+            closed = number < count - 1 or safe_moves.outside(joints, first) == 0.0
+            if closed and safe_moves.outside(last, joints) == 0.0:
                 break
         else:
             where = f"collect: pose {number + 1}"
-            raise SettingsError(where, f"none of {_TRIES} draws stays inside the fence", "more room in limits.fence")
+            raise SettingsError(where, f"none of {_TRIES} draws stays inside the fence", "a larger limits.fence")
         found.append(joints)
     return np.array(found)
 
 
 class Collect:
-    """Go to each of the configurations, settle, stay while it is recorded.
+    """Move to each configuration, settle, and hold while it is recorded.
 
     Args:
-        poses: configurations (n, A), or how many to draw.
-        ways, dt: of the machine.
-        settle_s, record_s: at each of them.
+        poses: configurations (n, A), or their number for a random draw.
+        safe_moves, dt: of the machine.
+        settle_s, record_s: at each configuration.
         seed: of the draw.
 
     Raises:
         SettingsError: hardly any configuration stays inside the fence.
     """
 
-    name, moves, writes, thinks = "collect", True, True, True
+    name, moves, writes, computes = "collect", True, True, True
 
     def __init__(
-        self, poses: int | Array, ways: SafeMoves, dt: float, *, settle_s: float = 1.0, record_s: float = 0.5, seed: int = 0
+        self,
+        poses: int | Array,
+        safe_moves: SafeMoves,
+        dt: float,
+        *,
+        settle_s: float = 1.0,
+        record_s: float = 0.5,
+        seed: int = 0,
     ) -> None:
-        self._ways, self._dt = ways, dt
+        self._safe_moves, self._dt = safe_moves, dt
         self._stay = round(settle_s / dt), round(record_s / dt)
-        #: In the order in which they are gone to; it begins with one to which the way is free.
-        self.poses = draw(poses, ways, seed) if isinstance(poses, int) else np.array(poses)
+        #: In the order of the visits, beginning with one that a safe move reaches.
+        self.poses = draw_poses(poses, safe_moves, seed) if isinstance(poses, int) else np.array(poses)
         self._next, self._begun = 0, 0
         self._move: Move | None = None
 
     def begin(self, joints: Array, ee: Array) -> None:
-        # The line waits: one after the other until one fits.
+        # One after the other until one fits: this runs within a cycle.
         left = []
         for pose in self.poses:
-            left.append(self._ways.outside(joints, pose))
+            left.append(self._safe_moves.outside(joints, pose))
             if left[-1] == 0.0:
                 break
         self.poses = np.roll(self.poses, -int(np.argmin(left)), axis=0)
         self._next, self._begun = 0, 0
-        self._move = Move(joints, self.poses[0], self._ways.limits, self._dt)
+        self._move = Move(joints, self.poses[0], self._safe_moves.limits, self._dt)
 
     def goal(self, k: int, joints: Array, ee: Array) -> Goal:
         assert self._move is not None
@@ -109,7 +111,7 @@ class Collect:
             self._next += 1
             if self._next >= len(self.poses):
                 return done("collect")
-            self._move = Move(self.poses[self._next - 1], self.poses[self._next], self._ways.limits, self._dt)
+            self._move = Move(self.poses[self._next - 1], self.poses[self._next], self._safe_moves.limits, self._dt)
             self._begun = k
         since = k - self._begun - self._move.steps
         phase = "move" if since < 0 else "settle" if since < settle else "record"

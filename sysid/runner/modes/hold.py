@@ -1,4 +1,4 @@
-"""Stand still where the machine stands; watch what another mode would do; write down what a person does."""
+"""Hold the position; compute another mode without sending; record manual operation."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ Array = npt.NDArray[np.float64]
 
 
 class Hold:
-    """Hold the joints at which the run started, for ``seconds`` (None: until somebody stops it)."""
+    """Hold the initial joints for ``seconds`` (None: until the operator stops)."""
 
-    name, moves, writes, thinks = "hold", True, True, True
+    name, moves, writes, computes = "hold", True, True, True
 
     def __init__(self, dt: float, seconds: float | None = None) -> None:
         self._last = math.inf if seconds is None else seconds / dt
@@ -29,9 +29,9 @@ class Hold:
 
 
 class Shadow:
-    """Another mode computes and is recorded; nothing is sent, whatever it says. A person, or another controller, drives."""
+    """Compute and record another mode; nothing is sent. A person or another controller drives the machine."""
 
-    name, moves, writes, thinks = "shadow", False, False, True
+    name, moves, writes, computes = "shadow", False, False, True
 
     def __init__(self, mode: Mode) -> None:
         self.mode = mode
@@ -46,7 +46,7 @@ class Shadow:
 class Teleop:
     """Record manual operation; nothing is computed or sent."""
 
-    name, moves, writes, thinks = "teleop", False, False, False
+    name, moves, writes, computes = "teleop", False, False, False
 
     def begin(self, joints: Array, ee: Array) -> None:
         """Nothing begins."""

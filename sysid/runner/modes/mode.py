@@ -1,4 +1,4 @@
-"""What a mode wants in a cycle, and smooth moves from joints to joints that most of them begin with."""
+"""The goal of a mode in a cycle, and smooth joint-space moves."""
 
 from __future__ import annotations
 
@@ -17,26 +17,26 @@ Array = npt.NDArray[np.float64]
 SHARE = 0.7
 
 
-def _nowhere() -> Array:
+def _unknown_point() -> Array:
     return np.full(3, np.nan)
 
 
 @dataclass(frozen=True)
 class Goal:
-    """One cycle: a target for the policy, or joints, or valve commands; the first of commands, joints, aim that is there.
+    """The goal of one cycle: the first of commands, joints, aim that is given.
 
     Args:
-        phase: for people and the log.
-        target: where the end effector should be after this cycle, (3,) [m].
-        aim: what the policy is shown: the target, or one further ahead.
+        phase: for console and log.
+        target: of the end effector at the end of this cycle, (3,) [m].
+        aim: target that the policy observes: the same, or one further ahead.
         joints: setpoints (A,).
         commands: valve commands (A,), open loop.
-        stop: why the run is to end; ``done``: because the task is.
+        stop: reason to end the run; ``done``: the task is finished.
     """
 
     phase: str
-    target: Array = field(default_factory=_nowhere)
-    aim: Array = field(default_factory=_nowhere)
+    target: Array = field(default_factory=_unknown_point)
+    aim: Array = field(default_factory=_unknown_point)
     joints: Array | None = None
     commands: Array | None = None
     stop: str = ""
@@ -44,7 +44,7 @@ class Goal:
 
 
 def done(phase: str) -> Goal:
-    """The task is."""
+    """The task is finished."""
     return Goal(phase, stop=f"{phase} is done", done=True)
 
 
@@ -53,35 +53,35 @@ class Mode(Protocol):
 
     Attributes:
         name: as in recipes.
-        moves: valves are let move.
-        writes: anything is sent at all; where not, another controller or a person drives the machine.
-        thinks: setpoints are computed.
+        moves: valves are enabled.
+        writes: commands are sent; if not, another controller or a person drives the machine.
+        computes: setpoints are computed.
     """
 
     name: str
     moves: bool
     writes: bool
-    thinks: bool
+    computes: bool
 
     def begin(self, joints: Array, ee: Array) -> None:
-        """The task starts with the machine at rest at ``joints`` (A,), its end effector at ``ee`` (3,)."""
+        """Begin the task with the machine at rest at ``joints`` (A,), its end effector at ``ee`` (3,)."""
         ...
 
     def goal(self, k: int, joints: Array, ee: Array) -> Goal:
-        """What is wanted in turn ``k`` since the start (turns that were held do not count)."""
+        """The goal of cycle ``k`` since the beginning (held cycles do not count)."""
         ...
 
 
 def _quintic(s: Array | float) -> Array | float:
-    """From 0 at 0 to 1 at 1, at rest and without acceleration at both."""
+    """From 0 at 0 to 1 at 1, with zero speed and acceleration at both ends."""
     return s**3 * (10.0 - 15.0 * s + 6.0 * s * s)
 
 
 class Move:
-    """From joints to joints (A,) along a straight line of joint space, jerk-limited (quintic), all axes together.
+    """A straight move in joint space, jerk-limited (quintic), all axes synchronised.
 
     Args:
-        limits: of which :data:`SHARE` is used.
+        limits: :data:`SHARE` of them is used.
         dt: of a cycle.
     """
 
@@ -97,27 +97,24 @@ class Move:
         self._seconds = self.steps * dt
 
     def at(self, k: int) -> Array:
-        """Joints (A,) ``k`` cycles after the beginning; the last ones beyond the end."""
+        """Joints (A,) ``k`` cycles after the beginning; the end after it."""
         s = min(max(k / self.steps, 0.0), 1.0)
         return np.asarray(self.begin + (self.end - self.begin) * _quintic(s))
 
-    def along(self, count: int) -> tuple[Array, Array]:
-        """Joints and their speeds at ``count`` moments from the beginning to the end, (count, A) each."""
+    def sample(self, count: int) -> tuple[Array, Array]:
+        """Joints and speeds at ``count`` equally spaced times, (count, A) each."""
         s = np.linspace(0.0, 1.0, count)[:, None]
         way = self.end - self.begin
         return self.begin + way * _quintic(s), way * 30.0 * (s * (1.0 - s)) ** 2 / self._seconds
 
-    def over(self, k: int) -> bool:
-        return k >= self.steps
-
 
 class Approach:
-    """A move to where a task begins, and a while for the machine to settle there.
+    """A move to the start of a task, and a settling time.
 
     Args:
         to: joints (A,).
         limits, dt: of the machine.
-        settle_s: how long it settles.
+        settle_s: settling time [s].
     """
 
     def __init__(self, to: Array, limits: Limits, dt: float, settle_s: float = 0.5) -> None:
@@ -129,7 +126,7 @@ class Approach:
 
     @property
     def steps(self) -> int:
-        """Cycles it takes."""
+        """Its number of cycles."""
         assert self._move is not None
         return self._move.steps + self._settle
 

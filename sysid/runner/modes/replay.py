@@ -1,4 +1,4 @@
-"""Play again what stands in a file: joint setpoints, valve commands, or a recording that the gap workflow asks for."""
+"""Replay a file: joint setpoints, valve commands, or an experiment that the gap workflow requests."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ Array = npt.NDArray[np.float64]
 
 
 class ReplayJoints:
-    """Joint setpoints (n, A), one a cycle; the machine goes to the first ones before."""
+    """Joint setpoints (n, A), one per cycle, after a move to the first ones."""
 
-    name, moves, writes, thinks = "replay", True, True, True
+    name, moves, writes, computes = "replay", True, True, True
 
     def __init__(self, joints: Array, limits: Limits, dt: float) -> None:
         self.joints, self._approach = joints, Approach(joints[0], limits, dt)
@@ -39,15 +39,15 @@ class ReplayJoints:
 
 
 class ReplayCommands:
-    """Valve commands (n, A), one a cycle, open loop.
+    """Valve commands (n, A), one per cycle, open loop.
 
     Args:
         commands: (n, A) in [-1, 1].
-        start: joints (A,) to go to before; None: from where the machine stands.
-        watched: joint column → (lowest, highest) that ends the run where it is left.
+        start: joints (A,) of a move before; None: from the present position.
+        watched: joint column → range (lowest, highest); the run ends outside of it.
     """
 
-    moves, writes, thinks = True, True, True
+    moves, writes, computes = True, True, True
 
     def __init__(
         self,
@@ -80,7 +80,7 @@ class ReplayCommands:
 
 
 def of_experiment(experiment: Experiment, plant: Plant, limits: Limits, dt: float) -> ReplayCommands:
-    """A recording that :func:`sysid.gap.find_gap` asks for: from its start, within its limits.
+    """An experiment that :func:`sysid.gap.find_gap` requests: from its start, within its limits.
 
     Raises:
         SettingsError: another rate, or an axis without a valve.
@@ -115,7 +115,7 @@ def of_file(path: Path, machine: Machine, limits: Limits) -> ReplayJoints | Repl
     """A CSV file with ``time`` and, for every axis, ``<axis>.joint`` or ``<axis>.command``.
 
     Raises:
-        InputError: no such file, other columns, values that are not finite, or time that does not rise.
+        InputError: no such file, other columns, values that are not finite, or time that does not increase.
     """
     dt = 1.0 / machine.rate_hz
     try:
@@ -132,7 +132,7 @@ def of_file(path: Path, machine: Machine, limits: Limits) -> ReplayJoints | Repl
         raise InputError(path, f"columns {', '.join(map(str, table.columns))}", f"time and {', '.join(columns)} or joints")
     rows = table[["time", *columns]].apply(pd.to_numeric, errors="coerce").to_numpy(dtype=np.float64)
     if len(rows) < 2 or not np.isfinite(rows).all() or not (np.diff(rows[:, 0]) > 0.0).all():
-        raise InputError(path, "fewer than two rows, a value that is no number, or time that does not rise", "a whole table")
+        raise InputError(path, "fewer than two rows, a value that is not finite, or decreasing time", "a whole table")
     time = np.arange(int((rows[-1, 0] - rows[0, 0]) * machine.rate_hz + 1e-6) + 1) * dt + rows[0, 0]
     values = np.column_stack([np.interp(time, rows[:, 0], column) for column in rows.T[1:]])
     if quantity == "joint":

@@ -1,4 +1,4 @@
-"""Follow a path, or a target that somebody moves, with the end effector."""
+"""Follow a path, or a target from datagrams, with the end effector."""
 
 from __future__ import annotations
 
@@ -16,38 +16,35 @@ from sysid.runner.modes.mode import Approach, Goal, done
 Array = npt.NDArray[np.float64]
 
 
-#: The last point is held for so long [s].
+#: Time for which the last point is held [s].
 LINGER_S = 0.5
 
 
 def eased(path: Path, ease_s: float) -> Array:
-    """The points of ``path`` (n, 3) with its speed rising from rest over the first ``ease_s`` seconds, and falling at the end.
-
-    The machine stands still before and after: a path that moves at once asks for a jump of speed.
-    """
+    """The points of ``path`` (n, 3) with speed ramps of ``ease_s`` at both ends, where the machine is at rest."""
     ease = round(ease_s * path.rate_hz)
     last = len(path.points) - 1
     if ease < 1 or 2 * ease > last:
         return path.points.copy()
     up = 0.5 - 0.5 * np.cos(np.pi * (np.arange(ease) + 0.5) / ease)
-    steps = np.concatenate([up, np.ones(last - ease), up[::-1]])  # steps of the path a cycle; they sum up to `last`
+    steps = np.concatenate([up, np.ones(last - ease), up[::-1]])  # steps of the path per cycle; their sum is `last`
     place = np.concatenate([[0.0], np.cumsum(steps)])
     return np.column_stack([np.interp(place, np.arange(last + 1), column) for column in path.points.T])
 
 
 class TrackPath:
-    """Go to where the path begins, by joints, and follow it.
+    """Move to the beginning of the path in joint space, and follow it.
 
     Args:
         path: in the base frame.
         start: joints (A,) at its beginning.
         limits, dt: of the machine.
-        ahead: how many cycles further on the target lies that the policy is shown.
-        ease_s: over which the path comes up to its speed.
-        laps: how often it is followed; a path that does not close is followed there and back.
+        ahead: look-ahead of the policy in cycles.
+        ease_s: duration of the speed ramps.
+        laps: number of rounds; an open path is followed forth and back.
     """
 
-    name, moves, writes, thinks = "track", True, True, True
+    name, moves, writes, computes = "track", True, True, True
 
     def __init__(
         self, path: Path, start: Array, limits: Limits, dt: float, *, ahead: int = 0, ease_s: float = 1.0, laps: int = 1
@@ -55,7 +52,7 @@ class TrackPath:
         once = eased(path, ease_s)
         closed = float(np.linalg.norm(path.points[-1] - path.points[0])) < 1e-3
         rounds = [once if closed or k % 2 == 0 else once[::-1] for k in range(laps)]
-        # Whoever is shown targets ahead of time starts from rest as well.
+        # The target rests during the look-ahead.
         self.points = np.concatenate([np.tile(once[0], (ahead, 1)), *rounds])
         self.ahead, self._linger = ahead, round(LINGER_S / dt)
         self._approach = Approach(start, limits, dt)
@@ -75,21 +72,21 @@ class TrackPath:
 
 
 class TrackLive:
-    """Follow a target that comes as ``x y z`` [m] in datagrams on the loopback; the newest one counts.
+    """Follow a target ``x y z`` [m] from datagrams on the loopback, the newest one.
 
-    The target moves no faster than ``speed``, wherever it jumps; without any it stays where the end effector was.
+    The target moves at most at ``speed``; without a datagram it stays at the end effector's initial position.
 
     Args:
         port: on 127.0.0.1.
-        speed: greatest, of the target [m/s].
+        speed: greatest speed of the target [m/s].
         dt: of a cycle.
-        seconds: the run ends after so long; None: never.
+        seconds: duration of the run; None: unlimited.
 
     Raises:
         SettingsError: the port is taken.
     """
 
-    name, moves, writes, thinks = "track", True, True, True
+    name, moves, writes, computes = "track", True, True, True
 
     def __init__(self, port: int, speed: float, dt: float, seconds: float | None = None) -> None:
         self._step, self._last = speed * dt, math.inf if seconds is None else seconds / dt
@@ -119,7 +116,7 @@ class TrackLive:
         self._socket.close()
 
     def _listen(self) -> None:
-        for _ in range(16):  # whoever floods us does not hold the loop up
+        for _ in range(16):  # a flood of datagrams may not delay the loop
             try:
                 text = self._socket.recv(256)
             except BlockingIOError:
@@ -127,6 +124,6 @@ class TrackLive:
             try:
                 point = np.array([float(part) for part in text.decode("ascii").replace(",", " ").split()])
             except ValueError:
-                continue  # not a point: the last one stays
+                continue  # not a point: keep the last one
             if point.shape == (3,) and np.isfinite(point).all():
                 self._wanted = point
