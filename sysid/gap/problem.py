@@ -9,7 +9,6 @@ import numpy as np
 import numpy.typing as npt
 
 from sysid.datasets.recording import Dataset, Recording, Role
-from sysid.effects import gain_error, input_delay
 from sysid.effects.effect import Stage
 from sysid.gap.drift import BIN
 from sysid.machine import Axis
@@ -35,7 +34,6 @@ class Problem:
         predict: (lanes, N) parameters and a recording → (lanes, n, d).
         measured: recording → (n, d), NaN where missing.
         rows: recording → its row of each of the n measured ones.
-        nuisances: effects whose parameters are free in every fit, since others would absorb them otherwise.
         integrates: the output is an integral of the input, so that every disturbance stays in it.
         short: the same problem restarted from the measurement every few seconds, where a drift could trap a fit.
         poses: static poses show it too, each a measurement of its own.
@@ -48,7 +46,6 @@ class Problem:
     predict: Callable[[Array, Recording], Array]
     measured: Callable[[Recording], Array]
     rows: Callable[[Recording], Rows]
-    nuisances: tuple[str, ...] = ()
     integrates: bool = False
     short: Problem | None = None
     poses: bool = False
@@ -77,7 +74,6 @@ def drive_problem(model: Model, axis: Axis, restart_every: float | None = None) 
         predict,
         lambda recording: recording.values(axis.driven)[:, None],
         _every_row,
-        nuisances=(gain_error.EFFECT.name, input_delay.EFFECT.name) if moves else (input_delay.EFFECT.name,),
         integrates=moves,
         short=drive_problem(model, axis, SHORT_RUN) if moves and restart_every is None else None,
     )

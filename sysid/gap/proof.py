@@ -170,7 +170,7 @@ def _describe(case: Case, stage: Stage, proven: bool, outcome: ProofOutcome) -> 
             return
         fit = finding.fit
     else:
-        fit = Fit((), (), np.empty(0), stage.theta, (), 0.0, True)
+        fit = Fit((), (), np.empty(0), stage.theta, (), 0.0)
     outcome.notes.append(f"{stage.label}: what is left depends most on: {next(iter(remainder.groups), 'nothing')}")
     outcome.unnamed += describe_residual(stage.problem, fit, stage.split.seen, case.plant.machine)
 

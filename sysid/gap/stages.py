@@ -170,7 +170,7 @@ def _fit(seen: Data, candidates: Sequence[Candidate], theta: Array, model: Model
     drifts, log_likelihood = seen.drifts(theta)
     values = model.values if model is not None else np.empty(0)
     unknowns = model.unknowns if model is not None else ()
-    return Fit(tuple(candidates), tuple(unknowns), values, theta, drifts, log_likelihood, True)
+    return Fit(tuple(candidates), tuple(unknowns), values, theta, drifts, log_likelihood)
 
 
 def _comparison(candidate: Candidate, fitted: StageFit) -> Comparison:

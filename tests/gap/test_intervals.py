@@ -125,7 +125,7 @@ def test_covariance_has_the_widths_of_the_intervals() -> None:
 
 
 def test_no_unknowns_no_intervals() -> None:
-    nothing = Fit((), (), np.empty(0), nominal().vector(), (), 0.0, True)
+    nothing = Fit((), (), np.empty(0), nominal().vector(), (), 0.0)
     data = Data(drive_problem(compile_plant(nominal()), arm().axis("slew")), (), np.array([1e-3]))
     found = known_of(data, nominal().vector(), nothing, {})
     assert found.covariance.shape == (0, 0)

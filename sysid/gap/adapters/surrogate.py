@@ -65,7 +65,7 @@ def fit_surrogate(problem: Problem, plant: Plant, model: Model, runs: Sequence[R
         return None
     candidates = [c for c in candidates_at(plant, model.theta, "command", (axis.name,)) if c.effect.surrogate_test is not None]
     candidates = [c for c in candidates if c.form is c.effect.forms[0]]
-    data = Data(replace(drive_problem(model, axis), nuisances=()), runs, np.array([sigma]))
+    data = Data(drive_problem(model, axis), runs, np.array([sigma]))
     fitted = fit_candidates(data, model.theta, candidates, starting_values(candidates, (), 0)).theta
     short = replace(problem, predict=_predict(model, axis, fitted, SHORT_RUN), short=None)
     left = sigma * spread_of(data.residuals(fitted[None], data.problem.short))

@@ -33,7 +33,7 @@ from sysid.gap.unnamed.residual_series import BIN, PARTS, ResidualSeries, cross_
 from sysid.gap.unnamed.terms import Factor, Formula, Term
 
 Array = npt.NDArray[np.float64]
-FIT = Fit((), (), np.empty(0), MODEL.theta, (), 0.0, True)
+FIT = Fit((), (), np.empty(0), MODEL.theta, (), 0.0)
 DRIVE, JOINT = drive_problem(MODEL, MACHINE.axis("boom")), joint_problem(MODEL, MACHINE.axis("boom"))
 
 
