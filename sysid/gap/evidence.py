@@ -1,12 +1,10 @@
-"""What a comparison of two models comes to, and how probable a gain in predictive density is by chance.
+"""Probability that a gain in predictive density is due to chance.
 
-Naive criteria count every sample as independent and name effects that are not there in most runs on drifting residuals
-(measured: ΔBIC > 10 in 67–94 % of null runs); a gain is bootstrapped in blocks.
+A criterion that counts every sample as independent names absent effects in most runs on drifting residuals (ΔBIC > 10 in
+67–94 % of null runs); a gain is therefore bootstrapped in blocks.
 """
 
 from __future__ import annotations
-
-from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
@@ -14,23 +12,6 @@ import numpy.typing as npt
 from sysid.validate.bootstrap import bootstrap_means
 
 Array = npt.NDArray[np.float64]
-
-
-@dataclass(frozen=True)
-class Comparison:
-    """A larger model against a smaller one.
-
-    Args:
-        delta_bic: twice the difference in log evidence; above 10 is very strong evidence for the larger.
-        gain: log predictive density gained, each block predicted from all others [nats].
-        p_value: probability of such a gain by chance.
-        ratio: standard deviation of what neither effects nor discrepancy explain, smaller / larger.
-    """
-
-    delta_bic: float
-    gain: float
-    p_value: float
-    ratio: float
 
 
 def gain_p_value(gain: Array, seed: int, draws: int = 1000) -> float:

@@ -14,12 +14,12 @@ from sysid.gap.candidates import Candidate
 from sysid.gap.case import Case, Stage
 from sysid.gap.data import Data
 from sysid.gap.decision import EXPLAINED, LOST, NOT_EXCITED, SHARE, Z, pays, unnoticed
-from sysid.gap.fit import Fit, spread_of
+from sysid.gap.fit import spread_of
 from sysid.gap.floor import problem_floor
 from sysid.gap.intervals import known_of
 from sysid.gap.likelihood.stage import ModelFit
 from sysid.gap.localise import stage_rmse
-from sysid.gap.result import Alternative, EffectEvidence, Gap, NamedEffect, ResidualModelResult, Unnamed, Value
+from sysid.gap.result import Alternative, Gap, NamedEffect, ResidualModelResult, Unnamed, Value
 from sysid.gap.sensor_resolution import CoarseSensor
 from sysid.gap.stage_result import AcceptedEffect, StageResult
 from sysid.gap.unnamed.residual_formula import describe_residual
@@ -168,11 +168,11 @@ def _describe(case: Case, stage: Stage, proven: bool, outcome: ProofOutcome) -> 
                 f"no smooth function of what was measured explains a tenth of it"
             )
             return
-        fit = finding.fit
+        theta = finding.fit.theta
     else:
-        fit = Fit((), (), np.empty(0), stage.theta, (), 0.0)
+        theta = stage.theta
     outcome.notes.append(f"{stage.label}: what is left depends most on: {next(iter(remainder.groups), 'nothing')}")
-    outcome.unnamed += describe_residual(stage.problem, fit, stage.split.seen, case.plant.machine)
+    outcome.unnamed += describe_residual(stage.problem, theta, stage.split.seen, case.plant.machine)
 
 
 def _better(stage: Stage) -> bool:
@@ -329,7 +329,7 @@ def _uncertainty(model: ModelFit, plant: Plant) -> Uncertainty:
 
 
 def _named(stage: Stage, kept: AcceptedEffect, limits: Array, share: float) -> NamedEffect:
-    candidate, fit, compared = kept.candidate, stage.found.fit, kept.comparison
+    candidate, fit = kept.candidate, stage.found.fit
     begin = fit.rows_of(candidate).start
     parameters: dict[str, Value] = {}
     interval: dict[str, tuple[Any, Any]] = {}
@@ -352,7 +352,7 @@ def _named(stage: Stage, kept: AcceptedEffect, limits: Array, share: float) -> N
         tuple(Alternative(c.effect.name, c.target, why) for c, why in kept.rejected),
         candidate.aliases,
         side=candidate.side,
-        evidence=EffectEvidence(compared.delta_bic, compared.gain, compared.p_value, compared.ratio),
+        evidence=kept.evidence,
         undetermined=tuple(undetermined),
     )
 

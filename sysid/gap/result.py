@@ -33,13 +33,13 @@ class Alternative:
 
 @dataclass(frozen=True)
 class EffectEvidence:
-    """What speaks for an effect, compared with the best fit without it.
+    """Evidence for an effect: the model with it against the model without it, the rest refitted.
 
     Args:
-        delta_bic: on the recordings that were fitted; above 10 is strong.
-        nats: log predictive density gained on the recordings to select on.
-        p_value: share of block-bootstrap samples of those in which it does not predict better.
-        ratio: RMSE on those recordings, without to with it.
+        delta_bic: twice the difference in log evidence; above 10 is very strong evidence for the effect.
+        nats: log predictive density gained, each block predicted from all others.
+        p_value: probability of such a gain by chance.
+        ratio: standard deviation of what neither effects nor discrepancy explain, without to with the effect.
     """
 
     delta_bic: float

@@ -18,14 +18,14 @@ from sysid.gap.candidates import Candidate
 from sysid.gap.case import Case, Stage, on_itself, stage_candidates
 from sysid.gap.clocks import open_offset
 from sysid.gap.data import Data
-from sysid.gap.decision import EXPLAINED, Decision, Key, difference
-from sysid.gap.evidence import Comparison
+from sysid.gap.decision import EXPLAINED, Key, difference
 from sysid.gap.excitation import excitation_of
 from sysid.gap.fit import Fit, spread_of
 from sysid.gap.likelihood.stage import ModelFit
 from sysid.gap.problem import Problem
+from sysid.gap.result import ComparedModel, EffectEvidence
 from sysid.gap.stage_model import StageFit, fit_stage
-from sysid.gap.stage_result import AcceptedEffect, StageResult, TestedModel
+from sysid.gap.stage_result import AcceptedEffect, StageResult
 from sysid.plant import compile_plant
 from sysid.plant.model import WORKERS
 from sysid.progress import Progress, part
@@ -158,12 +158,12 @@ def _result(problem: Problem, seen: Data, fitted: StageFit, nominal: float) -> S
     decision = fitted.decision
     fit = _fit(seen, decision.model.candidates, decision.model.theta, decision.model)
     final = spread_of(seen.residuals(fit.theta[None]))
-    kept = [AcceptedEffect(c, _comparison(c, fitted), _rejected(c, fitted)) for c in decision.named]
-    kept += [AcceptedEffect(tie[0], _comparison(tie[0], fitted), (), tie[1:]) for tie in decision.tied]
+    kept = [AcceptedEffect(c, _evidence(c, fitted), _rejected(c, fitted)) for c in decision.named]
+    kept += [AcceptedEffect(tie[0], _evidence(tie[0], fitted), (), tie[1:]) for tie in decision.tied]
     taken = {k.candidate.label for k in kept}
     adjusted = tuple(c for c in decision.model.candidates if c.label not in taken)
     alone = _result(problem, seen, fitted.names_alone, nominal) if fitted.names_alone is not None else None
-    return StageResult(problem, tuple(kept), adjusted, fit, nominal, final, _trials(fitted, seen), fitted, alone)
+    return StageResult(problem, tuple(kept), adjusted, fit, nominal, final, _compared(problem, fitted), fitted, alone)
 
 
 def _fit(seen: Data, candidates: Sequence[Candidate], theta: Array, model: ModelFit | None = None) -> Fit:
@@ -173,12 +173,12 @@ def _fit(seen: Data, candidates: Sequence[Candidate], theta: Array, model: Model
     return Fit(tuple(candidates), tuple(unknowns), values, theta, drifts, log_likelihood)
 
 
-def _comparison(candidate: Candidate, fitted: StageFit) -> Comparison:
+def _evidence(candidate: Candidate, fitted: StageFit) -> EffectEvidence:
     model, less = fitted.decision.model, fitted.dropped[candidate.label]
     total, error = difference(model, less)
     ratio = less.rms / max(model.rms, 1e-12)
     chance = max(float(norm.sf(total / max(error, 1e-9))), 0.5 ** len(model.predictive))  # no less than all blocks by chance
-    return Comparison(2.0 * (model.evidence - less.evidence), total, chance, ratio)
+    return EffectEvidence(2.0 * (model.evidence - less.evidence), total, chance, ratio)
 
 
 def _rejected(candidate: Candidate, fitted: StageFit) -> tuple[tuple[Candidate, str], ...]:
@@ -194,15 +194,15 @@ def _rejected(candidate: Candidate, fitted: StageFit) -> tuple[tuple[Candidate, 
     return tuple(found.values())
 
 
-def _trials(fitted: StageFit, seen: Data) -> tuple[TestedModel, ...]:
-    decision: Decision = fitted.decision
-    rows = []
+def _compared(problem: Problem, fitted: StageFit) -> tuple[ComparedModel, ...]:
+    """The forty likeliest models against the chosen one."""
+    decision, rows = fitted.decision, []
     for f in fitted.models[:40]:
         names = (f"{c.label}.{u.key}" for c in f.candidates for u in c.unknowns)
         total, error = difference(decision.model, f)
         verdict = "survives" if any(f is s for s in decision.survivors) else f"{total:.0f} ± {error:.0f} nats worse"
         values = dict(zip(names, map(float, f.values), strict=True))
-        rows.append(
-            TestedModel(tuple(sorted(f.labels)), values, f.rms, f.rms, 2.0 * (f.evidence - decision.model.evidence), verdict)
-        )
+        delta_bic = 2.0 * (f.evidence - decision.model.evidence)
+        names_of = tuple(sorted(f.labels))
+        rows.append(ComparedModel(problem.stage, problem.target, names_of, values, f.rms, f.rms, delta_bic, verdict))
     return tuple(rows)

@@ -17,9 +17,8 @@ from sysid.gap.decision import EXPLAINED
 from sysid.gap.experiment import ExperimentProposal, Planning, open_hypotheses, propose
 from sysid.gap.maps import maps_of
 from sysid.gap.proof import ProofOutcome
-from sysid.gap.result import ComparedModel, Excitation, GapResult, Map, StageGap, Verdict
+from sysid.gap.result import Excitation, GapResult, Map, StageGap, Verdict
 from sysid.gap.shares import shares_of
-from sysid.gap.stage_result import StageResult
 from sysid.gap.stages import Forms
 from sysid.plant import Plant, compile_plant
 from sysid.progress import Progress, part, silent
@@ -119,7 +118,7 @@ def find_gap(
         shares=shares_of(compile_plant(case.plant), case.split.seen) if case.adapter is None else (),
         maps=_maps(case, stages, better if outcome.repaired is not case.plant else None),
         carried=tuple(outcome.carried),
-        candidates=tuple(row for stage in stages if stage.finding for row in _rows(stage, stage.finding)),
+        candidates=tuple(row for stage in stages if stage.finding for row in stage.finding.compared),
         traces=proof.traces,
         notes=(
             *outcome.notes,
@@ -139,14 +138,6 @@ def _maps(case: Case, stages: Sequence[Stage], repaired: Array | None) -> tuple[
     machine, units = case.plant.machine, case.dataset.units
     of_stages = (maps_of(s.problem, case.theta, s.split.seen, s.sigma, machine, units, repaired) for s in stages)
     return tuple(item for maps in of_stages for item in maps)
-
-
-def _rows(stage: Stage, finding: StageResult) -> list[ComparedModel]:
-    where = stage.problem.stage, stage.problem.target
-    return [
-        ComparedModel(*where, t.effects, t.parameters, t.fit_rmse, t.selection_rmse, t.delta_bic, t.verdict)
-        for t in finding.trials
-    ]
 
 
 def _verdict(outcome: ProofOutcome, located: Sequence[StageGap], shown: Sequence[Excitation], localise_only: bool) -> Verdict:

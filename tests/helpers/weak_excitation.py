@@ -11,10 +11,10 @@ from plant_data import _ARM, ROLES, URDF, arm_inputs, measured, slide_inputs
 from sysid.datasets.recording import Dataset, Recording
 from sysid.gap.case import Case, Stage, open_case, stage_candidates
 from sysid.gap.data import Data
-from sysid.gap.evidence import Comparison
 from sysid.gap.experiment import Experiment, OpenHypothesis, dry_run
 from sysid.gap.experiment.open_hypothesis import non_identifiable_set
 from sysid.gap.fit import fit_candidates
+from sysid.gap.result import EffectEvidence
 from sysid.gap.stage_result import AcceptedEffect, StageResult
 from sysid.gap.starts import starting_values
 from sysid.machine import Machine, machine_from_files
@@ -74,7 +74,7 @@ def tie(
     fit = fit_candidates(seen, case.theta, (one,), starting_values((one,), (), 0))
     repaired = plant.with_effect(one.instance(fit.values))
     finding = StageResult(
-        stage.problem, (AcceptedEffect(one, Comparison(0.0, 0.0, 1.0, 1.0), (), (other,)),), (), fit, 2.0, 1.0
+        stage.problem, (AcceptedEffect(one, EffectEvidence(0.0, 0.0, 1.0, 1.0), (), (other,)),), (), fit, 2.0, 1.0
     )
     searched = Stage(stage.problem, stage.split, stage.sigma, stage.theta, finding)
     return case, repaired, non_identifiable_set(case, searched, repaired.vector(), one, (other,), seen)
