@@ -1,4 +1,4 @@
-"""What a map of the disagreement may be drawn over: command, speed, direction, position, load, time, the other axes."""
+"""Variables over which errors are mapped: command, speed, direction, position, load, time, the other axes."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ Array = npt.NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Units:
-    """A machine, and what is known about the units of its signals."""
+    """Units of the signals of a machine; ``given`` where the machine description leaves them open."""
 
     machine: Machine
     given: Mapping[str, str]
@@ -31,7 +31,7 @@ class Units:
 
 @dataclass(frozen=True)
 class MapVariable:
-    """What a map is drawn over: values (n,), their unit, and how they are cut into bins."""
+    """Variable of a map: values (n,), their unit, and how they are cut into bins."""
 
     values: Array
     unit: str
@@ -56,7 +56,7 @@ def joined(parts: Sequence[dict[str, MapVariable]], lengths: Sequence[int]) -> d
 
 
 def variables_of(problem: Problem, recording: Recording, known: Units) -> dict[str, MapVariable]:
-    """Name → what may matter for a stage, on the rows that it is measured on."""
+    """Name → variable that the error of a stage may depend on, on its measured rows."""
     rows = problem.rows(recording)
     if problem.target in known.machine.axis_names:
         found = _of_axis(problem, recording, known)
@@ -76,7 +76,7 @@ def _of_axis(problem: Problem, recording: Recording, known: Units) -> dict[str, 
         speed = speed_of(position, recording.rate_hz)
         found[f"speed of {axis.name}"] = MapVariable(speed, per_second(unit), "signed")
         found[f"direction of {axis.name}"] = MapVariable(direction_of(speed), "1", "sign")
-        if problem.stage != "force":  # there the force is the output
+        if problem.stage != "force":  # the force is the output there
             signal = axis_signal(axis.name, "command")
             found[signal] = MapVariable(recording.values(signal), known.of(signal), "signed")
         found |= _of_others(axis.name, recording, known)
@@ -100,7 +100,7 @@ def _of_others(axis: str, recording: Recording, known: Units) -> dict[str, MapVa
 
 
 def _of_point(problem: Problem, recording: Recording, known: Units) -> dict[str, MapVariable]:
-    """Of the tip: every joint and load. Of the tool: how its pivot moves."""
+    """For the tip: every joint and load. For the tool: speed and acceleration of its pivot."""
     found: dict[str, MapVariable] = {}
     if problem.stage == "tool":
         for coordinate in point_signals("ee"):

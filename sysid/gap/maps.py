@@ -1,7 +1,4 @@
-"""Maps of the disagreement: over which command, speed, position, load, time and other motion a stage departs from its machine.
-
-A map needs no candidate and names nothing. It answers the first question of whoever knows the machine: when does it happen?
-"""
+"""Maps of the error of a stage over command, speed, position, load, time and other motion; no effect is needed for them."""
 
 from __future__ import annotations
 
@@ -21,8 +18,8 @@ from sysid.validate.binning import SPEED_WINDOW, edges_of, explained, per_second
 
 Array = npt.NDArray[np.float64]
 
-#: A bin with fewer rows is left out: its mean says nothing.
-LEAST_ROWS = 10
+#: Least number of rows of a bin.
+MIN_ROWS = 10
 #: Median absolute deviation of a normal distribution → its standard deviation.
 ROBUST = 1.4826
 
@@ -36,27 +33,27 @@ def maps_of(
     units: Mapping[str, str],
     repaired: Array | None = None,
 ) -> tuple[Map, ...]:
-    """Every map of every output of a stage, the most telling one of each output first.
+    """Every map of every output of a stage, for each output in descending order of explained variance.
 
-    The disagreement is measured − simulated. Where the stage integrates its input, an error of speed stays in the position for
-    ever: there speeds are compared (differences over :data:`SPEED_WINDOW`), and positions over what is the axis' own.
+    The error is measured − simulated. A stage that integrates keeps an error of speed in its position; there speeds are
+    compared (differences over :data:`SPEED_WINDOW`), and positions over variables of the same axis only.
 
     Args:
-        theta: (N,) parameters of the simulation in question; ``repaired`` of a better one.
+        theta: (N,) parameters of the simulation under test; ``repaired``: of the repaired one.
         recordings: at least one; static poses have no speed, command or time.
         sigma: noise floor of each output (d,).
         units: SI units of signals, where the description of the machine leaves them open.
     """
     known = Units(machine, units)
-    parts = [_disagreement(problem, theta, repaired, r) for r in recordings]
+    parts = [_errors(problem, theta, repaired, r) for r in recordings]
     variables = joined([variables_of(problem, r, known) for r in recordings], [len(part.error) for part in parts])
     found: list[Map] = []
     for k, signal in enumerate(problem.signals):
         unit = known.of(signal)
-        views = [_View("error", unit, float(sigma[k]), *_stacked(parts, k, _AS_IT_IS))]
+        views = [_View("error", unit, float(sigma[k]), *_stacked(parts, k, _PLAIN))]
         if problem.integrates:
             floor = float(sigma[k]) * float(np.sqrt(2.0)) / SPEED_WINDOW
-            views.append(_View("speed error", per_second(unit), floor, *_stacked(parts, k, _AS_SPEED)))
+            views.append(_View("speed error", per_second(unit), floor, *_stacked(parts, k, _SPEED)))
         of_signal = [
             item
             for view in views
@@ -76,7 +73,7 @@ def _own(over: str, target: str) -> bool:
 def _map(problem: Problem, signal: str, over: str, variable: MapVariable, view: _View) -> Map | None:
     """One map; None where the variable does not vary."""
     there = np.isfinite(view.error) & np.isfinite(variable.values)
-    if there.sum() < 2 * LEAST_ROWS:
+    if there.sum() < 2 * MIN_ROWS:
         return None
     x, e = variable.values[there], view.error[there]
     edges = edges_of(x, variable.kind)
@@ -84,7 +81,7 @@ def _map(problem: Problem, signal: str, over: str, variable: MapVariable, view: 
         return None
     place = places_in(edges, x)
     count = np.bincount(place, minlength=len(edges) - 1)
-    kept = np.flatnonzero(count >= LEAST_ROWS)
+    kept = np.flatnonzero(count >= MIN_ROWS)
     if len(kept) < 2:
         return None
     order = np.argsort(place, kind="stable")
@@ -108,16 +105,16 @@ def _map(problem: Problem, signal: str, over: str, variable: MapVariable, view: 
 
 
 def _rounded(values: Array) -> tuple[float, ...]:
-    """Six digits are more than a mean of noisy rows has, and keep a result with a hundred maps small."""
+    """Rounded to six digits, which keeps a result with a hundred maps small."""
     return tuple(float(f"{value:.6g}") for value in values)
 
 
-# -- the disagreement ----------------------------------------------------------------------------------------------------
+# -- errors --------------------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
 class _Part:
-    """Of one recording, (n, d) each: measured − simulated, and the same after the repair; as speeds too where speeds count."""
+    """Errors of one recording, (n, d) each, before and after the repair; speeds where the stage integrates, else NaN."""
 
     error: Array
     after: Array
@@ -130,7 +127,7 @@ class _Part:
 
 @dataclass(frozen=True)
 class _View:
-    """One way to look at the disagreement of a signal: (n,) over all recordings."""
+    """Error of a signal, or of its speed, (n,) over all recordings."""
 
     quantity: str
     unit: str
@@ -141,15 +138,15 @@ class _View:
     simulated: Array
 
 
-_AS_IT_IS = ("error", "after", "nothing", "nothing")
-_AS_SPEED = ("speed_error", "speed_after", "measured_speed", "simulated_speed")
+_PLAIN = ("error", "after", "nothing", "nothing")
+_SPEED = ("speed_error", "speed_after", "measured_speed", "simulated_speed")
 
 
 def _stacked(parts: Sequence[_Part], k: int, names: Sequence[str]) -> list[Array]:
     return [np.concatenate([getattr(part, name)[:, k] for part in parts]) for name in names]
 
 
-def _disagreement(problem: Problem, theta: Array, repaired: Array | None, recording: Recording) -> _Part:
+def _errors(problem: Problem, theta: Array, repaired: Array | None, recording: Recording) -> _Part:
     lanes = theta[None] if repaired is None else np.vstack([theta, repaired])
     measured, predicted = problem.measured(recording), problem.predict(lanes, recording)
     nothing = np.full(measured.shape, np.nan)
