@@ -1,4 +1,4 @@
-"""The search at every stage of a case: side by side where stages know nothing of each other."""
+"""The search at every stage of a case, in parallel where stages are independent."""
 
 from __future__ import annotations
 
@@ -32,23 +32,23 @@ from sysid.progress import Progress, part
 from sysid.signals import axis_signal
 
 Array = npt.NDArray[np.float64]
-#: A play narrower than this many standard deviations of the noise of the signal that drives it acts as a filter of that noise.
-PLAY_OVER_NOISE = 4.0
-#: What a stage behind a drive says of the sensor that the drive is read by, and the stages that say it.
+#: Backlash narrower than this many standard deviations of the noise of its input acts as a filter of that noise.
+BACKLASH_OVER_NOISE = 4.0
+#: Effect of the sensor of a drive that the stages behind the drive identify, and these stages.
 SCALE, BEHIND = sensor_scale.EFFECT.name, ("joint", "end_effector")
 
 Forms = Literal["all", "simple"]
 
 
 def search_stages(case: Case, stages: Sequence[Stage], forms: Forms, progress: Progress) -> tuple[Stage, ...]:
-    """The stages with what was found at each."""
+    """The stages with the result of each."""
     if case.adapter is None:
-        return _side_by_side(case, stages, forms, progress)
+        return _in_parallel(case, stages, forms, progress)
     return _one_by_one(case, case.adapter, stages, forms, progress)
 
 
-def _side_by_side(case: Case, stages: Sequence[Stage], forms: Forms, progress: Progress) -> tuple[Stage, ...]:
-    """Stages driven by their measured inputs know nothing of each other: as many at a time as there are cores."""
+def _in_parallel(case: Case, stages: Sequence[Stage], forms: Forms, progress: Progress) -> tuple[Stage, ...]:
+    """Stages driven by their measured inputs are independent: as many at a time as there are cores."""
     done = [0.0] * len(stages)
 
     def one(k: int) -> Stage:
@@ -59,15 +59,15 @@ def _side_by_side(case: Case, stages: Sequence[Stage], forms: Forms, progress: P
         return replace(stages[k], finding=_found(case, stages[k], forms, tell))
 
     workers = min(WORKERS, max(len(stages), 1))
-    with threadpool_limits(1), ThreadPoolExecutor(workers, thread_name_prefix="sysid-stage") as pool:  # a core a stage
+    with threadpool_limits(1), ThreadPoolExecutor(workers, thread_name_prefix="sysid-stage") as pool:
         found = tuple(pool.map(one, range(len(stages))))
-        return _as_read(case, found, forms, progress)
+        return _with_sensor_scales(case, found, forms, progress)
 
 
-def _as_read(case: Case, stages: tuple[Stage, ...], forms: Forms, progress: Progress) -> tuple[Stage, ...]:
-    """Drives read by a sensor whose scale was found behind them are searched again with that scale: it looks like a gain.
+def _with_sensor_scales(case: Case, stages: tuple[Stage, ...], forms: Forms, progress: Progress) -> tuple[Stage, ...]:
+    """Search drives again whose sensor has a scale error according to the stages behind them: it looks like a gain.
 
-    Where the scale ties with another effect it stands in the repaired plant all the same, and must not be counted twice.
+    A scale that ties with another effect is in the repaired plant too, and must not be counted twice.
     """
     scales = [
         (stage.found.fit, kept.candidate)
@@ -92,12 +92,12 @@ def _as_read(case: Case, stages: tuple[Stage, ...], forms: Forms, progress: Prog
 def _one_by_one(
     case: Case, adapter: SimulatorAdapter, stages: Sequence[Stage], forms: Forms, progress: Progress
 ) -> tuple[Stage, ...]:
-    """With a simulator of one's own, the input of a stage depends on the effects found before it."""
+    """With a user's simulator, the input of a stage depends on the effects found before it."""
     found, theta = list[Stage](), case.theta
     for k, stage in enumerate(stages):
         tell = part(progress, k / len(stages), (k + 1) / len(stages))
-        settled = replace(stage, problem=adapter.with_input_effects(stage.problem, theta))
-        found.append(replace(settled, finding=_found(case, settled, forms, tell)))
+        prepared = replace(stage, problem=adapter.with_input_effects(stage.problem, theta))
+        found.append(replace(prepared, finding=_found(case, prepared, forms, tell)))
         if stage.problem.stage == "command":
             fitted = found[-1].found.fit.theta
             theta = np.where(fitted != case.theta, fitted, theta)
@@ -113,13 +113,13 @@ def _found(case: Case, stage: Stage, forms: Forms, tell: Progress) -> StageResul
     if nominal <= EXPLAINED:
         tell(1.0, stage.label)
         return StageResult(problem, (), (), _fit(seen, (), stage.theta), nominal, nominal)
-    offered = [c for c in stage_candidates(case, stage) if forms == "all" or c.form is c.effect.forms[0]]
-    nameable = [c.label for c in offered if excitation_of(c, stage.split.seen, machine).sufficient]
+    candidates = [c for c in stage_candidates(case, stage) if forms == "all" or c.form is c.effect.forms[0]]
+    nameable = [c.label for c in candidates if excitation_of(c, stage.split.seen, machine).sufficient]
     fitted = fit_stage(
-        compile_plant(case.plant), problem, stage.split.seen, stage.theta, stage.sigma, offered, nameable,
-        _equivalence(case, problem.stage, offered),
+        compile_plant(case.plant), problem, stage.split.seen, stage.theta, stage.sigma, candidates, nameable,
+        _equivalence(case, problem.stage, candidates),
         on_fit=lambda text: tell(0.0, f"{stage.label}: {text}"),
-        shared=[c.label for c in offered if problem.stage in BEHIND and c.key in _scales_of_drives(case)],
+        shared=[c.label for c in candidates if problem.stage in BEHIND and c.key in _scales_of_drives(case)],
     )  # fmt: skip
     finding = _result(problem, seen, fitted, nominal)
     tell(1.0, stage.label)
@@ -127,25 +127,25 @@ def _found(case: Case, stage: Stage, forms: Forms, tell: Progress) -> StageResul
 
 
 def _scales_of_drives(case: Case) -> set[Key]:
-    """Scales of the sensors that read what a command drives: behind it they would change what the drive's stage says."""
+    """Scales of the sensors of driven signals: at a later stage they would change the result of the drive's stage."""
     return {(SCALE, axis.driven, None) for axis in case.plant.machine.axes}
 
 
-def _equivalence(case: Case, stage: str, offered: Sequence[Candidate]) -> dict[Key, float]:
-    """What is open about clocks and about plays that a noisy measurement drives: least half-widths of equivalence."""
+def _equivalence(case: Case, stage: str, candidates: Sequence[Candidate]) -> dict[Key, float]:
+    """Least half-widths of regions of equivalence: of clock offsets, and of backlash with a noisy measured input."""
     found: dict[Key, float] = {}
-    for candidate in offered:
+    for candidate in candidates:
         if candidate.effect is clock_offset.EFFECT:
             found[candidate.key] = open_offset(case.dataset, candidate.target)
         elif candidate.effect is backlash.EFFECT and stage == "end_effector":
-            found[candidate.key] = PLAY_OVER_NOISE * case.noise.get(axis_signal(candidate.target, "joint"), 0.0)
+            found[candidate.key] = BACKLASH_OVER_NOISE * case.noise.get(axis_signal(candidate.target, "joint"), 0.0)
         elif candidate.effect is backlash.EFFECT and stage == "joint":
-            found[candidate.key] = PLAY_OVER_NOISE * _cylinder_noise(case, candidate.target)
+            found[candidate.key] = BACKLASH_OVER_NOISE * _cylinder_noise(case, candidate.target)
     return found
 
 
 def _cylinder_noise(case: Case, axis: str) -> float:
-    """Noise of a measured cylinder as its linkage passes it on to the joint [rad]."""
+    """Noise of a measured cylinder, converted to the joint by its linkage [rad]."""
     linkage = case.plant.linkages[axis]
     stroke = case.plant.machine.axis(axis).stroke
     ends = stroke if stroke is not None else (0.0, 1.0)
@@ -177,12 +177,14 @@ def _evidence(candidate: Candidate, fitted: StageFit) -> EffectEvidence:
     model, less = fitted.decision.model, fitted.dropped[candidate.label]
     total, error = difference(model, less)
     ratio = less.rms / max(model.rms, 1e-12)
-    chance = max(float(norm.sf(total / max(error, 1e-9))), 0.5 ** len(model.predictive))  # no less than all blocks by chance
-    return EffectEvidence(2.0 * (model.evidence - less.evidence), total, chance, ratio)
+    p_value = max(
+        float(norm.sf(total / max(error, 1e-9))), 0.5 ** len(model.predictive)
+    )  # at least the probability that all blocks agree by chance
+    return EffectEvidence(2.0 * (model.evidence - less.evidence), total, p_value, ratio)
 
 
 def _rejected(candidate: Candidate, fitted: StageFit) -> tuple[tuple[Candidate, str], ...]:
-    """Other effects in its place, and by how much they predict worse."""
+    """Other effects in its place, and the predictive density that they lose."""
     model = fitted.decision.model
     rest = {c.key for c in model.candidates} - {candidate.key}
     found: dict[tuple[str, str, str | None], tuple[Candidate, str]] = {}

@@ -1,4 +1,4 @@
-"""Where a fit begins: nominal, the candidates' own starts, spread over all ranges, and the optima of smaller fits."""
+"""Start values of a fit: nominal, those of the candidates, spread over their ranges, and the optima of smaller fits."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from sysid.gap.fit import Fit
 
 Array = npt.NDArray[np.float64]
 
-#: Starting points spread over the ranges of what is fitted; they are evaluated in one batch, the best are descended from.
+#: Number of start values spread over the ranges of the unknowns; all are evaluated in one batch, the best are used.
 STARTS = 32
 
 
 def starting_values(candidates: Sequence[Candidate], parents: Sequence[Fit], seed: int) -> list[Array]:
-    """Where a fit may begin: nominal, the candidates' own starts, spread over all ranges; parents' optima with what is new."""
+    """Nominal values, starts of the candidates, a spread over their ranges; optima of ``parents`` with new effects."""
     if not candidates:
         return [np.empty(0)]
     nominal = np.array([u.nominal for c in candidates for u in c.unknowns])
@@ -37,14 +37,14 @@ def starting_values(candidates: Sequence[Candidate], parents: Sequence[Fit], see
 
 
 def _ends(candidate: Candidate) -> tuple[Array, Array]:
-    """Least and greatest of a candidate's starting values and its nominal ones.
+    """Least and greatest of a candidate's start values and its nominal ones.
 
-    A nominal value far away from all of them says "absent" and leaves no room to search between: it is brought near.
+    A nominal value far from all start values means "absent": it is moved towards them, so that the spread covers their range.
     """
     table = np.array(candidate.starts)
     low, high = table.min(axis=0), table.max(axis=0)
-    room = np.maximum(high - low, np.abs(table).max(axis=0))
-    nominal = np.clip([u.nominal for u in candidate.unknowns], low - room, high + room)
+    margin = np.maximum(high - low, np.abs(table).max(axis=0))
+    nominal = np.clip([u.nominal for u in candidate.unknowns], low - margin, high + margin)
     return np.minimum(low, nominal), np.maximum(high, nominal)
 
 
