@@ -13,10 +13,9 @@ from sysid.datasets.recording import Recording
 from sysid.gap.candidates import Candidate
 from sysid.gap.decision import Decision, Key, decide, smallest_sets
 from sysid.gap.free_run import LeastSquares, free_run_of
-from sysid.gap.likelihood.averaged import SPANS, averaged
 from sysid.gap.likelihood.discrepancy import Discrepancy, discrepancy_of
 from sysid.gap.likelihood.explained import Explained, explained
-from sysid.gap.likelihood.rows import StageRows, averaged_out
+from sysid.gap.likelihood.rows import SPANS, StageRows, averaged, averaged_out
 from sysid.gap.likelihood.stage import ModelFit, StageLikelihood, Variances, fit_model
 from sysid.gap.likelihood.variances import Start, estimated, first_variances, log_prior, own_evidence, robust
 from sysid.gap.problem import Problem

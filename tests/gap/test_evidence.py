@@ -10,7 +10,7 @@ from plant_data import arm_inputs, dataset_of, measured, nominal
 from sysid.datasets.recording import Dataset
 from sysid.gap import find_gap
 from sysid.gap.drift import estimate_drift
-from sysid.gap.evidence import gain_p_value
+from sysid.gap.unnamed.residual_series import gain_p_value
 from sysid.machine import KnownEffect
 
 Array = npt.NDArray[np.float64]

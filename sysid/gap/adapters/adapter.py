@@ -1,4 +1,4 @@
-"""Adapter for a simulator of one's own: input effects act on its commands, output effects on the signals that it returns.
+"""Adapter for a user's simulator: input effects act on its commands, output effects on the signals that it returns.
 
 The simulator is a black box. The command stage of an axis therefore runs through the simulator itself, one whole recording at
 a time. The later stages are those of the plant, driven by measured signals, plus the discrepancy of the simulator from them:

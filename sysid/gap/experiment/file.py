@@ -87,20 +87,9 @@ def read_experiment(path: Path, machine: Machine | None = None) -> Experiment:
     if machine is not None:
         _check_machine(commands, file, machine, path)
     return Experiment(
-        file.name,
-        file.machine,
-        file.motion,
-        file.about,
-        file.axes,
-        file.rate_hz,
-        file.repeats,
-        file.start,
-        file.limits,
-        file.predicted,
-        file.purposes,
-        file.provenance,
-        commands,
-    )
+        file.name, file.machine, file.motion, file.about, file.axes, file.rate_hz, file.repeats, file.start, file.limits,
+        file.predicted, file.purposes, file.provenance, commands,
+    )  # fmt: skip
 
 
 def _check_commands(commands: pd.DataFrame, file: _File, where: Path) -> None:

@@ -18,6 +18,7 @@ from scipy import signal as filters
 from sysid.datasets.recording import Recording
 from sysid.gap.intervals.criterion import Criterion
 from sysid.gap.intervals.curvature import Curvature
+from sysid.gap.likelihood.discrepancy.shapes import filled
 from sysid.signals import split_signal
 
 Array = npt.NDArray[np.float64]
@@ -87,17 +88,17 @@ def smoothed(recording: Recording, inputs: Mapping[str, float]) -> Recording:
 
 
 def _smooth(values: Array, level: float, rate_hz: float) -> Array:
-    there = np.flatnonzero(~np.isnan(values))
-    if level <= 0.0 or len(there) < 50:
+    there = ~np.isnan(values)
+    if level <= 0.0 or int(there.sum()) < 50:
         return values
-    filled = np.interp(np.arange(len(values)), there, values[there])
+    path = filled(values)
     for cutoff in CUTOFFS:
         if cutoff >= 0.4 * rate_hz:
             break
         low_pass = filters.butter(2, cutoff, fs=rate_hz, output="sos")
-        smooth = filters.sosfiltfilt(low_pass, filled)
+        smooth = filters.sosfiltfilt(low_pass, path)
         if np.std((smooth - values)[there]) <= NOISE_RATIO * level:
-            return np.where(np.isnan(values), np.nan, smooth)
+            return np.where(there, smooth, np.nan)
     return values
 
 

@@ -1,4 +1,4 @@
-"""What the discrepancy explains of a stage beside a model, group by group: a systematic remainder, or none."""
+"""Share of the remaining error of a stage that the discrepancy explains beside a model, group by group."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ Array = npt.NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Explained:
-    """Root mean squares of a stage's output in noise floors, each run's mean taken off.
+    """RMS errors of a stage's output in noise floors, the mean of each run subtracted.
 
     Args:
-        before: what the effects leave; ``after``: what the discrepancy leaves of that.
-        groups: what each group of the discrepancy contributes, the largest first.
+        before: beside the effects alone; ``after``: with the discrepancy as well.
+        groups: RMS contribution of each group of the discrepancy, the largest first.
     """
 
     before: float
@@ -30,7 +30,7 @@ class Explained:
 
 
 def explained(likelihood: StageLikelihood, fit: ModelFit) -> Explained:
-    """Posterior mean of the discrepancy beside ``fit``, against what the fit leaves."""
+    """Posterior mean of the discrepancy beside ``fit``, against the remaining error of the fit."""
     rows, found = likelihood.rows, likelihood.discrepancy
     scale = likelihood.variances.groups[found.group]
     lanes = fit.values[None]
@@ -54,7 +54,7 @@ def explained(likelihood: StageLikelihood, fit: ModelFit) -> Explained:
 
 
 def _centred(series: Sequence[Series], columns: Array) -> Array:
-    """Columns without the mean of each series: where a run starts is no remainder."""
+    """Columns without the mean of each series, which depends on the initial state."""
     out = columns.copy()
     for s in series:
         part = out[s.rows]

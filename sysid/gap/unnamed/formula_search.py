@@ -17,9 +17,8 @@ from itertools import pairwise
 import numpy as np
 import numpy.typing as npt
 
-from sysid.gap.evidence import gain_p_value
 from sysid.gap.unnamed.periodogram import Periodogram, best_period
-from sysid.gap.unnamed.residual_series import PARTS, ResidualSeries, lag1_autocorrelation, quasi_difference
+from sysid.gap.unnamed.residual_series import PARTS, ResidualSeries, gain_p_value, lag1_autocorrelation, quasi_difference
 from sysid.gap.unnamed.terms import Factor, Formula, Term, modulations
 
 Array = npt.NDArray[np.float64]
