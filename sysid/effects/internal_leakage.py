@@ -1,4 +1,4 @@
-"""``internal_leakage``: oil creeps past piston and spool; the axis sinks with the valve closed."""
+"""``internal_leakage``: oil leaks past piston and spool; the axis creeps with the valve closed."""
 
 from __future__ import annotations
 
