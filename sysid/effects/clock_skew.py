@@ -17,9 +17,7 @@ EFFECT = Effect(
     equation="t_machine = t_stream·(1 + 10⁻⁶·skew), t from the start of the recording",
     source="definition; 10–200 ppm between unsynchronised clocks (machine facts)",
     excited_by="minutes of motion recorded with both clocks",
-    confused_with={
-        "input_delay": "a skew grows over the recording; a delay is constant",
-    },
+    confused_with={"input_delay": "a skew grows over the recording; a delay is constant"},
     example={"skew": -5000.0},
     exempt=("causal", "finite", "time_invariant", "memoryless"),
     need=Need("longest_any_motion", 60, "Record motion with both devices for five minutes or more without interruption."),

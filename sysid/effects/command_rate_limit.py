@@ -22,9 +22,7 @@ EFFECT = Effect(
     equation="|dy/dt| ≤ rate",
     source="data sheets of proportional valve amplifiers (ramp time)",
     excited_by="large sudden changes of the command",
-    confused_with={
-        "flow_saturation": "a rate limit is a plateau of acceleration; saturation is a plateau of speed",
-    },
+    confused_with={"flow_saturation": "a rate limit is a plateau of acceleration; saturation is a plateau of speed"},
     example={"rate": 2.0},
     need=Need("command_changes", 10, "Record 10 sudden full commands of {axis}."),
     actuations=("velocity", "position"),

@@ -22,9 +22,7 @@ EFFECT = Effect(
     equation="y = max(−limit, min(limit, u))",
     source="Merritt 1967, ch. 5",
     excited_by="large commands on one axis at a time",
-    confused_with={
-        "gain_curve": "saturation has a corner and a plateau; a gain curve bends smoothly",
-    },
+    confused_with={"gain_curve": "saturation has a corner and a plateau; a gain curve bends smoothly"},
     example={"limit": 0.5},
     need=Need("motion", 5, "Record {axis} alone at 60, 80 and 100 %, 5 s each."),
     actuations=("velocity",),

@@ -20,9 +20,7 @@ EFFECT = Effect(
     equation="v = ratio · gain · x",
     source="definition",
     excited_by="any motion",
-    confused_with={
-        "gain_curve": "a gain error changes all speeds by one ratio, a curve the low ones most",
-    },
+    confused_with={"gain_curve": "a gain error changes all speeds by one ratio, a curve the low ones most"},
     need=Need("motion", 5, "Record {axis} moving over half of its range, 20 s."),
     actuations=("velocity",),
     surrogate_test=0.8,

@@ -16,9 +16,7 @@ EFFECT = Effect(
     equation="the link that the axis moves is longer by error along the line to the next joint (or the tip)",
     source="Khalil & Dombre 2002, ch. 11",
     excited_by="poses spread over the work space",
-    confused_with={
-        "joint_offset": "an offset is tangential and grows with reach; a length error is radial",
-    },
+    confused_with={"joint_offset": "an offset is tangential and grows with reach; a length error is radial"},
     example={"error": 0.08},
     need=Need("joint_coverage", 10, "Record poses over the whole range of {axis}."),
     actuations=("velocity", "position", "force"),

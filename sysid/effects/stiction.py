@@ -51,7 +51,7 @@ EFFECT = Effect(
     source="Karnopp, J. Dyn. Syst. Meas. Control 107 (1985)",
     excited_by="slow starts from rest and slow stops on both sides",
     confused_with={
-        "valve_deadband": "a dead-band starts and stops motion at one command; stiction starts it higher, with a jump",
+        "valve_deadband": "a dead-band starts and stops motion at one command; stiction starts it higher, with a jump"
     },
     example={"breakaway": 0.35, "release": 0.12},
     need=Need("command_changes", 10, "Record 20 slow starts from rest and slow stops of {axis} on both sides."),

@@ -43,9 +43,7 @@ EFFECT = Effect(
     equation="v = gain·x·(1 + fraction·(1 − e^(−t/time_constant))), t from the start of the recording",
     source="viscosity of hydraulic oil over temperature: Jelali & Kroll 2003, §3.3; 5–20 % (machine facts)",
     excited_by="the same motion early and late in a recording of minutes",
-    confused_with={
-        "gain_error": "a gain error is constant; warm-up changes with time: compare the same motion early and late",
-    },
+    confused_with={"gain_error": "a gain error is constant; warm-up changes with time: compare the same motion early and late"},
     example={"fraction": 0.3, "time_constant": 5.0},
     exempt=("time_invariant",),
     need=Need("longest_motion", 60, "Record {axis} moving evenly to and fro for ten minutes from a cold start."),

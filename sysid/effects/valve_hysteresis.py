@@ -19,9 +19,7 @@ EFFECT = Effect(
     equation="y = min(max(y, u − width/2), u + width/2)",
     source="Jelali & Kroll 2003, §3.4; 1–6 % on proportional valves (machine facts)",
     excited_by="command reversals at any rate, small ones included",
-    confused_with={
-        "input_delay": "a delay is a time independent of amplitude; a hysteresis loses a fixed part of the command",
-    },
+    confused_with={"input_delay": "a delay is a time independent of amplitude; a hysteresis loses a fixed part of the command"},
     example={"width": 0.15},
     rate_independent=True,
     need=Need("command_changes", 10, "Record 20 slow reversals of the command of {axis} around three openings."),

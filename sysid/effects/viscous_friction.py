@@ -33,7 +33,7 @@ EFFECT = Effect(
     source="Armstrong-Hélouvry et al., Automatica 30 (1994)",
     excited_by="motion at several speeds",
     confused_with={
-        "coulomb_friction": "dry friction is constant over speed, viscous friction proportional: compare two speeds",
+        "coulomb_friction": "dry friction is constant over speed, viscous friction proportional: compare two speeds"
     },
     example={"coefficient": 4.0},
     need=Need("force_both_ways", 1, "Record {axis} at three speeds in both directions, 20 s."),

@@ -112,11 +112,7 @@ class Scales:
 
 
 def candidates_at(
-    plant: Plant,
-    theta: Array,
-    stage: Stage,
-    targets: tuple[str, ...],
-    scales: Scales | None = None,
+    plant: Plant, theta: Array, stage: Stage, targets: tuple[str, ...], scales: Scales | None = None
 ) -> list[Candidate]:
     """All candidates of a stage.
 

@@ -74,10 +74,7 @@ class SimulatorAdapter:
         for item in effects:
             if self._forced(item.target):
                 raise SettingsError(
-                    f"simulator {self.name}",
-                    f"{item.name} acts inside",
-                    "an input or output effect",
-                    "Build it in.",
+                    f"simulator {self.name}", f"{item.name} acts inside", "an input or output effect", "Build it in."
                 )
             plant = plant.with_effect(item)
         return replace(self, plant=plant)

@@ -89,10 +89,7 @@ def fit_residual_models(
     """
     if case.adapter is not None:
         raise SettingsError(
-            f"simulator {case.adapter.name}",
-            "cannot hold a residual network",
-            "a plant",
-            "Add it inside the simulator itself.",
+            f"simulator {case.adapter.name}", "cannot hold a residual network", "a plant", "Add it inside the simulator itself."
         )
     repaired, found = outcome.repaired, list[ResidualModelResult]()
     # A stage may be listed twice: for effects without a name, and for the remaining residual.

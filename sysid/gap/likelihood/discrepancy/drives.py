@@ -14,17 +14,7 @@ from scipy import signal
 
 from sysid.compiled import kernel
 from sysid.datasets.recording import Recording
-from sysid.gap.likelihood.discrepancy.shapes import (
-    SMALL,
-    bumps,
-    delayed,
-    low_pass,
-    slope,
-    slow_cosines,
-    smooth,
-    span_of,
-    waves,
-)
+from sysid.gap.likelihood.discrepancy.shapes import SMALL, bumps, delayed, low_pass, slope, slow_cosines, smooth, span_of, waves
 from sysid.machine import Axis
 from sysid.plant import Model, gravity_load
 from sysid.plant.layout import AT, AXIS_WIDTH
