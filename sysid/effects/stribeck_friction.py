@@ -28,7 +28,7 @@ EFFECT = Effect(
                     (1e-5, 0.05),
                     (0.003, 0.01, 0.03),
                     0.05,
-                    "decay of the excess",
+                    "63 % of the excess is gone",
                     secondary=True,
                 ),
             )

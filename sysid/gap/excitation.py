@@ -24,6 +24,7 @@ from sysid.plant import gravity_load
 from sysid.signals import axis_signal, point_signals, split_signal
 
 Array = npt.NDArray[np.float64]
+Rows = npt.NDArray[np.bool_]
 Count = Callable[[Sequence[Recording], Machine, str], float]
 
 
@@ -172,56 +173,47 @@ def command_changes(recordings: Sequence[Recording], machine: Machine, axis: str
 def small_commands(recordings: Sequence[Recording], machine: Machine, axis: str) -> float:
     """Seconds with a small command (between 2 % and 40 % of full), on the side with less of it."""
     low, high = use.SMALL
-    sides = [0.0, 0.0]
-    for recording in recordings:
-        u = recording.values(axis_signal(axis, "command"))
-        sides[0] += float(np.sum((u > low) & (u < high))) / recording.rate_hz
-        sides[1] += float(np.sum((u < -low) & (u > -high))) / recording.rate_hz
-    return min(sides)
+
+    def small(recording: Recording, sign: float) -> Rows:
+        u = sign * recording.values(axis_signal(axis, "command"))
+        return (u > low) & (u < high)
+
+    return min(_seconds(recordings, lambda r: small(r, 1.0)), _seconds(recordings, lambda r: small(r, -1.0)))
 
 
 def motion_both_ways(recordings: Sequence[Recording], machine: Machine, axis: str) -> float:
     """Seconds of command on the side with less of it."""
-    sides = [0.0, 0.0]
-    for recording in recordings:
-        level = _level(recording, axis)
-        sides[0] += float(np.sum(level > 0)) / recording.rate_hz
-        sides[1] += float(np.sum(level < 0)) / recording.rate_hz
-    return min(sides)
+    return min(_seconds(recordings, lambda r: _level(r, axis) > 0), _seconds(recordings, lambda r: _level(r, axis) < 0))
 
 
 def motion(recordings: Sequence[Recording], machine: Machine, axis: str) -> float:
     """Seconds of command in either direction."""
-    return sum(float(np.sum(_level(r, axis) != 0)) / r.rate_hz for r in recordings)
-
-
-def longest_motion(recordings: Sequence[Recording], machine: Machine, axis: str) -> float:
-    """Seconds of command in the recording with most of it."""
-    return max((motion((r,), machine, axis) for r in recordings), default=0.0)
+    return _seconds(recordings, lambda r: _level(r, axis) != 0)
 
 
 def any_motion(recordings: Sequence[Recording], machine: Machine, target: str) -> float:
     """Seconds in which any axis is commanded."""
-    return sum(_moving(r, machine) for r in recordings)
+    return _seconds(recordings, lambda r: _any_moves(r, machine))
 
 
-def longest_any_motion(recordings: Sequence[Recording], machine: Machine, target: str) -> float:
-    """Seconds in which any axis is commanded, in the recording with most of it."""
-    return max((_moving(r, machine) for r in recordings), default=0.0)
+def longest(count: Count) -> Count:
+    """The count in the recording with most of it."""
+    return lambda recordings, machine, target: max((count((r,), machine, target) for r in recordings), default=0.0)
 
 
 def together(recordings: Sequence[Recording], machine: Machine, target: str) -> float:
     """Seconds in which at least two axes are commanded beyond a third of their largest command."""
-    total = 0.0
-    for recording in recordings:
+
+    def two_at_large_commands(recording: Recording) -> Rows:
         levels = [np.abs(np.nan_to_num(recording.values(axis_signal(a.name, "command")))) for a in machine.axes]
         high = [level > 0.33 * max(float(np.max(level, initial=0.0)), 1e-12) for level in levels]
-        total += float(np.sum(np.sum(high, axis=0) >= 2)) / recording.rate_hz
-    return total
+        return np.asarray(np.sum(high, axis=0) >= 2)
+
+    return _seconds(recordings, two_at_large_commands)
 
 
 def load_change(recordings: Sequence[Recording], machine: Machine, axis: str) -> float:
-    """How far the gravity load of the axis changes, 5th to 95th percentile, in percent of its largest."""
+    """Change of the gravity load of the axis, 5th to 95th percentile, in percent of its largest."""
     i = machine.axis_names.index(axis)
     values = np.concatenate([gravity_load(machine, r)[:, i] for r in recordings])
     values = values[~np.isnan(values)]
@@ -234,21 +226,12 @@ def load_change(recordings: Sequence[Recording], machine: Machine, axis: str) ->
 
 def signal_travel(recordings: Sequence[Recording], machine: Machine, signal: str) -> float:
     """Seconds in which the signal is measured and the machine moves."""
-    total = 0.0
-    for recording in recordings:
-        there = ~np.isnan(recording.values(signal))
-        moving = np.any([_level(recording, a.name) != 0 for a in machine.axes], axis=0)
-        total += float(np.sum(there & moving)) / recording.rate_hz
-    return total
-
-
-def _moving(recording: Recording, machine: Machine) -> float:
-    return float(np.sum(np.any([_level(recording, a.name) != 0 for a in machine.axes], axis=0))) / recording.rate_hz
+    return _seconds(recordings, lambda r: ~np.isnan(r.values(signal)) & _any_moves(r, machine))
 
 
 def rest(recordings: Sequence[Recording], machine: Machine, axis: str) -> float:
     """Seconds with the command at zero."""
-    return sum(float(np.sum(_level(r, axis) == 0)) / r.rate_hz for r in recordings)
+    return _seconds(recordings, lambda r: _level(r, axis) == 0)
 
 
 def joint_coverage(recordings: Sequence[Recording], machine: Machine, axis: str) -> float:
@@ -266,13 +249,22 @@ def joint_coverage(recordings: Sequence[Recording], machine: Machine, axis: str)
 
 def tip_stops(recordings: Sequence[Recording], machine: Machine, axis: str) -> float:
     """Seconds in which the boom tip moves."""
-    total = 0.0
-    for recording in recordings:
+
+    def moves(recording: Recording) -> Rows:
         ee = np.column_stack([recording.values(s) for s in point_signals("ee")])
         stride = max(1, round(0.2 * recording.rate_hz))
-        speed = np.linalg.norm(ee[stride:] - ee[:-stride], axis=1) / 0.2
-        total += float(np.sum(speed > 0.02)) / recording.rate_hz
-    return total
+        return np.asarray(np.linalg.norm(ee[stride:] - ee[:-stride], axis=1) / 0.2 > 0.02)
+
+    return _seconds(recordings, moves)
+
+
+def _seconds(recordings: Sequence[Recording], rows: Callable[[Recording], Rows]) -> float:
+    """Duration of the rows of a condition, over all recordings [s]."""
+    return sum(float(np.sum(rows(r))) / r.rate_hz for r in recordings)
+
+
+def _any_moves(recording: Recording, machine: Machine) -> Rows:
+    return np.asarray(np.any([_level(recording, a.name) != 0 for a in machine.axes], axis=0))
 
 
 def _level(recording: Recording, axis: str) -> Array:
@@ -286,9 +278,9 @@ COUNTS: dict[str, tuple[Count, str]] = {
     "force_changes": (command_changes, "force changes"),
     "small_commands": (small_commands, "s of small commands on each side"),
     "motion": (motion, "s of motion"),
-    "longest_motion": (longest_motion, "s of motion in one recording"),
+    "longest_motion": (longest(motion), "s of motion in one recording"),
     "any_motion": (any_motion, "s of motion of any axis"),
-    "longest_any_motion": (longest_any_motion, "s of motion of any axis in one recording"),
+    "longest_any_motion": (longest(any_motion), "s of motion of any axis in one recording"),
     "motion_both_ways": (motion_both_ways, "s of motion in each direction"),
     "force_both_ways": (motion_both_ways, "s of force in each direction"),
     "together": (together, "s of two axes at large commands"),

@@ -23,14 +23,7 @@ def lineage_of(case: Case, outcome: ProofOutcome, gap: Gap, stage_gap: Gap, sett
     return plain(  # type: ignore[no-any-return]
         {
             "dataset_digest": case.dataset.digest,
-            "recordings": {
-                role: [recording.name for recording in recordings]
-                for role, recordings in (
-                    ("fit", case.split.fit),
-                    ("select", case.split.select),
-                    ("held_out", case.split.held_out),
-                )
-            },
+            "recordings": {role: [r.name for r in getattr(case.split, role)] for role in ("fit", "select", "held_out")},
             "seed": case.seed,
             "settings": {**settings, "noise": dict(case.noise)},
             "named": [f"{e.name}({e.target})" for e in outcome.named],

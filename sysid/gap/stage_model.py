@@ -16,7 +16,7 @@ from sysid.gap.free_run import LeastSquares, free_run_of
 from sysid.gap.likelihood.discrepancy import Discrepancy, discrepancy_of
 from sysid.gap.likelihood.explained import Explained, explained
 from sysid.gap.likelihood.rows import SPANS, StageRows, averaged, averaged_out
-from sysid.gap.likelihood.stage import ModelFit, StageLikelihood, Variances, fit_model
+from sysid.gap.likelihood.stage import ModelFit, StageLikelihood, fit_model
 from sysid.gap.likelihood.variances import Start, estimated, first_variances, log_prior, own_evidence, robust
 from sysid.gap.problem import Problem
 from sysid.gap.proposals import Proposals
@@ -38,25 +38,19 @@ TRANSIENT, INITIAL_SHARE = 0.4, 0.1
 
 @dataclass(frozen=True)
 class StageFit:
-    """A stage after its search: its rows, the likelihood under the final variances, the models and the decision.
+    """A stage after its search: the models and the decision.
 
     ``dropped``: by label, the chosen model without that effect, the rest refitted. ``remainder``: error that the discrepancy
     explains beside the chosen model. ``least_squares``: the smallest set that explains the output, fitted to the free run.
     ``names_alone``: the same with the named effects alone, where the chosen model has others.
     """
 
-    rows: StageRows
-    likelihood: StageLikelihood
     models: tuple[ModelFit, ...]
     decision: Decision
     dropped: Mapping[str, ModelFit]
     remainder: Explained
     least_squares: ModelFit
     names_alone: StageFit | None = None
-
-    @property
-    def variances(self) -> Variances:
-        return self.likelihood.variances
 
 
 def fit_stage(
@@ -67,15 +61,17 @@ def fit_stage(
     sigma: Array,
     candidates: Sequence[Candidate],
     nameable: Sequence[str],
-    rope: Mapping[Key, float] | None = None,
-    on_fit: Callable[[str], None] = lambda text: None,
-    shared: Sequence[str] = (),
+    rope: Mapping[Key, float],
+    on_fit: Callable[[str], None],
+    shared: Sequence[str],
 ) -> StageFit:
     """Search and decide one stage.
 
     Args:
         sigma: noise floor of each output, (d,).
         nameable: labels of candidates that the recordings excite enough; the others are compared, but not named.
+        rope, shared: as in :func:`sysid.gap.decision.decide`.
+        on_fit: called with the labels of each fitted set.
     """
     full = recordings[0].rate_hz
     # Means over 0.1 s that are shifted by a clock error are wrong by several noise floors at every start and stop.
@@ -141,11 +137,11 @@ def fit_stage(
 
 
 def _fitted(proposals: Proposals, decision: Decision, free: LeastSquares) -> StageFit:
-    likelihood, model, smallest = proposals.likelihood, decision.model, decision.acceptable[0]
+    model, smallest = decision.model, decision.acceptable[0]
     dropped = {c.label: _valued(proposals.without(model, c), decision, free) for c in model.candidates}
-    remainder = explained(likelihood, model)
+    remainder = explained(proposals.likelihood, model)
     squares = free.proposals.warm(smallest.candidates, smallest)
-    return StageFit(likelihood.rows, likelihood, tuple(proposals.near()), decision, dropped, remainder, squares)
+    return StageFit(tuple(proposals.near()), decision, dropped, remainder, squares)
 
 
 def _valued(model: ModelFit, decision: Decision, free: LeastSquares) -> ModelFit:

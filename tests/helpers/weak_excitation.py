@@ -13,10 +13,9 @@ from sysid.gap.case import Case, Stage, open_case, stage_candidates
 from sysid.gap.data import Data
 from sysid.gap.experiment import Experiment, OpenHypothesis, dry_run
 from sysid.gap.experiment.open_hypothesis import non_identifiable_set
-from sysid.gap.fit import fit_candidates
+from sysid.gap.fit import fit_candidates, starting_values
 from sysid.gap.result import EffectEvidence
 from sysid.gap.stage_result import AcceptedEffect, StageResult
-from sysid.gap.starts import starting_values
 from sysid.machine import Machine, machine_from_files
 from sysid.plant import Plant
 

@@ -18,9 +18,8 @@ from sysid.datasets.recording import Recording
 from sysid.gap.adapters.input_output_effects import apply_input_effects
 from sysid.gap.candidates import Candidate, candidates_at
 from sysid.gap.data import Data
-from sysid.gap.fit import fit_candidates, place, spread_of
+from sysid.gap.fit import fit_candidates, place, spread_of, starting_values
 from sysid.gap.problem import SHORT_RUN, Problem, drive_problem
-from sysid.gap.starts import starting_values
 from sysid.machine import Axis
 from sysid.plant import Model, Plant, axis_run, layout
 from sysid.plant.layout import AT, AXIS_WIDTH

@@ -17,9 +17,8 @@ from sysid.gap.drift import DriftStrength
 from sysid.gap.excitation import excitation_of
 from sysid.gap.experiment.experiment import EffectAt
 from sysid.gap.experiment.information import PlausibleModel, noise_of_bin, plausible_model
-from sysid.gap.fit import Fit, fit_candidates
+from sysid.gap.fit import Fit, fit_candidates, starting_values
 from sysid.gap.proof import ProofOutcome
-from sysid.gap.starts import starting_values
 from sysid.plant import compile_plant
 
 Array = npt.NDArray[np.float64]
