@@ -70,14 +70,14 @@ class Stage:
     Args:
         sigma: noise floor by signal, (d,).
         theta: vector of the plant under test, with the sensor scales that other stages found.
-        finding: result of the search.
+        result: of the search.
     """
 
     problem: Problem
     split: Split
     sigma: Array
     theta: Array
-    finding: StageResult | None = None
+    result: StageResult | None = None
 
     @property
     def label(self) -> str:
@@ -86,8 +86,8 @@ class Stage:
     @property
     def found(self) -> StageResult:
         """Result of a stage that was searched."""
-        assert self.finding is not None
-        return self.finding
+        assert self.result is not None
+        return self.result
 
 
 def open_case(dataset: Dataset, simulation: Plant | Simulator, seed: int) -> tuple[Case, list[Stage]]:
@@ -139,13 +139,13 @@ def stage_candidates(case: Case, stage: Stage) -> list[Candidate]:
     return without_aliases(found, compile_plant(case.plant)) if problem.stage == "end_effector" else found
 
 
-def on_itself(finding: StageResult, stage: Stage, theta: Array) -> StageResult:
+def on_itself(result: StageResult, stage: Stage, theta: Array) -> StageResult:
     """A result found on a surrogate of the stage, fitted to the stage itself."""
     seen = Data(stage.problem, stage.split.seen, stage.sigma)
     unseen = Data(stage.problem, stage.split.select, stage.sigma)
-    fit = fit_candidates(seen, theta, finding.fit.candidates, [finding.fit.values])  # noqa: PD011
+    fit = fit_candidates(seen, theta, result.fit.candidates, [result.fit.values])  # noqa: PD011
     nominal, final = (spread_of(unseen.residuals(values[None])) for values in (theta, fit.theta))
-    return replace(finding, problem=stage.problem, fit=fit, nominal_rmse=nominal, final_rmse=final, names_alone=None)
+    return replace(result, problem=stage.problem, fit=fit, nominal_rmse=nominal, final_rmse=final, names_alone=None)
 
 
 def scales_of(plant: Plant, stage: Stage) -> Scales:

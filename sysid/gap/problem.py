@@ -59,7 +59,7 @@ class Problem:
 
 
 def drive_problem(model: Model, axis: Axis, restart_every: float | None = None) -> Problem:
-    """Command → what it drives, free-running over whole recordings."""
+    """Command → driven signal, in free runs over whole recordings."""
 
     def predict(thetas: Array, recording: Recording) -> Array:
         return model.drive(thetas, recording, axis.name, restart_every)[:, :, None]

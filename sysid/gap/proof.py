@@ -53,17 +53,17 @@ def evaluate(case: Case, stages: Sequence[Stage]) -> ProofOutcome:
         _add_sensor_steps(case, stages, coarse, outcome)
     for searched in stages:
         stage = _without_cheap_names(_with_proven_model(case, searched))
-        finding = stage.found
-        proven = bool(finding.fit.candidates) and _better(stage)
+        result = stage.found
+        proven = bool(result.fit.candidates) and _better(stage)
         refused = dict[str, str]()
         if proven:
             refused = _accept(stage, outcome)
-        elif finding.named:
+        elif result.named:
             outcome.notes.append(f"{stage.label}: the effects found do not lower the error on held-out recordings")
         outcome.notes += _near_misses(stage)
-        if proven and all(kept.candidate.label in refused for kept in finding.named):
+        if proven and all(kept.candidate.label in refused for kept in result.named):
             _without_name(stage, refused, outcome)
-        if (finding.final_rmse if proven else finding.nominal_rmse) > EXPLAINED:
+        if (result.final_rmse if proven else result.nominal_rmse) > EXPLAINED:
             _describe(case, stage, proven, outcome)
     return outcome
 
@@ -75,7 +75,7 @@ def _with_proven_model(case: Case, searched: Stage) -> Stage:
     passes = _better(stage)
     if names is None or (passes and not _accumulates(searched.found)):
         return stage
-    alone = _with_intervals(case, replace(searched, finding=names))
+    alone = _with_intervals(case, replace(searched, result=names))
     if not passes and _better(alone):
         return alone
     return with_intervals_of(stage, alone) if _accumulates(searched.found) else stage
@@ -83,34 +83,34 @@ def _with_proven_model(case: Case, searched: Stage) -> Stage:
 
 def with_intervals_of(stage: Stage, alone: Stage) -> Stage:
     """The stage with the intervals of its names alone: the effects adjusted beside them compensate for the formulas."""
-    finding, names = stage.found, alone.found
-    assert finding.limits is not None
+    result, names = stage.found, alone.found
+    assert result.limits is not None
     assert names.limits is not None
-    limits = finding.limits.copy()
+    limits = result.limits.copy()
     for kept in names.named:  # an effect that ties with others is not among them
-        here, there = finding.fit.rows_of(kept.candidate), names.fit.rows_of(kept.candidate)
-        limits[here, 0] = np.minimum(names.limits[there, 0], finding.fit.values[here])
-        limits[here, 1] = np.maximum(names.limits[there, 1], finding.fit.values[here])
-    return replace(stage, finding=replace(finding, limits=limits))
+        here, there = result.fit.rows_of(kept.candidate), names.fit.rows_of(kept.candidate)
+        limits[here, 0] = np.minimum(names.limits[there, 0], result.fit.values[here])
+        limits[here, 1] = np.maximum(names.limits[there, 1], result.fit.values[here])
+    return replace(stage, result=replace(result, limits=limits))
 
 
 def _without_cheap_names(stage: Stage) -> Stage:
     """The stage; where formulas are wrong, without names that held-out recordings excite and that are not worth their price."""
-    finding, fitted = stage.found, stage.found.stage_fit
-    if not finding.named or fitted is None or fitted.decision.exact:
+    result, fitted = stage.found, stage.found.stage_fit
+    if not result.named or fitted is None or fitted.decision.exact:
         return stage
-    after = held_out_score(stage, finding.fit.theta)
+    after = held_out_score(stage, result.fit.theta)
     lost = []
-    for kept in finding.named:
+    for kept in result.named:
         less = fitted.dropped[kept.candidate.label].theta if fitted.decision.accumulates else stage.theta
         if _excited(stage, less) and not pays(held_out_score(stage, less), after):
             lost.append(kept)
     if not lost:
         return stage
-    named = tuple(kept for kept in finding.named if kept not in lost)
-    adjusted = (*finding.adjusted, *(kept.candidate for kept in lost))
+    named = tuple(kept for kept in result.named if kept not in lost)
+    adjusted = (*result.adjusted, *(kept.candidate for kept in lost))
     unsure = replace(fitted, decision=fitted.decision.without_names([kept.candidate.label for kept in lost], LOST))
-    return replace(stage, finding=replace(finding, named=named, adjusted=adjusted, stage_fit=unsure))
+    return replace(stage, result=replace(result, named=named, adjusted=adjusted, stage_fit=unsure))
 
 
 def _with_intervals(case: Case, stage: Stage) -> Stage:
@@ -119,23 +119,23 @@ def _with_intervals(case: Case, stage: Stage) -> Stage:
     The posterior of the decision's model includes the discrepancy; the profile of :mod:`sysid.gap.intervals` bounds, thresholds
     and noise of the input. Values of the latter replace those of the model where they leave a tenth less of the free runs.
     """
-    finding = stage.found
-    if not finding.named or finding.stage_fit is None:
+    result = stage.found
+    if not result.named or result.stage_fit is None:
         return stage
-    limits = _limits(finding)
+    limits = _limits(result)
     if case.adapter is not None:
-        return replace(stage, finding=replace(finding, limits=limits))
+        return replace(stage, result=replace(result, limits=limits))
     seen = Data(stage.problem, stage.split.seen, stage.sigma)
-    known = known_of(seen, stage.theta, finding.fit, case.noise, case.seed)
+    known = known_of(seen, stage.theta, result.fit, case.noise, case.seed)
     limits = np.column_stack([np.minimum(limits[:, 0], known.limits[:, 0]), np.maximum(limits[:, 1], known.limits[:, 1])])
-    before, after = (spread_of(seen.residuals(f.theta[None])) for f in (finding.fit, known.fit))
-    fit = known.fit if EXPLAINED * after < before else finding.fit
-    return replace(stage, finding=replace(finding, fit=fit, limits=limits))
+    before, after = (spread_of(seen.residuals(f.theta[None])) for f in (result.fit, known.fit))
+    fit = known.fit if EXPLAINED * after < before else result.fit
+    return replace(stage, result=replace(result, fit=fit, limits=limits))
 
 
-def _accumulates(finding: StageResult) -> bool:
+def _accumulates(result: StageResult) -> bool:
     """Whether the formulas of a stage are wrong and their errors accumulate."""
-    return finding.stage_fit is not None and finding.stage_fit.decision.accumulates
+    return result.stage_fit is not None and result.stage_fit.decision.accumulates
 
 
 def _without_name(stage: Stage, refused: Mapping[str, str], outcome: ProofOutcome) -> None:
@@ -143,32 +143,32 @@ def _without_name(stage: Stage, refused: Mapping[str, str], outcome: ProofOutcom
 
     ``refused``: by label, why a name of the decision is not kept.
     """
-    finding = stage.found
-    assert finding.stage_fit is not None
-    decision = finding.stage_fit.decision
+    result = stage.found
+    assert result.stage_fit is not None
+    decision = result.stage_fit.decision
     here = {c.label for c in decision.model.candidates}
     lacking = {m.candidate.label: m.lacks for m in decision.near_misses if m.candidate.label in here} | {**refused}
     if not lacking or all(lacks == NOT_EXCITED for lacks in lacking.values()):
         return
     form = "; ".join(f"{label} fits, not named: {lacks}" for label, lacks in lacking.items())
-    depends = next(iter(finding.stage_fit.remainder.groups), "nothing that was measured")
+    depends = next(iter(result.stage_fit.remainder.groups), "nothing that was measured")
     rmse = float(stage_rmse(stage.problem, stage.theta, stage.split.held_out)[0])
     outcome.unnamed.append(Unnamed(stage.problem.stage, stage.problem.target, rmse, depends, form))
 
 
 def _describe(case: Case, stage: Stage, proven: bool, outcome: ProofOutcome) -> None:
     """Describe the remaining error of a stage: a systematic residual, or a random disturbance, which is no gap."""
-    finding = stage.found
-    assert finding.stage_fit is not None
-    remainder = finding.stage_fit.remainder
-    if proven or not finding.fit.candidates:
+    result = stage.found
+    assert result.stage_fit is not None
+    remainder = result.stage_fit.remainder
+    if proven or not result.fit.candidates:
         if remainder.before <= EXPLAINED * max(remainder.after, 1.0):
             outcome.notes.append(
                 f"{stage.label}: the remaining error ({remainder.before:.2g} noise floors) is a random disturbance: "
                 f"no smooth function of the measured signals explains a tenth of it"
             )
             return
-        theta = finding.fit.theta
+        theta = result.fit.theta
     else:
         theta = stage.theta
     outcome.notes.append(f"{stage.label}: the remaining error depends most on: {next(iter(remainder.groups), 'nothing')}")
@@ -208,19 +208,19 @@ def _explained(case: Case, stage: Stage, coarse: CoarseSensor) -> float:
 
 def _accept(stage: Stage, outcome: ProofOutcome) -> dict[str, str]:
     """Name the significant effects and put the whole model into the plant; returns by label why effects lose their name."""
-    finding = stage.found
+    result = stage.found
     refused = dict[str, str]()
-    assert finding.stage_fit is not None
-    limits = finding.limits if finding.limits is not None else _limits(finding)
-    adjusted = list(finding.adjusted)
-    for kept in finding.named:
+    assert result.stage_fit is not None
+    limits = result.limits if result.limits is not None else _limits(result)
+    adjusted = list(result.adjusted)
+    for kept in result.named:
         candidate = kept.candidate
-        instance = candidate.instance(finding.fit.values_of(candidate))
+        instance = candidate.instance(result.fit.values_of(candidate))
         shown = ", ".join(f"{key} = {value}" for key, value in instance.parameters.items())
         share = _share(stage, candidate)
         if share < SHARE:
             refused[candidate.label] = f"it closes {share:.1%} of the gap on held-out recordings"
-        elif _may_be_absent(finding, candidate, limits):
+        elif _may_be_absent(result, candidate, limits):
             refused[candidate.label] = "its interval contains its absence"
         if candidate.label in refused:
             why = refused[candidate.label]
@@ -243,11 +243,11 @@ def _accept(stage: Stage, outcome: ProofOutcome) -> dict[str, str]:
         else:
             outcome.named.append(_named(stage, kept, limits, share))
     for candidate in adjusted:
-        values = finding.fit.values_of(candidate)
+        values = result.fit.values_of(candidate)
         outcome.repaired = outcome.repaired.with_effect(candidate.instance(values))
         shown = ", ".join(f"{u.key} = {v:.4g}" for u, v in zip(candidate.unknowns, values, strict=True))
         outcome.notes.append(f"{candidate.effect.name} on {candidate.target} is adjusted in the plant without a name: {shown}")
-    known = _uncertainty(finding.stage_fit.decision.model, outcome.repaired)
+    known = _uncertainty(result.stage_fit.decision.model, outcome.repaired)
     outcome.repaired = outcome.repaired.with_uncertainty(known) if known.places else outcome.repaired
     return refused
 
@@ -281,17 +281,17 @@ def _near_misses(stage: Stage) -> list[str]:
     return found
 
 
-def _limits(finding: StageResult) -> Array:
+def _limits(result: StageResult) -> Array:
     """95 % intervals of the unknowns of the chosen model, (k, 2), within their bounds.
 
     The hull of the interval of the stage's likelihood and that of the free run with the named effects alone, which differ where
     the formulas are wrong. Where their errors accumulate, of the likelihood only the estimate counts.
     """
-    fitted = finding.stage_fit
+    fitted = result.stage_fit
     assert fitted is not None
     model, alone = fitted.decision.model, fitted.least_squares
     limits = _interval(model)
-    accumulates = _accumulates(finding)
+    accumulates = _accumulates(result)
     for candidate in alone.candidates:
         if candidate.label in model.labels:
             here, there = model.rows_of(candidate), _interval(alone)[alone.rows_of(candidate)]
@@ -302,9 +302,9 @@ def _limits(finding: StageResult) -> Array:
     return np.clip(limits, low[:, None], high[:, None])
 
 
-def _may_be_absent(finding: StageResult, candidate: Candidate, limits: Array) -> bool:
+def _may_be_absent(result: StageResult, candidate: Candidate, limits: Array) -> bool:
     """Whether the intervals of all its parameters contain the known value."""
-    here = limits[finding.fit.rows_of(candidate)]
+    here = limits[result.fit.rows_of(candidate)]
     nominal = np.array([u.nominal for u in candidate.unknowns])
     return bool(((here[:, 0] <= nominal) & (nominal <= here[:, 1])).all())
 

@@ -52,11 +52,11 @@ def _in_parallel(case: Case, stages: Sequence[Stage], forms: Forms, progress: Pr
     done = [0.0] * len(stages)
 
     def one(k: int) -> Stage:
-        def tell(share: float, text: str) -> None:
+        def stage_progress(share: float, text: str) -> None:
             done[k] = share
             progress(sum(done) / len(stages), text)
 
-        return replace(stages[k], finding=_found(case, stages[k], forms, tell))
+        return replace(stages[k], result=_found(case, stages[k], forms, stage_progress))
 
     workers = min(WORKERS, max(len(stages), 1))
     with threadpool_limits(1), ThreadPoolExecutor(workers, thread_name_prefix="sysid-stage") as pool:
@@ -84,7 +84,7 @@ def _with_sensor_scales(case: Case, stages: tuple[Stage, ...], forms: Forms, pro
                 for unknown, value in zip(scale.unknowns, fit.values_of(scale), strict=True):
                     theta[list(unknown.places)] = value
             again = replace(stage, theta=theta)
-            stage = replace(again, finding=_found(case, again, forms, lambda share, text: progress(1.0, text)))  # noqa: PLW2901
+            stage = replace(again, result=_found(case, again, forms, lambda share, text: progress(1.0, text)))  # noqa: PLW2901
         found.append(stage)
     return tuple(found)
 
@@ -95,35 +95,35 @@ def _one_by_one(
     """With a user's simulator, the input of a stage depends on the effects found before it."""
     found, theta = list[Stage](), case.theta
     for k, stage in enumerate(stages):
-        tell = part(progress, k / len(stages), (k + 1) / len(stages))
+        stage_progress = part(progress, k / len(stages), (k + 1) / len(stages))
         prepared = replace(stage, problem=adapter.with_input_effects(stage.problem, theta))
-        found.append(replace(prepared, finding=_found(case, prepared, forms, tell)))
+        found.append(replace(prepared, result=_found(case, prepared, forms, stage_progress)))
         if stage.problem.stage == "command":
             fitted = found[-1].found.fit.theta
             theta = np.where(fitted != case.theta, fitted, theta)
     return tuple(found)
 
 
-def _found(case: Case, stage: Stage, forms: Forms, tell: Progress) -> StageResult:
-    tell(0.0, stage.label)
+def _found(case: Case, stage: Stage, forms: Forms, progress: Progress) -> StageResult:
+    progress(0.0, stage.label)
     machine = case.plant.machine
     problem = stage.problem if case.adapter is None else case.adapter.search_problem(stage.problem)
     seen = Data(problem, stage.split.seen, stage.sigma)
     nominal = spread_of(seen.residuals(stage.theta[None]))
     if nominal <= EXPLAINED:
-        tell(1.0, stage.label)
+        progress(1.0, stage.label)
         return StageResult(problem, (), (), _fit(seen, (), stage.theta), nominal, nominal)
     candidates = [c for c in stage_candidates(case, stage) if forms == "all" or c.form is c.effect.forms[0]]
     nameable = [c.label for c in candidates if excitation_of(c, stage.split.seen, machine).sufficient]
     fitted = fit_stage(
         compile_plant(case.plant), problem, stage.split.seen, stage.theta, stage.sigma, candidates, nameable,
         _equivalence(case, problem.stage, candidates),
-        on_fit=lambda text: tell(0.0, f"{stage.label}: {text}"),
+        on_fit=lambda text: progress(0.0, f"{stage.label}: {text}"),
         shared=[c.label for c in candidates if problem.stage in BEHIND and c.key in _scales_of_drives(case)],
     )  # fmt: skip
-    finding = _result(problem, seen, fitted, nominal)
-    tell(1.0, stage.label)
-    return finding if problem is stage.problem else on_itself(finding, stage, stage.theta)
+    result = _result(problem, seen, fitted, nominal)
+    progress(1.0, stage.label)
+    return result if problem is stage.problem else on_itself(result, stage, stage.theta)
 
 
 def _scales_of_drives(case: Case) -> set[Key]:
@@ -200,11 +200,11 @@ def _compared(problem: Problem, fitted: StageFit) -> tuple[ComparedModel, ...]:
     """The forty likeliest models against the chosen one."""
     decision, rows = fitted.decision, []
     for f in fitted.models[:40]:
-        names = (f"{c.label}.{u.key}" for c in f.candidates for u in c.unknowns)
+        keys = (f"{c.label}.{u.key}" for c in f.candidates for u in c.unknowns)
         total, error = difference(decision.model, f)
         verdict = "survives" if any(f is s for s in decision.survivors) else f"{total:.0f} ± {error:.0f} nats worse"
-        values = dict(zip(names, map(float, f.values), strict=True))
+        values = dict(zip(keys, map(float, f.values), strict=True))
         delta_bic = 2.0 * (f.evidence - decision.model.evidence)
-        names_of = tuple(sorted(f.labels))
-        rows.append(ComparedModel(problem.stage, problem.target, names_of, values, f.rms, f.rms, delta_bic, verdict))
+        labels = tuple(sorted(f.labels))
+        rows.append(ComparedModel(problem.stage, problem.target, labels, values, f.rms, f.rms, delta_bic, verdict))
     return tuple(rows)

@@ -134,7 +134,7 @@ def prove(study: Study, world: bool = False, progress: Progress = silent, *, car
     Raises:
         SettingsError: the study was not searched; residual networks were requested with a user's simulator.
     """
-    if any(stage.finding is None for stage in study.stages):
+    if any(stage.result is None for stage in study.stages):
         raise SettingsError("prove", "stages that were not searched", "a study that sysid.gap.steps.search returned")
     outcome = evaluate(study.case, study.stages)
     if carry:

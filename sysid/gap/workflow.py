@@ -66,7 +66,7 @@ def find_gap(
         SettingsError: a repaired user's simulator is to be added to the registry, or to contain a residual network.
     """
     begin = time.perf_counter()
-    tell: Progress = progress or silent
+    report: Progress = progress or silent
     if add and not isinstance(plant, Plant):
         raise SettingsError(
             f"simulator {name_of(plant)}", "cannot be stored", "a plant", "Get the repaired simulator from sysid.gap.steps.add."
@@ -78,7 +78,7 @@ def find_gap(
             "find_gap", "carry and localise_only", "one of them", "A residual network needs the residual of a search."
         )
     study = steps.open_study(dataset, plant, seed)
-    tell(0.02, "localising")
+    report(0.02, "localising")
     located = steps.localise(study)
     case, proposal, after_reference, promotion = study.case, ExperimentProposal(), "", None
     own = registry is not None and case.adapter is None
@@ -86,21 +86,21 @@ def find_gap(
     if localise_only:
         proof = steps.measure(study, ProofOutcome(case.plant))
     else:
-        study = steps.search(study, forms, part(tell, 0.05, 0.85))
-        tell(0.87, "proving on held-out recordings")
-        proof = steps.prove(study, add if world is None else world, part(tell, 0.88, 0.92), carry=carry)
+        study = steps.search(study, forms, part(report, 0.05, 0.85))
+        report(0.87, "proving on held-out recordings")
+        proof = steps.prove(study, add if world is None else world, part(report, 0.88, 0.92), carry=carry)
     outcome, stages = proof.outcome, list(study.stages)
     if add and registry is not None and outcome.repaired is not case.plant:
         after_reference = steps.store(study, proof, registry)
         promotion = steps.promote(study, proof, registry, after_reference)
     if planning is not None and case.adapter is None and not localise_only:
-        tell(0.93, "planning the next experiment")
+        report(0.93, "planning the next experiment")
         hypotheses = open_hypotheses(case, stages, outcome)
-        proposal = propose(case, outcome.repaired, hypotheses, planning, lambda text: tell(0.93, f"planning: {text}"))
+        proposal = propose(case, outcome.repaired, hypotheses, planning, lambda text: report(0.93, f"planning: {text}"))
     shown = excitation(case, stages)
     verdict = _verdict(outcome, located, shown, localise_only)
     better = outcome.repaired.vector()
-    tell(1.0, "done")
+    report(1.0, "done")
     return GapResult(
         dataset=dataset.reference,
         plant_before=reference,
@@ -119,7 +119,7 @@ def find_gap(
         shares=shares_of(compile_plant(case.plant), case.split.seen) if case.adapter is None else (),
         maps=_maps(case, stages, better if outcome.repaired is not case.plant else None),
         carried=tuple(outcome.carried),
-        candidates=tuple(row for stage in stages if stage.finding for row in stage.finding.compared),
+        candidates=tuple(row for stage in stages if stage.result for row in stage.result.compared),
         traces=proof.traces,
         notes=(
             *outcome.notes,

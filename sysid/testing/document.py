@@ -35,7 +35,7 @@ def documents() -> dict[str, str]:
     """File name → text, for the whole catalogue."""
     files = {"README.md": _index()}
     for effect in CATALOGUE:
-        files[f"{effect.name}.md"] = _page(effect)
+        files[f"{effect.name}.md"] = page(effect)
         files[f"{effect.name}.svg"] = _picture(effect)
     return files
 
@@ -65,7 +65,7 @@ def _index() -> str:
     )
 
 
-def _page(effect: Effect) -> str:
+def page(effect: Effect) -> str:
     neutral = {slot.name: slot.neutral for slot in effect.slots}
     rows = []
     for form in effect.forms:

@@ -72,8 +72,8 @@ def tie(
     seen = Data(stage.problem, stage.split.seen, stage.sigma)
     fit = fit_candidates(seen, case.theta, (one,), starting_values((one,), (), 0))
     repaired = plant.with_effect(one.instance(fit.values))
-    finding = StageResult(
+    result = StageResult(
         stage.problem, (AcceptedEffect(one, EffectEvidence(0.0, 0.0, 1.0, 1.0), (), (other,)),), (), fit, 2.0, 1.0
     )
-    searched = Stage(stage.problem, stage.split, stage.sigma, stage.theta, finding)
+    searched = Stage(stage.problem, stage.split, stage.sigma, stage.theta, result)
     return case, repaired, non_identifiable_set(case, searched, repaired.vector(), one, (other,), seen)

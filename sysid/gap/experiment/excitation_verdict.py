@@ -215,7 +215,7 @@ class _Reasons:
         return effect.stage
 
     def _missing(self, stage: str, target: str) -> str:
-        """What the stage needs and is missing; empty where nothing is."""
+        """Signals or descriptions that the stage lacks; empty if none."""
         machine = self.machine
         if stage in ("command", "force"):
             axes = [axis for axis in machine.axes if target in (axis.name, "machine")]

@@ -1,4 +1,4 @@
-"""An experiment as two files: ``NAME.toml`` says what it is, ``NAME.csv`` beside it holds the commands.
+"""An experiment as two files: its specification in ``NAME.toml``, its commands in ``NAME.csv``.
 
 The CSV has canonical column names, so that spreadsheets and ``sysid`` can read it; its sha256 is in the TOML file, so
 that the two are not mixed with files of another experiment.

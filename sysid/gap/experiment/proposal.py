@@ -71,13 +71,13 @@ def propose(
     repaired: Plant,
     hypotheses: Sequence[OpenHypothesis],
     settings: Planning | None = None,
-    tell: Callable[[str], None] = lambda text: None,
+    on_hypothesis: Callable[[str], None] = lambda text: None,
 ) -> ExperimentProposal:
     """The shortest experiment for each hypothesis; one that resolves several is proposed once.
 
     Args:
         repaired: the best plant so far, with which motions are designed and limits checked.
-        tell: called with the label of each hypothesis.
+        on_hypothesis: called with the label of each hypothesis.
     """
     if not hypotheses:
         return ExperimentProposal()
@@ -85,7 +85,7 @@ def propose(
     chosen: list[_Selected] = []
     notes = []
     for hypothesis in hypotheses:
-        tell(hypothesis.label)
+        on_hypothesis(hypothesis.label)
         if any(planner.serves(item, hypothesis) for item in chosen):
             continue
         found = planner.best(hypothesis)
