@@ -8,9 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from sysid.gap.fit import place
 from sysid.gap.likelihood.rows import Series
-from sysid.gap.likelihood.stage import ModelFit, StageLikelihood, prior_of, share_of, steps_of
+from sysid.gap.likelihood.stage import ModelFit, StageLikelihood, prior_of, residual_and_slopes, share_of
 
 Array = npt.NDArray[np.float64]
 
@@ -33,13 +32,7 @@ def explained(likelihood: StageLikelihood, fit: ModelFit) -> Explained:
     """Posterior mean of the discrepancy beside ``fit``, against the remaining error of the fit."""
     rows, found = likelihood.rows, likelihood.discrepancy
     scale = likelihood.variances.groups[found.group]
-    lanes = fit.values[None]
-    if fit.unknowns:
-        steps = steps_of(fit.unknowns, fit.values)
-        lanes = np.vstack([lanes, fit.values + np.diag(steps)])
-    table = rows.residuals(place(rows.theta, fit.unknowns, lanes)).T
-    if fit.unknowns:
-        table[:, 1:] = (table[:, 1:] - table[:, :1]) / steps * prior_of(fit.candidates).width
+    table = residual_and_slopes(rows, fit.unknowns, fit.values, prior_of(fit.candidates).width)
     effects = table[:, 1:]
     discrepancy = found.columns * scale
     discrepancy = discrepancy - effects @ share_of(rows.scaled(effects), rows.scaled(discrepancy))

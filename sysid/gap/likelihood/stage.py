@@ -375,6 +375,14 @@ def steps_of(unknowns: Sequence[Unknown], values: Array) -> Array:
     return np.where(values + step > high, -step, step)
 
 
+def residual_and_slopes(rows: StageRows, unknowns: Sequence[Unknown], values: Array, unit: Array) -> Array:
+    """Residual at ``values`` (k,), and its change per ``unit`` (k,) of each unknown, (rows, 1 + k)."""
+    steps = steps_of(unknowns, values)
+    table = rows.residuals(place(rows.theta, unknowns, np.vstack([values[None], values + np.diag(steps)]))).T
+    table[:, 1:] = (table[:, 1:] - table[:, :1]) / steps * unit
+    return table
+
+
 def fit_model(likelihood: StageLikelihood, candidates: Sequence[Candidate], starts: Array, rounds: int = ROUNDS) -> ModelFit:
     """Fit the unknowns of ``candidates`` from the best of ``starts`` (s, k)."""
     candidates = tuple(candidates)
@@ -391,11 +399,7 @@ def fit_model(likelihood: StageLikelihood, candidates: Sequence[Candidate], star
         return np.asarray(likelihood.costs(place(nominal, unknowns, lanes), linear) + away)
 
     def changes_at(values: Array) -> Array:
-        """Residual at ``values`` (k,), and its change per prior width of each unknown, (rows, 1 + k)."""
-        steps = steps_of(unknowns, values)
-        table = likelihood.residuals(place(nominal, unknowns, np.vstack([values[None], values + np.diag(steps)])))
-        table[:, 1:] = (table[:, 1:] - table[:, :1]) / steps * prior.width
-        return table
+        return np.ascontiguousarray(residual_and_slopes(rows, unknowns, values, prior.width))
 
     if not unknowns:
         return _finished(likelihood, candidates, unknowns, x, rows.residuals(nominal[None]).T, prior)

@@ -14,12 +14,19 @@ import numpy.typing as npt
 from scipy.linalg import cho_factor, cho_solve
 from scipy.optimize import minimize
 
-from sysid.gap.fit import place
 from sysid.gap.likelihood.adjoint import gradient_of
 from sysid.gap.likelihood.discrepancy import Discrepancy
 from sysid.gap.likelihood.disturbance import Disturbance, Filter
 from sysid.gap.likelihood.rows import Series, StageRows
-from sysid.gap.likelihood.stage import HUBER, ModelFit, StageLikelihood, Variances, fit_model, steps_of, whitening_of
+from sysid.gap.likelihood.stage import (
+    HUBER,
+    ModelFit,
+    StageLikelihood,
+    Variances,
+    fit_model,
+    residual_and_slopes,
+    whitening_of,
+)
 
 Array = npt.NDArray[np.float64]
 
@@ -113,13 +120,9 @@ def own_evidence(likelihood: StageLikelihood, start: Start, model: ModelFit) -> 
 
 def _linearised(rows: StageRows, model: ModelFit) -> tuple[Array, Array]:
     """Residual of a model (rows,) and its slopes by the unknowns, in units of their size (rows, k)."""
-    residual = rows.residuals(model.theta[None])[0]
-    if not model.unknowns:
-        return residual, np.empty((rows.count, 0))
-    steps = steps_of(model.unknowns, model.values)
-    lanes = place(rows.theta, model.unknowns, model.values + np.diag(steps))
-    slopes = (rows.residuals(lanes) - residual).T / steps
-    return residual, slopes * np.array([max(u.negligible, abs(v)) for u, v in zip(model.unknowns, model.values, strict=True)])
+    sizes = np.array([max(u.negligible, abs(v)) for u, v in zip(model.unknowns, model.values, strict=True)])
+    table = residual_and_slopes(rows, model.unknowns, model.values, sizes)
+    return table[:, 0], table[:, 1:]
 
 
 def _gram(
