@@ -82,4 +82,4 @@ def _stretches(values: Array) -> list[slice]:
 def _bridged(values: Array) -> Array:
     """Short gaps interpolated linearly, the mean subtracted."""
     path = filled(values)
-    return path - path.mean()
+    return np.asarray(path - path.mean())
