@@ -140,7 +140,4 @@ class Effect:
 
     def form_of(self, names: frozenset[str]) -> Form | None:
         """The form whose parameters are exactly ``names``."""
-        for form in self.forms:
-            if frozenset(form.names) == names:
-                return form
-        return None
+        return next((form for form in self.forms if frozenset(form.names) == names), None)

@@ -20,18 +20,15 @@ MEMORY = 0.9
 
 @dataclass
 class Data:
-    """Recordings of a problem with what does not change between fits: noise, activity, number of measured bins."""
+    """Recordings of a problem with what does not change between fits: noise and activity."""
 
     problem: Problem
     recordings: Sequence[Recording]
     sigma: Array
     activities: list[Array] = field(init=False)
-    samples: int = field(init=False)
 
     def __post_init__(self) -> None:
         self.activities = [activity_of(self.problem, r) for r in self.recordings]
-        parts = [to_bins(self.problem.measured(r), self.problem.rate(r)) for r in self.recordings]
-        self.samples = sum(int((~np.isnan(part)).sum()) for part in parts)
 
     def bins(self, thetas: Array, problem: Problem | None = None) -> list[Array]:
         """Binned residuals in units of noise, one (lanes, m, d) a recording."""

@@ -9,10 +9,9 @@ from __future__ import annotations
 import hashlib
 import io
 import json
-from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 import pandas as pd
@@ -121,19 +120,9 @@ def _check_machine(commands: pd.DataFrame, file: _File, machine: Machine, path: 
 
 def _toml(experiment: Experiment, digest: str) -> str:
     lines = ["# A recording to make; docs/guide/next-experiment.md says how. SI units."]
-    top: Mapping[str, Any] = {
-        "schema": 1,
-        "name": experiment.name,
-        "machine": experiment.machine,
-        "motion": experiment.motion,
-        "about": experiment.about,
-        "axes": experiment.axes,
-        "seconds": experiment.seconds,
-        "rate_hz": experiment.rate_hz,
-        "repeats": experiment.repeats,
-        "commands": f"{experiment.name}.csv",
-        "commands_sha256": digest,
-    }
+    keys = ("name", "machine", "motion", "about", "axes", "seconds", "rate_hz", "repeats")
+    top = {"schema": 1, **{key: getattr(experiment, key) for key in keys}}
+    top |= {"commands": f"{experiment.name}.csv", "commands_sha256": digest}
     lines += [f"{key} = {_value(value)}" for key, value in top.items()]
     for key in ("start", "limits", "predicted", "provenance"):
         lines += ["", f"[{key}]"]
